@@ -1,0 +1,1 @@
+"""Poses → bias and scale, and what they are worth. Pure: arrays in, results out."""

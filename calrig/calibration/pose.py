@@ -1,0 +1,77 @@
+"""A pose: one dwell at one elevation, with the columns of CONTRACT section 4 in their order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+REQUIRED = ("target_deg", "reading_deg")
+INTEGER = ("pass", "approach", "n_samples")
+KNOWN = (
+    "pass",
+    "approach",
+    "time_s",
+    "temperature_c",
+    "stage_deg",
+    "reading_std_deg",
+    "reading_stderr_deg",
+    "n_samples",
+    "accel_x_g",
+    "accel_y_g",
+    "accel_z_g",
+    "gyro_move_deg",
+    "settle_s",
+)
+COLUMNS = (*REQUIRED, *KNOWN)
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """One pose; what is not known is None. Every further numeric column of a file is a covariate.
+
+    Attributes:
+        sweep: index of the sweep from 0 (column `pass`).
+        approach: +1 or −1, the sense of the last move that moved the stage; 0 where unknown.
+        time_s: since the run began, at mid-dwell.
+        reading_std_deg: spread of the filtered samples in the dwell.
+        reading_stderr_deg: standard error of the reading, allowing for the filter's correlation.
+        gyro_move_deg: rate about the stage axis, less its bias, integrated over the move into the pose.
+        covariates: further columns by name.
+    """
+
+    target_deg: float
+    reading_deg: float
+    sweep: int | None = None
+    approach: int | None = None
+    time_s: float | None = None
+    temperature_c: float | None = None
+    stage_deg: float | None = None
+    reading_std_deg: float | None = None
+    reading_stderr_deg: float | None = None
+    n_samples: int | None = None
+    accel_x_g: float | None = None
+    accel_y_g: float | None = None
+    accel_z_g: float | None = None
+    gyro_move_deg: float | None = None
+    settle_s: float | None = None
+    covariates: dict[str, float | None] = field(default_factory=dict)
+
+    @property
+    def theta_deg(self) -> float:
+        """The elevation the pose stands for: what the stage reported, else what was commanded."""
+        return self.target_deg if self.stage_deg is None else self.stage_deg
+
+    def row(self) -> dict[str, float | int | None]:
+        """The pose as CONTRACT section 4's columns, covariates after them."""
+        known = {name: getattr(self, _attribute(name)) for name in COLUMNS}
+        return {**known, **self.covariates}
+
+    @classmethod
+    def from_row(cls, row: dict[str, float | int | None]) -> Pose:
+        """The pose of a row as `row()` gives it."""
+        known = {_attribute(name): row[name] for name in COLUMNS if name in row}
+        extra = {name: value for name, value in row.items() if name not in COLUMNS}
+        return cls(**known, covariates=extra)  # type: ignore[arg-type]
+
+
+def _attribute(column: str) -> str:
+    return "sweep" if column == "pass" else column

@@ -1,0 +1,1 @@
+"""What hangs on a wire: opening ports, framing, stage drivers, board drivers."""

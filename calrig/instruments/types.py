@@ -1,0 +1,149 @@
+"""What drivers give and what callers may rely on: samples, identities, and one small Protocol a verb."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """A block of n valid samples in the order taken; a channel that the board does not send is NaN.
+
+    Attributes:
+        time_s: (n,) the board's clock since `start`, unwrapped, strictly increasing.
+        accel_g: (n, 3) specific force in g along the sensor's x, y, z.
+        gyro_dps: (n, 3) angular rate in degrees per second about x, y, z.
+        temperature_c: (n,) die temperature.
+    """
+
+    time_s: FloatArray
+    accel_g: FloatArray
+    gyro_dps: FloatArray
+    temperature_c: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    @classmethod
+    def empty(cls) -> Samples:
+        """No samples."""
+        return cls(np.empty(0), np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
+
+    @classmethod
+    def join(cls, blocks: list[Samples]) -> Samples:
+        """The blocks one after the other."""
+        if not blocks:
+            return cls.empty()
+        return cls(
+            np.concatenate([b.time_s for b in blocks]),
+            np.concatenate([b.accel_g for b in blocks]),
+            np.concatenate([b.gyro_dps for b in blocks]),
+            np.concatenate([b.temperature_c for b in blocks]),
+        )
+
+    def between(self, from_s: float, to_s: float) -> Samples:
+        """The samples with from_s <= time_s < to_s."""
+        first, last = np.searchsorted(self.time_s, (from_s, to_s))
+        return Samples(
+            self.time_s[first:last],
+            self.accel_g[first:last],
+            self.gyro_dps[first:last],
+            self.temperature_c[first:last],
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class BoardIdentity:
+    """Who a board says it is; None where it does not say."""
+
+    driver: str
+    firmware: str | None
+    serial: str
+    chip: str | None
+    accel_range_g: int | None
+    gyro_range_dps: int | None
+    max_rate_hz: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class StageIdentity:
+    """Who a stage says it is, and what its controller allows, in the stage's own degrees."""
+
+    driver: str
+    firmware: str | None
+    limits_deg: tuple[float, float] | None
+    velocity_dps: float | None
+    acceleration_dps2: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class StageStatus:
+    """One look at a stage: `state` is `not_referenced`, `homing`, `moving`, `ready` or `disabled`.
+
+    `words` says the same for a person, with the controller's own error bits where there are any.
+    """
+
+    state: str
+    words: str
+
+
+class Board(Protocol):
+    """A sensor board on a port. `faults` counts what was dropped, by kind (CONTRACT section 2)."""
+
+    faults: Counter[str]
+
+    def identify(self) -> BoardIdentity:
+        """Asks until the board answers or its time is up (BoardError)."""
+
+    def start(self, rate_hz: int) -> None:
+        """Starts streaming; a thread of the driver's own reads from here on."""
+
+    def take(self, timeout_s: float) -> Samples:
+        """The valid samples since the last call, waiting up to timeout_s for the first one.
+
+        Raises:
+            BoardError: the board has been silent, frozen or unreadable for too long, or went away.
+        """
+
+    def stop(self) -> None:
+        """Stops streaming."""
+
+    def close(self) -> None:
+        """Closes the port; never raises."""
+
+
+class Stage(Protocol):
+    """A rotary stage on a port, in its own degrees. Opening it moves nothing."""
+
+    faults: Counter[str]
+
+    def identify(self) -> StageIdentity:
+        """Asks for firmware, limits, velocity and acceleration."""
+
+    def status(self) -> StageStatus:
+        """Asks for the state."""
+
+    def position_deg(self) -> float:
+        """Where the stage says it is: two reads in a row that agree."""
+
+    def set_velocity(self, velocity_dps: float) -> None:
+        """Sets the velocity of the moves that follow."""
+
+    def home(self) -> None:
+        """Begins to look for the reference; returns at once."""
+
+    def move(self, target_deg: float) -> None:
+        """Begins a move; returns once the controller has accepted it, raises StageError if it refused."""
+
+    def halt(self) -> None:
+        """Stops the stage now, from any thread, waiting for no answer; later motion raises Halted."""
+
+    def close(self) -> None:
+        """Closes the port; never raises."""

@@ -1,0 +1,111 @@
+"""What a run is to do: the plan as a person or program writes it, and the poses that follow from it."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import dataclass
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+MAX_POSES = 10_000
+"""More than a day of dwells: beyond it a plan is a slip of the keyboard."""
+
+ElevationDeg = Annotated[float, Field(ge=-360, le=360)]
+
+
+class PlanError(ValueError):
+    """The plan cannot be carried out on this rig; the message says which elevation and which limit."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedPose:
+    """One pose to visit: its index in the run from 0, its sweep from 0, its commanded elevation."""
+
+    index: int
+    sweep: int
+    target_deg: float
+
+
+class Plan(BaseModel):
+    """A run's plan (CONTRACT section 2). Angles in degrees, times in seconds of the board's clock."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    kind: Literal["calibration"] = "calibration"
+    elevations_deg: list[ElevationDeg] | None = Field(default=None, min_length=1, max_length=MAX_POSES)
+    start_deg: ElevationDeg = -60.0
+    stop_deg: ElevationDeg = 60.0
+    step_deg: float = Field(default=10.0, gt=0, le=360)
+    sweeps: int = Field(default=4, ge=1, le=MAX_POSES)
+    order: Literal["sweep", "random", "given"] = "sweep"
+    jitter_deg: float = Field(default=0.0, ge=0, le=45)
+    settle_s: float = Field(default=1.0, ge=0, le=3600)
+    dwell_s: float = Field(default=2.0, gt=0, le=86_400)
+    rate_hz: int = Field(default=200, ge=1, le=8000)
+    target_std_deg: float | None = Field(default=None, gt=0, le=90)
+    velocity_dps: float | None = Field(default=None, gt=0, le=1000)
+    wait_s: float = Field(default=0.0, ge=0, le=86_400)
+    wait_temperature_c: float | None = Field(default=None, ge=-40, le=125)
+    seed: int = Field(default=0, ge=0, le=2**63 - 1)
+
+    @model_validator(mode="after")
+    def _is_of_a_size_one_can_run(self) -> Self:
+        count = self.sweeps * self._n_elevations()
+        if count > MAX_POSES:
+            raise ValueError(f"the plan has {count} poses; the most a run takes is {MAX_POSES}")
+        if self.dwell_s * self.rate_hz < 2:
+            raise ValueError(
+                f"a dwell of {self.dwell_s:g} s at {self.rate_hz} Hz holds fewer than two samples: "
+                "dwell longer or sample faster"
+            )
+        return self
+
+    def _n_elevations(self) -> int:
+        if self.elevations_deg is not None:
+            return len(self.elevations_deg)
+        return int(abs(self.stop_deg - self.start_deg) / self.step_deg) + 2
+
+    def elevations(self) -> list[float]:
+        """The elevations of one sweep in degrees, as given, or the grid with both of its ends."""
+        if self.elevations_deg is not None:
+            return list(self.elevations_deg)
+        low, high = sorted((self.start_deg, self.stop_deg))
+        whole_steps = int((high - low) / self.step_deg + 1e-9)
+        grid = [low + k * self.step_deg for k in range(whole_steps + 1)]
+        if high - grid[-1] > 1e-6 * self.step_deg:
+            grid.append(high)
+        return grid if self.start_deg <= self.stop_deg else grid[::-1]
+
+    def poses(self, limits_deg: tuple[float, float]) -> list[PlannedPose]:
+        """Every pose in the order measured, jittered by the plan's own seed.
+
+        Args:
+            limits_deg: the rig's soft limits of elevation, lower then upper.
+
+        Raises:
+            PlanError: an elevation lies beyond the limits.
+        """
+        low, high = limits_deg
+        elevations = self.elevations()
+        for elevation in elevations:
+            if not low <= elevation <= high:
+                raise PlanError(
+                    f"elevation {elevation:g}° is beyond the rig's soft limits {low:g}° to {high:g}°; "
+                    "nothing was moved"
+                )
+        rng = random.Random(self.seed)  # noqa: S311 (an experiment's order, not a secret)
+        poses: list[PlannedPose] = []
+        for sweep in range(self.sweeps):
+            for elevation in self._ordered(elevations, sweep, rng):
+                jittered = elevation + rng.uniform(-self.jitter_deg, self.jitter_deg)
+                target = round(min(max(jittered, low), high), 6) if self.jitter_deg else elevation
+                poses.append(PlannedPose(len(poses), sweep, target))
+        return poses
+
+    def _ordered(self, elevations: list[float], sweep: int, rng: random.Random) -> list[float]:
+        if self.order == "given":
+            return elevations
+        if self.order == "random":
+            return rng.sample(elevations, len(elevations))
+        return sorted(elevations, reverse=sweep % 2 == 1)

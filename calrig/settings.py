@@ -1,0 +1,171 @@
+"""What is configured: rigs from calrig.toml, where the store lies, where packed files are."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import platformdirs
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+CONFIG_NAME = "calrig.toml"
+
+
+class SettingsError(Exception):
+    """The configuration cannot be used; the message names file, rig and key, and what to do."""
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class StageSettings(_Strict):
+    """A rig's stage: elevation = sign · (stage − zero_deg) / ratio."""
+
+    driver: str
+    port: str
+    axis: int = Field(default=1, ge=1, le=31)
+    baudrate: int | None = Field(default=None, gt=0)
+    zero_deg: float = 0.0
+    sign: Literal[-1, 1] = 1
+    ratio: float = Field(default=1.0, gt=0)
+    tolerance_deg: float = Field(default=0.3, gt=0)
+
+
+class BoardSettings(_Strict):
+    """A rig's sensor board."""
+
+    driver: str
+    port: str
+    baudrate: int | None = Field(default=None, gt=0)
+
+
+class ReferenceSettings(_Strict):
+    """What the stage's own angle is worth: its standard uncertainty and how it is shared among poses."""
+
+    std_deg: float = Field(gt=0)
+    kind: Literal["setting", "harmonic", "common"] = "harmonic"
+    certificate: str | None = None
+
+
+class FilterSettings(_Strict):
+    """Noise of the Kalman filter (Nirmal et al. 2016): Q in deg² and (deg/s)² per second, R in deg²."""
+
+    q_angle: float = Field(default=0.001, gt=0)
+    q_bias: float = Field(default=0.003, ge=0)
+    r_deg2: float = Field(default=0.03, gt=0)
+
+
+class RigSettings(_Strict):
+    """One stage and one board. `simulated` holds the simulator's own options and takes the place of ports."""
+
+    name: Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[\w.-]+$")]
+    limits_deg: tuple[float, float] = (-90.0, 90.0)
+    stage: StageSettings | None = None
+    imu: BoardSettings | None = None
+    reference: ReferenceSettings | None = None
+    filter: FilterSettings = FilterSettings()
+    simulated: dict[str, Any] | None = None
+
+    @model_validator(mode="after")
+    def _has_ports_and_ordered_limits(self) -> Self:
+        if self.limits_deg[0] >= self.limits_deg[1]:
+            raise ValueError("limits_deg must be [lower, upper] with lower < upper")
+        if self.simulated is None and (self.stage is None or self.imu is None):
+            raise ValueError("a rig needs both `stage` and `imu` (or `simulated`)")
+        return self
+
+
+class Settings(_Strict):
+    """Everything configured."""
+
+    rig: tuple[RigSettings, ...] = ()
+    keep_samples_days: float | None = Field(default=None, gt=0)
+    """Raw samples of runs older than this are deleted when the service starts; null keeps them for ever."""
+
+    @model_validator(mode="after")
+    def _names_are_unique(self) -> Self:
+        names = [rig.name for rig in self.rig]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"two rigs are named {name!r}")
+        return self
+
+
+DEMO_RIG = RigSettings(
+    name="demo",
+    limits_deg=(-90.0, 90.0),
+    reference=ReferenceSettings(std_deg=0.29, kind="harmonic"),
+    simulated={"preset": "demo"},
+)
+"""What `serve` and `run` use when no rig is configured."""
+
+
+def load_settings(path: str | None = None) -> Settings:
+    """Reads the configuration, or the demo rig's where there is none.
+
+    Args:
+        path: the file to read; without it CALRIG_CONFIG, then calrig.toml in the working directory, then
+            in the user's configuration folder.
+
+    Raises:
+        SettingsError: the file is named but absent, or does not parse, or has a wrong or unknown key.
+    """
+    file = _find(path)
+    if file is None:
+        return Settings(rig=(DEMO_RIG,))
+    try:
+        document = tomllib.loads(file.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise SettingsError(f"{file}: cannot be read ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        raise SettingsError(f"{file}: is not UTF-8 text (byte {error.start})") from error
+    except tomllib.TOMLDecodeError as error:
+        raise SettingsError(f"{file}: {error}") from error
+    try:
+        settings = Settings.model_validate(document)
+    except ValidationError as error:
+        raise SettingsError(f"{file}: {_first_problem(error, document)}") from error
+    return settings if settings.rig else settings.model_copy(update={"rig": (DEMO_RIG,)})
+
+
+def _find(path: str | None) -> Path | None:
+    named = path or os.environ.get("CALRIG_CONFIG")
+    if named:
+        return Path(named)
+    for folder in (Path.cwd(), platformdirs.user_config_path("calrig")):
+        if (folder / CONFIG_NAME).is_file():
+            return folder / CONFIG_NAME
+    return None
+
+
+def _first_problem(error: ValidationError, document: dict[str, Any]) -> str:
+    problem = error.errors()[0]
+    place: list[str] = []
+    node: Any = document
+    for part in problem["loc"]:
+        try:
+            node = node[part]
+        except (KeyError, IndexError, TypeError):
+            node = None
+        if isinstance(part, int) and isinstance(node, dict) and "name" in node:
+            place[-1] = f"rig {node['name']!r}"
+        else:
+            place.append(str(part))
+    return f"{', '.join(place) or 'file'}: {problem['msg'].removeprefix('Value error, ')}"
+
+
+def store_url(db: str | None = None) -> str:
+    """The store's SQLAlchemy URL: `db` (a path or a URL), else CALRIG_DB, else the user's data folder."""
+    named = db or os.environ.get("CALRIG_DB")
+    if not named:
+        named = str(platformdirs.user_data_path("calrig", ensure_exists=True) / "calrig.db")
+    return named if "://" in named else f"sqlite:///{Path(named).expanduser().resolve()}"
+
+
+def packed(folder: str) -> Path:
+    """Where `web` or `migrations` lie: inside the installed package, or beside it in a checkout."""
+    inside = Path(__file__).parent / f"_{folder}"
+    return inside if inside.is_dir() else Path(__file__).parent.parent / folder
