@@ -1,0 +1,50 @@
+"""Raw samples as CSV and npz, under the names of CONTRACT section 4's static logs."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from calrig.store.records import FloatArray, RawSamples
+
+COLUMNS = (
+    "time_s",
+    "accel_x_g",
+    "accel_y_g",
+    "accel_z_g",
+    "gyro_x_dps",
+    "gyro_y_dps",
+    "gyro_z_dps",
+    "temperature_c",
+)
+_ROWS_A_PIECE = 5000
+
+
+def sample_columns(samples: RawSamples) -> dict[str, FloatArray]:
+    """The samples as one (n,) array a column; what the board does not send is NaN."""
+    table = np.column_stack((samples.time_s, samples.accel_g, samples.gyro_dps, samples.temperature_c))
+    return {name: table[:, place] for place, name in enumerate(COLUMNS)}
+
+
+def write_samples_csv(samples: RawSamples) -> Iterator[str]:
+    """The samples as CSV, piece by piece; a number reads back exactly, NaN is an empty cell."""
+    columns = sample_columns(samples).values()
+    yield ",".join(COLUMNS) + "\n"
+    for first in range(0, len(samples), _ROWS_A_PIECE):
+        piece = (column[first : first + _ROWS_A_PIECE].tolist() for column in columns)
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows(
+            ["" if math.isnan(value) else repr(value) for value in row] for row in zip(*piece, strict=True)
+        )
+        yield text.getvalue()
+
+
+def write_samples_npz(samples: RawSamples) -> bytes:
+    """The samples as a compressed npz with one array a column."""
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **sample_columns(samples))
+    return buffer.getvalue()

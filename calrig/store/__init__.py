@@ -1,0 +1,36 @@
+"""Runs, poses, events and raw samples in one SQLite file (SQLModel tables, Alembic migrations)."""
+
+from calrig.store.errors import NotFound, StoreError
+from calrig.store.event_log import Announced
+from calrig.store.records import (
+    ComparisonRow,
+    Event,
+    Progress,
+    RawSamples,
+    Run,
+    RunChanges,
+    SampleBlock,
+    Status,
+    StoredPose,
+    Unit,
+    Voided,
+)
+from calrig.store.store import Store
+
+__all__ = [
+    "Announced",
+    "ComparisonRow",
+    "Event",
+    "NotFound",
+    "Progress",
+    "RawSamples",
+    "Run",
+    "RunChanges",
+    "SampleBlock",
+    "Status",
+    "Store",
+    "StoreError",
+    "StoredPose",
+    "Unit",
+    "Voided",
+]

@@ -1,0 +1,93 @@
+"""Between rows of the tables and the records that callers see."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+from collections.abc import Iterable
+from typing import Any, cast
+
+import numpy as np
+
+from calrig.calibration.pose import Pose
+from calrig.store.records import Progress, RawSamples, Run, SampleBlock, Status, StoredPose, Voided
+from calrig.store.tables import CalibrationTable, PoseTable, RunTable
+
+_POSE_FIELDS = tuple(field.name for field in dataclasses.fields(Pose))
+_ARRAYS = ("time_s", "accel_g", "gyro_dps", "temperature_c")
+
+
+def run_of(row: RunTable) -> Run:
+    """The run of a row."""
+    voided: Voided | None = None
+    if row.voided_reason is not None and row.voided_at is not None:
+        voided = {"reason": row.voided_reason, "at": row.voided_at}
+    return Run(
+        id=str(row.id),
+        unit=row.unit,
+        rig=row.rig,
+        status=cast(Status, row.status),
+        plan=row.plan,
+        progress=cast(Progress, row.progress),
+        result=row.result,
+        diagnosis=row.diagnosis,
+        faults=row.faults,
+        follows=None if row.follows is None else str(row.follows),
+        provenance=row.provenance,
+        operator=row.operator,
+        note=row.note,
+        voided=voided,
+        created_at=row.created_at,
+        started_at=row.started_at,
+        finished_at=row.finished_at,
+        error=row.error,
+    )
+
+
+def figures_of(run_id: int, result: dict[str, Any]) -> CalibrationTable:
+    """The row that stands for a result in comparisons."""
+    temperature = result.get("temperature_c") or {}
+    return CalibrationTable(
+        run_id=run_id,
+        bias_deg=result["bias_deg"],
+        bias_std_deg=result.get("bias_std_deg"),
+        scale=result.get("scale"),
+        scale_std=result.get("scale_std"),
+        rms_raw_deg=result["rms_raw_deg"],
+        rms_calibrated_deg=result["rms_calibrated_deg"],
+        rms_with_effects_deg=result.get("rms_with_effects_deg"),
+        temperature_min_c=temperature.get("min"),
+        temperature_max_c=temperature.get("max"),
+    )
+
+
+def pose_values(run_id: int, index: int, pose: Pose) -> dict[str, Any]:
+    """A pose as the columns of its table."""
+    values = {name: getattr(pose, name) for name in _POSE_FIELDS}
+    return {"run_id": run_id, "pose_index": index, **values}
+
+
+def pose_of(row: PoseTable) -> StoredPose:
+    """The pose of a row."""
+    pose = Pose(**{name: getattr(row, name) for name in _POSE_FIELDS})
+    return StoredPose(index=row.pose_index, pose=pose, excluded=row.excluded_reason)
+
+
+def packed_arrays(block: SampleBlock) -> bytes:
+    """A block's arrays as a compressed npz of float64: every bit of them comes back."""
+    buffer = io.BytesIO()
+    arrays = {name: np.asarray(getattr(block, name), dtype=np.float64) for name in _ARRAYS}
+    np.savez_compressed(buffer, allow_pickle=False, **arrays)
+    return buffer.getvalue()
+
+
+def joined_arrays(blobs: Iterable[bytes]) -> RawSamples:
+    """The samples of several blocks one after the other; none where there are no blocks."""
+    parts: dict[str, list[np.ndarray[Any, Any]]] = {
+        name: [np.empty((0, 3) if name in {"accel_g", "gyro_dps"} else 0)] for name in _ARRAYS
+    }
+    for blob in blobs:
+        with np.load(io.BytesIO(blob), allow_pickle=False) as arrays:
+            for name in _ARRAYS:
+                parts[name].append(arrays[name])
+    return RawSamples(**{name: np.concatenate(arrays) for name, arrays in parts.items()})

@@ -1,0 +1,156 @@
+"""The SQLite file: finding it, opening it, and short transactions on it from many threads."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import cast
+
+from sqlalchemy import Connection, QueuePool, create_engine, event, make_url
+from sqlalchemy.exc import ArgumentError, StatementError
+from sqlmodel import Session
+
+from calrig.store import migrate
+from calrig.store.errors import StoreError, in_words
+from calrig.store.lock import WriterLock
+
+BUSY_TIMEOUT_S = 10.0
+
+
+def database_path(url: str) -> Path:
+    """The file that an SQLAlchemy URL names.
+
+    Raises:
+        StoreError: it is not the URL of a SQLite file.
+    """
+    try:
+        parsed = make_url(url)
+    except ArgumentError as error:
+        raise StoreError(f"{url!r} is neither a path nor an SQLAlchemy URL") from error
+    if parsed.get_backend_name() != "sqlite" or parsed.query:
+        shown = parsed.render_as_string(hide_password=True)
+        raise StoreError(f"{shown}: a store is a SQLite file: name it by its path or as sqlite:///path")
+    if not parsed.database or parsed.database == ":memory:":
+        raise StoreError(f"{url}: a store in memory would be lost: name a file")
+    return Path(parsed.database).resolve()
+
+
+class Database:
+    """An open database. Threads share it: writes take turns, reads never wait for them (WAL).
+
+    Args:
+        path: the database's file.
+        writer: what the writer does (`serve`, `run`, `import`); None opens for reading only.
+        busy_timeout_s: how long to wait for a lock that another process holds.
+
+    Raises:
+        StoreError: as `calrig.store.Store.open`.
+    """
+
+    def __init__(self, path: Path, writer: str | None, busy_timeout_s: float) -> None:
+        self.path = path
+        self._timeout_s = busy_timeout_s
+        self._writes = threading.Lock()
+        if path.is_dir():
+            raise StoreError(f"{path}: is a folder: name a file in it with --db")
+        self._engine = create_engine(
+            "sqlite://",
+            creator=self._connect,
+            json_serializer=_to_json,
+            poolclass=QueuePool,
+            pool_size=8,
+            max_overflow=-1,  # a thread never waits for a connection, only for the write lock
+        )
+        event.listen(self._engine, "begin", _begin)
+        self._write_engine = self._engine.execution_options(calrig_begin="BEGIN IMMEDIATE")
+        self._lock = WriterLock(path, writer) if writer else None
+        try:
+            if self._lock:
+                self._prepare_for_writing()
+            else:
+                self._check_for_reading()
+        except BaseException:
+            self.close()
+            raise
+
+    def _prepare_for_writing(self) -> None:
+        stored = migrate.stored_revision(self.path)
+        migrate.check_not_newer(self.path, stored)
+        migrate.upgrade(self.path, stored)
+
+    def _check_for_reading(self) -> None:
+        stored = migrate.stored_revision(self.path) if self.path.is_file() else None
+        if stored is None:
+            raise StoreError(
+                f"{self.path}: there is no calrig database: name one with --db, "
+                "or make one with `calrig serve`, `calrig run` or `calrig import`"
+            )
+        migrate.check_not_newer(self.path, stored)
+        if stored != migrate.revisions()[-1]:
+            raise StoreError(
+                f"{self.path}: was written by an older calrig (revision {stored}): run `calrig serve` once, "
+                "which keeps a copy and brings it up to date"
+            )
+
+    def _connect(self) -> sqlite3.Connection:
+        connection = sqlite3.connect(
+            self.path, timeout=self._timeout_s, isolation_level=None, check_same_thread=False
+        )
+        connection.execute("PRAGMA foreign_keys = ON")
+        connection.execute("PRAGMA synchronous = FULL")
+        if self._lock:
+            connection.execute("PRAGMA journal_mode = WAL")
+        else:
+            connection.execute("PRAGMA query_only = ON")
+        return connection
+
+    @contextmanager
+    def reading(self) -> Iterator[Session]:
+        """A session that sees one state of the database throughout."""
+        with self._in_words(), Session(self._engine) as session:
+            yield session
+
+    @contextmanager
+    def writing(self) -> Iterator[Session]:
+        """A session whose changes are on the disk when the block ends, or none of them where it raises."""
+        if self._lock is None:
+            raise StoreError(f"{self.path}: was opened for reading only")
+        with self._in_words(), self._writes, Session(self._write_engine) as session, session.begin():
+            yield session
+
+    def give_back_space(self) -> None:
+        """Shortens the file by the pages that deletions left empty."""
+        with self._in_words(), self._writes, self._engine.connect() as connection:
+            raw = cast(sqlite3.Connection, connection.connection.driver_connection)
+            raw.executescript("PRAGMA incremental_vacuum")  # `execute` steps once: one page
+
+    @contextmanager
+    def _in_words(self) -> Iterator[None]:
+        try:
+            yield
+        except StatementError as error:
+            if isinstance(error.orig, ValueError):
+                raise ValueError(f"cannot be stored: {error.orig}") from error
+            raise StoreError(in_words(error.orig, self.path)) from error
+        except sqlite3.Error as error:
+            raise StoreError(in_words(error, self.path)) from error
+
+    def close(self) -> None:
+        """Closes every connection and lets the writer's lock go."""
+        self._engine.dispose()
+        if self._lock:
+            self._lock.close()
+            self._lock = None
+
+
+def _begin(connection: Connection) -> None:
+    # A transaction that will write says so at once: turning a read into a write can fail midway.
+    connection.exec_driver_sql(connection.get_execution_options().get("calrig_begin", "BEGIN"))
+
+
+def _to_json(value: object) -> str:
+    return json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))

@@ -1,0 +1,67 @@
+"""One writer at a time: an advisory lock beside the database that says who holds it."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import socket
+from datetime import UTC, datetime
+from pathlib import Path
+
+from calrig.store.errors import StoreError
+
+
+class WriterLock:
+    """Holds `<database>.lock` until closed. The kernel lets it go when the process dies, however it dies.
+
+    Args:
+        database: the database's file.
+        what: what the writer does, for whoever finds the lock taken: `serve`, `run`, `import`.
+
+    Raises:
+        StoreError: another writer holds it (who, since when), or the file cannot be made.
+    """
+
+    def __init__(self, database: Path, what: str) -> None:
+        self.path = database.with_name(f"{database.name}.lock")
+        try:
+            self._file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        except OSError as error:
+            raise StoreError(
+                f"{self.path}: the writer's lock cannot be made ({error.strerror}): check that the folder "
+                "exists and may be written, or name another database with --db"
+            ) from error
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            holder = self._holder()
+            os.close(self._file)
+            if not isinstance(error, BlockingIOError):
+                raise StoreError(
+                    f"{self.path}: cannot be locked ({error.strerror}): keep the database on a local disk"
+                ) from error
+            raise StoreError(
+                f"{database}: {holder} writes to it, and a store has one writer at a time: "
+                "stop that one first, or name another database with --db"
+            ) from error
+        mine = {
+            "pid": os.getpid(),
+            "what": what,
+            "host": socket.gethostname(),
+            "since": datetime.now(UTC).isoformat(timespec="seconds"),
+        }
+        os.ftruncate(self._file, 0)
+        os.pwrite(self._file, json.dumps(mine).encode(), 0)
+
+    def _holder(self) -> str:
+        try:
+            holder = json.loads(os.pread(self._file, 4096, 0))
+            return "`calrig {what}` (process {pid} on {host}, since {since})".format(**holder)
+        except (ValueError, KeyError, TypeError):
+            return "another program"  # it has the lock and has not yet written its name
+
+    def close(self) -> None:
+        """Lets the lock go. The file stays: removing it could take it from the next holder."""
+        os.ftruncate(self._file, 0)
+        os.close(self._file)

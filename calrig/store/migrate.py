@@ -1,0 +1,132 @@
+"""Which revision a database is at, and bringing it to the program's after a copy is kept.
+
+A revision is the four digits its file in migrations/versions begins with, so that the newest one is found
+without importing Alembic, which is needed only when there is something to do.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import sqlite3
+from pathlib import Path
+
+from calrig.settings import packed
+from calrig.store.errors import StoreError, in_words
+
+
+def revisions() -> list[str]:
+    """The program's revisions, oldest first."""
+    found = (
+        re.match(r"(\d{4})_\w+\.py$", file.name) for file in (packed("migrations") / "versions").iterdir()
+    )
+    known = sorted(match[1] for match in found if match)
+    if not known:
+        raise StoreError(f"{packed('migrations')}: holds no migrations: install calrig again")
+    return known
+
+
+def stored_revision(database: Path) -> str | None:
+    """The revision of a database file; None where it is empty.
+
+    Raises:
+        StoreError: it cannot be read, is not SQLite, or is another program's.
+    """
+    try:
+        with contextlib.closing(sqlite3.connect(database)) as connection:
+            tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master")}
+            if not tables:
+                return None
+            if "alembic_version" in tables and "calibration" in tables:
+                row = connection.execute("SELECT version_num FROM alembic_version").fetchone()
+                if row:
+                    return str(row[0])
+    except sqlite3.Error as error:
+        raise StoreError(in_words(error, database)) from error
+    raise StoreError(f"{database}: is another program's database: name another file with --db")
+
+
+def check_not_newer(database: Path, stored: str | None) -> None:
+    """Refuses a database that a newer calrig has written.
+
+    Raises:
+        StoreError: says where the copies are that were kept before.
+    """
+    head = revisions()[-1]
+    if stored is None or stored in revisions():
+        return
+    copies = sorted(str(copy) for copy in database.parent.glob(f"{database.name}.before-*.bak"))
+    use_copy = (
+        f", or name a copy kept before it was brought up to date ({', '.join(copies)})" if copies else ""
+    )
+    raise StoreError(
+        f"{database}: was written by a newer calrig (revision {stored}; this one knows up to {head}); "
+        f"nothing was changed: install the newer calrig{use_copy}"
+    )
+
+
+def upgrade(database: Path, stored: str | None) -> None:
+    """Brings the database to the program's revision, all of it or nothing, after a copy was kept.
+
+    Raises:
+        StoreError: the copy or the migration failed; the database is as it was.
+    """
+    head = revisions()[-1]
+    if stored == head:
+        return
+    copy = _keep_copy(database, head) if stored is not None else None
+    try:
+        _run_alembic(database)
+    except Exception as error:
+        reason = getattr(error, "orig", error)  # SQLAlchemy's own text has the statement and a link
+        kept = f"; a copy is in {copy}" if copy else ""
+        raise StoreError(
+            f"{database}: could not be brought to revision {head} ({reason}); it is as it was{kept}"
+        ) from error
+
+
+def _keep_copy(database: Path, head: str) -> Path:
+    copy = database.with_name(f"{database.name}.before-{head}.bak")
+    number = 1
+    while copy.exists():  # a copy is never overwritten: it may be the only one of another state
+        number += 1
+        copy = database.with_name(f"{database.name}.before-{head}.{number}.bak")
+    unfinished = copy.with_name(f"{copy.name}.unfinished")
+    try:
+        with (
+            contextlib.closing(sqlite3.connect(database)) as source,
+            contextlib.closing(sqlite3.connect(unfinished)) as target,
+        ):
+            source.backup(target)
+        unfinished.replace(copy)
+    except (sqlite3.Error, OSError) as error:
+        unfinished.unlink(missing_ok=True)
+        raise StoreError(f"no copy could be kept, so nothing was changed: {in_words(error, copy)}") from error
+    return copy
+
+
+def _run_alembic(database: Path) -> None:
+    from alembic import command
+    from alembic.config import Config
+    from sqlalchemy import NullPool, create_engine, event, text
+
+    # Foreign keys stay off: SQLite changes a table by copying it, and they are checked before the commit.
+    engine = create_engine("sqlite://", creator=lambda: sqlite3.connect(database), poolclass=NullPool)
+
+    @event.listens_for(engine, "connect")
+    def _begin_by_hand(connection: sqlite3.Connection, _record: object) -> None:
+        connection.isolation_level = None
+        connection.execute("PRAGMA auto_vacuum = INCREMENTAL")  # has an effect only before the first table
+
+    @event.listens_for(engine, "begin")
+    def _take_the_file(connection: object) -> None:
+        connection.exec_driver_sql("BEGIN IMMEDIATE")  # type: ignore[attr-defined]
+
+    with engine.begin() as connection:
+        config = Config()
+        config.set_main_option("script_location", str(packed("migrations")).replace("%", "%%"))
+        config.attributes["connection"] = connection
+        command.upgrade(config, "head")
+        orphans = connection.execute(text("PRAGMA foreign_key_check")).all()
+        if orphans:
+            raise ValueError(f"{len(orphans)} rows would lose what they refer to")

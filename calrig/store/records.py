@@ -1,0 +1,166 @@
+"""What the store gives and takes: plain records that know nothing of tables."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any, Literal, NamedTuple, TypedDict
+
+import numpy as np
+import numpy.typing as npt
+
+from calrig.calibration.pose import Pose
+
+FloatArray = npt.NDArray[np.float64]
+Document = dict[str, Any]
+"""A JSON object."""
+
+Status = Literal["queued", "running", "paused", "completed", "failed", "aborted", "interrupted"]
+
+UNFINISHED: tuple[Status, ...] = ("queued", "running", "paused")
+"""Some thread of a living program carries the run out."""
+
+TERMINAL: tuple[Status, ...] = ("completed", "failed", "aborted")
+"""Nothing more happens to the run; its finished_at is set."""
+
+
+class Progress(TypedDict):
+    """How far a run is; `remaining_s` is null where it is not known."""
+
+    poses_done: int
+    poses_total: int
+    fraction: float
+    remaining_s: float | None
+
+
+class Voided(TypedDict):
+    """Why and when a run was voided."""
+
+    reason: str
+    at: datetime
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """A run as CONTRACT section 2 shows it; times are aware and in UTC."""
+
+    id: str
+    unit: str
+    rig: str | None
+    status: Status
+    plan: Document | None
+    progress: Progress
+    result: Document | None
+    diagnosis: Document | None
+    faults: dict[str, int]
+    follows: str | None
+    provenance: Document
+    operator: str | None
+    note: str | None
+    voided: Voided | None
+    created_at: datetime
+    started_at: datetime | None
+    finished_at: datetime | None
+    error: str | None
+
+
+class RunChanges(TypedDict, total=False):
+    """What `Store.update_run` can change."""
+
+    status: Status
+    error: str | None
+    progress: Progress
+    result: Document | None
+    diagnosis: Document | None
+    faults: dict[str, int]
+    provenance: Document
+    plan: Document | None
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that was announced: `seq` counts from 1 within a run, without gaps."""
+
+    seq: int
+    type: str
+    data: Document
+
+
+@dataclass(frozen=True, slots=True)
+class StoredPose:
+    """A pose of a run; `excluded` is the reason why it does not count, else None."""
+
+    index: int
+    pose: Pose
+    excluded: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """A sensor being calibrated, and how often and when it was last on a rig."""
+
+    serial: str
+    created_at: datetime
+    n_runs: int
+    last_run_at: datetime | None
+
+
+class ComparisonRow(NamedTuple):
+    """The figures of one completed, not voided calibration of one unit; a tuple, for there are thousands."""
+
+    unit: str
+    run_id: str
+    rig: str | None
+    finished_at: datetime
+    bias_deg: float
+    bias_std_deg: float | None
+    scale: float | None
+    scale_std: float | None
+    rms_raw_deg: float
+    rms_calibrated_deg: float
+    rms_with_effects_deg: float | None
+    temperature_min_c: float | None
+    temperature_max_c: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class RawSamples:
+    """n raw samples in the order taken, as `calrig.instruments.types.Samples` has them.
+
+    Attributes:
+        time_s: (n,) the board's clock since it was started.
+        accel_g: (n, 3) specific force along the sensor's x, y, z.
+        gyro_dps: (n, 3) angular rate about x, y, z.
+        temperature_c: (n,) die temperature.
+    """
+
+    time_s: FloatArray
+    accel_g: FloatArray
+    gyro_dps: FloatArray
+    temperature_c: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+
+@dataclass(frozen=True, slots=True)
+class SampleBlock:
+    """The raw samples of the move into a pose, or of its dwell; arrays as in `RawSamples`.
+
+    Raises:
+        ValueError: the arrays are not of one length or not of the shapes stated.
+    """
+
+    pose_index: int
+    phase: Literal["move", "dwell"]
+    time_s: FloatArray
+    accel_g: FloatArray
+    gyro_dps: FloatArray
+    temperature_c: FloatArray
+
+    def __post_init__(self) -> None:
+        n = len(self.time_s)
+        shapes = {"time_s": (n,), "accel_g": (n, 3), "gyro_dps": (n, 3), "temperature_c": (n,)}
+        for name, shape in shapes.items():
+            if np.shape(getattr(self, name)) != shape:
+                raise ValueError(f"{name} has shape {np.shape(getattr(self, name))}, not {shape}")

@@ -1,0 +1,136 @@
+"""The tables. A change here needs a migration beside it in migrations/versions (a test compares the two)."""
+
+# No `from __future__ import annotations`: SQLModel reads the annotations of the classes.
+
+from datetime import UTC, datetime
+from typing import Any
+
+from sqlalchemy import JSON, Dialect, String, TypeDecorator
+from sqlmodel import Column, Field, ForeignKey, Index, LargeBinary, SQLModel
+
+
+class UtcText(TypeDecorator[datetime]):
+    """An aware time as ISO 8601 text in UTC of fixed width, so that text order is the order of time."""
+
+    impl = String(32)
+    cache_ok = True
+
+    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> str | None:  # noqa: ARG002
+        """Python to database."""
+        return None if value is None else value.astimezone(UTC).isoformat(timespec="microseconds")
+
+    def process_result_value(self, value: Any | None, dialect: Dialect) -> datetime | None:  # noqa: ARG002
+        """Database to Python."""
+        return None if value is None else datetime.fromisoformat(value)
+
+
+def _json() -> Any:
+    return JSON(none_as_null=True)
+
+
+class UnitTable(SQLModel, table=True):
+    """A sensor by its serial number."""
+
+    __tablename__ = "unit"
+
+    serial: str = Field(primary_key=True)
+    created_at: datetime = Field(sa_type=UtcText)
+
+
+class RunTable(SQLModel, table=True):
+    """A run. Documents that are only ever shown whole are JSON."""
+
+    __tablename__ = "run"
+    __table_args__ = (Index("ix_run_unit_id", "unit", "id"), Index("ix_run_status", "status"))
+
+    id: int = Field(default=None, primary_key=True)
+    unit: str = Field(foreign_key="unit.serial")
+    rig: str | None
+    kind: str
+    status: str
+    plan: dict[str, Any] | None = Field(default=None, sa_type=_json())
+    progress: dict[str, Any] = Field(sa_type=_json())
+    result: dict[str, Any] | None = Field(default=None, sa_type=_json())
+    diagnosis: dict[str, Any] | None = Field(default=None, sa_type=_json())
+    faults: dict[str, int] = Field(sa_type=_json())
+    follows: int | None = Field(default=None, foreign_key="run.id")
+    provenance: dict[str, Any] = Field(sa_type=_json())
+    operator: str | None = None
+    note: str | None = None
+    voided_reason: str | None = None
+    voided_at: datetime | None = Field(default=None, sa_type=UtcText)
+    created_at: datetime = Field(sa_type=UtcText)
+    started_at: datetime | None = Field(default=None, sa_type=UtcText)
+    finished_at: datetime | None = Field(default=None, sa_type=UtcText)
+    error: str | None = None
+
+
+class CalibrationTable(SQLModel, table=True):
+    """The figures of a run's result once more, narrow, so that a comparison reads no JSON."""
+
+    __tablename__ = "calibration"
+
+    run_id: int = Field(primary_key=True, foreign_key="run.id")
+    bias_deg: float
+    bias_std_deg: float | None
+    scale: float | None
+    scale_std: float | None
+    rms_raw_deg: float
+    rms_calibrated_deg: float
+    rms_with_effects_deg: float | None
+    temperature_min_c: float | None
+    temperature_max_c: float | None
+
+
+class PoseTable(SQLModel, table=True):
+    """A pose: CONTRACT section 4's columns, `pass` as `sweep`."""
+
+    __tablename__ = "pose"
+
+    run_id: int = Field(primary_key=True, foreign_key="run.id")
+    pose_index: int = Field(primary_key=True)
+    target_deg: float
+    reading_deg: float
+    sweep: int | None
+    approach: int | None
+    time_s: float | None
+    temperature_c: float | None
+    stage_deg: float | None
+    reading_std_deg: float | None
+    reading_stderr_deg: float | None
+    n_samples: int | None
+    accel_x_g: float | None
+    accel_y_g: float | None
+    accel_z_g: float | None
+    gyro_move_deg: float | None
+    settle_s: float | None
+    covariates: dict[str, Any] = Field(sa_type=_json())
+    excluded_reason: str | None = None
+    excluded_at: datetime | None = Field(default=None, sa_type=UtcText)
+
+
+class EventTable(SQLModel, table=True):
+    """What was announced, in order; many small rows, hence clustered by their key."""
+
+    __tablename__ = "event"
+    __table_args__ = ({"sqlite_with_rowid": False},)
+
+    run_id: int = Field(primary_key=True, foreign_key="run.id")
+    seq: int = Field(primary_key=True)
+    type: str
+    data: dict[str, Any] = Field(sa_type=_json())
+    at: datetime = Field(sa_type=UtcText)
+
+
+class SampleBlockTable(SQLModel, table=True):
+    """Raw samples of one move or dwell: a compressed npz with the arrays of `records.SampleBlock`."""
+
+    __tablename__ = "sample_block"
+    __table_args__ = (Index("ix_sample_block_run_id_pose_index", "run_id", "pose_index"),)
+
+    id: int = Field(default=None, primary_key=True)
+    run_id: int = Field(sa_column=Column(ForeignKey("run.id"), nullable=False))
+    pose_index: int
+    phase: str
+    n_samples: int
+    data: bytes = Field(sa_column=Column(LargeBinary, nullable=False))

@@ -1,0 +1,209 @@
+"""Poses as CSV: every row a pose or an error that names line and column; what is written reads back."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import calrig
+from calrig.calibration.pose import COLUMNS, Pose
+from calrig.export import csv_table
+from calrig.export.cells import CsvError
+from calrig.export.poses_csv import read_poses, write_poses
+
+DATA = Path(os.environ.get("CALRIG_DATA", Path(calrig.__file__).parents[2] / "shared" / "data"))
+
+number = st.floats(-1e30, 1e30, allow_nan=False)
+count = st.integers(0, 2**53)
+name = st.from_regex(r"[A-Za-zäµ°_][\w ,;\"/%-]{0,20}\w", fullmatch=True).filter(lambda n: n not in COLUMNS)
+
+
+@st.composite
+def poses(draw: st.DrawFn) -> list[Pose]:
+    names = draw(st.lists(name, unique=True, max_size=3))
+    times = sorted(draw(st.lists(number, min_size=1, max_size=8)))
+    optional = st.none() | number
+    known = {
+        "sweep": st.none() | count,
+        "approach": st.sampled_from([None, -1, 0, 1]),
+        "n_samples": st.none() | count,
+    } | {
+        column: optional
+        for column in COLUMNS[2:]
+        if column not in {"pass", "approach", "n_samples", "time_s"}
+    }
+    return [
+        Pose(
+            target_deg=draw(number),
+            reading_deg=draw(number),
+            time_s=draw(st.sampled_from([None, time])),
+            covariates={n: draw(optional) for n in names},
+            **{column: draw(values) for column, values in known.items()},
+        )
+        for time in times
+    ]
+
+
+def values_of(pose: Pose) -> dict[str, float | int]:
+    return {name: value for name, value in pose.row().items() if value is not None}
+
+
+@given(poses())
+@settings(deadline=None)
+def test_what_is_written_reads_back_exactly(written):
+    back = read_poses(write_poses(written).encode())
+    assert back.warnings == []
+    assert [values_of(pose) for pose in back.poses] == [values_of(pose) for pose in written]
+
+
+plain = st.text(st.characters(exclude_characters=',"\r\n', exclude_categories=["Cs"]), max_size=4)
+cell = st.sampled_from(["", "1", "1", "-2.5", "1e3", "nan", "x", "inf", "1_0", "٣", "=1"]) | plain
+headers = st.lists(st.sampled_from([*COLUMNS[2:], "humidity", "note", ""]), max_size=3)
+
+
+@st.composite
+def files(draw: st.DrawFn) -> tuple[bytes, int]:
+    """A file that is mostly in order, and how many rows it has."""
+    names = ["target_deg", "reading_deg", *draw(headers)]
+    rows = draw(st.lists(st.lists(cell, min_size=len(names) - 2, max_size=len(names) - 2), max_size=4))
+    lines = [",".join(["1", draw(cell), *row]) for row in rows]
+    end = draw(st.sampled_from(["\n", "\r\n", "\r", "\n\n"]))
+    return end.join([",".join(names), *lines]).encode(), len(rows)
+
+
+@given(files())
+@settings(deadline=None, max_examples=300)
+def test_every_row_is_a_pose_or_an_error(file):
+    data, n_rows = file
+    try:
+        imported = read_poses(data)
+    except CsvError as error:
+        assert str(error).isprintable()
+        return
+    assert len(imported.poses) == n_rows
+    assert all(math.isfinite(value) for pose in imported.poses for value in values_of(pose).values())
+
+
+@given(
+    st.binary(max_size=200)
+    | st.binary(max_size=200).map(lambda tail: b"target_deg,reading_deg\n1,2\n" + tail)
+)
+@settings(deadline=None, max_examples=300)
+def test_no_bytes_crash_the_reader(data):
+    try:
+        assert read_poses(data).poses
+    except CsvError as error:
+        assert str(error).isprintable()
+
+
+def test_a_spreadsheets_bom_line_ends_and_spaces_are_accepted():
+    data = "\ufefftarget_deg , reading_deg,pass,humidity\r\n 10 ,10.25,0.0,41\r\n\r\n20,20.5,,\r\n".encode()
+    assert read_poses(data).poses == [
+        Pose(10.0, 10.25, sweep=0, covariates={"humidity": 41.0}),
+        Pose(20.0, 20.5, sweep=None, covariates={"humidity": None}),
+    ]
+
+
+def test_quoted_cells_may_hold_commas_and_line_breaks():
+    imported = read_poses(b'note,target_deg,"reading_deg"\n"one, two\nthree","1","2"\n,3,4\n')
+    assert [(p.target_deg, p.reading_deg) for p in imported.poses] == [(1.0, 2.0), (3.0, 4.0)]
+
+
+def test_columns_that_cannot_be_covariates_are_left_out_with_a_warning():
+    imported = read_poses(b"target_deg,reading_deg,operator,,lux\n1,2,7,0,\n3,4,eve,1,\n")
+    assert imported.poses == [Pose(1.0, 2.0), Pose(3.0, 4.0)]
+    assert imported.warnings == [
+        "column operator: is not numeric (line 3: 'eve' is not a number); left out",
+        "column 4: has no name; left out",
+        "column lux: has no values; left out",
+    ]
+
+
+def test_rows_out_of_time_are_sorted_with_a_warning():
+    imported = read_poses(b"target_deg,reading_deg,time_s\n1,0,30\n2,0,10\n3,0,20\n")
+    assert [p.target_deg for p in imported.poses] == [2.0, 3.0, 1.0]
+    assert imported.warnings == ["the rows were not in order of time_s; they are sorted by it"]
+
+
+def test_rows_whose_time_is_partly_unknown_stay_where_they_are_with_a_warning():
+    imported = read_poses(b"target_deg,reading_deg,time_s\n1,0,30\n2,0,\n3,0,20\n")
+    assert [p.target_deg for p in imported.poses] == [1.0, 2.0, 3.0]
+    assert "goes backwards and is not known for every row" in imported.warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("data", "line", "column", "says"),
+    [
+        (b"", None, None, "empty"),
+        (b"\xef\xbb\xbf\r\n\r\n", None, None, "empty"),
+        (b"target_deg,reading_deg\n", 1, None, "no rows"),
+        (b"target_deg,reading_deg\n1,2\n\xff,3\n", 3, None, "not UTF-8"),
+        (b"reading_deg,time_s\n1,2\n", 1, "target_deg", "no such column"),
+        (b"target_deg;reading_deg\n1,5;2,5\n", 1, "target_deg", "separate cells by `,` and write decimals"),
+        (b"1.0,2.0\n3.0,4.0\n", 1, "target_deg", "the first line holds numbers"),
+        (b"target_deg,reading_deg,lux,lux\n1,2,3,4\n", 1, "lux", "twice"),
+        (b"target_deg,reading_deg\n1,2\n1,2,3\n", 3, None, "3 cells where the header has 2"),
+        (b"target_deg,reading_deg\n1,5,2,5\n", 2, None, "decimals are written with a point"),
+        (b"target_deg,reading_deg\n1,2\n\n3,abc\n", 4, "reading_deg", "'abc' is not a number"),
+        (b'target_deg,reading_deg\n1,"2,5"\n', 2, "reading_deg", "decimals are written with a point"),
+        (b"target_deg,reading_deg\n1,nan\n", 2, "reading_deg", "a pose needs it"),
+        (b"target_deg,reading_deg\n1,inf\n", 2, "reading_deg", "not a number"),
+        (b"target_deg,reading_deg\n1,1e999\n", 2, "reading_deg", "beyond"),
+        (b"target_deg,reading_deg,stage_deg\n1,2,1_000\n", 2, "stage_deg", "not a number"),
+        (b"target_deg,reading_deg,pass\n1,2,0.5\n", 2, "pass", "not whole"),
+        (b"target_deg,reading_deg,pass\n1,2,-1\n", 2, "pass", "not a count"),
+        (b"target_deg,reading_deg,n_samples\n1,2,1e25\n", 2, "n_samples", "not a count"),
+        (b"target_deg,reading_deg,approach\n1,2,1\n1,2,2\n", 3, "approach", "none of -1, 0, 1"),
+        (b'target_deg,reading_deg\n1,"2\n', 2, None, "is not CSV"),
+        (b"target_deg,reading_deg,=cmd()\n1,2,3\n", 1, "=cmd()", "formula"),
+        (b"target_deg,reading_deg" + b",x" * 199 + b"\n", 1, None, "201 columns; at most 200"),
+        (b"target_deg,reading_deg\n" + b"1,2\n" * 100_001, 100_002, None, "more than 100000 rows"),
+        (b"target_deg,reading_deg\n" + b"," * 2_000_000, 2, None, "longer than"),
+        (b'target_deg,reading_deg\n"' + b"\n" * 200_000, None, None, "is not CSV"),
+        (b"target_deg,reading_deg," + b"x" * 101 + b"\n1,2,3\n", 1, "x" * 101, "at most 100 characters"),
+    ],
+)
+def test_a_bad_file_is_told_by_line_and_column(data, line, column, says):
+    with pytest.raises(CsvError) as bad:
+        read_poses(data)
+    assert says in str(bad.value)
+    assert bad.value.column == column
+    assert line is None or bad.value.line == line
+    if line is not None:
+        assert str(bad.value).startswith(f"line {line}")
+
+
+def test_a_file_beyond_the_size_is_refused_before_it_is_read():
+    with pytest.raises(CsvError, match="at most 50000000 are read"):
+        read_poses(b"\xff" * (csv_table.MAX_BYTES + 1))
+
+
+def test_short_cells_cannot_take_all_memory():
+    width = csv_table.MAX_COLUMNS
+    head = ",".join(["target_deg", "reading_deg", *(f"c{k}" for k in range(width - 2))])
+    rows = csv_table.MAX_CELLS // width
+    with pytest.raises(
+        CsvError, match=f"line {rows + 2}: the file has more than {csv_table.MAX_CELLS} cells"
+    ):
+        read_poses((head + ("\n" + "1," * (width - 1) + "1") * (rows + 1)).encode())
+
+
+def test_the_measured_warm_up_is_144_poses_at_one_elevation():
+    file = DATA / "mpu6050_warmup_poses.csv"
+    if not file.is_file():
+        pytest.skip(f"{file} is not here: set CALRIG_DATA to the folder of measured data")
+    imported = read_poses(file.read_bytes())
+
+    assert (len(imported.poses), imported.warnings) == (144, [])
+    assert {p.target_deg for p in imported.poses} == {0.0}
+    assert all(before.time_s < after.time_s for before, after in itertools.pairwise(imported.poses))
+    for pose in imported.poses:  # a mean of angles is the angle of the means to within its standard error
+        angle_deg = math.degrees(math.atan2(pose.accel_y_g, pose.accel_z_g))
+        stderr_deg = pose.reading_std_deg / math.sqrt(pose.n_samples)
+        assert pose.reading_deg == pytest.approx(angle_deg, abs=stderr_deg)

@@ -1,0 +1,56 @@
+"""A store in a file of its own, and what fills it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from calrig.store import Run, Store
+
+
+@pytest.fixture
+def database(tmp_path: Path) -> Path:
+    return tmp_path / "calrig.db"
+
+
+@pytest.fixture
+def url(database: Path) -> str:
+    return f"sqlite:///{database}"
+
+
+@pytest.fixture
+def store(url: str) -> Iterator[Store]:
+    with Store.open(url, writer="test") as opened:
+        yield opened
+
+
+@pytest.fixture
+def new_run(store: Store) -> Callable[..., Run]:
+    """Makes a running run of unit A on rig bench; any argument can be given."""
+
+    def make(**given: Any) -> Run:
+        return store.create_run(
+            **{"unit": "A", "rig": "bench", "plan": None, "status": "running", "provenance": {}, **given}
+        )
+
+    return make
+
+
+@pytest.fixture
+def result() -> dict[str, Any]:
+    return {
+        "bias_deg": 0.25,
+        "bias_std_deg": 0.004,
+        "scale": 1.002,
+        "scale_std": 0.0001,
+        "rms_raw_deg": 0.26,
+        "rms_calibrated_deg": 0.03,
+        "rms_with_effects_deg": None,
+        "n_poses": 52,
+        "noise_deg": 0.02,
+        "temperature_c": {"min": 21.5, "max": 24.0},
+        "gyro": {"bias_dps": [0.1, -0.2, 0.3], "scale": 1.001},
+    }

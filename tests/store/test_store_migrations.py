@@ -1,0 +1,131 @@
+"""Migrations: from nothing, from an older database with a copy kept, never from a newer one."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from sqlalchemy import create_engine
+
+from calrig.settings import packed
+from calrig.store import Store, StoreError, migrate
+
+LATER = """
+import sqlalchemy as sa
+from alembic import op
+
+revision = "{revision}"
+down_revision = "{down}"
+
+
+def upgrade():
+    with op.batch_alter_table("unit") as unit:
+        unit.add_column(sa.Column("maker", sa.String(), nullable=False, server_default="unknown"))
+    {then}
+"""
+
+
+def later_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, then: str = "pass") -> str:
+    """From here on calrig is one revision ahead; returns that revision."""
+    folder = tmp_path / "migrations"
+    shutil.copytree(packed("migrations"), folder, ignore=shutil.ignore_patterns("__pycache__"))
+    down = migrate.revisions()[-1]
+    revision = f"{int(down) + 1:04}"
+    (folder / "versions" / f"{revision}_makers.py").write_text(
+        LATER.format(revision=revision, down=down, then=then)
+    )
+    monkeypatch.setattr(migrate, "packed", lambda _: folder)
+    return revision
+
+
+@pytest.fixture
+def filled(url: str) -> str:
+    with Store.open(url, writer="serve") as store:
+        return store.create_run(unit="A", rig="r", plan=None, status="completed", provenance={}).id
+
+
+def test_migrations_and_tables_say_the_same(store, database):
+    from alembic.autogenerate import compare_metadata
+    from alembic.migration import MigrationContext
+    from alembic.script import ScriptDirectory
+
+    from calrig.store.tables import SQLModel
+
+    with create_engine(f"sqlite:///{database}").connect() as connection:
+        context = MigrationContext.configure(connection, opts={"compare_type": True})
+        assert compare_metadata(context, SQLModel.metadata) == []
+    scripts = ScriptDirectory(str(packed("migrations")))
+    assert [s.revision for s in scripts.walk_revisions()][::-1] == migrate.revisions()
+    assert scripts.get_heads() == migrate.revisions()[-1:]
+
+
+def test_a_new_database_needs_no_copy(store, database):
+    assert migrate.stored_revision(database) == migrate.revisions()[-1]
+    assert list(database.parent.glob("*.bak*")) == []
+
+
+def test_an_older_database_is_brought_up_to_date_after_a_copy_is_kept(
+    filled, url, database, tmp_path, monkeypatch
+):
+    before = migrate.stored_revision(database)
+    revision = later_program(tmp_path, monkeypatch)
+
+    with pytest.raises(StoreError, match=r"older calrig.*run `calrig serve` once"):
+        Store.open(url, writer=None)
+    with Store.open(url, writer="serve") as store:
+        assert store.run(filled).unit == "A"
+
+    assert migrate.stored_revision(database) == revision
+    with closing(sqlite3.connect(database)) as connection:
+        assert connection.execute("SELECT serial, maker FROM unit").fetchall() == [("A", "unknown")]
+    copy = database.with_name(f"calrig.db.before-{revision}.bak")
+    assert migrate.stored_revision(copy) == before
+    with closing(sqlite3.connect(copy)) as connection:
+        assert connection.execute("SELECT unit FROM run").fetchall() == [("A",)]
+    Store.open(url, writer="serve").close()
+    assert [p.name for p in tmp_path.glob("*.bak*")] == [copy.name], "a copy only when something changes"
+
+
+def test_a_copy_is_never_overwritten(filled, url, database, tmp_path, monkeypatch):
+    revision = later_program(tmp_path, monkeypatch)
+    first = database.with_name(f"calrig.db.before-{revision}.bak")
+    first.write_bytes(b"precious")
+    Store.open(url, writer="serve").close()
+    assert first.read_bytes() == b"precious"
+    assert database.with_name(f"calrig.db.before-{revision}.2.bak").exists()
+
+
+@pytest.mark.parametrize(
+    "then", ['op.execute("SELECT no_such_column FROM run")', 'op.execute("DELETE FROM unit")']
+)
+def test_a_migration_that_fails_leaves_the_database_as_it_was(
+    filled, url, database, tmp_path, monkeypatch, then
+):
+    def contents() -> list[str]:
+        with closing(sqlite3.connect(database)) as connection:
+            return list(connection.iterdump())
+
+    was = contents()
+    later_program(tmp_path, monkeypatch, then)
+    with pytest.raises(StoreError, match=r"could not be brought to revision.*it is as it was; a copy is in"):
+        Store.open(url, writer="serve")
+    assert contents() == was
+
+
+@pytest.mark.parametrize("writer", ["serve", None])
+def test_a_newer_database_is_refused_untouched_with_what_to_do(filled, url, database, tmp_path, writer):
+    with pytest.MonkeyPatch.context() as later:
+        revision = later_program(tmp_path, later)
+        Store.open(url, writer="serve").close()
+    was = database.read_bytes()
+
+    with pytest.raises(StoreError) as refused:
+        Store.open(url, writer=writer)
+
+    assert f"newer calrig (revision {revision}" in str(refused.value)
+    assert "install the newer calrig" in str(refused.value)
+    assert f"calrig.db.before-{revision}.bak" in str(refused.value)
+    assert database.read_bytes() == was

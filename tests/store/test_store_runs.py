@@ -1,0 +1,222 @@
+"""Runs, their states and events, and what comparisons make of them."""
+
+from __future__ import annotations
+
+import math
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from calrig.calibration.pose import Pose
+from calrig.store import NotFound, Store, StoreError
+
+PROGRESS = {"poses_done": 3, "poses_total": 52, "fraction": 3 / 52, "remaining_s": None}
+
+
+def test_a_run_comes_back_as_it_was_made(store, new_run):
+    made = new_run(
+        unit="AS-0042",
+        plan={"kind": "calibration", "seed": 2**63 - 1},
+        provenance={"calrig": "0.1", "filter": {"q_angle": 0.001}},
+        operator="Ä. Operator",
+        note="with the new cable",
+        poses_total=52,
+        status="queued",
+    )
+
+    assert store.run(made.id) == made
+    assert made.plan == {"kind": "calibration", "seed": 2**63 - 1}
+    assert made.progress == {"poses_done": 0, "poses_total": 52, "fraction": 0.0, "remaining_s": None}
+    assert (made.result, made.diagnosis, made.voided, made.error, made.follows) == (None,) * 5
+    assert made.faults == {}
+    assert (made.started_at, made.finished_at) == (None, None)
+    assert abs(datetime.now(UTC) - made.created_at) < timedelta(minutes=1)
+
+
+@pytest.mark.parametrize("run_id", ["7", "0", "-1", "x", "", "1.0", "9" * 40, "١", " 1", "1\n"])
+def test_an_unknown_run_is_none_and_cannot_be_changed(store, new_run, run_id):
+    new_run()
+    assert store.run(run_id) is None
+    with pytest.raises(NotFound, match="there is no run"):
+        store.update_run(run_id, status="running")
+
+
+def test_each_change_of_state_is_announced_with_it(store, new_run):
+    run = new_run(status="queued")
+    started = store.update_run(run.id, status="running")
+    store.update_run(run.id, status="paused")
+    store.update_run(run.id, faults={"crc": 2})  # no state, no event
+    failed = store.update_run(
+        run.id,
+        status="failed",
+        error="bench: the stage stalled",
+        events=[("progress", PROGRESS)],
+        progress=PROGRESS,
+    )
+
+    events = store.events_after(run.id)
+    assert [e.seq for e in events] == [1, 2, 3, 4, 5]
+    assert [e.data["status"] for e in events if e.type == "state"] == [
+        "queued",
+        "running",
+        "paused",
+        "failed",
+    ]
+    assert events[-1].data == {"status": "failed", "error": "bench: the stage stalled"}
+    assert events[-2].type == "progress", "the terminal state comes last"
+    assert started.started_at is not None and started.finished_at is None
+    assert failed.started_at == started.started_at and failed.finished_at >= failed.started_at
+    assert failed.faults == {"crc": 2}
+    assert failed.progress == PROGRESS
+
+
+def test_a_resumed_run_keeps_when_it_began_and_is_not_finished(store, new_run):
+    run = new_run()
+    assert store.interrupt_unfinished() == [run.id]
+    resumed = store.update_run(run.id, status="running", error=None)
+    assert (resumed.started_at, resumed.finished_at, resumed.error) == (run.started_at, None, None)
+
+
+def test_events_are_given_after_a_number_and_in_pieces(store, new_run):
+    run, other = new_run(), new_run()
+    store.append_events(other.id, [("reading", {"reading_deg": 9.0})])
+    numbers = store.append_events(run.id, [("reading", {"reading_deg": float(k)}) for k in range(5)])
+
+    assert numbers == [2, 3, 4, 5, 6]
+    assert [e.seq for e in store.events_after(run.id, 3)] == [4, 5, 6]
+    assert [e.data["reading_deg"] for e in store.events_after(run.id, 3, limit=2)] == [2.0, 3.0]
+    assert store.events_after(run.id, 6) == []
+    assert store.append_events(run.id, []) == []
+
+
+def test_a_document_with_a_nan_is_refused_and_nothing_of_it_is_stored(store, new_run):
+    run = new_run()
+    with pytest.raises(ValueError, match="cannot be stored"):
+        store.append_events(
+            run.id, [("reading", {"reading_deg": 1.0}), ("reading", {"reading_deg": math.nan})]
+        )
+    assert [e.type for e in store.events_after(run.id)] == ["state"]
+
+
+def test_runs_are_listed_newest_first_and_a_cursor_survives_new_runs(store, new_run):
+    made = [new_run(unit="AB"[k % 2], rig="bench" if k < 4 else "oven").id for k in range(6)]
+
+    first, cursor = store.runs(limit=4)
+    new_run()
+    second, end = store.runs(limit=4, cursor=cursor)
+
+    assert [r.id for r in first + second] == made[::-1]
+    assert end is None
+    assert [r.id for r in store.runs(unit="B", rig="bench")[0]] == [made[3], made[1]]
+    assert store.runs(status="failed") == ([], None)
+    with pytest.raises(ValueError, match="cursor 'x'"):
+        store.runs(cursor="x")
+    with pytest.raises(ValueError, match="at least 1"):
+        store.runs(limit=0)
+
+
+def test_an_import_is_stored_at_once_or_not_at_all(store, new_run, result):
+    run = new_run(status="completed", poses=[Pose(0.0, 0.1), Pose(10.0, 10.2)], result=result)
+    assert [p.pose.reading_deg for p in store.poses(run.id)] == [0.1, 10.2]
+    assert run.progress == {"poses_done": 2, "poses_total": 2, "fraction": 1.0, "remaining_s": 0.0}
+    assert run.started_at == run.finished_at == run.created_at
+    assert store.latest_calibration_run("A").id == run.id
+
+    with pytest.raises(StoreError):
+        new_run(unit="B", status="completed", poses=[Pose(0.0, 0.1), Pose(1.0, math.nan)], result=result)
+    assert store.unit("B") is None
+    assert len(store.runs()[0]) == 1
+
+
+def test_a_follow_up_names_a_run_that_exists(store, new_run):
+    first = new_run()
+    assert new_run(follows=first.id).follows == first.id
+    with pytest.raises(NotFound):
+        new_run(follows="99")
+
+
+def test_the_calibration_in_force_is_the_latest_that_counts(store, new_run, result):
+    def finished(**given):
+        plan = {"kind": given.pop("kind", "calibration")}
+        status = given.pop("status", "completed")
+        run = new_run(plan=plan)
+        return store.update_run(run.id, status=status, result={**result, **given})
+
+    in_force = finished()
+    voided = finished()
+    finished(scale=None, scale_std=None)
+    finished(kind="static")
+    finished(status="aborted")
+    new_run()
+    assert store.latest_calibration_run("A").id == voided.id
+
+    store.void_run(voided.id, "wrong fixture")
+
+    assert store.latest_calibration_run("A") == store.run(in_force.id)
+    assert store.latest_calibration_run("B") is None
+    assert store.run(voided.id).voided["reason"] == "wrong fixture"
+    assert store.run(voided.id).result == voided.result, "a voided run is kept"
+
+
+def test_a_comparison_holds_the_figures_of_completed_runs_by_unit_and_time(store, new_run, result):
+    for unit in ("B", "A", "C"):
+        for bias in (0.1, 0.2):
+            run = new_run(unit=unit)
+            store.update_run(run.id, status="completed", result={**result, "bias_deg": bias})
+    store.void_run(run.id, "dropped")
+    new_run(unit="A")
+
+    rows = store.comparison()
+    assert [(r.unit, r.bias_deg) for r in rows] == [
+        ("A", 0.1),
+        ("A", 0.2),
+        ("B", 0.1),
+        ("B", 0.2),
+        ("C", 0.1),
+    ]
+    assert [r.unit for r in store.comparison(["B", "unheard of"])] == ["B", "B"]
+    row = rows[0]
+    for name in ("bias_std_deg", "scale", "scale_std", "rms_raw_deg", "rms_calibrated_deg"):
+        assert getattr(row, name) == result[name]
+    assert (row.temperature_min_c, row.temperature_max_c, row.rms_with_effects_deg) == (21.5, 24.0, None)
+    assert row.finished_at == store.run(row.run_id).finished_at
+
+
+def test_a_new_result_replaces_the_figures_and_none_removes_them(store, new_run, result):
+    run = new_run()
+    store.update_run(run.id, status="completed", result=result)
+    store.set_result(run.id, {**result, "bias_deg": 0.5})
+    assert [r.bias_deg for r in store.comparison()] == [0.5]
+    assert store.run(run.id).result["bias_deg"] == 0.5
+
+    store.set_result(run.id, None)
+    assert store.comparison() == []
+    assert store.run(run.id).result is None
+
+
+def test_units_know_their_runs(store, new_run):
+    new_run(unit="B")
+    last = new_run(unit="B")
+    new_run(unit="A")
+    a, b = store.units()
+    assert (a.serial, a.n_runs, b.serial, b.n_runs) == ("A", 1, "B", 2)
+    assert b.last_run_at == last.created_at
+    assert store.unit("B") == b
+    assert store.unit("C") is None
+
+
+def test_what_a_dead_program_left_is_interrupted(url):
+    with Store.open(url, writer="serve") as store:
+        ids = {
+            status: store.create_run(unit="A", rig="r", plan=None, status=status, provenance={}).id
+            for status in ("queued", "running", "paused", "completed", "failed")
+        }
+    with Store.open(url, writer="serve") as store:
+        left = store.interrupt_unfinished()
+
+        assert left == [ids["queued"], ids["running"], ids["paused"]]
+        assert {store.run(i).status for i in left} == {"interrupted"}
+        assert store.events_after(left[0])[-1].data["status"] == "interrupted"
+        assert "resume" in store.events_after(left[0])[-1].data["error"]
+        assert store.run(ids["completed"]).status == "completed"
+        assert store.interrupt_unfinished() == []
