@@ -1,0 +1,87 @@
+"""One stage with one sensor on it, without a wire: the physics put together."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+
+from calrig.simulator.config import SimulatorSettings
+from calrig.simulator.environment import Environment
+from calrig.simulator.imu import Counts, Imu, NoiseSource, Surroundings
+from calrig.simulator.mechanics import Mechanics
+from calrig.simulator.mount import Mount
+from calrig.simulator.trajectory import FloatArray, Turn
+
+TURN_STEP_S = 0.05
+"""Half the span over which the package's slow turn with temperature is differentiated."""
+
+
+class Bench:
+    """A table and a sensor, at any instant of simulated time. Arrays of instants in, arrays out.
+
+    Nothing here reads a clock. Whoever shares a bench between threads takes `lock`, reads the clock and
+    commands or samples while holding it, so that no command falls into a past already sampled.
+
+    Attributes:
+        mechanics: takes the commands (`home`, `move`, `halt`) and gives the encoder's view.
+        lock: for those who share the bench.
+    """
+
+    def __init__(self, settings: SimulatorSettings) -> None:
+        mechanics_seed, noise_seed = np.random.SeedSequence(settings.seed).spawn(2)
+        self.lock = threading.RLock()
+        self.mechanics = Mechanics(settings.mechanics, np.random.default_rng(mechanics_seed))
+        self._mount = Mount(settings.mount)
+        self._environment = Environment(settings.environment)
+        self._nominal_v = settings.environment.supply_v
+        self._imu = Imu(settings.imu)
+        self._turns_with_temperature = settings.imu.package_turn_deg_per_c != 0
+        self._noise = NoiseSource(settings.imu, noise_seed)
+
+    def sensor(self, times_s: FloatArray) -> Turn:
+        """The sensor's true turn about the stage's axis: its elevation, and its rate."""
+        package = self._mount.package(self.mechanics.table(times_s), times_s)
+        if not self._turns_with_temperature:
+            return package
+        turned, before, after = (
+            self._imu.package_turn_deg(self._environment.stress_c(times_s + step_s))
+            for step_s in (0.0, -TURN_STEP_S, TURN_STEP_S)
+        )
+        return Turn(package.angle_deg + turned, package.rate_dps + (after - before) / (2 * TURN_STEP_S))
+
+    def true_elevation_deg(self, times_s: FloatArray) -> FloatArray:
+        """The sensor's true elevation (n,), not wrapped."""
+        return self.sensor(np.asarray(times_s, dtype=float)).angle_deg
+
+    def specific_force_g(self, times_s: FloatArray) -> FloatArray:
+        """The true specific force along the sensor's axes, (n, 3)."""
+        return self._mount.specific_force_g(self.sensor(np.asarray(times_s, dtype=float)).angle_deg)
+
+    def angular_rate_dps(self, times_s: FloatArray) -> FloatArray:
+        """The true angular rate along the sensor's axes, (n, 3)."""
+        return self._mount.angular_rate_dps(self.sensor(np.asarray(times_s, dtype=float)).rate_dps)
+
+    def temperature_c(self, times_s: FloatArray) -> FloatArray:
+        """The die's true temperature (n,)."""
+        return self._environment.die_c(np.asarray(times_s, dtype=float))
+
+    def counts(self, times_s: FloatArray, rate_hz: float = 200.0) -> Counts:
+        """The chip's registers at increasing instants (n,): ax ay az temp gx gy gz, (n, 7) i16.
+
+        Each call draws the noise of the samples that follow those of the call before; cutting the same
+        instants into other blocks gives the same counts. `rate_hz` sets the noise's bandwidth.
+        """
+        times_s = np.asarray(times_s, dtype=float)
+        turn = self.sensor(times_s)
+        around = Surroundings(
+            self._environment.die_c(times_s),
+            self._environment.stress_c(times_s),
+            self._environment.supply_v(times_s) - self._nominal_v,
+        )
+        noise = self._noise.draw(times_s, rate_hz)
+        accel_g = self._imu.accel_g(self._mount.specific_force_g(turn.angle_deg), around)
+        gyro_dps = self._imu.gyro_dps(self._mount.angular_rate_dps(turn.rate_dps), around)
+        return self._imu.registers(
+            accel_g + noise.accel_g, gyro_dps + noise.gyro_dps, around.die_c + noise.temperature_c
+        )

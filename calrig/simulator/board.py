@@ -1,0 +1,147 @@
+"""The board's dialect: commands in, packets out, samples paced by simulated time (CONTRACT 3.1)."""
+
+from __future__ import annotations
+
+import json
+import random
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from calrig.simulator.bench import Bench
+from calrig.simulator.config import BoardFault, BoardOptions, ImuOptions
+from calrig.simulator.imu import Counts
+from calrig.simulator.packets import ACKNOWLEDGE, ERROR, IDENTITY, packet, sample_packets
+
+BLOCK_INTERVAL_S = 0.03
+"""Wall time between blocks: thirty a second look continuous; each wakes a processor gone cold."""
+MOST_SAMPLES_A_BLOCK = 2000
+"""No block is larger than what waits for a slow reader, or a busy machine would lose it whole."""
+LONGEST_COMMAND = 128
+LONGEST_SERIAL = 64
+FAULT_EVERY = 10
+
+
+@dataclass
+class _Stream:
+    start_s: float
+    rate_hz: int
+    sent: int = 0
+
+
+class Board:
+    """A board with one sensor, fed with bytes, answering in bytes and streaming when told to.
+
+    Attributes:
+        fault: breaks it on purpose, at any time: `silent`, `garbage`, `corrupt` (every tenth packet's bytes),
+            `gaps` (every tenth packet lost), `frozen` (registers that no longer change) or None.
+    """
+
+    def __init__(
+        self, options: BoardOptions, imu: ImuOptions, bench: Bench, now: Callable[[], float]
+    ) -> None:
+        self.fault: BoardFault | None = options.fault
+        self._options = options
+        self._imu = imu
+        self._serial = options.serial
+        self._bench = bench
+        self._now = now
+        self._tail = b""
+        self._stream: _Stream | None = None
+        self._unsaid = [self._identity()]
+        self._last: Counts | None = None
+        self._noise = random.Random(0)  # noqa: S311 (garbage, not a secret)
+
+    @property
+    def interval_s(self) -> float | None:
+        """Wall time until it may have more to say; None while it only listens."""
+        return BLOCK_INTERVAL_S if self._stream or self._unsaid else None
+
+    @property
+    def streaming(self) -> bool:
+        """Whether samples are being sent."""
+        return self._stream is not None
+
+    def receive(self, data: bytes) -> bytes:
+        """Takes what came over the wire; returns what goes back, after the samples that were due."""
+        *lines, self._tail = (self._tail + data).split(b"\n")
+        answers, self._unsaid = self._unsaid, []
+        for line in lines:
+            command = line.removesuffix(b"\r").decode("utf-8", "replace")
+            if command:
+                answers += self._due_samples()
+                answers.append(self._answer(command))
+        if len(self._tail) > LONGEST_COMMAND:
+            self._tail = b""
+            answers.append(packet(ERROR, b"command too long"))
+        return self._spoken(answers)
+
+    def emit(self) -> bytes:
+        """The samples of all instants up to now that were not sent yet."""
+        unsaid, self._unsaid = self._unsaid, []
+        return self._spoken(unsaid + self._due_samples())
+
+    def _answer(self, command: str) -> bytes:
+        word, _, argument = command.partition(" ")
+        if command == "ID":
+            return self._identity()
+        if command == "STOP":
+            self._stream = None
+        elif word == "START" and (not argument or re.fullmatch(r"\d{1,5}", argument)):
+            rate_hz = int(argument or self._options.default_rate_hz)
+            if not 1 <= rate_hz <= self._options.max_rate_hz:
+                return _error(f"{command}: the rate must be 1 to {self._options.max_rate_hz} Hz")
+            self._stream = _Stream(self._now(), rate_hz)
+        elif word == "SERIAL" and len(argument.encode()) <= LONGEST_SERIAL:
+            self._serial = argument
+        else:
+            return _error(f"unknown command: {command[:LONGEST_COMMAND]}")
+        return packet(ACKNOWLEDGE, command.encode())
+
+    def _identity(self) -> bytes:
+        identity = {
+            "firmware": self._options.firmware,
+            "serial": self._serial,
+            "chip": "MPU-6050",
+            "accel_range_g": self._imu.accel_range_g,
+            "gyro_range_dps": self._imu.gyro_range_dps,
+            "max_rate_hz": self._options.max_rate_hz,
+        }
+        return packet(IDENTITY, json.dumps(identity, ensure_ascii=False).encode())
+
+    def _due_samples(self) -> list[bytes]:
+        stream = self._stream
+        if stream is None:
+            return []
+        with self._bench.lock:
+            due = int((self._now() - stream.start_s) * stream.rate_hz) + 1
+            count = min(due - stream.sent, MOST_SAMPLES_A_BLOCK)
+            if count <= 0:
+                return []
+            times_s = stream.start_s + np.arange(stream.sent, stream.sent + count) / stream.rate_hz
+            counts = self._bench.counts(times_s, stream.rate_hz)
+        if self.fault == "frozen" and self._last is not None:
+            counts = np.repeat(self._last, count, axis=0)
+        self._last = counts[-1:]
+        packets = sample_packets(stream.sent, times_s, counts)
+        if self.fault in {"corrupt", "gaps"}:
+            packets = [self._damaged(p, stream.sent + k) for k, p in enumerate(packets)]
+        stream.sent += count
+        return packets
+
+    def _damaged(self, whole: bytes, number: int) -> bytes:
+        if number % FAULT_EVERY != FAULT_EVERY - 1:
+            return whole
+        return b"" if self.fault == "gaps" else whole[:8] + bytes([whole[8] ^ 0x80]) + whole[9:]
+
+    def _spoken(self, packets: list[bytes]) -> bytes:
+        said = b"".join(packets)
+        if self.fault == "silent":
+            return b""
+        return self._noise.randbytes(len(said)) if self.fault == "garbage" else said
+
+
+def _error(text: str) -> bytes:
+    return packet(ERROR, text.encode())

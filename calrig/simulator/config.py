@@ -1,0 +1,203 @@
+"""What a simulated rig is made of: every part of its physics off unless it is asked for, and a seed."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from calrig.simulator.presets import PRESETS
+
+Vector = tuple[float, float, float]
+NotNegative = Annotated[float, Field(ge=0)]
+Positive = Annotated[float, Field(gt=0)]
+StageFault = Literal["hang", "garbage", "echo"]
+BoardFault = Literal["silent", "garbage", "corrupt", "gaps", "frozen"]
+
+ZERO: Vector = (0.0, 0.0, 0.0)
+
+
+class _Options(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class StageOptions(_Options):
+    """The stage's controller. `fault` makes it hang, answer garbage, or echo what it hears."""
+
+    axis: int = Field(default=1, ge=1, le=31)
+    firmware: str = "SMC100CC simulated"
+    velocity_dps: Positive = 20.0
+    acceleration_dps2: Positive = 80.0
+    homing_velocity_dps: Positive = 10.0
+    limits_deg: tuple[Annotated[float, Field(le=0)], NotNegative] = (-175.0, 175.0)
+    fault: StageFault | None = None
+
+
+class MechanicsOptions(_Options):
+    """From the motor to the table. Angles are the stage's own, zero at its home.
+
+    `encoder_on = "motor"` sees no fault of the gear; `"table"` sees worm and backlash, but neither its own
+    eccentricity nor what bends beyond it.
+    """
+
+    power_up_deg: float = Field(default=4.0, ge=-170, le=170)
+    homing_std_deg: NotNegative = 0.0
+    scale_error_pct: float = Field(default=0.0, gt=-50, lt=50)
+    backlash_deg: NotNegative = 0.0
+    eccentricity_deg: float = Field(default=0.0, ge=-5, le=5)
+    eccentricity_phase_deg: float = 0.0
+    worm_deg: float = 0.0
+    worm_period_deg: Positive = 7.2
+    worm_phase_deg: float = 0.0
+    following_lag_s: NotNegative = 0.0
+    following_std_deg: NotNegative = 0.0
+    creep_fraction: float = Field(default=0.0, ge=0, lt=1)
+    creep_s: Positive = 1.5
+    encoder_on: Literal["motor", "table"] = "motor"
+    encoder_resolution_deg: NotNegative = 0.0
+    obstruction_deg: float | None = None
+    """A motor angle that the stage cannot pass: it stalls there."""
+
+    @model_validator(mode="after")
+    def _worm_never_runs_backwards(self) -> Self:
+        if abs(self.worm_deg) * 2 * 3.1416 > 0.5 * self.worm_period_deg:
+            raise ValueError("worm_deg is so large for its worm_period_deg that the table would turn back")
+        return self
+
+
+class MountOptions(_Options):
+    """From the table to the sensor's package: how it sits, slips and sags, and how level the axis is.
+
+    A cable of mass `cable_mass_kg` hangs on an arm `cable_arm_m` that is horizontal at
+    `cable_horizontal_deg`, and winds up with `cable_stiffness_nm_per_deg`; what its torque bends is
+    `compliance_deg_per_nm`.
+    """
+
+    offset_deg: float = 0.0
+    yaw_deg: float = Field(default=0.0, ge=-45, le=45)
+    pitch_deg: float = Field(default=0.0, ge=-45, le=45)
+    axis_tilt_deg: float = Field(default=0.0, ge=-45, le=45)
+    slip_deg: float = 0.0
+    slip_at_s: NotNegative = 0.0
+    slip_s: Positive = 0.05
+    cable_mass_kg: NotNegative = 0.0
+    cable_arm_m: NotNegative = 0.05
+    cable_horizontal_deg: float = 0.0
+    cable_stiffness_nm_per_deg: NotNegative = 0.0
+    compliance_deg_per_nm: NotNegative = 0.0
+
+
+class EnvironmentOptions(_Options):
+    """Die temperature and supply voltage over simulated time."""
+
+    start_c: float = Field(default=25.0, ge=-40, le=85)
+    end_c: float = Field(default=25.0, ge=-40, le=85)
+    warm_up_s: Positive = 300.0
+    ambient_amplitude_c: NotNegative = 0.0
+    ambient_period_s: Positive = 3600.0
+    hysteresis_c: NotNegative = 0.0
+    """Width of the loop: what depends on temperature follows the die's only after half of this."""
+    supply_v: Positive = 3.3
+    supply_ripple_v: float = 0.0
+    supply_period_s: Positive = 60.0
+    supply_waveform: Literal["sine", "square"] = "sine"
+
+
+class ImuOptions(_Options):
+    """An MPU-6050: noise densities, ranges and registers are its data sheet's (PS-MPU-6000A rev. 3.4)."""
+
+    accel_range_g: Literal[2, 4, 8, 16] = 2
+    gyro_range_dps: Literal[250, 500, 1000, 2000] = 250
+    accel_noise_ug_per_rthz: NotNegative = 400.0
+    gyro_noise_dps_per_rthz: NotNegative = 0.005
+    temperature_noise_c: NotNegative = 0.0
+    accel_bias_mg: Vector = ZERO
+    accel_gain_error_pct: Vector = ZERO
+    accel_cross_axis_deg: dict[Literal["xy", "xz", "yx", "yz", "zx", "zy"], float] = {}
+    """`{"yz": 0.2}`: y measures a_y + a_z·sin 0.2°, and so on for each pair."""
+    accel_quadratic_mg_per_g2: Vector = ZERO
+    accel_cubic_mg_per_g3: Vector = ZERO
+    accel_bias_mg_per_c: Vector = ZERO
+    accel_gain_pct_per_c: Vector = ZERO
+    accel_bias_mg_per_v: Vector = ZERO
+    accel_walk_mg_per_rts: NotNegative = 0.0
+    gyro_bias_dps: Vector = ZERO
+    gyro_scale_error_pct: Vector = ZERO
+    gyro_bias_dps_per_c: Vector = ZERO
+    gyro_walk_dps_per_rts: NotNegative = 0.0
+    package_turn_deg_per_c: float = 0.0
+    reference_c: float = 25.0
+
+
+class BoardOptions(_Options):
+    """The board around the sensor. `fault` breaks it on purpose."""
+
+    serial: str = Field(default="", max_length=64)
+    firmware: str = "calrig simulated"
+    max_rate_hz: int = Field(default=1000, ge=1, le=8000)
+    default_rate_hz: int = Field(default=200, ge=1, le=8000)
+    fault: BoardFault | None = None
+
+    @model_validator(mode="after")
+    def _default_is_allowed(self) -> Self:
+        if self.default_rate_hz > self.max_rate_hz:
+            raise ValueError("default_rate_hz is above max_rate_hz")
+        return self
+
+
+class SimulatorSettings(_Options):
+    """One simulated rig. Without options: an MPU-6050 with its data sheet's noise on a perfect stage."""
+
+    preset: str | None = None
+    seed: int = Field(default=0, ge=0, le=2**63 - 1)
+    time_scale: float = Field(default=1.0, gt=0, le=1000)
+    ports: Literal["auto", "pty", "tcp"] = "auto"
+    stage: StageOptions = StageOptions()
+    mechanics: MechanicsOptions = MechanicsOptions()
+    mount: MountOptions = MountOptions()
+    environment: EnvironmentOptions = EnvironmentOptions()
+    imu: ImuOptions = ImuOptions()
+    board: BoardOptions = BoardOptions()
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, Any]) -> SimulatorSettings:
+        """The settings of a rig's `simulated` table, over those of its preset where it names one.
+
+        Args:
+            options: for example `{"preset": "demo", "seed": 3, "mechanics": {"backlash_deg": 0.2}}`.
+
+        Raises:
+            ValueError: an unknown preset or option or a wrong value; the message names the key.
+        """
+        preset = options.get("preset")
+        if preset is not None and preset not in list(PRESETS):
+            raise ValueError(f"preset: {preset!r} is unknown; there are {', '.join(sorted(PRESETS))}")
+        merged = _merged(PRESETS[preset], options) if preset is not None else dict(options)
+        try:
+            return cls.model_validate(merged)
+        except ValidationError as error:
+            raise ValueError(_first_problem(error)) from None
+
+
+def _merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in over.items():
+        below = merged.get(key)
+        merged[key] = _merged(below, value) if isinstance(below, dict) and isinstance(value, dict) else value
+    return merged
+
+
+def _first_problem(error: ValidationError) -> str:
+    problem = error.errors()[0]
+    path = [str(part) for part in problem["loc"]]
+    where = ".".join(path) or "options"
+    if problem["type"] != "extra_forbidden":
+        return f"{where}: {problem['msg'].removeprefix('Value error, ')}"
+    model: type[BaseModel] = SimulatorSettings
+    for part in path[:-1]:
+        model = type(model.model_fields[part].default)
+    near = difflib.get_close_matches(path[-1], model.model_fields, n=1)
+    hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(model.model_fields)}"
+    return f"{where}: no such option; {hint}"

@@ -1,0 +1,153 @@
+"""From what the controller asks to where the table stands: motor, gap, gear, and the encoder's view."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from calrig.simulator.config import MechanicsOptions
+from calrig.simulator.play import through_play
+from calrig.simulator.trajectory import FloatArray, Segment, Trajectory, Turn, braking, trapezoid
+
+HOMING_RUN_UP_DEG = 1.0
+"""Homing passes its switch by this much and comes back to it upward, whichever side it began on."""
+
+
+class Arrival(NamedTuple):
+    """When the motor stands still, and whether that is short of its target because something blocked it."""
+
+    at_s: float
+    stalled: bool
+
+
+class _Reference(NamedTuple):
+    from_s: float
+    motor_deg: float
+    encoder_deg: float
+
+
+class Mechanics:
+    """One rotary stage. Counted angles are what the controller calls them; motor angles begin at the home.
+
+    Commands carry their instant and may not go back in time; every other method takes any instants.
+    """
+
+    def __init__(self, options: MechanicsOptions, rng: np.random.Generator) -> None:
+        self._options = options
+        self._rng = rng
+        start_deg = options.power_up_deg
+        relaxation_s = options.creep_s if options.creep_fraction else math.inf
+        self._motor = Trajectory(start_deg)
+        self._follower = Trajectory(start_deg, relaxation_s)
+        at_start = float(self._encoder(np.zeros(1))[0])
+        self._references = [_Reference(-math.inf, start_deg, at_start)]
+
+    def move(self, at_s: float, target_deg: float, velocity_dps: float, acceleration_dps2: float) -> Arrival:
+        """Turns the motor from rest to a counted angle; where it ends is off by the following error."""
+        zero_deg = self._reference(at_s).motor_deg
+        missed_deg = self._rng.normal(0.0, self._options.following_std_deg)
+        begin_s = at_s + self._options.following_lag_s
+        from_deg = self._motor.state(begin_s)[0]
+        to_deg = zero_deg + target_deg + missed_deg
+        return self._drive(trapezoid(begin_s, from_deg, to_deg, velocity_dps, acceleration_dps2))
+
+    def home(self, at_s: float, velocity_dps: float, acceleration_dps2: float) -> Arrival:
+        """Looks for the reference from rest; once there, the controller counts from it."""
+        home_deg = self._rng.normal(0.0, self._options.homing_std_deg)
+        begin_s = at_s + self._options.following_lag_s
+        from_deg = self._motor.state(begin_s)[0]
+        past_deg = home_deg - HOMING_RUN_UP_DEG
+        way = trapezoid(begin_s, from_deg, past_deg, velocity_dps, acceleration_dps2)
+        back = trapezoid(way[-1].start_s, past_deg, home_deg, velocity_dps, acceleration_dps2)
+        arrival = self._drive(way[:-1] + back)
+        if not arrival.stalled:
+            encoder_deg = float(self._encoder(np.array([arrival.at_s]))[0])
+            self._references.append(_Reference(arrival.at_s, home_deg, encoder_deg))
+        return arrival
+
+    def halt(self, at_s: float, acceleration_dps2: float) -> float:
+        """Decelerates whatever moves; returns the instant at which it stands. A homing under way is lost."""
+        begin_s = at_s + self._options.following_lag_s
+        self._references = [reference for reference in self._references if reference.from_s <= at_s]
+        return self._drive(braking(begin_s, *self._motor.state(begin_s), acceleration_dps2)).at_s
+
+    def encoder_deg(self, times_s: FloatArray) -> FloatArray:
+        """The counted angle that the controller reports, in steps of the encoder's resolution."""
+        starts, _, zeros = np.array(self._references).T
+        counted = self._encoder(times_s) - zeros[np.searchsorted(starts, times_s, side="right") - 1]
+        step = self._options.encoder_resolution_deg
+        reported: FloatArray = np.round(counted / step) * step if step else counted
+        return reported
+
+    def motor(self, times_s: FloatArray) -> Turn:
+        """The motor's angle past the home, seen through a perfect gear."""
+        return self._motor.at(times_s)
+
+    def table(self, times_s: FloatArray) -> Turn:
+        """Where the table truly is, and how fast it turns.
+
+        The gear ends in a table that turns about a centre beside its bearing's: an angle φ becomes
+        φ + A·sin(φ + phase).
+        """
+        geared = self._geared(times_s)
+        eccentricity = self._options.eccentricity_deg
+        phase = np.radians(geared.angle_deg + self._options.eccentricity_phase_deg)
+        return Turn(
+            geared.angle_deg + eccentricity * np.sin(phase),
+            geared.rate_dps * (1 + np.radians(eccentricity) * np.cos(phase)),
+        )
+
+    def _drive(self, way: list[Segment]) -> Arrival:
+        way, stalled = self._obstructed(way)
+        begin_s = way[0].start_s
+        follower_deg = self._follower.state(begin_s)[0]
+        follower = through_play(way, follower_deg, self._options.backlash_deg)
+        self._motor.replace_from(begin_s, way)
+        self._follower.replace_from(begin_s, follower)
+        return Arrival(way[-1].start_s, stalled)
+
+    def _obstructed(self, way: list[Segment]) -> tuple[list[Segment], bool]:
+        wall_deg = self._options.obstruction_deg
+        if wall_deg is None:
+            return way, False
+        outward = math.copysign(1.0, wall_deg - self._options.power_up_deg)
+        for index, (segment, following) in enumerate(pairwise(way)):
+            room_deg = outward * (wall_deg - segment.position_deg)
+            if outward * (following.position_deg - segment.position_deg) > max(room_deg, 0.0):
+                hit_s = _reach(segment, outward, max(room_deg, 0.0))
+                return [*way[:index], *([segment] if room_deg > 0 else []), Segment(hit_s, wall_deg)], True
+        return way, False
+
+    def _geared(self, times_s: FloatArray) -> Turn:
+        options = self._options
+        angle_deg, rate_dps = self._follower.at(times_s)
+        if options.creep_fraction:
+            behind = self._follower.behind(times_s)
+            angle_deg = angle_deg - options.creep_fraction * behind.angle_deg
+            rate_dps = rate_dps - options.creep_fraction * behind.rate_dps
+        turns = 2 * np.pi / options.worm_period_deg
+        phase = turns * angle_deg + np.radians(options.worm_phase_deg)
+        ratio = 1 + 0.01 * options.scale_error_pct
+        return Turn(
+            ratio * angle_deg + options.worm_deg * np.sin(phase),
+            rate_dps * (ratio + options.worm_deg * turns * np.cos(phase)),
+        )
+
+    def _encoder(self, times_s: FloatArray) -> FloatArray:
+        seen = self._motor.at(times_s) if self._options.encoder_on == "motor" else self._geared(times_s)
+        return seen.angle_deg
+
+    def _reference(self, at_s: float) -> _Reference:
+        index = bisect_right(self._references, at_s, key=lambda reference: reference.from_s)
+        return self._references[index - 1]
+
+
+def _reach(segment: Segment, sense: float, way_deg: float) -> float:
+    """When a segment moving in `sense` has covered `way_deg`."""
+    speed, gain = sense * segment.velocity_dps, sense * segment.acceleration_dps2
+    root = math.sqrt(max(speed**2 + 2 * gain * way_deg, 0.0))
+    return segment.start_s + (2 * way_deg / (speed + root) if way_deg > 0 else 0.0)

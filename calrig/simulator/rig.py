@@ -1,0 +1,56 @@
+"""A whole simulated rig in this process: a bench, its two devices, and the ports they answer on."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import Self
+
+from calrig.simulator.bench import Bench
+from calrig.simulator.board import Board
+from calrig.simulator.clock import ScaledClock
+from calrig.simulator.config import SimulatorSettings
+from calrig.simulator.ports import open_port
+from calrig.simulator.smc100 import Smc100
+from calrig.simulator.wire import Wire
+
+
+class SimulatedRig:
+    """A stage and a board behind two serial ports, from `start` (or `with`) until `stop`.
+
+    Attributes:
+        settings: what it was made of.
+        clock: simulated time in seconds since it was made, when called.
+        bench: its physics; take `bench.lock` while the rig is running.
+        stage, board: its devices; their `fault` may be set at any time.
+        stage_port, imu_port: what `serial.serial_for_url` opens.
+    """
+
+    def __init__(self, settings: SimulatorSettings) -> None:
+        self.settings = settings
+        self.clock = ScaledClock(settings.time_scale)
+        self.bench = Bench(settings)
+        self.stage = Smc100(settings.stage, self.bench, self.clock)
+        self.board = Board(settings.board, settings.imu, self.bench, self.clock)
+        stage_wire = Wire(self.stage, open_port(settings.ports), "simulated stage")
+        board_wire = Wire(self.board, open_port(settings.ports), "simulated board")
+        self._wires = (stage_wire, board_wire)
+        self.stage_port, self.imu_port = stage_wire.url, board_wire.url
+
+    def start(self) -> None:
+        """Switches both devices on."""
+        for wire in self._wires:
+            wire.start()
+
+    def stop(self) -> None:
+        """Switches them off and closes the ports."""
+        for wire in self._wires:
+            wire.stop()
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()

@@ -1,0 +1,195 @@
+"""The whole rig over real ports, opened with pyserial as any program would, and as a process of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import numpy as np
+import psutil
+import pytest
+import serial
+from simulated_packets import Packet, decode
+
+from calrig.simulator import ports
+from calrig.simulator.config import SimulatorSettings
+from calrig.simulator.launch import launch
+from calrig.simulator.rig import SimulatedRig
+
+KINDS = [
+    pytest.param("pty", marks=pytest.mark.skipif(not ports.PTY_AVAILABLE, reason="no pseudo-terminals here")),
+    "tcp",
+]
+DEADLINE_S = 20.0
+
+
+def rig(**options) -> SimulatedRig:
+    return SimulatedRig(SimulatorSettings.from_options({"preset": "ideal", "time_scale": 20.0} | options))
+
+
+def ask(stage: serial.SerialBase, command: str) -> str:
+    stage.write(command.encode() + b"\r\n")
+    return stage.read_until(b"\r\n").decode().removesuffix("\r\n")
+
+
+def wait_for(stage: serial.SerialBase, status: str) -> None:
+    deadline = time.monotonic() + DEADLINE_S
+    while (last := ask(stage, "1TS")) != status:
+        assert time.monotonic() < deadline, last
+
+
+def read_packet(board: serial.SerialBase) -> Packet:
+    return decode(board.read_until(b"\0"))[0]
+
+
+def read_samples(board: serial.SerialBase, n: int) -> list[tuple[int, ...]]:
+    """The first n samples, read in large pieces as a driver does."""
+    samples: list[tuple[int, ...]] = []
+    tail = b""
+    while len(samples) < n:
+        piece = board.read(max(1, board.in_waiting))
+        assert piece, f"silent after {len(samples)} samples"
+        whole, end, tail = (tail + piece).rpartition(b"\0")
+        samples += [packet.sample for packet in decode(whole + end) if packet.kind == 0x02]
+    return samples[:n]
+
+
+def open_stage(url: str) -> serial.SerialBase:
+    return serial.serial_for_url(url, baudrate=57600, timeout=5)
+
+
+def open_board(url: str) -> serial.SerialBase:
+    return serial.serial_for_url(url, baudrate=115200, timeout=5)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_pose_from_homing_to_reading_over_the_wire(kind):
+    with (
+        rig(ports=kind) as simulated,
+        open_stage(simulated.stage_port) as stage,
+        open_board(simulated.imu_port) as board,
+    ):
+        assert ask(stage, "1TS") == "1TS00000A"
+        stage.write(b"1OR\r\n")
+        wait_for(stage, "1TS000032")
+        stage.write(b"1PA-30\r\n")
+        wait_for(stage, "1TS000033")
+        assert ask(stage, "1TP") == "1TP-30"
+
+        board.write(b"START 200\n")
+        while read_packet(board) != Packet(0x04, b"START 200"):
+            pass  # the identity it said at power-up
+        samples = read_samples(board, 200)
+        assert [sample[0] for sample in samples] == list(range(200))
+        assert np.degrees(np.arctan2(samples[-1][3], samples[-1][4])) == pytest.approx(-30.0, abs=0.01)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_both_ports_can_be_closed_and_opened_again(kind):
+    with rig(ports=kind) as simulated:
+        for _ in range(2):
+            with open_stage(simulated.stage_port) as stage, open_board(simulated.imu_port) as board:
+                assert ask(stage, "1VE") == "1VE SMC100CC simulated"
+                board.write(b"START 100\n")
+                board.read_until(b"\0")  # closed while it is still sending
+
+
+def test_a_board_that_nobody_reads_does_not_hold_up_the_stage():
+    with (
+        rig() as simulated,
+        open_stage(simulated.stage_port) as stage,
+        open_board(simulated.imu_port) as board,
+    ):
+        board.write(b"START 1000\n")
+        deadline = time.monotonic() + DEADLINE_S
+        while simulated.clock() < 30.0:  # 30 000 samples, ten times what the port holds
+            assert ask(stage, "1TS") == "1TS00000A"
+            assert time.monotonic() < deadline
+
+
+def test_time_runs_at_its_scale_on_the_boards_own_clock():
+    with rig(time_scale=50.0) as simulated, open_board(simulated.imu_port) as board:
+        started_s = time.monotonic()
+        board.write(b"START 200\n")
+        samples = read_samples(board, 5000)
+        took_s = time.monotonic() - started_s
+        assert (samples[-1][1] - samples[0][1]) / 1e6 == pytest.approx(4999 / 200)
+        assert took_s > 4999 / 200 / 50  # never ahead; how far behind is the machine's business
+
+
+def test_the_bench_behind_the_ports_knows_the_truth():
+    with rig(mount={"offset_deg": 0.8}) as simulated, open_stage(simulated.stage_port) as stage:
+        stage.write(b"1OR\r\n")
+        wait_for(stage, "1TS000032")
+        with simulated.bench.lock:
+            truth_deg = simulated.bench.true_elevation_deg(np.array([simulated.clock()]))
+        assert truth_deg == pytest.approx([0.8])
+
+
+def test_stopping_twice_is_no_error_and_closes_the_ports():
+    simulated = rig(ports="tcp")
+    simulated.start()
+    simulated.stop()
+    simulated.stop()
+    host, port = simulated.stage_port.removeprefix("socket://").split(":")
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection((host, int(port)), timeout=1)
+
+
+def test_a_launched_rig_answers_and_ends_when_stopped():
+    with launch({"preset": "demo", "time_scale": 50}) as process:
+        with open_stage(process.stage_port) as stage, open_board(process.imu_port) as board:
+            assert ask(stage, "1TS") == "1TS00000A"
+            board.write(b"ID\n")
+            assert json.loads(read_packet(board).text)["serial"] == ""
+        assert process.running
+    assert not process.running
+
+
+def test_a_rig_process_ends_with_its_standard_input():
+    process = subprocess.Popen(
+        [sys.executable, "-m", "calrig.simulator", "{}"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    with process:
+        assert set(json.loads(process.stdout.readline())) == {"stage", "imu"}
+        process.stdin.close()
+        assert process.wait(DEADLINE_S) == 0
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no SIGTERM here")
+def test_a_rig_process_ends_when_terminated():
+    with launch({}) as process:
+        os.kill(process.pid, signal.SIGTERM)
+        assert psutil.wait_procs([psutil.Process(process.pid)], timeout=DEADLINE_S)[1] == []
+
+
+def test_a_wrong_option_is_said_before_anything_starts():
+    with pytest.raises(ValueError, match=r"mount\.offset: no such option; did you mean offset_deg\?"):
+        launch({"mount": {"offset": 1}})
+
+
+@pytest.mark.parametrize("options", ['{"seed": -1}', "[]", "{"])
+def test_a_process_with_wrong_options_says_so_in_one_line(options):
+    ended = subprocess.run(
+        [sys.executable, "-m", "calrig.simulator", options],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE_S,
+    )
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert ended.stderr.startswith("simulated rig: ")
+    assert ended.stderr.count("\n") == 1
+
+
+def test_launching_needs_no_arrays_in_the_service():
+    code = "import sys, calrig.simulator.launch; sys.exit('numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=DEADLINE_S).returncode == 0
