@@ -85,9 +85,11 @@ class StageIdentity:
 
 @dataclass(frozen=True, slots=True)
 class StageStatus:
-    """One look at a stage: `state` is `not_referenced`, `homing`, `moving`, `ready` or `disabled`.
+    """One look at a stage.
 
-    `words` says the same for a person, with the controller's own error bits where there are any.
+    `state` is `not_referenced`, `homing`, `moving`, `ready`, `disabled` or `configuration` (somebody is
+    changing the controller's set-up); `words` says the same for a person, with the controller's own error
+    bits where there are any.
     """
 
     state: str
@@ -131,7 +133,10 @@ class Stage(Protocol):
         """Asks for the state."""
 
     def position_deg(self) -> float:
-        """Where the stage says it is: two reads in a row that agree."""
+        """Where a standing stage says it is: two reads in a row that agree."""
+
+    def glimpse_deg(self) -> float:
+        """One read, unchecked: to show a stage on the move, never for a result."""
 
     def set_velocity(self, velocity_dps: float) -> None:
         """Sets the velocity of the moves that follow."""

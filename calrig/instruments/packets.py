@@ -1,0 +1,57 @@
+"""Bytes of a `calrig` board to whole packets (CONTRACT 3.1): COBS ended by 0x00, CRC-16/CCITT-FALSE."""
+
+from __future__ import annotations
+
+from binascii import crc_hqx
+from collections import Counter
+
+from cobs import cobs  # type: ignore[import-untyped]
+
+IDENTITY, SAMPLE, ERROR, ACKNOWLEDGE, FILTERED_SAMPLE = 1, 2, 3, 4, 5
+ANY_LENGTH = 0
+LENGTHS = {
+    IDENTITY: ANY_LENGTH,
+    SAMPLE: 21,
+    ERROR: ANY_LENGTH,
+    ACKNOWLEDGE: ANY_LENGTH,
+    FILTERED_SAMPLE: 23,
+}
+LONGEST_FRAME = 2048
+
+
+class PacketDecoder:
+    """Takes bytes as they come, cut anywhere, and gives the packets whose frame, CRC and length are right.
+
+    What is not right is counted in `faults` and dropped: `crc`, and `unparsed` for a frame that is no COBS,
+    too short, of unknown type or of the wrong length.
+    """
+
+    def __init__(self, faults: Counter[str] | None = None) -> None:
+        self.faults: Counter[str] = Counter() if faults is None else faults
+        self._tail = b""
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """The packets completed by `data`, each as its type byte and payload, without the CRC."""
+        *frames, self._tail = (self._tail + data).split(b"\0")
+        if len(self._tail) > LONGEST_FRAME:
+            self._tail = b""
+            self.faults["unparsed"] += 1
+        packets = []
+        for frame in frames:
+            if not frame:
+                continue  # two delimiters in a row: how a sender ends a line of noise
+            try:
+                packet = cobs.decode(frame)
+            except cobs.DecodeError:
+                self.faults["unparsed"] += 1
+                continue
+            body = packet[:-2]
+            if not body:
+                self.faults["unparsed"] += 1
+            elif crc_hqx(body, 0xFFFF) != packet[-1] << 8 | packet[-2]:
+                self.faults["crc"] += 1
+            elif LENGTHS.get(body[0], -1) not in (ANY_LENGTH, len(body)):
+                self.faults["unparsed"] += 1
+            else:
+                packets.append(body)
+        return packets

@@ -1,0 +1,123 @@
+"""Opening and using a port: anything `serial.serial_for_url` takes, every failure said with its name."""
+
+from __future__ import annotations
+
+import errno
+import socket
+
+import serial
+
+from calrig.instruments.errors import PortError
+
+WRITE_TIMEOUT_S = 0.5
+
+_WHAT_TO_DO = {
+    errno.ENOENT: "does not exist: is it plugged in? `python -m serial.tools.list_ports` lists all there are",
+    errno.EACCES: (
+        "may not be opened by this user: join the group that owns it "
+        "(usually `sudo usermod -aG dialout $USER`) and log in again"
+    ),
+    errno.EBUSY: "is in use by another program: close that program first",
+}
+_SAME_AS = {
+    errno.ENODEV: errno.ENOENT,
+    errno.ENXIO: errno.ENOENT,
+    errno.EPERM: errno.EACCES,
+    errno.EWOULDBLOCK: errno.EBUSY,
+}
+
+
+class Port:
+    """An open port. Whatever fails on it is a PortError that names it.
+
+    One thread may read while another writes; two threads that write need a lock of their own.
+    """
+
+    def __init__(self, name: str, wire: serial.Serial) -> None:
+        self.name = name
+        self._wire = wire
+
+    def read(self, size: int) -> bytes:
+        """Up to `size` bytes: returns when they are there, or with those that came within the time-out."""
+        try:
+            return bytes(self._wire.read(size))
+        except OSError as error:
+            raise self._gone("reading", error) from error
+
+    def read_some(self) -> bytes:
+        """What is there, or the first byte that comes within the time-out, or nothing."""
+        return self.read(max(1, self.waiting()))
+
+    def waiting(self) -> int:
+        """How many bytes can be read at once; on `socket://` 1 stands for any number."""
+        try:
+            return int(self._wire.in_waiting)
+        except OSError as error:
+            raise self._gone("reading", error) from error
+
+    def write(self, data: bytes) -> None:
+        """Hands all bytes to the system, which sends them."""
+        try:
+            self._wire.write(data)
+        except serial.SerialTimeoutException as error:
+            raise PortError(
+                f"port {self.name} took nothing for {WRITE_TIMEOUT_S:g} s: is the device switched on, "
+                "and is flow control off?"
+            ) from error
+        except OSError as error:
+            raise self._gone("writing", error) from error
+
+    def close(self) -> None:
+        """Closes the port; never raises. Nobody else may be using it."""
+        try:
+            self._wire.close()
+        except OSError:
+            return  # the device is gone, and the descriptor with it: nothing is left to close
+
+    def _gone(self, doing: str, error: OSError) -> PortError:
+        return PortError(f"port {self.name} went away while {doing} ({error}): check cable and power")
+
+
+def open_port(url: str, *, baudrate: int, timeout_s: float) -> Port:
+    """Opens a port, 8N1, for this process alone where it is a POSIX tty.
+
+    RTS and DTR are raised as every terminal program does; a pseudo-terminal has none, and pyserial takes its
+    ENOTTY for what it is. `rfc2217://` knows no write time-out.
+
+    Args:
+        url: `/dev/ttyUSB0`, `COM3`, `socket://host:port`, `rfc2217://host:port`, …
+        baudrate: bits per second; a socket ignores it.
+        timeout_s: how long a read waits for what it was asked for.
+
+    Raises:
+        PortError: it cannot be opened; says why and what to do.
+    """
+    write_timeout_s = None if url.lower().startswith("rfc2217:") else WRITE_TIMEOUT_S
+    try:
+        wire = serial.serial_for_url(
+            url, baudrate=baudrate, timeout=timeout_s, write_timeout=write_timeout_s, exclusive=True
+        )
+        if url.lower().startswith("socket:"):
+            _send_small_writes_at_once(wire)
+    except (OSError, ValueError) as error:
+        raise PortError(f"port {url} {_reason(error)}") from error
+    return Port(url, wire)
+
+
+def _send_small_writes_at_once(wire: serial.Serial) -> None:
+    # A stop must not wait in Nagle's buffer for the acknowledgement of the query before it.
+    with socket.fromfd(wire.fileno(), socket.AF_INET, socket.SOCK_STREAM) as same:
+        same.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+
+def _reason(error: Exception) -> str:
+    number = getattr(error, "errno", None)
+    known = _WHAT_TO_DO.get(_SAME_AS.get(number, number)) if isinstance(number, int) else None
+    if known:
+        return known
+    cause = error.__context__  # pyserial's sockets keep the number of what failed only here
+    if isinstance(cause, ConnectionRefusedError):
+        return "refused the connection: is the serial server running, and is that its port number?"
+    if isinstance(cause, (socket.gaierror, TimeoutError)):
+        return f"cannot be reached ({cause}): check host name and network"
+    return f"cannot be opened ({error})"

@@ -1,0 +1,47 @@
+from __future__ import annotations
+
+import pytest
+from hypothesis import settings
+from instrument_fakes import FakeBoard, FakeSmc100
+
+from calrig.instruments import smc100
+from calrig.instruments.calrig_board import CalrigBoard
+from calrig.instruments.smc100 import Smc100
+
+settings.register_profile("no deadline", deadline=None)  # a busy machine is no failure
+settings.load_profile("no deadline")
+
+
+@pytest.fixture(autouse=True)
+def short_patience(monkeypatch):
+    """What waits for an answer that never comes waits less, so that the tests take seconds."""
+    monkeypatch.setattr(smc100, "REPLY_TIMEOUT_S", 0.2)
+    monkeypatch.setattr(smc100, "ENABLE_TIMEOUT_S", 0.2)
+
+
+@pytest.fixture
+def controller():
+    device = FakeSmc100()
+    yield device
+    device.vanish()
+
+
+@pytest.fixture
+def stage(controller):
+    driver = Smc100.open(controller.path)
+    yield driver
+    driver.close()
+
+
+@pytest.fixture
+def device():
+    fake = FakeBoard()
+    yield fake
+    fake.vanish()
+
+
+@pytest.fixture
+def board(device):
+    driver = CalrigBoard.open(device.path)
+    yield driver
+    driver.close()

@@ -1,0 +1,329 @@
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from calrig.instruments.axis import Axis, Motion, travel_time_s
+from calrig.instruments.errors import Halted, LimitError, StageError
+from calrig.instruments.smc100 import Smc100
+from calrig.instruments.types import StageIdentity, StageStatus
+
+
+class ScriptedStage:
+    """A stage that is wherever a test puts it."""
+
+    def __init__(self, limits_deg=(-180.0, 180.0)):
+        self.faults = Counter()
+        self.state = "ready"
+        self.at_deg = 0.0
+        self.sent = []
+        self.identity = StageIdentity("scripted", None, limits_deg, 10.0, 40.0)
+
+    def identify(self):
+        return self.identity
+
+    def status(self):
+        return StageStatus(self.state, self.state.upper())
+
+    def position_deg(self):
+        return self.at_deg
+
+    glimpse_deg = position_deg
+
+    def set_velocity(self, velocity_dps):
+        self.sent.append(("VA", velocity_dps))
+
+    def home(self):
+        self.sent.append("OR")
+
+    def move(self, target_deg):
+        self.sent.append(("PA", target_deg))
+
+    def halt(self):
+        self.sent.append("ST")
+
+    def close(self):
+        self.sent.append("closed")
+
+
+class Clock:
+    def __init__(self):
+        self.now_s = 1000.0
+
+    def __call__(self):
+        return self.now_s
+
+
+@pytest.fixture
+def stage():
+    return ScriptedStage()
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+@pytest.fixture
+def axis(stage, clock):
+    axis = Axis(stage, limits_deg=(-90.0, 90.0), tolerance_deg=0.3, clock=clock)
+    axis.identify()
+    return axis
+
+
+@given(
+    elevation=st.floats(-90, 90),
+    zero=st.floats(-180, 180),
+    sign=st.sampled_from([-1, 1]),
+    ratio=st.floats(0.1, 100),
+)
+def test_elevation_is_sign_times_stage_less_zero_over_ratio(elevation, zero, sign, ratio):
+    stage = ScriptedStage()
+    axis = Axis(stage, zero_deg=zero, sign=sign, ratio=ratio)
+    axis.begin_move(elevation)
+    ((_, stage.at_deg),) = stage.sent
+    assert sign * (stage.at_deg - zero) / ratio == pytest.approx(elevation, abs=1e-9)
+    assert axis.elevation_deg() == pytest.approx(elevation, abs=1e-9)
+
+
+@pytest.mark.parametrize("beyond", [90.001, -90.001, math.inf, -math.inf, math.nan])
+def test_a_target_beyond_the_soft_limits_never_reaches_the_stage(axis, stage, beyond):
+    with pytest.raises(LimitError, match="the rig's soft limits -90° to 90°; nothing was sent"):
+        axis.begin_move(beyond)
+    assert stage.sent == []
+
+
+def test_the_controllers_own_limits_narrow_the_soft_ones():
+    axis = Axis(ScriptedStage((-20.0, 100.0)), zero_deg=10.0, sign=-1, ratio=2.0, limits_deg=(-30.0, 30.0))
+    axis.identify()
+    assert axis.limits_deg == (-30.0, 15.0)
+    with pytest.raises(LimitError, match="rig and controller together"):
+        axis.begin_move(20.0)
+
+
+def test_limits_that_leave_nothing_are_said():
+    axis = Axis(ScriptedStage((100.0, 120.0)), limits_deg=(-30.0, 30.0))
+    with pytest.raises(StageError, match=r"100° to 120° only.*check zero_deg, sign and ratio"):
+        axis.identify()
+
+
+def test_a_move_is_over_when_the_stage_is_ready_at_its_target(axis, stage):
+    axis.begin_move(20.0)
+    stage.state, stage.at_deg = "moving", 7.0
+    assert axis.poll() == Motion(7.0, moving=True)
+    stage.state, stage.at_deg = "ready", 20.1
+    assert axis.poll() == Motion(20.1, moving=False)
+
+
+def test_a_move_to_where_it_already_is_is_over_at_once(axis, stage):
+    axis.begin_move(0.0)
+    assert axis.poll() == Motion(0.0, moving=False)
+
+
+def test_a_move_that_has_not_begun_yet_gets_a_moment(axis, stage, clock):
+    axis.begin_move(20.0)
+    assert axis.poll().moving
+    clock.now_s += 0.9
+    assert axis.poll().moving
+    clock.now_s += 0.2
+    with pytest.raises(StageError, match=r"move to 20° did not succeed: the stage stands at 0.000°.*READY"):
+        axis.poll()
+
+
+def test_a_move_that_ends_elsewhere_fails(axis, stage, clock):
+    axis.begin_move(20.0)
+    stage.state, stage.at_deg = "moving", 10.0
+    clock.now_s += 1.0
+    axis.poll()
+    stage.state, stage.at_deg = "ready", 19.6
+    assert axis.poll().moving
+    clock.now_s += 1.1
+    with pytest.raises(StageError, match=r"stands at 19\.600°"):
+        axis.poll()
+
+
+def test_a_stage_that_leaves_its_target_later_fails(axis, stage, clock):
+    axis.begin_move(20.0)
+    stage.at_deg = 20.0
+    assert not axis.poll().moving
+    clock.now_s += 3600
+    stage.at_deg = 21.0
+    axis.poll()
+    clock.now_s += 1.1
+    with pytest.raises(StageError, match=r"stands at 21\.000°"):
+        axis.poll()
+
+
+@pytest.mark.parametrize("state", ["disabled", "configuration"])
+def test_a_stage_that_gives_up_fails_at_once(axis, stage, state):
+    axis.begin_move(20.0)
+    stage.state = state
+    with pytest.raises(StageError, match=f"{state.upper()} during the move to 20°"):
+        axis.poll()
+    with pytest.raises(StageError, match=state.upper()):
+        axis.needs_home()
+
+
+def test_a_stage_that_says_moving_and_does_not_turn_is_stalled(axis, stage, clock):
+    axis.begin_move(20.0)
+    stage.state = "moving"
+    for stage.at_deg in (1.0, 2.0):
+        clock.now_s += 2.9
+        axis.poll()
+    clock.now_s += 2.9
+    axis.poll()
+    clock.now_s += 0.2
+    with pytest.raises(StageError, match=r"stalled at 2\.000°: the stage says MOVING"):
+        axis.poll()
+
+
+def test_a_move_takes_no_longer_than_twice_its_time_and_five_seconds(axis, stage, clock):
+    axis.begin_move(20.0)  # 10 deg/s, 40 deg/s²: 2.25 s
+    stage.state = "moving"
+    began_s = clock.now_s
+    with pytest.raises(StageError, match="took too long"):
+        while True:
+            clock.now_s += 0.1
+            stage.at_deg += 0.1
+            axis.poll()
+    assert clock.now_s - began_s == pytest.approx(2 * 2.25 + 5, abs=0.15)
+
+
+@given(distance=st.floats(1e-3, 360), velocity=st.floats(0.1, 100), acceleration=st.floats(0.1, 1000))
+def test_the_travel_time_is_that_of_a_profile_integrated_step_by_step(distance, velocity, acceleration):
+    """Oracle: the time after which the area under the symmetric trapezoid is the distance."""
+    travel_s = travel_time_s(distance, velocity, acceleration)
+    steps = 2000
+    dt = travel_s / steps
+    middles = [(k + 0.5) * dt for k in range(steps)]
+    area = sum(min(velocity, acceleration * min(t, travel_s - t)) * dt for t in middles)
+    assert area == pytest.approx(distance, rel=2e-3)
+
+
+def test_homing_is_over_when_the_stage_is_ready(axis, stage):
+    stage.state = "not_referenced"
+    assert axis.needs_home()
+    axis.begin_home()
+    assert axis.poll().moving
+    stage.state = "homing"
+    assert axis.poll().moving
+    stage.state = "ready"
+    assert not axis.poll().moving
+    assert not axis.needs_home()
+    assert stage.sent == ["OR"]
+
+
+def test_a_search_under_way_is_waited_for_and_not_begun_again(axis, stage):
+    stage.state = "homing"
+    assert axis.needs_home()
+    axis.begin_home()
+    assert axis.poll().moving
+    assert stage.sent == []
+
+
+def test_homing_that_ends_without_a_reference_fails(axis, stage, clock):
+    stage.state = "not_referenced"
+    axis.begin_home()
+    axis.poll()
+    clock.now_s += 1.1
+    with pytest.raises(StageError, match=r"homing did not succeed.*NOT_REFERENCED"):
+        axis.poll()
+
+
+def test_homing_ends_after_two_minutes_at_most(axis, stage, clock):
+    axis.begin_home()
+    stage.state = "homing"
+    clock.now_s += 119
+    axis.poll()
+    clock.now_s += 2
+    with pytest.raises(StageError, match=r"homing (took too long|stalled)"):
+        axis.poll()
+
+
+def test_velocity_is_one_of_elevation_and_the_one_before_comes_back(stage):
+    axis = Axis(stage, sign=-1, ratio=2.0)
+    axis.identify()
+    axis.set_velocity(3.0)
+    axis.set_velocity(4.0)
+    axis.close()
+    assert stage.sent == [("VA", 6.0), ("VA", 8.0), ("VA", 10.0), "closed"]
+
+
+def test_closing_never_raises_though_the_velocity_cannot_be_restored(axis, stage):
+    axis.set_velocity(3.0)
+
+    def refuse(velocity_dps):
+        raise StageError("gone")
+
+    stage.set_velocity = refuse
+    axis.close()
+    assert stage.sent[-1] == "closed"
+
+
+def test_after_a_halt_the_axis_says_so(axis, stage):
+    axis.begin_move(20.0)
+    axis.halt()
+    with pytest.raises(Halted):
+        axis.poll()
+    assert stage.sent[-1] == "ST"
+
+
+def test_stop_is_sent_until_the_stage_stands(axis, stage):
+    stage.state = "moving"
+    halt = stage.halt
+
+    def halt_the_third_time():
+        halt()
+        if stage.sent.count("ST") == 3:
+            stage.state = "ready"
+
+    stage.halt = halt_the_third_time
+    axis.confirm_stopped(timeout_s=60.0)
+    assert stage.sent == ["ST"] * 3
+
+
+def test_a_stage_that_does_not_stop_is_to_be_cut_from_power(axis, stage, clock):
+    stage.state = "moving"
+    halt = stage.halt
+
+    def halt_as_time_goes_by():
+        halt()
+        clock.now_s += 0.6
+
+    stage.halt = halt_as_time_goes_by
+    with pytest.raises(StageError, match=r"it says MOVING.*cut its motor power"):
+        axis.confirm_stopped(timeout_s=1.0)
+    assert stage.sent == ["ST", "ST"]
+
+
+def test_an_axis_drives_a_controller_over_its_wire(controller):
+    axis = Axis(Smc100.open(controller.path), zero_deg=5.0, sign=-1, ratio=1.0)
+    axis.identify()
+    assert axis.needs_home()
+    axis.begin_home()
+    assert axis.poll().moving
+    controller.state = "32"
+    assert not axis.poll().moving
+    axis.begin_move(30.0)
+    controller.state, controller.position = "28", "-10"
+    assert axis.poll() == Motion(15.0, moving=True)
+    controller.state, controller.position = "33", "-25"
+    assert axis.poll() == Motion(30.0, moving=False)
+    axis.close()
+    assert [line for line in controller.received if re.match("1(OR|PA)", line)] == ["1OR", "1PA-25"]
+
+
+def test_a_move_the_controller_never_heard_of_fails(controller, clock):
+    axis = Axis(Smc100.open(controller.path), clock=clock)
+    controller.state = "33"
+    axis.begin_move(30.0)
+    axis.poll()
+    clock.now_s += 1.1
+    with pytest.raises(StageError, match=r"move to 30° did not succeed: the stage stands at 0.000°"):
+        axis.poll()
+    axis.close()
