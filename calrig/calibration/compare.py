@@ -1,0 +1,118 @@
+"""Units side by side: how a unit drifts, and how units differ beyond what one repeats."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+import numpy as np
+
+SECONDS_PER_DAY = 86_400.0
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """Drift of a unit's bias with its standard error (None from two runs: a line through both)."""
+
+    deg_per_day: float
+    std_deg_per_day: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Components:
+    """Standard deviations between units and within one; None where the runs do not tell."""
+
+    between: float | None
+    within: float | None
+
+
+def drift(finished_at: Sequence[datetime], bias_deg: Sequence[float]) -> Drift | None:
+    """Straight line of a unit's bias over the day its runs finished, by least squares.
+
+    Args:
+        finished_at: when each run finished; all with or all without a time zone.
+        bias_deg: their biases.
+
+    Returns:
+        None below two runs, or where all finished at the same time.
+    """
+    if len(finished_at) < 2:
+        return None
+    days = [(at - finished_at[0]).total_seconds() / SECONDS_PER_DAY for at in finished_at]
+    n = len(days)
+    mean_day, mean_bias = sum(days) / n, sum(bias_deg) / n
+    # Plain floats: a unit has a few runs, for which numpy's calls would cost ten times the sums
+    power = sum((day - mean_day) ** 2 for day in days)
+    if power == 0.0:
+        return None
+    pairs = list(zip(days, bias_deg, strict=True))
+    slope = sum((day - mean_day) * (bias - mean_bias) for day, bias in pairs) / power
+    if n == 2:
+        return Drift(slope, None)
+    left = sum((bias - mean_bias - slope * (day - mean_day)) ** 2 for day, bias in pairs)
+    return Drift(slope, math.sqrt(left / (n - 2) / power))
+
+
+def components(unit: Sequence[int], value: Sequence[float | None]) -> Components:
+    """One-way variance components of runs within units.
+
+    Analysis of variance for unequal numbers of runs (Searle, Casella & McCulloch, Variance Components, 1992,
+    section 3.6): within² = MSW, between² = (MSB − MSW)/n₀ with n₀ = (N − Σnᵢ²/N)/(k − 1), not below 0.
+    `within` needs a unit with two runs; `between` needs that and two units.
+
+    Args:
+        unit: (N,) index of the unit of each run, from 0.
+        value: (N,) the figure; None where it is not known.
+    """
+    values = np.array([np.nan if one is None else one for one in value], dtype=np.float64)
+    known = np.isfinite(values)
+    units, values = np.asarray(unit, dtype=np.intp)[known], values[known]
+    runs = np.bincount(units)
+    runs_of_unit = runs[runs > 0]
+    k, n = len(runs_of_unit), len(values)
+    if n == k:
+        return Components(None, None)
+    values = values - values.mean()  # sums of squares below lose no digits to a common level
+    means = (np.bincount(units, values) / np.maximum(runs, 1))[units]
+    within = float(((values - means) ** 2).sum()) / (n - k)
+    if k < 2:
+        return Components(None, math.sqrt(within))
+    between = float((means**2).sum()) / (k - 1)
+    runs_effective = (n - float((runs_of_unit**2).sum()) / n) / (k - 1)
+    return Components(math.sqrt(max(between - within, 0.0) / runs_effective), math.sqrt(within))
+
+
+def spread(
+    unit: Sequence[int],
+    *,
+    bias_deg: Sequence[float],
+    scale: Sequence[float | None],
+    rms_raw_deg: Sequence[float],
+    rms_calibrated_deg: Sequence[float | None],
+) -> dict[str, float | None]:
+    """`spread` of CONTRACT section 2: between units against repeatability within one.
+
+    Args:
+        unit: index of the unit of each run, from 0.
+        bias_deg: each run's bias.
+        scale: each run's scale; None where it is not known.
+        rms_raw_deg: each run's raw RMS.
+        rms_calibrated_deg: each run's calibrated RMS; None where it is not known.
+
+    Returns:
+        `bias_between_deg`, `bias_within_deg`, `scale_between`, `scale_within`, and for `rms_raw` and
+        `rms_calibrated` as for the bias: standard deviations, None where they cannot be told.
+    """
+    figures = {
+        "bias_{}_deg": components(unit, bias_deg),
+        "scale_{}": components(unit, scale),
+        "rms_raw_{}_deg": components(unit, rms_raw_deg),
+        "rms_calibrated_{}_deg": components(unit, rms_calibrated_deg),
+    }
+    return {
+        name.format(side): getattr(found, side)
+        for name, found in figures.items()
+        for side in ("between", "within")
+    }

@@ -1,0 +1,114 @@
+"""Bias and scale by least squares: reading = bias + scale·θ, with what they are worth."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from calrig.estimation.angles import FloatArray, wrap_deg
+
+MIN_SCALE = 1e-6
+"""A smaller one says that the reading does not follow the stage: there is nothing to divide by."""
+
+Matrix2 = tuple[tuple[float, float], tuple[float, float]]
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A fitted line; what the poses do not tell is None.
+
+    Attributes:
+        bias_deg: reading at θ = 0; with all poses at one angle, mean of reading − θ; in (−180, 180].
+        scale: None with all poses at one angle; counts as 1 then.
+        bias_std_deg: standard error of the bias.
+        scale_std: standard error of the scale.
+        covariance: of bias (deg) and scale; None without a scale or without degrees of freedom.
+        residual_std_deg: scatter of a reading about the line, degrees of freedom taken off.
+    """
+
+    bias_deg: float
+    scale: float | None
+    bias_std_deg: float | None
+    scale_std: float | None
+    covariance: Matrix2 | None
+    residual_std_deg: float | None
+
+
+def fit_line(theta_deg: FloatArray, reading_deg: FloatArray, *, one_angle: bool = False) -> Line:
+    """Fits bias and scale to reading − θ, so that a turn more or less does not matter.
+
+    Ordinary least squares about the mean of θ, standard errors from the residual scatter with n − 2 (or
+    n − 1) degrees of freedom (Draper & Smith, Applied Regression Analysis, 1998, section 1.4; GUM H.3).
+
+    Args:
+        theta_deg: (n,) elevation of the stage, n >= 1.
+        reading_deg: (n,) readings.
+        one_angle: the poses were all commanded to one angle: what θ scatters by is then the stage's
+            noise and says nothing of a scale. All θ equal is seen without being told.
+
+    Raises:
+        ValueError: no pose, shapes that differ, or a number that is not finite.
+    """
+    if theta_deg.shape != reading_deg.shape or theta_deg.ndim != 1 or len(theta_deg) == 0:
+        raise ValueError(f"a fit needs poses: {theta_deg.shape} angles, {reading_deg.shape} readings")
+    if not (np.isfinite(theta_deg).all() and np.isfinite(reading_deg).all()):
+        raise ValueError("a pose's angle or reading is not finite")
+    error = reading_error_deg(theta_deg, reading_deg)
+    n = len(error)
+    if one_angle or np.ptp(theta_deg) == 0.0:
+        std = float(error.std(ddof=1)) if n > 1 else None
+        bias_std = None if std is None else std / math.sqrt(n)
+        return Line(wrap_deg(float(error.mean())), None, bias_std, None, None, std)
+    centre = float(theta_deg.mean())
+    theta = theta_deg - centre
+    power = float(theta @ theta)
+    slope = float(theta @ error) / power
+    level = float(error.mean())
+    bias = wrap_deg(level - slope * centre)
+    if n < 3:
+        return Line(bias, 1.0 + slope, None, None, None, None)
+    residual = error - level - slope * theta
+    variance = float(residual @ residual) / (n - 2)
+    scale_variance = variance / power
+    bias_variance = variance / n + centre**2 * scale_variance
+    shared = -centre * scale_variance
+    return Line(
+        bias_deg=bias,
+        scale=1.0 + slope,
+        bias_std_deg=math.sqrt(bias_variance),
+        scale_std=math.sqrt(scale_variance),
+        covariance=((bias_variance, shared), (shared, scale_variance)),
+        residual_std_deg=math.sqrt(variance),
+    )
+
+
+def reading_error_deg(theta_deg: FloatArray, reading_deg: FloatArray) -> FloatArray:
+    """(n,) reading − θ in degrees, within half a turn of the poses' common direction.
+
+    Each alone in (−180, 180] would tear a unit mounted upside down apart, at +179.9° here and −179.9° there.
+    """
+    error = wrap_deg(reading_deg - theta_deg)
+    common = np.degrees(np.angle(np.exp(1j * np.radians(error)).mean()))
+    return np.asarray(wrap_deg(error - common) + common, dtype=np.float64)
+
+
+def residuals_deg(
+    theta_deg: FloatArray, reading_deg: FloatArray, bias_deg: float, scale: float | None
+) -> FloatArray:
+    """(n,) what is left after calibration: (reading − bias)/scale − θ in degrees; scale None counts as 1.
+
+    The reading is taken on the turn on which the calibrated one comes nearest to θ. NaN throughout where the
+    scale is smaller than `MIN_SCALE`.
+    """
+    factor = 1.0 if scale is None else scale
+    if abs(factor) < MIN_SCALE:
+        return np.full(len(theta_deg), math.nan)
+    expected = bias_deg + factor * theta_deg
+    return np.asarray(wrap_deg(reading_deg - expected) / factor, dtype=np.float64)
+
+
+def rms(values: FloatArray) -> float:
+    """√(Σv²/n), no degrees of freedom taken off."""
+    return math.sqrt(float(values @ values) / len(values))

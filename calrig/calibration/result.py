@@ -1,0 +1,124 @@
+"""A run's result as CONTRACT section 2 gives it, from its poses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from calrig.calibration.fit import Line, fit_line, residuals_deg, rms
+from calrig.calibration.pose import Pose
+from calrig.estimation.angles import FloatArray, wrap_deg
+
+PerAxis = tuple[float | None, float | None, float | None]
+
+
+@dataclass(frozen=True, slots=True)
+class GyroFigures:
+    """What the run says of the gyro: bias about x, y, z; scale, stage rotation over integrated rate."""
+
+    bias_dps: PerAxis = (None, None, None)
+    bias_std_dps: PerAxis = (None, None, None)
+    scale: float | None = None
+    scale_std: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class TemperatureRange:
+    """Lowest and highest die temperature of the poses, °C."""
+
+    min: float
+    max: float
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """CONTRACT section 2, "Result"; what is not known is None.
+
+    Attributes:
+        line: the fit itself, with covariance and residual scatter, for the unit's calibration.
+    """
+
+    bias_deg: float
+    bias_std_deg: float | None
+    scale: float | None
+    scale_std: float | None
+    rms_raw_deg: float
+    rms_calibrated_deg: float | None
+    rms_with_effects_deg: float | None
+    n_poses: int
+    noise_deg: float | None
+    temperature_c: TemperatureRange | None
+    gyro: GyroFigures
+    line: Line = field(repr=False)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The result ready for JSON, with the contract's keys and null for what is not known."""
+        document = asdict(self)
+        del document["line"]
+        gyro = document["gyro"]
+        gyro["bias_dps"], gyro["bias_std_dps"] = list(gyro["bias_dps"]), list(gyro["bias_std_dps"])
+        return document
+
+
+def build_result(poses: Sequence[Pose], gyro: GyroFigures | None = None) -> Result:
+    """Fits a run's poses and gathers what they say.
+
+    Args:
+        poses: those that count (none excluded), at least one.
+        gyro: what the run's samples say of the gyro, where there are any.
+
+    Raises:
+        ValueError: no pose, or one whose angle or reading is not finite.
+    """
+    theta, reading = _angles(poses)
+    one_angle = len({pose.target_deg for pose in poses}) == 1
+    line = fit_line(theta, reading, one_angle=one_angle)
+    return Result(
+        bias_deg=line.bias_deg,
+        bias_std_deg=line.bias_std_deg,
+        scale=line.scale,
+        scale_std=line.scale_std,
+        rms_raw_deg=rms(wrap_deg(reading - theta)),
+        rms_calibrated_deg=_known(rms(residuals_deg(theta, reading, line.bias_deg, line.scale))),
+        rms_with_effects_deg=None,
+        n_poses=len(poses),
+        noise_deg=_pooled_noise_deg(poses),
+        temperature_c=_temperature_range(poses),
+        gyro=gyro or GyroFigures(),
+        line=line,
+    )
+
+
+def residuals(poses: Sequence[Pose], bias_deg: float, scale: float | None) -> list[float | None]:
+    """What calibration leaves of each pose, (reading − bias)/scale − θ in degrees, in their order.
+
+    None throughout where the reading does not follow the stage (`MIN_SCALE`).
+    """
+    if not poses:
+        return []
+    theta, reading = _angles(poses)
+    return [_known(left) for left in residuals_deg(theta, reading, bias_deg, scale).tolist()]
+
+
+def _angles(poses: Sequence[Pose]) -> tuple[FloatArray, FloatArray]:
+    theta = np.array([pose.theta_deg for pose in poses], dtype=np.float64)
+    return theta, np.array([pose.reading_deg for pose in poses], dtype=np.float64)
+
+
+def _pooled_noise_deg(poses: Sequence[Pose]) -> float | None:
+    """√(mean squared standard error) of the poses that have one."""
+    known = [error for pose in poses if (error := pose.reading_stderr_deg) is not None]
+    return math.sqrt(sum(error * error for error in known) / len(known)) if known else None
+
+
+def _temperature_range(poses: Sequence[Pose]) -> TemperatureRange | None:
+    known = [temperature for pose in poses if (temperature := pose.temperature_c) is not None]
+    return TemperatureRange(min(known), max(known)) if known else None
+
+
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None

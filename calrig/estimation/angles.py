@@ -1,0 +1,35 @@
+"""Angles in degrees: where a turn ends, and the elevation that gravity gives."""
+
+from __future__ import annotations
+
+import math
+from typing import overload
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@overload
+def wrap_deg(angle_deg: float) -> float: ...
+@overload
+def wrap_deg(angle_deg: FloatArray) -> FloatArray: ...
+def wrap_deg(angle_deg: float | FloatArray) -> float | FloatArray:
+    """The same direction within (−180, 180] degrees; an angle already there comes back bit for bit."""
+    if isinstance(angle_deg, np.ndarray):
+        turns = np.ceil((angle_deg - 180.0) / 360.0)
+        return np.asarray(angle_deg - 360.0 * turns, dtype=np.float64)
+    return angle_deg - 360.0 * math.ceil((angle_deg - 180.0) / 360.0)
+
+
+def elevation_deg(accel_g: FloatArray) -> FloatArray:
+    """Elevation about the sensor's x axis, atan2(accel_y, accel_z); 0° is z up (CONTRACT section 4).
+
+    Args:
+        accel_g: (n, 3) specific force along x, y, z; any one unit will do.
+
+    Returns:
+        (n,) degrees in [−180, 180].
+    """
+    return np.degrees(np.arctan2(accel_g[:, 1], accel_g[:, 2]))

@@ -1,0 +1,133 @@
+"""A run's result: the contract's keys, null for what is not known, RMS before and after."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calrig.calibration.pose import Pose
+from calrig.calibration.result import GyroFigures, build_result, residuals
+
+DATA = Path(os.environ.get("CALRIG_DATA", Path(__file__).parents[2].parent / "shared" / "data"))
+
+
+def test_a_runs_result_has_the_contracts_keys_and_is_json():
+    targets_deg = np.tile(np.arange(-60.0, 61.0, 20.0), 2)
+    rng = np.random.default_rng(0)
+    poses = [
+        Pose(
+            target_deg=t,
+            stage_deg=t + 0.1,
+            reading_deg=0.5 + 1.01 * (t + 0.1) + e,
+            reading_stderr_deg=s,
+            temperature_c=c,
+        )
+        for t, e, s, c in zip(
+            targets_deg, rng.normal(0.0, 0.02, 14), [0.01, 0.03] * 7, np.linspace(20.0, 24.0, 14), strict=True
+        )
+    ]
+
+    document = build_result(poses, GyroFigures((1.0, 2.0, None), (0.1, 0.1, None), 1.02, 0.001)).to_dict()
+
+    assert list(document) == [
+        "bias_deg",
+        "bias_std_deg",
+        "scale",
+        "scale_std",
+        "rms_raw_deg",
+        "rms_calibrated_deg",
+        "rms_with_effects_deg",
+        "n_poses",
+        "noise_deg",
+        "temperature_c",
+        "gyro",
+    ]
+    assert json.loads(json.dumps(document, allow_nan=False)) == document
+    assert document["bias_deg"] == pytest.approx(0.5, abs=4 * document["bias_std_deg"])
+    assert document["scale"] == pytest.approx(1.01, abs=4 * document["scale_std"])
+    assert document["noise_deg"] == pytest.approx(math.sqrt((0.01**2 + 0.03**2) / 2))
+    assert document["temperature_c"] == {"min": 20.0, "max": 24.0}
+    assert document["gyro"] == {
+        "bias_dps": [1.0, 2.0, None],
+        "bias_std_dps": [0.1, 0.1, None],
+        "scale": 1.02,
+        "scale_std": 0.001,
+    }
+
+
+def test_rms_is_before_and_after_calibration_with_no_degrees_of_freedom_taken_off():
+    """Readings 1 too high but for ±0.3: 1.04 before, 0.3/scale after."""
+    poses = [Pose(target_deg=t, reading_deg=t + 1.0 + e) for t in (-10.0, 10.0) for e in (-0.3, 0.3)]
+
+    result = build_result(poses)
+
+    assert result.rms_raw_deg == pytest.approx(math.sqrt(1.0 + 0.09))
+    assert result.rms_calibrated_deg == pytest.approx(0.3)
+    assert residuals(poses, result.bias_deg, result.scale) == pytest.approx([-0.3, 0.3, -0.3, 0.3])
+
+
+def test_what_poses_do_not_say_is_null_not_missing():
+    document = build_result([Pose(target_deg=0.0, reading_deg=0.2)]).to_dict()
+
+    assert document == {
+        "bias_deg": 0.2,
+        "bias_std_deg": None,
+        "scale": None,
+        "scale_std": None,
+        "rms_raw_deg": 0.2,
+        "rms_calibrated_deg": 0.0,
+        "rms_with_effects_deg": None,
+        "n_poses": 1,
+        "noise_deg": None,
+        "temperature_c": None,
+        "gyro": {"bias_dps": [None] * 3, "bias_std_dps": [None] * 3, "scale": None, "scale_std": None},
+    }
+
+
+def test_poses_commanded_to_one_angle_have_no_scale_though_the_stage_jitters():
+    poses = [Pose(target_deg=5.0, stage_deg=5.0 + k * 0.001, reading_deg=5.3) for k in range(5)]
+
+    result = build_result(poses)
+
+    assert result.scale is None
+    assert result.bias_deg == pytest.approx(0.298)
+
+
+def test_a_stuck_sensor_gives_null_where_nothing_can_be_divided():
+    poses = [Pose(target_deg=t, reading_deg=3.0) for t in (-20.0, 0.0, 20.0)]
+
+    result = build_result(poses)
+
+    assert result.rms_calibrated_deg is None
+    assert residuals(poses, result.bias_deg, result.scale) == [None, None, None]
+    json.dumps(result.to_dict(), allow_nan=False)
+
+
+def test_a_run_without_poses_has_no_result():
+    with pytest.raises(ValueError, match="needs poses"):
+        build_result([])
+    assert residuals([], 0.0, 1.0) == []
+
+
+def test_measured_warm_up_at_one_angle():
+    """MPU-6050 poses at target 0 while the die warms: RMS 0.062° about the mean (DESIGN.md), no scale."""
+    file = DATA / "mpu6050_warmup_poses.csv"
+    if not file.is_file():
+        pytest.skip(f"no measured data at {file}; set CALRIG_DATA to where it lies")
+    with file.open(encoding="utf-8-sig", newline="") as rows:
+        poses = [
+            Pose(target_deg=float(r["target_deg"]), reading_deg=float(r["reading_deg"]))
+            for r in csv.DictReader(rows)
+        ]
+
+    result = build_result(poses)
+
+    assert result.scale is None
+    assert result.rms_calibrated_deg == pytest.approx(0.062, abs=0.0005)
+    assert result.rms_raw_deg == pytest.approx(math.hypot(result.bias_deg, result.rms_calibrated_deg))

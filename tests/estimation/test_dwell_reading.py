@@ -1,0 +1,170 @@
+"""A dwell's reading, and whether its stated standard error is what readings really scatter by."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+import pytest
+from scipy.signal import butter, lfilter
+from scipy.stats import chi2
+
+from calrig.estimation.kalman import KalmanFilter
+from calrig.estimation.reading import dwell_reading, reading_stderr_deg
+from calrig.estimation.spectrum import fit_spectrum
+from calrig.estimation.steady import filter_uniform
+
+SETTLE_S = 5.0
+SEEDS = 250
+
+
+def colour(white, lowpass_hz, order, rate_hz):
+    """White noise through a low-pass of unit gain at 0 Hz, as a sensor's DLPF makes it."""
+    if lowpass_hz is None:
+        return white
+    if order == 1:
+        pole = math.exp(-2.0 * math.pi * lowpass_hz / rate_hz)
+        return lfilter([1.0 - pole], [1.0, -pole], white)
+    return lfilter(*butter(order, lowpass_hz, fs=rate_hz), white)
+
+
+def dwells(rate_hz, dwell_s, lowpass_hz=None, order=1, seeds=SEEDS):
+    """Readings of still dwells after a long settling: 0.2° of noise in elevation, 0.07 °/s in rate."""
+    for seed in range(seeds):
+        rng = np.random.default_rng((seed, rate_hz))
+        n, dwell = round((SETTLE_S + dwell_s) * rate_hz), round(dwell_s * rate_hz)
+        elevation_deg = 30.0 + colour(rng.normal(0.0, 0.2, n), lowpass_hz, order, rate_hz)
+        rate_dps = colour(rng.normal(0.0, 0.07, n), lowpass_hz, order, rate_hz)
+        filtered_deg = filter_uniform(elevation_deg, rate_dps, 1.0 / rate_hz)
+        time_s = np.arange(dwell) / rate_hz
+        yield dwell_reading(time_s, elevation_deg[-dwell:], rate_dps[-dwell:], filtered_deg[-dwell:])
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "dwell_s", "lowpass_hz", "order", "scatter"),
+    [
+        (50, 1.0, None, 1, 0.20),
+        (200, 1.0, None, 1, 0.10),
+        (200, 2.0, None, 1, 0.07),
+        (1000, 10.0, None, 1, 0.03),
+        (50, 10.0, 10.0, 1, 0.15),
+        (200, 2.0, 20.0, 1, 0.20),
+        (200, 10.0, 5.0, 1, 0.20),
+        (1000, 1.0, 20.0, 1, 0.25),
+        (1000, 2.0, 44.0, 2, 0.20),
+    ],
+)
+def test_readings_scatter_by_their_stated_standard_error(rate_hz, dwell_s, lowpass_hz, order, scatter):
+    seeds = SEEDS if rate_hz < 1000 else SEEDS // 3
+    readings = list(dwells(rate_hz, dwell_s, lowpass_hz, order, seeds))
+    stated_deg = np.array([reading.reading_stderr_deg for reading in readings])
+    off_deg = np.array([reading.reading_deg for reading in readings]) - 30.0
+
+    in_stated_variances = float(off_deg @ off_deg) / np.mean(stated_deg**2)
+
+    low, high = chi2.ppf([1e-3, 1.0 - 1e-3], seeds)
+    assert low < in_stated_variances < high
+    assert stated_deg.std() / stated_deg.mean() < scatter
+
+
+def test_the_naive_standard_error_would_be_many_times_too_small():
+    readings = list(dwells(200, 1.0, seeds=50))
+
+    naive = [reading.reading_std_deg / math.sqrt(reading.n_samples) for reading in readings]
+
+    assert np.mean([reading.reading_stderr_deg for reading in readings]) > 8.0 * np.mean(naive)
+
+
+def test_a_dwell_that_ends_at_its_target_still_scatters_by_no_more_than_it_says():
+    """Looking five times a second and stopping at the first error that is small enough picks lucky ones."""
+    rate_hz, target_deg, seeds, ended = 100, 0.015, 150, []
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        n = round((SETTLE_S + 6.0) * rate_hz)
+        elevation_deg, rate_dps = rng.normal(0.0, 0.2, n), rng.normal(0.0, 0.07, n)
+        filtered_deg = filter_uniform(elevation_deg, rate_dps, 1.0 / rate_hz)
+        start = round(SETTLE_S * rate_hz)
+        for end in range(start + rate_hz // 2, n, rate_hz // 5):
+            part = slice(start, end)
+            time_s = np.arange(end - start) / rate_hz
+            error_deg = reading_stderr_deg(time_s, elevation_deg[part], rate_dps[part], filtered_deg[part])
+            if error_deg <= target_deg:
+                ended.append((filtered_deg[part].mean(), error_deg))
+                break
+    off_deg, stated_deg = np.array(ended).T
+
+    assert len(ended) == seeds
+    assert math.sqrt(np.mean(off_deg**2)) < 1.15 * math.sqrt(np.mean(stated_deg**2))
+
+
+def test_a_reading_across_half_a_turn():
+    """A unit on its back: elevations on both sides of ±180° are one angle, whatever turn the filter is on."""
+    rng = np.random.default_rng(4)
+    time_s = np.arange(2000) * 0.005
+    noise_deg = rng.normal(0.0, 0.3, 2000)
+    rate_dps = rng.normal(0.0, 0.07, 2000)
+    upright, flipped = (
+        dwell_reading(time_s, elevation, rate_dps, KalmanFilter().run(time_s, elevation, rate_dps))
+        for elevation in (noise_deg, (noise_deg + 360.0) % 360.0 - 180.0)
+    )
+
+    assert abs(flipped.reading_deg) > 179.9
+    assert -180.0 < flipped.reading_deg <= 180.0
+    assert flipped.reading_stderr_deg == pytest.approx(upright.reading_stderr_deg, rel=1e-6)
+
+
+def test_what_a_few_samples_cannot_tell_is_none():
+    one = dwell_reading(np.zeros(1), np.ones(1), np.zeros(1), np.ones(1))
+    assert (one.reading_deg, one.reading_std_deg, one.reading_stderr_deg, one.n_samples) == (
+        1.0,
+        None,
+        None,
+        1,
+    )
+
+    few = dwell_reading(np.arange(7) * 0.01, np.ones(7), np.zeros(7), np.arange(7.0))
+    assert few.reading_stderr_deg is None
+    assert few.reading_std_deg == pytest.approx(np.std(np.arange(7.0), ddof=1))
+
+
+def test_inputs_without_any_noise_give_a_reading_without_error():
+    still = dwell_reading(np.arange(100) * 0.01, np.full(100, 5.0), np.zeros(100), np.full(100, 5.0))
+    assert (still.reading_deg, still.reading_stderr_deg) == (5.0, 0.0)
+
+
+@pytest.mark.parametrize("lengths", [(0, 0, 0, 0), (9, 9, 9, 10), (9, 8, 9, 9)])
+def test_a_dwell_without_samples_or_with_some_missing_is_refused(lengths):
+    with pytest.raises(ValueError, match="a dwell needs samples"):
+        dwell_reading(*(np.zeros(n) for n in lengths))
+
+
+def test_an_evaluation_during_a_dwell_costs_a_few_milliseconds():
+    rng = np.random.default_rng(0)
+    elevation_deg, rate_dps = rng.normal(0.0, 0.2, (2, 400))
+    arguments = (np.arange(400) * 0.005, elevation_deg, rate_dps, elevation_deg)
+    reading_stderr_deg(*arguments)
+
+    took_s = []
+    for _ in range(20):
+        before_s = time.process_time()
+        reading_stderr_deg(*arguments)
+        took_s.append(time.process_time() - before_s)
+
+    assert min(took_s) < 0.005
+
+
+@pytest.mark.parametrize("phi", [-0.5, 0.0, 0.6, 0.9])
+def test_the_spectrum_of_a_known_process_is_found(phi):
+    """An AR(1) process x = φ·x + e has long-run variance 1/(1 − φ)²."""
+    rng = np.random.default_rng(7)
+    x = lfilter([1.0], [1.0, -phi], rng.normal(size=20_000))[1000:]
+
+    long_run = fit_spectrum(x).density(np.zeros(1))[0]
+
+    assert math.sqrt(long_run) == pytest.approx(1.0 / (1.0 - phi), rel=0.08)
+
+
+def test_a_perfectly_predictable_channel_does_not_break_the_spectrum():
+    square = np.tile([0.01, -0.01], 200)
+    assert fit_spectrum(square).density(np.zeros(1))[0] < 1e-6

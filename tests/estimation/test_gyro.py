@@ -1,0 +1,96 @@
+"""The gyro's bias from dwells and its scale from moves."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from calrig.estimation.gyro import GyroBias, dwell_bias, gyro_scale, move_angle_deg, run_bias
+
+
+def test_a_dwells_bias_scatters_by_its_stated_error():
+    true_dps = np.array([1.5, -0.3, 0.0])
+    biases = [
+        dwell_bias(true_dps + np.random.default_rng(seed).normal(0.0, 0.07, (400, 3))) for seed in range(300)
+    ]
+    off_dps = np.array([bias.bias_dps for bias in biases]) - true_dps
+    stated_dps = np.array([bias.bias_std_dps for bias in biases])
+
+    in_stated_variances = (off_dps**2).sum() / (stated_dps**2).mean()
+
+    assert chi2.ppf(1e-3, 900) < in_stated_variances < chi2.ppf(1.0 - 1e-3, 900)
+
+
+def test_an_axis_that_is_not_sent_is_not_known():
+    gyro_dps = np.random.default_rng(0).normal(0.0, 0.1, (50, 3))
+    gyro_dps[:, 2] = np.nan
+
+    bias = dwell_bias(gyro_dps)
+
+    assert bias.bias_dps[2] is None
+    assert bias.bias_std_dps[2] is None
+    assert None not in bias.bias_dps[:2] + bias.bias_std_dps[:2]
+
+
+def test_a_dwell_of_a_few_samples_has_a_bias_without_an_error():
+    bias = dwell_bias(np.ones((3, 3)))
+    assert bias == GyroBias((1.0, 1.0, 1.0), (None, None, None))
+
+
+def test_a_runs_bias_feels_what_wanders_between_dwells():
+    dwells = [GyroBias((x, 0.0, None), (1e-6, 1e-6, None)) for x in (1.0, 1.2, 1.4)]
+
+    bias = run_bias(dwells)
+
+    assert bias.bias_dps == (pytest.approx(1.2), 0.0, None)
+    assert bias.bias_std_dps == (pytest.approx(0.2 / math.sqrt(3)), 0.0, None)
+
+
+def test_a_run_of_one_dwell_has_that_dwells_bias_and_a_run_of_none_has_none():
+    only = GyroBias((1.0, 2.0, 3.0), (0.1, 0.1, 0.1))
+    assert run_bias([only]) == only
+    assert run_bias([]) == GyroBias((None, None, None), (None, None, None))
+
+
+def test_a_move_is_the_integral_of_rate_less_bias_on_an_uneven_clock():
+    """A rate that rises and falls in straight lines: trapezoids give its integral exactly."""
+    time_s = np.array([0.0, 0.1, 0.5, 0.9, 1.3, 2.0, 2.5])
+    rate_dps = np.interp(time_s, [0.5, 1.3, 2.0], [0.0, 20.0, 0.0])
+
+    angle_deg = move_angle_deg(time_s, rate_dps + 0.75, 0.75)
+
+    assert angle_deg == pytest.approx(20.0 * (2.0 - 0.5) / 2.0)
+
+
+def test_a_move_without_samples_or_gyro_is_not_known():
+    assert move_angle_deg(np.zeros(1), np.zeros(1), 0.0) is None
+    assert move_angle_deg(np.arange(3.0), np.array([0.0, np.nan, 0.0]), 0.0) is None
+
+
+def test_gyro_scale_is_found_and_scatters_by_its_stated_error():
+    """The stage turns 10° a move; the gyro feels 1/1.02 of it, give or take 0.05°."""
+    turned_deg = np.tile([10.0, -10.0, 0.0], 17)
+    found = [
+        gyro_scale(turned_deg, turned_deg / 1.02 + np.random.default_rng(seed).normal(0.0, 0.05, 51))
+        for seed in range(300)
+    ]
+    off = np.array([one.scale for one in found]) - 1.02
+    stated = np.array([one.scale_std for one in found])
+
+    assert chi2.ppf(1e-3, 300) < (off @ off) / np.mean(stated**2) < chi2.ppf(1.0 - 1e-3, 300)
+
+
+@pytest.mark.parametrize(
+    ("turned_deg", "felt_deg"), [([], []), ([0.0, 0.2], [0.1, 0.1]), ([10.0], [0.0]), ([10.0], [np.nan])]
+)
+def test_without_a_turn_there_is_no_gyro_scale(turned_deg, felt_deg):
+    assert gyro_scale(turned_deg, felt_deg) is None
+
+
+def test_one_move_gives_a_scale_without_an_error():
+    found = gyro_scale([10.0, np.nan], [9.8, 9.0])
+    assert found is not None
+    assert (found.scale, found.scale_std) == (pytest.approx(10.0 / 9.8), None)

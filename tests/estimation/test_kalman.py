@@ -1,0 +1,153 @@
+"""The filter against an independent matrix implementation, across ±180°, and on input it must refuse."""
+
+from __future__ import annotations
+
+import math
+
+import filterpy.kalman
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calrig.estimation.kalman import INITIAL_BIAS_VARIANCE, KalmanFilter, KalmanNoise
+
+NOISES = st.builds(
+    KalmanNoise, q_angle=st.floats(1e-5, 1.0), q_bias=st.floats(0.0, 1.0), r_deg2=st.floats(1e-3, 10.0)
+)
+SAMPLES = st.lists(
+    st.tuples(st.floats(-80.0, 80.0), st.floats(-300.0, 300.0), st.floats(1e-4, 0.5)), min_size=2, max_size=80
+)
+
+
+def filterpy_angles(samples, noise):
+    """The same samples through filterpy's matrices, started the same way."""
+    oracle = filterpy.kalman.KalmanFilter(dim_x=2, dim_z=1, dim_u=1)
+    oracle.x = np.array([[samples[0][0]], [0.0]])
+    oracle.P = np.diag([noise.r_deg2, INITIAL_BIAS_VARIANCE])
+    oracle.H = np.array([[1.0, 0.0]])
+    oracle.R = np.array([[noise.r_deg2]])
+    angles = [samples[0][0]]
+    for elevation_deg, rate_dps, dt_s in samples[1:]:
+        oracle.predict(
+            u=np.array([[rate_dps]]),
+            B=np.array([[dt_s], [0.0]]),
+            F=np.array([[1.0, -dt_s], [0.0, 1.0]]),
+            Q=np.diag([noise.q_angle, noise.q_bias]) * dt_s,
+        )
+        # filterpy knows no turns: it is told the elevation on the turn nearest to its prediction
+        turns = round((oracle.x[0, 0] - elevation_deg) / 360.0)
+        oracle.update(np.array([[elevation_deg + 360.0 * turns]]))
+        angles.append(float(oracle.x[0, 0]))
+    return angles, oracle
+
+
+@settings(max_examples=150, deadline=None)
+@given(samples=SAMPLES, noise=NOISES)
+def test_filter_equals_filterpy_on_uneven_time(samples, noise):
+    kalman = KalmanFilter(noise)
+    angles = [kalman.update(*sample) for sample in samples]
+
+    expected, oracle = filterpy_angles(samples, noise)
+
+    np.testing.assert_allclose(angles, expected, rtol=1e-12, atol=1e-9)
+    np.testing.assert_allclose(kalman.covariance, oracle.P, rtol=1e-9, atol=1e-12)
+    assert kalman.bias_dps == pytest.approx(oracle.x[1, 0], rel=1e-9, abs=1e-9)
+
+
+@settings(max_examples=50, deadline=None)
+@given(samples=SAMPLES, cut=st.integers(0, 80))
+def test_blocks_give_what_single_samples_give(samples, cut):
+    elevation_deg, rate_dps, dt_s = np.array(samples).T
+    time_s = np.cumsum(dt_s)
+    single = KalmanFilter()
+    steps = np.diff(time_s, prepend=0.0)
+
+    blocks = KalmanFilter()
+    filtered = np.concatenate(
+        [
+            blocks.run(time_s[part], elevation_deg[part], rate_dps[part])
+            for part in (slice(0, cut), slice(cut, None))
+        ]
+    )
+
+    assert filtered.tolist() == [
+        single.update(*s) for s in zip(elevation_deg.tolist(), rate_dps.tolist(), steps.tolist(), strict=True)
+    ]
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_angle_goes_past_half_a_turn_without_a_jump(sense):
+    """Three turns at 90 °/s: the accelerometer jumps six times, the filter never."""
+    time_s = np.arange(2400) * 0.005
+    true_deg = sense * 90.0 * time_s
+    elevation_deg = np.degrees(np.arctan2(np.sin(np.radians(true_deg)), np.cos(np.radians(true_deg))))
+
+    filtered_deg = KalmanFilter().run(time_s, elevation_deg, np.full(2400, sense * 90.0))
+
+    np.testing.assert_allclose(filtered_deg, true_deg, atol=1e-9)
+
+
+def test_noise_about_half_a_turn_is_averaged_on_one_side():
+    rng = np.random.default_rng(1)
+    elevation_deg = 180.0 + rng.normal(0.0, 0.3, 2000)
+    elevation_deg[elevation_deg > 180.0] -= 360.0
+
+    filtered_deg = KalmanFilter().run(np.arange(2000) * 0.005, elevation_deg, np.zeros(2000))
+
+    off_half_a_turn = np.abs(filtered_deg[400:]) - 180.0
+    assert np.ptp(filtered_deg[400:]) < 1.0
+    assert np.abs(off_half_a_turn).max() < 0.3
+
+
+def test_one_second_of_settling_forgets_a_data_sheets_worst_bias():
+    kalman = KalmanFilter()
+    kalman.run(np.arange(201) * 0.005, np.zeros(201), np.full(201, 20.0))
+
+    assert kalman.bias_dps == pytest.approx(20.0, abs=0.06)
+
+
+@pytest.mark.parametrize(
+    "sample", [(math.nan, 0.0, 0.01), (0.0, math.nan, 0.01), (math.inf, 0.0, 0.01), (0.0, 0.0, 0.0)]
+)
+def test_a_sample_that_means_nothing_is_refused_and_changes_nothing(sample):
+    kalman = KalmanFilter()
+    kalman.update(10.0, 0.0, 0.0)
+    kalman.update(10.1, 0.2, 0.01)
+    before = (kalman.angle_deg, kalman.bias_dps, kalman.covariance.tolist())
+
+    with pytest.raises(ValueError, match=r"not finite|go forward"):
+        kalman.update(*sample)
+
+    assert (kalman.angle_deg, kalman.bias_dps, kalman.covariance.tolist()) == before
+
+
+def test_the_first_sample_is_refused_too_where_it_is_not_finite():
+    with pytest.raises(ValueError, match="not finite"):
+        KalmanFilter().update(math.nan, 0.0, 0.01)
+
+
+@pytest.mark.parametrize(
+    ("time_s", "elevation_deg", "rate_dps", "complaint"),
+    [
+        ([1.0, 1.1], [0.0, math.nan], [0.0, 0.0], "sample 1 of the block: elevation"),
+        ([1.0, 1.1], [0.0, 0.0], [math.inf, 0.0], "sample 0 of the block: rate"),
+        ([1.0, 0.9], [0.0, 0.0], [0.0, 0.0], "sample 1 of the block, at 0.9 s"),
+        ([0.5, 1.1], [0.0, 0.0], [0.0, 0.0], "sample 0 of the block, at 0.5 s"),
+        ([1.0, 1.1], [0.0], [0.0, 0.0], "elevations"),
+    ],
+)
+def test_a_bad_block_is_refused_whole_and_the_filter_goes_on(time_s, elevation_deg, rate_dps, complaint):
+    kalman = KalmanFilter()
+    kalman.run([0.4, 0.5], [1.0, 1.0], [0.0, 0.0])
+
+    with pytest.raises(ValueError, match=complaint):
+        kalman.run(time_s, elevation_deg, rate_dps)
+
+    assert kalman.run([0.6], [1.0], [0.0]).tolist() == [1.0]
+
+
+@pytest.mark.parametrize("noise", [{"q_angle": 0.0}, {"q_bias": -1.0}, {"r_deg2": math.nan}])
+def test_noise_that_no_filter_has_is_refused(noise):
+    with pytest.raises(ValueError, match="must be"):
+        KalmanNoise(**noise)
