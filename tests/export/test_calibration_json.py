@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from datetime import UTC, datetime
 
+import numpy as np
 import pytest
 
 from calrig.calibration.pose import Pose
-from calrig.export.calibration_json import Uncertainty, calibration_document
+from calrig.export.calibration_json import calibration_document
 from calrig.store import Run
 
 RUN = Run(
@@ -44,44 +46,63 @@ RUN = Run(
     finished_at=datetime(2026, 11, 20, 9, 3, 20, tzinfo=UTC),
     error=None,
 )
-POSES = [Pose(-60.0, -59.89, stage_deg=-60.02), Pose(60.0, 60.37)]
-UNCERTAINTY = Uncertainty(
-    covariance=((1.6e-5, 0.0), (0.0, 1e-8)),
-    type_a_deg=0.004,
-    type_b_deg=0.291,
-    reference_deg=0.29,
-    expanded_uncertainty_deg=0.582,
-)
+RESIDUALS_DEG = (0.01, -0.02, 0.0, 0.02, -0.01)
+POSES = [
+    Pose(target, 0.25 + 1.002 * target + residual)
+    for target, residual in zip((-60.0, -30.0, 0.0, 30.0, 60.0), RESIDUALS_DEG, strict=True)
+]
+ON_A_STAGE = {"calrig": "0.1.0", "rig": {"name": "bench-1", "reference": {"std_deg": 0.29}}}
 
 
 def test_the_document_has_the_contracts_names_and_is_json():
-    document = calibration_document(RUN, POSES, UNCERTAINTY)
-    assert json.loads(json.dumps(document, allow_nan=False)) == {
+    document = json.loads(json.dumps(calibration_document(RUN, POSES), allow_nan=False))
+    assert document == {
         "schema": "calrig.calibration/1",
         "unit": "AS-0042",
         "run_id": "17",
         "calibrated_at": "2026-11-20T09:03:20Z",
         "rig": "bench-1",
-        "range_deg": [-60.02, 60.0],
+        "range_deg": [-60.0, 60.0],
         "model": "elevation = (reading − bias − effects)/scale",
         "bias_deg": 0.25,
         "scale": 1.002,
-        "covariance": [[1.6e-5, 0.0], [0.0, 1e-8]],
+        "covariance": document["covariance"],
         "effects": [],
         "gyro": {"bias_dps": [0.1, -0.2, 0.3], "scale": 1.001},
         "rms_raw_deg": 0.26,
         "rms_calibrated_deg": 0.03,
         "rms_with_effects_deg": None,
-        "expanded_uncertainty_deg": 0.582,
+        "expanded_uncertainty_deg": None,
         "coverage_factor": 2,
-        "uncertainty": {"type_a_deg": 0.004, "type_b_deg": 0.291, "reference_deg": 0.29},
+        "uncertainty": {
+            "type_a_deg": document["uncertainty"]["type_a_deg"],
+            "type_b_deg": None,
+            "reference_deg": None,
+        },
         "temperature_c": {"min": 21.5, "max": 24.0},
         "provenance": {"calrig": "0.1.0"},
     }
 
 
+def test_its_covariance_is_that_of_the_least_squares_line():
+    theta = np.array([pose.target_deg for pose in POSES])
+    _, expected = np.polyfit(theta, [pose.reading_deg for pose in POSES], 1, cov=True)
+    document = calibration_document(RUN, POSES)
+    np.testing.assert_allclose(document["covariance"], expected[::-1, ::-1], rtol=1e-9, atol=1e-18)
+
+
+def test_what_the_stage_is_worth_enters_whole_however_many_poses_there_are():
+    for poses in (POSES, POSES * 40):
+        document = calibration_document(dataclasses.replace(RUN, provenance=ON_A_STAGE), poses)
+        parts = document["uncertainty"]
+        assert parts["reference_deg"] == parts["type_b_deg"] == 0.29
+        assert document["expanded_uncertainty_deg"] == pytest.approx(
+            2 * math.hypot(parts["type_a_deg"], 0.29)
+        )
+
+
 def test_applying_the_document_takes_a_reading_to_the_elevation():
-    document = calibration_document(RUN, POSES, UNCERTAINTY)
+    document = calibration_document(RUN, POSES)
     elevation_deg = (60.37 - document["bias_deg"]) / document["scale"]
     assert elevation_deg == pytest.approx(60.0, abs=1e-9)
 
@@ -92,4 +113,4 @@ def test_applying_the_document_takes_a_reading_to_the_elevation():
 )
 def test_a_run_without_a_known_scale_has_no_document(change):
     with pytest.raises(ValueError, match="run 17 is not a finished calibration"):
-        calibration_document(dataclasses.replace(RUN, **change), POSES, UNCERTAINTY)
+        calibration_document(dataclasses.replace(RUN, **change), POSES)
