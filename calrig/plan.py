@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 from dataclasses import dataclass
 from typing import Annotated, Literal, Self
@@ -64,18 +65,20 @@ class Plan(BaseModel):
     def _n_elevations(self) -> int:
         if self.elevations_deg is not None:
             return len(self.elevations_deg)
-        return int(abs(self.stop_deg - self.start_deg) / self.step_deg) + 2
+        return self._n_steps() + 1
+
+    def _n_steps(self) -> int:
+        """Steps from start to stop, the last one shorter where the way is no whole number of them."""
+        way_deg = abs(self.stop_deg - self.start_deg)
+        steps = math.ceil(min(way_deg / self.step_deg, 1e9) - 1e-9)  # 0.3/0.1 is a hair above or below 3
+        return max(steps, int(way_deg > 0))
 
     def elevations(self) -> list[float]:
         """The elevations of one sweep in degrees, as given, or the grid with both of its ends."""
         if self.elevations_deg is not None:
             return list(self.elevations_deg)
-        low, high = sorted((self.start_deg, self.stop_deg))
-        whole_steps = int((high - low) / self.step_deg + 1e-9)
-        grid = [low + k * self.step_deg for k in range(whole_steps + 1)]
-        if high - grid[-1] > 1e-6 * self.step_deg:
-            grid.append(high)
-        return grid if self.start_deg <= self.stop_deg else grid[::-1]
+        step_deg = math.copysign(self.step_deg, self.stop_deg - self.start_deg)
+        return [*(self.start_deg + k * step_deg for k in range(self._n_steps())), self.stop_deg]
 
     def poses(self, limits_deg: tuple[float, float]) -> list[PlannedPose]:
         """Every pose in the order measured, jittered by the plan's own seed.
@@ -98,8 +101,8 @@ class Plan(BaseModel):
         poses: list[PlannedPose] = []
         for sweep in range(self.sweeps):
             for elevation in self._ordered(elevations, sweep, rng):
-                jittered = elevation + rng.uniform(-self.jitter_deg, self.jitter_deg)
-                target = round(min(max(jittered, low), high), 6) if self.jitter_deg else elevation
+                jittered = round(elevation + rng.uniform(-self.jitter_deg, self.jitter_deg), 6)
+                target = min(max(jittered, low), high) if self.jitter_deg else elevation
                 poses.append(PlannedPose(len(poses), sweep, target))
         return poses
 

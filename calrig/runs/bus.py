@@ -1,0 +1,36 @@
+"""Tells those who watch a run that its event log has grown. The log itself is the truth."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+
+class Bus:
+    """Wake-up calls per run, from run threads to any number of watchers."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._watchers: dict[str, list[Callable[[], None]]] = {}
+
+    def subscribe(self, run_id: str, wake: Callable[[], None]) -> Callable[[], None]:
+        """Has `wake` called after each commit of new events of the run; returns the way to end it."""
+        with self._lock:
+            self._watchers.setdefault(run_id, []).append(wake)
+
+        def unsubscribe() -> None:
+            with self._lock:
+                watchers = self._watchers.get(run_id, [])
+                if wake in watchers:
+                    watchers.remove(wake)
+                if not watchers:
+                    self._watchers.pop(run_id, None)
+
+        return unsubscribe
+
+    def wake(self, run_id: str) -> None:
+        """Calls everybody who watches the run."""
+        with self._lock:
+            watchers = list(self._watchers.get(run_id, ()))
+        for wake in watchers:
+            wake()

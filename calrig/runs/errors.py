@@ -1,0 +1,19 @@
+"""Why a request about runs cannot be met, in the three kinds that HTTP and the command line tell apart."""
+
+from __future__ import annotations
+
+
+class RunsError(Exception):
+    """A request that cannot be met; the message is one line that a person can act on."""
+
+
+class Unknown(RunsError):  # noqa: N818 (read as a word: raise Unknown)
+    """No such run, rig, unit or pose."""
+
+
+class Conflict(RunsError):  # noqa: N818
+    """The rig is busy, or the run is in a state that does not allow this."""
+
+
+class Invalid(RunsError):  # noqa: N818
+    """The request itself is wrong: a serial number, a plan beyond the limits, a file that does not parse."""

@@ -1,0 +1,280 @@
+"""One run on an open rig: home, then for each pose move, settle, dwell, and from the dwell a pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from calrig.calibration.pose import Pose
+from calrig.calibration.result import GyroFigures
+from calrig.estimation.gyro import GyroBias, dwell_bias, gyro_scale, move_angle_deg, run_bias
+from calrig.estimation.kalman import KalmanFilter, KalmanNoise
+from calrig.estimation.reading import Reading, dwell_reading
+from calrig.instruments.errors import BoardError, StageError
+from calrig.instruments.types import FloatArray, Samples
+from calrig.plan import Plan, PlannedPose
+from calrig.runs.control import Control
+from calrig.runs.recorder import Recorder
+from calrig.runs.rig import Rig
+from calrig.runs.stream import Stream
+from calrig.store import SampleBlock
+
+LOOK_S = 0.02
+"""How long the loop waits for samples before it looks at stage and requests again."""
+FEWEST_FOR_TARGET_S = 0.5
+"""A dwell with `target_std_deg` is at least this long: a standard error from less is itself a guess."""
+DWELL_TRIES = 3
+TEMPERATURE_WAIT_S = 4 * 3600.0
+MOVED_DEG = 1e-4
+"""A change of reported angle below this is no move."""
+
+
+@dataclass
+class Execution:
+    """What a run carries from pose to pose. `moves` pairs the stage's turn with the gyro's, in degrees."""
+
+    plan: Plan
+    rig: Rig
+    control: Control
+    recorder: Recorder
+    stream: Stream = field(init=False)
+    biases: list[GyroBias] = field(default_factory=list)
+    moves: list[tuple[float, float]] = field(default_factory=list)
+    poses: list[Pose] = field(default_factory=list)
+    _stage_deg: float | None = None
+    _approach: int = 0
+    _stood_at_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        self._noise = KalmanNoise(**self.rig.settings.filter.model_dump())
+        self.stream = Stream(self.rig.board, KalmanFilter(self._noise))
+
+    def carry_out(self, planned: list[PlannedPose]) -> None:
+        """Homes the stage where it must be, then takes the planned poses in their order.
+
+        Raises:
+            Ended: the run was asked to end.
+            InstrumentError: a device failed; the poses so far are stored.
+        """
+        self.rig.board.start(self.plan.rate_hz)
+        if self.rig.axis.needs_home():
+            self.rig.axis.begin_home()
+            self._until_it_stands()
+        if self.plan.velocity_dps is not None:  # refused by some controllers before they are referenced
+            self.rig.axis.set_velocity(self.plan.velocity_dps)
+        self._stage_deg = self.rig.axis.elevation_deg()
+        self._stood_at_s = self._synchronise()  # what the gyro felt before is homing's, and no pose's move
+        self.recorder.poses_begin()
+        sweep = -1
+        for pose in planned:
+            if pose.sweep != sweep:
+                sweep = pose.sweep
+                self._wait_before_sweep()
+            self._take(pose)
+            self._hold_while_paused()
+
+    def _take(self, planned: PlannedPose) -> None:
+        """One pose, its dwell repeated where too few valid samples came."""
+        before_deg = self._stage_deg
+        self.rig.axis.begin_move(planned.target_deg)
+        self._until_it_stands()
+        self._note_approach(before_deg)
+        for _ in range(DWELL_TRIES):
+            start_s = self._settle()
+            end_s, reading = self._dwell(start_s)
+            if reading is not None:
+                self._finish(planned, before_deg, start_s, end_s, reading)
+                return
+            self.rig.board.faults["retried_pose"] += 1
+        raise BoardError(
+            f"pose {planned.index} at {planned.target_deg:g}°: fewer than half of the samples of the dwell "
+            f"were valid, {DWELL_TRIES} times over; check the cable and the board's rate"
+        )
+
+    def _until_it_stands(self) -> None:
+        while True:
+            motion = self.rig.axis.poll()
+            self._stage_deg = motion.elevation_deg
+            if not motion.moving:
+                return
+            self._look()
+
+    def _look(self) -> None:
+        """Takes samples for a moment, tells what is seen, and unwinds where an end was asked for."""
+        self.stream.pump(LOOK_S)
+        self.control.check()
+        self.recorder.reading(
+            self.stream.clock_s, self._stage_deg, self.stream.reading_deg, self.stream.temperature_c
+        )
+
+    def _wait_until(self, clock_s: float) -> None:
+        while self.stream.clock_s < clock_s:
+            self._look()
+
+    def _synchronise(self) -> float:
+        """The board's clock now: of a sample that cannot have been on its way already.
+
+        The first block that comes may have waited, whole, in the system or the board; what comes after that
+        one had not been sent yet.
+        """
+        while self.stream.pump(0.0):
+            pass
+        for _ in range(2):
+            before_s = self.stream.clock_s
+            while self.stream.clock_s == before_s:
+                self._look()
+        return self.stream.clock_s
+
+    def _settle(self) -> float:
+        start_s = self._synchronise() + self.plan.settle_s
+        self._wait_until(start_s)
+        return start_s
+
+    def _dwell(self, start_s: float) -> tuple[float, Reading | None]:
+        """Dwells from start_s; returns when it ended and its reading, or None where samples are missing."""
+        end_s = start_s + self.plan.dwell_s
+        if self.plan.target_std_deg is not None:
+            self._wait_until(min(start_s + FEWEST_FOR_TARGET_S, end_s))
+            while self.stream.clock_s < end_s:
+                reading = self._reading(start_s, self.stream.clock_s)
+                error_deg = None if reading is None else reading.reading_stderr_deg
+                if error_deg is not None and error_deg <= self.plan.target_std_deg:
+                    end_s = self.stream.clock_s
+                    break
+                self._look()
+        self._wait_until(end_s)
+        return end_s, self._reading(start_s, end_s)
+
+    def _reading(self, start_s: float, end_s: float) -> Reading | None:
+        dwell = self.stream.kept().between(start_s, end_s)
+        if len(dwell.samples) < max(2, 0.5 * (end_s - start_s) * self.plan.rate_hz):
+            return None
+        return dwell_reading(
+            dwell.samples.time_s,
+            dwell.elevation_deg,
+            dwell.samples.gyro_dps[:, 0],
+            dwell.filtered_deg,
+            self._noise,
+        )
+
+    def _note_approach(self, before_deg: float | None) -> None:
+        if before_deg is None or self._stage_deg is None:
+            return
+        turned_deg = self._stage_deg - before_deg
+        if abs(turned_deg) > MOVED_DEG:
+            self._approach = 1 if turned_deg > 0 else -1
+
+    def _finish(
+        self, planned: PlannedPose, before_deg: float | None, start_s: float, end_s: float, reading: Reading
+    ) -> None:
+        """Makes a pose of a dwell, stores it with its samples, and lets go of them."""
+        self._see_that_it_stood(planned)
+        stretch = self.stream.kept()
+        before = stretch.between(-np.inf, start_s).samples
+        move = before.between(self._stood_at_s, start_s)
+        dwell = stretch.between(start_s, end_s).samples
+        self.biases.append(dwell_bias(dwell.gyro_dps))
+        neighbours_dps = [b for bias in self.biases[-2:] if (b := bias.bias_dps[0]) is not None]
+        gyro_move_deg = (
+            move_angle_deg(move.time_s, move.gyro_dps[:, 0], sum(neighbours_dps) / len(neighbours_dps))
+            if neighbours_dps
+            else None
+        )
+        if gyro_move_deg is not None and before_deg is not None and self._stage_deg is not None:
+            self.moves.append((self._stage_deg - before_deg, gyro_move_deg))
+        pose = Pose(
+            target_deg=planned.target_deg,
+            reading_deg=reading.reading_deg,
+            sweep=planned.sweep,
+            approach=self._approach,
+            time_s=(start_s + end_s) / 2,
+            temperature_c=_mean(dwell.temperature_c),
+            stage_deg=self._stage_deg,
+            reading_std_deg=reading.reading_std_deg,
+            reading_stderr_deg=reading.reading_stderr_deg,
+            n_samples=len(dwell),
+            accel_x_g=_mean(dwell.accel_g[:, 0]),
+            accel_y_g=_mean(dwell.accel_g[:, 1]),
+            accel_z_g=_mean(dwell.accel_g[:, 2]),
+            gyro_move_deg=gyro_move_deg,
+            settle_s=self.plan.settle_s,
+        )
+        self.poses.append(pose)
+        blocks = [_block(planned.index, "move", before), _block(planned.index, "dwell", dwell)]
+        self.recorder.pose(planned.index, pose, blocks, self.rig.faults())
+        self._forget(end_s)
+
+    def _forget(self, before_s: float) -> None:
+        """Lets go of samples from before a time at which the stage stood and the next move had not begun."""
+        self._stood_at_s = before_s
+        self.stream.cut(before_s)
+
+    def _see_that_it_stood(self, planned: PlannedPose) -> None:
+        arrived_deg, self._stage_deg = self._stage_deg, self.rig.axis.elevation_deg()
+        if arrived_deg is not None and abs(self._stage_deg - arrived_deg) > self.rig.axis.tolerance_deg:
+            raise StageError(
+                f"the stage moved from {arrived_deg:g}° to {self._stage_deg:g}° during the dwell of pose "
+                f"{planned.index} without being told to; look for a second program or a slipping drive"
+            )
+
+    def gyro_figures(self) -> GyroFigures:
+        """What dwells and moves together say of the gyro."""
+        if not self.biases:
+            return GyroFigures()
+        bias = run_bias(self.biases)
+        turned_deg, felt_deg = zip(*self.moves, strict=True) if self.moves else ((), ())
+        scale = gyro_scale(turned_deg, felt_deg)
+        return GyroFigures(
+            bias.bias_dps,
+            bias.bias_std_dps,
+            None if scale is None else scale.scale,
+            None if scale is None else scale.scale_std,
+        )
+
+    def _wait_before_sweep(self) -> None:
+        """The plan's waits before each sweep: a time, then a die temperature, from whichever side."""
+        end_s = self.stream.clock_s + self.plan.wait_s
+        while self.stream.clock_s < end_s:
+            self._stand_by()
+        wanted_c = self.plan.wait_temperature_c
+        if wanted_c is not None:
+            self._wait_for_temperature(wanted_c)
+
+    def _stand_by(self) -> None:
+        """Looks while the stage stands for who knows how long, and keeps none of its samples."""
+        self._look()
+        self._forget(self.stream.clock_s)
+
+    def _wait_for_temperature(self, wanted_c: float) -> None:
+        self._synchronise()
+        began_s, began_c = self.stream.clock_s, self.stream.temperature_c
+        while (now_c := self.stream.temperature_c) is not None and began_c is not None:
+            if (now_c >= wanted_c) if began_c < wanted_c else (now_c <= wanted_c):
+                return
+            if self.stream.clock_s - began_s > TEMPERATURE_WAIT_S:
+                raise BoardError(
+                    f"the board has come from {began_c:.1f} °C to {now_c:.1f} °C and not to {wanted_c:g} °C "
+                    f"within {TEMPERATURE_WAIT_S / 3600:g} h; choose a temperature that it reaches"
+                )
+            self._stand_by()
+        raise BoardError("the plan waits for a temperature, and this board does not send one")
+
+    def _hold_while_paused(self) -> None:
+        if not self.control.holding:
+            return
+        self.recorder.state("paused")
+        while self.control.holding:
+            self._stand_by()
+        self.recorder.state("running")
+
+
+def _mean(values: FloatArray) -> float | None:
+    """The mean, or None where the board does not send the channel."""
+    mean = float(np.mean(values))
+    return None if np.isnan(mean) else mean
+
+
+def _block(index: int, phase: Literal["move", "dwell"], samples: Samples) -> SampleBlock:
+    return SampleBlock(index, phase, samples.time_s, samples.accel_g, samples.gyro_dps, samples.temperature_c)

@@ -1,0 +1,104 @@
+"""Writes a run down as it happens; each state, pose and reading is stored before anybody hears of it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any, Unpack
+
+from calrig.calibration.pose import Pose
+from calrig.runs.bus import Bus
+from calrig.runs.states import check_transition
+from calrig.store import Progress, RunChanges, SampleBlock, Status, Store
+
+READING_INTERVAL_S = 0.05
+"""Readings go out at most twenty times a second (CONTRACT section 2)."""
+FLUSH_INTERVAL_S = 0.25
+"""How long readings may wait for one another: a commit each would cost a disk twenty syncs a second."""
+
+
+class Recorder:
+    """One run's way into the store and out to those who watch. Used by the run's own thread only."""
+
+    def __init__(self, store: Store, bus: Bus, run_id: str, poses_total: int) -> None:
+        self._store = store
+        self._bus = bus
+        self.run_id = run_id
+        self._status: Status = "queued"
+        self._poses_total = poses_total
+        self._poses_done = 0
+        self._first_pose_began_s = time.monotonic()
+        self._paused_s = 0.0
+        self._readings: list[tuple[str, dict[str, Any]]] = []
+        self._last_reading_s = 0.0
+        self._last_flush_s = 0.0
+
+    @property
+    def status(self) -> Status:
+        """The run's status as last written."""
+        return self._status
+
+    def state(self, status: Status, changes: RunChanges | None = None) -> None:
+        """Changes the run's status and says so; `changes` are stored in the same transaction."""
+        check_transition(self.run_id, self._status, status)
+        self.flush()
+        told: RunChanges = {**(changes or {}), "status": status}
+        self._store.update_run(self.run_id, **told)
+        if status == "paused":
+            self._paused_s = time.monotonic()
+        elif self._status == "paused":  # a pause says nothing of how long poses take
+            self._first_pose_began_s += time.monotonic() - self._paused_s
+        self._status = status
+        self._bus.wake(self.run_id)
+
+    def poses_begin(self) -> None:
+        """The first pose begins: the time left is reckoned from here."""
+        self._first_pose_began_s = time.monotonic()
+
+    def update(self, **changes: Unpack[RunChanges]) -> None:
+        """Stores what nobody is told of."""
+        self._store.update_run(self.run_id, **changes)
+
+    def pose(self, index: int, pose: Pose, blocks: list[SampleBlock], faults: Mapping[str, int]) -> None:
+        """Stores a finished pose with its samples, and announces it and the progress it makes."""
+        self.flush()
+        self._poses_done += 1
+        progress = self._progress()
+        events = [("pose", {"index": index, **pose.row()}), ("progress", progress)]
+        self._store.add_pose(self.run_id, index, pose, blocks, events, progress=progress, faults=dict(faults))
+        self._bus.wake(self.run_id)
+
+    def reading(
+        self, time_s: float, stage_deg: float | None, reading_deg: float | None, temperature_c: float | None
+    ) -> None:
+        """Tells what is seen now, unless something was told less than a twentieth of a second ago."""
+        now_s = time.monotonic()
+        if now_s - self._last_reading_s < READING_INTERVAL_S:
+            return
+        self._last_reading_s = now_s
+        data = {
+            "time_s": round(time_s, 6),
+            "stage_deg": stage_deg,
+            "reading_deg": reading_deg,
+            "temperature_c": temperature_c,
+        }
+        self._readings.append(("reading", data))
+        if now_s - self._last_flush_s >= FLUSH_INTERVAL_S:
+            self.flush()
+
+    def flush(self) -> None:
+        """Writes the readings that wait."""
+        self._last_flush_s = time.monotonic()
+        if self._readings:
+            self._store.append_events(self.run_id, self._readings)
+            self._readings = []
+            self._bus.wake(self.run_id)
+
+    def _progress(self) -> Progress:
+        a_pose_s = (time.monotonic() - self._first_pose_began_s) / self._poses_done
+        return {
+            "poses_done": self._poses_done,
+            "poses_total": self._poses_total,
+            "fraction": self._poses_done / self._poses_total,
+            "remaining_s": round(a_pose_s * (self._poses_total - self._poses_done), 1),
+        }

@@ -1,0 +1,195 @@
+"""Runs as people and programs ask for them: one at a time on each rig, side by side on several."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from calrig.plan import Plan, PlanError
+from calrig.runs.bus import Bus
+from calrig.runs.control import End
+from calrig.runs.errors import Conflict, Invalid, Unknown
+from calrig.runs.records import check_serial
+from calrig.runs.worker import Worker, provenance
+from calrig.settings import RigSettings
+from calrig.store import Run, Store
+
+ANSWER_S = 2.0
+"""How long a request to end waits for the run to say that it has ended."""
+CLOSE_S = 4.0
+"""How long the service waits for all of its runs together when it is told to go."""
+
+
+@dataclass(frozen=True, slots=True)
+class RigState:
+    """A rig as `GET /api/rigs` shows it."""
+
+    name: str
+    stage: str
+    imu: str
+    simulated: bool
+    state: str
+    run_id: str | None
+
+
+class RunService:
+    """Starts runs and passes requests on to them. Thread-safe."""
+
+    def __init__(self, store: Store, rigs: Sequence[RigSettings]) -> None:
+        self.store = store
+        self.bus = Bus()
+        self._rigs = {rig.name: rig for rig in rigs}
+        self._lock = threading.Lock()
+        self._workers: dict[str, Worker] = {}
+        self._busy: dict[str, str] = {}  # rigs by name, each with its run
+        self._unreachable: set[str] = set()
+        self._closing = False
+
+    def rigs(self) -> list[RigState]:
+        """Every configured rig and what it is doing. Looks at no port that would notice."""
+        with self._lock:
+            busy = dict(self._busy)
+        return [self._rig_state(rig, busy.get(rig.name)) for rig in self._rigs.values()]
+
+    def _rig_state(self, rig: RigSettings, run_id: str | None) -> RigState:
+        if run_id is not None:
+            state = "busy"
+        elif rig.name in self._unreachable or _port_is_absent(rig):
+            state = "unreachable"
+        else:
+            state = "idle"
+        return RigState(
+            name=rig.name,
+            stage=rig.stage.driver if rig.stage else "",
+            imu=rig.imu.driver if rig.imu else "",
+            simulated=rig.simulated is not None,
+            state=state,
+            run_id=run_id,
+        )
+
+    def start(
+        self,
+        *,
+        unit: str,
+        plan: Plan,
+        rig: str | None = None,
+        operator: str | None = None,
+        note: str | None = None,
+    ) -> Run:
+        """Starts a run on a rig (the first one configured where none is named) and returns it at once.
+
+        Raises:
+            Invalid: the serial number or an elevation of the plan is out of bounds; nothing was stored.
+            Unknown: there is no such rig.
+            Conflict: the rig is busy.
+        """
+        check_serial(unit)
+        settings = self._rig(rig)
+        try:
+            planned = plan.poses(settings.limits_deg)
+        except PlanError as error:
+            raise Invalid(f"rig {settings.name!r}: {error}") from error
+        with self._lock:
+            if self._closing:
+                raise Conflict("the service is shutting down")
+            if settings.name in self._busy:
+                raise Conflict(f"rig {settings.name!r} is busy with run {self._busy[settings.name]}")
+            run = self.store.create_run(
+                unit=unit,
+                rig=settings.name,
+                plan=plan.model_dump(mode="json"),
+                status="queued",
+                operator=operator,
+                note=note,
+                provenance={**provenance(operator), "seed": plan.seed},
+                poses_total=len(planned),
+            )
+            worker = Worker(
+                run, settings, plan, planned, self.store, self.bus, self._worker_left_rig, self._worker_ended
+            )
+            self._workers[run.id] = worker
+            self._busy[settings.name] = run.id
+        worker.start()
+        return self.run(run.id)
+
+    def _worker_left_rig(self, worker: Worker) -> None:
+        with self._lock:
+            del self._busy[worker.rig.name]
+            if worker.reached_rig:
+                self._unreachable.discard(worker.rig.name)
+            else:
+                self._unreachable.add(worker.rig.name)
+
+    def _worker_ended(self, worker: Worker) -> None:
+        with self._lock:
+            del self._workers[worker.run_id]
+
+    def run(self, run_id: str) -> Run:
+        """The run, or Unknown."""
+        run = self.store.run(run_id)
+        if run is None:
+            raise Unknown(f"there is no run {run_id}")
+        return run
+
+    def abort(self, run_id: str) -> Run:
+        """Stops the stage now and ends the run; returns once it has ended, or after two seconds."""
+        worker = self._worker(run_id, "aborted")
+        worker.control.end(End("aborted", None))
+        worker.join(ANSWER_S)
+        return self.run(run_id)
+
+    def pause(self, run_id: str) -> Run:
+        """Has the run hold after the pose in hand."""
+        self._worker(run_id, "paused").control.pause()
+        return self.run(run_id)
+
+    def resume(self, run_id: str) -> Run:
+        """Has a paused run go on, or takes the wish for a pause back."""
+        worker = self._worker(run_id, "resumed")
+        if not worker.control.holding:
+            raise Conflict(f"run {run_id} is not paused")
+        worker.control.resume()
+        return self.run(run_id)
+
+    def _worker(self, run_id: str, wish: str) -> Worker:
+        with self._lock:
+            worker = self._workers.get(run_id)
+        if worker is None:
+            raise Conflict(f"run {run_id} is {self.run(run_id).status} and cannot be {wish}")
+        return worker
+
+    def wait(self, run_id: str, timeout_s: float | None = None) -> Run:
+        """The run once it has ended, or as it is after timeout_s."""
+        with self._lock:
+            worker = self._workers.get(run_id)
+        if worker is not None:
+            worker.join(timeout_s)
+        return self.run(run_id)
+
+    def close(self) -> None:
+        """Stops every stage and ends every run as `interrupted`, within five seconds."""
+        end = End("interrupted", "the service was stopped during the run")
+        with self._lock:
+            workers = [] if self._closing else list(self._workers.values())
+            self._closing = True
+        for worker in workers:
+            worker.control.end(end)
+        deadline_s = time.monotonic() + CLOSE_S
+        for worker in workers:
+            worker.join(max(0.0, deadline_s - time.monotonic()))
+            worker.give_up(self.store, end)
+
+    def _rig(self, name: str | None) -> RigSettings:
+        if name is None:
+            return next(iter(self._rigs.values()))
+        if name not in self._rigs:
+            raise Unknown(f"there is no rig {name!r}; configured: {', '.join(sorted(self._rigs))}")
+        return self._rigs[name]
+
+
+def _port_is_absent(rig: RigSettings) -> bool:
+    ports = [part.port for part in (rig.stage, rig.imu) if part is not None]
+    return any(port.startswith("/") and not Path(port).exists() for port in ports)

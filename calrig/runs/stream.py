@@ -1,0 +1,78 @@
+"""A board's samples, filtered as they come, with the stretch kept that the pose in hand is made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calrig.estimation.angles import elevation_deg, wrap_deg
+from calrig.estimation.kalman import KalmanFilter
+from calrig.instruments.types import Board, FloatArray, Samples
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Samples in a row with what the filter made of them, all (n,)-long.
+
+    Attributes:
+        samples: as the board sent them.
+        elevation_deg: atan2(accel_y, accel_z) of each.
+        filtered_deg: the filter's angle after each, continuous.
+    """
+
+    samples: Samples
+    elevation_deg: FloatArray
+    filtered_deg: FloatArray
+
+    def between(self, from_s: float, to_s: float) -> Stretch:
+        """The part with from_s <= time_s < to_s."""
+        first, last = np.searchsorted(self.samples.time_s, (from_s, to_s))
+        return Stretch(
+            self.samples.between(from_s, to_s), self.elevation_deg[first:last], self.filtered_deg[first:last]
+        )
+
+    @classmethod
+    def join(cls, parts: list[Stretch]) -> Stretch:
+        """The parts one after the other."""
+        return cls(
+            Samples.join([p.samples for p in parts]),
+            np.concatenate([p.elevation_deg for p in parts]) if parts else np.empty(0),
+            np.concatenate([p.filtered_deg for p in parts]) if parts else np.empty(0),
+        )
+
+
+class Stream:
+    """Takes samples from a started board, runs the filter over them, keeps them since the last cut."""
+
+    def __init__(self, board: Board, kalman: KalmanFilter) -> None:
+        self._board = board
+        self._kalman = kalman
+        self._kept: list[Stretch] = []
+        self.clock_s = 0.0
+        self.reading_deg: float | None = None
+        self.temperature_c: float | None = None
+
+    def pump(self, timeout_s: float) -> int:
+        """Takes what the board has sent, waiting up to timeout_s for it; returns how many samples came."""
+        samples = self._board.take(timeout_s)
+        if len(samples) == 0:
+            return 0
+        elevation = elevation_deg(samples.accel_g)
+        filtered = self._kalman.run(samples.time_s, elevation, samples.gyro_dps[:, 0])
+        self._kept.append(Stretch(samples, elevation, filtered))
+        self.clock_s = float(samples.time_s[-1])
+        self.reading_deg = wrap_deg(float(filtered[-1]))
+        temperature = float(samples.temperature_c[-1])
+        self.temperature_c = None if np.isnan(temperature) else temperature
+        return len(samples)
+
+    def kept(self) -> Stretch:
+        """Everything since the last cut."""
+        if len(self._kept) > 1:
+            self._kept = [Stretch.join(self._kept)]
+        return self._kept[0] if self._kept else Stretch.join([])
+
+    def cut(self, before_s: float) -> None:
+        """Forgets the samples before a time of the board's clock."""
+        self._kept = [self.kept().between(before_s, np.inf)]

@@ -1,0 +1,150 @@
+"""The thread that carries one run from `queued` to its end, and sees that every end is written down."""
+
+from __future__ import annotations
+
+import logging
+import platform
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import calrig
+from calrig.calibration.result import build_result
+from calrig.instruments.errors import BoardError, InstrumentError, LimitError
+from calrig.plan import Plan, PlannedPose
+from calrig.runs.bus import Bus
+from calrig.runs.control import Control, End, Ended
+from calrig.runs.execution import Execution
+from calrig.runs.recorder import Recorder
+from calrig.runs.rig import Rig, open_rig
+from calrig.settings import RigSettings
+from calrig.store import Run, RunChanges, Status, Store, StoreError
+
+log = logging.getLogger(__name__)
+
+
+def provenance(operator: str | None) -> dict[str, Any]:
+    """What is known of a run's origin before any device has been asked."""
+    return {
+        "calrig": calrig.__version__,
+        "python": platform.python_version(),
+        "host": platform.node(),
+        "operator": operator,
+    }
+
+
+class Worker(threading.Thread):
+    """Carries one run out. `control` takes requests; `reached_rig` tells whether both devices answered."""
+
+    def __init__(
+        self,
+        run: Run,
+        rig: RigSettings,
+        plan: Plan,
+        planned: list[PlannedPose],
+        store: Store,
+        bus: Bus,
+        left_rig: Callable[[Worker], None],
+        ended: Callable[[Worker], None],
+    ) -> None:
+        super().__init__(name=f"run-{run.id}")
+        self.run_id = run.id
+        self.rig = rig
+        self.control = Control()
+        self.reached_rig = False
+        self._asked = run
+        self._plan = plan
+        self._planned = planned
+        self._recorder = Recorder(store, bus, run.id, len(planned))
+        self._left_rig = left_rig
+        self._ended = ended
+        self._fields: RunChanges = {}
+        self._warnings: list[str] = []
+        self._concluding = threading.Lock()
+        self._concluded = False
+
+    def run(self) -> None:
+        """Carries the run out; whatever happens, the run ends in a state that says what happened."""
+        status: Status = "failed"
+        error: str | None = None
+        try:
+            self._recorder.state("running")
+            self._carry_out()
+            status = "completed"
+        except Ended as ended:
+            status, error = ended.end.status, ended.end.reason
+        except (InstrumentError, StoreError) as problem:
+            status, error = self._as_asked_or("failed", str(problem))
+        except Exception as problem:
+            log.exception("run %s failed inside calrig", self.run_id)
+            status, error = "failed", f"internal error ({type(problem).__name__}: {problem}); see the log"
+        finally:
+            self._conclude(status, error)
+
+    def _as_asked_or(self, status: Status, error: str) -> tuple[Status, str | None]:
+        """A stage halted by request refuses its next move: the request is the reason, not the refusal."""
+        try:
+            self.control.check()
+        except Ended as ended:
+            return ended.end.status, ended.end.reason
+        return status, error
+
+    def _conclude(self, status: Status, error: str | None) -> None:
+        """Frees the rig, then says how the run ended: who hears of the end may start the next run."""
+        self._left_rig(self)
+        told = [error, *self._warnings] if error else self._warnings
+        fields: RunChanges = {**self._fields, "error": "; ".join(told) or None}
+        self._once(status, lambda: self._recorder.state(status, fields))
+        self._ended(self)
+
+    def give_up(self, store: Store, end: End) -> None:
+        """Writes the end down in place of a run whose devices keep it from doing so in time."""
+        self._once(end.status, lambda: store.update_run(self.run_id, status=end.status, error=end.reason))
+
+    def _once(self, status: Status, write: Callable[[], object]) -> None:
+        """Writes the run's end unless that has been done."""
+        with self._concluding:
+            if self._concluded:
+                return
+            self._concluded = True
+            try:
+                write()
+            except StoreError:
+                log.exception("run %s ended as %s, and the store cannot be told", self.run_id, status)
+
+    def _carry_out(self) -> None:
+        with open_rig(self.rig, self.control.arm, self._warnings.append) as rig:
+            self.reached_rig = True
+            self._check_board(rig)
+            self._check_limits(rig)
+            self._recorder.update(provenance={**self._asked.provenance, **rig.provenance()})
+            execution = Execution(self._plan, rig, self.control, self._recorder)
+            try:
+                execution.carry_out(self._planned)
+            finally:
+                self._fields["faults"] = rig.faults()
+        self._fields["result"] = build_result(execution.poses, execution.gyro_figures()).to_dict()
+
+    def _check_board(self, rig: Rig) -> None:
+        board, unit = rig.board_identity, self._asked.unit
+        if board.serial and board.serial != unit:
+            raise BoardError(
+                f"rig {self.rig.name!r}: the board says it is unit {board.serial!r}, the run is for unit "
+                f"{unit!r}; nothing was moved: mount the right unit or correct the serial number"
+            )
+        if board.max_rate_hz is not None and self._plan.rate_hz > board.max_rate_hz:
+            raise BoardError(
+                f"rig {self.rig.name!r}: the plan asks for {self._plan.rate_hz} Hz and the board gives "
+                f"{board.max_rate_hz} Hz at most; nothing was moved: lower rate_hz"
+            )
+
+    def _check_limits(self, rig: Rig) -> None:
+        """The controller's own limits, known only now, may be narrower than those the plan was checked by."""
+        low, high = rig.axis.limits_deg
+        for pose in self._planned:
+            if not low <= pose.target_deg <= high:
+                raise LimitError(
+                    f"rig {self.rig.name!r}: elevation {pose.target_deg:g}° is beyond the limits of rig and "
+                    f"controller together, {low:g}° to {high:g}°; nothing was moved: change the plan, or the "
+                    "controller's limits"
+                )
