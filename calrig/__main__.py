@@ -1,0 +1,5 @@
+"""`python -m calrig`."""
+
+from calrig.cli import main
+
+main()

@@ -1,0 +1,58 @@
+"""The application: every path of the API and the page over one run service."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+from fastapi import FastAPI
+from starlette.concurrency import run_in_threadpool
+from starlette.types import Lifespan
+
+import calrig
+from calrig.api import compare, errors, events, figures, imports, measurements, pages, runs, units
+from calrig.api.context import ApiContext
+from calrig.api.limits import BodyLimit
+from calrig.runs.service import RunService
+from calrig.settings import packed
+
+PARTS = (runs, events, measurements, figures, units, compare, imports)
+"""Figures before units: `/api/units/{serial:path}` would take their paths for serial numbers."""
+
+
+def create_app(service: RunService, *, web: Path | None = None) -> FastAPI:
+    """Makes the application; nothing of it is shared with another one.
+
+    Args:
+        service: carries out what is asked. It is closed when the application shuts down.
+        web: the folder of the page; without it the one that comes with calrig.
+    """
+
+    @asynccontextmanager
+    async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
+        yield
+        await run_in_threadpool(service.close)
+
+    app = api(lifespan)
+    app.state.context = ApiContext(service, service.store)
+    pages.install(app, packed("web") if web is None else web)
+    return app
+
+
+def api(lifespan: Lifespan[FastAPI] | None = None) -> FastAPI:
+    """The paths of the API alone, which is all that the OpenAPI document is about."""
+    app = FastAPI(
+        title="calrig",
+        version=calrig.__version__,
+        summary="Calibrates IMU attitude sensors on a rotary stage",
+        lifespan=lifespan,
+        openapi_url="/api/openapi.json",
+        docs_url=None,  # its pages load their scripts from another host
+        redoc_url=None,
+    )
+    app.add_middleware(BodyLimit)
+    errors.install(app)
+    for part in PARTS:
+        app.include_router(part.router)
+    return app

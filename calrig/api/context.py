@@ -1,0 +1,57 @@
+"""What every path works on, and the run that a path names."""
+
+from dataclasses import dataclass, field
+from typing import Annotated
+
+from fastapi import Depends, FastAPI, Request
+
+from calrig.api.streams import Streams
+from calrig.runs.errors import Unknown
+from calrig.runs.records import Records
+from calrig.runs.service import RunService
+from calrig.store import Run, Store, Unit
+
+
+@dataclass(frozen=True)
+class ApiContext:
+    """The service behind the API, its store to read from, and the event streams that are open."""
+
+    service: RunService
+    store: Store
+    streams: Streams = field(default_factory=Streams)
+
+    @property
+    def records(self) -> Records:
+        """Imports and amendments."""
+        return Records(self.store)
+
+
+def context_of(app: FastAPI) -> ApiContext:
+    """The context an application was made with."""
+    context: ApiContext = app.state.context
+    return context
+
+
+def _context(request: Request) -> ApiContext:
+    return context_of(request.app)
+
+
+Context = Annotated[ApiContext, Depends(_context)]
+
+
+def _known_run(run_id: str, context: Context) -> Run:
+    """The run that the path names; a dependency, so that an unknown one is 404 before anything else."""
+    return context.service.run(run_id)
+
+
+KnownRun = Annotated[Run, Depends(_known_run)]
+
+
+def _known_unit(serial: str, context: Context) -> Unit:
+    unit = context.store.unit(serial)
+    if unit is None:
+        raise Unknown(f"there is no unit {serial!r}")
+    return unit
+
+
+KnownUnit = Annotated[Unit, Depends(_known_unit)]

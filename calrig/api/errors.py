@@ -1,0 +1,85 @@
+"""Every error as `{"detail": reason}`, the reason one line that a person can act on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+from starlette.responses import JSONResponse
+
+from calrig.api.models import Problem
+from calrig.runs.errors import Conflict, Invalid, RunsError, Unknown
+from calrig.store.errors import NotFound, StoreError
+
+STATUS: dict[type[RunsError], int] = {Unknown: 404, Conflict: 409, Invalid: 422}
+
+WORDS = {
+    404: "Unknown",
+    409: "The rig is busy, or the run's state does not allow this",
+    413: "The body is too large",
+    422: "Invalid",
+}
+
+
+def problems(*codes: int) -> dict[int | str, dict[str, Any]]:
+    """The error answers of a path, for the OpenAPI document."""
+    return {code: {"model": Problem, "description": WORDS[code]} for code in codes}
+
+
+def problems_in_json(*codes: int) -> dict[int | str, dict[str, Any]]:
+    """The same for a path whose own answers are not JSON: a model would be said to be of their type."""
+    content = {"application/json": {"schema": {"$ref": "#/components/schemas/Problem"}}}
+    return {code: {"content": content, "description": WORDS[code]} for code in codes}
+
+
+def install(app: FastAPI) -> None:
+    """Has the application answer its errors in the contract's form."""
+    app.add_exception_handler(RunsError, _runs_error)
+    app.add_exception_handler(StoreError, _store_error)
+    app.add_exception_handler(Exception, _defect)
+    app.add_exception_handler(RequestValidationError, _validation_error)
+    app.add_exception_handler(HTTPException, _http_error)
+
+
+async def _runs_error(_request: Request, error: Exception) -> JSONResponse:
+    status = next((code for kind, code in STATUS.items() if isinstance(error, kind)), 500)
+    return JSONResponse({"detail": str(error)}, status_code=status)
+
+
+async def _store_error(_request: Request, error: Exception) -> JSONResponse:
+    status = 404 if isinstance(error, NotFound) else 500
+    return JSONResponse({"detail": str(error)}, status_code=status)
+
+
+async def _defect(_request: Request, _error: Exception) -> JSONResponse:
+    return JSONResponse({"detail": "calrig failed inside; the service's log says where"}, status_code=500)
+
+
+async def _validation_error(_request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, RequestValidationError)  # noqa: S101 (as registered)
+    return JSONResponse({"detail": in_words(error.errors())}, status_code=422)
+
+
+async def _http_error(_request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, HTTPException)  # noqa: S101 (as registered)
+    # The framework calls a body that it cannot read 400; to the contract it is one more invalid request.
+    status = 422 if error.status_code == 400 else error.status_code
+    return JSONResponse({"detail": error.detail}, status_code=status, headers=error.headers)
+
+
+def in_words(problems: Sequence[Any]) -> str:
+    """What is wrong with a body, query or path: the first few fields at fault, each with its reason."""
+    shown = [f"{_place(p['loc'])}: {p['msg'].removeprefix('Value error, ')}" for p in problems[:3]]
+    more = len(problems) - len(shown)
+    return "; ".join([*shown, f"and {more} more"] if more > 0 else shown)
+
+
+def _place(loc: Sequence[str | int]) -> str:
+    """`plan.elevations_deg[3]` for `("body", "plan", "elevations_deg", 3)`."""
+    place = ""
+    for part in loc[1:] if len(loc) > 1 else loc:
+        place += f"[{part}]" if isinstance(part, int) else f"{'.' if place else ''}{part}"
+    return place if len(place) <= 200 else place[:200] + "…"

@@ -1,0 +1,115 @@
+"""A run's event log as server-sent events: all of it or what follows a known one, then live to its end."""
+
+import asyncio
+from collections.abc import AsyncIterator
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Header
+from fastapi.responses import StreamingResponse
+from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
+from pydantic_core import to_json
+from starlette.concurrency import run_in_threadpool
+
+from calrig.api.context import ApiContext, Context, KnownRun
+from calrig.api.errors import problems_in_json
+from calrig.runs.states import TERMINAL
+from calrig.store import Event
+
+BATCH = 500
+"""Events read at once: a long run's log is replayed in pieces, not held in memory whole."""
+
+KEEP_ALIVE_S = 12.0
+"""How long a stream is silent at most: a comment goes out, so that nothing on the way gives it up."""
+UNBUFFERED = {"Cache-Control": "no-cache", "X-Accel-Buffering": "no"}
+"""A proxy shall pass events on as they come."""
+
+LastEventId = Annotated[
+    int,
+    Header(
+        alias="Last-Event-ID",
+        ge=0,
+        le=2**62,
+        description="The last `id` known; what follows it is sent. Anything but a whole number is 422.",
+    ),
+]
+
+
+class EventStream(StreamingResponse):
+    """An answer in the event-stream format (HTML standard, 9.2).
+
+    Not FastAPI's own class: it takes every event through two queues and a timer, which costs several times
+    what the event does, twenty times a second for each browser.
+    """
+
+    media_type = "text/event-stream"
+
+
+router = APIRouter(tags=["runs"])
+
+
+async def _news(run: KnownRun, context: Context) -> AsyncIterator[asyncio.Event]:
+    """Set whenever the run's log has grown or the service closes; let go when the answer has ended.
+
+    It stands before the first look into the store, so that nothing falls between the two. The store
+    alone says what happened, this only that it is worth another look.
+    """
+    loop = asyncio.get_running_loop()
+    news = asyncio.Event()
+
+    def wake() -> None:
+        loop.call_soon_threadsafe(news.set)
+
+    unsubscribe = context.service.bus.subscribe(run.id, wake)
+    try:
+        with context.streams.joined(news):
+            yield news
+    finally:
+        unsubscribe()
+
+
+@router.get(
+    "/api/runs/{run_id}/events",
+    response_class=EventStream,
+    responses=problems_in_json(404, 422),
+    summary="Server-Sent Events, from the beginning or after `Last-Event-ID`",
+)
+async def events(
+    run: KnownRun,
+    context: Context,
+    news: Annotated[asyncio.Event, Depends(_news)],
+    last_event_id: LastEventId = 0,
+) -> EventStream:
+    """Types `state`, `progress`, `pose`, `reading`; `id` is a persisted sequence number.
+
+    Ends after the terminal `state`.
+    """
+    return EventStream(_follow(context, news, run.id, last_event_id), headers=UNBUFFERED)
+
+
+async def _follow(context: ApiContext, news: asyncio.Event, run_id: str, known: int) -> AsyncIterator[bytes]:
+    """What follows event `known`, written out in pieces of what was there at each look."""
+    while not context.streams.closed:
+        news.clear()
+        ended, batch = await run_in_threadpool(_look, context, run_id, known)
+        if batch:
+            yield b"".join(_written(event) for event in batch)
+            known = batch[-1].seq
+        if len(batch) == BATCH:
+            continue
+        if ended:
+            return
+        try:
+            await asyncio.wait_for(news.wait(), KEEP_ALIVE_S)
+        except TimeoutError:
+            yield KEEPALIVE_COMMENT
+
+
+def _look(context: ApiContext, run_id: str, known: int) -> tuple[bool, list[Event]]:
+    """Whether the run had ended, asked before its events are read: then these are the last there are."""
+    ended = context.service.run(run_id).status in TERMINAL
+    return ended, context.store.events_after(run_id, known, BATCH)
+
+
+def _written(event: Event) -> bytes:
+    data = to_json(event.data, inf_nan_mode="null").decode()
+    return format_sse_event(data_str=data, event=event.type, id=str(event.seq))

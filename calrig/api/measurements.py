@@ -1,0 +1,81 @@
+"""What a run measured: its poses and its raw samples."""
+
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Header, Query
+from fastapi.responses import Response, StreamingResponse
+
+from calrig.api.context import Context, KnownRun
+from calrig.api.errors import problems, problems_in_json
+from calrig.api.models import PoseAnswer
+from calrig.export.poses_csv import write_poses
+from calrig.export.samples_csv import write_samples_csv, write_samples_npz
+from calrig.store import StoredPose
+
+CSV = "text/csv; charset=utf-8"
+_TEXT = {"schema": {"type": "string"}}
+_BYTES = {"schema": {"type": "string", "format": "binary"}}
+
+router = APIRouter(tags=["measurements"])
+
+
+@router.get(
+    "/api/runs/{run_id}/poses",
+    response_model=list[PoseAnswer],
+    responses={200: {"content": {"text/csv": _TEXT}}, **problems(404, 422)},
+    summary="The poses of a run",
+)
+def poses(
+    run: KnownRun,
+    context: Context,
+    format: Annotated[Literal["json", "csv"] | None, Query()] = None,
+    accept: Annotated[str, Header()] = "",
+) -> Any:
+    """JSON has all; CSV (`format=csv` or `Accept: text/csv`) is the import format, without excluded poses."""
+    stored = context.store.poses(run.id)
+    if format == "csv" or (format is None and _prefers_csv(accept)):
+        counted = [p.pose for p in stored if p.excluded is None]
+        return _file(write_poses(counted), CSV, f"run-{run.id}-poses.csv")
+    return [_pose(p) for p in stored]
+
+
+def _pose(stored: StoredPose) -> dict[str, Any]:
+    return {**stored.pose.row(), "index": stored.index, "excluded": stored.excluded}
+
+
+def _prefers_csv(accept: str) -> bool:
+    """Whether CSV is the first that an Accept header names of the two types there are."""
+    named = [part.split(";")[0].strip().lower() for part in accept.split(",")]
+    offered = [name for name in named if name in {"text/csv", "application/json"}]
+    return offered[:1] == ["text/csv"]
+
+
+@router.get(
+    "/api/runs/{run_id}/samples",
+    response_class=Response,
+    responses={
+        200: {"content": {"text/csv": _TEXT, "application/octet-stream": _BYTES}},
+        **problems_in_json(404, 422),
+    },
+    summary="The raw samples of a run",
+)
+def samples(
+    run: KnownRun,
+    context: Context,
+    pose: Annotated[int | None, Query(ge=0, lt=2**31, description="The dwell of this pose only.")] = None,
+    format: Literal["csv", "npz"] = "csv",
+) -> Response:
+    """In the columns of a static log, moves and dwells in the order taken; none once they were pruned."""
+    raw = context.store.samples(run.id, pose)
+    name = f"run-{run.id}-samples" if pose is None else f"run-{run.id}-pose-{pose}-samples"
+    if format == "npz":
+        return _file(write_samples_npz(raw), "application/octet-stream", f"{name}.npz")
+    return StreamingResponse(write_samples_csv(raw), media_type=CSV, headers=_named(f"{name}.csv"))
+
+
+def _file(content: str | bytes, media_type: str, name: str) -> Response:
+    return Response(content, media_type=media_type, headers=_named(name))
+
+
+def _named(name: str) -> dict[str, str]:
+    return {"Content-Disposition": f'attachment; filename="{name}"'}

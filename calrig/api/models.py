@@ -1,0 +1,281 @@
+"""Bodies and answers of the API, exactly CONTRACT section 2: the OpenAPI document is made from these."""
+
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+
+from datetime import datetime
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from calrig.plan import Plan
+
+Status = Literal["queued", "running", "paused", "completed", "failed", "aborted", "interrupted"]
+
+
+class _Body(BaseModel):
+    """What a client sends: a field nobody knows is a mistake, and said to be one."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class _Answer(BaseModel):
+    """What a client gets: every field is there, null where it is not known."""
+
+    model_config = ConfigDict(extra="forbid", from_attributes=True)
+
+
+class StartRun(_Body):
+    """A run to start. Without `rig`, the first one configured."""
+
+    unit: str
+    rig: str | None = None
+    plan: Plan = Plan()
+    operator: Annotated[str, Field(max_length=200)] | None = None
+    note: Annotated[str, Field(max_length=10_000)] | None = None
+
+
+class Reason(_Body):
+    """Why something measured is not to count."""
+
+    reason: str
+
+
+class Problem(_Answer):
+    """Every error."""
+
+    detail: str
+
+
+class Health(_Answer):
+    """The service answers."""
+
+    status: Literal["ok"]
+    version: str
+
+
+class RigAnswer(_Answer):
+    """A rig and what it is doing; `stage` and `imu` are its drivers."""
+
+    name: str
+    stage: str
+    imu: str
+    simulated: bool
+    state: Literal["idle", "busy", "unreachable"]
+    run_id: str | None
+
+
+class ProgressAnswer(_Answer):
+    """How far a run is."""
+
+    poses_done: int
+    poses_total: int
+    fraction: float
+    remaining_s: float | None
+
+
+class Extremes(_Answer):
+    """Least and greatest."""
+
+    min: float | None
+    max: float | None
+
+
+class GyroAnswer(_Answer):
+    """The gyro: bias of each axis, and the stage's rotation over the integrated rate about the stage axis."""
+
+    bias_dps: list[float | None] = Field(min_length=3, max_length=3)
+    bias_std_dps: list[float | None] = Field(min_length=3, max_length=3)
+    scale: float | None
+    scale_std: float | None
+
+
+class ResultAnswer(_Answer):
+    """reading = bias_deg + scale·elevation; RMS as √(Σr²/n)."""
+
+    bias_deg: float
+    bias_std_deg: float | None
+    scale: float | None
+    scale_std: float | None
+    rms_raw_deg: float
+    rms_calibrated_deg: float
+    rms_with_effects_deg: float | None
+    n_poses: int
+    noise_deg: float | None
+    temperature_c: Extremes | None
+    gyro: GyroAnswer
+
+
+class VoidedAnswer(_Answer):
+    """Why and when a run was voided."""
+
+    reason: str
+    at: datetime
+
+
+class RunAnswer(_Answer):
+    """A run. `plan` is null for an imported one; `voided` is null for one that counts."""
+
+    id: str
+    unit: str
+    rig: str | None
+    status: Status
+    plan: Plan | None
+    progress: ProgressAnswer
+    result: ResultAnswer | None
+    diagnosis: dict[str, Any] | None
+    faults: dict[str, int]
+    follows: str | None
+    provenance: dict[str, Any]
+    operator: str | None
+    note: str | None
+    voided: VoidedAnswer | None
+    created_at: datetime
+    started_at: datetime | None
+    finished_at: datetime | None
+    error: str | None
+
+
+class RunList(_Answer):
+    """One page of runs, newest first; `next_cursor` asks for the next one and is null on the last."""
+
+    items: list[RunAnswer]
+    next_cursor: str | None
+
+
+class PoseAnswer(BaseModel):
+    """A pose: CONTRACT section 4's columns, covariates beside them, and whether it counts."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, float | None]
+
+    index: int
+    excluded: str | None = Field(description="Why the pose does not count; null where it does.")
+    target_deg: float
+    reading_deg: float
+    sweep: int | None = Field(alias="pass")
+    approach: Literal[-1, 0, 1] | None
+    time_s: float | None
+    temperature_c: float | None
+    stage_deg: float | None
+    reading_std_deg: float | None
+    reading_stderr_deg: float | None
+    n_samples: int | None
+    accel_x_g: float | None
+    accel_y_g: float | None
+    accel_z_g: float | None
+    gyro_move_deg: float | None
+    settle_s: float | None
+
+
+class UnitAnswer(_Answer):
+    """A sensor, how often it was on a rig and when last."""
+
+    serial: str
+    created_at: datetime
+    n_runs: int
+    last_run_at: datetime | None
+
+
+class UnitWithRuns(UnitAnswer):
+    """A sensor and all its runs, newest first."""
+
+    runs: list[RunAnswer]
+
+
+class ComparedRun(_Answer):
+    """The figures of one completed, not voided calibration."""
+
+    run_id: str
+    finished_at: datetime
+    bias_deg: float
+    bias_std_deg: float | None
+    scale: float | None
+    scale_std: float | None
+    rms_raw_deg: float
+    rms_calibrated_deg: float
+    rms_with_effects_deg: float | None
+    temperature_c: Extremes
+    effects: list[dict[str, Any]]
+
+
+class ComparedUnit(_Answer):
+    """A unit's calibrations, the oldest first, and how its bias drifts over them."""
+
+    unit: str
+    runs: list[ComparedRun]
+    drift_deg_per_day: float | None
+
+
+class SpreadAnswer(_Answer):
+    """Standard deviation between units, and of one unit's runs about their mean (repeatability)."""
+
+    between_units_std: float | None
+    within_unit_std: float | None
+
+
+class Spreads(_Answer):
+    """How far units differ, against how well one repeats itself."""
+
+    bias_deg: SpreadAnswer
+    scale: SpreadAnswer
+
+
+class Comparison(_Answer):
+    """Units side by side."""
+
+    units: list[ComparedUnit]
+    spread: Spreads
+
+
+class NamedEffect(_Answer):
+    """An accepted effect of the unit itself."""
+
+    name: str
+    parameters: dict[str, float | None]
+
+
+class CalibrationGyro(_Answer):
+    """The gyro's part of a calibration."""
+
+    bias_dps: list[float | None] = Field(min_length=3, max_length=3)
+    scale: float | None
+
+
+class UncertaintyAnswer(_Answer):
+    """Standard uncertainties of a calibrated elevation; the expanded one contains them all."""
+
+    type_a_deg: float | None
+    type_b_deg: float | None
+    reference_deg: float | None
+
+
+class CalibrationAnswer(_Answer):
+    """A unit's calibration (CONTRACT section 6)."""
+
+    schema_: Literal["calrig.calibration/1"] = Field(alias="schema")
+    unit: str
+    run_id: str
+    calibrated_at: datetime
+    rig: str | None
+    range_deg: list[float] = Field(min_length=2, max_length=2)
+    model: str
+    bias_deg: float
+    scale: float
+    covariance: list[list[float]] | None
+    effects: list[NamedEffect]
+    gyro: CalibrationGyro | None
+    rms_raw_deg: float
+    rms_calibrated_deg: float
+    rms_with_effects_deg: float | None
+    expanded_uncertainty_deg: float | None
+    coverage_factor: float
+    uncertainty: UncertaintyAnswer
+    temperature_c: Extremes | None
+    provenance: dict[str, Any]
+
+
+class Figure(_Answer):
+    """A picture in plotly's JSON form."""
+
+    data: list[dict[str, Any]]
+    layout: dict[str, Any]

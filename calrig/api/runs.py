@@ -1,0 +1,120 @@
+"""Health, rigs, and runs: starting them, looking at them, asking something of them."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Query
+
+import calrig
+from calrig.api.context import Context, KnownRun
+from calrig.api.errors import problems
+from calrig.api.models import Health, Reason, RigAnswer, RunAnswer, RunList, StartRun, Status
+from calrig.runs.errors import Invalid
+from calrig.store import Run
+
+router = APIRouter(tags=["runs"])
+
+
+@router.get("/api/health", summary="Whether the service answers")
+def health() -> Health:
+    """The service's version."""
+    return Health(status="ok", version=calrig.__version__)
+
+
+@router.get("/api/rigs", response_model=list[RigAnswer], summary="Every rig and what it is doing")
+def rigs(context: Context) -> object:
+    """In the order configured; the first one is what a run without `rig` takes."""
+    return context.service.rigs()
+
+
+@router.post(
+    "/api/runs",
+    status_code=201,
+    response_model=RunAnswer,
+    responses=problems(404, 409, 413, 422),
+    summary="Start a run",
+)
+def start_run(body: StartRun, context: Context) -> Run:
+    """Everything but `unit` is optional. A busy rig is 409; `queued` lasts until the worker takes the run."""
+    return context.service.start(
+        unit=body.unit, rig=body.rig, plan=body.plan, operator=body.operator, note=body.note
+    )
+
+
+@router.get("/api/runs", response_model=RunList, responses=problems(422), summary="Runs, newest first")
+def list_runs(
+    context: Context,
+    unit: str | None = None,
+    rig: str | None = None,
+    status: Status | None = None,
+    limit: Annotated[int, Query(ge=1, le=500)] = 50,
+    cursor: str | None = None,
+) -> object:
+    """A page of runs; `next_cursor` of the answer is `cursor` of the next question."""
+    try:
+        items, next_cursor = context.store.runs(unit=unit, rig=rig, status=status, limit=limit, cursor=cursor)
+    except ValueError as error:
+        raise Invalid(str(error)) from error
+    return {"items": items, "next_cursor": next_cursor}
+
+
+@router.get("/api/runs/{run_id}", response_model=RunAnswer, responses=problems(404), summary="One run")
+def show_run(run: KnownRun) -> Run:
+    """How far it is, what came out and where it came from."""
+    return run
+
+
+@router.post(
+    "/api/runs/{run_id}/abort",
+    response_model=RunAnswer,
+    responses=problems(404, 409),
+    summary="Stop the stage now and end the run",
+)
+def abort_run(run: KnownRun, context: Context) -> Run:
+    """The poses measured so far stay."""
+    return context.service.abort(run.id)
+
+
+@router.post(
+    "/api/runs/{run_id}/pause",
+    response_model=RunAnswer,
+    responses=problems(404, 409),
+    summary="Finish the pose in hand and hold",
+)
+def pause_run(run: KnownRun, context: Context) -> Run:
+    """The run is `paused` once the pose is done."""
+    return context.service.pause(run.id)
+
+
+@router.post(
+    "/api/runs/{run_id}/resume",
+    response_model=RunAnswer,
+    responses=problems(404, 409),
+    summary="Go on with a paused run",
+)
+def resume_run(run: KnownRun, context: Context) -> Run:
+    """Takes a pause that has not begun yet back, too."""
+    return context.service.resume(run.id)
+
+
+@router.post(
+    "/api/runs/{run_id}/void",
+    response_model=RunAnswer,
+    responses=problems(404, 409, 413, 422),
+    summary="Keep a run, out of every comparison",
+)
+def void_run(run: KnownRun, body: Reason, context: Context) -> Run:
+    """Nothing is deleted."""
+    return context.records.void(run.id, body.reason)
+
+
+@router.post(
+    "/api/runs/{run_id}/poses/{index}/exclude",
+    response_model=RunAnswer,
+    responses=problems(404, 409, 413, 422),
+    summary="Keep a pose, out of the result",
+)
+def exclude_pose(
+    run: KnownRun, index: Annotated[int, Path(ge=0, lt=2**31)], body: Reason, context: Context
+) -> Run:
+    """The result is reckoned again from the poses that are left."""
+    return context.records.exclude_pose(run.id, index, body.reason)

@@ -1,0 +1,37 @@
+"""The HTTP server under the application: it says when it is ready, and ends without being waited for."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable
+
+import uvicorn
+from fastapi import FastAPI
+
+from calrig.api.context import context_of
+
+DRAIN_S = 1
+"""How long answers under way may take once the service was told to stop."""
+
+
+class Server(uvicorn.Server):
+    """Uvicorn, which says when it is ready and ends open event streams before it waits for them."""
+
+    def __init__(self, app: FastAPI, on_ready: Callable[[], None] = lambda: None) -> None:
+        super().__init__(
+            uvicorn.Config(
+                app, log_level="warning", access_log=False, timeout_graceful_shutdown=DRAIN_S, ws="none"
+            )
+        )
+        self._streams = context_of(app).streams
+        self._on_ready = on_ready
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Starts, then says so."""
+        await super().startup(sockets)
+        self._on_ready()
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Ends the streams, then stops as uvicorn does."""
+        self._streams.close()
+        await super().shutdown(sockets)

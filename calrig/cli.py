@@ -1,0 +1,299 @@
+"""The command line: composes rigs, store and service, and says in one line what went wrong.
+
+Exit status 0: done; 1: the work failed; 2: wrong usage or unreadable input. Imports stand where they are
+used: `calrig --help` needs none of them.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, closing, contextmanager, suppress
+from datetime import UTC, datetime, timedelta
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NoReturn
+
+import typer
+
+import calrig
+
+if TYPE_CHECKING:
+    import socket
+
+    from calrig.runs.service import RunService
+    from calrig.settings import RigSettings, Settings
+    from calrig.store import Store
+
+app = typer.Typer(
+    name="calrig",
+    help="Calibrates IMU attitude sensors on a rotary stage.",
+    add_completion=False,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+Db = Annotated[str | None, typer.Option(metavar="FILE", help="Store: a path or a URL [CALRIG_DB].")]
+Config = Annotated[str | None, typer.Option(metavar="FILE", help="Configuration [CALRIG_CONFIG].")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
+Rig = Annotated[str | None, typer.Option(metavar="NAME", help="Rig; without it the first one configured.")]
+UnitSerial = Annotated[str, typer.Option("--unit", metavar="SERIAL", help="Serial number of the unit.")]
+
+
+class Format(StrEnum):
+    """What `export` writes."""
+
+    json = "json"
+    csv = "csv"
+
+
+class WorkError(Exception):
+    """The work failed; the message is the reason."""
+
+
+class InputError(Exception):
+    """Wrong usage or unreadable input; the message says where."""
+
+
+STATUS = {
+    "calrig.cli.WorkError": 1,
+    "calrig.cli.InputError": 2,
+    "calrig.plan_file.PlanFileError": 2,
+    "calrig.settings.SettingsError": 2,
+    "calrig.store.errors.StoreError": 1,
+    "calrig.runs.errors.RunsError": 1,
+    "calrig.runs.errors.Invalid": 2,
+    "calrig.api.address.AddressError": 1,
+}
+"""Exit status by kind of error; by name, for importing them all would take a second to say one line."""
+
+
+def main() -> None:
+    """Runs the command line and leaves with its exit status."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends in order, as Ctrl-C does
+    try:
+        app()
+    except SystemExit as leave:
+        if leave.code != 130:  # typer's own after a Ctrl-C that no command has taken for itself
+            raise
+        _leave("interrupted", 1)
+    except Exception as error:
+        status = _exit_status(error)
+        if status is None:
+            raise
+        _leave(str(error), status)
+
+
+def _leave(reason: str, status: int) -> NoReturn:
+    typer.echo(f"calrig: {' '.join(reason.split())}", err=True)
+    sys.exit(status)
+
+
+def _exit_status(error: Exception) -> int | None:
+    """The exit status that an error a user can cause stands for; None for a defect of calrig's own."""
+    names = (f"{kind.__module__}.{kind.__name__}" for kind in type(error).__mro__)
+    return next((STATUS[name] for name in names if name in STATUS), None)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"calrig {calrig.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _calrig(
+    _version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command()
+def serve(
+    host: Annotated[str, typer.Option(metavar="H", help="Address to listen on.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(metavar="N", min=0, max=65535, help="Port; 0: any free one.")] = 8000,
+    db: Db = None,
+    config: Config = None,
+) -> None:
+    """Serve the web page and the API, with a simulated rig when none is configured."""
+    from calrig.api.address import listen
+    from calrig.settings import load_settings, store_url
+
+    settings = load_settings(config)
+    with closing(listen(host, port)) as listener:
+        _serve_on(listener, settings, store_url(db))
+
+
+def _serve_on(listener: socket.socket, settings: Settings, url: str) -> None:
+    from calrig.api.app import create_app
+    from calrig.api.server import Server
+
+    with _service(url, "serve", settings.rig) as service, suppress(KeyboardInterrupt):
+        if settings.keep_samples_days is not None:
+            service.store.prune_samples(datetime.now(UTC) - timedelta(days=settings.keep_samples_days))
+
+        def say_ready() -> None:
+            rigs = ", ".join(f"{r.name} (simulated)" if r.simulated else r.name for r in service.rigs())
+            host, port = listener.getsockname()[:2]
+            where = f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+            typer.echo(f"calrig {calrig.__version__} at {where}, store {url}, rigs: {rigs}")
+
+        # On SIGINT and SIGTERM uvicorn stops in order, then raises what it was told by.
+        Server(create_app(service), say_ready).run(sockets=[listener])
+
+
+@app.command()
+def run(
+    unit: UnitSerial,
+    rig: Rig = None,
+    plan: Annotated[
+        Path | None, typer.Option(metavar="FILE.json", help="Plan; else the default one.")
+    ] = None,
+    as_json: Json = False,
+    operator: Annotated[str | None, typer.Option(help="Who runs it; kept with the run.")] = None,
+    note: Annotated[str | None, typer.Option(help="Kept with the run.")] = None,
+    db: Db = None,
+    config: Config = None,
+) -> None:
+    """Run one calibration; Ctrl-C aborts it and keeps the poses measured so far."""
+    from calrig import terminal
+    from calrig.plan import Plan
+    from calrig.plan_file import read_plan
+    from calrig.settings import load_settings, store_url
+
+    the_plan = read_plan(plan) if plan else Plan()
+    settings = _rig_named(load_settings(config), rig)
+    with _service(store_url(db), "run", (settings,)) as service:
+        begun = service.start(unit=unit, rig=settings.name, plan=the_plan, operator=operator, note=note)
+        ended = terminal.follow(service, begun)
+    if as_json:
+        from calrig.api.models import RunAnswer
+
+        typer.echo(RunAnswer.model_validate(ended).model_dump_json(indent=2))
+    else:
+        terminal.print_result(ended)
+    if ended.status != "completed":
+        raise WorkError(f"run {ended.id} {ended.status}" + (f": {ended.error}" if ended.error else ""))
+
+
+@app.command("import")
+def import_(
+    file: Annotated[Path, typer.Argument(metavar="FILE.csv", help="Poses, one row each.")],
+    unit: UnitSerial,
+    rig: Rig = None,
+    db: Db = None,
+) -> None:
+    """Make a run of a CSV of poses and print its id."""
+    try:
+        content = file.read_bytes()
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read ({error.strerror})") from error
+    from calrig.runs.records import Records
+    from calrig.settings import store_url
+
+    with _writer(store_url(db), "import") as store:
+        made = Records(store).import_poses(unit=unit, rig=rig, file_name=file.name, content=content)
+    typer.echo(made.id)
+
+
+@app.command()
+def export(
+    run_id: Annotated[str | None, typer.Argument(metavar="RUN_ID", help="The run to export.")] = None,
+    unit: Annotated[str | None, typer.Option(metavar="SERIAL", help="The unit, by its run in force.")] = None,
+    format_: Annotated[Format, typer.Option("--format", help="Calibration, or its poses.")] = Format.json,
+    db: Db = None,
+) -> None:
+    """Print a calibration, or the poses it rests on."""
+    import json
+
+    from calrig.api.calibrations import document_of, run_in_force
+    from calrig.export.poses_csv import write_poses
+    from calrig.settings import store_url
+    from calrig.store import Store
+
+    if (run_id is None) == (unit is None):
+        raise InputError("export: name either a RUN_ID or --unit SERIAL")
+    with Store.open(store_url(db), writer=None) as store:
+        found = run_in_force(store, unit) if unit is not None else store.run(run_id or "")
+        if found is None:
+            raise WorkError(f"there is no run {run_id}")
+        if format_ is Format.csv:
+            counted = [stored.pose for stored in store.poses(found.id, include_excluded=False)]
+            sys.stdout.write(write_poses(counted))
+        else:
+            typer.echo(json.dumps(document_of(store, found), indent=2, ensure_ascii=False, allow_nan=False))
+
+
+@app.command()
+def rigs(config: Config = None) -> None:
+    """List the rigs that are configured."""
+    from calrig import terminal
+    from calrig.settings import load_settings
+
+    terminal.print_rigs(load_settings(config).rig)
+
+
+@contextmanager
+def _writer(url: str, what: str) -> Iterator[Store]:
+    """The store, opened for writing; runs that a dead program left unfinished are marked so."""
+    from calrig.store import Store
+
+    with Store.open(url, writer=what) as store:
+        store.interrupt_unfinished()
+        yield store
+
+
+@contextmanager
+def _service(url: str, what: str, rigs: Sequence[RigSettings]) -> Iterator[RunService]:
+    """The run service over the store; its simulated rigs start beside, for a process takes its time."""
+    with ExitStack() as stack:
+        with ThreadPoolExecutor(1) as beside:
+            starting = beside.submit(lambda: [stack.enter_context(_with_ports(rig)) for rig in rigs])
+            from calrig.runs.service import RunService
+
+            store = stack.enter_context(_writer(url, what))
+            powered = starting.result()
+        service = RunService(store, powered)
+        stack.callback(service.close)
+        yield service
+
+
+@contextmanager
+def _with_ports(rig: RigSettings) -> Iterator[RigSettings]:
+    """The rig; a simulated one runs in a process of its own meanwhile, and has that one's ports."""
+    if rig.simulated is None:
+        yield rig
+        return
+    from calrig.settings import BoardSettings, StageSettings
+    from calrig.simulator.launch import LaunchError, launch
+
+    try:
+        process = launch(rig.simulated)
+    except ValueError as error:
+        raise InputError(f"rig {rig.name!r}, simulated: {error}") from error
+    except LaunchError as error:
+        raise WorkError(f"rig {rig.name!r}: {error}") from error
+    with process:
+        stage = rig.stage or StageSettings(driver="smc100", port="")
+        imu = rig.imu or BoardSettings(driver="calrig", port="")
+        ports = {
+            "stage": stage.model_copy(update={"port": process.stage_port}),
+            "imu": imu.model_copy(update={"port": process.imu_port}),
+        }
+        yield rig.model_copy(update=ports)
+
+
+def _rig_named(settings: Settings, name: str | None) -> RigSettings:
+    if name is None:
+        return settings.rig[0]
+    for rig in settings.rig:
+        if rig.name == name:
+            return rig
+    raise InputError(
+        f"--rig: there is no rig {name!r}; configured: {', '.join(r.name for r in settings.rig)}"
+    )

@@ -1,0 +1,147 @@
+"""What the command line shows: a run's progress on standard error, tables on standard output."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
+from rich.table import Table
+from rich.text import Text
+
+from calrig.runs.errors import Conflict
+from calrig.runs.states import TERMINAL
+
+if TYPE_CHECKING:
+    from calrig.runs.service import RunService
+    from calrig.settings import RigSettings
+    from calrig.store import Event, Run
+
+LOOK_S = 0.1
+"""How often a run is looked at when nothing is heard of it, and how soon a Ctrl-C is seen."""
+
+
+def follow(service: RunService, run: Run) -> Run:
+    """Shows a run's progress, on a terminal, until it has ended; Ctrl-C aborts it. Returns it as it ended."""
+    columns = (
+        TextColumn("unit {task.fields[unit]}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[elevation]}", markup=False),
+        TextColumn("{task.fields[left]}", markup=False),
+    )
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        bar = progress.add_task("", total=run.progress["poses_total"], unit=run.unit, elevation="", left="")
+        with _stop_request() as asked:
+            return _until_ended(service, run.id, asked, lambda event: _show(event, progress, bar))
+
+
+class _Asked:
+    """Whether a signal has asked for the end. A flag, for an exception can get lost in a finaliser."""
+
+    def __init__(self) -> None:
+        self.to_stop = False
+
+    def __call__(self, number: int, _frame: object) -> None:
+        self.to_stop = True
+        signal.signal(number, signal.default_int_handler)  # the second one is not asked but told
+
+
+@contextmanager
+def _stop_request() -> Iterator[_Asked]:
+    """Takes SIGINT and SIGTERM for as long as it lasts."""
+    asked = _Asked()
+    before = {number: signal.signal(number, asked) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield asked
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _until_ended(service: RunService, run_id: str, asked: _Asked, show: Callable[[Event], None]) -> Run:
+    """Shows the run's events until it has ended, aborting it once that is asked for."""
+    news = threading.Event()
+    unsubscribe = service.bus.subscribe(run_id, news.set)
+    seen = 0
+    aborted = False
+    try:
+        while True:
+            news.clear()
+            run = service.run(run_id)
+            for event in service.store.events_after(run_id, seen):
+                seen = event.seq
+                show(event)
+            if run.status in TERMINAL:
+                return run
+            if asked.to_stop and not aborted:
+                aborted = True
+                with suppress(Conflict):  # it has just ended by itself
+                    service.abort(run_id)
+                continue
+            news.wait(LOOK_S)
+    finally:
+        unsubscribe()
+
+
+def _show(event: Event, progress: Progress, bar: TaskID) -> None:
+    data = event.data
+    if event.type == "progress":
+        left_s = data["remaining_s"]
+        left = "" if left_s is None else f"{int(left_s) // 60}:{int(left_s) % 60:02d} left"
+        progress.update(bar, completed=data["poses_done"], left=left)
+    elif event.type == "reading" and data["stage_deg"] is not None:
+        progress.update(bar, elevation=f"{data['stage_deg']:+.1f}°")
+
+
+def print_result(run: Run) -> None:
+    """Prints a run's result as a table."""
+    console = Console(soft_wrap=True)
+    if run.result is None:
+        return
+    table = Table(title=Text(f"run {run.id}: unit {run.unit} on {run.rig}"), title_justify="left")
+    for heading in ("", "value", "standard error"):
+        table.add_column(heading, justify="right" if heading else "left")
+    for name, value, std in _rows(run.result):
+        table.add_row(name, value, std)
+    console.print(table)
+
+
+def _rows(result: dict[str, Any]) -> Iterable[tuple[str, str, str]]:
+    gyro = result["gyro"]
+    temperature = result["temperature_c"] or {"min": None, "max": None}
+    yield "bias", _number(result["bias_deg"], "°"), _number(result["bias_std_deg"], "°")
+    yield "scale", _number(result["scale"], "", 6), _number(result["scale_std"], "", 6)
+    yield "RMS raw", _number(result["rms_raw_deg"], "°"), ""
+    yield "RMS calibrated", _number(result["rms_calibrated_deg"], "°"), ""
+    yield "noise of one reading", _number(result["noise_deg"], "°"), ""
+    yield "poses", str(result["n_poses"]), ""
+    lowest, highest = (_number(temperature[end], " °C", 1) for end in ("min", "max"))
+    yield "temperature", f"{lowest} to {highest}", ""
+    for axis, bias, std in zip("xyz", gyro["bias_dps"], gyro["bias_std_dps"], strict=True):
+        yield f"gyro bias {axis}", _number(bias, " °/s"), _number(std, " °/s")
+    yield "gyro scale", _number(gyro["scale"], "", 6), _number(gyro["scale_std"], "", 6)
+
+
+def _number(value: float | None, unit: str, decimals: int = 4) -> str:
+    return "not known" if value is None else f"{value:.{decimals}f}{unit}"
+
+
+def print_rigs(rigs: Iterable[RigSettings]) -> None:
+    """Prints the rigs that are configured."""
+    table = Table()
+    for heading in ("rig", "elevation", "stage", "imu"):
+        table.add_column(heading)
+    for rig in rigs:
+        low, high = rig.limits_deg
+        parts = [
+            "simulated" if rig.simulated is not None or part is None else f"{part.driver} on {part.port}"
+            for part in (rig.stage, rig.imu)
+        ]
+        table.add_row(rig.name, f"{low:g}° to {high:g}°", *(Text(part) for part in parts))
+    Console(soft_wrap=True).print(table)

@@ -1,0 +1,48 @@
+"""The OpenAPI document: kept with the source, equal to the application's, and true of what it answers."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from pydantic import TypeAdapter
+from support import QUICK, ended
+
+from calrig.api.app import PARTS
+from calrig.api.openapi import KEPT, document
+
+CSV = "target_deg,reading_deg,supply_v\n-30,-29.5,3.3\n0,0.4,\n30,30.6,3.2\n"
+
+
+def test_the_document_kept_is_the_applications_own():
+    kept = json.loads(KEPT.read_text(encoding="utf-8"))
+    assert kept == document(), "run `python -m calrig.api.openapi` and commit what it writes"
+
+
+def test_every_answer_is_what_the_document_says(shared_client):
+    """The document is made from the answers' models; each JSON answer must fit its own one to the letter."""
+    run_id = shared_client.post("/api/runs", json={"unit": "A/1", "plan": QUICK, "operator": "Ada"}).json()[
+        "id"
+    ]
+    assert ended(shared_client, run_id)["status"] == "completed"
+    shared_client.post("/api/imports", files={"file": ("poses.csv", CSV)}, data={"unit": "B"})
+    routes = [route for part in PARTS for route in part.router.routes if "GET" in route.methods]
+    models = {route.path: route.response_model for route in routes if route.response_model is not None}
+    names = {"/api/runs/{run_id}/figures/{name}": "residual", "/api/compare/figures/{name}": "bias"}
+    for path, model in models.items():
+        url = path.replace("{run_id}", run_id).replace("{serial:path}", "A/1")
+        answer = shared_client.get(url.replace("{name}", names.get(path, "")))
+        assert answer.status_code == 200, url
+        TypeAdapter(model).validate_json(answer.content, strict=True)
+    assert len(models) >= 12
+    # Both kinds of run, and a pose with a covariate, are among what was checked.
+    (imported,) = shared_client.get("/api/runs?unit=B").json()["items"]
+    run = shared_client.get(f"/api/runs/{imported['id']}").content
+    TypeAdapter(models["/api/runs/{run_id}"]).validate_json(run, strict=True)
+    poses = shared_client.get(f"/api/runs/{imported['id']}/poses").content
+    TypeAdapter(models["/api/runs/{run_id}/poses"]).validate_json(poses, strict=True)
+
+
+@pytest.mark.parametrize("path", ["/docs", "/redoc"])
+def test_no_page_that_loads_scripts_from_another_host_is_served(shared_client, path):
+    assert shared_client.get(path).status_code == 404

@@ -1,0 +1,243 @@
+"""Starting a run over HTTP, watching it, asking things of it; and everything a client can get wrong."""
+
+from __future__ import annotations
+
+import httpx
+import pytest
+from support import LONG, QUICK, ended, running_service, serving, wait_for
+
+from calrig.settings import BoardSettings, RigSettings, StageSettings
+
+
+def start(client: httpx.Client, unit: str = "AS-0042", plan: dict | None = None, **fields):
+    answer = client.post("/api/runs", json={"unit": unit, "plan": plan or QUICK, **fields})
+    assert answer.status_code == 201, answer.text
+    return answer.json()
+
+
+def begun(client: httpx.Client, run_id: str) -> dict:
+    """The run once it has taken its first pose."""
+    return wait_for(
+        lambda: (run := client.get(f"/api/runs/{run_id}").json())["progress"]["poses_done"] and run,
+        "first pose",
+    )
+
+
+@pytest.fixture
+def long_run(shared_client):
+    """A run that is under way, aborted after the test."""
+    run = start(shared_client, plan=LONG)
+    yield begun(shared_client, run["id"])
+    shared_client.post(f"/api/runs/{run['id']}/abort")
+
+
+def test_health_says_the_version(shared_client):
+    assert shared_client.get("/api/health").json() == {"status": "ok", "version": "0.1.0"}
+
+
+def test_a_run_goes_from_start_to_result(shared_client):
+    run = start(shared_client, operator="Ada", note="first light")
+    assert run["status"] in {"queued", "running"}
+    assert (run["operator"], run["note"], run["rig"]) == ("Ada", "first light", "bench-1")
+    run = ended(shared_client, run["id"])
+    assert (run["status"], run["error"]) == ("completed", None)
+    assert run["progress"] == {"poses_done": 6, "poses_total": 6, "fraction": 1.0, "remaining_s": 0.0}
+    assert run["result"]["bias_deg"] == pytest.approx(0.8, abs=0.2)  # the simulated mount's offset
+    assert run["result"]["gyro"]["bias_dps"] == pytest.approx([1.4, -0.6, 0.3], abs=0.1)
+    assert run["created_at"].endswith("Z")
+    assert run["finished_at"].endswith("Z")
+
+
+def test_a_rig_is_idle_then_busy_and_refuses_a_second_run(shared_client, long_run):
+    (rig,) = shared_client.get("/api/rigs").json()
+    assert rig == {
+        "name": "bench-1",
+        "stage": "smc100",
+        "imu": "calrig",
+        "simulated": True,
+        "state": "busy",
+        "run_id": long_run["id"],
+    }
+    refused = shared_client.post("/api/runs", json={"unit": "AS-2"})
+    assert refused.status_code == 409
+    assert long_run["id"] in refused.json()["detail"]
+    shared_client.post(f"/api/runs/{long_run['id']}/abort")
+    assert shared_client.get("/api/rigs").json()[0]["state"] == "idle"
+
+
+def test_abort_keeps_the_poses_measured_so_far(shared_client, long_run):
+    run = shared_client.post(f"/api/runs/{long_run['id']}/abort").json()
+    assert run["status"] == "aborted"
+    assert len(shared_client.get(f"/api/runs/{run['id']}/poses").json()) == run["progress"]["poses_done"] > 0
+    again = shared_client.post(f"/api/runs/{run['id']}/abort")
+    assert again.status_code == 409
+
+
+def test_pause_holds_after_the_pose_and_resume_goes_on(shared_client, long_run):
+    url = f"/api/runs/{long_run['id']}"
+    assert shared_client.post(f"{url}/pause").status_code == 200
+    held = wait_for(lambda: (run := shared_client.get(url).json())["status"] == "paused" and run, "pause")
+    assert shared_client.post(f"{url}/resume").status_code == 200
+    done = held["progress"]["poses_done"]
+    wait_for(lambda: shared_client.get(url).json()["progress"]["poses_done"] > done, "next pose")
+
+
+def test_resuming_what_is_not_paused_is_a_conflict(shared_client, long_run):
+    assert shared_client.post(f"/api/runs/{long_run['id']}/resume").status_code == 409
+
+
+def test_a_voided_run_stays_with_its_reason_and_counts_no_more(shared_client):
+    run_id = ended(shared_client, start(shared_client, "V-1")["id"])["id"]
+    assert shared_client.get("/api/units/V-1/calibration").status_code == 200
+    run = shared_client.post(f"/api/runs/{run_id}/void", json={"reason": "the table was bumped"}).json()
+    assert run["voided"]["reason"] == "the table was bumped"
+    assert shared_client.get("/api/units/V-1/calibration").status_code == 404
+    assert shared_client.get("/api/compare?unit=V-1").json()["units"][0]["runs"] == []
+    assert shared_client.get(f"/api/runs/{run_id}").json()["result"] == run["result"]
+
+
+def test_an_excluded_pose_stays_and_the_result_is_reckoned_without_it(shared_client):
+    run = ended(shared_client, start(shared_client)["id"])
+    url = f"/api/runs/{run['id']}"
+    changed = shared_client.post(f"{url}/poses/2/exclude", json={"reason": "somebody sneezed"}).json()
+    assert changed["result"]["n_poses"] == run["result"]["n_poses"] - 1
+    assert changed["result"]["bias_deg"] != run["result"]["bias_deg"]
+    poses = shared_client.get(f"{url}/poses").json()
+    assert [pose["excluded"] for pose in poses] == [None, None, "somebody sneezed", None, None, None]
+    assert len(shared_client.get(f"{url}/poses?format=csv").text.splitlines()) == 1 + 5
+
+
+def test_runs_are_listed_newest_first_page_by_page(client):
+    plan = {**QUICK, "sweeps": 1}
+    made = [ended(client, start(client, unit, plan)["id"])["id"] for unit in ("A", "B", "A")]
+    first = client.get("/api/runs?limit=2").json()
+    rest = client.get("/api/runs", params={"limit": 2, "cursor": first["next_cursor"]}).json()
+    assert [run["id"] for run in first["items"] + rest["items"]] == made[::-1]
+    assert rest["next_cursor"] is None
+    assert [run["id"] for run in client.get("/api/runs?unit=A").json()["items"]] == [made[2], made[0]]
+    assert client.get("/api/runs?status=failed").json()["items"] == []
+
+
+PATHS = [
+    ("GET", ""),
+    ("GET", "/events"),
+    ("GET", "/poses"),
+    ("GET", "/samples"),
+    ("GET", "/figures/timeline"),
+    ("POST", "/abort"),
+    ("POST", "/pause"),
+    ("POST", "/resume"),
+    ("POST", "/void"),
+    ("POST", "/poses/0/exclude"),
+]
+
+
+@pytest.mark.parametrize("run_id", ["999", "nope", "1 OR 1=1", "-1", "9" * 40])
+@pytest.mark.parametrize(("method", "path"), PATHS)
+def test_an_unknown_run_is_404_on_every_path(shared_client, method, path, run_id):
+    answer = shared_client.request(method, f"/api/runs/{run_id}{path}")
+    assert (answer.status_code, list(answer.json())) == (404, ["detail"])
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        pytest.param({"unit": ""}, "serial", id="empty serial"),
+        pytest.param({"unit": "x" * 10_240}, "serial", id="10 kB serial"),
+        pytest.param({"unit": "A\x00B"}, "serial", id="unprintable serial"),
+        pytest.param({}, "unit", id="no unit"),
+        pytest.param({"unit": "A", "rigg": "bench-1"}, "rigg", id="unknown field"),
+        pytest.param({"unit": "A", "plan": {"swepes": 4}}, "swepes", id="unknown plan field"),
+        pytest.param({"unit": "A", "plan": {"sweeps": 0}}, "sweeps", id="no poses"),
+        pytest.param({"unit": "A", "plan": {"elevations_deg": []}}, "elevations_deg", id="no elevations"),
+        pytest.param({"unit": "A", "plan": {"sweeps": 10_000}}, "poses", id="100,000 poses"),
+        pytest.param(
+            {"unit": "A", "plan": {"elevations_deg": [0] * 100_000}}, "10000", id="100,000 elevations"
+        ),
+        pytest.param({"unit": "A", "plan": {"elevations_deg": [0, 91]}}, "91", id="beyond the limits"),
+        pytest.param({"unit": "A", "plan": {"kind": "diagnosis"}}, "kind", id="unknown kind"),
+    ],
+)
+def test_a_run_that_cannot_be_is_422_and_nothing_is_stored(shared_client, body, words):
+    before = shared_client.get("/api/runs").json()
+    answer = shared_client.post("/api/runs", json=body)
+    assert answer.status_code == 422
+    assert words in answer.json()["detail"]
+    assert shared_client.get("/api/runs").json() == before
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        pytest.param(b'{"unit": "A", "plan": {"dwell_s": NaN}}', id="NaN"),
+        pytest.param(b'{"unit": "A", "plan": {"dwell_s": 1e999}}', id="infinity"),
+        pytest.param(b'{"unit": "\\ud800"}', id="half a character"),
+        pytest.param(b'{"unit": "A"', id="cut off"),
+        pytest.param(b"[" * 100_000, id="deep"),
+        pytest.param(b"\xff\xfe", id="not text"),
+    ],
+)
+def test_a_body_that_is_no_json_is_422(shared_client, text):
+    answer = shared_client.post("/api/runs", content=text, headers={"Content-Type": "application/json"})
+    assert (answer.status_code, list(answer.json())) == (422, ["detail"])
+
+
+def test_an_unknown_rig_is_404_and_says_which_there_are(shared_client):
+    answer = shared_client.post("/api/runs", json={"unit": "A", "rig": "bench-9"})
+    assert answer.status_code == 404
+    assert "bench-1" in answer.json()["detail"]
+
+
+def chunks(n: int):
+    yield b'{"unit": "A", "note": "'
+    for _ in range(n):
+        yield b"x" * 1000
+
+
+@pytest.mark.parametrize(
+    "content",
+    [pytest.param(b"x" * 5_000_000, id="with its length"), pytest.param(chunks(1100), id="in chunks")],
+)
+def test_a_json_body_beyond_a_megabyte_is_413(shared_client, content):
+    answer = shared_client.post("/api/runs", content=content, headers={"Content-Type": "application/json"})
+    assert answer.status_code == 413
+    assert "1 MB" in answer.json()["detail"]
+
+
+def failed_on(rig: RigSettings, store_path, unit: str = "AS-0042") -> dict:
+    with running_service(store_path, rig) as service, serving(service) as client:
+        run = ended(client, start(client, unit)["id"], deadline_s=30)
+        assert run["status"] == "failed"
+        assert client.get("/api/rigs").json()[0]["run_id"] is None
+        return run
+
+
+def test_a_port_that_is_not_there_becomes_a_failed_run_with_a_reason(store_path):
+    absent = RigSettings(
+        name="ghost",
+        stage=StageSettings(driver="smc100", port="/dev/ttyABSENT0"),
+        imu=BoardSettings(driver="calrig", port="/dev/ttyABSENT1"),
+    )
+    with running_service(store_path, absent) as service, serving(service) as client:
+        assert client.get("/api/rigs").json()[0]["state"] == "unreachable"
+    assert "/dev/ttyABSENT0" in failed_on(absent, store_path)["error"]
+
+
+def test_a_board_that_never_answers_fails_the_run(launch_rig, store_path, monkeypatch):
+    monkeypatch.setattr("calrig.instruments.calrig_board.IDENTIFY_S", 1.0)
+    rig = launch_rig("mute", board={"fault": "silent"})
+    run = failed_on(rig, store_path)
+    assert rig.imu.port in run["error"]
+    assert run["progress"]["poses_done"] == 0
+
+
+def test_a_stage_that_answers_garbage_fails_the_run(launch_rig, store_path):
+    rig = launch_rig("mad", stage={"fault": "garbage"})
+    assert rig.stage.port in failed_on(rig, store_path)["error"]
+
+
+def test_a_board_of_another_unit_fails_the_run_before_anything_moves(launch_rig, store_path):
+    run = failed_on(launch_rig("named", board={"serial": "AS-0001"}), store_path, unit="AS-0042")
+    assert "AS-0001" in run["error"]
+    assert "AS-0042" in run["error"]
+    assert run["progress"]["poses_done"] == 0

@@ -1,0 +1,87 @@
+"""What tests share beside fixtures: a fast rig's options, quick plans, the service and the server."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import httpx
+
+from calrig.settings import RigSettings
+
+FAST: dict[str, Any] = {
+    "seed": 1,
+    "time_scale": 20.0,
+    "stage": {"velocity_dps": 60.0, "acceleration_dps2": 240.0, "homing_velocity_dps": 30.0},
+    "mount": {"offset_deg": 0.8},
+    "imu": {"gyro_bias_dps": [1.4, -0.6, 0.3]},
+}
+"""A simulated rig that is twenty times faster than life, with a known mount offset and gyro bias."""
+
+QUICK: dict[str, Any] = {"elevations_deg": [-40, 0, 40], "sweeps": 2, "settle_s": 0.5, "dwell_s": 1.0}
+"""A plan of six poses, done in about a second on a fast rig."""
+
+LONG: dict[str, Any] = {**QUICK, "sweeps": 300}
+"""A plan that no test waits for the end of."""
+
+T = TypeVar("T")
+
+
+def wait_for(look: Callable[[], T | None], what: str, deadline_s: float = 20.0) -> T:
+    """Looks again and again until there is something; fails, saying what was awaited, at the deadline."""
+    give_up_s = time.monotonic() + deadline_s
+    while time.monotonic() < give_up_s:
+        if found := look():
+            return found
+        threading.Event().wait(0.01)
+    raise AssertionError(f"no {what} within {deadline_s:g} s")
+
+
+def ended(client: httpx.Client, run_id: str, deadline_s: float = 20.0) -> dict[str, Any]:
+    """The run once it has ended."""
+
+    def look() -> dict[str, Any] | None:
+        run = client.get(f"/api/runs/{run_id}").raise_for_status().json()
+        return run if run["status"] not in {"queued", "running", "paused"} else None
+
+    return wait_for(look, f"end of run {run_id}", deadline_s)
+
+
+@contextmanager
+def running_service(store_path: Path, *rigs: RigSettings) -> Iterator[Any]:
+    """A run service over the store at the path."""
+    from calrig.runs.service import RunService
+    from calrig.store import Store
+
+    with (
+        Store.open(f"sqlite:///{store_path}", writer="tests") as store,
+        closing(RunService(store, rigs)) as service,
+    ):
+        yield service
+
+
+@contextmanager
+def serving(service: Any) -> Iterator[httpx.Client]:
+    """The real application on a free port, served by uvicorn in a thread; a client of it."""
+    from calrig.api.address import listen
+    from calrig.api.app import create_app
+    from calrig.api.server import Server
+
+    ready = threading.Event()
+    socket = listen("127.0.0.1", 0)
+    url = f"http://127.0.0.1:{socket.getsockname()[1]}"
+    server = Server(create_app(service), ready.set)
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [socket]}, name="server")
+    thread.start()
+    try:
+        assert ready.wait(10), "the server did not start"
+        with httpx.Client(base_url=url, timeout=20) as client:
+            yield client
+    finally:
+        server.should_exit = True
+        thread.join(10)
+        assert not thread.is_alive(), "the server did not stop"

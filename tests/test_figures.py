@@ -1,0 +1,153 @@
+"""Figures: what is drawn is what was measured, in plotly's own terms."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+
+from calrig import figures
+from calrig.calibration.pose import Pose
+
+
+def poses(bias_deg=0.8, scale=1.01, sweeps=2):
+    """Readings that are exactly bias + scale·θ on a stage that stands beside its targets."""
+    return [
+        Pose(
+            target_deg=target,
+            stage_deg=target + 0.02,
+            reading_deg=bias_deg + scale * (target + 0.02),
+            reading_stderr_deg=0.01,
+            sweep=sweep,
+            approach=1 if sweep % 2 == 0 else -1,
+        )
+        for sweep in range(sweeps)
+        for target in (-40.0, 0.0, 40.0)
+    ]
+
+
+def runs(n=3, **changes):
+    """Runs of one unit, a day apart, the newest first, as the comparison has them."""
+    first = datetime(2025, 3, 1, tzinfo=UTC)
+    made = [
+        {
+            "run_id": str(k),
+            "finished_at": first + timedelta(days=k),
+            "bias_deg": 0.8 + 0.01 * k,
+            "bias_std_deg": 0.004,
+            "scale": 1.002,
+            "scale_std": 0.0003,
+            "rms_raw_deg": 0.9,
+            "rms_calibrated_deg": 0.05,
+            **changes,
+        }
+        for k in range(n)
+    ]
+    return made[::-1]
+
+
+ALL = {
+    "timeline": figures.timeline([0.0, 0.1], [0.0, None], [0.1, 0.2]),
+    "residual": figures.residual(poses(), bias_deg=0.8, scale=1.01, excluded={1}),
+    "history": figures.history(runs()),
+    "bias": figures.compare("bias", {"A": runs(), "B": []}),
+    "scale": figures.compare("scale", {"A": runs(scale=None, scale_std=None)}),
+    "rms": figures.compare("rms", {"A": runs()}),
+    "residuals": figures.residuals_overlaid([figures.Curve("A", poses(), 0.8, 1.01)]),
+}
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_plotly_itself_takes_every_property_of_a_figure(name):
+    go.Figure(ALL[name])  # raises on any property that plotly does not know
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_a_figure_is_json_without_nan(name):
+    json.dumps(ALL[name], allow_nan=False)
+
+
+def test_raw_residual_is_reading_minus_stage_and_a_true_calibration_leaves_nothing():
+    figure = figures.residual(poses(bias_deg=0.8, scale=1.01), bias_deg=0.8, scale=1.01)
+    raw = [t for t in figure["data"] if t.get("yaxis") is None]
+    calibrated = [t for t in figure["data"] if t.get("yaxis") == "y2"]
+    for trace in raw:
+        np.testing.assert_allclose(trace["y"], 0.8 + 0.01 * np.array(trace["x"]), atol=1e-12)
+    for trace in calibrated:
+        np.testing.assert_allclose(trace["y"], 0, atol=1e-12)
+        np.testing.assert_allclose(trace["error_y"]["array"], 0.01 / 1.01)
+
+
+def test_poses_are_told_apart_by_approach_and_excluded_ones_are_drawn_apart():
+    figure = figures.residual(poses(), excluded={4})
+    assert {t["name"]: t["customdata"] for t in figure["data"]} == {
+        "upward": [0, 1, 2],
+        "downward": [3, 5],
+        "excluded": [4],
+    }
+
+
+def test_before_there_is_a_calibration_only_the_raw_residual_is_drawn():
+    figure = figures.residual(poses())
+    assert "yaxis2" not in figure["layout"]
+    assert all("yaxis" not in trace for trace in figure["data"])
+
+
+def test_where_the_stage_said_nothing_the_target_stands_in():
+    figure = figures.residual([Pose(target_deg=10.0, reading_deg=10.5)])
+    assert (figure["data"][0]["x"], figure["data"][0]["y"]) == ([10.0], [0.5])
+
+
+def test_a_long_timeline_is_thinned_evenly_from_its_first_point():
+    time_s = np.arange(50_000) / 20
+    figure = figures.timeline(time_s.tolist(), time_s.tolist(), time_s.tolist())
+    for line in figure["data"]:
+        assert figures.MAX_POINTS / 2 < len(line["x"]) <= figures.MAX_POINTS
+        assert line["x"][0] == 0
+        assert len(set(np.diff(line["x"]).round(9))) == 1
+
+
+def test_runs_are_drawn_in_the_order_they_finished_and_unfinished_ones_are_not():
+    unfinished = {**runs(1)[0], "finished_at": None}
+    bias = figures.history([unfinished, *runs(3)])["data"][0]
+    assert bias["customdata"] == ["0", "1", "2"]
+    assert bias["y"] == pytest.approx([0.8, 0.81, 0.82])
+    assert bias["error_y"]["array"] == [0.004] * 3
+
+
+def test_an_overlaid_curve_runs_through_the_mean_residual_at_each_elevation():
+    measured = [
+        Pose(target_deg=target, reading_deg=target + off) for target in (20.0, -20.0) for off in (0.1, 0.3)
+    ]
+    points, line = figures.residuals_overlaid([figures.Curve("A", measured, 0.0, None)])["data"]
+    assert len(points["x"]) == 4
+    assert line["x"] == [-20.0, 20.0]
+    np.testing.assert_allclose(line["y"], 0.2)
+
+
+def test_a_serial_number_is_text_to_plotly_and_never_markup():
+    figure = figures.compare("bias", {'<a href="x">&amp;</a>': runs()})
+    assert figure["data"][0]["name"] == '&lt;a href="x"&gt;&amp;amp;&lt;/a&gt;'
+
+
+def test_more_units_than_colours_begin_again_with_the_first():
+    many = {f"unit {k}": runs() for k in range(len(figures.PALETTE) + 1)}
+    colours = [trace["line"]["color"] for trace in figures.compare("bias", many)["data"]]
+    assert colours == [*figures.PALETTE, figures.PALETTE[0]]
+
+
+@pytest.mark.parametrize("background", ["#ffffff", "#171c21"])
+@pytest.mark.parametrize("colour", figures.PALETTE)
+def test_every_colour_stands_out_on_light_and_on_dark(colour, background):
+    """WCAG 2.1, 1.4.11: at least 3:1 for what carries meaning in a graphic."""
+
+    def luminance(hex_colour):
+        channels = np.array([int(hex_colour[i : i + 2], 16) / 255 for i in (1, 3, 5)])
+        linear = np.where(channels <= 0.04045, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4)
+        return float(linear @ [0.2126, 0.7152, 0.0722])
+
+    light, dark = sorted((luminance(colour), luminance(background)), reverse=True)
+    assert (light + 0.05) / (dark + 0.05) >= 3
