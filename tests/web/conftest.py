@@ -1,0 +1,79 @@
+"""A headless Chromium, and pages that fail their test when anything is wrong on their console."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+CHROMIUM = Path("/usr/bin/chromium")
+ARGUMENTS = [
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+
+
+@pytest.fixture(scope="package")
+def browser() -> Iterator[Any]:
+    """The system's Chromium with a fresh profile; without one the tests of the page skip."""
+    api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: page not driven")
+    if not CHROMIUM.exists():
+        pytest.skip(f"no browser at {CHROMIUM}: page not driven")
+    with api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def forgiven() -> list[str]:
+    """Patterns of console errors that a test provokes: what a browser itself logs of a refused request."""
+    return []
+
+
+@pytest.fixture
+def fresh_page(browser: Any, forgiven: list[str]) -> Iterator[Any]:
+    """A page of its own; the test fails on any console error, warning or uncaught exception on it."""
+    problems: list[str] = []
+    context = browser.new_context(viewport={"width": 1280, "height": 900}, accept_downloads=True)
+    page = context.new_page()
+    page.set_default_timeout(20_000)
+    page.on("console", lambda m: problems.append(m.text) if m.type in {"error", "warning"} else None)
+    page.on("pageerror", lambda error: problems.append(f"{error}\n{error.stack}"))
+    yield page
+    context.close()
+    assert [p for p in problems if not any(re.search(pattern, p) for pattern in forgiven)] == []
+
+
+@pytest.fixture
+def page(client: Any, fresh_page: Any) -> Any:
+    """A page that is closed before the service is: it watches whether the service is there."""
+    return fresh_page
+
+
+@pytest.fixture
+def go(page: Any, client: Any) -> Callable[[str], None]:
+    """Opens a view of the page by its hash route."""
+
+    def go(route: str) -> None:
+        page.goto(str(client.base_url.join("/")) + route)
+
+    return go
+
+
+@pytest.fixture
+def expect(browser: Any) -> Any:
+    """Playwright's assertions, which wait for what they expect."""
+    from playwright.sync_api import expect
+
+    expect.set_options(timeout=20_000)
+    return expect

@@ -1,0 +1,155 @@
+"""What was measured, as a person finds, compares, amends and imports it on the page."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from pathlib import Path
+
+import pytest
+from page_help import imported, measured
+
+pytestmark = pytest.mark.browser
+
+DATA = Path(os.environ.get("CALRIG_DATA", Path(__file__).parents[3] / "shared" / "data"))
+WARMUP = DATA / "mpu6050_warmup_poses.csv"
+REFUSED_422 = r"status of 422"
+
+
+def test_units_are_compared_with_their_errors(page, client, go, expect):
+    first, second = imported(client, "A/1", bias_deg=0.5), imported(client, "B", bias_deg=-0.3)
+    imported(client, "B", bias_deg=-0.31)
+    go("#/compare")
+    page.get_by_label("A/1", exact=True).check()
+    page.get_by_label("B", exact=True).check()
+    page.get_by_role("button", name="Compare").click()
+    page.wait_for_url("**/#/compare?unit=A%2F1&unit=B")
+    row = page.locator("#compare-table tbody tr").filter(has_text="A/1")
+    std = first["result"]["bias_std_deg"]
+    decimals = 1 - int(f"{std:e}".split("e")[1])
+    expect(row).to_contain_text(f"{first['result']['bias_deg']:.{decimals}f} ± {std:.{decimals}f}°")
+    expect(page.locator("#compare-table tbody tr")).to_have_count(2)
+    expect(page.get_by_test_id("spread")).to_contain_text("between units")
+    for chart in ("residuals", "bias", "scale", "rms"):
+        expect(page.get_by_test_id(f"compare-{chart}").locator(".plot-container")).to_be_visible()
+    assert second["unit"] == "B"
+
+
+def test_a_run_is_voided_with_a_reason_and_stays_struck_through(page, client, go, expect):
+    run = imported(client, "A")
+    go(f"#/runs/{run['id']}")
+    page.click("#void")
+    page.get_by_test_id("confirm").click()  # no reason yet: the browser asks for one
+    expect(page.locator("dialog")).to_be_visible()
+    page.fill("#reason", "the cable caught")
+    page.get_by_test_id("confirm").click()
+    expect(page.locator("#void-reason")).to_contain_text("the cable caught")
+    expect(page.locator("h1")).to_have_css("text-decoration-line", "line-through")
+    assert client.get(f"/api/runs/{run['id']}").json()["voided"]["reason"] == "the cable caught"
+    go("#/")
+    expect(page.locator("#runs-table tr.voided")).to_contain_text("A")
+    go("#/compare?unit=A")
+    expect(page.locator("#compare-table")).to_contain_text("no completed run that counts")
+
+
+def test_a_pose_is_excluded_with_a_reason_and_the_result_follows(page, client, go, expect):
+    run = imported(client, "A", poses=8)
+    go(f"#/runs/{run['id']}")
+    page.get_by_role("button", name="Exclude pose 7").click()
+    page.fill("#reason", "bumped")
+    page.get_by_test_id("confirm").click()
+    row = page.locator("#poses-table tr[data-pose='7']")
+    expect(row).to_contain_text("excluded: bumped")
+    expect(row.locator("th")).to_have_css("text-decoration-line", "line-through")
+    result = client.get(f"/api/runs/{run['id']}").json()["result"]
+    assert result["n_poses"] == 7
+    expect(page.locator("#result")).to_contain_text(f"{result['rms_raw_deg']:#.3g}°")
+
+
+@pytest.mark.skipif(not WARMUP.exists(), reason=f"{WARMUP} is not there (set CALRIG_DATA)")
+def test_a_measured_file_becomes_a_run_whose_scale_cannot_be_known(page, client, go, expect):
+    go("#/import")
+    page.set_input_files("#file", WARMUP)
+    page.fill("#unit", "FreeIMU")
+    page.click("#import")
+    expect(page.locator("#status")).to_have_text("completed")
+    expect(page.locator("#result")).to_contain_text("not known")
+    expect(page.get_by_test_id("verdict")).to_contain_text("one elevation")
+    with WARMUP.open(newline="") as file:
+        n_poses = sum(1 for _ in csv.DictReader(file))
+    expect(page.locator("#poses-title")).to_have_text(f"Poses ({n_poses})")
+
+
+def test_a_bad_file_is_refused_with_line_and_column_and_nothing_is_stored(page, client, go, expect, forgiven):
+    forgiven.append(REFUSED_422)
+    go("#/import")
+    content = b"target_deg,reading_deg\n0,0.1\n10,ten\n"
+    page.set_input_files("#file", {"name": "bad.csv", "mimeType": "text/csv", "buffer": content})
+    page.fill("#unit", "A")
+    page.click("#import")
+    expect(page.locator("#import-error")).to_contain_text("line 3")
+    expect(page.locator("#import-error")).to_contain_text("reading_deg")
+    assert client.get("/api/units").json() == []
+
+
+def test_a_serial_number_is_text_wherever_it_is_shown_and_leads_to_its_unit(page, client, go, expect):
+    serial = '<img src="x" onerror="document.title=1">/&amp;?#%'
+    imported(client, serial)
+    go("#/units")
+    page.get_by_role("link", name=serial, exact=True).click()
+    expect(page.locator("h1")).to_have_text(f"Unit {serial}")
+    expect(page.get_by_test_id("history").locator(".plot-container")).to_be_visible()
+    with page.expect_download() as download:
+        page.click("#calibration-json")
+    assert json.loads(download.value.path().read_text())["unit"] == serial
+    page.get_by_role("link", name="Compare with other units").click()
+    expect(page.locator("#compare-table tbody th")).to_have_text(serial)
+    expect(page.get_by_test_id("compare-bias").locator(".legendtext")).to_have_text(serial)
+    assert page.locator("main img").count() == 0
+
+
+def test_runs_are_found_by_unit_rig_and_status(page, client, go, expect):
+    imported(client, "A")
+    imported(client, "B")
+    measured(client, "B")
+    go("#/")
+    rows = page.locator("#runs-table tbody tr")
+    expect(rows).to_have_count(3)
+    page.fill("#filter-unit", "B")
+    expect(rows).to_have_count(2)
+    page.select_option("#filter-rig", "bench-1")
+    expect(rows).to_have_count(1)
+    page.select_option("#filter-status", "failed")
+    expect(page.get_by_text("No run matches.")).to_be_visible()
+
+
+def test_every_view_fits_a_phone(page, client, go, expect):
+    run = imported(client, "A-serial-number-that-is-" + "long-" * 12)
+    page.set_viewport_size({"width": 390, "height": 800})
+    unit = client.get("/api/units").json()[0]["serial"]
+    for route in (
+        "#/",
+        f"#/runs/{run['id']}",
+        "#/units",
+        f"#/units/{unit}",
+        f"#/compare?unit={unit}",
+        "#/import",
+    ):
+        go(route)
+        expect(page.locator("h1")).to_be_visible()
+        page.wait_for_load_state("networkidle")
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390, route
+
+
+def test_the_page_works_under_a_strict_content_security_policy(page, client, go, expect):
+    policy = "default-src 'self'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:"
+
+    def with_policy(route):
+        response = route.fetch()
+        route.fulfill(response=response, headers={**response.headers, "Content-Security-Policy": policy})
+
+    page.route(str(client.base_url.join("/")), with_policy)
+    run = imported(client, "A")
+    go(f"#/runs/{run['id']}")
+    expect(page.get_by_test_id("residual").locator(".plot-container")).to_be_visible()

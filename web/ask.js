@@ -1,0 +1,49 @@
+// A question that needs a reason: what is voided or excluded stays, with why.
+
+import { errorLine, h } from "./dom.js";
+
+/**
+ * Asks for a reason in a dialog and calls `act(reason)`; an error of `act` is shown there and the dialog
+ * stays open. Resolves to whether it was done.
+ */
+export function askReason({ title, text, action }, act) {
+  const reason = h("textarea", { id: "reason", required: true, maxlength: "1000", rows: "3" });
+  const confirm = h("button", { type: "submit", class: "danger", "data-testid": "confirm" }, action);
+  const cancel = h("button", { type: "button" }, "Cancel");
+  const error = errorLine("reason-error");
+  const form = h(
+    "form",
+    {},
+    h("h2", { id: "ask-title" }, title),
+    h("p", {}, text),
+    h("label", { for: "reason" }, "Reason"),
+    reason,
+    error.element,
+    h("div", { class: "buttons end" }, cancel, confirm),
+  );
+  const dialog = h("dialog", { "aria-labelledby": "ask-title" }, form);
+  document.body.append(dialog);
+  return new Promise((resolve) => {
+    let done = false;
+    cancel.addEventListener("click", () => dialog.close());
+    dialog.addEventListener("close", () => {
+      dialog.remove();
+      resolve(done);
+    });
+    form.addEventListener("submit", async (event) => {
+      event.preventDefault();
+      confirm.disabled = true;
+      error.say(null);
+      try {
+        await act(reason.value);
+        done = true;
+        dialog.close();
+      } catch (problem) {
+        error.say(problem);
+      } finally {
+        confirm.disabled = false;
+      }
+    });
+    dialog.showModal();
+  });
+}

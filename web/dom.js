@@ -1,0 +1,68 @@
+// Elements without innerHTML: whatever comes from the service or a person ends up as text.
+
+/**
+ * An element. `props` are attributes, except `on` (listeners by event); `true` sets a bare attribute,
+ * null, undefined and false leave it out. Children are nodes, texts, or arrays of both.
+ */
+export function h(tag, props = {}, ...children) {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(props)) {
+    if (name === "on") {
+      for (const [event, listener] of Object.entries(value)) element.addEventListener(event, listener);
+    } else if (value !== null && value !== undefined && value !== false) {
+      element.setAttribute(name, value === true ? "" : String(value));
+    }
+  }
+  element.append(...children.flat(Infinity).filter(isShown));
+  return element;
+}
+
+function isShown(child) {
+  return child !== null && child !== undefined && child !== false;
+}
+
+/** Replaces what an element holds; null and false among the children are left out. */
+export function fill(element, ...children) {
+  element.replaceChildren(...children.flat(Infinity).filter(isShown));
+}
+
+export function unitHref(serial) {
+  return `#/units/${encodeURIComponent(serial)}`;
+}
+
+export function runHref(id) {
+  return `#/runs/${encodeURIComponent(id)}`;
+}
+
+export function unitLink(serial) {
+  return h("a", { href: unitHref(serial), class: "serial" }, serial);
+}
+
+/** A run's status as a coloured word; the word alone carries the meaning. */
+export function statusPill(status, props = {}) {
+  return h("span", { ...props, class: `pill ${status}` }, status);
+}
+
+/** A table in a box of its own that scrolls sideways on a narrow screen, also by keyboard. */
+export function tableBox(label, table) {
+  return h("div", { class: "table-box", role: "region", "aria-label": label, tabindex: "0" }, table);
+}
+
+/** A table's head; a name that begins with "#" stands over numbers. */
+export function headings(...names) {
+  const cell = (name) =>
+    h("th", { scope: "col", class: name.startsWith("#") && "number" }, name.replace(/^#/, ""));
+  return h("thead", {}, h("tr", {}, names.map(cell)));
+}
+
+/** A line for an error near what caused it; empty and hidden until `say` is called. */
+export function errorLine(id) {
+  const element = h("p", { id, class: "error", role: "alert", hidden: true });
+  return {
+    element,
+    say(error) {
+      element.textContent = error ? error.message : "";
+      element.hidden = !error;
+    },
+  };
+}

@@ -1,0 +1,103 @@
+// A CSV of poses measured elsewhere becomes a run.
+
+import { get, postForm } from "./api.js";
+import { errorLine, fill, h, runHref } from "./dom.js";
+
+export async function importView({ root, signal }) {
+  const rigs = await get("/api/rigs", signal);
+  const file = h("input", {
+    id: "file",
+    type: "file",
+    accept: ".csv,text/csv",
+    required: true,
+    "aria-describedby": "import-help",
+  });
+  const unit = h("input", {
+    id: "unit",
+    type: "text",
+    required: true,
+    autocomplete: "off",
+    spellcheck: "false",
+  });
+  const rig = h(
+    "select",
+    { id: "rig" },
+    h("option", { value: "" }, "not on a rig of this service"),
+    rigs.map(({ name }) => h("option", { value: name }, name)),
+  );
+  const error = errorLine("import-error");
+  const submit = h("button", { id: "import", type: "submit", class: "primary" }, "Import");
+  const field = (id, label, input) => h("div", { class: "field" }, h("label", { for: id }, label), input);
+  const form = h(
+    "form",
+    { class: "card start" },
+    field("file", "CSV file", file),
+    h(
+      "div",
+      { class: "fields two" },
+      field("unit", "Unit's serial number", unit),
+      field("rig", "Measured on rig", rig),
+    ),
+    error.element,
+    h("div", { class: "buttons" }, submit),
+  );
+  form.addEventListener("submit", async (event) => {
+    event.preventDefault();
+    submit.disabled = true;
+    error.say(null);
+    const body = new FormData();
+    body.set("file", file.files[0]);
+    body.set("unit", unit.value);
+    if (rig.value) body.set("rig", rig.value);
+    try {
+      const run = await postForm("/api/imports", body);
+      location.hash = runHref(run.id);
+    } catch (problem) {
+      error.say(problem);
+    } finally {
+      submit.disabled = false;
+    }
+  });
+  for (const input of [file, unit, rig]) input.addEventListener("input", () => error.say(null));
+  fill(root, h("h1", {}, "Import measured poses"), form, help());
+}
+
+function help() {
+  const code = (text) => h("code", {}, text);
+  return h(
+    "section",
+    { class: "card", id: "import-help" },
+    h("h2", {}, "What the file holds"),
+    h(
+      "p",
+      {},
+      "One row a pose, commas, a header row, a point in decimals. ",
+      code("target_deg"),
+      " and ",
+      code("reading_deg"),
+      " are required.",
+    ),
+    h(
+      "p",
+      {},
+      "Also understood: ",
+      [
+        "pass",
+        "approach",
+        "time_s",
+        "temperature_c",
+        "stage_deg",
+        "reading_std_deg",
+        "reading_stderr_deg",
+        "n_samples",
+        "accel_x_g",
+      ].map((name) => [code(name), ", "]),
+      "… Any other numeric column is kept as a covariate.",
+    ),
+    h(
+      "p",
+      { class: "muted" },
+      "A file with a mistake in it is refused whole, with the line and column; nothing of it is stored.",
+    ),
+  );
+}

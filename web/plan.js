@@ -1,0 +1,192 @@
+// The plan as a form: the usual fields in sight, the rest folded; how many poses and how long.
+
+import { h, fill } from "./dom.js";
+import { duration, plural } from "./format.js";
+
+const ASSUMED_VELOCITY_DPS = 20;
+const MOVE_OVERHEAD_S = 0.7; // speeding up, slowing down, and asking the stage whether it is there
+const HOMING_AND_START_S = 5;
+
+const RANGE = [
+  field("start_deg", "From", "°", -60),
+  field("stop_deg", "To", "°", 60),
+  field("step_deg", "Step", "°", 10),
+];
+const USUAL = [
+  field("sweeps", "Sweeps", "", 4, { whole: true }),
+  field("settle_s", "Settle", "s", 1),
+  field("dwell_s", "Dwell", "s", 2),
+];
+const ADVANCED = [
+  field("jitter_deg", "Jitter of each elevation, ±", "°", 0),
+  field("rate_hz", "Sample rate", "Hz", 200, { whole: true }),
+  field("target_std_deg", "Dwell until standard error", "°", null, { hint: "fixed dwell" }),
+  field("velocity_dps", "Stage velocity", "°/s", null, { hint: "as the stage has it" }),
+  field("wait_s", "Wait before each sweep", "s", 0),
+  field("wait_temperature_c", "Wait for temperature", "°C", null, { hint: "do not wait" }),
+  field("seed", "Seed", "", 0, { whole: true }),
+];
+const ORDERS = [
+  ["sweep", "Up, then down"],
+  ["random", "Random"],
+  ["given", "As given"],
+];
+
+function field(name, label, unit, value, { whole = false, hint = null } = {}) {
+  return { name, label, unit, value, whole, hint };
+}
+
+/** The form's fieldset: `value()` is the plan it says, `mark(reason)` shows which inputs a refusal names. */
+export function planForm() {
+  const inputs = new Map();
+  const make = (spec) => labelled(spec, inputs);
+  const asRange = radio("range", "Range", true);
+  const asList = radio("list", "List", false);
+  const list = h("input", {
+    id: "elevations_deg",
+    type: "text",
+    inputmode: "text",
+    placeholder: "−60, −20, 0, 20, 60",
+  });
+  const order = h(
+    "select",
+    { id: "order" },
+    ORDERS.map(([value, label]) => h("option", { value }, label)),
+  );
+  const summary = h("p", { id: "plan-summary", class: "summary", "aria-live": "polite" });
+  const range = h("div", { class: "fields three" }, RANGE.map(make));
+  const given = h(
+    "div",
+    { class: "field", hidden: true },
+    h("label", { for: "elevations_deg" }, "Elevations, ° (in any order)"),
+    list,
+  );
+  const advanced = h(
+    "details",
+    {},
+    h("summary", {}, "More settings"),
+    h("div", { class: "fields two" }, ADVANCED.map(make)),
+  );
+  inputs.set("elevations_deg", list);
+  inputs.set("order", order);
+  const element = h(
+    "fieldset",
+    { id: "plan" },
+    h("legend", {}, "Plan"),
+    h(
+      "div",
+      { class: "choice", role: "radiogroup", "aria-label": "Elevations" },
+      asRange.element,
+      asList.element,
+    ),
+    range,
+    given,
+    h(
+      "div",
+      { class: "fields four" },
+      h("div", { class: "field" }, h("label", { for: "order" }, "Order"), order),
+      USUAL.map(make),
+    ),
+    advanced,
+    summary,
+  );
+
+  function value() {
+    const plan = { order: order.value };
+    for (const spec of [...(asList.input.checked ? [] : RANGE), ...USUAL, ...ADVANCED]) {
+      plan[spec.name] = number(inputs.get(spec.name));
+    }
+    if (asList.input.checked) plan.elevations_deg = parseList(list.value);
+    return plan;
+  }
+
+  function refresh() {
+    range.hidden = asList.input.checked;
+    given.hidden = !asList.input.checked;
+    for (const spec of RANGE) inputs.get(spec.name).disabled = asList.input.checked;
+    list.required = asList.input.checked;
+    mark("");
+    fill(summary, estimateText(value()));
+  }
+
+  function mark(reason) {
+    for (const [name, input] of inputs) {
+      const wrong = reason.includes(`plan.${name}`);
+      input.setAttribute("aria-invalid", wrong);
+      if (wrong && advanced.contains(input)) advanced.open = true;
+    }
+  }
+
+  element.addEventListener("input", refresh);
+  refresh();
+  return { element, value, mark };
+}
+
+function labelled({ name, label, unit, value, whole, hint }, inputs) {
+  const input = h("input", {
+    id: name,
+    type: "number",
+    step: whole ? "1" : "any",
+    value,
+    placeholder: hint,
+    required: value !== null,
+  });
+  inputs.set(name, input);
+  return h("div", { class: "field" }, h("label", { for: name }, unit ? `${label}, ${unit}` : label), input);
+}
+
+function radio(value, label, checked) {
+  const input = h("input", { type: "radio", name: "elevations", id: `as-${value}`, value, checked });
+  return { input, element: h("label", { for: `as-${value}` }, input, label) };
+}
+
+function number(input) {
+  return input.value === "" ? null : Number(input.value);
+}
+
+/** "−60, 0; 60.5" as numbers; a word that is none stays a word, for the service to name. */
+function parseList(text) {
+  const words = text
+    .replaceAll("−", "-")
+    .split(/[\s,;]+/)
+    .filter(Boolean);
+  return words.map((word) => (Number.isFinite(Number(word)) ? Number(word) : word));
+}
+
+function elevations(plan) {
+  if (plan.elevations_deg) return plan.elevations_deg.filter((value) => typeof value === "number");
+  const { start_deg: start, stop_deg: stop, step_deg: step } = plan;
+  if (start === null || stop === null || !(step > 0)) return [];
+  const [low, high] = [Math.min(start, stop), Math.max(start, stop)];
+  const whole = Math.floor((high - low) / step + 1e-9);
+  if (whole > 10_000) return [];
+  const grid = Array.from({ length: whole + 1 }, (_, k) => low + k * step);
+  if (high - grid.at(-1) > 1e-6 * step) grid.push(high);
+  return grid;
+}
+
+/** Seconds of the board's clock for the whole plan, and the number of poses. */
+export function estimate(plan) {
+  const angles = elevations(plan);
+  const poses = angles.length * (plan.sweeps || 0);
+  if (!poses) return { poses: 0, seconds: null };
+  const span = Math.max(...angles) - Math.min(...angles);
+  const velocity = plan.velocity_dps || ASSUMED_VELOCITY_DPS;
+  const travel = plan.order === "random" ? (span / 3) * poses : span * plan.sweeps;
+  const each = plan.settle_s + plan.dwell_s + MOVE_OVERHEAD_S;
+  return {
+    poses,
+    seconds: HOMING_AND_START_S + travel / velocity + each * poses + plan.wait_s * plan.sweeps,
+  };
+}
+
+function estimateText(plan) {
+  const { poses, seconds } = estimate(plan);
+  if (!poses) return "No poses yet.";
+  const upTo = plan.target_std_deg ? "at most about" : "about";
+  const more = plan.wait_temperature_c === null ? "" : ", and the wait for temperature";
+  return [
+    h("strong", {}, plural(poses, "pose")),
+    `, ${upTo} ${duration(seconds)} by the board's clock${more}`,
+  ];
+}

@@ -1,0 +1,95 @@
+// The poses of a run as a table; one can be excluded, with a reason, and stays in sight.
+
+import { h, headings } from "./dom.js";
+import { fixed, plusMinus } from "./format.js";
+
+const APPROACH = { 1: ["▲", "upward"], "-1": ["▼", "downward"] };
+
+export class PoseTable {
+  /** `onExclude(pose)` is called when somebody wants a pose out; null where poses cannot be excluded. */
+  constructor(onExclude) {
+    this.onExclude = onExclude;
+    this.rows = new Map();
+    this.body = h("tbody");
+    const names = [
+      "Pose",
+      "#Sweep",
+      "#Target",
+      "#Stage",
+      "#Reading",
+      "#Residual raw",
+      "#Calibrated",
+      "From",
+      "#Temperature",
+      "#Samples",
+      "#Settled",
+      "",
+    ];
+    this.element = h("table", { id: "poses-table" }, headings(...names), this.body);
+  }
+
+  get size() {
+    return this.rows.size;
+  }
+
+  clear() {
+    this.rows.clear();
+    this.body.replaceChildren();
+  }
+
+  /** Shows poses, each once: one that is there already is replaced. `result` has the calibration, if any. */
+  show(poses, result, excludable) {
+    for (const pose of poses) {
+      const row = this.#row(pose, result, excludable);
+      const old = this.rows.get(pose.index);
+      if (old) old.replaceWith(row);
+      else this.body.append(row);
+      this.rows.set(pose.index, row);
+    }
+  }
+
+  #row(pose, result, excludable) {
+    const theta = pose.stage_deg ?? pose.target_deg;
+    const raw = pose.reading_deg - theta;
+    const calibrated = result ? (pose.reading_deg - result.bias_deg) / (result.scale ?? 1) - theta : null;
+    const [arrow, words] = APPROACH[pose.approach] ?? ["–", "not known"];
+    const number = (text) => h("td", { class: "number" }, text);
+    return h(
+      "tr",
+      { class: pose.excluded && "voided", "data-pose": pose.index },
+      h("th", { scope: "row" }, pose.index),
+      number(pose.pass ?? "–"),
+      number(fixed(pose.target_deg, 2, "°")),
+      number(orDash(pose.stage_deg, 3, "°")),
+      number(plusMinus(pose.reading_deg, pose.reading_stderr_deg, "°")),
+      number(fixed(raw, 3, "°")),
+      number(calibrated === null ? "–" : fixed(calibrated, 3, "°")),
+      h(
+        "td",
+        { class: "plain" },
+        h("span", { role: "img", "aria-label": `approached: ${words}`, title: words }, arrow),
+      ),
+      number(orDash(pose.temperature_c, 1, "°C")),
+      number(pose.n_samples ?? "–"),
+      number(orDash(pose.settle_s, 2, "s")),
+      h("td", { class: "plain" }, this.#action(pose, excludable)),
+    );
+  }
+
+  #action(pose, excludable) {
+    if (pose.excluded) return h("span", { class: "reason" }, `excluded: ${pose.excluded}`);
+    if (!excludable) return null;
+    const button = h(
+      "button",
+      { type: "button", class: "small", "aria-label": `Exclude pose ${pose.index}` },
+      "Exclude",
+    );
+    button.addEventListener("click", () => this.onExclude(pose));
+    return button;
+  }
+}
+
+/** In a table a dash reads as "not known"; the column's heading says of what. */
+function orDash(value, decimals, unit) {
+  return value === null || value === undefined ? "–" : fixed(value, decimals, unit);
+}

@@ -1,0 +1,36 @@
+// Where a run comes from, folded: whatever the service knows, by name.
+
+import { h } from "./dom.js";
+
+export function provenanceDetails(run) {
+  return h(
+    "section",
+    { class: "card" },
+    details("Plan", run.plan ?? {}, "plan-details"),
+    details("Provenance", run.provenance, "provenance"),
+  );
+}
+
+function details(title, document, testid) {
+  const rows = flatten(document);
+  const body = rows.length
+    ? h(
+        "dl",
+        { class: "pairs" },
+        rows.map(([name, value]) => [h("dt", {}, name), h("dd", {}, value)]),
+      )
+    : h("p", { class: "muted" }, "Nothing is recorded.");
+  return h("details", { "data-testid": testid }, h("summary", {}, title), body);
+}
+
+/** Nested names joined by dots; a list of plain values on one line. */
+function flatten(value, name = "") {
+  if (value === null) return [[name, "–"]];
+  if (Array.isArray(value) && value.every((item) => typeof item !== "object")) {
+    return [[name, value.length ? value.join(", ") : "none"]];
+  }
+  if (typeof value === "object") {
+    return Object.entries(value).flatMap(([key, item]) => flatten(item, name ? `${name}.${key}` : key));
+  }
+  return [[name, String(value)]];
+}

@@ -1,0 +1,51 @@
+// A run's result: the figures with their errors, and beside them whether they are good.
+
+import { h } from "./dom.js";
+import { NOT_KNOWN, isKnown, plusMinus, range, significant } from "./format.js";
+import { verdict } from "./verdict.js";
+
+/** The card's content for a run that has a result. */
+export function resultCard(run) {
+  const { grade, headline, sentences } = verdict(run);
+  return [
+    h("h2", {}, "Result"),
+    h(
+      "div",
+      { class: "columns outcome" },
+      h(
+        "dl",
+        { class: "figures" },
+        figures(run.result).map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))),
+      ),
+      h(
+        "div",
+        { class: `verdict ${grade}`, "data-testid": "verdict" },
+        h("h3", {}, "Is this good?"),
+        h("p", { class: "headline" }, headline),
+        sentences.map((sentence) => h("p", {}, sentence)),
+      ),
+    ),
+  ];
+}
+
+function figures(result) {
+  const gyro = result.gyro;
+  const temperature = result.temperature_c;
+  const rows = [
+    ["Bias", plusMinus(result.bias_deg, result.bias_std_deg, "°")],
+    ["Scale", plusMinus(result.scale, result.scale_std)],
+    ["RMS raw", significant(result.rms_raw_deg, 3, "°")],
+    ["RMS calibrated", significant(result.rms_calibrated_deg, 3, "°")],
+    ["Noise of a reading", significant(result.noise_deg, 2, "°")],
+    ["Poses", result.n_poses.toLocaleString()],
+    ["Temperature", range(temperature?.min, temperature?.max, 1, "°C")],
+  ];
+  if (isKnown(result.rms_with_effects_deg))
+    rows.push(["RMS with effects", significant(result.rms_with_effects_deg, 3, "°")]);
+  if (![gyro?.scale, ...(gyro?.bias_dps ?? [])].some(isKnown)) return [...rows, ["Gyro", NOT_KNOWN]];
+  const bias = ["x", "y", "z"].map((axis, k) => [
+    `Gyro bias ${axis}`,
+    plusMinus(gyro.bias_dps[k], gyro.bias_std_dps[k], "°/s"),
+  ]);
+  return [...rows, ...bias, ["Gyro scale", plusMinus(gyro.scale, gyro.scale_std)]];
+}

@@ -1,0 +1,200 @@
+// One run: live while it goes on, its result when it has ended.
+
+import { ApiError, get, post } from "./api.js";
+import { askReason } from "./ask.js";
+import { Chart } from "./charts.js";
+import { errorLine, fill, h, tableBox } from "./dom.js";
+import { LivePanel, TERMINAL } from "./live.js";
+import { PoseTable } from "./poses.js";
+import { provenanceDetails } from "./provenance.js";
+import { resultCard } from "./result.js";
+import { downloads, faultLine, heading } from "./runhead.js";
+import { follow } from "./stream.js";
+import { Timeline } from "./timeline.js";
+
+const RESIDUAL_EVERY_MS = 1000;
+
+export async function runView({ root, parts: [id], signal }) {
+  const path = `/api/runs/${encodeURIComponent(id)}`;
+  const page = new RunPage(path, await get(path, signal), signal);
+  fill(root, page.element);
+  await page.begin();
+}
+
+class RunPage {
+  constructor(path, run, signal) {
+    this.path = path;
+    this.signal = signal;
+    this.header = h("div", { class: "run-head" });
+    this.error = errorLine("run-error");
+    this.spoken = h("p", { class: "for-screen-readers", "aria-live": "polite" });
+    const announce = (text) => (this.spoken.textContent = text);
+    this.live = new LivePanel((verb) => this.#ask(verb), announce);
+    this.result = h("section", { id: "result", class: "card", hidden: true });
+    this.timelineChart = new Chart("timeline", "Stage and reading against time", { signal });
+    this.residualChart = new Chart("residual", "Residual of each pose", { tall: true, signal });
+    this.poses = new PoseTable((pose) => this.#exclude(pose));
+    this.posesTitle = h("h2", { id: "poses-title" }, "Poses");
+    this.faults = h("section", { class: "card", id: "faults", "aria-label": "Faults" });
+    this.more = h("div");
+    this.element = h(
+      "div",
+      { class: "run" },
+      this.header,
+      this.error.element,
+      this.live.element,
+      this.result,
+      h("div", { class: "charts" }, this.timelineChart.element, this.residualChart.element),
+      this.faults,
+      h(
+        "section",
+        { class: "card", "aria-labelledby": "poses-title" },
+        this.posesTitle,
+        tableBox("Poses", this.poses.element),
+      ),
+      this.more,
+      this.spoken,
+    );
+    signal.addEventListener("abort", () => clearTimeout(this.timer));
+    this.#show(run);
+  }
+
+  async begin() {
+    if (this.ended) return this.#showMeasured();
+    const figure = await get(`${this.path}/figures/timeline`, this.signal);
+    const timeline = new Timeline(this.timelineChart, figure, this.signal);
+    const stream = follow(
+      this.run.id,
+      {
+        state: async ({ status, error }) => {
+          this.#show({ ...this.run, status, error });
+          if (!TERMINAL.has(status)) return;
+          if (status !== "interrupted") stream.stop(); // an interrupted run may have been taken up again
+          await this.#caughtUp(stream, timeline);
+        },
+        progress: (progress) => this.live.progress(progress),
+        pose: (pose) => {
+          this.poses.show([pose], null, false);
+          this.#countPoses();
+          this.#residualSoon();
+        },
+        reading: (reading) => {
+          timeline.add(reading);
+          this.live.reading(reading);
+        },
+      },
+      this.signal,
+    );
+    window.addEventListener("calrig:back", () => this.#caughtUp(stream, timeline), { signal: this.signal });
+  }
+
+  /** After an end, or after the service was away: what the run is now, and no stream where it has ended. */
+  async #caughtUp(stream, timeline) {
+    try {
+      this.#show(await get(this.path, this.signal));
+      this.error.say(null);
+      if (!this.ended) return;
+      stream.stop();
+      timeline.stop();
+      await this.#showMeasured();
+    } catch (error) {
+      this.#say(error);
+    }
+  }
+
+  get ended() {
+    return TERMINAL.has(this.run.status);
+  }
+
+  #show(run) {
+    if (this.run && this.run.status !== run.status)
+      this.spoken.textContent = `Run ${run.id} is ${run.status}`;
+    this.run = run;
+    fill(this.header, heading(run), this.ended && !run.voided && this.#voidButton());
+    this.live.show(run);
+    this.result.hidden = !run.result;
+    if (run.result) fill(this.result, resultCard(run), downloads(run, this.path));
+    fill(this.faults, faultLine(run.faults));
+    fill(this.more, provenanceDetails(run));
+  }
+
+  async #showMeasured() {
+    clearTimeout(this.timer);
+    const [poses] = await Promise.all([
+      get(`${this.path}/poses`, this.signal),
+      this.residualChart.load(`${this.path}/figures/residual`),
+      this.timelineChart.load(`${this.path}/figures/timeline`),
+    ]);
+    this.poses.show(poses, this.run.result, !this.run.voided);
+    this.#countPoses();
+  }
+
+  #countPoses() {
+    this.posesTitle.textContent = `Poses (${this.poses.size})`;
+  }
+
+  #residualSoon() {
+    this.timer ??= setTimeout(async () => {
+      await Promise.all([this.residualChart.load(`${this.path}/figures/residual`), this.#faultsNow()]);
+      this.timer = undefined;
+    }, RESIDUAL_EVERY_MS);
+  }
+
+  async #faultsNow() {
+    try {
+      const { faults } = await get(this.path, this.signal);
+      fill(this.faults, faultLine(faults));
+    } catch (error) {
+      this.#say(error);
+    }
+  }
+
+  /** What the service refused or could not answer; a fault of this page's own goes to the console instead. */
+  #say(error) {
+    if (this.signal.aborted) return;
+    if (!(error instanceof ApiError)) throw error;
+    this.error.say(error);
+  }
+
+  async #ask(verb) {
+    this.error.say(null);
+    try {
+      const run = await post(`${this.path}/${verb}`);
+      if (!this.ended) this.#show(run);
+      this.live.hold(verb === "pause");
+    } catch (error) {
+      this.#say(error);
+    }
+  }
+
+  #voidButton() {
+    const button = h("button", { type: "button", id: "void" }, "Void this run…");
+    button.addEventListener("click", () =>
+      askReason(
+        {
+          title: `Void run ${this.run.id}?`,
+          text: "The run stays, struck through, out of every comparison. This cannot be taken back.",
+          action: "Void the run",
+        },
+        async (reason) => this.#amended(await post(`${this.path}/void`, { reason })),
+      ),
+    );
+    return button;
+  }
+
+  #exclude(pose) {
+    askReason(
+      {
+        title: `Exclude pose ${pose.index}?`,
+        text: "The pose stays, struck through; the result is reckoned without it. This cannot be taken back.",
+        action: "Exclude the pose",
+      },
+      async (reason) => this.#amended(await post(`${this.path}/poses/${pose.index}/exclude`, { reason })),
+    );
+  }
+
+  async #amended(run) {
+    this.#show(run);
+    await this.#showMeasured();
+  }
+}

@@ -1,0 +1,55 @@
+// What a run is called, how it stands, and what can be taken home from it.
+
+import { h, statusPill, unitHref, unitLink } from "./dom.js";
+import { moment } from "./format.js";
+
+export function heading(run) {
+  return h(
+    "div",
+    {},
+    h("h1", { class: run.voided && "voided" }, `Run ${run.id} · `, unitLink(run.unit)),
+    h(
+      "p",
+      { class: "facts" },
+      statusPill(run.status, { id: "status" }),
+      h("span", {}, run.rig ? `rig ${run.rig}` : "no rig"),
+      run.operator && h("span", {}, `by ${run.operator}`),
+      h("span", {}, run.finished_at ? "finished " : "created ", moment(run.finished_at ?? run.created_at)),
+    ),
+    run.note && h("p", { class: "note" }, run.note),
+    run.error && h("p", { class: "error", id: "run-reason", role: "alert" }, run.error),
+    run.voided &&
+      h(
+        "p",
+        { class: "void-reason", id: "void-reason" },
+        "Voided ",
+        moment(run.voided.at),
+        `: ${run.voided.reason}`,
+      ),
+  );
+}
+
+export function downloads(run, path) {
+  const link = (href, text) => h("a", { href, download: "" }, text);
+  return h(
+    "p",
+    { class: "downloads" },
+    link(`${path}/poses?format=csv`, "Poses (CSV)"),
+    run.plan && link(`${path}/samples`, "Raw samples (CSV)"),
+    run.plan && link(`${path}/samples?format=npz`, "Raw samples (NPZ)"),
+    h("a", { href: unitHref(run.unit) }, "Unit's history and calibration"),
+  );
+}
+
+export function faultLine(faults) {
+  const counted = Object.entries(faults).filter(([, count]) => count > 0);
+  if (!counted.length) return h("p", { class: "muted" }, "No faults on the wire.");
+  return h(
+    "p",
+    {},
+    h("strong", {}, "Faults, kept out of the readings: "),
+    counted.map(
+      ([kind, count], k) => `${k ? ", " : ""}${count.toLocaleString()} × ${kind.replaceAll("_", " ")}`,
+    ),
+  );
+}

@@ -1,0 +1,134 @@
+// The first view: start a run, see the rigs, find the runs there are.
+
+import { get, post } from "./api.js";
+import { errorLine, fill, h, runHref, statusPill } from "./dom.js";
+import { planForm } from "./plan.js";
+import { runList } from "./runlist.js";
+
+const REFRESH_MS = 3000;
+const OPERATOR_KEY = "calrig.operator";
+
+export async function startView({ root, signal }) {
+  const rigs = await get("/api/rigs", signal);
+  const form = startForm(rigs);
+  const rigList = h("ul", { class: "rigs", "data-testid": "rigs" });
+  const runs = runList(rigs, signal);
+  showRigs(rigList, rigs);
+  fill(
+    root,
+    h("h1", {}, "Calibrate a unit"),
+    h(
+      "div",
+      { class: "columns" },
+      form,
+      h(
+        "section",
+        { class: "card", "aria-labelledby": "rigs-title" },
+        h("h2", { id: "rigs-title" }, "Rigs"),
+        rigList,
+      ),
+    ),
+    runs.element,
+  );
+  await runs.refresh();
+  keepFresh(rigList, runs, rigs, signal);
+}
+
+function startForm(rigs) {
+  const rig = h(
+    "select",
+    { id: "rig" },
+    rigs.map(({ name }) => h("option", { value: name }, name)),
+  );
+  const unit = h("input", {
+    id: "unit",
+    type: "text",
+    required: true,
+    autocomplete: "off",
+    spellcheck: "false",
+  });
+  const operator = h("input", {
+    id: "operator",
+    type: "text",
+    autocomplete: "name",
+    value: localStorage.getItem(OPERATOR_KEY),
+  });
+  const note = h("input", { id: "note", type: "text", autocomplete: "off" });
+  const plan = planForm();
+  const error = errorLine("start-error");
+  const start = h("button", { id: "start", type: "submit", class: "primary" }, "Start");
+  const field = (id, label, input) => h("div", { class: "field" }, h("label", { for: id }, label), input);
+  const form = h(
+    "form",
+    { class: "card start" },
+    h(
+      "div",
+      { class: "fields two" },
+      field("unit", "Unit's serial number", unit),
+      field("rig", "Rig", rig),
+      field("operator", "Operator (optional)", operator),
+      field("note", "Note (optional)", note),
+    ),
+    plan.element,
+    error.element,
+    h("div", { class: "buttons" }, start),
+  );
+  form.addEventListener("submit", async (event) => {
+    event.preventDefault();
+    start.disabled = true;
+    error.say(null);
+    plan.mark("");
+    localStorage.setItem(OPERATOR_KEY, operator.value);
+    try {
+      const run = await post("/api/runs", {
+        rig: rig.value || null,
+        unit: unit.value,
+        plan: plan.value(),
+        operator: operator.value || null,
+        note: note.value || null,
+      });
+      location.hash = runHref(run.id);
+    } catch (problem) {
+      error.say(problem);
+      plan.mark(problem.message);
+    } finally {
+      start.disabled = false;
+    }
+  });
+  return form;
+}
+
+function showRigs(list, rigs) {
+  fill(
+    list,
+    rigs.map((rig) =>
+      h(
+        "li",
+        {},
+        h("span", { class: "rig-name" }, rig.name, rig.simulated && h("span", { class: "tag" }, "simulated")),
+        statusPill(rig.state),
+        h("span", { class: "muted" }, `stage ${rig.stage}, board ${rig.imu}`),
+        rig.run_id && h("a", { href: runHref(rig.run_id) }, `Watch run ${rig.run_id}`),
+      ),
+    ),
+    rigs.length === 0 && h("li", { class: "muted" }, "No rig is configured."),
+  );
+}
+
+/** Rigs are looked at every few seconds; the runs only when a rig's doings have changed. */
+function keepFresh(rigList, runs, rigs, signal) {
+  let before = JSON.stringify(rigs);
+  const timer = setInterval(async () => {
+    if (document.hidden) return;
+    try {
+      const now = await get("/api/rigs", signal);
+      if (JSON.stringify(now) === before) return;
+      before = JSON.stringify(now);
+      showRigs(rigList, now);
+      await runs.refresh();
+    } catch (error) {
+      if (error.status === undefined && error.name !== "AbortError") throw error; // the banner tells the rest
+    }
+  }, REFRESH_MS);
+  signal.addEventListener("abort", () => clearInterval(timer));
+}

@@ -1,0 +1,115 @@
+// All units, and one unit with its history.
+
+import { get } from "./api.js";
+import { Chart } from "./charts.js";
+import { fill, h, headings, tableBox, unitLink } from "./dom.js";
+import { isKnown, moment, plural, plusMinus, significant } from "./format.js";
+import { runHeadings, runRow } from "./runlist.js";
+
+export async function unitsView({ root, signal }) {
+  const units = await get("/api/units", signal);
+  const rows = units.map((unit) =>
+    h(
+      "tr",
+      {},
+      h("th", { scope: "row" }, unitLink(unit.serial)),
+      h("td", { class: "number" }, unit.n_runs.toLocaleString()),
+      h("td", {}, moment(unit.last_run_at)),
+    ),
+  );
+  fill(
+    root,
+    h("h1", {}, "Units"),
+    h(
+      "section",
+      { class: "card" },
+      units.length
+        ? tableBox(
+            "Units",
+            h("table", { id: "units-table" }, headings("Unit", "#Runs", "Last run"), h("tbody", {}, rows)),
+          )
+        : h("p", { class: "muted" }, "No unit yet: a unit appears with its first run."),
+      units.length > 1 && h("p", { class: "downloads" }, h("a", { href: "#/compare" }, "Compare units")),
+    ),
+  );
+}
+
+export async function unitView({ root, parts: [serial], signal }) {
+  const path = `/api/units/${encodeURIComponent(serial)}`;
+  const unit = await get(path, signal);
+  const current = inForce(unit.runs);
+  const chart = new Chart("history", "Bias, scale and RMS over time", { tall: true, signal });
+  const body = h(
+    "tbody",
+    {},
+    unit.runs.map((run) => runRow(run, { withUnit: false })),
+  );
+  fill(
+    root,
+    h("h1", {}, "Unit ", h("span", { class: "serial" }, unit.serial)),
+    h("p", { class: "muted" }, `${plural(unit.n_runs, "run")}, known since `, moment(unit.created_at)),
+    h(
+      "section",
+      { class: "card", id: "calibration" },
+      h("h2", {}, "Calibration in force"),
+      calibration(current, path),
+    ),
+    chart.element,
+    h(
+      "section",
+      { class: "card", "aria-labelledby": "history-title" },
+      h("h2", { id: "history-title" }, "Runs"),
+      tableBox(
+        "Runs of this unit",
+        h("table", { id: "history-table" }, runHeadings({ withUnit: false }), body),
+      ),
+      h(
+        "p",
+        { class: "downloads" },
+        h("a", { href: `#/compare?unit=${encodeURIComponent(serial)}` }, "Compare with other units"),
+      ),
+    ),
+  );
+  await chart.load(`${path}/figures/history`);
+}
+
+/** The run the service takes the calibration from: the latest finished one that counts and has a scale. */
+function inForce(runs) {
+  const counts = runs.filter(
+    (run) => run.status === "completed" && !run.voided && isKnown(run.result?.scale),
+  );
+  return counts.reduce((best, run) => (!best || run.finished_at > best.finished_at ? run : best), null);
+}
+
+function calibration(run, path) {
+  if (!run) return h("p", { class: "muted" }, "None: no completed run that counts knows the scale.");
+  const {
+    bias_deg: bias,
+    bias_std_deg: biasStd,
+    scale,
+    scale_std: scaleStd,
+    rms_calibrated_deg: rms,
+  } = run.result;
+  const figures = [
+    ["Bias", plusMinus(bias, biasStd, "°")],
+    ["Scale", plusMinus(scale, scaleStd)],
+    ["RMS calibrated", significant(rms, 3, "°")],
+    ["From run", h("a", { href: `#/runs/${encodeURIComponent(run.id)}` }, run.id)],
+  ];
+  return [
+    h(
+      "dl",
+      { class: "figures" },
+      figures.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))),
+    ),
+    h(
+      "p",
+      { class: "downloads" },
+      h(
+        "a",
+        { href: `${path}/calibration`, download: "calibration.json", id: "calibration-json" },
+        "Calibration (JSON)",
+      ),
+    ),
+  ];
+}
