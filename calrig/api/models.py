@@ -97,7 +97,7 @@ class ResultAnswer(_Answer):
     scale: float | None
     scale_std: float | None
     rms_raw_deg: float
-    rms_calibrated_deg: float
+    rms_calibrated_deg: float | None
     rms_with_effects_deg: float | None
     n_poses: int
     noise_deg: float | None
@@ -192,7 +192,7 @@ class ComparedRun(_Answer):
     scale: float | None
     scale_std: float | None
     rms_raw_deg: float
-    rms_calibrated_deg: float
+    rms_calibrated_deg: float | None
     rms_with_effects_deg: float | None
     temperature_c: Extremes
     effects: list[dict[str, Any]]
@@ -265,7 +265,7 @@ class CalibrationAnswer(_Answer):
     effects: list[NamedEffect]
     gyro: CalibrationGyro | None
     rms_raw_deg: float
-    rms_calibrated_deg: float
+    rms_calibrated_deg: float | None
     rms_with_effects_deg: float | None
     expanded_uncertainty_deg: float | None
     coverage_factor: float

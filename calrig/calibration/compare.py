@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 
 import numpy as np
 
+SHORTEST_DRIFT = timedelta(hours=1)
+"""Runs closer than this say nothing of a drift in degrees per day but repeatability, magnified."""
 SECONDS_PER_DAY = 86_400.0
 
 
@@ -36,17 +38,15 @@ def drift(finished_at: Sequence[datetime], bias_deg: Sequence[float]) -> Drift |
         bias_deg: their biases.
 
     Returns:
-        None below two runs, or where all finished at the same time.
+        None below two runs, or where all finished within `SHORTEST_DRIFT`.
     """
-    if len(finished_at) < 2:
+    if len(finished_at) < 2 or max(finished_at) - min(finished_at) < SHORTEST_DRIFT:
         return None
     days = [(at - finished_at[0]).total_seconds() / SECONDS_PER_DAY for at in finished_at]
     n = len(days)
     mean_day, mean_bias = sum(days) / n, sum(bias_deg) / n
     # Plain floats: a unit has a few runs, for which numpy's calls would cost ten times the sums
     power = sum((day - mean_day) ** 2 for day in days)
-    if power == 0.0:
-        return None
     pairs = list(zip(days, bias_deg, strict=True))
     slope = sum((day - mean_day) * (bias - mean_bias) for day, bias in pairs) / power
     if n == 2:
@@ -82,37 +82,3 @@ def components(unit: Sequence[int], value: Sequence[float | None]) -> Components
     between = float((means**2).sum()) / (k - 1)
     runs_effective = (n - float((runs_of_unit**2).sum()) / n) / (k - 1)
     return Components(math.sqrt(max(between - within, 0.0) / runs_effective), math.sqrt(within))
-
-
-def spread(
-    unit: Sequence[int],
-    *,
-    bias_deg: Sequence[float],
-    scale: Sequence[float | None],
-    rms_raw_deg: Sequence[float],
-    rms_calibrated_deg: Sequence[float | None],
-) -> dict[str, float | None]:
-    """`spread` of CONTRACT section 2: between units against repeatability within one.
-
-    Args:
-        unit: index of the unit of each run, from 0.
-        bias_deg: each run's bias.
-        scale: each run's scale; None where it is not known.
-        rms_raw_deg: each run's raw RMS.
-        rms_calibrated_deg: each run's calibrated RMS; None where it is not known.
-
-    Returns:
-        `bias_between_deg`, `bias_within_deg`, `scale_between`, `scale_within`, and for `rms_raw` and
-        `rms_calibrated` as for the bias: standard deviations, None where they cannot be told.
-    """
-    figures = {
-        "bias_{}_deg": components(unit, bias_deg),
-        "scale_{}": components(unit, scale),
-        "rms_raw_{}_deg": components(unit, rms_raw_deg),
-        "rms_calibrated_{}_deg": components(unit, rms_calibrated_deg),
-    }
-    return {
-        name.format(side): getattr(found, side)
-        for name, found in figures.items()
-        for side in ("between", "within")
-    }

@@ -20,6 +20,8 @@ BAUDRATE = 115200
 READ_EVERY_S = 0.04
 READ_TIMEOUT_S = 0.002
 """All bytes there are, 25 times a second: waking for each sample would cost several times as much."""
+BACKLOG_BYTES = 2000
+"""A read this large may be half of a terminal's 4 kB buffer: more waits behind it and grows old."""
 IDENTIFY_S = 5.0
 ASK_AGAIN_S = 0.5
 ANSWER_S = 1.0
@@ -162,7 +164,8 @@ class CalrigBoard:
             raise BoardError(f"{self._name} refused {line}: {words}")
 
     def _listen(self) -> None:
-        while not self._closing.wait(READ_EVERY_S):
+        data = b""
+        while not self._closing.wait(READ_EVERY_S if len(data) < BACKLOG_BYTES else 0.0):
             try:
                 data = self._port.read(65536)
                 if data:

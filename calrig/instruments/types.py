@@ -118,7 +118,7 @@ class Board(Protocol):
         """Stops streaming."""
 
     def close(self) -> None:
-        """Closes the port; never raises."""
+        """Tells a streaming board to stop and closes the port; never raises."""
 
 
 class Stage(Protocol):

@@ -83,7 +83,6 @@ def open_rig(
         if axis.has_moved:
             _leave_stopped(axis, warn)
         if board is not None:
-            _attempt("stop the board's stream", board.stop)
             board.close()
         axis.close()
 
@@ -98,11 +97,3 @@ def _leave_stopped(axis: Axis, warn: Callable[[str], None]) -> None:
     except InstrumentError as error:
         log.warning("could not see the stage stopped: %s", error)
         warn(str(error))
-
-
-def _attempt(what: str, action: Callable[[], None]) -> None:
-    """Runs one step of the teardown; its failure must not keep the next step from running."""
-    try:
-        action()
-    except InstrumentError as error:
-        log.warning("could not %s: %s", what, error)

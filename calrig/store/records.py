@@ -117,7 +117,7 @@ class ComparisonRow(NamedTuple):
     scale: float | None
     scale_std: float | None
     rms_raw_deg: float
-    rms_calibrated_deg: float
+    rms_calibrated_deg: float | None
     rms_with_effects_deg: float | None
     temperature_min_c: float | None
     temperature_max_c: float | None

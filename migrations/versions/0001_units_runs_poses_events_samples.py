@@ -46,7 +46,7 @@ def upgrade() -> None:
         sa.Column("scale", sa.Float()),
         sa.Column("scale_std", sa.Float()),
         sa.Column("rms_raw_deg", sa.Float(), nullable=False),
-        sa.Column("rms_calibrated_deg", sa.Float(), nullable=False),
+        sa.Column("rms_calibrated_deg", sa.Float()),
         sa.Column("rms_with_effects_deg", sa.Float()),
         sa.Column("temperature_min_c", sa.Float()),
         sa.Column("temperature_max_c", sa.Float()),

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
 from scipy.stats import linregress
 
-from calrig.calibration.compare import components, drift, spread
+from calrig.calibration.compare import components, drift
 
 START = datetime(2024, 1, 1, tzinfo=UTC)
 
@@ -72,30 +71,3 @@ def test_what_the_runs_cannot_tell_is_none(unit, value, between, within):
     found = components(unit, value)
     assert found.between == between
     assert found.within == (None if within is None else pytest.approx(within))
-
-
-def test_two_hundred_units_of_twenty_runs_are_compared_in_a_moment():
-    rng = np.random.default_rng(2)
-    unit = np.repeat(np.arange(200), 20).tolist()
-    figures = rng.normal(size=(4, 4000)).tolist()
-    finished_at = [START + timedelta(days=k) for k in range(20)]
-
-    before_s = time.process_time()
-    found = spread(
-        unit,
-        bias_deg=figures[0],
-        scale=[None, *figures[1][1:]],
-        rms_raw_deg=figures[2],
-        rms_calibrated_deg=figures[3],
-    )
-    drifts = [drift(finished_at, figures[0][20 * k : 20 * k + 20]) for k in range(200)]
-    took_s = time.process_time() - before_s
-
-    assert list(found) == [
-        f"{figure}_{side}{unit}"
-        for figure, unit in (("bias", "_deg"), ("scale", ""), ("rms_raw", "_deg"), ("rms_calibrated", "_deg"))
-        for side in ("between", "within")
-    ]
-    assert None not in found.values()
-    assert None not in drifts
-    assert took_s < 0.05
