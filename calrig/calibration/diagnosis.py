@@ -1,0 +1,173 @@
+"""The diagnosis: what is left after bias and scale, traced to an effect, with the error before and after."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from calrig.calibration.candidates import candidates_of
+from calrig.calibration.confirmation import confirm
+from calrig.calibration.fit import fit_line, residuals_deg, rms
+from calrig.calibration.follow_up import design
+from calrig.calibration.held_out import HeldOut, held_out
+from calrig.calibration.outliers import without_outliers
+from calrig.calibration.pose import Pose
+from calrig.calibration.report import effect_documents, model_words
+from calrig.calibration.responses import SCALE_UNIT_DEG, Responses, responses_of
+from calrig.calibration.search import Findings, search
+from calrig.estimation.angles import FloatArray
+
+BOOTSTRAPS = 999
+WEAKEST_FIRST = ("ambiguous", "unnamed", "named")
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """What was found in some poses, before it is put into words.
+
+    Attributes:
+        responses: the poses as the search saw them.
+        findings: the effects, and the fit of the final model.
+        held_out: errors of poses not seen, before and after; None where they were not asked for.
+        warnings: what was left out or looked odd.
+    """
+
+    responses: Responses
+    findings: Findings
+    held_out: HeldOut | None
+    floor_deg: float | None
+    warnings: tuple[str, ...]
+
+
+def diagnose(
+    runs: Sequence[Sequence[Pose]],
+    *,
+    seed: int = 0,
+    bootstraps: int = BOOTSTRAPS,
+    cross_fit: bool = True,
+) -> Diagnosis:
+    """Traces what bias and scale leave of the poses to the effects the model lacks.
+
+    Args:
+        runs: the poses of one or several runs of a unit, in the order measured, none excluded.
+        seed: of the bootstrap: the same poses and seed give the same diagnosis.
+        bootstraps: of each step of the search.
+        cross_fit: whether the errors before and after are measured on poses not seen.
+
+    Raises:
+        DiagnosisError: the poses cannot be diagnosed; the message says why.
+    """
+    kept, outliers = without_outliers(runs)
+    r = responses_of(kept)
+    candidates = candidates_of(r)
+    rng = np.random.default_rng(seed)
+    findings = search(r, candidates, rng, bootstraps=bootstraps)
+    unseen = held_out(r, candidates, rng) if cross_fit else None
+    errors = [e for run in kept for pose in run if (e := pose.reading_stderr_deg) is not None]
+    floor = math.sqrt(sum(e * e for e in errors) / len(errors)) if errors else None
+    return Diagnosis(r, findings, unseen, floor, (*outliers, *r.warnings))
+
+
+def document(diagnosis: Diagnosis, run_ids: Sequence[str]) -> dict[str, Any]:
+    """The diagnosis as CONTRACT section 5 has it, without follow-up and confirmation."""
+    r, findings = diagnosis.responses, diagnosis.findings
+    before = fit_line(r.theta_deg, r.theta_deg + r.values[:, 0])
+    before_deg = residuals_deg(r.theta_deg, r.theta_deg + r.values[:, 0], before.bias_deg, before.scale)
+    after_deg = findings.fitted.residuals[:, 0] / _scale(r, findings)
+    effects = effect_documents(r, findings)
+    verdicts = [effect["verdict"] for effect in effects]
+    unseen = diagnosis.held_out
+    return {
+        "runs": list(run_ids),
+        "n_poses": len(r),
+        "held_out": {
+            "how": "not measured" if unseen is None else f"{unseen.folds} folds",
+            "n_poses": 0 if unseen is None else len(r),
+        },
+        "noise": {
+            "std_deg": _unbiased_std(findings),
+            "lag1_correlation": _lag1(after_deg),
+            "floor_deg": diagnosis.floor_deg,
+        },
+        "base": {
+            "bias_deg": before.bias_deg,
+            "scale": before.scale,
+            "fit_rms_deg": rms(before_deg),
+            "held_out_rms_deg": None if unseen is None else rms(unseen.base_deg),
+        },
+        "verdict": next((v for v in WEAKEST_FIRST if v in verdicts), "nothing"),
+        "effects": effects,
+        "final": {
+            "held_out_rms_deg": None if unseen is None else rms(unseen.final_deg),
+            "fit_rms_deg": rms(after_deg) if findings.found else rms(before_deg),
+            "model": model_words(findings),
+        },
+        "follow_up": None,
+        "confirmed_by": None,
+        "warnings": list(diagnosis.warnings),
+    }
+
+
+def _scale(r: Responses, findings: Findings) -> float:
+    names = r.base_names
+    if "reading.scale" not in names:
+        return 1.0
+    return 1.0 + float(findings.fitted.beta[names.index("reading.scale")]) / SCALE_UNIT_DEG
+
+
+def _unbiased_std(findings: Findings) -> float:
+    residuals = findings.fitted.residuals[:, 0]
+    channels = findings.fitted.residuals.shape[1]
+    freedom = max(len(residuals) - findings.columns.shape[2] / channels, 1.0)
+    return math.sqrt(float(residuals @ residuals) / freedom)
+
+
+def _lag1(residual: FloatArray) -> float:
+    power = float(residual @ residual)
+    return float(residual[1:] @ residual[:-1]) / power if power > 0.0 else 0.0
+
+
+def trace(
+    runs: Sequence[Sequence[Pose]],
+    run_ids: Sequence[str],
+    *,
+    plan: dict[str, Any] | None = None,
+    limits_deg: tuple[float, float] | None = None,
+    deciding: Sequence[int] | None = None,
+) -> dict[str, Any]:
+    """All of CONTRACT section 5: diagnosis, the run that would separate what is ambiguous, confirmation.
+
+    Args:
+        runs: the poses of one or several runs of a unit.
+        run_ids: their ids, in the same order.
+        plan: of the latest run, for the follow-up to keep its settings.
+        limits_deg: soft limits of the rig; the range of the poses where there is none.
+        deciding: of the latest run, the poses that serve to decide; the others confirm.
+
+    Raises:
+        DiagnosisError: the poses cannot be diagnosed; the message says why.
+    """
+    used = [list(run) for run in runs]
+    if deciding is not None:
+        used[-1] = [used[-1][k] for k in deciding]
+    diagnosis = diagnose(used)
+    found = document(diagnosis, run_ids)
+    if deciding is not None:
+        confirmation = confirm(runs[:-1], runs[-1], deciding, diagnosis.findings)
+        found["confirmed_by"] = confirmation and {
+            "run_id": run_ids[-1],
+            "before_rms_deg": confirmation.before_rms_deg,
+            "after_rms_deg": confirmation.after_rms_deg,
+        }
+    if found["verdict"] == "ambiguous":
+        elevations = [pose.theta_deg for run in used for pose in run]
+        designed = design(used, diagnosis.findings, limits_deg or (min(elevations), max(elevations)))
+        if isinstance(designed, str):
+            found["warnings"].append(designed)
+        else:
+            found["follow_up"] = designed.document(plan or {})
+    return found

@@ -1,0 +1,83 @@
+"""Error before and after on poses not seen: the whole search is repeated for each fold."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from calrig.calibration.candidates import Candidate
+from calrig.calibration.effects.stage import periodic_shape
+from calrig.calibration.noise_model import fit
+from calrig.calibration.responses import SCALE_UNIT_DEG, Responses
+from calrig.calibration.search import model_columns, search
+from calrig.estimation.angles import FloatArray
+
+FOLDS = 4
+BOOTSTRAPS = 199
+"""Enough to tell 1 % from more; the p-value that is reported comes from the search over all poses."""
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """Errors (n,) in degrees of elevation of poses that the search and the fit had not seen."""
+
+    base_deg: FloatArray
+    final_deg: FloatArray
+    folds: int
+
+
+def held_out(r: Responses, candidates: Sequence[Candidate], rng: np.random.Generator) -> HeldOut:
+    """Predicts every pose once, by a search and a fit over the other folds; base on the same folds."""
+    fold = folds_of(r)
+    base = np.zeros(len(r))
+    final = np.zeros(len(r))
+    for k in range(int(fold.max()) + 1):
+        train, test = np.flatnonzero(fold != k), np.flatnonzero(fold == k)
+        seen = r.rows(train)
+        base[test] = errors_deg(r, r.base, fit(seen, seen.base).beta, test)
+        findings = search(seen, [c.rows(train) for c in candidates], rng, bootstraps=BOOTSTRAPS)
+        if not findings.found:
+            final[test] = base[test]
+            continue
+        unseen = _whole([f.candidate for f in findings.found], r)
+        final[test] = errors_deg(r, unseen, findings.fitted.beta, test)
+    return HeldOut(base, final, int(fold.max()) + 1)
+
+
+def folds_of(r: Responses) -> npt.NDArray[np.intp]:
+    """(n,) fold of each pose, dealt out in turn along each approach's elevations.
+
+    So every fold has both approaches, all elevations, and poses from early and late.
+    """
+    approach = np.zeros(len(r)) if r.approach is None else r.approach
+    order = np.lexsort((np.arange(len(r)), np.round(r.theta_deg, 1), approach))
+    fold = np.empty(len(r), dtype=np.intp)
+    fold[order] = np.arange(len(r)) % FOLDS
+    return fold
+
+
+def _whole(found: Sequence[Candidate], r: Responses) -> FloatArray:
+    """The columns of a fold's model in all the poses; a refined period exists in the fold's alone."""
+    everywhere = []
+    for candidate in found:
+        period = candidate.shape.at.get("period_deg")
+        shape = candidate.shape if period is None else periodic_shape(r, period)
+        everywhere.append(replace(candidate, shape=shape, columns=r.columns(shape.shares)))
+    return model_columns(r, everywhere)
+
+
+def errors_deg(r: Responses, columns: FloatArray, beta: FloatArray, test: npt.NDArray[np.intp]) -> FloatArray:
+    """(m,) reading less prediction of some poses, over the scale, in degrees of elevation.
+
+    Args:
+        r: all poses.
+        columns: (n, J, p) of the model, in all poses.
+        beta: (p,) as fitted elsewhere.
+        test: (m,) the poses to predict.
+    """
+    scale_at = r.base_names.index("reading.scale") if "reading.scale" in r.base_names else None
+    scale = 1.0 if scale_at is None else 1.0 + beta[scale_at] / SCALE_UNIT_DEG
+    return np.asarray((r.values[test, 0] - columns[test, 0, :] @ beta) / scale, dtype=np.float64)

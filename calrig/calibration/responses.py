@@ -1,0 +1,302 @@
+"""Poses as a multi-response regression sees them: the reading and its witnesses, each less what is expected.
+
+The witnesses are responses of the same fit, not tie-breakers afterwards: an offset of 2 mg on z leaves 0.004°
+in the reading and 0.34 mg in |accelerometer|.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from calrig.calibration.fit import reading_error_deg
+from calrig.calibration.pose import COLUMNS, Pose
+from calrig.estimation.angles import FloatArray
+
+BoolArray = npt.NDArray[np.bool_]
+
+READING, ANGLE, NORM, MOVE, STAGE = "reading", "accel_angle", "accel_norm", "gyro_move", "stage"
+SCALE_UNIT_DEG = 60.0
+"""Elevation enters the base in units of this, so that all its columns are of order 1."""
+FEWEST_POSES = 8
+ONE_ANGLE_DEG = 1e-6
+SAME = 1.0 - 1e-6
+"""Columns correlated beyond this are one column."""
+
+
+class DiagnosisError(ValueError):
+    """The poses cannot be diagnosed; the message says what is wrong with them and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Responses:
+    """n poses with J responses ("channels"), and the covariates that effects are functions of.
+
+    Attributes:
+        theta_deg: (n,) elevation that each pose stands for.
+        move_deg: (n,) θ less that of the pose before; 0 where `moved_known` is False.
+        starts: (n,) whether a pose is the first of its run: it follows on nothing.
+        approach, time_s, temperature_c: (n,) or None where not known of every pose.
+        covariates: (n,) each: columns that calrig has no physics for.
+        channels: names of the J responses, the reading first.
+        values: (n, J) response less θ (angles, degrees), less 1 g (|accelerometer|, g), less the stage's
+            move (gyro, degrees), less target (stage, degrees).
+        known: (n, J) False where a response does not exist (the gyro's before the first move).
+        base: (n, J, p) columns of bias and scale, each in one channel.
+        base_names: of the p columns, such as `reading.bias`, `gyro_move.gain`.
+        kappa: (n,) share of a gyro scale error times the move that the paper's filter still shows.
+    """
+
+    theta_deg: FloatArray
+    move_deg: FloatArray
+    starts: BoolArray
+    approach: FloatArray | None
+    time_s: FloatArray | None
+    temperature_c: FloatArray | None
+    covariates: dict[str, FloatArray]
+    channels: tuple[str, ...]
+    values: FloatArray
+    known: BoolArray
+    base: FloatArray
+    base_names: tuple[str, ...]
+    kappa: FloatArray
+    warnings: tuple[str, ...] = field(default=())
+
+    def __len__(self) -> int:
+        return len(self.theta_deg)
+
+    def rows(self, chosen: npt.NDArray[np.intp]) -> Responses:
+        """Some of the poses, with what their neighbours said of moves and approach."""
+
+        def pick(column: FloatArray | None) -> FloatArray | None:
+            return None if column is None else column[chosen]
+
+        return replace(
+            self,
+            theta_deg=self.theta_deg[chosen],
+            move_deg=self.move_deg[chosen],
+            starts=self.starts[chosen],
+            approach=pick(self.approach),
+            time_s=pick(self.time_s),
+            temperature_c=pick(self.temperature_c),
+            covariates={name: column[chosen] for name, column in self.covariates.items()},
+            values=self.values[chosen],
+            known=self.known[chosen],
+            base=self.base[chosen],
+            kappa=self.kappa[chosen],
+        )
+
+    def columns(self, shares: Mapping[str, FloatArray]) -> FloatArray:
+        """(n, J, p) of what an effect adds to each channel, (n,) or (n, p) each; nothing to the others."""
+        first = next(iter(shares.values()))
+        width = 1 if first.ndim == 1 else first.shape[1]
+        stacked = np.zeros((len(self), len(self.channels), width))
+        for channel, share in shares.items():
+            if channel in self.channels:
+                stacked[:, self.channels.index(channel)] = share.reshape(len(self), width)
+        return stacked * self.known[:, :, None]
+
+    def steps(self, f: FloatArray) -> FloatArray:
+        """(n, …) change of f from the pose before, within a run: what the gyro sees of it."""
+        change = np.zeros_like(f)
+        change[1:] = np.diff(f, axis=0)
+        change[self.starts] = 0.0
+        return change
+
+
+def responses_of(runs: Sequence[Sequence[Pose]]) -> Responses:
+    """The poses of one or several runs of a unit as responses.
+
+    Args:
+        runs: each run's poses in the order measured (none excluded). Several have a bias each.
+
+    Raises:
+        DiagnosisError: too few poses, or readings that cannot be degrees of elevation.
+    """
+    kept, warnings = _complete(runs)
+    poses = [pose for run in kept for pose in run]
+    if len(poses) < FEWEST_POSES:
+        raise DiagnosisError(
+            f"{len(poses)} poses are too few to tell an effect from noise: at least {FEWEST_POSES} are needed"
+        )
+    run_index = np.repeat(np.arange(len(kept)), [len(run) for run in kept])
+    starts = np.diff(run_index, prepend=-1) > 0
+    theta = np.array([pose.theta_deg for pose in poses])
+    reading = np.array([pose.reading_deg for pose in poses])
+    _refuse_radians(theta, reading)
+    if np.abs(reading - theta).max() > 180.0:
+        warnings.append("some readings are a whole turn away from the stage: they were taken on its turn")
+    move = np.where(starts, 0.0, np.diff(theta, prepend=theta[0]))
+    table = _Channels(theta, move, starts, run_index)
+    table.add(READING, reading_error_deg(theta, reading), bias_each_run=True, scaled=True)
+    _add_witnesses(table, poses, theta, move, starts)
+    covariates, said = _covariates(poses, theta, reading)
+    return Responses(
+        theta_deg=theta,
+        move_deg=move,
+        starts=starts,
+        approach=_column(poses, "approach"),
+        time_s=_column(poses, "time_s"),
+        temperature_c=_column(poses, "temperature_c"),
+        covariates=covariates,
+        channels=tuple(table.names),
+        values=np.stack(table.values, axis=1),
+        known=np.stack(table.known, axis=1),
+        base=table.base(),
+        base_names=tuple(name for name, _, _ in table.base_columns),
+        kappa=filter_share(_column(poses, "settle_s"), len(poses)),
+        warnings=(*warnings, *said),
+    )
+
+
+class _Channels:
+    """Gathers the responses and the columns of their bias and scale."""
+
+    def __init__(
+        self, theta: FloatArray, move: FloatArray, starts: BoolArray, run_index: npt.NDArray[np.intp]
+    ) -> None:
+        self.names: list[str] = []
+        self.values: list[FloatArray] = []
+        self.known: list[BoolArray] = []
+        self.base_columns: list[tuple[str, int, FloatArray]] = []
+        self._theta, self._move, self._starts, self._run_index = theta, move, starts, run_index
+        self.turns = float(np.ptp(theta)) > ONE_ANGLE_DEG
+
+    def add(self, name: str, values: FloatArray, *, bias_each_run: bool, scaled: bool) -> None:
+        at = self._begin(name, values, np.ones(len(values), dtype=bool))
+        groups = range(int(self._run_index[-1]) + 1) if bias_each_run else [None]
+        for run in groups:
+            one = np.ones(len(values)) if run is None else (self._run_index == run).astype(float)
+            self.base_columns.append((f"{name}.bias", at, one))
+        if scaled and self.turns:
+            self.base_columns.append((f"{name}.scale", at, self._theta / SCALE_UNIT_DEG))
+
+    def add_moves(self, felt_deg: FloatArray) -> None:
+        known = np.isfinite(felt_deg) & ~self._starts
+        at = self._begin(MOVE, np.where(known, felt_deg - self._move, 0.0), known)
+        self.base_columns.append((f"{MOVE}.bias", at, known.astype(float)))
+        self.base_columns.append((f"{MOVE}.gain", at, np.where(known, self._move, 0.0) / SCALE_UNIT_DEG))
+
+    def _begin(self, name: str, values: FloatArray, known: BoolArray) -> int:
+        self.names.append(name)
+        self.values.append(values)
+        self.known.append(known)
+        return len(self.names) - 1
+
+    def base(self) -> FloatArray:
+        stacked = np.zeros((len(self._theta), len(self.names), len(self.base_columns)))
+        for k, (_, channel, column) in enumerate(self.base_columns):
+            stacked[:, channel, k] = column
+        return stacked
+
+
+def _add_witnesses(
+    table: _Channels, poses: Sequence[Pose], theta: FloatArray, move: FloatArray, starts: BoolArray
+) -> None:
+    x, y, z = (_column(poses, f"accel_{axis}_g") for axis in "xyz")
+    if y is not None and z is not None:
+        angle = reading_error_deg(theta, np.degrees(np.arctan2(y, z)))
+        if not _same(angle, table.values[0]):
+            table.add(ANGLE, angle, bias_each_run=True, scaled=True)
+        norm = np.sqrt(y**2 + z**2 + (0.0 if x is None else x**2)) - 1.0
+        if np.ptp(norm) > 0.0:
+            table.add(NORM, norm, bias_each_run=True, scaled=False)
+    felt = np.array([np.nan if p.gyro_move_deg is None else p.gyro_move_deg for p in poses])
+    moves = np.isfinite(felt) & ~starts
+    if table.turns and moves.sum() >= 0.8 * (~starts).sum() and np.ptp((felt - move)[moves]) > 0.0:
+        table.add_moves(felt)
+    if all(pose.stage_deg is not None for pose in poses):
+        off = theta - np.array([pose.target_deg for pose in poses])
+        if np.ptp(off) > ONE_ANGLE_DEG:
+            table.add(STAGE, off, bias_each_run=False, scaled=True)
+
+
+def _complete(runs: Sequence[Sequence[Pose]]) -> tuple[list[list[Pose]], list[str]]:
+    """The runs that have poses; a column that a few poses lack costs those poses, not the column."""
+    warnings = []
+    poses = [pose for run in runs for pose in run]
+    lacking: set[int] = set()
+    for name in ("temperature_c", "time_s", "approach", "accel_y_g", "accel_z_g", "stage_deg"):
+        missing = [k for k, pose in enumerate(poses) if getattr(pose, name) is None]
+        if 0 < len(missing) <= 0.1 * len(poses):
+            warnings.append(f"{len(missing)} poses have no {name} and were left out")
+            lacking.update(missing)
+        elif 0 < len(missing) < len(poses):
+            warnings.append(f"{name} is missing from {len(missing)} poses: the column was not used")
+    kept, k = [], 0
+    for run in runs:
+        kept.append([pose for i, pose in enumerate(run, start=k) if i not in lacking])
+        k += len(run)
+    return [run for run in kept if run], warnings
+
+
+def _column(poses: Sequence[Pose], name: str) -> FloatArray | None:
+    values = [getattr(pose, name) for pose in poses]
+    return None if any(value is None for value in values) else np.array(values, dtype=np.float64)
+
+
+def _covariates(
+    poses: Sequence[Pose], theta: FloatArray, reading: FloatArray
+) -> tuple[dict[str, FloatArray], list[str]]:
+    """The unknown columns worth looking at, and what was said of the others."""
+    names = dict.fromkeys(name for pose in poses for name in pose.covariates if name not in COLUMNS)
+    taken: dict[str, FloatArray] = {
+        "the order of the poses": np.arange(len(poses), dtype=float),
+        "the elevation": theta,
+        "the reading": reading,
+    }
+    for known in ("time_s", "temperature_c", "accel_y_g", "accel_z_g", "gyro_move_deg", "accel_x_g"):
+        column = _column(poses, known)
+        if column is not None:
+            taken[known] = column
+    found: dict[str, FloatArray] = {}
+    warnings = []
+    for name in names:
+        values = [pose.covariates.get(name) for pose in poses]
+        if any(value is None for value in values):
+            warnings.append(f"column {name} is not known of every pose: it was not used")
+            continue
+        column = np.array(values, dtype=np.float64)
+        if np.ptp(column) == 0.0:
+            continue
+        twin = next((other for other, known in taken.items() if _same(column, known)), None)
+        if twin is not None:
+            warnings.append(f"column {name} says the same as {twin}: it was not used")
+            continue
+        found[name] = taken[name] = column
+    return found, warnings
+
+
+def _same(a: FloatArray, b: FloatArray) -> bool:
+    if np.ptp(a) == 0.0 or np.ptp(b) == 0.0:
+        return False
+    return bool(abs(np.corrcoef(a, b)[0, 1]) > SAME)
+
+
+def _refuse_radians(theta: FloatArray, reading: FloatArray) -> None:
+    if np.ptp(theta) < 5.0:
+        return
+    slope = float(np.polyfit(theta, reading, 1)[0])
+    if abs(abs(slope) * 180.0 / np.pi - 1.0) < 0.2:
+        raise DiagnosisError(
+            f"the readings change by {slope:.4f} per degree of elevation: they look like radians; "
+            "convert reading_deg to degrees"
+        )
+
+
+def filter_share(settle_s: FloatArray | None, n: int, dwell_s: float = 2.0) -> FloatArray:
+    """(n,) mean over the dwell of what is left of a unit error of angle at arrival, by the paper's filter.
+
+    The steady filter follows ë + k₁ė + k₂e = 0 in continuous time, k₁ = 3.95 /s and k₂ = 4.47 /s² for the
+    constants of CONTRACT section 4 at 200 Hz; e(0) = 1 with the bias still right.
+    """
+    k1, k2 = 3.95, 4.47
+    roots = np.roots([1.0, k1, k2]).astype(complex)
+    settle = np.full(n, 1.0) if settle_s is None else settle_s
+    t = settle[:, None] + np.linspace(0.0, dwell_s, 41)
+    a = (-k1 - roots[1]) / (roots[0] - roots[1])
+    left = a * np.exp(roots[0] * t) + (1 - a) * np.exp(roots[1] * t)
+    return np.asarray(left.real.mean(axis=1), dtype=np.float64)

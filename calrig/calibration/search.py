@@ -1,0 +1,233 @@
+"""The search: effects enter one by one while the gate lets one through, each is held against its rivals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calrig.calibration.candidates import Candidate, base_without, candidates_of
+from calrig.calibration.effects.stage import periodic_shape
+from calrig.calibration.gate import Screen, gate
+from calrig.calibration.noise_model import Fit, fit, noise_of
+from calrig.calibration.responses import Responses
+from calrig.estimation.angles import FloatArray
+
+LEVEL = 0.01
+"""The nominal rate at which a search of noise alone says something."""
+MARGIN = 6.0
+"""Of the criterion, between a name and the next: held by truth in 94–100 % where the data can decide."""
+LOOK_AHEAD = 0.2
+"""Effects of one size hide each other: each is correlated noise to the search for the others. A step that
+fails by no more than this goes on trial, up to `MOST_ON_TRIAL` of them; all stay if the one after them passes
+at half the level. In noise alone that happens in about 0.2·level/2 of cases.
+"""
+MOST_ON_TRIAL = 2
+MOST_EFFECTS = 5
+SHORTLIST = 16
+LEAST_SHARE = 0.05
+"""An effect whose part of the reading is smaller than this share of its noise is not worth a correction."""
+REFINEMENTS = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """An effect that the gate let through.
+
+    Attributes:
+        candidate: the form that explains it best.
+        rivals: candidates of other names that these data cannot tell from it.
+        p_value: of the search that found it, as a whole.
+        lead: how much worse the best candidate of another name is, in −2 log likelihood with penalties;
+            negative where a rival explains it better.
+    """
+
+    candidate: Candidate
+    rivals: tuple[Candidate, ...]
+    p_value: float
+    lead: float
+    considered: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def verdict(self) -> str:
+        """`named`, `ambiguous` or `unnamed` (CONTRACT section 5)."""
+        if self.candidate.effect is None:
+            return "unnamed"
+        return "ambiguous" if self.rivals else "named"
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """What a search found, and the fit of the model it arrived at."""
+
+    found: tuple[Found, ...]
+    fitted: Fit
+    columns: FloatArray
+    p_value_left: float
+
+
+def model_columns(r: Responses, accepted: Sequence[Candidate]) -> FloatArray:
+    """(n, J, p) columns of bias and scale, then of the accepted candidates in their order."""
+    replaced = next((c.shape.replaces for c in accepted if c.shape.replaces), None)
+    return np.concatenate([base_without(r, replaced), *[c.columns for c in accepted]], axis=2)
+
+
+def search(
+    r: Responses,
+    candidates: Sequence[Candidate],
+    rng: np.random.Generator,
+    *,
+    bootstraps: int,
+    level: float = LEVEL,
+) -> Findings:
+    """Finds the effects in some poses.
+
+    Args:
+        r: the responses.
+        candidates: of these poses (`candidates_of`).
+        rng: of the gate's bootstrap.
+        bootstraps: how many a step.
+        level: of the gate.
+    """
+    found: list[Found] = []
+    too_small: set[str] = set()
+    settled: Findings | None = None
+    while True:
+        accepted = [f.candidate for f in found]
+        offered = _offered(candidates, accepted, too_small)
+        columns = model_columns(r, accepted)
+        fitted = fit(r, columns)
+        verdict = gate(r, columns, fitted, offered, rng, bootstraps)
+        now = Findings(tuple(found), fitted, columns, verdict.p_value)
+        on_trial = 0 if settled is None else len(found) - len(settled.found)
+        if verdict.p_value > (level / 2.0 if on_trial else level) or len(found) == MOST_EFFECTS:
+            hopeless = verdict.p_value > LOOK_AHEAD or on_trial == MOST_ON_TRIAL
+            if hopeless or len(found) == MOST_EFFECTS:
+                return settled or now
+            settled = settled or now
+        elif settled is not None:
+            settled = None
+            found = [replace(f, p_value=min(f.p_value, 2.0 * verdict.p_value)) for f in found]
+        step = _named(r, accepted, offered, verdict.ratios, verdict.p_value)
+        if _share_of_reading(r, accepted, step.candidate) < LEAST_SHARE:
+            too_small.add(step.candidate.label)
+            continue
+        found = _reconsidered(r, candidates, [*found, step])
+
+
+def _offered(
+    candidates: Sequence[Candidate], accepted: Sequence[Candidate], too_small: set[str]
+) -> list[Candidate]:
+    """The candidates that may enter now: not those that have, nor those that follow on what has not."""
+    present = {c.name for c in accepted}
+    once = {c.label for c in accepted if c.effect is not None and not c.shape.at}
+    return [
+        c
+        for c in candidates
+        if c.label not in too_small
+        and c.label not in once
+        and (c.effect is None or c.effect.follows is None or c.effect.follows in present)
+    ]
+
+
+def _named(
+    r: Responses,
+    accepted: Sequence[Candidate],
+    offered: Sequence[Candidate],
+    ratios: np.ndarray[tuple[int], np.dtype[np.float32]],
+    p_value: float,
+) -> Found:
+    """The best of the offered candidates by its full likelihood, and those that come too close to it."""
+    ranked = _ranked(r, accepted, offered, ratios)
+    best = ranked[0][0]
+    near = [c for criterion, c in ranked if criterion - best < MARGIN]
+    named = [c for c in near if c.effect is not None]
+    # A catalogue effect that explains as well outranks the flexible shapes that contain it.
+    claimed = (named or near)[0]
+    others: dict[str, Candidate] = {}
+    for c in named or near:
+        if c.label != claimed.label:
+            others.setdefault(c.label, c)
+    if claimed.effect is None:
+        others = {}
+    own = min(criterion for criterion, c in ranked if c.label == claimed.label)
+    rest = [criterion for criterion, c in ranked if c.label != claimed.label and c.effect is not None]
+    lead = min(rest) - own if rest else np.inf
+    considered: dict[str, float] = {}
+    for criterion, c in ranked:
+        considered.setdefault(c.label, round(criterion - best, 2))
+    return Found(claimed, tuple(others.values()), p_value, float(lead), tuple(considered.items()))
+
+
+def _ranked(
+    r: Responses,
+    accepted: Sequence[Candidate],
+    offered: Sequence[Candidate],
+    ratios: np.ndarray[tuple[int], np.dtype[np.float32]],
+) -> list[tuple[float, Candidate]]:
+    """A shortlist, the best of each form, ordered by −2 log likelihood plus log n for each parameter."""
+    toll = float(np.log(len(r)))
+    best: dict[tuple[str, str], int] = {}
+    for index, candidate in enumerate(offered):
+        key = candidate.label, candidate.shape.form
+        if key not in best or ratios[index] > ratios[best[key]]:
+            best[key] = index
+    order = sorted(best.values(), key=lambda i: toll * offered[i].parameters - float(ratios[i]))
+    ranked: list[tuple[float, Candidate]] = []
+    for index in order[:SHORTLIST]:
+        criterion, candidate = _refined(r, accepted, offered[index], len(ranked) == 0)
+        ranked.append((criterion + toll * candidate.parameters, candidate))
+    return sorted(ranked, key=lambda pair: pair[0])
+
+
+def _refined(
+    r: Responses, accepted: Sequence[Candidate], candidate: Candidate, leads: bool
+) -> tuple[float, Candidate]:
+    """The criterion of a candidate; of a leading period, at the best place between those scanned."""
+
+    def criterion(c: Candidate) -> float:
+        return fit(r, model_columns(r, [*accepted, c])).criterion
+
+    value = criterion(candidate)
+    period = candidate.shape.at.get("period_deg")
+    if period is None or not leads:
+        return value, candidate
+    step = 1.0 / (3.0 * float(np.ptp(r.theta_deg)))
+    for offset in np.linspace(-1.0, 1.0, REFINEMENTS):
+        shape = periodic_shape(r, 1.0 / (1.0 / period + offset * step))
+        finer = replace(candidate, shape=shape, columns=r.columns(shape.shares))
+        at = criterion(finer)
+        if at < value:
+            value, best = at, finer
+            candidate = best
+    return value, candidate
+
+
+def _reconsidered(r: Responses, candidates: Sequence[Candidate], found: list[Found]) -> list[Found]:
+    """Each effect held against its rivals once more, with all the others in the model."""
+    if len(found) == 1:
+        return found
+    for place, one in enumerate(found):
+        others = [f.candidate for f in found if f is not one]
+        offered = _offered(candidates, others, set())
+        columns = model_columns(r, others)
+        fitted = fit(r, columns)
+        noise = noise_of(fitted.residuals, r.starts, max(1.0, columns.shape[2] / len(r.channels)))
+        ratios = Screen(r, columns, offered, noise).ratios(r.values[None])[0]
+        found[place] = _named(r, others, offered, ratios, one.p_value)
+    return found
+
+
+def _share_of_reading(r: Responses, accepted: Sequence[Candidate], candidate: Candidate) -> float:
+    """What a candidate adds to the reading, bias and scale taken off, over the reading's noise."""
+    columns = model_columns(r, [*accepted, candidate])
+    fitted = fit(r, columns)
+    width = candidate.columns.shape[2]
+    part = candidate.columns[:, 0, :] @ fitted.beta[-width:]
+    line = np.column_stack([np.ones(len(r)), r.theta_deg])
+    part = part - line @ np.linalg.lstsq(line, part, rcond=None)[0]
+    return float(part.std() / fitted.residuals[:, 0].std())
+
+
+__all__ = ["Findings", "Found", "candidates_of", "model_columns", "search"]
