@@ -6,6 +6,7 @@ from typing import Annotated
 from fastapi import Depends, FastAPI, Request
 
 from calrig.api.streams import Streams
+from calrig.runs.diagnosing import Diagnoses
 from calrig.runs.errors import Unknown
 from calrig.runs.records import Records
 from calrig.runs.service import RunService
@@ -19,6 +20,11 @@ class ApiContext:
     service: RunService
     store: Store
     streams: Streams = field(default_factory=Streams)
+
+    @property
+    def diagnoses(self) -> Diagnoses:
+        """What calibration left of stored runs."""
+        return Diagnoses(self.store)
 
     @property
     def records(self) -> Records:

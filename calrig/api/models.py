@@ -12,19 +12,19 @@ from calrig.plan import Plan
 Status = Literal["queued", "running", "paused", "completed", "failed", "aborted", "interrupted"]
 
 
-class _Body(BaseModel):
+class Body(BaseModel):
     """What a client sends: a field nobody knows is a mistake, and said to be one."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
-class _Answer(BaseModel):
+class Answer(BaseModel):
     """What a client gets: every field is there, null where it is not known."""
 
     model_config = ConfigDict(extra="forbid", from_attributes=True)
 
 
-class StartRun(_Body):
+class StartRun(Body):
     """A run to start. Without `rig`, the first one configured."""
 
     unit: str
@@ -34,26 +34,26 @@ class StartRun(_Body):
     note: Annotated[str, Field(max_length=10_000)] | None = None
 
 
-class Reason(_Body):
+class Reason(Body):
     """Why something measured is not to count."""
 
     reason: str
 
 
-class Problem(_Answer):
+class Problem(Answer):
     """Every error."""
 
     detail: str
 
 
-class Health(_Answer):
+class Health(Answer):
     """The service answers."""
 
     status: Literal["ok"]
     version: str
 
 
-class RigAnswer(_Answer):
+class RigAnswer(Answer):
     """A rig and what it is doing; `stage` and `imu` are its drivers."""
 
     name: str
@@ -64,7 +64,7 @@ class RigAnswer(_Answer):
     run_id: str | None
 
 
-class ProgressAnswer(_Answer):
+class ProgressAnswer(Answer):
     """How far a run is."""
 
     poses_done: int
@@ -73,14 +73,14 @@ class ProgressAnswer(_Answer):
     remaining_s: float | None
 
 
-class Extremes(_Answer):
+class Extremes(Answer):
     """Least and greatest."""
 
     min: float | None
     max: float | None
 
 
-class GyroAnswer(_Answer):
+class GyroAnswer(Answer):
     """The gyro: bias of each axis, and the stage's rotation over the integrated rate about the stage axis."""
 
     bias_dps: list[float | None] = Field(min_length=3, max_length=3)
@@ -89,7 +89,7 @@ class GyroAnswer(_Answer):
     scale_std: float | None
 
 
-class ResultAnswer(_Answer):
+class ResultAnswer(Answer):
     """reading = bias_deg + scale·elevation; RMS as √(Σr²/n)."""
 
     bias_deg: float
@@ -105,14 +105,14 @@ class ResultAnswer(_Answer):
     gyro: GyroAnswer
 
 
-class VoidedAnswer(_Answer):
+class VoidedAnswer(Answer):
     """Why and when a run was voided."""
 
     reason: str
     at: datetime
 
 
-class RunAnswer(_Answer):
+class RunAnswer(Answer):
     """A run. `plan` is null for an imported one; `voided` is null for one that counts."""
 
     id: str
@@ -135,7 +135,7 @@ class RunAnswer(_Answer):
     error: str | None
 
 
-class RunList(_Answer):
+class RunList(Answer):
     """One page of runs, newest first; `next_cursor` asks for the next one and is null on the last."""
 
     items: list[RunAnswer]
@@ -167,7 +167,7 @@ class PoseAnswer(BaseModel):
     settle_s: float | None
 
 
-class UnitAnswer(_Answer):
+class UnitAnswer(Answer):
     """A sensor, how often it was on a rig and when last."""
 
     serial: str
@@ -182,7 +182,7 @@ class UnitWithRuns(UnitAnswer):
     runs: list[RunAnswer]
 
 
-class ComparedRun(_Answer):
+class ComparedRun(Answer):
     """The figures of one completed, not voided calibration."""
 
     run_id: str
@@ -198,7 +198,7 @@ class ComparedRun(_Answer):
     effects: list[dict[str, Any]]
 
 
-class ComparedUnit(_Answer):
+class ComparedUnit(Answer):
     """A unit's calibrations, the oldest first, and how its bias drifts over them."""
 
     unit: str
@@ -206,42 +206,42 @@ class ComparedUnit(_Answer):
     drift_deg_per_day: float | None
 
 
-class SpreadAnswer(_Answer):
+class SpreadAnswer(Answer):
     """Standard deviation between units, and of one unit's runs about their mean (repeatability)."""
 
     between_units_std: float | None
     within_unit_std: float | None
 
 
-class Spreads(_Answer):
+class Spreads(Answer):
     """How far units differ, against how well one repeats itself."""
 
     bias_deg: SpreadAnswer
     scale: SpreadAnswer
 
 
-class Comparison(_Answer):
+class Comparison(Answer):
     """Units side by side."""
 
     units: list[ComparedUnit]
     spread: Spreads
 
 
-class NamedEffect(_Answer):
+class NamedEffect(Answer):
     """An accepted effect of the unit itself."""
 
     name: str
     parameters: dict[str, float | None]
 
 
-class CalibrationGyro(_Answer):
+class CalibrationGyro(Answer):
     """The gyro's part of a calibration."""
 
     bias_dps: list[float | None] = Field(min_length=3, max_length=3)
     scale: float | None
 
 
-class UncertaintyAnswer(_Answer):
+class UncertaintyAnswer(Answer):
     """Standard uncertainties of a calibrated elevation; the expanded one contains them all."""
 
     type_a_deg: float | None
@@ -249,7 +249,7 @@ class UncertaintyAnswer(_Answer):
     reference_deg: float | None
 
 
-class CalibrationAnswer(_Answer):
+class CalibrationAnswer(Answer):
     """A unit's calibration (CONTRACT section 6)."""
 
     schema_: Literal["calrig.calibration/1"] = Field(alias="schema")
@@ -274,7 +274,7 @@ class CalibrationAnswer(_Answer):
     provenance: dict[str, Any]
 
 
-class Figure(_Answer):
+class Figure(Answer):
     """A picture in plotly's JSON form."""
 
     data: list[dict[str, Any]]

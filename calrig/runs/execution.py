@@ -16,6 +16,7 @@ from calrig.instruments.errors import BoardError, StageError
 from calrig.instruments.types import FloatArray, Samples
 from calrig.plan import Plan, PlannedPose
 from calrig.runs.control import Control
+from calrig.runs.follow_up import FollowUpRun
 from calrig.runs.recorder import Recorder
 from calrig.runs.rig import Rig
 from calrig.runs.stream import Stream
@@ -39,6 +40,7 @@ class Execution:
     rig: Rig
     control: Control
     recorder: Recorder
+    follow_up: FollowUpRun | None = None
     stream: Stream = field(init=False)
     biases: list[GyroBias] = field(default_factory=list)
     moves: list[tuple[float, float]] = field(default_factory=list)
@@ -69,6 +71,9 @@ class Execution:
         self.recorder.poses_begin()
         sweep = -1
         for pose in planned:
+            if self.follow_up is not None and self.follow_up.skips(pose, self.poses):
+                self.recorder.skip_pose()
+                continue
             if pose.sweep != sweep:
                 sweep = pose.sweep
                 self._wait_before_sweep()
@@ -201,9 +206,10 @@ class Execution:
             gyro_move_deg=gyro_move_deg,
             settle_s=self.plan.settle_s,
         )
+        index = len(self.poses)  # of the poses measured: a follow-up skips some that were planned
         self.poses.append(pose)
-        blocks = [_block(planned.index, "move", before), _block(planned.index, "dwell", dwell)]
-        self.recorder.pose(planned.index, pose, blocks, self.rig.faults())
+        blocks = [_block(index, "move", before), _block(index, "dwell", dwell)]
+        self.recorder.pose(index, pose, blocks, self.rig.faults())
         self._forget(end_s)
 
     def _forget(self, before_s: float) -> None:

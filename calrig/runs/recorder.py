@@ -59,6 +59,10 @@ class Recorder:
         """Stores what nobody is told of."""
         self._store.update_run(self.run_id, **changes)
 
+    def skip_pose(self) -> None:
+        """One planned pose will not be measured."""
+        self._poses_total -= 1
+
     def pose(self, index: int, pose: Pose, blocks: list[SampleBlock], faults: Mapping[str, int]) -> None:
         """Stores a finished pose with its samples, and announces it and the progress it makes."""
         self.flush()

@@ -8,10 +8,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from calrig.calibration.follow_up import design
 from calrig.plan import Plan, PlanError
 from calrig.runs.bus import Bus
 from calrig.runs.control import End
+from calrig.runs.diagnosing import Diagnoses
 from calrig.runs.errors import Conflict, Invalid, Unknown
+from calrig.runs.follow_up import FollowUpRun
 from calrig.runs.records import check_serial
 from calrig.runs.worker import Worker, provenance
 from calrig.settings import RigSettings
@@ -43,6 +46,7 @@ class RunService:
         self.bus = Bus()
         self._rigs = {rig.name: rig for rig in rigs}
         self._lock = threading.Lock()
+        self._diagnoses = Diagnoses(store)
         self._workers: dict[str, Worker] = {}
         self._busy: dict[str, str] = {}  # rigs by name, each with its run
         self._unreachable: set[str] = set()
@@ -88,6 +92,49 @@ class RunService:
         """
         check_serial(unit)
         settings = self._rig(rig)
+        return self._begin(settings, unit, plan, operator=operator, note=note)
+
+    def follow_up(self, run_id: str) -> Run:
+        """Starts the run that best separates what the diagnosis of a run (and those before it) could not.
+
+        Raises:
+            Unknown: there is no such run.
+            Conflict: nothing can be separated on this rig, and why; or the rig is busy.
+        """
+        earlier, diagnosis = self._diagnoses.suspects(run_id)
+        last = earlier[-1]
+        if last.rig is None:
+            raise Conflict(f"run {run_id} was imported: no rig is known to follow it up on")
+        settings = self._rig(last.rig)
+        poses = [self._diagnoses.poses(run.id) for run in earlier]
+        designed = design(poses, diagnosis.findings, settings.limits_deg)
+        if isinstance(designed, str):
+            raise Conflict(f"run {run_id}: {designed}")
+        plan = Plan.model_validate(designed.document(last.plan or {})["plan"])
+        follow_up = FollowUpRun(
+            run_ids=[run.id for run in earlier],
+            runs=poses,
+            findings=diagnosis.findings,
+            separates=designed.separates,
+            deciding=designed.deciding,
+            plan=plan,
+            limits_deg=settings.limits_deg,
+        )
+        return self._begin(
+            settings, last.unit, plan, operator=last.operator, follows=last.id, follow_up=follow_up
+        )
+
+    def _begin(
+        self,
+        settings: RigSettings,
+        unit: str,
+        plan: Plan,
+        *,
+        operator: str | None = None,
+        note: str | None = None,
+        follows: str | None = None,
+        follow_up: FollowUpRun | None = None,
+    ) -> Run:
         try:
             planned = plan.poses(settings.limits_deg)
         except PlanError as error:
@@ -104,11 +151,20 @@ class RunService:
                 status="queued",
                 operator=operator,
                 note=note,
+                follows=follows,
                 provenance={**provenance(operator), "seed": plan.seed},
                 poses_total=len(planned),
             )
             worker = Worker(
-                run, settings, plan, planned, self.store, self.bus, self._worker_left_rig, self._worker_ended
+                run,
+                settings,
+                plan,
+                planned,
+                self.store,
+                self.bus,
+                self._worker_left_rig,
+                self._worker_ended,
+                follow_up,
             )
             self._workers[run.id] = worker
             self._busy[settings.name] = run.id
@@ -181,6 +237,10 @@ class RunService:
         for worker in workers:
             worker.join(max(0.0, deadline_s - time.monotonic()))
             worker.give_up(self.store, end)
+
+    def known_rig(self, name: str) -> None:
+        """Raises Unknown where no such rig is configured."""
+        self._rig(name)
 
     def _rig(self, name: str | None) -> RigSettings:
         if name is None:

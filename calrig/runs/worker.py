@@ -15,6 +15,7 @@ from calrig.plan import Plan, PlannedPose
 from calrig.runs.bus import Bus
 from calrig.runs.control import Control, End, Ended
 from calrig.runs.execution import Execution
+from calrig.runs.follow_up import FollowUpRun
 from calrig.runs.recorder import Recorder
 from calrig.runs.rig import Rig, open_rig
 from calrig.settings import RigSettings
@@ -46,6 +47,7 @@ class Worker(threading.Thread):
         bus: Bus,
         left_rig: Callable[[Worker], None],
         ended: Callable[[Worker], None],
+        follow_up: FollowUpRun | None = None,
     ) -> None:
         super().__init__(name=f"run-{run.id}")
         self.run_id = run.id
@@ -58,6 +60,7 @@ class Worker(threading.Thread):
         self._recorder = Recorder(store, bus, run.id, len(planned))
         self._left_rig = left_rig
         self._ended = ended
+        self._follow_up = follow_up
         self._fields: RunChanges = {}
         self._warnings: list[str] = []
         self._concluding = threading.Lock()
@@ -117,13 +120,17 @@ class Worker(threading.Thread):
             self.reached_rig = True
             self._check_board(rig)
             self._check_limits(rig)
-            self._recorder.update(provenance={**self._asked.provenance, **rig.provenance()})
-            execution = Execution(self._plan, rig, self.control, self._recorder)
+            origin = {**self._asked.provenance, **rig.provenance()}
+            self._recorder.update(provenance=origin)
+            execution = Execution(self._plan, rig, self.control, self._recorder, self._follow_up)
             try:
                 execution.carry_out(self._planned)
             finally:
                 self._fields["faults"] = rig.faults()
         self._fields["result"] = build_result(execution.poses, execution.gyro_figures()).to_dict()
+        if self._follow_up is not None:
+            self._fields["provenance"] = {**origin, "follow_up": self._follow_up.provenance()}
+            self._fields["diagnosis"] = self._follow_up.diagnosis(self.run_id, execution.poses)
 
     def _check_board(self, rig: Rig) -> None:
         board, unit = rig.board_identity, self._asked.unit

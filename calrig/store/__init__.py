@@ -3,6 +3,7 @@
 from calrig.store.errors import NotFound, StoreError
 from calrig.store.event_log import Announced
 from calrig.store.records import (
+    AcceptedEffect,
     ComparisonRow,
     Event,
     Progress,
@@ -18,6 +19,7 @@ from calrig.store.records import (
 from calrig.store.store import Store
 
 __all__ = [
+    "AcceptedEffect",
     "Announced",
     "ComparisonRow",
     "Event",

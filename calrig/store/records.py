@@ -96,6 +96,21 @@ class StoredPose:
 
 
 @dataclass(frozen=True, slots=True)
+class AcceptedEffect:
+    """An effect that a person accepted, of a unit or of a rig (the other is None), and the run it is from.
+
+    `parameters` are CONTRACT section 5's by name, numbers or null.
+    """
+
+    run_id: str
+    unit: str | None
+    rig: str | None
+    name: str
+    origin: str
+    parameters: dict[str, float | None]
+
+
+@dataclass(frozen=True, slots=True)
 class Unit:
     """A sensor being calibrated, and how often and when it was last on a rig."""
 

@@ -8,10 +8,11 @@ from types import TracebackType
 from typing import Self, Unpack
 
 from calrig.calibration.pose import Pose
-from calrig.store import convert, event_log, history, poses, runs
+from calrig.store import convert, effects, event_log, history, poses, runs
 from calrig.store.database import BUSY_TIMEOUT_S, Database, database_path
 from calrig.store.event_log import Announced
 from calrig.store.records import (
+    AcceptedEffect,
     ComparisonRow,
     Document,
     Event,
@@ -205,6 +206,16 @@ class Store:
         """
         with self._database.writing() as session:
             return poses.exclude(session, run_id, index, reason, result)
+
+    def accept_effects(self, run_id: str, accepted: Sequence[AcceptedEffect]) -> None:
+        """Puts effects of a run's diagnosis in force for its unit or its rig from now on."""
+        with self._database.writing() as session:
+            effects.accept(session, run_id, accepted)
+
+    def effects_in_force(self, unit: str, rig: str | None) -> list[AcceptedEffect]:
+        """The effects accepted for a unit and for a rig, the latest of each name."""
+        with self._database.reading() as session:
+            return effects.in_force(session, unit, rig)
 
     def samples(self, run_id: str, pose: int | None = None) -> RawSamples:
         """The raw samples of a run in the order taken, or those of one pose's dwell; none once pruned.

@@ -134,3 +134,19 @@ class SampleBlockTable(SQLModel, table=True):
     phase: str
     n_samples: int
     data: bytes = Field(sa_column=Column(LargeBinary, nullable=False))
+
+
+class AcceptedEffectTable(SQLModel, table=True):
+    """An effect that a person accepted: of a unit (flown with it) or of a rig (its error map)."""
+
+    __tablename__ = "accepted_effect"
+    __table_args__ = (Index("ix_accepted_effect_unit", "unit"), Index("ix_accepted_effect_rig", "rig"))
+
+    id: int = Field(default=None, primary_key=True)
+    run_id: int = Field(foreign_key="run.id")
+    unit: str | None = Field(default=None, foreign_key="unit.serial")
+    rig: str | None = None
+    name: str
+    origin: str
+    parameters: dict[str, Any] = Field(sa_type=_json())
+    accepted_at: datetime = Field(sa_type=UtcText)

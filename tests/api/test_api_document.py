@@ -21,14 +21,19 @@ def test_the_document_kept_is_the_applications_own():
 
 def test_every_answer_is_what_the_document_says(shared_client):
     """The document is made from the answers' models; each JSON answer must fit its own one to the letter."""
-    run_id = shared_client.post("/api/runs", json={"unit": "A/1", "plan": QUICK, "operator": "Ada"}).json()[
-        "id"
-    ]
+    plan = {**QUICK, "sweeps": 4}
+    begun = shared_client.post("/api/runs", json={"unit": "A/1", "plan": plan, "operator": "Ada"})
+    run_id = begun.json()["id"]
     assert ended(shared_client, run_id)["status"] == "completed"
+    assert shared_client.post(f"/api/runs/{run_id}/diagnosis", json={}).status_code == 200
     shared_client.post("/api/imports", files={"file": ("poses.csv", CSV)}, data={"unit": "B"})
     routes = [route for part in PARTS for route in part.router.routes if "GET" in route.methods]
     models = {route.path: route.response_model for route in routes if route.response_model is not None}
-    names = {"/api/runs/{run_id}/figures/{name}": "residual", "/api/compare/figures/{name}": "bias"}
+    names = {
+        "/api/rigs/{name}/error-map": "bench-1",
+        "/api/runs/{run_id}/figures/{name}": "residual",
+        "/api/compare/figures/{name}": "bias",
+    }
     for path, model in models.items():
         url = path.replace("{run_id}", run_id).replace("{serial:path}", "A/1")
         answer = shared_client.get(url.replace("{name}", names.get(path, "")))

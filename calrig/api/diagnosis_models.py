@@ -1,0 +1,127 @@
+"""Bodies and answers about diagnoses: CONTRACT section 5."""
+
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from calrig.api.models import Answer, Body
+
+
+class Diagnose(Body):
+    """What to diagnose together with a run: more runs of its unit."""
+
+    runs: list[str] = Field(default=[], max_length=100)
+
+
+class Accept(Body):
+    """Names of effects of a diagnosis."""
+
+    effects: Annotated[list[str], Field(min_length=1, max_length=100)]
+
+
+class ParameterAnswer(Answer):
+    """A parameter with its standard error, null where it was found by scanning."""
+
+    value: float
+    std: float | None
+
+
+class ConsideredAnswer(Answer):
+    """A candidate, and how far it is behind the best in −2 log likelihood with penalties."""
+
+    name: str
+    behind: float
+
+
+class EffectAnswer(Answer):
+    """An effect that was found."""
+
+    name: str
+    verdict: Literal["named", "ambiguous", "unnamed"]
+    origin: Literal["sensor", "stage", "mounting", "process", "environment", "unknown"]
+    covariate: str
+    parameters: dict[str, ParameterAnswer | None]
+    p_value: float
+    confusable_with: list[str]
+    evidence: list[str]
+    remedy: str
+    considered: list[ConsideredAnswer]
+
+
+class HeldOutAnswer(Answer):
+    """How the errors on unseen poses were measured."""
+
+    how: str
+    n_poses: int
+
+
+class NoiseAnswer(Answer):
+    """Noise of the reading; `floor_deg` is its standard error from within the dwells."""
+
+    std_deg: float
+    lag1_correlation: float
+    floor_deg: float | None
+
+
+class BaseAnswer(Answer):
+    """Bias and scale alone."""
+
+    bias_deg: float
+    scale: float | None
+    fit_rms_deg: float
+    held_out_rms_deg: float | None
+
+
+class FinalAnswer(Answer):
+    """With the effects found."""
+
+    held_out_rms_deg: float | None
+    fit_rms_deg: float
+    model: str
+
+
+class FollowUpAnswer(Answer):
+    """A run that is expected to separate the suspects; `separation` in −2 log likelihood."""
+
+    separates: list[str]
+    separation_sigma: float
+    separation: float
+    deciding_poses: int
+    plan: dict[str, Any]
+
+
+class ConfirmedAnswer(Answer):
+    """RMS before and after on poses of the fresh run that did not serve to decide."""
+
+    run_id: str
+    before_rms_deg: float
+    after_rms_deg: float
+
+
+class DiagnosisAnswer(Answer):
+    """CONTRACT section 5."""
+
+    runs: list[str]
+    n_poses: int
+    held_out: HeldOutAnswer
+    noise: NoiseAnswer
+    base: BaseAnswer
+    verdict: Literal["named", "ambiguous", "unnamed", "nothing"]
+    effects: list[EffectAnswer]
+    final: FinalAnswer
+    follow_up: FollowUpAnswer | None
+    confirmed_by: ConfirmedAnswer | None
+    warnings: list[str]
+
+
+class ErrorMapAnswer(Answer):
+    """What every unit on a rig has in common, by elevation and approach."""
+
+    stage_deg: list[float]
+    approach: list[int]
+    error_deg: list[float]
+    std_deg: list[float]
+    units: int
+    caveat: str

@@ -1,0 +1,50 @@
+"""Accepted effects of units and rigs, inside a transaction that the store has begun."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+
+from sqlmodel import Session, col, or_, select
+
+from calrig.store import runs
+from calrig.store.records import AcceptedEffect
+from calrig.store.tables import AcceptedEffectTable
+
+
+def accept(session: Session, run_id: str, effects: Sequence[AcceptedEffect]) -> None:
+    """As `Store.accept_effects`."""
+    row = runs.row_of(session, run_id)
+    now = datetime.now(UTC)
+    session.add_all(
+        AcceptedEffectTable(
+            run_id=row.id,
+            unit=effect.unit,
+            rig=effect.rig,
+            name=effect.name,
+            origin=effect.origin,
+            parameters=effect.parameters,
+            accepted_at=now,
+        )
+        for effect in effects
+    )
+
+
+def in_force(session: Session, unit: str, rig: str | None) -> list[AcceptedEffect]:
+    """As `Store.effects_in_force`."""
+    wanted = (
+        select(AcceptedEffectTable)
+        .where(or_(AcceptedEffectTable.unit == unit, col(AcceptedEffectTable.rig) == (rig or "")))
+        .order_by(col(AcceptedEffectTable.id))
+    )
+    latest: dict[tuple[str | None, str], AcceptedEffect] = {}
+    for row in session.exec(wanted):
+        latest[row.unit, row.name] = AcceptedEffect(
+            run_id=str(row.run_id),
+            unit=row.unit,
+            rig=row.rig,
+            name=row.name,
+            origin=row.origin,
+            parameters=row.parameters,
+        )
+    return list(latest.values())
