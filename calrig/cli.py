@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 import calrig
+from calrig import cli_analysis
+from calrig.cli_errors import InputError, WorkError
 
 if TYPE_CHECKING:
     import socket
@@ -35,6 +37,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
+app.add_typer(cli_analysis.app)
 
 Db = Annotated[str | None, typer.Option(metavar="FILE", help="Store: a path or a URL [CALRIG_DB].")]
 Config = Annotated[str | None, typer.Option(metavar="FILE", help="Configuration [CALRIG_CONFIG].")]
@@ -50,17 +53,9 @@ class Format(StrEnum):
     csv = "csv"
 
 
-class WorkError(Exception):
-    """The work failed; the message is the reason."""
-
-
-class InputError(Exception):
-    """Wrong usage or unreadable input; the message says where."""
-
-
 STATUS = {
-    "calrig.cli.WorkError": 1,
-    "calrig.cli.InputError": 2,
+    "calrig.cli_errors.WorkError": 1,
+    "calrig.cli_errors.InputError": 2,
     "calrig.plan_file.PlanFileError": 2,
     "calrig.settings.SettingsError": 2,
     "calrig.store.errors.StoreError": 1,
@@ -189,13 +184,10 @@ def import_(
     db: Db = None,
 ) -> None:
     """Make a run of a CSV of poses and print its id."""
-    try:
-        content = file.read_bytes()
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read ({error.strerror})") from error
     from calrig.runs.records import Records
     from calrig.settings import store_url
 
+    content = cli_analysis.read_bytes(file)
     with _writer(store_url(db), "import") as store:
         made = Records(store).import_poses(unit=unit, rig=rig, file_name=file.name, content=content)
     typer.echo(made.id)

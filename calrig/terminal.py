@@ -145,3 +145,32 @@ def print_rigs(rigs: Iterable[RigSettings]) -> None:
         ]
         table.add_row(rig.name, f"{low:g}° to {high:g}°", *(Text(part) for part in parts))
     Console(soft_wrap=True).print(table)
+
+
+def print_diagnosis(found: dict[str, Any]) -> None:
+    """Prints a diagnosis: verdict, each effect with parameters and evidence, the error before and after."""
+    console = Console(soft_wrap=True, highlight=False)
+    console.print(Text(f"{found['verdict']}: {found['final']['model']}", style="bold"))
+    for effect in found["effects"]:
+        rivals = f", or {', '.join(effect['confusable_with'])}" if effect["confusable_with"] else ""
+        console.print(Text(f"\n{effect['name']}{rivals} ({effect['verdict']}; {effect['origin']})"))
+        for name, parameter in effect["parameters"].items():
+            if parameter is not None:
+                std = "" if parameter["std"] is None else f" ± {parameter['std']:.2g}"
+                console.print(Text(f"  {name} = {parameter['value']:.4g}{std}"))
+        for sentence in (*effect["evidence"], effect["remedy"]):
+            console.print(Text(f"  · {sentence}"))
+    console.print()
+    table = Table()
+    for heading in ("RMS", "before", "after"):
+        table.add_column(heading, justify="right" if heading != "RMS" else "left")
+    for name, key in (("of the fit", "fit_rms_deg"), ("of poses not seen", "held_out_rms_deg")):
+        table.add_row(name, _number(found["base"][key], "°"), _number(found["final"][key], "°"))
+    table.add_row("noise floor", "", _number(found["noise"]["floor_deg"], "°"))
+    console.print(table)
+    for warning in found["warnings"]:
+        console.print(Text(f"note: {warning}"))
+    if found["follow_up"] is not None:
+        apart = f"{found['follow_up']['separation_sigma']:.1f} standard errors"
+        names = " from ".join(found["follow_up"]["separates"])
+        console.print(Text(f"a follow-up run would separate {names} by {apart}: POST /api/runs/ID/follow-up"))

@@ -27,6 +27,15 @@ class Diagnoses:
     def trace(self, run_id: str, more: Sequence[str] = ()) -> dict[str, Any]:
         """Diagnoses a run, together with more runs of its unit; the document is kept with the run.
 
+        Raises: as `traced`.
+        """
+        found = self.traced(run_id, more)
+        self._store.update_run(run_id, diagnosis=found)
+        return found
+
+    def traced(self, run_id: str, more: Sequence[str] = ()) -> dict[str, Any]:
+        """The diagnosis of a run, together with more runs of its unit and those it follows on.
+
         Raises:
             Unknown: there is no such run.
             Conflict: a run is of another unit, or has not ended.
@@ -35,7 +44,7 @@ class Diagnoses:
         runs = self._of_one_unit(run_id, more)
         latest = runs[-1]
         try:
-            found = trace(
+            return trace(
                 [self._poses(run) for run in runs],
                 [run.id for run in runs],
                 plan=latest.plan,
@@ -44,8 +53,6 @@ class Diagnoses:
             )
         except DiagnosisError as error:
             raise Invalid(f"run {run_id}: {error}") from error
-        self._store.update_run(run_id, diagnosis=found)
-        return found
 
     def last(self, run_id: str) -> dict[str, Any]:
         """The last diagnosis of a run (Unknown where it has none)."""
