@@ -4,11 +4,32 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
 
 from calrig.calibration.fit import MIN_SCALE, Line
+from calrig.estimation.angles import FloatArray
 
 COVERAGE_FACTOR = 2
 """About 95 % of a normal distribution (GUM, JCGM 100:2008, 6.3.3)."""
+
+ReferenceKind = Literal["setting", "harmonic", "common"]
+
+
+@dataclass(frozen=True, slots=True)
+class ReferencePart:
+    """What the stage's own uncertainty makes of a calibration: standard uncertainties of type B.
+
+    Attributes:
+        bias_deg: of the bias.
+        scale: of the scale; None with all poses at one angle.
+        elevation_deg: of a calibrated elevation, over the poses' elevations.
+    """
+
+    bias_deg: float
+    scale: float | None
+    elevation_deg: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,12 +41,16 @@ class Uncertainty:
         type_b_deg: from elsewhere: what the reference is worth.
         reference_deg: the reference's share of it.
         expanded_deg: the two together, times `COVERAGE_FACTOR`.
+        bias_reference_std_deg: type B standard uncertainty of the bias, beside the line's own of type A.
+        scale_reference_std: the same of the scale.
     """
 
     type_a_deg: float | None
     type_b_deg: float | None
     reference_deg: float | None
     expanded_deg: float | None
+    bias_reference_std_deg: float | None = None
+    scale_reference_std: float | None = None
 
     def to_dict(self) -> dict[str, float | None]:
         """The contract's `uncertainty`."""
@@ -36,7 +61,12 @@ class Uncertainty:
         }
 
 
-def uncertainty(line: Line, range_deg: tuple[float, float], reference_std_deg: float | None) -> Uncertainty:
+def uncertainty(
+    line: Line,
+    theta_deg: FloatArray,
+    reference_std_deg: float | None,
+    kind: ReferenceKind = "harmonic",
+) -> Uncertainty:
     """Uncertainty of an elevation that the calibration gives from one reading.
 
     elevation = (reading − bias)/scale, hence by the law of propagation with bias and scale correlated (GUM,
@@ -44,30 +74,88 @@ def uncertainty(line: Line, range_deg: tuple[float, float], reference_std_deg: f
 
         u²(θ) = (s² + var(bias) + 2·θ·cov(bias, scale) + θ²·var(scale))/scale²
 
-    One figure for the whole range is the mean of u² over it (F.2.4.5). This is type A (4.2). The reference's
-    standard uncertainty is type B (4.3) and common to all poses: no number of poses makes it smaller. The
-    two are uncorrelated (5.1.2) and combine to U = k·√(A² + B²), k = 2 (6.2.1).
+    One figure for the whole range is the mean of u² over it (F.2.4.5). This is type A (4.2). What the
+    reference is worth is type B (4.3, `reference_part`). The two are uncorrelated (5.1.2) and combine to
+    U = k·√(A² + B²), k = 2 (6.2.1).
 
     Args:
         line: the fit.
-        range_deg: lowest and highest calibrated elevation.
+        theta_deg: (n,) elevations of the poses it rests on; their lowest and highest are the range.
         reference_std_deg: what the stage's own angle is worth; None where nobody has said.
+        kind: how that error is shared among poses.
     """
-    type_a = _type_a_deg(line, range_deg)
-    expanded = None
-    if type_a is not None and reference_std_deg is not None:
-        expanded = COVERAGE_FACTOR * math.hypot(type_a, reference_std_deg)
-    return Uncertainty(type_a, reference_std_deg, reference_std_deg, expanded)
+    type_a = _type_a_deg(line, theta_deg)
+    if reference_std_deg is None:
+        return Uncertainty(type_a, None, None, None)
+    part = reference_part(theta_deg, line.scale, reference_std_deg, kind)
+    expanded = None if type_a is None else COVERAGE_FACTOR * math.hypot(type_a, part.elevation_deg)
+    return Uncertainty(type_a, part.elevation_deg, part.elevation_deg, expanded, part.bias_deg, part.scale)
 
 
-def _type_a_deg(line: Line, range_deg: tuple[float, float]) -> float | None:
+def reference_part(
+    theta_deg: FloatArray, scale: float | None, std_deg: float, kind: ReferenceKind
+) -> ReferencePart:
+    """What an error d of the stage's angle, of standard uncertainty u, does to bias, scale and elevation.
+
+    The stage says θ where the elevation is θ − d(θ), so that reading = bias + scale·θ − scale·d: the fit
+    takes the least-squares line through −scale·d as if it were the unit's. With X = [1 θ] and
+    G = (XᵀX)⁻¹Xᵀ that line has the covariance scale²·G·cov(d)·Gᵀ (GUM 5.2.2), and a calibrated elevation
+    is wrong by the line through d itself. By kind:
+
+    - `common`: d is one unknown constant. G·1 = (1, 0): the bias has scale·u, the scale nothing, the
+      elevation u, whatever the number of poses.
+    - `harmonic`: d = A·sin θ + B·cos θ, with E[A²] = E[B²] = u², so that d has u at every θ: an axis off its
+      scale's centre. (bias, scale) have scale²·u²·(g gᵀ + h hᵀ), g = G·sin θ, h = G·cos θ: more poses on the
+      same arc change nothing. The elevation is given the whole of u. The line takes up at most that (a
+      projection lengthens nothing; over ±60° it takes 98 %), and the rest is in no calibrated reading's
+      power to show.
+    - `setting`: each pose has a d of its own. cov(d) = u²·1 gives scale²·u²·(XᵀX)⁻¹, and the elevation the
+      mean of u²·(1 θ)(XᵀX)⁻¹(1 θ)ᵀ over the range: this alone falls with √n, for the line is an average over
+      n settings and a reading in use involves no stage. The scatter about the line shows these errors
+      too, so that type A holds them once more: on the safe side, since s² − u² of a few poses may be
+      negative. (Where θ is what an encoder with such an error reports, the scale is also too small by u²
+      over the variance of θ, 7·10⁻⁵ for 0.29° over ±60°: not corrected.)
+
+    Args:
+        theta_deg: (n,) elevations of the poses, n >= 1.
+        scale: of the fit; None with all poses at one angle, counts as 1.
+        std_deg: u.
+        kind: one of the three.
+    """
+    factor = 1.0 if scale is None else abs(scale)
+    design = np.ones((len(theta_deg), 1))
+    if scale is not None:
+        design = np.column_stack([design, theta_deg])
+    to_line = np.linalg.pinv(design)
+    if kind == "setting":
+        line = to_line
+    elif kind == "harmonic":
+        angle = np.radians(theta_deg)
+        line = to_line @ np.column_stack([np.sin(angle), np.cos(angle)])
+    else:
+        line = to_line @ np.ones((len(theta_deg), 1))
+    covariance = np.asarray(std_deg**2 * line @ line.T, dtype=np.float64)
+    of_elevation = math.sqrt(_mean_over_range(covariance, theta_deg)) if kind == "setting" else std_deg
+    return ReferencePart(
+        bias_deg=factor * math.sqrt(covariance[0, 0]),
+        scale=None if scale is None else factor * math.sqrt(covariance[1, 1]),
+        elevation_deg=of_elevation,
+    )
+
+
+def _mean_over_range(covariance: FloatArray, theta_deg: FloatArray) -> float:
+    """Mean of (1 θ)·covariance·(1 θ)ᵀ over the range of the elevations; the bias' alone where it is 1×1."""
+    if len(covariance) == 1:
+        return float(covariance[0, 0])
+    low, high = float(theta_deg.min()), float(theta_deg.max())
+    mean, mean_square = (low + high) / 2.0, (low * low + low * high + high * high) / 3.0
+    return float(covariance[0, 0] + 2.0 * mean * covariance[0, 1] + mean_square * covariance[1, 1])
+
+
+def _type_a_deg(line: Line, theta_deg: FloatArray) -> float | None:
     if line.scale is None or line.covariance is None or line.residual_std_deg is None:
         return None
     if abs(line.scale) < MIN_SCALE:
         return None
-    low, high = range_deg
-    mean_theta = (low + high) / 2.0
-    mean_theta_squared = (low * low + low * high + high * high) / 3.0
-    (bias_variance, shared), (_, scale_variance) = line.covariance
-    of_line = bias_variance + 2.0 * mean_theta * shared + mean_theta_squared * scale_variance
+    of_line = _mean_over_range(np.array(line.covariance), theta_deg)
     return math.sqrt(line.residual_std_deg**2 + of_line) / abs(line.scale)

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Any
 
+import numpy as np
+
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import build_result
 from calrig.calibration.uncertainty import COVERAGE_FACTOR, uncertainty
@@ -31,7 +33,8 @@ def calibration_document(run: Run, poses: Sequence[Pose]) -> dict[str, Any]:
     elevations = [pose.theta_deg for pose in poses]
     line = build_result(poses).line
     reference = (run.provenance.get("rig") or {}).get("reference") or {}
-    worth = uncertainty(line, (min(elevations), max(elevations)), reference.get("std_deg"))
+    theta_deg = np.array(elevations, dtype=np.float64)
+    worth = uncertainty(line, theta_deg, reference.get("std_deg"), reference.get("kind", "harmonic"))
     gyro = result["gyro"]
     return {
         "schema": SCHEMA,

@@ -31,7 +31,7 @@ class Table:
         return Cells(self.header[place], [row[place] for row in self.rows], self.lines)
 
 
-def read_table(data: bytes, required: Sequence[str]) -> Table:
+def read_table(data: bytes, required: Sequence[str], *, max_rows: int = MAX_ROWS) -> Table:
     """Reads UTF-8 CSV with a header row; BOM, CRLF and blank lines are accepted.
 
     Raises:
@@ -51,7 +51,7 @@ def read_table(data: bytes, required: Sequence[str]) -> Table:
             if table is None:
                 table = Table(_header(row, reader.line_num, required), reader.line_num, [], [])
                 continue
-            _check_row(table, row, reader.line_num)
+            _check_row(table, row, reader.line_num, max_rows)
             table.rows.append(row)
             table.lines.append(reader.line_num)
     except csv.Error as error:
@@ -112,12 +112,12 @@ def _hint(names: list[str]) -> str:
     return ""
 
 
-def _check_row(table: Table, row: list[str], line: int) -> None:
+def _check_row(table: Table, row: list[str], line: int, max_rows: int) -> None:
     width = len(table.header)
     if len(row) != width:
         hint = " (decimals are written with a point)" if len(row) == 2 * width else ""
         raise CsvError(f"has {len(row)} cells where the header has {width}{hint}", line=line)
-    if len(table.rows) >= MAX_ROWS:
-        raise CsvError(f"the file has more than {MAX_ROWS} rows", line=line)
+    if len(table.rows) >= max_rows:
+        raise CsvError(f"the file has more than {max_rows} rows", line=line)
     if width * (len(table.rows) + 1) > MAX_CELLS:
         raise CsvError(f"the file has more than {MAX_CELLS} cells", line=line)

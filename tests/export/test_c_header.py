@@ -1,0 +1,172 @@
+"""`calibration.h` is compiled as strict C99 and gives what Python gives."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from calrig.calibration.applied import (
+    ApplyError,
+    Circumstances,
+    calibrated_elevation_deg,
+    effects_on_reading_deg,
+)
+from calrig.export.c_header import c_header
+
+COMPILER = shutil.which("gcc") or shutil.which("clang")
+needs_a_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler (gcc or clang) is installed")
+
+PROGRAM = """\
+#include "calibration.h"
+#include <stdio.h>
+int main(void)
+{
+    float reading_deg, temperature_c;
+    while (scanf("%f %f", &reading_deg, &temperature_c) == 2)
+        printf("%.9g\\n", (double)calrig_elevation_deg(reading_deg, temperature_c));
+    return 0;
+}
+"""
+
+OFFSET = ("accelerometer_offset", {"y_mg": 12.0, "z_mg": -25.0})
+MISMATCH = ("axis_mismatch", {"gain_pct": -0.9, "skew_deg": 0.4})
+CUBIC = ("nonlinearity", {"deg_per_deg2": 3e-5, "deg_per_deg3": -1e-6})
+WARM = ("temperature_bias", {"deg_per_c": 0.0164, "reference_c": 24.3})
+CURVED = ("temperature_curvature", {"deg_per_c2": -3e-4, "reference_c": 26.0})
+STEEPER = ("temperature_scale", {"per_c": 2e-4, "reference_c": 24.3})
+SLIPPED = ("mount_slip", {"step_deg": -0.12, "at_s": 300.0})
+
+
+def document(effects=(), **changes):
+    return {
+        "unit": "AS-0042",
+        "run_id": "17",
+        "calibrated_at": "2026-11-20T09:03:20Z",
+        "range_deg": [-60.0, 60.0],
+        "bias_deg": 0.2537,
+        "scale": 1.00213,
+        "effects": [{"name": name, "parameters": parameters} for name, parameters in effects],
+        "expanded_uncertainty_deg": 0.58,
+        "coverage_factor": 2,
+        "temperature_c": {"min": 21.5, "max": 29.0},
+        **changes,
+    }
+
+
+def compiled(header, folder):
+    (folder / "calibration.h").write_text(header, encoding="ascii")
+    (folder / "main.c").write_text(PROGRAM, encoding="ascii")
+    strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wdouble-promotion"]
+    subprocess.run([COMPILER, *strict, "main.c", "-o", "apply", "-lm"], cwd=folder, check=True)
+    return folder / "apply"
+
+
+def applied(program, reading_deg, temperature_c):
+    lines = "".join(
+        f"{r!r} {t!r}\n" for r, t in zip(reading_deg.tolist(), temperature_c.tolist(), strict=True)
+    )
+    done = subprocess.run([program], input=lines, capture_output=True, text=True, check=True)
+    return np.array(done.stdout.split(), dtype=np.float64)
+
+
+@needs_a_compiler
+@pytest.mark.parametrize(
+    ("effects", "changes"),
+    [
+        ([], {}),
+        ([WARM], {}),
+        ([OFFSET], {}),
+        ([MISMATCH, CUBIC], {}),
+        ([OFFSET, MISMATCH, CUBIC, WARM, CURVED, STEEPER, SLIPPED], {}),
+        ([OFFSET, STEEPER], {"scale": -0.98, "range_deg": [-90.0, 90.0], "temperature_c": None}),
+        ([WARM], {"bias_deg": 179.6}),
+    ],
+)
+def test_the_compiled_header_gives_pythons_elevation_to_a_ten_thousandth_of_a_degree(
+    effects, changes, tmp_path
+):
+    calibration = document(effects, **changes)
+    bias_deg, scale = calibration["bias_deg"], calibration["scale"]
+    theta_deg, temperature_c = (
+        axis.ravel() for axis in np.meshgrid(np.linspace(*calibration["range_deg"], 121), [0.0, 24.3, 60.0])
+    )
+    given = Circumstances(temperature_c=temperature_c)
+    reading_deg = bias_deg + scale * theta_deg + effects_on_reading_deg(effects, theta_deg, given)
+    reading_deg = np.degrees(np.angle(np.exp(1j * np.radians(reading_deg))))
+
+    found_deg = applied(compiled(c_header(calibration), tmp_path), reading_deg, temperature_c)
+
+    in_python_deg = calibrated_elevation_deg(reading_deg, bias_deg, scale, effects, given)
+    np.testing.assert_allclose(found_deg, in_python_deg, atol=1e-4)
+    np.testing.assert_allclose(found_deg, theta_deg, atol=1e-4)
+
+
+@needs_a_compiler
+@pytest.mark.parametrize(
+    "unit",
+    [
+        "*/ int oops; /*",
+        "AS\n#error oops",
+        "AS??/",
+        "??)\\",
+        "/*",
+        "7",
+        "",
+        "Ünit № ٣",
+        "\u202e\u2066",
+        "x" * 5000,
+    ],
+)
+def test_no_serial_number_breaks_the_header(unit, tmp_path):
+    program = compiled(c_header(document(unit=unit, run_id=unit)), tmp_path)
+    assert applied(program, np.array([0.2537]), np.array([20.0])) == pytest.approx([0.0], abs=1e-6)
+
+
+def test_each_serial_number_has_a_guard_of_its_own():
+    guards = {
+        c_header(document(unit=unit)).split("#ifndef ")[1].split()[0] for unit in ("AS-1", "AS_1", "as-1")
+    }
+    assert len(guards) == 3
+
+
+def test_a_stages_error_is_never_flown():
+    backlash = ("backlash", {"backlash_deg": 0.08})
+    gyro = ("gyro_scale", {"gain_pct": 0.5})
+
+    header = c_header(document([backlash, WARM, gyro]))
+
+    assert "accepted, but not of this unit at rest: backlash, gyro_scale" in header
+    code = header.split("*/", 1)[1]
+    assert code == c_header(document([WARM])).split("*/", 1)[1]
+
+
+def test_parameters_with_their_standard_errors_are_taken_too():
+    with_std = {"deg_per_c": {"value": 0.0164, "std": 1e-4}, "reference_c": {"value": 24.3, "std": None}}
+    assert c_header(document([("temperature_bias", with_std)])) == c_header(document([WARM]))
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "says"),
+    [
+        ({"scale": None}, ValueError, "scale is not known"),
+        ({"bias_deg": float("nan")}, ValueError, "bias_deg is not known"),
+        ({"bias_deg": 1e39}, ValueError, "not a number that a float holds"),
+        ({"effects": [("unnamed", {})]}, ApplyError, "'unnamed' has no formula"),
+        (
+            {"effects": [("nonlinearity", {"deg_per_deg2": 0.02})]},
+            ApplyError,
+            "not a small correction",
+        ),
+        (
+            {"effects": [("temperature_bias", {"deg_per_c": 1.0})]},
+            ApplyError,
+            "needs its parameter reference_c",
+        ),
+    ],
+)
+def test_what_cannot_be_flown_is_refused(changes, error, says):
+    with pytest.raises(error, match=says):
+        c_header(document(**changes))

@@ -1,0 +1,93 @@
+"""Logs of samples are read in any of the contract's units, and a bad one is told by line and column."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from calrig.export.cells import CsvError
+from calrig.export.static_csv import accel_g_of, read_static
+
+
+def test_a_log_in_any_unit_comes_as_g_and_degrees_per_second():
+    log = read_static(
+        b"\xef\xbb\xbftime_s,accel_x_mps2,accel_y_g,accel_z_lsb,gyro_x_rps,gyro_y_dps,gyro_z_lsb,temperature_c\r\n"
+        b"0,9.80665,0.5,16384,3.141592653589793,2,131.072,25\r\n"
+        b"0.01,-9.80665,,0,0,0,0,26\r\n",
+        accel_range_g=2.0,
+        gyro_range_dps=250.0,
+    )
+
+    assert list(log.channels) == [
+        *("accel_x_g", "accel_y_g", "accel_z_g", "gyro_x_dps", "gyro_y_dps", "gyro_z_dps", "temperature_c")
+    ]
+    first = {name: values[0] for name, values in log.channels.items()}
+    assert list(first.values()) == pytest.approx([1.0, 0.5, 1.0, 180.0, 2.0, 1.0, 25.0])
+    assert math.isnan(log.channels["accel_y_g"][1])
+    assert (len(log), log.time_s.tolist(), log.warnings) == (2, [0.0, 0.01], ())
+    assert log.axes("gyro", "dps").shape == (2, 3)
+
+
+def test_counts_of_an_unknown_range_stay_counts():
+    log = read_static(b"accel_x_lsb,accel_y_lsb,accel_z_lsb\n1,2,16384\n")
+
+    assert {name: values.tolist() for name, values in log.channels.items()} == {
+        "accel_x_lsb": [1.0],
+        "accel_y_lsb": [2.0],
+        "accel_z_lsb": [16384.0],
+    }
+    assert log.time_s is None
+    with pytest.raises(CsvError, match=r"column accel_x_lsb: is in counts.*--accel-range"):
+        accel_g_of(log)
+
+
+def test_what_is_no_channel_and_a_time_of_no_use_are_left_out_with_a_warning():
+    log = read_static(b"time_s,accel_x_g,lux,gyro_x_dps\n0,1,a,\n2,1,b,\n1,1,c,\n")
+
+    assert list(log.channels) == ["accel_x_g"]
+    assert log.time_s is None
+    assert log.warnings == (
+        "time_s goes back from 2 to 1 in line 4; not used",
+        "column lux is not a channel of a log; left out",
+        "column gyro_x_dps has no values; left out",
+    )
+    assert read_static(b"time_s,accel_x_g\n0,1\n,1\n").warnings == (
+        "time_s is not known in line 3; not used",
+    )
+
+
+def test_a_log_may_be_longer_than_a_run_has_poses():
+    rows = 150_000
+    log = read_static(b"accel_z_g\n" + b"1.0\n" * rows)
+    assert log.channels["accel_z_g"].sum() == rows
+
+
+@pytest.mark.parametrize(
+    ("data", "line", "column", "says"),
+    [
+        (b"", None, None, "empty"),
+        (b"accel_x_g\n", 1, None, "no rows"),
+        (b"ax,ay,az\n1,2,3\n", 1, None, "no channel of a log"),
+        (b"accel_x_g,gyro_x_dps\n1,2\n1,x\n", 3, "gyro_x_dps", "'x' is not a number"),
+        (b"accel_x_g,accel_x_mps2\n1,2\n", 1, "accel_x_mps2", "the same as accel_x_g in another unit"),
+        (b"accel_x_g,accel_y_g\n1\n", 2, None, "1 cells where the header has 2"),
+    ],
+)
+def test_a_bad_log_is_told_by_line_and_column(data, line, column, says):
+    with pytest.raises(CsvError) as bad:
+        read_static(data)
+    assert says in str(bad.value)
+    assert (bad.value.line, bad.value.column) == (line, column)
+
+
+def test_gravity_needs_all_three_axes():
+    with pytest.raises(CsvError, match="column accel_z_g: there is no such column"):
+        accel_g_of(read_static(b"accel_x_g,accel_y_g\n0,1\n"))
+
+
+@pytest.mark.parametrize("full_scale", [0.0, -2.0, np.inf, np.nan])
+def test_a_range_is_above_nothing(full_scale):
+    with pytest.raises(ValueError, match="it must be above 0"):
+        read_static(b"accel_x_lsb\n1\n", accel_range_g=full_scale)
