@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -98,14 +99,17 @@ def design(
     others = [f.candidate for f in findings.found if f is not found]
     trial = _Trial(runs, findings, others, suspects)
     rng = np.random.default_rng(seed)
+    spread = [round(float(p), 3) for p in np.linspace(*limits_deg, MOST_POSES // 2 + 2)[1:-1]]
+    waits_s = _waits(runs, suspects)
+    shuffled = [round(float(p), 3) for p in rng.permutation(np.linspace(*limits_deg, 2 * MOST_POSES))]
+    trial.keep_what_can_be_told_apart([(shuffled, 0.0), *((spread * 2, wait_s) for wait_s in waits_s)])
     chosen = _greedy(trial, limits_deg, rng)
     separation, sweeps, wait_s = trial.separation(chosen), 1, 0.0
-    spread = [round(float(p), 3) for p in np.linspace(*limits_deg, MOST_POSES // 2 + 2)[1:-1]]
-    for waited_s in _waits(runs, suspects):
+    for waited_s in waits_s:
         waiting = trial.separation(spread * 2, waited_s)
         if waiting > separation:
             separation, chosen, sweeps, wait_s = waiting, spread, 2, waited_s
-    names = tuple(dict.fromkeys(c.name for c in suspects))
+    names = trial.names
     if separation < LEAST_SEPARATION:
         by_hand = COOL_THE_UNIT if any("temperature" in name for name in names) else TURN_THE_UNIT
         return (
@@ -132,6 +136,7 @@ class _Trial:
         self._others, self._suspects = others, suspects
         r = responses_of(self._runs)
         self._sizes = [self._size(r, suspect) for suspect in suspects]
+        self.pairs = list(combinations(range(len(suspects)), 2))
         last = self._runs[-1][-1]
         self._pose_s = _pose_time_s(self._runs)
         self._temperature_c = last.temperature_c
@@ -141,14 +146,30 @@ class _Trial:
         return fit(r, columns).beta[-suspect.columns.shape[2] :]
 
     def separation(self, elevations_deg: Sequence[float], wait_s: float = 0.0) -> float:
-        """Expected −2 log likelihood between the closest two suspects, either being true."""
+        """Expected −2 log likelihood between the closest two suspects that can be told apart at all."""
+        distances = self._distances(elevations_deg, wait_s)
+        return min((distances[pair] for pair in self.pairs), default=0.0)
+
+    def keep_what_can_be_told_apart(self, designs: Sequence[tuple[Sequence[float], float]]) -> None:
+        """Sets pairs of suspects aside that none of some rich designs would separate."""
+        tried = [self._distances(elevations, wait_s) for elevations, wait_s in designs]
+        self.pairs = [p for p in self.pairs if max(d[p] for d in tried) >= LEAST_SEPARATION]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The suspects that a run may separate, in their order; all where none can be."""
+        within = {k for pair in self.pairs for k in pair} or range(len(self._suspects))
+        return tuple(dict.fromkeys(self._suspects[k].name for k in sorted(within)))
+
+    def _distances(self, elevations_deg: Sequence[float], wait_s: float) -> dict[tuple[int, int], float]:
+        """Of each pair, with the one true that is the harder to tell."""
         r = responses_of([*self._runs, self._imagined(elevations_deg, wait_s)])
         others = [c for c in (shape_again(o, r) for o in self._others) if c is not None]
         suspects = [shape_again(s, r) for s in self._suspects]
-        closest = math.inf
+        found: dict[tuple[int, int], float] = {}
         for k, true in enumerate(suspects):
             if true is None:
-                return 0.0
+                continue
             shown = (true.columns @ self._sizes[k]) * r.known
             target = self._noise.whiten(shown, r.starts).ravel()
             for j, rival in enumerate(suspects):
@@ -156,8 +177,9 @@ class _Trial:
                     continue
                 design = stacked(self._noise, r.starts, model_columns(r, [*others, rival]))
                 left = target - design @ np.linalg.lstsq(design, target, rcond=1e-9)[0]
-                closest = min(closest, float(left @ left))
-        return closest
+                pair = min(j, k), max(j, k)
+                found[pair] = min(found.get(pair, math.inf), float(left @ left))
+        return {pair: found.get(pair, 0.0) for pair in combinations(range(len(suspects)), 2)}
 
     def _imagined(self, elevations_deg: Sequence[float], wait_s: float) -> list[Pose]:
         """Poses as they would be measured, free of error, the second half of them after a wait."""

@@ -21,7 +21,10 @@ from calrig.estimation.angles import FloatArray
 
 SHARES = (0.0, 0.4, 0.75, 1.0)
 """Of the correlation found under the null: an alternative may explain as much of it as it can."""
-FAMILY_QUANTILE = 0.98
+FAMILY_QUANTILES = {True: 0.98, False: 0.995}
+"""Of a family's maximum under noise, where its bar lies: an effect that has a name is likelier beforehand
+than a shape that has none, and four times as much of the error rate is spent on it.
+"""
 SMALLEST = 1e-6
 Float32Array = npt.NDArray[np.float32]
 
@@ -162,7 +165,8 @@ def gate(
     best_null, best = np.full(bootstraps, -np.inf), -np.inf
     for indices in _families(candidates).values():
         of_family = null[:, indices].max(axis=1)
-        bar = float(np.quantile(of_family, FAMILY_QUANTILE))
+        named = candidates[indices[0]].effect is not None
+        bar = float(np.quantile(of_family, FAMILY_QUANTILES[named]))
         best_null = np.maximum(best_null, of_family - bar)
         best = max(best, float(observed[0, indices].max()) - bar)
     p_value = (1 + int((best_null >= best).sum())) / (bootstraps + 1)

@@ -11,6 +11,8 @@ from calrig.calibration.responses import MOVE, NORM, READING, Responses
 from calrig.estimation.angles import FloatArray
 
 MG = 1e-3
+STEEPEST_DEG = 80.0
+"""Beyond it a_y says next to nothing of the angle, and tan θ nothing of a_y."""
 
 
 @effect(
@@ -57,11 +59,11 @@ def axis_mismatch(r: Responses) -> Iterator[Shape]:
 def nonlinearity(r: Responses) -> Iterator[Shape]:
     """Reading += k₂·θ² + k₃·θ³, of an a_y that is wrong by cos θ times that."""
     theta = r.theta_deg
-    if not turns(r) or np.abs(theta).max() > 85.0:
+    if not turns(r):
         return
     angle = np.stack([theta**2, theta**3], 1)
     # an error of a_y that turns the angle by f lengthens the vector by f·tan θ
-    norm = angle / DEG * np.tan(np.radians(theta))[:, None]
+    norm = angle / DEG * np.tan(np.radians(np.clip(theta, -STEEPEST_DEG, STEEPEST_DEG)))[:, None]
     yield from _one_or_both(angle, norm, ("deg_per_deg2", "deg_per_deg3"))
 
 
