@@ -51,6 +51,7 @@ class Format(StrEnum):
 
     json = "json"
     csv = "csv"
+    c_header = "c-header"
 
 
 STATUS = {
@@ -197,13 +198,14 @@ def import_(
 def export(
     run_id: Annotated[str | None, typer.Argument(metavar="RUN_ID", help="The run to export.")] = None,
     unit: Annotated[str | None, typer.Option(metavar="SERIAL", help="The unit, by its run in force.")] = None,
-    format_: Annotated[Format, typer.Option("--format", help="Calibration, or its poses.")] = Format.json,
+    format_: Annotated[Format, typer.Option("--format", help="The poses, or calibration.h.")] = Format.json,
     db: Db = None,
 ) -> None:
-    """Print a calibration, or the poses it rests on."""
+    """Print a calibration, as JSON or as calibration.h, or the poses it rests on."""
     import json
 
     from calrig.api.calibrations import document_of, run_in_force
+    from calrig.export.c_header import c_header
     from calrig.export.poses_csv import write_poses
     from calrig.settings import store_url
     from calrig.store import Store
@@ -217,6 +219,8 @@ def export(
         if format_ is Format.csv:
             counted = [stored.pose for stored in store.poses(found.id, include_excluded=False)]
             sys.stdout.write(write_poses(counted))
+        elif format_ is Format.c_header:
+            sys.stdout.write(c_header(document_of(store, found)))
         else:
             typer.echo(json.dumps(document_of(store, found), indent=2, ensure_ascii=False, allow_nan=False))
 

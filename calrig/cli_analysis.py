@@ -51,6 +51,37 @@ def diagnose(
         terminal.print_diagnosis(found)
 
 
+@app.command()
+def gravity(
+    file: Annotated[Path, typer.Argument(metavar="FILE.csv", help="A log with many still poses.")],
+    as_json: Json = False,
+    accel_range_g: Annotated[int | None, typer.Option(metavar="G", help="Full scale of raw counts.")] = None,
+) -> None:
+    """Calibrate the accelerometer against |g| = 1 where there is no stage, and trace what is left."""
+    from calrig import terminal
+    from calrig.calibration.gravity import calibrate_by_gravity, gravity_document
+    from calrig.calibration.still import GravityError
+    from calrig.export.cells import CsvError
+    from calrig.export.static_csv import accel_g_of, read_static
+
+    try:
+        log = read_static(read_bytes(file), accel_range_g=accel_range_g)
+        found = calibrate_by_gravity(
+            accel_g_of(log),
+            time_s=log.time_s,
+            gyro_dps=log.axes("gyro", "dps"),
+            temperature_c=log.channels.get("temperature_c"),
+        )
+    except (CsvError, GravityError) as error:
+        raise InputError(f"{file}: {error}") from error
+    document = gravity_document(found)
+    document["warnings"] = [*log.warnings, *document["warnings"]]
+    if as_json:
+        _print_json(document)
+    else:
+        terminal.print_gravity(document)
+
+
 def _is_file(source: str) -> bool:
     """A run's id is a number; anything else is taken for a file, so that a wrong name is said to be one."""
     return not source.isascii() or not source.isdigit() or Path(source).is_file()

@@ -33,7 +33,7 @@ class Plan(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    kind: Literal["calibration"] = "calibration"
+    kind: Literal["calibration", "verification"] = "calibration"
     elevations_deg: list[ElevationDeg] | None = Field(default=None, min_length=1, max_length=MAX_POSES)
     start_deg: ElevationDeg = -60.0
     stop_deg: ElevationDeg = 60.0

@@ -174,3 +174,22 @@ def print_diagnosis(found: dict[str, Any]) -> None:
         apart = f"{found['follow_up']['separation_sigma']:.1f} standard errors"
         names = " from ".join(found["follow_up"]["separates"])
         console.print(Text(f"a follow-up run would separate {names} by {apart}: POST /api/runs/ID/follow-up"))
+
+
+def print_gravity(found: dict[str, Any]) -> None:
+    """Prints a calibration against gravity: what was found, and |a| less 1 g before and after."""
+    console = Console(soft_wrap=True, highlight=False)
+    names = [effect["name"] for effect in found["effects"]]
+    console.print(Text(f"{found['verdict']}: {', '.join(['bias', 'scale', *names])}", style="bold"))
+    for effect in found["effects"]:
+        for name, parameter in effect["parameters"].items():
+            std = "" if parameter["std"] is None else f" ± {parameter['std']:.2g}"
+            console.print(Text(f"  {name} = {parameter['value']:.4g}{std}"))
+    table = Table()
+    for heading in (f"|a| − 1 g, {found['n_poses']} poses", "before", "after"):
+        table.add_column(heading, justify="left" if heading.startswith("|") else "right")
+    for name, key in (("of the fit", "fit_rms_mg"), (found["held_out"]["how"], "held_out_rms_mg")):
+        table.add_row(name, _number(found["base"][key], " mg", 2), _number(found["final"][key], " mg", 2))
+    console.print(table)
+    for warning in found["warnings"]:
+        console.print(Text(f"note: {warning}"))

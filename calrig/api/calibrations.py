@@ -35,4 +35,4 @@ def document_of(store: Store, run: Run) -> dict[str, Any]:
         what = run.status if run.status != "completed" else "completed, but its scale is not known"
         raise Conflict(f"run {run.id} is {what}: it gives no calibration")
     poses = [stored.pose for stored in store.poses(run.id, include_excluded=False)]
-    return calibration_document(run, poses)
+    return calibration_document(run, poses, store.effects_in_force(run.unit, run.rig))

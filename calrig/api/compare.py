@@ -1,6 +1,6 @@
 """Units side by side."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
@@ -45,12 +45,13 @@ def compared_runs(context: ApiContext, serials: Sequence[str] | None) -> dict[st
         if serial not in known:
             raise Unknown(f"there is no unit {serial!r}")
     units: dict[str, list[Row]] = {serial: [] for serial in serials or known}
+    effects = context.store.effect_names()
     for row in context.store.comparison(serials or None):
-        units[row.unit].append(_row(row))
+        units[row.unit].append(_row(row, effects))
     return units
 
 
-def _row(row: ComparisonRow) -> Row:
+def _row(row: ComparisonRow, effects: Mapping[str, list[str]]) -> Row:
     return {
         "run_id": row.run_id,
         "finished_at": row.finished_at,
@@ -62,7 +63,7 @@ def _row(row: ComparisonRow) -> Row:
         "rms_calibrated_deg": row.rms_calibrated_deg,
         "rms_with_effects_deg": row.rms_with_effects_deg,
         "temperature_c": {"min": row.temperature_min_c, "max": row.temperature_max_c},
-        "effects": [],
+        "effects": [] if row.rms_with_effects_deg is None else effects.get(row.unit, []),
     }
 
 

@@ -1,15 +1,20 @@
 """Units: who they are, their runs, their calibration in force. A serial number may contain `/`."""
 
 from dataclasses import asdict
+from typing import Annotated, Literal
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Query
+from fastapi.responses import PlainTextResponse
 
 from calrig.api.calibrations import document_of, run_in_force
 from calrig.api.context import Context, KnownUnit
 from calrig.api.errors import problems
 from calrig.api.models import CalibrationAnswer, UnitAnswer, UnitWithRuns
+from calrig.export.c_header import c_header
 
 EVERY_RUN = 2**31
+
+CalibrationFormat = Literal["json", "c-header"]
 
 router = APIRouter(tags=["units"])
 
@@ -27,9 +32,12 @@ def list_units(context: Context) -> object:
     responses=problems(404),
     summary="The calibration in force",
 )
-def show_calibration(serial: str, context: Context) -> object:
-    """From the latest completed, not voided calibration whose scale is known."""
-    return document_of(context.store, run_in_force(context.store, serial))
+def show_calibration(
+    serial: str, context: Context, format_: Annotated[CalibrationFormat, Query(alias="format")] = "json"
+) -> object:
+    """From the latest completed, not voided calibration whose scale is known; `c-header` for flight code."""
+    document = document_of(context.store, run_in_force(context.store, serial))
+    return PlainTextResponse(c_header(document)) if format_ == "c-header" else document
 
 
 @router.get(

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from calrig.calibration.applied import ApplyError, Circumstances, effects_on_reading_deg
 from calrig.calibration.fit import Line, fit_line, residuals_deg, rms
 from calrig.calibration.pose import Pose
 from calrig.estimation.angles import FloatArray, wrap_deg
+
+AppliedEffect = tuple[str, Mapping[str, float]]
+"""An accepted effect: its name and the values of its parameters."""
 
 PerAxis = tuple[float | None, float | None, float | None]
 
@@ -40,6 +44,7 @@ class Result:
 
     Attributes:
         line: the fit itself, with covariance and residual scatter, for the unit's calibration.
+        line_with_effects: the same once accepted effects are taken out; None without any.
     """
 
     bias_deg: float
@@ -54,22 +59,27 @@ class Result:
     temperature_c: TemperatureRange | None
     gyro: GyroFigures
     line: Line = field(repr=False)
+    line_with_effects: Line | None = field(default=None, repr=False)
 
     def to_dict(self) -> dict[str, Any]:
         """The result ready for JSON, with the contract's keys and null for what is not known."""
         document = asdict(self)
-        del document["line"]
+        del document["line"], document["line_with_effects"]
         gyro = document["gyro"]
         gyro["bias_dps"], gyro["bias_std_dps"] = list(gyro["bias_dps"]), list(gyro["bias_std_dps"])
         return document
 
 
-def build_result(poses: Sequence[Pose], gyro: GyroFigures | None = None) -> Result:
+def build_result(
+    poses: Sequence[Pose], gyro: GyroFigures | None = None, effects: Sequence[AppliedEffect] = ()
+) -> Result:
     """Fits a run's poses and gathers what they say.
 
     Args:
         poses: those that count (none excluded), at least one.
         gyro: what the run's samples say of the gyro, where there are any.
+        effects: accepted for the unit or the rig; `line_with_effects` is None where the poses lack what one
+            of them is a function of.
 
     Raises:
         ValueError: no pose, or one whose angle or reading is not finite.
@@ -77,6 +87,7 @@ def build_result(poses: Sequence[Pose], gyro: GyroFigures | None = None) -> Resu
     theta, reading = _angles(poses)
     one_angle = len({pose.target_deg for pose in poses}) == 1
     line = fit_line(theta, reading, one_angle=one_angle)
+    with_effects = _line_with_effects(poses, theta, reading, effects)
     return Result(
         bias_deg=line.bias_deg,
         bias_std_deg=line.bias_std_deg,
@@ -84,13 +95,75 @@ def build_result(poses: Sequence[Pose], gyro: GyroFigures | None = None) -> Resu
         scale_std=line.scale_std,
         rms_raw_deg=rms(wrap_deg(reading - theta)),
         rms_calibrated_deg=_known(rms(residuals_deg(theta, reading, line.bias_deg, line.scale))),
-        rms_with_effects_deg=None,
+        rms_with_effects_deg=None if with_effects is None else with_effects[1],
         n_poses=len(poses),
         noise_deg=_pooled_noise_deg(poses),
         temperature_c=_temperature_range(poses),
         gyro=gyro or GyroFigures(),
         line=line,
+        line_with_effects=None if with_effects is None else with_effects[0],
     )
+
+
+def apply_calibration(
+    poses: Sequence[Pose], gyro: GyroFigures | None, line: Line, effects: Sequence[AppliedEffect]
+) -> Result:
+    """What a calibration made earlier leaves of a run's poses: nothing is fitted, all of it is verified.
+
+    Args:
+        poses: those that count, at least one.
+        gyro: as for `build_result`.
+        line: bias and scale in force, fitted together with the effects.
+        effects: in force.
+
+    Raises:
+        ApplyError: the poses lack what an effect is a function of.
+    """
+    theta, reading = _angles(poses)
+    without = reading - effects_on_reading_deg(effects, theta, circumstances(poses))
+    fresh = build_result(poses, gyro)
+    return replace(
+        fresh,
+        bias_deg=line.bias_deg,
+        bias_std_deg=line.bias_std_deg,
+        scale=line.scale,
+        scale_std=line.scale_std,
+        rms_calibrated_deg=_known(rms(residuals_deg(theta, reading, line.bias_deg, line.scale))),
+        rms_with_effects_deg=_known(rms(residuals_deg(theta, without, line.bias_deg, line.scale)))
+        if effects
+        else None,
+        line=line,
+    )
+
+
+def circumstances(poses: Sequence[Pose]) -> Circumstances:
+    """What effects are functions of, as far as it is known of every pose."""
+
+    def column(values: list[float | None]) -> FloatArray | None:
+        return None if None in values else np.array(values, dtype=np.float64)
+
+    theta = np.array([pose.theta_deg for pose in poses])
+    return Circumstances(
+        approach=column([pose.approach for pose in poses]),
+        temperature_c=column([pose.temperature_c for pose in poses]),
+        time_s=column([pose.time_s for pose in poses]),
+        move_deg=np.diff(theta, prepend=np.nan),
+        settle_s=column([pose.settle_s for pose in poses]),
+    )
+
+
+def _line_with_effects(
+    poses: Sequence[Pose], theta: FloatArray, reading: FloatArray, effects: Sequence[AppliedEffect]
+) -> tuple[Line, float] | None:
+    """Bias and scale once the effects are taken out, and the RMS that is left; None where they cannot be."""
+    if not effects:
+        return None
+    try:
+        without = reading - effects_on_reading_deg(effects, theta, circumstances(poses))
+    except ApplyError:
+        return None
+    line = fit_line(theta, without)
+    return line, rms(residuals_deg(theta, without, line.bias_deg, line.scale))
 
 
 def residuals(poses: Sequence[Pose], bias_deg: float, scale: float | None) -> list[float | None]:

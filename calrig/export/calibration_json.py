@@ -8,21 +8,26 @@ from typing import Any
 
 import numpy as np
 
+from calrig.calibration.applied import numbers_of
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import build_result
 from calrig.calibration.uncertainty import COVERAGE_FACTOR, uncertainty
-from calrig.store.records import Run
+from calrig.store.records import AcceptedEffect, Run
 
 SCHEMA = "calrig.calibration/1"
 MODEL = "elevation = (reading − bias − effects)/scale"
 
 
-def calibration_document(run: Run, poses: Sequence[Pose]) -> dict[str, Any]:
+def calibration_document(
+    run: Run, poses: Sequence[Pose], accepted: Sequence[AcceptedEffect] = ()
+) -> dict[str, Any]:
     """The document of a completed run whose scale is known.
 
     Args:
         run: as `Store.latest_calibration_run` gives it.
         poses: those the result rests on (none excluded): range and uncertainty follow from them.
+        accepted: effects in force for the unit and its rig: bias and scale are those beside all of them, and
+            the unit's own are flown.
 
     Raises:
         ValueError: the run has no result, no scale, no poses, or has not finished.
@@ -31,7 +36,8 @@ def calibration_document(run: Run, poses: Sequence[Pose]) -> dict[str, Any]:
     if result is None or result["scale"] is None or run.finished_at is None or not poses:
         raise ValueError(f"run {run.id} is not a finished calibration with a known scale")
     elevations = [pose.theta_deg for pose in poses]
-    line = build_result(poses).line
+    built = build_result(poses, effects=[(e.name, numbers_of(e.parameters)) for e in accepted])
+    line = built.line_with_effects or built.line
     reference = (run.provenance.get("rig") or {}).get("reference") or {}
     theta_deg = np.array(elevations, dtype=np.float64)
     worth = uncertainty(line, theta_deg, reference.get("std_deg"), reference.get("kind", "harmonic"))
@@ -44,14 +50,18 @@ def calibration_document(run: Run, poses: Sequence[Pose]) -> dict[str, Any]:
         "rig": run.rig,
         "range_deg": [min(elevations), max(elevations)],
         "model": MODEL,
-        "bias_deg": result["bias_deg"],
-        "scale": result["scale"],
+        "bias_deg": line.bias_deg,
+        "scale": line.scale,
         "covariance": None if line.covariance is None else [list(row) for row in line.covariance],
-        "effects": [],
+        "effects": [
+            {"name": effect.name, "parameters": effect.parameters}
+            for effect in accepted
+            if effect.unit is not None and built.line_with_effects is not None
+        ],
         "gyro": None if gyro is None else {"bias_dps": gyro["bias_dps"], "scale": gyro["scale"]},
         "rms_raw_deg": result["rms_raw_deg"],
         "rms_calibrated_deg": result["rms_calibrated_deg"],
-        "rms_with_effects_deg": result["rms_with_effects_deg"],
+        "rms_with_effects_deg": built.rms_with_effects_deg,
         "expanded_uncertainty_deg": worth.expanded_deg,
         "coverage_factor": COVERAGE_FACTOR,
         "uncertainty": worth.to_dict(),

@@ -8,7 +8,9 @@ from typing import Any
 from calrig.calibration.diagnosis import Diagnosis, diagnose, trace
 from calrig.calibration.pose import Pose
 from calrig.calibration.responses import DiagnosisError
+from calrig.calibration.result import build_result
 from calrig.runs.errors import Conflict, Invalid, Unknown
+from calrig.runs.in_force import effects_in_force
 from calrig.store import AcceptedEffect, Run, Store
 
 OF_THE_UNIT = ("sensor", "mounting")
@@ -85,7 +87,12 @@ class Diagnoses:
                 raise Conflict(f"the diagnosis of run {run_id} has no effect {name!r}; it has: {listed}")
             accepted.append(_accepted(run, known[name]))
         self._store.accept_effects(run_id, accepted)
-        return run
+        if run.result is None or (run.plan or {}).get("kind") == "verification":
+            return run
+        effects = effects_in_force(self._store, run.unit, run.rig)
+        built = build_result(self._poses(run), effects=effects)
+        result = {**run.result, "rms_with_effects_deg": built.rms_with_effects_deg}
+        return self._store.update_run(run_id, result=result)
 
     def poses(self, run_id: str) -> list[Pose]:
         """The poses of a run that count."""

@@ -7,6 +7,7 @@ from typing import Any
 from calrig.calibration.result import build_result
 from calrig.export.poses_csv import CsvError, read_poses
 from calrig.runs.errors import Conflict, Invalid, Unknown
+from calrig.runs.in_force import effects_in_force
 from calrig.runs.states import TERMINAL
 from calrig.runs.worker import provenance
 from calrig.store import Run, Store
@@ -73,12 +74,16 @@ class Records:
             raise Unknown(f"run {run_id} has no pose {index}")
         left = [p.pose for p in poses if p.excluded is None and p.index != index]
         result = run.result
+        kind = (run.plan or {}).get("kind", "calibration")
+        if result is not None and kind != "calibration":
+            raise Conflict(f"run {run_id} is a {kind}: it fits nothing that a pose could be taken out of")
         if result is not None:
             if not left:
                 raise Conflict(
                     f"pose {index} is the last one that run {run_id} rests on: void the run instead"
                 )
-            result = {**build_result(left).to_dict(), "gyro": result["gyro"]}
+            effects = effects_in_force(self._store, run.unit, run.rig)
+            result = {**build_result(left, effects=effects).to_dict(), "gyro": result["gyro"]}
         return self._store.exclude_pose(run_id, index, _checked_reason(reason), result=result)
 
     def _ended(self, run_id: str) -> Run:

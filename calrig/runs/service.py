@@ -15,6 +15,7 @@ from calrig.runs.control import End
 from calrig.runs.diagnosing import Diagnoses
 from calrig.runs.errors import Conflict, Invalid, Unknown
 from calrig.runs.follow_up import FollowUpRun
+from calrig.runs.in_force import calibration_in_force
 from calrig.runs.records import check_serial
 from calrig.runs.worker import Worker, provenance
 from calrig.settings import RigSettings
@@ -139,6 +140,9 @@ class RunService:
             planned = plan.poses(settings.limits_deg)
         except PlanError as error:
             raise Invalid(f"rig {settings.name!r}: {error}") from error
+        verifies = None
+        if plan.kind == "verification":
+            verifies = calibration_in_force(self.store, unit, settings.name)
         with self._lock:
             if self._closing:
                 raise Conflict("the service is shutting down")
@@ -152,7 +156,11 @@ class RunService:
                 operator=operator,
                 note=note,
                 follows=follows,
-                provenance={**provenance(operator), "seed": plan.seed},
+                provenance={
+                    **provenance(operator),
+                    "seed": plan.seed,
+                    **({} if verifies is None else {"verifies": verifies.run_id}),
+                },
                 poses_total=len(planned),
             )
             worker = Worker(
@@ -165,6 +173,7 @@ class RunService:
                 self._worker_left_rig,
                 self._worker_ended,
                 follow_up,
+                verifies,
             )
             self._workers[run.id] = worker
             self._busy[settings.name] = run.id

@@ -9,13 +9,14 @@ from collections.abc import Callable
 from typing import Any
 
 import calrig
-from calrig.calibration.result import build_result
+from calrig.calibration.result import Result, build_result
 from calrig.instruments.errors import BoardError, InstrumentError, LimitError
 from calrig.plan import Plan, PlannedPose
 from calrig.runs.bus import Bus
 from calrig.runs.control import Control, End, Ended
 from calrig.runs.execution import Execution
 from calrig.runs.follow_up import FollowUpRun
+from calrig.runs.in_force import InForce, effects_in_force
 from calrig.runs.recorder import Recorder
 from calrig.runs.rig import Rig, open_rig
 from calrig.settings import RigSettings
@@ -48,6 +49,7 @@ class Worker(threading.Thread):
         left_rig: Callable[[Worker], None],
         ended: Callable[[Worker], None],
         follow_up: FollowUpRun | None = None,
+        verifies: InForce | None = None,
     ) -> None:
         super().__init__(name=f"run-{run.id}")
         self.run_id = run.id
@@ -61,6 +63,8 @@ class Worker(threading.Thread):
         self._left_rig = left_rig
         self._ended = ended
         self._follow_up = follow_up
+        self._verifies = verifies
+        self._store = store
         self._fields: RunChanges = {}
         self._warnings: list[str] = []
         self._concluding = threading.Lock()
@@ -127,10 +131,17 @@ class Worker(threading.Thread):
                 execution.carry_out(self._planned)
             finally:
                 self._fields["faults"] = rig.faults()
-        self._fields["result"] = build_result(execution.poses, execution.gyro_figures()).to_dict()
+        self._fields["result"] = self._result(execution).to_dict()
         if self._follow_up is not None:
             self._fields["provenance"] = {**origin, "follow_up": self._follow_up.provenance()}
             self._fields["diagnosis"] = self._follow_up.diagnosis(self.run_id, execution.poses)
+
+    def _result(self, execution: Execution) -> Result:
+        gyro = execution.gyro_figures()
+        if self._verifies is not None:
+            return self._verifies.result(execution.poses, gyro)
+        effects = effects_in_force(self._store, self._asked.unit, self._asked.rig)
+        return build_result(execution.poses, gyro, effects)
 
     def _check_board(self, rig: Rig) -> None:
         board, unit = rig.board_identity, self._asked.unit

@@ -48,3 +48,17 @@ def in_force(session: Session, unit: str, rig: str | None) -> list[AcceptedEffec
             parameters=row.parameters,
         )
     return list(latest.values())
+
+
+def names(session: Session) -> dict[str, list[str]]:
+    """As `Store.effect_names`."""
+    wanted = (
+        select(AcceptedEffectTable.unit, AcceptedEffectTable.name)
+        .where(col(AcceptedEffectTable.unit).is_not(None))
+        .distinct()
+        .order_by(col(AcceptedEffectTable.unit), col(AcceptedEffectTable.name))
+    )
+    found: dict[str, list[str]] = {}
+    for unit, name in session.exec(wanted):
+        found.setdefault(str(unit), []).append(name)
+    return found

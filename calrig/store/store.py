@@ -217,6 +217,11 @@ class Store:
         with self._database.reading() as session:
             return effects.in_force(session, unit, rig)
 
+    def effect_names(self) -> dict[str, list[str]]:
+        """Names of the effects accepted for each unit that has any."""
+        with self._database.reading() as session:
+            return effects.names(session)
+
     def samples(self, run_id: str, pose: int | None = None) -> RawSamples:
         """The raw samples of a run in the order taken, or those of one pose's dwell; none once pruned.
 

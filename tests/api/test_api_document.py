@@ -31,6 +31,7 @@ def test_every_answer_is_what_the_document_says(shared_client):
     models = {route.path: route.response_model for route in routes if route.response_model is not None}
     names = {
         "/api/rigs/{name}/error-map": "bench-1",
+        "/api/rigs/{name}/figures/error-map": "bench-1",
         "/api/runs/{run_id}/figures/{name}": "residual",
         "/api/compare/figures/{name}": "bias",
     }

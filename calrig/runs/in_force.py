@@ -1,0 +1,49 @@
+"""What is in force for a unit on a rig: accepted effects, and the calibration that a verification applies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from calrig.calibration.applied import ApplyError, numbers_of
+from calrig.calibration.fit import Line
+from calrig.calibration.pose import Pose
+from calrig.calibration.result import AppliedEffect, GyroFigures, Result, apply_calibration, build_result
+from calrig.runs.errors import Conflict
+from calrig.store import Store
+
+
+def effects_in_force(store: Store, unit: str, rig: str | None) -> list[AppliedEffect]:
+    """The effects accepted for a unit and a rig, as they are applied."""
+    return [(e.name, numbers_of(e.parameters)) for e in store.effects_in_force(unit, rig)]
+
+
+@dataclass(frozen=True, slots=True)
+class InForce:
+    """A unit's calibration as a verification applies it."""
+
+    run_id: str
+    line: Line
+    effects: Sequence[AppliedEffect]
+
+    def result(self, poses: Sequence[Pose], gyro: GyroFigures | None) -> Result:
+        """What it leaves of fresh poses; without the effects where the poses lack what they need."""
+        try:
+            return apply_calibration(poses, gyro, self.line, self.effects)
+        except ApplyError:
+            return apply_calibration(poses, gyro, self.line, ())
+
+
+def calibration_in_force(store: Store, unit: str, rig: str | None) -> InForce:
+    """The calibration that a verification of a unit on a rig applies.
+
+    Raises:
+        Conflict: the unit has none.
+    """
+    run = store.latest_calibration_run(unit)
+    if run is None:
+        raise Conflict(f"unit {unit!r} has no calibration in force to verify: calibrate it first")
+    poses = [stored.pose for stored in store.poses(run.id, include_excluded=False)]
+    effects = effects_in_force(store, unit, rig)
+    built = build_result(poses, effects=effects)
+    return InForce(run.id, built.line_with_effects or built.line, effects)
