@@ -1,0 +1,76 @@
+"""An effect added for good: accepted, it corrects later runs and the calibration, and is verified."""
+
+from __future__ import annotations
+
+import pytest
+from support import running_service
+
+from calrig.api.calibrations import document_of
+from calrig.plan import Plan
+from calrig.runs.diagnosing import Diagnoses
+from calrig.runs.errors import Conflict
+
+PLAN = Plan(settle_s=0.5, dwell_s=0.5)
+PLAY_DEG = 0.4
+OFFSET_MG = 15.0
+
+
+def completed(service, **request):
+    ended = service.wait(service.start(unit="AS-1", **request).id, 60.0)
+    assert ended.status == "completed", ended.error
+    return ended
+
+
+@pytest.fixture(scope="module")
+def traced(launch_rig, tmp_path_factory):
+    """A service, its first run diagnosed: a stage with play, and a sensor whose z axis is off."""
+    rig = launch_rig(
+        "worn-rig",
+        seed=4,
+        mechanics={"backlash_deg": PLAY_DEG},
+        imu={"accel_bias_mg": [0.0, 0.0, OFFSET_MG]},
+    )
+    with running_service(tmp_path_factory.mktemp("effects") / "calrig.db", rig) as service:
+        run = completed(service, plan=PLAN)
+        Diagnoses(service.store).trace(run.id)
+        yield service, run.id
+
+
+def test_both_effects_are_named_and_the_error_on_unseen_poses_falls_towards_the_floor(traced):
+    service, run_id = traced
+    found = Diagnoses(service.store).last(run_id)
+    assert {effect["name"] for effect in found["effects"]} == {"backlash", "accelerometer_offset"}
+    assert found["final"]["held_out_rms_deg"] < 0.25 * found["base"]["held_out_rms_deg"]
+    assert found["final"]["held_out_rms_deg"] < 2.0 * found["noise"]["floor_deg"]
+
+
+def test_an_accepted_effect_enters_calibration_and_later_runs_and_a_verification_confirms_it(traced):
+    service, run_id = traced
+    diagnoses = Diagnoses(service.store)
+
+    accepted = diagnoses.accept(run_id, ["backlash", "accelerometer_offset"])
+    assert accepted.result["rms_with_effects_deg"] < 0.25 * accepted.result["rms_calibrated_deg"]
+
+    flown = document_of(service.store, service.run(run_id))
+    assert [effect["name"] for effect in flown["effects"]] == ["accelerometer_offset"], "play is the rig's"
+    assert flown["effects"][0]["parameters"]["z_mg"] == pytest.approx(OFFSET_MG, abs=1.5)
+
+    later = completed(service, plan=PLAN.model_copy(update={"sweeps": 2, "seed": 9}))
+    assert later.result["rms_with_effects_deg"] < 0.3 * later.result["rms_calibrated_deg"]
+
+    verified = completed(service, plan=PLAN.model_copy(update={"kind": "verification", "sweeps": 1}))
+    assert verified.provenance["verifies"] == later.id
+    assert verified.result["rms_with_effects_deg"] < 0.3 * verified.result["rms_calibrated_deg"]
+    assert service.store.latest_calibration_run("AS-1").id == later.id, "a verification calibrates nothing"
+
+
+def test_what_the_diagnosis_does_not_name_cannot_be_accepted(traced):
+    service, run_id = traced
+    with pytest.raises(Conflict, match="has no effect 'time_drift'; it has: "):
+        Diagnoses(service.store).accept(run_id, ["time_drift"])
+
+
+def test_a_unit_without_a_calibration_cannot_be_verified(traced):
+    service, _ = traced
+    with pytest.raises(Conflict, match="'AS-NEW' has no calibration in force to verify"):
+        service.start(unit="AS-NEW", plan=Plan(kind="verification"))
