@@ -1,4 +1,4 @@
-// A question that needs a reason: what is voided or excluded stays, with why.
+// Questions before something that stays: a reason for what is voided or excluded, a yes for what is accepted.
 
 import { errorLine, h } from "./dom.js";
 
@@ -6,18 +6,27 @@ import { errorLine, h } from "./dom.js";
  * Asks for a reason in a dialog and calls `act(reason)`; an error of `act` is shown there and the dialog
  * stays open. Resolves to whether it was done.
  */
-export function askReason({ title, text, action }, act) {
+export function askReason(question, act) {
   const reason = h("textarea", { id: "reason", required: true, maxlength: "1000", rows: "3" });
-  const confirm = h("button", { type: "submit", class: "danger", "data-testid": "confirm" }, action);
+  const fields = [h("label", { for: "reason" }, "Reason"), reason];
+  return ask({ ...question, fields, kind: "danger" }, () => act(reason.value));
+}
+
+/** As `askReason`, for what needs a yes and no reason. */
+export function askConfirmation(question, act) {
+  return ask({ ...question, fields: [], kind: "primary" }, act);
+}
+
+function ask({ title, text, action, fields, kind }, act) {
+  const confirm = h("button", { type: "submit", class: kind, "data-testid": "confirm" }, action);
   const cancel = h("button", { type: "button" }, "Cancel");
-  const error = errorLine("reason-error");
+  const error = errorLine("ask-error");
   const form = h(
     "form",
     {},
     h("h2", { id: "ask-title" }, title),
     h("p", {}, text),
-    h("label", { for: "reason" }, "Reason"),
-    reason,
+    fields,
     error.element,
     h("div", { class: "buttons end" }, cancel, confirm),
   );
@@ -35,7 +44,7 @@ export function askReason({ title, text, action }, act) {
       confirm.disabled = true;
       error.say(null);
       try {
-        await act(reason.value);
+        await act();
         done = true;
         dialog.close();
       } catch (problem) {

@@ -26,9 +26,9 @@ function plotly() {
 
 /** A chart with its caption. `draw(figure)` shows a figure, `load(path)` fetches one and shows it. */
 export class Chart {
-  constructor(testid, title, { tall = false, signal } = {}) {
+  constructor(testid, title, { tall = false, low = false, signal } = {}) {
     this.plot = h("div", {
-      class: tall ? "plot tall" : "plot",
+      class: ["plot", tall && "tall", low && "low"].filter(Boolean).join(" "),
       "data-testid": testid,
       role: "img",
       "aria-label": title,

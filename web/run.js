@@ -3,6 +3,7 @@
 import { ApiError, get, post } from "./api.js";
 import { askReason } from "./ask.js";
 import { Chart } from "./charts.js";
+import { DiagnosisPanel } from "./diagnosis.js";
 import { errorLine, fill, h, tableBox } from "./dom.js";
 import { LivePanel, TERMINAL } from "./live.js";
 import { PoseTable } from "./poses.js";
@@ -31,6 +32,7 @@ class RunPage {
     const announce = (text) => (this.spoken.textContent = text);
     this.live = new LivePanel((verb) => this.#ask(verb), announce);
     this.result = h("section", { id: "result", class: "card", hidden: true });
+    this.diagnosis = new DiagnosisPanel(path, signal);
     this.timelineChart = new Chart("timeline", "Stage and reading against time", { signal });
     this.residualChart = new Chart("residual", "Residual of each pose", { tall: true, signal });
     this.poses = new PoseTable((pose) => this.#exclude(pose));
@@ -44,6 +46,7 @@ class RunPage {
       this.error.element,
       this.live.element,
       this.result,
+      this.diagnosis.element,
       h("div", { class: "charts" }, this.timelineChart.element, this.residualChart.element),
       this.faults,
       h(
@@ -114,6 +117,7 @@ class RunPage {
     this.live.show(run);
     this.result.hidden = !run.result;
     if (run.result) fill(this.result, resultCard(run), downloads(run, this.path));
+    if (this.ended) this.diagnosis.show(run);
     fill(this.faults, faultLine(run.faults));
     fill(this.more, provenanceDetails(run));
   }

@@ -1,6 +1,6 @@
 // What a run is called, how it stands, and what can be taken home from it.
 
-import { h, statusPill, unitHref, unitLink } from "./dom.js";
+import { h, runHref, statusPill, unitHref, unitLink } from "./dom.js";
 import { moment } from "./format.js";
 
 export function heading(run) {
@@ -12,6 +12,8 @@ export function heading(run) {
       "p",
       { class: "facts" },
       statusPill(run.status, { id: "status" }),
+      run.follows &&
+        h("span", { id: "follows" }, "follows ", h("a", { href: runHref(run.follows) }, `run ${run.follows}`)),
       h("span", {}, run.rig ? `rig ${run.rig}` : "no rig"),
       run.operator && h("span", {}, `by ${run.operator}`),
       h("span", {}, run.finished_at ? "finished " : "created ", moment(run.finished_at ?? run.created_at)),

@@ -1,19 +1,24 @@
 """The page's pictures in plotly's JSON form, drawn by `calrig.figures`."""
 
 from collections.abc import Iterator
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Path
 
 from calrig import figures
 from calrig.api.compare import Units, compared_runs
 from calrig.api.context import ApiContext, Context, KnownRun, KnownUnit
 from calrig.api.errors import problems
 from calrig.api.models import Figure
+from calrig.runs.error_map import error_map
+from calrig.runs.errors import Unknown
+from calrig.runs.tracing import traced_effects
 from calrig.store import Run
 
 BATCH = 5000
 """Events read at once."""
+EFFECT = "effect-"
+RunFigure = Annotated[str, Path(pattern=rf"^(timeline|residual|diagnosis|{EFFECT}\d{{1,3}})$")]
 
 router = APIRouter(tags=["figures"])
 
@@ -21,12 +26,29 @@ router = APIRouter(tags=["figures"])
 @router.get(
     "/api/runs/{run_id}/figures/{name}",
     response_model=Figure,
-    responses=problems(404, 422),
+    responses=problems(404, 409, 422),
     summary="A picture of one run",
 )
-def run_figure(run: KnownRun, name: Literal["timeline", "residual"], context: Context) -> figures.Figure:
-    """`timeline`: stage and reading against time; `residual`: of each pose against elevation."""
-    return _timeline(context, run) if name == "timeline" else _residual(context, run)
+def run_figure(run: KnownRun, name: RunFigure, context: Context) -> figures.Figure:
+    """What was measured, or what its last diagnosis (404 before) has found.
+
+    `timeline`: stage and reading against time; `residual`: of each pose against elevation; `diagnosis`: the
+    error before and after; `effect-0`, …: what is left for its first effect, against the covariate.
+    """
+    if name == "timeline":
+        return _timeline(context, run)
+    if name == "residual":
+        return _residual(context, run)
+    if name == "diagnosis":
+        return figures.before_and_after(context.diagnoses.last(run.id))
+    return _effect(context, run, int(name.removeprefix(EFFECT)))
+
+
+def _effect(context: ApiContext, run: Run, place: int) -> figures.Figure:
+    traced = traced_effects(context.store, run)
+    if place >= len(traced):
+        raise Unknown(f"the diagnosis of run {run.id} has {len(traced)} effects, counted from 0")
+    return figures.traced(traced[place])
 
 
 def _timeline(context: ApiContext, run: Run) -> figures.Figure:
@@ -56,6 +78,19 @@ def _residual(context: ApiContext, run: Run) -> figures.Figure:
         scale=result["scale"],
         excluded={place for place, s in enumerate(stored) if s.excluded is not None},
     )
+
+
+@router.get(
+    "/api/rigs/{name}/figures/error-map",
+    response_model=Figure,
+    responses=problems(404),
+    summary="What every unit on a rig has in common, drawn",
+)
+def rig_error_map(name: str, context: Context) -> figures.Figure:
+    """Mean residual over units by elevation and approach; empty with fewer than three units."""
+    context.service.known_rig(name)
+    found = error_map(context.store, name)
+    return figures.error_map(found.stage_deg, found.approach, found.error_deg, found.std_deg)
 
 
 @router.get(

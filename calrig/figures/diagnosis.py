@@ -1,0 +1,153 @@
+"""Pictures of a diagnosis: the error before and after, and what is left against what it was traced to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from calrig.calibration.partial import Traced
+from calrig.estimation.angles import FloatArray
+from calrig.figures.parts import APPROACHES, GREY, PALETTE, Figure, as_text, error_bars, layout_of
+
+LEFT = "left of the reading (°)"
+CURVE_POINTS = 400
+ROOM = 1.2
+"""Beside the longest bar, for its figure."""
+ROUGH = 1.0
+"""Mean squared step between neighbours over the variance: about this where a cycle has six points."""
+_TITLES = {
+    "target_deg": "elevation (°)",
+    "approach": "approach, spread by elevation",
+    "temperature_c": "temperature (°C)",
+    "time_s": "time (s)",
+    "move_deg": "move into the pose (°)",
+    "velocity": "velocity (°/s)",
+}
+
+
+def before_and_after(diagnosis: Mapping[str, Any]) -> Figure:
+    """Error on unseen poses before and after, with the noise floor under them; what is not known is left out.
+
+    Args:
+        diagnosis: a document of CONTRACT section 5.
+    """
+    fresh = diagnosis["confirmed_by"] or {}
+    bars = [
+        ("before", diagnosis["base"]["held_out_rms_deg"], PALETTE[1]),
+        ("after", diagnosis["final"]["held_out_rms_deg"], PALETTE[0]),
+        ("fresh run, before", fresh.get("before_rms_deg"), PALETTE[1]),
+        ("fresh run, after", fresh.get("after_rms_deg"), PALETTE[0]),
+        ("noise floor", diagnosis["noise"]["floor_deg"], GREY),
+    ]
+    known = [(name, value, colour) for name, value, colour in bars if value is not None]
+    layout = layout_of("RMS (°)", "")
+    layout.update(showlegend=False, bargap=0.3, hovermode=False)
+    layout["xaxis"]["range"] = [0.0, ROOM * max((value for _, value, _ in known), default=1.0)]
+    layout["yaxis"].update(autorange="reversed", showgrid=False, ticks="")
+    trace = {
+        "type": "bar",
+        "orientation": "h",
+        "y": [name for name, _, _ in known],
+        "x": [value for _, value, _ in known],
+        "text": [f"{value:#.3g}°" for _, value, _ in known],
+        "textposition": "outside",
+        "cliponaxis": False,
+        "marker": {"color": [colour for _, _, colour in known]},
+    }
+    return {"data": [trace], "layout": layout}
+
+
+def traced(found: Traced) -> Figure:
+    """What is left of each reading for one effect, against its covariate, with the fitted effect through it.
+
+    The effect is a line where it is a function of the covariate, points where it depends on more than that.
+    """
+    layout = layout_of(as_text(_TITLES.get(found.covariate, found.covariate)), LEFT)
+    layout["yaxis"]["zeroline"] = True
+    at = found.at
+    if found.covariate == "approach":
+        at = _spread_by_elevation(found)
+        senses = [int(sense) for sense in np.unique(found.at)]
+        names = [APPROACHES[sense][0] for sense in senses]
+        layout["xaxis"].update(tickvals=senses, ticktext=names, range=[-1.6, 1.6])
+    points = {
+        "type": "scatter",
+        "mode": "markers",
+        "name": "poses",
+        "x": at.tolist(),
+        "y": found.left_deg.tolist(),
+        "customdata": found.theta_deg.tolist(),
+        "marker": {"color": PALETTE[0], "size": 6, "opacity": 0.7},
+        "hovertemplate": "at %{customdata:.2f}°: %{y:.4f}°<extra></extra>",
+    }
+    return {"data": [points, _fitted(found, at)], "layout": layout}
+
+
+def error_map(
+    stage_deg: Sequence[float], approach: Sequence[int], error_deg: Sequence[float], std_deg: Sequence[float]
+) -> Figure:
+    """What every unit on a rig has in common by elevation, one line an approach, with standard errors."""
+    layout = layout_of("elevation (°)", "common residual (°)")
+    layout["yaxis"]["zeroline"] = True
+    data = []
+    for sense, (name, symbol, colour) in APPROACHES.items():
+        rows = [k for k, a in enumerate(approach) if a == sense]
+        if rows:
+            data.append(
+                {
+                    "type": "scatter",
+                    "mode": "lines+markers",
+                    "name": name,
+                    "x": [stage_deg[k] for k in rows],
+                    "y": [error_deg[k] for k in rows],
+                    "error_y": error_bars([std_deg[k] for k in rows], colour),
+                    "line": {"color": colour, "width": 1.5},
+                    "marker": {"color": colour, "symbol": symbol, "size": 7},
+                    "hovertemplate": "%{x:.0f}°: %{y:.4f}°",
+                }
+            )
+    return {"data": data, "layout": layout}
+
+
+def _fitted(found: Traced, at: FloatArray) -> dict[str, Any]:
+    order = np.argsort(at, kind="stable")
+    x, y = at[order], found.effect_deg[order]
+    trace = {"type": "scatter", "name": "fitted effect", "hoverinfo": "skip"}
+    if found.covariate == "approach":
+        return {**trace, "mode": "lines", "line": {"color": PALETTE[1], "width": 3}, **_levels(found, at)}
+    if _is_rough(y):
+        marker = {
+            "color": PALETTE[1],
+            "symbol": "x-thin",
+            "size": 8,
+            "line": {"color": PALETTE[1], "width": 2},
+        }
+        return {**trace, "mode": "markers", "x": x.tolist(), "y": y.tolist(), "marker": marker}
+    stride = max(1, -(-len(x) // CURVE_POINTS))
+    line = {"color": PALETTE[1], "width": 3}
+    return {**trace, "mode": "lines", "x": x[::stride].tolist(), "y": y[::stride].tolist(), "line": line}
+
+
+def _spread_by_elevation(found: Traced) -> FloatArray:
+    """Poses of one approach beside each other by elevation, so that they do not lie on one line."""
+    largest = max(float(np.abs(found.theta_deg).max()), 1.0)
+    return np.asarray(found.at + 0.45 * found.theta_deg / largest, dtype=np.float64)
+
+
+def _levels(found: Traced, at: FloatArray) -> dict[str, list[float | None]]:
+    """A level line for each approach, with gaps between them."""
+    x: list[float | None] = []
+    y: list[float | None] = []
+    for approach in np.unique(found.at):
+        side = np.flatnonzero(found.at == approach)
+        ends = side[[at[side].argmin(), at[side].argmax()]]
+        x += [*at[ends].tolist(), None]
+        y += [*found.effect_deg[ends].tolist(), None]
+    return {"x": x[:-1], "y": y[:-1]}
+
+
+def _is_rough(y: FloatArray) -> bool:
+    variance = float(y.var())
+    return variance > 0.0 and float((np.diff(y) ** 2).mean()) > ROUGH * variance

@@ -1,0 +1,78 @@
+"""What all figures are made of: colours, lines, error bars, axes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+Figure = dict[str, Any]
+
+PALETTE = ("#3b82c4", "#d0741f", "#1f9a7a", "#9063cd", "#d1495b", "#8a7d2c", "#3a93a5", "#b0589a")
+GREY = "#7d8590"
+GRID = "rgba(125,133,144,0.25)"
+APPROACHES = {
+    1: ("upward", "triangle-up", PALETTE[0]),
+    -1: ("downward", "triangle-down", PALETTE[1]),
+    0: ("not known", "circle", PALETTE[2]),
+}
+"""Name, marker and colour of each sense of the move into a pose."""
+
+
+def line_of(name: str, x: list[Any], y: list[Any], colour: str, hover: str | None = None) -> dict[str, Any]:
+    """A line through points, with what hovering over it says."""
+    trace: dict[str, Any] = {
+        "type": "scatter",
+        "mode": "lines",
+        "name": as_text(name),
+        "x": x,
+        "y": y,
+        "line": {"color": colour, "width": 2},
+    }
+    return {**trace, "hovertemplate": hover} if hover else trace
+
+
+def error_bars(std: Sequence[float | None], colour: str) -> dict[str, Any]:
+    """Standard errors about points; none where one is not known."""
+    return {"type": "data", "array": list(std), "color": colour, "thickness": 1.2, "width": 3}
+
+
+def as_text(name: str) -> str:
+    """A name as plain text: plotly reads a few HTML tags and entities in the names of traces."""
+    return name.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+
+
+def colour_of(k: int) -> str:
+    """The k-th colour; they begin again with the first."""
+    return PALETTE[k % len(PALETTE)]
+
+
+def axis_of(title: str) -> dict[str, Any]:
+    """An axis with its title."""
+    return {
+        "title": {"text": title, "standoff": 8},
+        "automargin": True,
+        "gridcolor": GRID,
+        "linecolor": GRID,
+        "zerolinecolor": GREY,
+        "zerolinewidth": 1,
+        "zeroline": False,
+        "ticks": "outside",
+        "ticklen": 4,
+        "tickcolor": GRID,
+    }
+
+
+def layout_of(x_title: str, y_title: str) -> dict[str, Any]:
+    """The look of a figure with one pair of axes."""
+    return {
+        "font": {"family": "system-ui, sans-serif", "size": 12, "color": GREY},
+        "paper_bgcolor": "rgba(0,0,0,0)",
+        "plot_bgcolor": "rgba(0,0,0,0)",
+        "margin": {"l": 56, "r": 12, "t": 8, "b": 44},
+        "hovermode": "closest",
+        "showlegend": True,
+        "legend": {"orientation": "h", "x": 0, "y": 1.02, "yanchor": "bottom"},
+        "uirevision": "kept",  # a zoom outlives the next update
+        "xaxis": axis_of(x_title),
+        "yaxis": axis_of(y_title),
+    }

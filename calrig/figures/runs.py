@@ -1,0 +1,164 @@
+"""Pictures of runs: what was read while they went on, and the residual of each pose."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from calrig.calibration.pose import Pose
+from calrig.figures.parts import (
+    APPROACHES,
+    GREY,
+    PALETTE,
+    Figure,
+    as_text,
+    axis_of,
+    colour_of,
+    error_bars,
+    layout_of,
+    line_of,
+)
+
+MAX_POINTS = 4000
+"""Of one line: more than a screen has columns, few enough to draw in a blink."""
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """One unit's poses and the calibration that applies to them, for residual curves laid over each other."""
+
+    name: str
+    poses: Sequence[Pose]
+    bias_deg: float
+    scale: float | None
+
+
+def timeline(
+    time_s: Sequence[float], stage_deg: Sequence[float | None], reading_deg: Sequence[float | None]
+) -> Figure:
+    """Stage and reading against time, thinned to at most `MAX_POINTS` points a line.
+
+    Args:
+        time_s: (n,) seconds since the run began, increasing.
+        stage_deg: (n,) elevation the stage reported, in degrees.
+        reading_deg: (n,) filtered elevation, in degrees.
+    """
+    stride = max(1, -(-len(time_s) // MAX_POINTS))
+    time = list(time_s[::stride])
+    hover = "%{x:.1f} s: %{y:.3f}°"
+    stage = line_of("stage", time, list(stage_deg[::stride]), PALETTE[1], hover)
+    reading = line_of("reading", time, list(reading_deg[::stride]), PALETTE[0], hover)
+    stage["line"]["width"] = 4
+    stage["opacity"] = 0.55
+    return {"data": [stage, reading], "layout": layout_of("time (s)", "elevation (°)")}
+
+
+def residual(
+    poses: Sequence[Pose],
+    *,
+    bias_deg: float | None = None,
+    scale: float | None = None,
+    excluded: Collection[int] = (),
+) -> Figure:
+    """Residual of each pose against elevation: as it came above, calibrated below, marked by approach.
+
+    Args:
+        poses: in the order measured.
+        bias_deg: of the calibration; None while it is not known, which leaves the lower half out.
+        scale: of the calibration; None counts as 1.
+        excluded: indices of poses that are out of the result; drawn as crosses.
+    """
+    layout = layout_of("elevation (°)", "reading − stage (°)")
+    layout["yaxis"]["zeroline"] = True
+    layout["legend"]["title"] = {"text": "approach", "side": "left", "font": {"size": 12}}
+    data = _residual_traces(poses, 0.0, 1.0, excluded, "raw")
+    if bias_deg is None:
+        return {"data": data, "layout": layout}
+    lower = _residual_traces(poses, bias_deg, 1.0 if scale is None else scale, excluded, "calibrated")
+    for trace in lower:
+        trace.update(yaxis="y2", showlegend=False)
+    layout["yaxis"]["domain"] = [0.54, 1.0]
+    layout["yaxis"]["title"] = {"text": "raw (°)"}
+    layout["yaxis2"] = {**axis_of("calibrated (°)"), "domain": [0.0, 0.46], "zeroline": True}
+    layout["xaxis"]["anchor"] = "y2"
+    return {"data": [*data, *lower], "layout": layout}
+
+
+def residuals_overlaid(curves: Sequence[Curve]) -> Figure:
+    """Calibrated residual against elevation, one colour a unit: a line through the means, points behind."""
+    layout = layout_of("elevation (°)", "calibrated residual (°)")
+    layout["yaxis"]["zeroline"] = True
+    data: list[dict[str, Any]] = []
+    for k, curve in enumerate(curves):
+        scale = 1.0 if curve.scale is None else curve.scale
+        points = [(p.theta_deg, _residual_deg(p, curve.bias_deg, scale)) for p in curve.poses]
+        means = _means_by_target(curve.poses, [y for _, y in points])
+        group = {"legendgroup": str(k), "name": as_text(curve.name)}
+        data.append(
+            {
+                **group,
+                "type": "scatter",
+                "mode": "markers",
+                "x": [x for x, _ in points],
+                "y": [y for _, y in points],
+                "marker": {"color": colour_of(k), "size": 5, "opacity": 0.4},
+                "hoverinfo": "skip",
+                "showlegend": False,
+            }
+        )
+        line = line_of(curve.name, [x for x, _ in means], [y for _, y in means], colour_of(k))
+        data.append({**line, **group, "hovertemplate": "%{x:.2f}°: %{y:.4f}°"})
+    return {"data": data, "layout": layout}
+
+
+def _residual_deg(pose: Pose, bias_deg: float, scale: float) -> float:
+    return (pose.reading_deg - bias_deg) / scale - pose.theta_deg
+
+
+def _residual_traces(
+    poses: Sequence[Pose], bias_deg: float, scale: float, excluded: Collection[int], what: str
+) -> list[dict[str, Any]]:
+    traces = []
+    for approach, (name, symbol, colour) in APPROACHES.items():
+        kept = [k for k, p in enumerate(poses) if (p.approach or 0) == approach and k not in excluded]
+        if kept:
+            traces.append(_residual_points(poses, kept, bias_deg, scale, (name, symbol, colour), what))
+    out = sorted(k for k in excluded if k < len(poses))
+    if out:
+        traces.append(_residual_points(poses, out, bias_deg, scale, ("excluded", "x-thin", GREY), what))
+    return traces
+
+
+def _residual_points(
+    poses: Sequence[Pose],
+    chosen: Sequence[int],
+    bias_deg: float,
+    scale: float,
+    look: tuple[str, str, str],
+    what: str,
+) -> dict[str, Any]:
+    name, symbol, colour = look
+    errors = [poses[k].reading_stderr_deg for k in chosen]
+    return {
+        "type": "scatter",
+        "mode": "markers",
+        "name": name,
+        "x": [poses[k].theta_deg for k in chosen],
+        "y": [_residual_deg(poses[k], bias_deg, scale) for k in chosen],
+        "customdata": list(chosen),
+        "error_y": error_bars([None if e is None else e / abs(scale) for e in errors], colour),
+        "marker": {"color": colour, "symbol": symbol, "size": 8, "line": {"color": colour, "width": 1}},
+        "hovertemplate": f"pose %{{customdata}} at %{{x:.2f}}°: {what} %{{y:.4f}}°<extra></extra>",
+    }
+
+
+def _means_by_target(poses: Sequence[Pose], values: Sequence[float]) -> list[tuple[float, float]]:
+    """Mean elevation and mean value of the poses at each commanded elevation, in order of elevation."""
+    groups: dict[float, list[tuple[float, float]]] = {}
+    for pose, value in zip(poses, values, strict=True):
+        groups.setdefault(round(pose.target_deg, 3), []).append((pose.theta_deg, value))
+    return [
+        (sum(x for x, _ in group) / len(group), sum(y for _, y in group) / len(group))
+        for _, group in sorted(groups.items())
+    ]

@@ -1,0 +1,76 @@
+"""Partial residuals: one effect alone, everything else taken out, as the diagnosis states it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calrig.calibration.diagnosis import diagnose, document
+from calrig.calibration.partial import partial_residuals
+from calrig.calibration.pose import Pose
+from calrig.calibration.responses import DiagnosisError
+
+NOISE_DEG = 0.02
+
+
+def measured(added, n=96, seed=3):
+    """Poses in random order with a temperature and a supply that wander apart, and what `added` says."""
+    rng = np.random.default_rng(seed)
+    theta = rng.uniform(-60, 60, n)
+    approach = np.sign(np.diff(theta, prepend=-90.0))
+    temperature_c = 30 + 4 * np.sin(np.arange(n) / 15)
+    supply_v = 3.3 + 0.25 * rng.choice([-1, 1], n) * rng.uniform(0.5, 1, n)
+    readings = (
+        0.8 + 1.002 * theta + added(approach, temperature_c, supply_v) + NOISE_DEG * rng.standard_normal(n)
+    )
+    return [
+        Pose(
+            target_deg=float(theta[k]),
+            reading_deg=float(readings[k]),
+            approach=int(approach[k]),
+            time_s=3.0 * k,
+            temperature_c=float(temperature_c[k]),
+            covariates={"supply_v": float(supply_v[k])},
+        )
+        for k in range(n)
+    ]
+
+
+def found_in(poses):
+    """The effects of a diagnosis by name, each with its partial residual."""
+    effects = document(diagnose([poses], cross_fit=False), ["1"])["effects"]
+    return {
+        e["name"]: (e["parameters"], t)
+        for e, t in zip(effects, partial_residuals([poses], effects), strict=True)
+    }
+
+
+def test_each_effect_stands_alone_and_as_large_as_the_diagnosis_says():
+    poses = measured(lambda approach, temperature_c, _: -0.06 * approach + 0.02 * (temperature_c - 30))
+    found = found_in(poses)
+    assert set(found) == {"backlash", "temperature_bias"}
+    parameters, backlash = found["backlash"]
+    assert np.ptp(backlash.effect_deg) == pytest.approx(abs(parameters["backlash_deg"]["value"]), rel=1e-6)
+    np.testing.assert_array_equal(backlash.at, [pose.approach for pose in poses])
+    parameters, temperature = found["temperature_bias"]
+    slope = np.polyfit(temperature.at, temperature.effect_deg, 1)[0]
+    assert slope == pytest.approx(parameters["deg_per_c"]["value"], rel=1e-6)
+    for _, one in found.values():
+        beside = one.left_deg - one.effect_deg
+        assert beside.std() == pytest.approx(NOISE_DEG, rel=0.25)
+
+
+def test_a_shape_without_a_name_is_drawn_against_its_column_at_the_size_stated():
+    poses = measured(lambda _approach, _temperature, supply_v: 0.4 * (supply_v - 3.3))
+    parameters, shape = found_in(poses)["unnamed"]
+    assert shape.covariate == "supply_v"
+    assert np.ptp(shape.effect_deg) == pytest.approx(parameters["size_deg"]["value"], rel=1e-6)
+    assert np.corrcoef(shape.at, shape.left_deg)[0, 1] > 0.9
+
+
+def test_poses_that_cannot_show_the_effect_any_more_say_so():
+    poses = measured(lambda approach, *_: -0.06 * approach)
+    effects = document(diagnose([poses], cross_fit=False), ["1"])["effects"]
+    upward = [pose for pose in poses if pose.approach == 1]
+    with pytest.raises(DiagnosisError, match="backlash"):
+        partial_residuals([upward], effects)

@@ -1,0 +1,191 @@
+"""The residual traced on the page: from the button to the effect in force, or to the run that separates."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.browser
+
+REFUSED = r"status of (409|422)"
+BACKLASH_DEG = 0.3
+NOISE_DEG = 0.017
+
+
+@pytest.fixture(scope="module")
+def rig(launch_rig):
+    """A fast rig whose table follows its motor with play, which nobody has told the calibration."""
+    return launch_rig(mechanics={"backlash_deg": BACKLASH_DEG})
+
+
+def imported(client, lines, unit="A", **form):
+    """A run from the lines of a CSV."""
+    files = {"file": ("poses.csv", "\n".join(lines).encode())}
+    return client.post("/api/imports", data={"unit": unit, **form}, files=files).raise_for_status().json()
+
+
+def ambiguous_poses():
+    """Even steps up and down, every move as large as the last: backlash and settling are one thing here."""
+    noise = np.random.default_rng(0).normal(0, NOISE_DEG, 24)
+    there, back = range(-40, 61, 20), range(40, -61, -20)
+    targets = [*there, *back, *there, *back]
+    approach = [*[1] * 6, *[-1] * 6] * 2
+    shift = -BACKLASH_DEG / 2
+    poses = [
+        f"{x},{0.8 + x + shift * a + e:.4f},{a}" for x, a, e in zip(targets, approach, noise, strict=True)
+    ]
+    return ["target_deg,reading_deg,approach", "-60,-59.2,0", *poses]
+
+
+def unsettled_poses():
+    """Unequal moves, of each of which two percent are still missing from the reading."""
+    rng = np.random.default_rng(1)
+    theta = rng.uniform(-60, 60, 60).round(2)
+    reading = 0.8 + theta - 0.02 * np.diff(theta, prepend=theta[0]) + rng.normal(0, NOISE_DEG, 60)
+    return ["target_deg,reading_deg", *(f"{x},{y:.4f}" for x, y in zip(theta, reading, strict=True))]
+
+
+def noise_alone(seed=0):
+    """Bias, scale and noise over one set of elevations."""
+    rng = np.random.default_rng(seed)
+    targets = [x for _ in range(4) for x in range(-60, 61, 15)]
+    return ["target_deg,reading_deg", *(f"{x},{0.8 + x + rng.normal(0, NOISE_DEG):.4f}" for x in targets)]
+
+
+def is_drawn(page, chart):
+    """Whether a chart shows poses and the effect through them."""
+    drawn = "c => document.querySelector(`[data-testid=${c}]`)?.data?.[1].x.length > 3"
+    page.wait_for_function(drawn, arg=chart)
+
+
+def test_a_run_is_traced_to_backlash_and_the_effect_put_in_force(page, client, service, go, expect):
+    go("#/")
+    page.fill("#unit", "MPU-1")
+    page.get_by_label("List", exact=True).check()
+    page.fill("#elevations_deg", "−60, −30, 0, 30, 60")
+    page.fill("#sweeps", "6")
+    page.fill("#settle_s", "0.3")
+    page.fill("#dwell_s", "0.6")
+    page.click("#start")
+    page.wait_for_url("**/#/runs/*")
+    expect(page.locator("#diagnosis")).to_be_hidden()
+    expect(page.locator("#status")).to_have_text("completed")
+    page.click("#diagnose")
+    effect = page.locator("[data-effect=backlash]")
+    expect(effect).to_contain_text("Backlash of the stage")
+    expect(page.get_by_test_id("diagnosis-verdict")).to_contain_text("backlash of the stage")
+
+    (run,) = client.get("/api/runs").json()["items"]
+    found = client.get(f"/api/runs/{run['id']}/diagnosis").json()
+    before, after = found["base"]["held_out_rms_deg"], found["final"]["held_out_rms_deg"]
+    assert before > 2 * after
+    for figure in (before, after, found["noise"]["floor_deg"]):
+        expect(page.locator("#before-after")).to_contain_text(f"{figure:#.3g}°")
+    (size,) = (e["parameters"]["backlash_deg"] for e in found["effects"] if e["name"] == "backlash")
+    decimals = 1 - int(f"{size['std']:e}".split("e")[1])
+    stated = f"{size['value']:.{decimals}f} ± {size['std']:.{decimals}f}°"
+    expect(effect).to_contain_text(stated.replace("-", "−"))
+    is_drawn(page, "effect-0")
+    expect(page.get_by_test_id("before-after").locator(".plot-container")).to_be_visible()
+
+    page.click("#accept-backlash")
+    page.get_by_test_id("confirm").click()
+    expect(effect).to_contain_text("belongs to the error map of rig bench-1")
+    assert [e.name for e in service.store.effects_in_force("MPU-1", "bench-1")] == ["backlash"]
+    page.reload()
+    expect(page.locator("[data-effect=backlash]")).to_be_visible()  # kept with the run
+    page.get_by_test_id("considered-backlash").locator("summary").click()
+    expect(page.get_by_role("row", name="settling")).to_contain_text("worse")
+
+
+def test_what_is_ambiguous_leads_to_the_run_that_separates_it(page, client, go, expect):
+    run = imported(client, ambiguous_poses(), rig="bench-1")
+    go(f"#/runs/{run['id']}")
+    page.click("#diagnose")
+    expect(page.get_by_test_id("diagnosis-verdict")).to_contain_text("cannot tell what")
+    found = client.get(f"/api/runs/{run['id']}/diagnosis").json()
+    planned = found["follow_up"]
+    box = page.locator(".follow-up")
+    for name in planned["separates"]:
+        expect(box).to_contain_text(name)
+    expect(box).to_contain_text(f"{len(planned['plan']['elevations_deg'])} poses")
+    expect(box).to_contain_text(f"{planned['separation_sigma']:.0f} standard deviations")
+    expect(page.get_by_role("button", name="Accept")).to_have_count(0)
+
+    page.click("#follow-up")
+    page.wait_for_url(lambda url: not url.endswith(f"/runs/{run['id']}"))
+    expect(page.locator("#follows")).to_have_text(f"follows run {run['id']}")
+    expect(page.locator("#status")).to_have_text("completed")
+    expect(page.locator("[data-effect=backlash]")).to_contain_text("named")
+    (second, _) = client.get("/api/runs").json()["items"]
+    confirmed = second["diagnosis"]["confirmed_by"]
+    assert confirmed["before_rms_deg"] > 2 * confirmed["after_rms_deg"]
+    for key in ("before_rms_deg", "after_rms_deg"):
+        expect(page.locator("#confirmed")).to_contain_text(f"{confirmed[key]:#.3g}°")
+    is_drawn(page, "effect-0")
+
+
+def test_without_a_rig_the_reason_why_nothing_can_be_separated_is_shown(page, client, go, expect, forgiven):
+    forgiven.append(REFUSED)
+    run = imported(client, ambiguous_poses())
+    go(f"#/runs/{run['id']}")
+    page.click("#diagnose")
+    page.click("#follow-up")
+    expect(page.locator("#follow-up-error")).to_contain_text("no rig is known")
+    assert len(client.get("/api/runs").json()["items"]) == 1
+
+
+def test_an_effect_that_cannot_correct_later_runs_is_refused_saying_why(page, client, go, expect, forgiven):
+    forgiven.append(REFUSED)
+    run = imported(client, unsettled_poses())
+    go(f"#/runs/{run['id']}")
+    page.click("#diagnose")
+    page.click("#accept-settling")
+    page.get_by_test_id("confirm").click()
+    expect(page.locator("#ask-error")).to_contain_text("cannot correct later runs")
+
+
+def test_poses_too_few_to_diagnose_are_refused_with_the_reason_and_the_page_goes_on(
+    page, client, go, expect, forgiven
+):
+    forgiven.append(REFUSED)
+    run = imported(client, noise_alone()[:6])
+    go(f"#/runs/{run['id']}")
+    page.click("#diagnose")
+    expect(page.locator("#diagnosis-error")).to_contain_text("too few")
+    expect(page.locator("#diagnose")).to_be_enabled()
+
+
+def test_noise_alone_is_accused_of_nothing_and_an_error_map_needs_three_units(page, client, go, expect):
+    runs = [imported(client, noise_alone(k), unit=f"U{k}", rig="bench-1") for k in range(2)]
+    go(f"#/runs/{runs[0]['id']}")
+    page.click("#diagnose")
+    expect(page.get_by_test_id("diagnosis-verdict")).to_contain_text("Nothing found")
+    summary = page.get_by_test_id("error-map-details").locator("summary")
+    summary.click()
+    expect(page.locator("#error-map")).to_contain_text("three units")
+    imported(client, noise_alone(2), unit="U2", rig="bench-1")
+    page.reload()
+    summary.click()
+    expect(page.get_by_test_id("error-map-chart").locator(".plot-container")).to_be_visible()
+    expect(page.locator("#error-map")).to_contain_text("common firmware")
+
+
+def test_a_diagnosis_fits_a_phone(page, client, go, expect):
+    run = imported(client, ambiguous_poses(), rig="bench-1")
+    client.post(f"/api/runs/{run['id']}/diagnosis", json={}).raise_for_status()
+    page.set_viewport_size({"width": 390, "height": 800})
+    go(f"#/runs/{run['id']}")
+    is_drawn(page, "effect-0")
+    page.locator("details").evaluate_all("all => all.forEach(one => (one.open = true))")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+
+
+def test_excluding_a_pose_says_that_the_diagnosis_is_of_before(page, client, go, expect):
+    run = imported(client, noise_alone())
+    client.post(f"/api/runs/{run['id']}/diagnosis", json={}).raise_for_status()
+    go(f"#/runs/{run['id']}")
+    page.get_by_role("button", name="Exclude pose 7").click()
+    page.fill("#reason", "bumped")
+    page.get_by_test_id("confirm").click()
+    expect(page.locator("#diagnosis-state")).to_contain_text("Trace again")

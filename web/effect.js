@@ -1,0 +1,133 @@
+// One effect of a diagnosis: what it is, how sure that is, what it looks like, and putting it in force.
+
+import { post } from "./api.js";
+import { askConfirmation } from "./ask.js";
+import { Chart } from "./charts.js";
+import { h, headings, tableBox } from "./dom.js";
+import {
+  candidateWords,
+  covariateWords,
+  effectTitle,
+  evidenceWords,
+  originWords,
+  parameterRows,
+} from "./effects.js";
+import { significant } from "./format.js";
+
+const LEAST_P = 0.001;
+const TOO_CLOSE = 6;
+const BEYOND = 40;
+
+/** Its element, and the chart in it that is loaded once the element is on the page. */
+export function effectCard(effect, k, { path, run }, signal) {
+  const chart = new Chart(
+    `effect-${k}`,
+    `What is left against ${covariateWords(effect.covariate)}, and the fitted effect`,
+    { low: true, signal },
+  );
+  const title = effectTitle(effect);
+  const element = h(
+    "article",
+    { class: "effect", "data-effect": effect.name, "aria-label": title },
+    h(
+      "div",
+      {},
+      h("h3", {}, title, h("span", { class: `pill ${effect.verdict}` }, effect.verdict)),
+      figures(effect),
+      suspects(effect),
+      h(
+        "ul",
+        { class: "evidence" },
+        effect.evidence.map((sentence) => h("li", {}, evidenceWords(sentence))),
+      ),
+      h("p", {}, h("strong", {}, "What to do: "), `${effect.remedy}.`),
+      considered(effect),
+      effect.verdict === "named" && acceptance(effect, title, path, run),
+    ),
+    chart.element,
+  );
+  return { element, chart };
+}
+
+function figures(effect) {
+  const rows = [
+    ...parameterRows(effect),
+    ["Comes from", originWords(effect.origin)],
+    ["p of the whole search", effect.p_value <= LEAST_P ? `≤ ${LEAST_P}` : significant(effect.p_value, 2)],
+  ];
+  return h(
+    "dl",
+    { class: "figures" },
+    rows.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))),
+  );
+}
+
+function suspects({ verdict, name, confusable_with: others }) {
+  if (verdict !== "ambiguous" || !others.length) return null;
+  const listed = [name, ...others].map(candidateWords).join(", ");
+  return h("p", { class: "suspects" }, h("strong", {}, "Not to be told apart by these poses: "), listed, ".");
+}
+
+function considered(effect) {
+  const rows = effect.considered.map(({ name, behind }) =>
+    h(
+      "tr",
+      {},
+      h("th", { scope: "row" }, candidateWords(name)),
+      h("td", { class: "number" }, significant(behind, 3)),
+      h("td", {}, fate(effect, name, behind)),
+    ),
+  );
+  return h(
+    "details",
+    { "data-testid": `considered-${effect.name}` },
+    h("summary", {}, "Candidates considered, and why they lost"),
+    h(
+      "p",
+      { class: "muted" },
+      "How far each is behind the best in −2 log likelihood, with log n for each parameter, all the other ",
+      "effects in the model.",
+    ),
+    tableBox(
+      "Candidates considered",
+      h("table", {}, headings("Candidate", "#Behind", "Why"), h("tbody", {}, rows)),
+    ),
+  );
+}
+
+function fate(effect, label, behind) {
+  const own = effect.name === "unnamed" ? `unnamed ${effect.covariate}` : effect.name;
+  if (label === own)
+    return effect.verdict === "ambiguous" ? "the best, not claimed" : "explains these poses best";
+  if (effect.confusable_with.includes(label)) return "cannot be told from it by these poses";
+  if (behind < TOO_CLOSE && label.startsWith("unnamed"))
+    return "fits as well, but a cause with a name goes first";
+  return behind > BEYOND
+    ? "explains these poses far worse"
+    : `explains these poses worse: odds about 1 : ${Math.round(Math.exp(behind / 2)).toLocaleString()}`;
+}
+
+/** Where an accepted effect goes depends on where it comes from; what cannot be accepted the service says. */
+function acceptance(effect, title, path, run) {
+  const ofStage = effect.origin === "stage";
+  const keeper = ofStage ? `the error map of rig ${run.rig}` : `the calibration of unit ${run.unit}`;
+  const done = h("p", { class: "accepted", role: "status" });
+  const button = h("button", { type: "button", id: `accept-${effect.name}` }, "Accept…");
+  button.setAttribute("aria-label", `Accept: ${title}`);
+  button.addEventListener("click", async () => {
+    const accepted = await askConfirmation(
+      {
+        title: `Accept “${title}”?`,
+        text:
+          `From now on it belongs to ${keeper}` +
+          (ofStage ? "; a stage's error is never flown." : ", as it is exported and flown."),
+        action: "Accept it",
+      },
+      () => post(`${path}/diagnosis/accept`, { effects: [effect.name] }),
+    );
+    if (!accepted) return;
+    button.hidden = true;
+    done.textContent = `Accepted: it belongs to ${keeper} from now on.`;
+  });
+  return h("div", { class: "buttons" }, button, done);
+}
