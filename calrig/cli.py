@@ -6,6 +6,7 @@ used: `calrig --help` needs none of them.
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from collections.abc import Iterator, Sequence
@@ -69,6 +70,8 @@ STATUS = {
 
 def main() -> None:
     """Runs the command line and leaves with its exit status."""
+    # numpy's products here are small: threads that wait for each other make them several times slower
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends in order, as Ctrl-C does
     try:
         app()

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.candidates import Candidate
-from calrig.calibration.noise_model import Fit, NoiseModel, noise_of, stacked
+from calrig.calibration.noise_model import PRIOR_RHO_STD, Fit, NoiseModel, noise_of, stacked
 from calrig.calibration.responses import Responses
 from calrig.estimation.angles import FloatArray
 
@@ -36,7 +36,7 @@ class _Level:
     share: float
     base: FloatArray
     bases: dict[int, tuple[Float32Array, Float32Array]]
-    log_determinant: float
+    cost: float
 
 
 class Screen:
@@ -64,8 +64,10 @@ class Screen:
         r, noise = self._r, self._noise
         base, _ = np.linalg.qr(stacked(noise, r.starts, model, share))
         bases = {width: _orthonormal(r, noise, share, base, stack) for width, stack in stacks.items()}
+        rho = noise.rho * share
         following = int((~r.starts).sum())
-        return _Level(share, base, bases, following * float(np.log(1.0 - (noise.rho * share) ** 2).sum()))
+        cost = following * np.log(1.0 - rho**2).sum() + ((rho / PRIOR_RHO_STD) ** 2).sum()
+        return _Level(share, base, bases, float(cost))
 
     def ratios(self, values: FloatArray) -> Float32Array:
         """(b, C) reductions of −2 log likelihood for b sets of responses (b, n, J)."""
@@ -76,7 +78,7 @@ class Screen:
             flat = self._noise.whiten(values, self._r.starts, level.share).reshape(b, -1)
             white = (flat - (flat @ level.base) @ level.base.T).reshape(b, n, channels)
             power = (white**2).sum(axis=1)
-            under_null = n * np.log(power).sum(axis=1) + level.log_determinant
+            under_null = n * np.log(power).sum(axis=1) + level.cost
             null = np.minimum(null, under_null)
             by_channel = np.ascontiguousarray(white.transpose(2, 0, 1), dtype=np.float32)
             for width, indices in self._by_width.items():

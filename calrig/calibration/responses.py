@@ -13,8 +13,30 @@ import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.fit import reading_error_deg
-from calrig.calibration.pose import COLUMNS, Pose
+from calrig.calibration.pose import Pose
+from calrig.calibration.pose_columns import (
+    DiagnosisError,
+    column_of,
+    complete,
+    covariates_of,
+    refuse_what_is_no_elevation,
+    same,
+)
 from calrig.estimation.angles import FloatArray
+
+__all__ = [
+    "ANGLE",
+    "MOVE",
+    "NORM",
+    "READING",
+    "SCALE_UNIT_DEG",
+    "STAGE",
+    "BoolArray",
+    "DiagnosisError",
+    "Responses",
+    "filter_share",
+    "responses_of",
+]
 
 BoolArray = npt.NDArray[np.bool_]
 
@@ -23,12 +45,6 @@ SCALE_UNIT_DEG = 60.0
 """Elevation enters the base in units of this, so that all its columns are of order 1."""
 FEWEST_POSES = 8
 ONE_ANGLE_DEG = 1e-6
-SAME = 1.0 - 1e-6
-"""Columns correlated beyond this are one column."""
-
-
-class DiagnosisError(ValueError):
-    """The poses cannot be diagnosed; the message says what is wrong with them and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +132,7 @@ def responses_of(runs: Sequence[Sequence[Pose]]) -> Responses:
     Raises:
         DiagnosisError: too few poses, or readings that cannot be degrees of elevation.
     """
-    kept, warnings = _complete(runs)
+    kept, warnings = complete(runs)
     poses = [pose for run in kept for pose in run]
     if len(poses) < FEWEST_POSES:
         raise DiagnosisError(
@@ -126,28 +142,28 @@ def responses_of(runs: Sequence[Sequence[Pose]]) -> Responses:
     starts = np.diff(run_index, prepend=-1) > 0
     theta = np.array([pose.theta_deg for pose in poses])
     reading = np.array([pose.reading_deg for pose in poses])
-    _refuse_radians(theta, reading)
+    refuse_what_is_no_elevation(theta, reading)
     if np.abs(reading - theta).max() > 180.0:
         warnings.append("some readings are a whole turn away from the stage: they were taken on its turn")
     move = np.where(starts, 0.0, np.diff(theta, prepend=theta[0]))
     table = _Channels(theta, move, starts, run_index)
     table.add(READING, reading_error_deg(theta, reading), bias_each_run=True, scaled=True)
     _add_witnesses(table, poses, theta, move, starts)
-    covariates, said = _covariates(poses, theta, reading)
+    covariates, said = covariates_of(poses, theta, reading)
     return Responses(
         theta_deg=theta,
         move_deg=move,
         starts=starts,
-        approach=_column(poses, "approach"),
-        time_s=_column(poses, "time_s"),
-        temperature_c=_column(poses, "temperature_c"),
+        approach=column_of(poses, "approach"),
+        time_s=column_of(poses, "time_s"),
+        temperature_c=column_of(poses, "temperature_c"),
         covariates=covariates,
         channels=tuple(table.names),
         values=np.stack(table.values, axis=1),
         known=np.stack(table.known, axis=1),
         base=table.base(),
         base_names=tuple(name for name, _, _ in table.base_columns),
-        kappa=filter_share(_column(poses, "settle_s"), len(poses)),
+        kappa=filter_share(column_of(poses, "settle_s"), len(poses)),
         warnings=(*warnings, *said),
     )
 
@@ -196,17 +212,17 @@ class _Channels:
 def _add_witnesses(
     table: _Channels, poses: Sequence[Pose], theta: FloatArray, move: FloatArray, starts: BoolArray
 ) -> None:
-    x, y, z = (_column(poses, f"accel_{axis}_g") for axis in "xyz")
+    x, y, z = (column_of(poses, f"accel_{axis}_g") for axis in "xyz")
     if y is not None and z is not None:
         angle = reading_error_deg(theta, np.degrees(np.arctan2(y, z)))
-        if not _same(angle, table.values[0]):
+        if not same(angle, table.values[0]):
             table.add(ANGLE, angle, bias_each_run=True, scaled=True)
         norm = np.sqrt(y**2 + z**2 + (0.0 if x is None else x**2)) - 1.0
         if np.ptp(norm) > 0.0:
             table.add(NORM, norm, bias_each_run=True, scaled=False)
     felt = np.array([np.nan if p.gyro_move_deg is None else p.gyro_move_deg for p in poses])
     moves = np.isfinite(felt) & ~starts
-    if table.turns and moves.sum() >= 0.8 * (~starts).sum() and np.ptp((felt - move)[moves]) > 0.0:
+    if table.turns and moves.sum() >= 0.8 * (~starts).sum() and _left_by_line(move[moves], felt[moves]):
         table.add_moves(felt)
     if all(pose.stage_deg is not None for pose in poses):
         off = theta - np.array([pose.target_deg for pose in poses])
@@ -214,77 +230,12 @@ def _add_witnesses(
             table.add(STAGE, off, bias_each_run=False, scaled=True)
 
 
-def _complete(runs: Sequence[Sequence[Pose]]) -> tuple[list[list[Pose]], list[str]]:
-    """The runs that have poses; a column that a few poses lack costs those poses, not the column."""
-    warnings = []
-    poses = [pose for run in runs for pose in run]
-    lacking: set[int] = set()
-    for name in ("temperature_c", "time_s", "approach", "accel_y_g", "accel_z_g", "stage_deg"):
-        missing = [k for k, pose in enumerate(poses) if getattr(pose, name) is None]
-        if 0 < len(missing) <= 0.1 * len(poses):
-            warnings.append(f"{len(missing)} poses have no {name} and were left out")
-            lacking.update(missing)
-        elif 0 < len(missing) < len(poses):
-            warnings.append(f"{name} is missing from {len(missing)} poses: the column was not used")
-    kept, k = [], 0
-    for run in runs:
-        kept.append([pose for i, pose in enumerate(run, start=k) if i not in lacking])
-        k += len(run)
-    return [run for run in kept if run], warnings
-
-
-def _column(poses: Sequence[Pose], name: str) -> FloatArray | None:
-    values = [getattr(pose, name) for pose in poses]
-    return None if any(value is None for value in values) else np.array(values, dtype=np.float64)
-
-
-def _covariates(
-    poses: Sequence[Pose], theta: FloatArray, reading: FloatArray
-) -> tuple[dict[str, FloatArray], list[str]]:
-    """The unknown columns worth looking at, and what was said of the others."""
-    names = dict.fromkeys(name for pose in poses for name in pose.covariates if name not in COLUMNS)
-    taken: dict[str, FloatArray] = {
-        "the order of the poses": np.arange(len(poses), dtype=float),
-        "the elevation": theta,
-        "the reading": reading,
-    }
-    for known in ("time_s", "temperature_c", "accel_y_g", "accel_z_g", "gyro_move_deg", "accel_x_g"):
-        column = _column(poses, known)
-        if column is not None:
-            taken[known] = column
-    found: dict[str, FloatArray] = {}
-    warnings = []
-    for name in names:
-        values = [pose.covariates.get(name) for pose in poses]
-        if any(value is None for value in values):
-            warnings.append(f"column {name} is not known of every pose: it was not used")
-            continue
-        column = np.array(values, dtype=np.float64)
-        if np.ptp(column) == 0.0:
-            continue
-        twin = next((other for other, known in taken.items() if _same(column, known)), None)
-        if twin is not None:
-            warnings.append(f"column {name} says the same as {twin}: it was not used")
-            continue
-        found[name] = taken[name] = column
-    return found, warnings
-
-
-def _same(a: FloatArray, b: FloatArray) -> bool:
-    if np.ptp(a) == 0.0 or np.ptp(b) == 0.0:
-        return False
-    return bool(abs(np.corrcoef(a, b)[0, 1]) > SAME)
-
-
-def _refuse_radians(theta: FloatArray, reading: FloatArray) -> None:
-    if np.ptp(theta) < 5.0:
-        return
-    slope = float(np.polyfit(theta, reading, 1)[0])
-    if abs(abs(slope) * 180.0 / np.pi - 1.0) < 0.2:
-        raise DiagnosisError(
-            f"the readings change by {slope:.4f} per degree of elevation: they look like radians; "
-            "convert reading_deg to degrees"
-        )
+def _left_by_line(x: FloatArray, y: FloatArray) -> bool:
+    """Whether a line leaves anything of y: a witness that it explains exactly was never measured."""
+    if np.ptp(x) == 0.0:
+        return bool(np.ptp(y) > 0.0)
+    left = y - np.polyval(np.polyfit(x, y, 1), x)
+    return bool(np.abs(left).max() > 1e-9 * max(float(np.abs(x).max()), 1.0))
 
 
 def filter_share(settle_s: FloatArray | None, n: int, dwell_s: float = 2.0) -> FloatArray:

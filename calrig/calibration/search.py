@@ -24,6 +24,11 @@ fails by no more than this goes on trial, up to `MOST_ON_TRIAL` of them; all sta
 at half the level. In noise alone that happens in about 0.2·level/2 of cases.
 """
 MOST_ON_TRIAL = 2
+PAIR_MARGIN = 8.0
+"""Of the criterion, by which two effects must beat the best one to enter together: noise adds a second effect
+by that much in 0.5 % (χ² of one degree of freedom beyond log n + 8, a dozen names).
+"""
+LEADING_NAMES = 4
 MOST_EFFECTS = 5
 SHORTLIST = 16
 LEAST_SHARE = 0.05
@@ -113,7 +118,8 @@ def search(
         if _share_of_reading(r, accepted, step.candidate) < LEAST_SHARE:
             too_small.add(step.candidate.label)
             continue
-        found = _reconsidered(r, candidates, [*found, step])
+        steps = _pair(r, accepted, offered, verdict.ratios, step) or (step,)
+        found = _reconsidered(r, candidates, [*found, *steps])
 
 
 def _offered(
@@ -158,6 +164,46 @@ def _named(
     for criterion, c in ranked:
         considered.setdefault(c.label, round(criterion - best, 2))
     return Found(claimed, tuple(others.values()), p_value, float(lead), tuple(considered.items()))
+
+
+def _pair(
+    r: Responses,
+    accepted: Sequence[Candidate],
+    offered: Sequence[Candidate],
+    ratios: np.ndarray[tuple[int], np.dtype[np.float32]],
+    step: Found,
+) -> tuple[Found, Found] | None:
+    """Two named effects that together explain far more than the best one does, None where there are none.
+
+    What both come with time hide each other: a slip in a drift looks like correlated noise once the wrong one
+    of them, or a curve that is neither, has entered alone.
+    """
+    toll = float(np.log(len(r)))
+
+    def criterion(*added: Candidate) -> float:
+        fitted = fit(r, model_columns(r, [*accepted, *added]))
+        return fitted.criterion + toll * sum(c.parameters for c in added)
+
+    named = [i for i, c in enumerate(offered) if c.effect is not None and c.effect.follows is None]
+    firsts: dict[str, Candidate] = {}
+    for i in sorted(named, key=lambda i: toll * offered[i].parameters - float(ratios[i])):
+        firsts.setdefault(offered[i].label, offered[i])
+    to_beat = criterion(step.candidate) - dict(step.considered)[step.candidate.label] - PAIR_MARGIN
+    best: tuple[Candidate, Candidate] | None = None
+    for first in list(firsts.values())[:LEADING_NAMES]:
+        columns = model_columns(r, [*accepted, first])
+        rest = [offered[i] for i in named if offered[i].label != first.label]
+        if not rest:
+            continue
+        noise = noise_of(fit(r, columns).residuals, r.starts, max(1.0, columns.shape[2] / len(r.channels)))
+        more = Screen(r, columns, rest, noise).ratios(r.values[None])[0]
+        second = rest[int(np.argmax(more - toll * np.array([c.parameters for c in rest])))]
+        together = criterion(first, second)
+        if together < to_beat:
+            to_beat, best = together, (first, second)
+    if best is None:
+        return None
+    return replace(step, candidate=best[0], rivals=()), replace(step, candidate=best[1], rivals=())
 
 
 def _ranked(

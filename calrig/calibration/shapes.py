@@ -14,6 +14,8 @@ UNNAMED = "unnamed"
 KNOTS = (3, 5)
 PLACES = np.linspace(0.06, 0.94, 23)
 FEWEST_VALUES = 8
+MOST_CYCLES = 60.0
+"""A run is searched for cycles in time up to this many, or as many as its poses can show."""
 
 
 def unnamed_shapes(r: Responses) -> Iterator[tuple[str, Shape]]:
@@ -60,7 +62,8 @@ def _of_one(r: Responses, z: FloatArray, name: str, *, stage: bool) -> Iterator[
 
 def _cycles(r: Responses, time_s: FloatArray) -> Iterator[Shape]:
     span = float(np.ptp(time_s))
-    for frequency in np.arange(1.0 / span, 0.45 * len(r) / span, 1.0 / (3.0 * span)):
+    most = min(0.45 * len(r), MOST_CYCLES)
+    for frequency in np.arange(1.0 / span, most / span, 1.0 / (3.0 * span)):
         phase = 2.0 * np.pi * frequency * time_s
         waves = np.stack([np.sin(phase), np.cos(phase)], axis=1)
         at = {"period": float(1.0 / frequency)}

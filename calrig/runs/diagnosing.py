@@ -51,7 +51,7 @@ class Diagnoses:
                 [run.id for run in runs],
                 plan=latest.plan,
                 limits_deg=limits_of(latest),
-                deciding=deciding_poses(latest) if len(runs) > 1 else None,
+                deciding=self._deciding(latest) if len(runs) > 1 else None,
             )
         except DiagnosisError as error:
             raise Invalid(f"run {run_id}: {error}") from error
@@ -114,6 +114,14 @@ class Diagnoses:
             if one.status not in ("completed", "failed", "aborted", "interrupted"):
                 raise Conflict(f"run {one.id} is {one.status}: wait until it has ended")
         return runs
+
+    def _deciding(self, run: Run) -> list[int] | None:
+        """Places, among the poses of a follow-up that count, of those that served to decide."""
+        decided_on = deciding_poses(run)
+        if decided_on is None:
+            return None
+        counting = self._store.poses(run.id, include_excluded=False)
+        return [place for place, stored in enumerate(counting) if stored.index in decided_on]
 
     def _poses(self, run: Run) -> list[Pose]:
         return [stored.pose for stored in self._store.poses(run.id, include_excluded=False)]

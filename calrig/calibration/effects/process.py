@@ -11,6 +11,10 @@ from calrig.calibration.responses import ANGLE, MOVE, READING, Responses
 
 EDGE_POSES = 3
 """A slip needs this many poses on either side: fewer are outliers."""
+MOST_INSTANTS = 150
+"""Beyond so many poses not every gap is tried: a slip is then placed to within a pose or two."""
+LEFT_AT_THE_END = (0.1, 0.5, 0.9)
+"""Of what the dwell lacks in the mean, for time constants of 0.3, 0.8 and 5 dwells."""
 
 
 @effect(
@@ -38,8 +42,8 @@ def mount_slip(r: Responses) -> Iterator[Shape]:
     if r.time_s is None:
         return
     order = np.arange(len(r))
-    for k in range(EDGE_POSES, len(r) - EDGE_POSES + 1):
-        if k == len(r) or r.starts[k]:
+    for k in range(EDGE_POSES, len(r) - EDGE_POSES + 1, 1 + len(r) // MOST_INSTANTS):
+        if r.starts[k]:
             continue
         after = (order >= k).astype(float)
         at = {"at_s": float((r.time_s[k - 1] + r.time_s[k]) / 2.0), "pose": float(k)}
@@ -56,12 +60,23 @@ def mount_slip(r: Responses) -> Iterator[Shape]:
     remedy="settle longer before the dwell",
 )
 def settling(r: Responses) -> Iterator[Shape]:
-    """Reading −= fraction·move, in the filter alone or in the mount (creep) that the accelerometer sees."""
-    if np.abs(r.move_deg).max() > 0.0:
-        missing = -r.move_deg
-        yield Shape({READING: missing}, ("fraction",), form="filter")
-        if ANGLE in r.channels:
-            yield Shape(tilted(missing), ("fraction",), form="creep")
+    """Reading −= fraction·move, in the filter alone or in the mount (creep) that the accelerometer sees.
+
+    A creeping mount goes on after the dwell: the gyro feels what is still missing at its end, a share of the
+    dwell's mean that depends on how fast it creeps, together with the next move.
+    """
+    if np.abs(r.move_deg).max() == 0.0:
+        return
+    missing = -r.move_deg
+    yield Shape({READING: missing}, ("fraction",), form="filter")
+    if ANGLE not in r.channels:
+        return
+    move_before = np.roll(r.move_deg, 1)
+    move_before[r.starts] = 0.0
+    for share in LEFT_AT_THE_END if MOVE in r.channels else (0.0,):
+        # what is missing when the dwell begins goes with the move itself: the gain of the gyro's base has it
+        shares = {**tilted(missing), MOVE: share * move_before}
+        yield Shape(shares, ("fraction",), form=f"creep, {share:g} left")
 
 
 @effect(

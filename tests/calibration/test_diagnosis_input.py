@@ -1,0 +1,215 @@
+"""Poses that are wrong, poor or wild: a clear answer or a refusal, never an effect that is not there."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calrig.calibration.diagnosis import diagnose, document
+from calrig.calibration.pose import Pose
+from calrig.calibration.responses import DiagnosisError
+from calrig.export.poses_csv import read_poses
+
+DATA = Path(os.environ.get("CALRIG_DATA", Path(__file__).parents[2].parent / "shared" / "data"))
+NOISE_DEG = 0.03
+
+
+def run_of(targets_deg: np.ndarray, seed: int = 5, **known: np.ndarray) -> list[Pose]:
+    """Poses of a rig with nothing wrong but bias, scale and noise."""
+    noise_deg = np.random.default_rng(seed).normal(0.0, NOISE_DEG, len(targets_deg))
+    readings_deg = 0.8 + 1.002 * targets_deg + noise_deg
+    return [
+        Pose(
+            target_deg=float(targets_deg[k]),
+            reading_deg=float(readings_deg[k]),
+            time_s=4.0 * k,
+            **{name: values[k] for name, values in known.items()},
+        )
+        for k in range(len(targets_deg))
+    ]
+
+
+def sweeps(count: int = 4) -> np.ndarray:
+    up = np.linspace(-60.0, 60.0, 25)
+    return np.concatenate([up if k % 2 == 0 else up[::-1] for k in range(count)])
+
+
+def approaches(targets_deg: np.ndarray) -> np.ndarray:
+    senses = np.sign(np.diff(targets_deg, prepend=0.0)).astype(int)
+    return np.where(senses == 0, np.roll(senses, 1), senses)
+
+
+def told(poses: list[Pose], *, cross_fit: bool = False) -> dict[str, Any]:
+    """The document, which must be JSON without NaN (CONTRACT: what is not known is null)."""
+    said = document(diagnose([poses], bootstraps=199, cross_fit=cross_fit), ["1"])
+    json.dumps(said, allow_nan=False)
+    return said
+
+
+def with_column(poses: list[Pose], name: str, values: np.ndarray) -> list[Pose]:
+    return [
+        replace(pose, covariates={**pose.covariates, name: float(value)})
+        for pose, value in zip(poses, values, strict=True)
+    ]
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 5])
+def test_fewer_poses_than_parameters_are_refused(count: int) -> None:
+    with pytest.raises(DiagnosisError, match=f"{count} poses are too few"):
+        diagnose([run_of(sweeps()[:count])])
+
+
+@pytest.mark.parametrize("count", [8, 9, 12])
+def test_few_poses_are_diagnosed_without_inventing_anything(count: int) -> None:
+    assert told(run_of(sweeps()[::4][:count]), cross_fit=True)["verdict"] == "nothing"
+
+
+def test_all_poses_at_one_angle_have_no_scale_and_no_effect_of_angle() -> None:
+    said = told(run_of(np.full(60, 20.0)), cross_fit=True)
+    assert (said["verdict"], said["base"]["scale"]) == ("nothing", None)
+
+
+def test_a_drift_at_one_angle_is_found() -> None:
+    poses = run_of(np.full(60, 20.0))
+    drifting = [replace(p, reading_deg=p.reading_deg + 1e-3 * (p.time_s or 0.0)) for p in poses]
+    effect = told(drifting)["effects"][0]
+    stated = effect["parameters"]["deg_per_s"]
+    assert effect["name"] == "time_drift"
+    assert abs(stated["value"] - 1e-3) < 4 * stated["std"]
+
+
+CONSTANT: dict[str, Callable[[list[Pose]], list[Pose]]] = {
+    "temperature_c": lambda poses: [replace(p, temperature_c=25.0) for p in poses],
+    "approach": lambda poses: [replace(p, approach=1) for p in poses],
+    "time_s": lambda poses: [replace(p, time_s=0.0) for p in poses],
+    "accelerometer": lambda poses: [replace(p, accel_x_g=0.0, accel_y_g=0.0, accel_z_g=1.0) for p in poses],
+    "gyro_move_deg": lambda poses: [replace(p, gyro_move_deg=0.0) for p in poses],
+    "gyro_move_deg less the move": lambda poses: [
+        replace(p, gyro_move_deg=p.target_deg - before.target_deg)
+        for before, p in zip([poses[0], *poses], poses, strict=False)
+    ],
+    "unknown column": lambda poses: with_column(poses, "lamp_current", np.ones(len(poses))),
+    "reading_deg": lambda poses: [replace(p, reading_deg=12.5) for p in poses],
+}
+
+
+@pytest.mark.parametrize("column", [name for name in CONSTANT if name != "reading_deg"])
+def test_a_constant_column_says_nothing(column: str) -> None:
+    assert told(CONSTANT[column](run_of(sweeps())))["verdict"] == "nothing"
+
+
+def test_a_reading_that_never_changes_is_refused() -> None:
+    with pytest.raises(DiagnosisError, match="never change"):
+        diagnose([CONSTANT["reading_deg"](run_of(sweeps()))])
+
+
+def test_readings_without_any_noise_are_diagnosed() -> None:
+    exact = [replace(p, reading_deg=0.5 + p.target_deg) for p in run_of(sweeps())]
+    assert told(exact, cross_fit=True)["verdict"] == "nothing"
+
+
+@pytest.mark.parametrize("name", ["temperature_c", "time_s", "approach", "stage_deg", "accel_y_g"])
+@pytest.mark.parametrize("missing", [3, 60])
+def test_missing_values_cost_poses_or_the_column_and_are_said(name: str, missing: int) -> None:
+    targets = sweeps()
+    poses = run_of(
+        targets,
+        temperature_c=np.linspace(20.0, 26.0, 100),
+        approach=approaches(targets).tolist(),
+        stage_deg=targets,
+        accel_x_g=np.zeros(100),
+        accel_y_g=np.sin(np.radians(targets)),
+        accel_z_g=np.cos(np.radians(targets)),
+    )
+    holed = [replace(p, **{name: None}) if k % 33 < missing // 3 else p for k, p in enumerate(poses)]
+    said = told(holed)
+    assert said["verdict"] == "nothing"
+    assert any(name in warning for warning in said["warnings"])
+
+
+def test_of_two_identical_columns_one_is_accused_and_the_other_said_to_be_the_same() -> None:
+    steps = np.random.default_rng(8).choice([-0.25, 0.25], 100)
+    poses = [
+        replace(p, reading_deg=p.reading_deg + 0.25 * float(v))
+        for p, v in zip(run_of(sweeps()), steps, strict=True)
+    ]
+    said = told(with_column(with_column(poses, "supply_v", steps), "supply_mv", 1000.0 * steps))
+    assert [(e["name"], e["covariate"]) for e in said["effects"]] == [("unnamed", "supply_v")]
+    assert any("supply_mv says the same as supply_v" in warning for warning in said["warnings"])
+
+
+def test_a_reading_in_radians_is_refused_with_what_to_do() -> None:
+    poses = [replace(p, reading_deg=math.radians(p.reading_deg)) for p in run_of(sweeps())]
+    with pytest.raises(DiagnosisError, match="radians; convert reading_deg"):
+        diagnose([poses])
+
+
+@pytest.mark.parametrize("which", ["all", "some"])
+def test_a_reading_off_by_a_whole_turn_is_taken_on_the_stage_s_turn(which: str) -> None:
+    poses = run_of(sweeps())
+    off = [
+        replace(p, reading_deg=p.reading_deg + 360.0) if which == "all" or k % 3 == 0 else p
+        for k, p in enumerate(poses)
+    ]
+    said, straight = told(off), told(poses)
+    assert said["verdict"] == "nothing"
+    assert said["base"] == pytest.approx(straight["base"])
+    assert any("whole turn" in warning for warning in said["warnings"])
+
+
+@pytest.mark.parametrize("size_deg", [1.0, -30.0, 300.0])
+@pytest.mark.parametrize("at", [0, 41, 99])
+def test_one_wild_outlier_is_left_out_and_named(size_deg: float, at: int) -> None:
+    poses = run_of(sweeps())
+    poses[at] = replace(poses[at], reading_deg=poses[at].reading_deg + size_deg)
+    said = told(poses)
+    assert (said["verdict"], said["n_poses"]) == ("nothing", 99)
+    assert any(f"pose {at} " in warning and "left out" in warning for warning in said["warnings"])
+
+
+def test_an_outlier_does_not_hide_an_effect() -> None:
+    targets = sweeps()
+    poses = [
+        replace(p, reading_deg=p.reading_deg - 0.04 * (p.approach or 0))
+        for p in run_of(targets, approach=approaches(targets).tolist())
+    ]
+    poses[41] = replace(poses[41], reading_deg=poses[41].reading_deg + 5.0)
+    assert [e["name"] for e in told(poses)["effects"]] == ["backlash"]
+
+
+def test_a_covariate_that_is_the_row_number_is_not_accused() -> None:
+    poses = with_column(run_of(sweeps()), "row", np.arange(100.0))
+    drifting = [replace(p, reading_deg=p.reading_deg + 3e-4 * (p.time_s or 0.0)) for p in poses]
+    assert told(poses)["verdict"] == "nothing"
+    said = told(drifting)
+    assert [e["name"] for e in said["effects"]] == ["time_drift"]
+    assert any("row says the same as" in warning for warning in said["warnings"])
+
+
+@pytest.fixture(scope="module")
+def warm_up() -> dict[str, Any]:
+    path = DATA / "mpu6050_warmup_poses.csv"
+    if not path.exists():
+        pytest.skip(f"measured data are not here: {path}")
+    return document(diagnose([read_poses(path.read_bytes()).poses]), ["1"])
+
+
+def test_a_measured_warm_up_is_traced_to_temperature_and_not_to_time(warm_up: dict[str, Any]) -> None:
+    names = [effect["name"] for effect in warm_up["effects"]]
+    linear = warm_up["effects"][0]
+    assert names == ["temperature_bias", "temperature_curvature"]
+    assert linear["parameters"]["deg_per_c"]["value"] == pytest.approx(0.0164, abs=0.0005)
+    assert (linear["origin"], linear["verdict"]) == ("sensor", "named")
+
+
+def test_a_measured_warm_up_before_and_after(warm_up: dict[str, Any]) -> None:
+    assert warm_up["base"]["fit_rms_deg"] == pytest.approx(0.062, abs=0.001)
+    assert warm_up["final"]["held_out_rms_deg"] <= 0.008
