@@ -168,7 +168,7 @@ def test_a_reading_off_by_a_whole_turn_is_taken_on_the_stage_s_turn(which: str) 
 @pytest.mark.parametrize("size_deg", [1.0, -30.0, 300.0])
 @pytest.mark.parametrize("at", [0, 41, 99])
 def test_one_wild_outlier_is_left_out_and_named(size_deg: float, at: int) -> None:
-    poses = run_of(sweeps())
+    poses = run_of(sweeps(), seed=1)  # a fixed draw: one in a hundred has something to say by itself
     poses[at] = replace(poses[at], reading_deg=poses[at].reading_deg + size_deg)
     said = told(poses)
     assert (said["verdict"], said["n_poses"]) == ("nothing", 99)
