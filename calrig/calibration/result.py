@@ -9,7 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.applied import ApplyError, Circumstances, effects_on_reading_deg
+from calrig.calibration.applied import (
+    ApplyError,
+    Circumstances,
+    effects_on_reading_deg,
+    fit_line_with_effects,
+)
 from calrig.calibration.fit import Line, fit_line, residuals_deg, rms
 from calrig.calibration.pose import Pose
 from calrig.estimation.angles import FloatArray, wrap_deg
@@ -158,11 +163,12 @@ def _line_with_effects(
     """Bias and scale once the effects are taken out, and the RMS that is left; None where they cannot be."""
     if not effects:
         return None
+    given = circumstances(poses)
     try:
-        without = reading - effects_on_reading_deg(effects, theta, circumstances(poses))
+        without = reading - effects_on_reading_deg(effects, theta, given)
+        line = fit_line_with_effects(theta, reading, effects, given)
     except ApplyError:
         return None
-    line = fit_line(theta, without)
     return line, rms(residuals_deg(theta, without, line.bias_deg, line.scale))
 
 

@@ -273,7 +273,8 @@ def _share_of_reading(r: Responses, accepted: Sequence[Candidate], candidate: Ca
     part = candidate.columns[:, 0, :] @ fitted.beta[-width:]
     line = np.column_stack([np.ones(len(r)), r.theta_deg])
     part = part - line @ np.linalg.lstsq(line, part, rcond=None)[0]
-    return float(part.std() / fitted.residuals[:, 0].std())
+    noise_deg = float(fitted.residuals[:, 0].std())
+    return float(part.std()) / noise_deg if noise_deg > 0.0 else np.inf
 
 
 __all__ = ["Findings", "Found", "candidates_of", "model_columns", "search"]

@@ -17,7 +17,6 @@ OF_THE_UNIT = ("sensor", "mounting")
 OF_THE_RIG = ("stage",)
 OF_ONE_RUN = ("mount_slip", "time_drift")
 """What happened once, or at one instant, says nothing about the next run."""
-ANY_LIMITS_DEG = (-90.0, 90.0)
 
 
 class Diagnoses:
