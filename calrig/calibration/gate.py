@@ -62,7 +62,8 @@ class Screen:
 
     def _level(self, share: float, model: FloatArray, stacks: dict[int, FloatArray]) -> _Level:
         r, noise = self._r, self._noise
-        base, _ = np.linalg.qr(stacked(noise, r.starts, model, share))
+        design = stacked(noise, r.starts, model, share)
+        base, _ = np.linalg.qr(design[:, design.any(axis=0)])  # of a fold, a first pose may not be in it
         bases = {width: _orthonormal(r, noise, share, base, stack) for width, stack in stacks.items()}
         rho = noise.rho * share
         following = int((~r.starts).sum())

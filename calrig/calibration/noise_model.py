@@ -86,7 +86,7 @@ def fit(r: Responses, columns: FloatArray) -> Fit:
         design = stacked(noise, r.starts, columns)
         target = noise.whiten(r.values, r.starts).ravel()
         gram = design.T @ design
-        size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+        size = np.sqrt(np.where(np.diag(gram) > 0.0, np.diag(gram), 1.0))
         inverse = np.linalg.pinv(gram / np.outer(size, size), rcond=1e-10, hermitian=True) / np.outer(
             size, size
         )

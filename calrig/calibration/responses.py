@@ -61,8 +61,8 @@ class Responses:
         values: (n, J) response less θ (angles, degrees), less 1 g (|accelerometer|, g), less the stage's
             move (gyro, degrees), less target (stage, degrees).
         known: (n, J) False where a response does not exist (the gyro's before the first move).
-        base: (n, J, p) columns of bias and scale, each in one channel.
-        base_names: of the p columns, such as `reading.bias`, `gyro_move.gain`.
+        base: (n, J, p) columns of bias and scale, and of the first pose of each run.
+        base_names: of the p columns, such as `reading.bias`, `gyro_move.gain`, `first`.
         kappa: (n,) share of a gyro scale error times the move that the paper's filter still shows.
     """
 
@@ -149,6 +149,7 @@ def responses_of(runs: Sequence[Sequence[Pose]]) -> Responses:
     table = _Channels(theta, move, starts, run_index)
     table.add(READING, reading_error_deg(theta, reading), bias_each_run=True, scaled=True)
     _add_witnesses(table, poses, theta, move, starts)
+    table.free_first()
     covariates, said = covariates_of(poses, theta, reading)
     return Responses(
         theta_deg=theta,
@@ -162,7 +163,7 @@ def responses_of(runs: Sequence[Sequence[Pose]]) -> Responses:
         values=np.stack(table.values, axis=1),
         known=np.stack(table.known, axis=1),
         base=table.base(),
-        base_names=tuple(name for name, _, _ in table.base_columns),
+        base_names=tuple(name for name, _ in table.base_columns),
         kappa=filter_share(column_of(poses, "settle_s"), len(poses)),
         warnings=(*warnings, *said),
     )
@@ -177,35 +178,47 @@ class _Channels:
         self.names: list[str] = []
         self.values: list[FloatArray] = []
         self.known: list[BoolArray] = []
-        self.base_columns: list[tuple[str, int, FloatArray]] = []
+        self.base_columns: list[tuple[str, dict[str, FloatArray]]] = []
         self._theta, self._move, self._starts, self._run_index = theta, move, starts, run_index
+        self._runs = int(run_index[-1]) + 1
         self.turns = float(np.ptp(theta)) > ONE_ANGLE_DEG
 
     def add(self, name: str, values: FloatArray, *, bias_each_run: bool, scaled: bool) -> None:
-        at = self._begin(name, values, np.ones(len(values), dtype=bool))
-        groups = range(int(self._run_index[-1]) + 1) if bias_each_run else [None]
+        self._begin(name, values, np.ones(len(values), dtype=bool))
+        groups = range(self._runs) if bias_each_run else [None]
         for run in groups:
             one = np.ones(len(values)) if run is None else (self._run_index == run).astype(float)
-            self.base_columns.append((f"{name}.bias", at, one))
+            self.base_columns.append((f"{name}.bias", {name: one}))
         if scaled and self.turns:
-            self.base_columns.append((f"{name}.scale", at, self._theta / SCALE_UNIT_DEG))
+            self.base_columns.append((f"{name}.scale", {name: self._theta / SCALE_UNIT_DEG}))
 
     def add_moves(self, felt_deg: FloatArray) -> None:
         known = np.isfinite(felt_deg) & ~self._starts
-        at = self._begin(MOVE, np.where(known, felt_deg - self._move, 0.0), known)
-        self.base_columns.append((f"{MOVE}.bias", at, known.astype(float)))
-        self.base_columns.append((f"{MOVE}.gain", at, np.where(known, self._move, 0.0) / SCALE_UNIT_DEG))
+        self._begin(MOVE, np.where(known, felt_deg - self._move, 0.0), known)
+        self.base_columns.append((f"{MOVE}.bias", {MOVE: known.astype(float)}))
+        gain = np.where(known, self._move, 0.0) / SCALE_UNIT_DEG
+        self.base_columns.append((f"{MOVE}.gain", {MOVE: gain}))
 
-    def _begin(self, name: str, values: FloatArray, known: BoolArray) -> int:
+    def free_first(self) -> None:
+        """Lets the first pose of each run lie where it will: the move into it is not known.
+
+        It may have been a long one that had not settled, from either side of the play or none at all: one
+        pose would then speak for an effect that all the others deny.
+        """
+        for run in range(self._runs if self.turns else 0):
+            first = (self._starts & (self._run_index == run)).astype(float)
+            self.base_columns.append(("first", {READING: first, ANGLE: first}))
+
+    def _begin(self, name: str, values: FloatArray, known: BoolArray) -> None:
         self.names.append(name)
         self.values.append(values)
         self.known.append(known)
-        return len(self.names) - 1
 
     def base(self) -> FloatArray:
         stacked = np.zeros((len(self._theta), len(self.names), len(self.base_columns)))
-        for k, (_, channel, column) in enumerate(self.base_columns):
-            stacked[:, channel, k] = column
+        for k, (_, shares) in enumerate(self.base_columns):
+            for name in shares.keys() & set(self.names):
+                stacked[:, self.names.index(name), k] = shares[name]
         return stacked
 
 
@@ -215,7 +228,7 @@ def _add_witnesses(
     x, y, z = (column_of(poses, f"accel_{axis}_g") for axis in "xyz")
     if y is not None and z is not None:
         angle = reading_error_deg(theta, np.degrees(np.arctan2(y, z)))
-        if not same(angle, table.values[0]):
+        if not same(angle, table.values[0]) and _left_by_line(theta, angle):
             table.add(ANGLE, angle, bias_each_run=True, scaled=True)
         norm = np.sqrt(y**2 + z**2 + (0.0 if x is None else x**2)) - 1.0
         if np.ptp(norm) > 0.0:

@@ -151,12 +151,15 @@ def _named(
     named = [c for c in near if c.effect is not None]
     # A catalogue effect that explains as well outranks the flexible shapes that contain it.
     claimed = (named or near)[0]
+    best_shape = _better_shape(ranked, claimed)
     others: dict[str, Candidate] = {}
     for c in named or near:
         if c.label != claimed.label:
             others.setdefault(c.label, c)
     if claimed.effect is None:
         others = {}
+    elif best_shape is not None:
+        others[best_shape.label] = best_shape
     own = min(criterion for criterion, c in ranked if c.label == claimed.label)
     rest = [criterion for criterion, c in ranked if c.label != claimed.label and c.effect is not None]
     lead = min(rest) - own if rest else np.inf
@@ -164,6 +167,12 @@ def _named(
     for criterion, c in ranked:
         considered.setdefault(c.label, round(criterion - best, 2))
     return Found(claimed, tuple(others.values()), p_value, float(lead), tuple(considered.items()))
+
+
+def _better_shape(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> Candidate | None:
+    """The shape without a name that explains better than the claimed effect, None where none does."""
+    leader = ranked[0][1]
+    return leader if leader.effect is None and claimed.effect is not None else None
 
 
 def _pair(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -28,6 +29,8 @@ FEWEST_FOR_TARGET_S = 0.5
 """A dwell with `target_std_deg` is at least this long: a standard error from less is itself a guess."""
 DWELL_TRIES = 3
 TEMPERATURE_WAIT_S = 4 * 3600.0
+MOVE_OFF_DEG = 5.0
+"""More than any play."""
 MOVED_DEG = 1e-4
 """A change of reported angle below this is no move."""
 
@@ -68,6 +71,7 @@ class Execution:
             self.rig.axis.set_velocity(self.plan.velocity_dps)
         self._stage_deg = self.rig.axis.elevation_deg()
         self._stood_at_s = self._synchronise()  # what the gyro felt before is homing's, and no pose's move
+        self._move_off(planned)
         self.recorder.poses_begin()
         sweep = -1
         for pose in planned:
@@ -79,6 +83,22 @@ class Execution:
                 self._wait_before_sweep()
             self._take(pose)
             self._hold_while_paused()
+
+    def _move_off(self, planned: list[PlannedPose]) -> None:
+        """Leaves the first elevation where the stage stands on it: how it came there is not known.
+
+        Which side of the play the table lies on, and whether it has settled, is what calibration is about.
+        """
+        targets = [pose.target_deg for pose in planned]
+        stays = (
+            self._stage_deg is not None and abs(targets[0] - self._stage_deg) <= self.rig.axis.tolerance_deg
+        )
+        away = max(targets, key=lambda target: abs(target - targets[0]))
+        if stays and away != targets[0]:
+            step_deg = min(MOVE_OFF_DEG, abs(away - targets[0]))
+            self.rig.axis.begin_move(targets[0] + math.copysign(step_deg, away - targets[0]))
+            self._until_it_stands()
+            self._stood_at_s = self._synchronise()
 
     def _take(self, planned: PlannedPose) -> None:
         """One pose, its dwell repeated where too few valid samples came."""

@@ -66,7 +66,9 @@ def judge(
         facts["nothing_else"] = all(_set(e) & true_names for e in effects) and len(effects) <= len(run.truths)
     if cell.kind == "unnamed":
         facts["covariate"] = any(
-            e["name"] == "unnamed" and e["covariate"] == run.truths[0].cause.covariate for e in effects
+            "unnamed" in (e["name"], *e["confusable_with"])
+            and e["covariate"] == run.truths[0].cause.covariate
+            for e in effects
         )
         facts["no_name"] = all(e["verdict"] != "named" for e in effects)
     if cell.kind != "unnamed" and effects:

@@ -63,21 +63,18 @@ def settling(r: Responses) -> Iterator[Shape]:
     """Reading −= fraction·move, in the filter alone or in the mount (creep) that the accelerometer sees.
 
     A creeping mount goes on after the dwell: the gyro feels what is still missing at its end, a share of the
-    dwell's mean that depends on how fast it creeps, together with the next move. The move into a run's first
-    pose is not known and may be long: a column of its own has what it leaves.
+    dwell's mean that depends on how fast it creeps, together with the next move.
     """
     if np.abs(r.move_deg).max() == 0.0:
         return
-    first = r.starts.astype(float)
-    moves = np.column_stack([r.move_deg, first])
-    yield Shape({READING: -moves}, ("fraction",), form="filter")
+    yield Shape({READING: -r.move_deg}, ("fraction",), form="filter")
     if ANGLE not in r.channels:
         return
-    moves_before = np.roll(moves, 1, axis=0)
+    moves_before = np.roll(r.move_deg, 1)
     moves_before[r.starts] = 0.0
     for share in LEFT_AT_THE_END if MOVE in r.channels else (0.0,):
         # what is missing when the dwell begins goes with the move itself: the gain of the gyro's base has it
-        shares = {**tilted(-moves), MOVE: share * moves_before}
+        shares = {**tilted(-r.move_deg), MOVE: share * moves_before}
         yield Shape(shares, ("fraction",), form=f"creep, {share:g} left")
 
 
