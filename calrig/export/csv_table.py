@@ -40,50 +40,71 @@ def read_table(data: bytes, required: Sequence[str], *, max_rows: int = MAX_ROWS
     """
     if len(data) > MAX_BYTES:
         raise CsvError(f"the file has {len(data)} bytes; at most {MAX_BYTES} are read")
-    lines = _Lines(_decode(data))
+    rows = _parsed(_decode(data), 1)
+    line, names = next(rows, (0, []))
+    if not names:
+        raise CsvError("the file is empty")
+    table = Table(_header(names, line, required), line, [], [])
+    _fill(table, rows, max_rows)
+    if not table.rows:
+        raise CsvError("the file has a header and no rows", line=line)
+    return table
+
+
+def read_header(line_of_names: bytes, line: int) -> list[str]:
+    """The column names in a header row that stands in this line, checked as `read_table` does."""
+    return _header(next(_parsed(_decode(line_of_names, line), line))[1], line, ())
+
+
+def read_rows(data: bytes, header: list[str], first_line: int) -> Table:
+    """Reads rows under a header read before; the first of them stands in `first_line`."""
+    table = Table(header, first_line, [], [])
+    _fill(table, _parsed(_decode(data, first_line), first_line), MAX_CELLS)
+    return table
+
+
+def _parsed(text: str, first_line: int) -> Iterator[tuple[int, list[str]]]:
+    """Rows that are not blank, each with the line it ends in."""
+    lines = _Lines(text, first_line)
     reader = csv.reader(lines, strict=True)
-    table: Table | None = None
     try:
         for row in reader:
             lines.since_row = 0
-            if not row:
-                continue
-            if table is None:
-                table = Table(_header(row, reader.line_num, required), reader.line_num, [], [])
-                continue
-            _check_row(table, row, reader.line_num, max_rows)
-            table.rows.append(row)
-            table.lines.append(reader.line_num)
+            if row:
+                yield first_line - 1 + reader.line_num, row
     except csv.Error as error:
-        raise CsvError(f"is not CSV ({error})", line=max(reader.line_num, 1)) from error
-    if table is None:
-        raise CsvError("the file is empty")
-    if not table.rows:
-        raise CsvError("the file has a header and no rows", line=table.header_line)
-    return table
+        line = first_line - 1 + max(reader.line_num, 1)
+        raise CsvError(f"is not CSV ({error})", line=line) from error
+
+
+def _fill(table: Table, rows: Iterator[tuple[int, list[str]]], max_rows: int) -> None:
+    for line, row in rows:
+        _check_row(table, row, line, max_rows)
+        table.rows.append(row)
+        table.lines.append(line)
 
 
 class _Lines:
     """The text's lines; refuses a row that has grown without end before it is held as a million cells."""
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str, first_line: int) -> None:
         self._lines = io.StringIO(text, newline="")
-        self._number = 0
+        self._first_line = first_line
         self.since_row = 0
 
     def __iter__(self) -> Iterator[str]:
-        for number, line in enumerate(self._lines, start=1):
+        for number, line in enumerate(self._lines, start=self._first_line):
             self.since_row += len(line)
             if self.since_row > MAX_ROW_CHARACTERS:
                 raise CsvError(f"the row is longer than {MAX_ROW_CHARACTERS} characters", line=number)
             yield line
 
 
-def _decode(data: bytes) -> str:
+def _decode(data: bytes, first_line: int = 1) -> str:
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
+        line = first_line + data.count(b"\n", 0, error.start)
         raise CsvError(
             f"is not UTF-8 text (byte {error.start}): save the file as UTF-8", line=line
         ) from error

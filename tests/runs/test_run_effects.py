@@ -39,7 +39,7 @@ def traced(launch_rig, tmp_path_factory):
 def test_both_effects_are_named_and_the_error_on_unseen_poses_falls_towards_the_floor(traced):
     service, run_id = traced
     found = Diagnoses(service.store).last(run_id)
-    # A third one would come by chance in about 1 % of runs; that it does not more often, the blind board shows.
+    # A third comes by chance in about 1 % of runs; that it is no more often, the blind board shows.
     assert {effect["name"] for effect in found["effects"]} >= {"backlash", "accelerometer_offset"}
     assert found["final"]["held_out_rms_deg"] < 0.25 * found["base"]["held_out_rms_deg"]
     assert found["final"]["held_out_rms_deg"] < 2.0 * found["noise"]["floor_deg"]
@@ -58,9 +58,7 @@ def test_an_accepted_effect_enters_calibration_and_later_runs_and_a_verification
 
     later = completed(service, plan=PLAN.model_copy(update={"sweeps": 2, "seed": 9}))
     assert later.result["rms_with_effects_deg"] < 0.3 * later.result["rms_calibrated_deg"]
-    assert service.store.poses(later.id)[0].pose.approach == -1, (
-        "it stood at its first elevation and moved off"
-    )
+    assert service.store.poses(later.id)[0].pose.approach == -1, "it stood there and moved off first"
 
     verified = completed(service, plan=PLAN.model_copy(update={"kind": "verification", "sweeps": 1}))
     assert verified.provenance["verifies"] == later.id
