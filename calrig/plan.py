@@ -33,7 +33,7 @@ class Plan(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    kind: Literal["calibration", "verification"] = "calibration"
+    kind: Literal["calibration", "verification", "static"] = "calibration"
     elevations_deg: list[ElevationDeg] | None = Field(default=None, min_length=1, max_length=MAX_POSES)
     start_deg: ElevationDeg = -60.0
     stop_deg: ElevationDeg = 60.0
@@ -55,6 +55,10 @@ class Plan(BaseModel):
         count = self.sweeps * self._n_elevations()
         if count > MAX_POSES:
             raise ValueError(f"the plan has {count} poses; the most a run takes is {MAX_POSES}")
+        if self.kind == "static" and len(self.elevations_deg or ()) > 1:
+            raise ValueError(
+                "a static plan stands at one elevation, or where the stage stands if it names none"
+            )
         if self.dwell_s * self.rate_hz < 2:
             raise ValueError(
                 f"a dwell of {self.dwell_s:g} s at {self.rate_hz} Hz holds fewer than two samples: "
@@ -83,6 +87,8 @@ class Plan(BaseModel):
     def poses(self, limits_deg: tuple[float, float]) -> list[PlannedPose]:
         """Every pose in the order measured, jittered by the plan's own seed.
 
+        Of a static plan, the one elevation it names to stand at, or none.
+
         Args:
             limits_deg: the rig's soft limits of elevation, lower then upper.
 
@@ -90,7 +96,7 @@ class Plan(BaseModel):
             PlanError: an elevation lies beyond the limits.
         """
         low, high = limits_deg
-        elevations = self.elevations()
+        elevations = self.elevations() if self.kind != "static" else self.elevations_deg or []
         for elevation in elevations:
             if not low <= elevation <= high:
                 raise PlanError(
@@ -99,7 +105,7 @@ class Plan(BaseModel):
                 )
         rng = random.Random(self.seed)  # noqa: S311 (an experiment's order, not a secret)
         poses: list[PlannedPose] = []
-        for sweep in range(self.sweeps):
+        for sweep in range(self.sweeps if self.kind != "static" else 1):
             for elevation in self._ordered(elevations, sweep, rng):
                 jittered = round(elevation + rng.uniform(-self.jitter_deg, self.jitter_deg), 6)
                 target = min(max(jittered, low), high) if self.jitter_deg else elevation

@@ -25,6 +25,10 @@ LOOK_S = 0.1
 """How often a run is looked at when nothing is heard of it, and how soon a Ctrl-C is seen."""
 
 
+PERCENT = 100
+"""Of a static log, which has no poses to be counted."""
+
+
 def follow(service: RunService, run: Run) -> Run:
     """Shows a run's progress, on a terminal, until it has ended; Ctrl-C aborts it. Returns it as it ended."""
     columns = (
@@ -36,7 +40,9 @@ def follow(service: RunService, run: Run) -> Run:
     )
     console = Console(stderr=True)
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
-        bar = progress.add_task("", total=run.progress["poses_total"], unit=run.unit, elevation="", left="")
+        bar = progress.add_task(
+            "", total=run.progress["poses_total"] or PERCENT, unit=run.unit, elevation="", left=""
+        )
         with _stop_request() as asked:
             return _until_ended(service, run.id, asked, lambda event: _show(event, progress, bar))
 
@@ -94,7 +100,8 @@ def _show(event: Event, progress: Progress, bar: TaskID) -> None:
     if event.type == "progress":
         left_s = data["remaining_s"]
         left = "" if left_s is None else f"{int(left_s) // 60}:{int(left_s) % 60:02d} left"
-        progress.update(bar, completed=data["poses_done"], left=left)
+        completed = data["poses_done"] if data["poses_total"] else PERCENT * data["fraction"]
+        progress.update(bar, completed=completed, left=left)
     elif event.type == "reading" and data["stage_deg"] is not None:
         progress.update(bar, elevation=f"{data['stage_deg']:+.1f}°")
 

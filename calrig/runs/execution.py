@@ -11,20 +11,15 @@ import numpy as np
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import GyroFigures
 from calrig.estimation.gyro import GyroBias, dwell_bias, gyro_scale, move_angle_deg, run_bias
-from calrig.estimation.kalman import KalmanFilter, KalmanNoise
+from calrig.estimation.kalman import KalmanNoise
 from calrig.estimation.reading import Reading, dwell_reading
 from calrig.instruments.errors import BoardError, StageError
 from calrig.instruments.types import FloatArray, Samples
 from calrig.plan import Plan, PlannedPose
-from calrig.runs.control import Control
 from calrig.runs.follow_up import FollowUpRun
-from calrig.runs.recorder import Recorder
-from calrig.runs.rig import Rig
-from calrig.runs.stream import Stream
+from calrig.runs.pace import Pace
 from calrig.store import SampleBlock
 
-LOOK_S = 0.02
-"""How long the loop waits for samples before it looks at stage and requests again."""
 FEWEST_FOR_TARGET_S = 0.5
 """A dwell with `target_std_deg` is at least this long: a standard error from less is itself a guess."""
 DWELL_TRIES = 3
@@ -40,21 +35,16 @@ class Execution:
     """What a run carries from pose to pose. `moves` pairs the stage's turn with the gyro's, in degrees."""
 
     plan: Plan
-    rig: Rig
-    control: Control
-    recorder: Recorder
+    pace: Pace
     follow_up: FollowUpRun | None = None
-    stream: Stream = field(init=False)
     biases: list[GyroBias] = field(default_factory=list)
     moves: list[tuple[float, float]] = field(default_factory=list)
     poses: list[Pose] = field(default_factory=list)
-    _stage_deg: float | None = None
     _approach: int = 0
-    _stood_at_s: float = 0.0
 
     def __post_init__(self) -> None:
+        self.rig, self.recorder = self.pace.rig, self.pace.recorder
         self._noise = KalmanNoise(**self.rig.settings.filter.model_dump())
-        self.stream = Stream(self.rig.board, KalmanFilter(self._noise))
 
     def carry_out(self, planned: list[PlannedPose]) -> None:
         """Homes the stage where it must be, then takes the planned poses in their order.
@@ -63,14 +53,7 @@ class Execution:
             Ended: the run was asked to end.
             InstrumentError: a device failed; the poses so far are stored.
         """
-        self.rig.board.start(self.plan.rate_hz)
-        if self.rig.axis.needs_home():
-            self.rig.axis.begin_home()
-            self._until_it_stands()
-        if self.plan.velocity_dps is not None:  # refused by some controllers before they are referenced
-            self.rig.axis.set_velocity(self.plan.velocity_dps)
-        self._stage_deg = self.rig.axis.elevation_deg()
-        self._stood_at_s = self._synchronise()  # what the gyro felt before is homing's, and no pose's move
+        self.pace.begin(self.plan, moves=True)
         self._move_off(planned)
         self.recorder.poses_begin()
         sweep = -1
@@ -82,29 +65,24 @@ class Execution:
                 sweep = pose.sweep
                 self._wait_before_sweep()
             self._take(pose)
-            self._hold_while_paused()
+            self.pace.hold_while_paused()
 
     def _move_off(self, planned: list[PlannedPose]) -> None:
         """Leaves the first elevation where the stage stands on it: how it came there is not known.
 
         Which side of the play the table lies on, and whether it has settled, is what calibration is about.
         """
-        targets = [pose.target_deg for pose in planned]
-        stays = (
-            self._stage_deg is not None and abs(targets[0] - self._stage_deg) <= self.rig.axis.tolerance_deg
-        )
-        away = max(targets, key=lambda target: abs(target - targets[0]))
-        if stays and away != targets[0]:
-            step_deg = min(MOVE_OFF_DEG, abs(away - targets[0]))
-            self.rig.axis.begin_move(targets[0] + math.copysign(step_deg, away - targets[0]))
-            self._until_it_stands()
-            self._stood_at_s = self._synchronise()
+        first_deg, stands_deg = planned[0].target_deg, self.pace.stage_deg
+        stays = stands_deg is not None and abs(first_deg - stands_deg) <= self.rig.axis.tolerance_deg
+        away_deg = max((pose.target_deg - first_deg for pose in planned), key=abs)
+        if stays and away_deg:
+            self.pace.move(first_deg + math.copysign(min(MOVE_OFF_DEG, abs(away_deg)), away_deg))
+            self.pace.stood_at_s = self.pace.synchronise()
 
     def _take(self, planned: PlannedPose) -> None:
         """One pose, its dwell repeated where too few valid samples came."""
-        before_deg = self._stage_deg
-        self.rig.axis.begin_move(planned.target_deg)
-        self._until_it_stands()
+        before_deg = self.pace.stage_deg
+        self.pace.move(planned.target_deg)
         self._note_approach(before_deg)
         for _ in range(DWELL_TRIES):
             start_s = self._settle()
@@ -118,62 +96,28 @@ class Execution:
             f"were valid, {DWELL_TRIES} times over; check the cable and the board's rate"
         )
 
-    def _until_it_stands(self) -> None:
-        while True:
-            motion = self.rig.axis.poll()
-            self._stage_deg = motion.elevation_deg
-            if not motion.moving:
-                return
-            self._look()
-
-    def _look(self) -> None:
-        """Takes samples for a moment, tells what is seen, and unwinds where an end was asked for."""
-        self.stream.pump(LOOK_S)
-        self.control.check()
-        self.recorder.reading(
-            self.stream.clock_s, self._stage_deg, self.stream.reading_deg, self.stream.temperature_c
-        )
-
-    def _wait_until(self, clock_s: float) -> None:
-        while self.stream.clock_s < clock_s:
-            self._look()
-
-    def _synchronise(self) -> float:
-        """The board's clock now: of a sample that cannot have been on its way already.
-
-        The first block that comes may have waited, whole, in the system or the board; what comes after that
-        one had not been sent yet.
-        """
-        while self.stream.pump(0.0):
-            pass
-        for _ in range(2):
-            before_s = self.stream.clock_s
-            while self.stream.clock_s == before_s:
-                self._look()
-        return self.stream.clock_s
-
     def _settle(self) -> float:
-        start_s = self._synchronise() + self.plan.settle_s
-        self._wait_until(start_s)
+        start_s = self.pace.synchronise() + self.plan.settle_s
+        self.pace.wait_until(start_s)
         return start_s
 
     def _dwell(self, start_s: float) -> tuple[float, Reading | None]:
         """Dwells from start_s; returns when it ended and its reading, or None where samples are missing."""
         end_s = start_s + self.plan.dwell_s
         if self.plan.target_std_deg is not None:
-            self._wait_until(min(start_s + FEWEST_FOR_TARGET_S, end_s))
-            while self.stream.clock_s < end_s:
-                reading = self._reading(start_s, self.stream.clock_s)
+            self.pace.wait_until(min(start_s + FEWEST_FOR_TARGET_S, end_s))
+            while self.pace.stream.clock_s < end_s:
+                reading = self._reading(start_s, self.pace.stream.clock_s)
                 error_deg = None if reading is None else reading.reading_stderr_deg
                 if error_deg is not None and error_deg <= self.plan.target_std_deg:
-                    end_s = self.stream.clock_s
+                    end_s = self.pace.stream.clock_s
                     break
-                self._look()
-        self._wait_until(end_s)
+                self.pace.look()
+        self.pace.wait_until(end_s)
         return end_s, self._reading(start_s, end_s)
 
     def _reading(self, start_s: float, end_s: float) -> Reading | None:
-        dwell = self.stream.kept().between(start_s, end_s)
+        dwell = self.pace.stream.kept().between(start_s, end_s)
         if len(dwell.samples) < max(2, 0.5 * (end_s - start_s) * self.plan.rate_hz):
             return None
         return dwell_reading(
@@ -185,9 +129,9 @@ class Execution:
         )
 
     def _note_approach(self, before_deg: float | None) -> None:
-        if before_deg is None or self._stage_deg is None:
+        if before_deg is None or self.pace.stage_deg is None:
             return
-        turned_deg = self._stage_deg - before_deg
+        turned_deg = self.pace.stage_deg - before_deg
         if abs(turned_deg) > MOVED_DEG:
             self._approach = 1 if turned_deg > 0 else -1
 
@@ -196,9 +140,9 @@ class Execution:
     ) -> None:
         """Makes a pose of a dwell, stores it with its samples, and lets go of them."""
         self._see_that_it_stood(planned)
-        stretch = self.stream.kept()
+        stretch = self.pace.stream.kept()
         before = stretch.between(-np.inf, start_s).samples
-        move = before.between(self._stood_at_s, start_s)
+        move = before.between(self.pace.stood_at_s, start_s)
         dwell = stretch.between(start_s, end_s).samples
         self.biases.append(dwell_bias(dwell.gyro_dps))
         neighbours_dps = [b for bias in self.biases[-2:] if (b := bias.bias_dps[0]) is not None]
@@ -207,8 +151,8 @@ class Execution:
             if neighbours_dps
             else None
         )
-        if gyro_move_deg is not None and before_deg is not None and self._stage_deg is not None:
-            self.moves.append((self._stage_deg - before_deg, gyro_move_deg))
+        if gyro_move_deg is not None and before_deg is not None and self.pace.stage_deg is not None:
+            self.moves.append((self.pace.stage_deg - before_deg, gyro_move_deg))
         pose = Pose(
             target_deg=planned.target_deg,
             reading_deg=reading.reading_deg,
@@ -216,7 +160,7 @@ class Execution:
             approach=self._approach,
             time_s=(start_s + end_s) / 2,
             temperature_c=_mean(dwell.temperature_c),
-            stage_deg=self._stage_deg,
+            stage_deg=self.pace.stage_deg,
             reading_std_deg=reading.reading_std_deg,
             reading_stderr_deg=reading.reading_stderr_deg,
             n_samples=len(dwell),
@@ -230,18 +174,13 @@ class Execution:
         self.poses.append(pose)
         blocks = [_block(index, "move", before), _block(index, "dwell", dwell)]
         self.recorder.pose(index, pose, blocks, self.rig.faults())
-        self._forget(end_s)
-
-    def _forget(self, before_s: float) -> None:
-        """Lets go of samples from before a time at which the stage stood and the next move had not begun."""
-        self._stood_at_s = before_s
-        self.stream.cut(before_s)
+        self.pace.forget(end_s)
 
     def _see_that_it_stood(self, planned: PlannedPose) -> None:
-        arrived_deg, self._stage_deg = self._stage_deg, self.rig.axis.elevation_deg()
-        if arrived_deg is not None and abs(self._stage_deg - arrived_deg) > self.rig.axis.tolerance_deg:
+        arrived_deg, self.pace.stage_deg = self.pace.stage_deg, self.rig.axis.elevation_deg()
+        if arrived_deg is not None and abs(self.pace.stage_deg - arrived_deg) > self.rig.axis.tolerance_deg:
             raise StageError(
-                f"the stage moved from {arrived_deg:g}° to {self._stage_deg:g}° during the dwell of pose "
+                f"the stage moved from {arrived_deg:g}° to {self.pace.stage_deg:g}° during the dwell of pose "
                 f"{planned.index} without being told to; look for a second program or a slipping drive"
             )
 
@@ -261,39 +200,26 @@ class Execution:
 
     def _wait_before_sweep(self) -> None:
         """The plan's waits before each sweep: a time, then a die temperature, from whichever side."""
-        end_s = self.stream.clock_s + self.plan.wait_s
-        while self.stream.clock_s < end_s:
-            self._stand_by()
+        end_s = self.pace.stream.clock_s + self.plan.wait_s
+        while self.pace.stream.clock_s < end_s:
+            self.pace.stand_by()
         wanted_c = self.plan.wait_temperature_c
         if wanted_c is not None:
             self._wait_for_temperature(wanted_c)
 
-    def _stand_by(self) -> None:
-        """Looks while the stage stands for who knows how long, and keeps none of its samples."""
-        self._look()
-        self._forget(self.stream.clock_s)
-
     def _wait_for_temperature(self, wanted_c: float) -> None:
-        self._synchronise()
-        began_s, began_c = self.stream.clock_s, self.stream.temperature_c
-        while (now_c := self.stream.temperature_c) is not None and began_c is not None:
+        self.pace.synchronise()
+        began_s, began_c = self.pace.stream.clock_s, self.pace.stream.temperature_c
+        while (now_c := self.pace.stream.temperature_c) is not None and began_c is not None:
             if (now_c >= wanted_c) if began_c < wanted_c else (now_c <= wanted_c):
                 return
-            if self.stream.clock_s - began_s > TEMPERATURE_WAIT_S:
+            if self.pace.stream.clock_s - began_s > TEMPERATURE_WAIT_S:
                 raise BoardError(
                     f"the board has come from {began_c:.1f} °C to {now_c:.1f} °C and not to {wanted_c:g} °C "
                     f"within {TEMPERATURE_WAIT_S / 3600:g} h; choose a temperature that it reaches"
                 )
-            self._stand_by()
+            self.pace.stand_by()
         raise BoardError("the plan waits for a temperature, and this board does not send one")
-
-    def _hold_while_paused(self) -> None:
-        if not self.control.holding:
-            return
-        self.recorder.state("paused")
-        while self.control.holding:
-            self._stand_by()
-        self.recorder.state("running")
 
 
 def _mean(values: FloatArray) -> float | None:

@@ -72,6 +72,20 @@ class Recorder:
         self._store.add_pose(self.run_id, index, pose, blocks, events, progress=progress, faults=dict(faults))
         self._bus.wake(self.run_id)
 
+    def log(self, block: SampleBlock, done_s: float, left_s: float, faults: Mapping[str, int]) -> None:
+        """Stores the next stretch of a static log, and announces how far it has come."""
+        self.flush()
+        progress: Progress = {
+            "poses_done": 0,
+            "poses_total": 0,
+            "fraction": done_s / (done_s + left_s),
+            "remaining_s": round(left_s, 1),
+        }
+        self._store.add_samples(
+            self.run_id, [block], [("progress", progress)], progress=progress, faults=dict(faults)
+        )
+        self._bus.wake(self.run_id)
+
     def reading(
         self, time_s: float, stage_deg: float | None, reading_deg: float | None, temperature_c: float | None
     ) -> None:

@@ -161,7 +161,7 @@ class RunService:
                     "seed": plan.seed,
                     **({} if verifies is None else {"verifies": verifies.run_id}),
                 },
-                poses_total=len(planned),
+                poses_total=0 if plan.kind == "static" else len(planned),
             )
             worker = Worker(
                 run,

@@ -17,8 +17,10 @@ from calrig.runs.control import Control, End, Ended
 from calrig.runs.execution import Execution
 from calrig.runs.follow_up import FollowUpRun
 from calrig.runs.in_force import InForce, effects_in_force
+from calrig.runs.pace import Pace
 from calrig.runs.recorder import Recorder
 from calrig.runs.rig import Rig, open_rig
+from calrig.runs.static_log import keep_log
 from calrig.settings import RigSettings
 from calrig.store import Run, RunChanges, Status, Store, StoreError
 
@@ -126,11 +128,17 @@ class Worker(threading.Thread):
             self._check_limits(rig)
             origin = {**self._asked.provenance, **rig.provenance()}
             self._recorder.update(provenance=origin)
-            execution = Execution(self._plan, rig, self.control, self._recorder, self._follow_up)
+            pace = Pace(rig, self.control, self._recorder)
+            execution = Execution(self._plan, pace, self._follow_up)
             try:
-                execution.carry_out(self._planned)
+                if self._plan.kind == "static":
+                    keep_log(self._plan, self._planned, pace)
+                else:
+                    execution.carry_out(self._planned)
             finally:
                 self._fields["faults"] = rig.faults()
+        if self._plan.kind == "static":
+            return
         self._fields["result"] = self._result(execution).to_dict()
         if self._follow_up is not None:
             self._fields["provenance"] = {**origin, "follow_up": self._follow_up.provenance()}

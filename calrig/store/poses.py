@@ -60,7 +60,8 @@ def packed_samples(session: Session, run_id: str, pose: int | None) -> list[byte
         .order_by(col(SampleBlockTable.id))
     )
     if pose is not None:
-        if not 0 <= pose < 2**63 or session.get(PoseTable, (run.id, pose)) is None:
+        known = pose == 0 if run.kind == "static" else session.get(PoseTable, (run.id, min(pose, 2**62)))
+        if pose < 0 or not known:
             raise NotFound(f"run {run_id} has no pose {pose}")
         wanted = wanted.where(SampleBlockTable.pose_index == pose, SampleBlockTable.phase == "dwell")
     return list(session.exec(wanted))

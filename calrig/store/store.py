@@ -187,6 +187,20 @@ class Store:
             poses.add(session, run, index, pose, blocks)
             return runs.change(session, run, events, changes)
 
+    def add_samples(
+        self,
+        run_id: str,
+        samples: Sequence[SampleBlock],
+        events: Sequence[Announced] = (),
+        **changes: Unpack[RunChanges],
+    ) -> list[int]:
+        """Stores samples of no pose, as a static log has them, with events and changes as `add_pose`."""
+        blocks = [poses.row_of(run_id, block) for block in samples]
+        with self._database.writing() as session:
+            run = runs.row_of(session, run_id)
+            session.add_all(blocks)
+            return runs.change(session, run, events, changes)
+
     def poses(self, run_id: str, *, include_excluded: bool = True) -> list[StoredPose]:
         """The poses of a run by index."""
         with self._database.reading() as session:

@@ -1,0 +1,107 @@
+"""How a run passes time on a rig: it looks at samples and requests while stage and board take theirs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from calrig.estimation.kalman import KalmanFilter, KalmanNoise
+from calrig.plan import Plan
+from calrig.runs.control import Control
+from calrig.runs.recorder import Recorder
+from calrig.runs.rig import Rig
+from calrig.runs.stream import Stream
+
+LOOK_S = 0.02
+"""How long one look waits for samples before it turns to stage and requests again."""
+
+
+@dataclass
+class Pace:
+    """The samples that come, the angle the stage last reported, and since when it has stood.
+
+    Attributes:
+        stage_deg: elevation last reported, None before the first report.
+        stood_at_s: board's clock at an instant at which the stage stood and the next move had not begun.
+    """
+
+    rig: Rig
+    control: Control
+    recorder: Recorder
+    stream: Stream = field(init=False)
+    stage_deg: float | None = None
+    stood_at_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        noise = KalmanNoise(**self.rig.settings.filter.model_dump())
+        self.stream = Stream(self.rig.board, KalmanFilter(noise))
+
+    def begin(self, plan: Plan, *, moves: bool) -> None:
+        """Starts the board, and makes the stage ready where it is to move: homed, at the plan's velocity."""
+        self.rig.board.start(plan.rate_hz)
+        if moves and self.rig.axis.needs_home():
+            self.rig.axis.begin_home()
+            self.until_it_stands()
+        if moves and plan.velocity_dps is not None:  # refused by some controllers before they are referenced
+            self.rig.axis.set_velocity(plan.velocity_dps)
+        self.stage_deg = self.rig.axis.elevation_deg()
+        self.stood_at_s = self.synchronise()  # what the gyro felt before is homing's, and no pose's move
+
+    def move(self, target_deg: float) -> None:
+        """Moves to an elevation and waits until the stage stands there."""
+        self.rig.axis.begin_move(target_deg)
+        self.until_it_stands()
+
+    def until_it_stands(self) -> None:
+        """Looks until the stage has ended its motion."""
+        while True:
+            motion = self.rig.axis.poll()
+            self.stage_deg = motion.elevation_deg
+            if not motion.moving:
+                return
+            self.look()
+
+    def look(self) -> None:
+        """Takes samples for a moment, tells what is seen, and unwinds where an end was asked for."""
+        self.stream.pump(LOOK_S)
+        self.control.check()
+        self.recorder.reading(
+            self.stream.clock_s, self.stage_deg, self.stream.reading_deg, self.stream.temperature_c
+        )
+
+    def wait_until(self, clock_s: float) -> None:
+        """Looks until the board's clock has come so far."""
+        while self.stream.clock_s < clock_s:
+            self.look()
+
+    def synchronise(self) -> float:
+        """The board's clock now: of a sample that cannot have been on its way already.
+
+        The first block that comes may have waited, whole, in the system or the board; what comes after that
+        one had not been sent yet.
+        """
+        while self.stream.pump(0.0):
+            pass
+        for _ in range(2):
+            before_s = self.stream.clock_s
+            while self.stream.clock_s == before_s:
+                self.look()
+        return self.stream.clock_s
+
+    def stand_by(self) -> None:
+        """Looks while the stage stands for who knows how long, and keeps none of its samples."""
+        self.look()
+        self.forget(self.stream.clock_s)
+
+    def hold_while_paused(self) -> None:
+        """Stands by for as long as a pause is wished."""
+        if not self.control.holding:
+            return
+        self.recorder.state("paused")
+        while self.control.holding:
+            self.stand_by()
+        self.recorder.state("running")
+
+    def forget(self, before_s: float) -> None:
+        """Lets go of samples from before a time at which the stage stood and the next move had not begun."""
+        self.stood_at_s = before_s
+        self.stream.cut(before_s)

@@ -1,0 +1,49 @@
+"""A `static` plan: the stage stands still and the log is kept, whole, for the analysis of its noise."""
+
+from __future__ import annotations
+
+from calrig.instruments.types import Samples
+from calrig.plan import Plan, PlannedPose
+from calrig.runs.pace import Pace
+from calrig.store import SampleBlock
+
+BLOCK_S = 10.0
+"""So much of a log is lost at most where the process dies."""
+
+
+def keep_log(plan: Plan, planned: list[PlannedPose], pace: Pace) -> None:
+    """Keeps what the board sends for `dwell_s`; nothing moves unless the plan names an elevation.
+
+    A pause leaves a gap in the log.
+
+    Args:
+        plan: of kind `static`.
+        planned: the elevation to stand at; empty where it stands already.
+        pace: of an open rig.
+
+    Raises:
+        Ended: the run was asked to end; the log so far is stored.
+        InstrumentError: a device failed; likewise.
+    """
+    pace.begin(plan, moves=bool(planned))
+    for pose in planned:
+        pace.move(pose.target_deg)
+    between_samples_s = 0.5 / plan.rate_hz  # so that no rounding decides to which block one belongs
+    settled_s = pace.synchronise() + plan.settle_s + between_samples_s
+    pace.wait_until(settled_s)
+    pace.forget(settled_s)
+    done_s = 0.0
+    while done_s < plan.dwell_s:
+        end_s = pace.stood_at_s + min(BLOCK_S, plan.dwell_s - done_s)
+        pace.wait_until(end_s)
+        done_s += end_s - pace.stood_at_s
+        block = _block(pace.stream.kept().between(pace.stood_at_s, end_s).samples)
+        pace.recorder.log(block, done_s, max(plan.dwell_s - done_s, 0.0), pace.rig.faults())
+        pace.forget(end_s)
+        if pace.control.holding:
+            pace.hold_while_paused()
+            pace.forget(pace.synchronise())
+
+
+def _block(samples: Samples) -> SampleBlock:
+    return SampleBlock(0, "dwell", samples.time_s, samples.accel_g, samples.gyro_dps, samples.temperature_c)
