@@ -44,6 +44,9 @@ Db = Annotated[str | None, typer.Option(metavar="FILE", help="Store: a path or a
 Config = Annotated[str | None, typer.Option(metavar="FILE", help="Configuration [CALRIG_CONFIG].")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
 Rig = Annotated[str | None, typer.Option(metavar="NAME", help="Rig; without it the first one configured.")]
+Record = Annotated[
+    Path | None, typer.Option("--record", metavar="DIR", help="Write every byte on the wires down there.")
+]
 UnitSerial = Annotated[str, typer.Option("--unit", metavar="SERIAL", help="Serial number of the unit.")]
 
 
@@ -116,6 +119,7 @@ def _calrig(
 def serve(
     host: Annotated[str, typer.Option(metavar="H", help="Address to listen on.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(metavar="N", min=0, max=65535, help="Port; 0: any free one.")] = 8000,
+    record: Record = None,
     db: Db = None,
     config: Config = None,
 ) -> None:
@@ -125,14 +129,14 @@ def serve(
 
     settings = load_settings(config)
     with closing(listen(host, port)) as listener:
-        _serve_on(listener, settings, store_url(db))
+        _serve_on(listener, settings, store_url(db), record)
 
 
-def _serve_on(listener: socket.socket, settings: Settings, url: str) -> None:
+def _serve_on(listener: socket.socket, settings: Settings, url: str, record: Path | None) -> None:
     from calrig.api.app import create_app
     from calrig.api.server import Server
 
-    with _service(url, "serve", settings.rig) as service, suppress(KeyboardInterrupt):
+    with _service(url, "serve", settings.rig, record) as service, suppress(KeyboardInterrupt):
         if settings.keep_samples_days is not None:
             service.store.prune_samples(datetime.now(UTC) - timedelta(days=settings.keep_samples_days))
 
@@ -156,6 +160,7 @@ def run(
     as_json: Json = False,
     operator: Annotated[str | None, typer.Option(help="Who runs it; kept with the run.")] = None,
     note: Annotated[str | None, typer.Option(help="Kept with the run.")] = None,
+    record: Record = None,
     db: Db = None,
     config: Config = None,
 ) -> None:
@@ -167,7 +172,7 @@ def run(
 
     the_plan = read_plan(plan) if plan else Plan()
     settings = _rig_named(load_settings(config), rig)
-    with _service(store_url(db), "run", (settings,)) as service:
+    with _service(store_url(db), "run", (settings,), record) as service:
         begun = service.start(unit=unit, rig=settings.name, plan=the_plan, operator=operator, note=note)
         ended = terminal.follow(service, begun)
     if as_json:
@@ -248,7 +253,7 @@ def _writer(url: str, what: str) -> Iterator[Store]:
 
 
 @contextmanager
-def _service(url: str, what: str, rigs: Sequence[RigSettings]) -> Iterator[RunService]:
+def _service(url: str, what: str, rigs: Sequence[RigSettings], record: Path | None) -> Iterator[RunService]:
     """The run service over the store; its simulated rigs start beside, for a process takes its time."""
     with ExitStack() as stack:
         with ThreadPoolExecutor(1) as beside:
@@ -257,7 +262,7 @@ def _service(url: str, what: str, rigs: Sequence[RigSettings]) -> Iterator[RunSe
 
             store = stack.enter_context(_writer(url, what))
             powered = starting.result()
-        service = RunService(store, powered)
+        service = RunService(store, powered, record)
         stack.callback(service.close)
         yield service
 

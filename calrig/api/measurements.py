@@ -3,7 +3,7 @@
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Header, Query
-from fastapi.responses import Response, StreamingResponse
+from fastapi.responses import PlainTextResponse, Response, StreamingResponse
 
 from calrig.api.context import Context, KnownRun
 from calrig.api.errors import problems, problems_in_json
@@ -71,6 +71,18 @@ def samples(
     if format == "npz":
         return _file(write_samples_npz(raw), "application/octet-stream", f"{name}.npz")
     return StreamingResponse(write_samples_csv(raw), media_type=CSV, headers=_named(f"{name}.csv"))
+
+
+@router.get(
+    "/api/runs/{run_id}/transcript",
+    response_class=PlainTextResponse,
+    response_model=None,
+    responses=problems_in_json(404),
+    summary="What went over the wires before a run failed",
+)
+def transcript(run: KnownRun, context: Context) -> str:
+    """The last minute of each port, one transcript after the other; empty of a run that did not fail."""
+    return "".join(context.store.transcripts(run.id).values())
 
 
 def _file(content: str | bytes, media_type: str, name: str) -> Response:

@@ -8,7 +8,9 @@ import socket
 import serial
 
 from calrig.instruments.errors import PortError
+from calrig.instruments.transcript import Tape, tape_of
 
+serial.protocol_handler_packages.append("calrig.instruments")  # for `replay://FILE`
 WRITE_TIMEOUT_S = 0.5
 
 _WHAT_TO_DO = {
@@ -33,16 +35,20 @@ class Port:
     One thread may read while another writes; two threads that write need a lock of their own.
     """
 
-    def __init__(self, name: str, wire: serial.Serial) -> None:
+    def __init__(self, name: str, wire: serial.Serial, tape: Tape | None = None) -> None:
         self.name = name
         self._wire = wire
+        self._tape = tape
 
     def read(self, size: int) -> bytes:
         """Up to `size` bytes: returns when they are there, or with those that came within the time-out."""
         try:
-            return bytes(self._wire.read(size))
+            data = bytes(self._wire.read(size))
         except OSError as error:
             raise self._gone("reading", error) from error
+        if data and self._tape is not None:
+            self._tape.note("<", data)
+        return data
 
     def read_some(self) -> bytes:
         """What is there, or the first byte that comes within the time-out, or nothing."""
@@ -57,6 +63,8 @@ class Port:
 
     def write(self, data: bytes) -> None:
         """Hands all bytes to the system, which sends them."""
+        if self._tape is not None:
+            self._tape.note(">", data)  # before the answer can come
         try:
             self._wire.write(data)
         except serial.SerialTimeoutException as error:
@@ -85,7 +93,7 @@ def open_port(url: str, *, baudrate: int, timeout_s: float) -> Port:
     ENOTTY for what it is. `rfc2217://` knows no write time-out.
 
     Args:
-        url: `/dev/ttyUSB0`, `COM3`, `socket://host:port`, `rfc2217://host:port`, …
+        url: `/dev/ttyUSB0`, `COM3`, `socket://host:port`, `rfc2217://host:port`, `replay://FILE`, …
         baudrate: bits per second; a socket ignores it.
         timeout_s: how long a read waits for what it was asked for.
 
@@ -101,7 +109,7 @@ def open_port(url: str, *, baudrate: int, timeout_s: float) -> Port:
             _send_small_writes_at_once(wire)
     except (OSError, ValueError) as error:
         raise PortError(f"port {url} {_reason(error)}") from error
-    return Port(url, wire)
+    return Port(url, wire, tape_of(url))
 
 
 def _send_small_writes_at_once(wire: serial.Serial) -> None:

@@ -40,9 +40,15 @@ class RigState:
 
 
 class RunService:
-    """Starts runs and passes requests on to them. Thread-safe."""
+    """Starts runs and passes requests on to them. Thread-safe.
 
-    def __init__(self, store: Store, rigs: Sequence[RigSettings]) -> None:
+    Args:
+        store: where runs are kept.
+        rigs: those there are.
+        record: folder for transcripts of every byte on the rigs' wires; None for none.
+    """
+
+    def __init__(self, store: Store, rigs: Sequence[RigSettings], record: Path | None = None) -> None:
         self.store = store
         self.bus = Bus()
         self._rigs = {rig.name: rig for rig in rigs}
@@ -52,6 +58,7 @@ class RunService:
         self._busy: dict[str, str] = {}  # rigs by name, each with its run
         self._unreachable: set[str] = set()
         self._closing = False
+        self._record = record
 
     def rigs(self) -> list[RigState]:
         """Every configured rig and what it is doing. Looks at no port that would notice."""
@@ -174,6 +181,7 @@ class RunService:
                 self._worker_ended,
                 follow_up,
                 verifies,
+                self._record,
             )
             self._workers[run.id] = worker
             self._busy[settings.name] = run.id

@@ -5,12 +5,15 @@ from __future__ import annotations
 import logging
 import platform
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 import calrig
 from calrig.calibration.result import Result, build_result
 from calrig.instruments.errors import BoardError, InstrumentError, LimitError
+from calrig.instruments.transcript import Tape, taped
 from calrig.plan import Plan, PlannedPose
 from calrig.runs.bus import Bus
 from calrig.runs.control import Control, End, Ended
@@ -52,6 +55,7 @@ class Worker(threading.Thread):
         ended: Callable[[Worker], None],
         follow_up: FollowUpRun | None = None,
         verifies: InForce | None = None,
+        record: Path | None = None,
     ) -> None:
         super().__init__(name=f"run-{run.id}")
         self.run_id = run.id
@@ -67,6 +71,7 @@ class Worker(threading.Thread):
         self._follow_up = follow_up
         self._verifies = verifies
         self._store = store
+        self._record = record
         self._fields: RunChanges = {}
         self._warnings: list[str] = []
         self._concluding = threading.Lock()
@@ -89,6 +94,18 @@ class Worker(threading.Thread):
             status, error = "failed", f"internal error ({type(problem).__name__}: {problem}); see the log"
         finally:
             self._conclude(status, error)
+
+    @contextmanager
+    def _keeping(self, tapes: list[Tape]) -> Iterator[None]:
+        """Keeps the last minute of each wire where what is done meanwhile fails."""
+        try:
+            yield
+        except Ended:
+            raise
+        except Exception:
+            with suppress(StoreError):  # the run's own failure is what is told
+                self._store.keep_transcripts(self.run_id, {tape.port: tape.last_minute() for tape in tapes})
+            raise
 
     def _as_asked_or(self, status: Status, error: str) -> tuple[Status, str | None]:
         """A stage halted by request refuses its next move: the request is the reason, not the refusal."""
@@ -122,7 +139,11 @@ class Worker(threading.Thread):
                 log.exception("run %s ended as %s, and the store cannot be told", self.run_id, status)
 
     def _carry_out(self) -> None:
-        with open_rig(self.rig, self.control.arm, self._warnings.append) as rig:
+        with (
+            taped(self._record) as tapes,
+            self._keeping(tapes.all),
+            open_rig(self.rig, self.control.arm, self._warnings.append) as rig,
+        ):
             self.reached_rig = True
             self._check_board(rig)
             self._check_limits(rig)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from types import TracebackType
 from typing import Self, Unpack
 
 from calrig.calibration.pose import Pose
-from calrig.store import convert, effects, event_log, history, poses, runs
+from calrig.store import convert, effects, event_log, history, poses, runs, transcripts
 from calrig.store.database import BUSY_TIMEOUT_S, Database, database_path
 from calrig.store.event_log import Announced
 from calrig.store.records import (
@@ -235,6 +235,16 @@ class Store:
         """Names of the effects accepted for each unit that has any."""
         with self._database.reading() as session:
             return effects.names(session)
+
+    def keep_transcripts(self, run_id: str, texts: Mapping[str, str]) -> None:
+        """Keeps what went over each port of a run."""
+        with self._database.writing() as session:
+            transcripts.keep(session, run_id, texts)
+
+    def transcripts(self, run_id: str) -> dict[str, str]:
+        """What went over each port in the last minute before the run failed; empty where it did not."""
+        with self._database.reading() as session:
+            return transcripts.of_run(session, run_id)
 
     def samples(self, run_id: str, pose: int | None = None) -> RawSamples:
         """The raw samples of a run in the order taken, or those of one pose's dwell; none once pruned.

@@ -150,3 +150,15 @@ class AcceptedEffectTable(SQLModel, table=True):
     origin: str
     parameters: dict[str, Any] = Field(sa_type=_json())
     accepted_at: datetime = Field(sa_type=UtcText)
+
+
+class TranscriptTable(SQLModel, table=True):
+    """What went over a wire in the last minute before a run failed: compressed text."""
+
+    __tablename__ = "transcript"
+    __table_args__ = (Index("ix_transcript_run_id", "run_id"),)
+
+    id: int = Field(default=None, primary_key=True)
+    run_id: int = Field(sa_column=Column(ForeignKey("run.id"), nullable=False))
+    port: str
+    data: bytes = Field(sa_column=Column(LargeBinary, nullable=False))

@@ -1,0 +1,142 @@
+"""Every byte to and from a port with its time: kept for the last minute, written to a file where asked for.
+
+A transcript is text, so that a person can read it and a test can hold it; a line a piece:
+
+    # calrig transcript of /dev/ttyUSB0
+    0.000000 > 3149443f0d0a    what calrig sent, in hexadecimal, s after the port was opened
+    0.013552 < 31494431320d0a  what it received
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TextIO
+
+from calrig.instruments.errors import PortError
+
+KEPT_S = 60.0
+KEPT_BYTES = 4_000_000
+"""A board at 1 kHz sends 1.5 MB a minute."""
+HEADING = "# calrig transcript of "
+
+Direction = Literal[">", "<"]
+DIRECTIONS: dict[str, Direction] = {">": ">", "<": "<"}
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """Bytes in one direction: `>` sent by calrig, `<` received, at_s after the port was opened."""
+
+    at_s: float
+    direction: Direction
+    data: bytes
+
+    def line(self) -> str:
+        """The piece as a line of a transcript."""
+        return f"{self.at_s:.6f} {self.direction} {self.data.hex()}\n"
+
+
+class Tape:
+    """The transcript of one port; reader and writer may note at the same time."""
+
+    def __init__(self, port: str, file: TextIO | None = None) -> None:
+        self.port = port
+        self._file = file
+        self._opened_s = time.monotonic()
+        self._lock = threading.Lock()
+        self._kept: deque[Piece] = deque()
+        self._n_bytes = 0
+        if file is not None:
+            file.write(HEADING + port + "\n")
+
+    def note(self, direction: Direction, data: bytes) -> None:
+        """Takes what was sent or received just now."""
+        piece = Piece(time.monotonic() - self._opened_s, direction, data)
+        with self._lock:
+            self._kept.append(piece)
+            self._n_bytes += len(data)
+            while self._kept[0].at_s < piece.at_s - KEPT_S or self._n_bytes > KEPT_BYTES:
+                self._n_bytes -= len(self._kept.popleft().data)
+            if self._file is not None:
+                self._file.write(piece.line())
+
+    def last_minute(self) -> str:
+        """What is kept, as the text of a transcript."""
+        with self._lock:
+            pieces = list(self._kept)
+        return HEADING + self.port + "\n" + "".join(piece.line() for piece in pieces)
+
+
+@dataclass(frozen=True)
+class Tapes:
+    """The tapes of the ports opened meanwhile, in the order they were opened."""
+
+    folder: Path | None
+    all: list[Tape]
+    _files: ExitStack
+
+    def of(self, port: str) -> Tape:
+        """A new tape."""
+        file = None
+        if self.folder is not None:
+            name = "".join(c if c.isalnum() else "-" for c in port).strip("-")
+            path = self.folder / f"{time.strftime('%Y%m%dT%H%M%S')}-{len(self.all)}-{name}.txt"
+            file = self._files.enter_context(path.open("x", encoding="ascii", errors="replace"))
+        tape = Tape(port, file)
+        self.all.append(tape)
+        return tape
+
+
+_current: ContextVar[Tapes | None] = ContextVar("tapes", default=None)
+
+
+@contextmanager
+def taped(folder: Path | None = None) -> Iterator[Tapes]:
+    """Tapes every port that this thread opens meanwhile; into files as well where a folder is given.
+
+    Raises:
+        PortError: the folder cannot be made.
+    """
+    with ExitStack() as files:
+        if folder is not None:
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise PortError(f"transcripts cannot be written to {folder} ({error.strerror})") from error
+        tapes = Tapes(folder, [], files)
+        token = _current.set(tapes)
+        try:
+            yield tapes
+        finally:
+            _current.reset(token)
+
+
+def tape_of(port: str) -> Tape | None:
+    """A tape for a port that is being opened, where somebody wants one."""
+    tapes = _current.get()
+    return None if tapes is None else tapes.of(port)
+
+
+def read_transcript(lines: Iterable[str]) -> list[Piece]:
+    """The pieces of a transcript.
+
+    Raises:
+        ValueError: a line is none of a transcript; says which.
+    """
+    pieces = []
+    for number, line in enumerate(lines, start=1):
+        if not line.strip() or line.startswith("#"):
+            continue
+        try:
+            at, direction, data = line.split()
+            pieces.append(Piece(float(at), DIRECTIONS[direction], bytes.fromhex(data)))
+        except (ValueError, KeyError) as error:
+            raise ValueError(f"line {number} is no line of a transcript: {line.strip()[:40]!r}") from error
+    return pieces
