@@ -62,7 +62,7 @@ class Responses:
             move (gyro, degrees), less target (stage, degrees).
         known: (n, J) False where a response does not exist (the gyro's before the first move).
         base: (n, J, p) columns of bias and scale, and of the first pose of each run.
-        base_names: of the p columns, such as `reading.bias`, `gyro_move.gain`, `first`.
+        base_names: of the p columns, such as `reading.bias`, `gyro_move.gain`, `reading.first`.
         kappa: (n,) share of a gyro scale error times the move that the paper's filter still shows.
     """
 
@@ -163,7 +163,7 @@ def responses_of(runs: Sequence[Sequence[Pose]]) -> Responses:
         values=np.stack(table.values, axis=1),
         known=np.stack(table.known, axis=1),
         base=table.base(),
-        base_names=tuple(name for name, _ in table.base_columns),
+        base_names=tuple(name for name, _, _ in table.base_columns),
         kappa=filter_share(column_of(poses, "settle_s"), len(poses)),
         warnings=(*warnings, *said),
     )
@@ -178,7 +178,7 @@ class _Channels:
         self.names: list[str] = []
         self.values: list[FloatArray] = []
         self.known: list[BoolArray] = []
-        self.base_columns: list[tuple[str, dict[str, FloatArray]]] = []
+        self.base_columns: list[tuple[str, str, FloatArray]] = []
         self._theta, self._move, self._starts, self._run_index = theta, move, starts, run_index
         self._runs = int(run_index[-1]) + 1
         self.turns = float(np.ptp(theta)) > ONE_ANGLE_DEG
@@ -188,26 +188,29 @@ class _Channels:
         groups = range(self._runs) if bias_each_run else [None]
         for run in groups:
             one = np.ones(len(values)) if run is None else (self._run_index == run).astype(float)
-            self.base_columns.append((f"{name}.bias", {name: one}))
+            self.base_columns.append((f"{name}.bias", name, one))
         if scaled and self.turns:
-            self.base_columns.append((f"{name}.scale", {name: self._theta / SCALE_UNIT_DEG}))
+            self.base_columns.append((f"{name}.scale", name, self._theta / SCALE_UNIT_DEG))
 
     def add_moves(self, felt_deg: FloatArray) -> None:
         known = np.isfinite(felt_deg) & ~self._starts
         self._begin(MOVE, np.where(known, felt_deg - self._move, 0.0), known)
-        self.base_columns.append((f"{MOVE}.bias", {MOVE: known.astype(float)}))
+        self.base_columns.append((f"{MOVE}.bias", MOVE, known.astype(float)))
         gain = np.where(known, self._move, 0.0) / SCALE_UNIT_DEG
-        self.base_columns.append((f"{MOVE}.gain", {MOVE: gain}))
+        self.base_columns.append((f"{MOVE}.gain", MOVE, gain))
 
     def free_first(self) -> None:
         """Lets the first pose of each run lie where it will: the move into it is not known.
 
-        It may have been a long one that had not settled, from either side of the play or none at all: one
-        pose would then speak for an effect that all the others deny.
+        It may have been a long one that had not settled, in the filter or the mount, from either side of the
+        play or none at all: one pose would then speak for an effect that all the others deny.
         """
         for run in range(self._runs if self.turns else 0):
             first = (self._starts & (self._run_index == run)).astype(float)
-            self.base_columns.append(("first", {READING: first, ANGLE: first}))
+            next_move = np.roll(first, 1)  # begins with what the first pose had not settled
+            for name, freed in ((READING, first), (ANGLE, first), (MOVE, next_move)):
+                if name in self.names:
+                    self.base_columns.append((f"{name}.first", name, freed))
 
     def _begin(self, name: str, values: FloatArray, known: BoolArray) -> None:
         self.names.append(name)
@@ -216,9 +219,8 @@ class _Channels:
 
     def base(self) -> FloatArray:
         stacked = np.zeros((len(self._theta), len(self.names), len(self.base_columns)))
-        for k, (_, shares) in enumerate(self.base_columns):
-            for name in shares.keys() & set(self.names):
-                stacked[:, self.names.index(name), k] = shares[name]
+        for k, (_, channel, column) in enumerate(self.base_columns):
+            stacked[:, self.names.index(channel), k] = column
         return stacked
 
 
