@@ -1,0 +1,123 @@
+"""Where a log is unbroken, where the sensor stands in it and where it is turned."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from calrig.estimation.angles import FloatArray
+from calrig.estimation.gyro import MIN_TURN_DEG
+
+GAP_INTERVALS = 2.5
+"""A gap is where more than this many ordinary intervals pass without a sample."""
+SETTLE_S = 1.0
+"""A filter is judged as standing only this long after its start or a move: a plan's own `settle_s`."""
+
+_MIN_RATE_DPS = 0.5
+_SIGMAS = 6.0
+_SMOOTHING_S = 0.05
+_JOIN_S = 0.2
+_MARGIN_S = 0.05
+_MARGIN_WITHOUT_GYRO_S = 0.15
+"""The slope of a noisy elevation sees a move only once it is well under way."""
+
+
+@dataclass(frozen=True, slots=True)
+class Activity:
+    """What happens in one unbroken stretch; slices of indices into the log.
+
+    Attributes:
+        disturbed: wherever it turns or is knocked, in order, with a margin on either side.
+        moves: those of `disturbed` after which it stands elsewhere, by `MIN_TURN_DEG` or more.
+        still: what lies between, each from `SETTLE_S` after the disturbance or the start on.
+    """
+
+    disturbed: tuple[slice, ...]
+    moves: tuple[slice, ...]
+    still: tuple[slice, ...]
+
+
+def unbroken(time_s: FloatArray) -> list[slice]:
+    """The longest runs of samples without a gap, in order.
+
+    Args:
+        time_s: (n,) strictly increasing.
+    """
+    if len(time_s) == 0:
+        return []
+    steps = np.diff(time_s)
+    breaks = np.flatnonzero(steps > GAP_INTERVALS * np.median(steps)) + 1 if len(steps) else np.empty(0, int)
+    ends = [0, *breaks.tolist(), len(time_s)]
+    return [slice(a, b) for a, b in pairwise(ends)]
+
+
+def activity(
+    time_s: FloatArray, elevation_deg: FloatArray, rate_dps: FloatArray | None, within: slice
+) -> Activity:
+    """Finds the moves in an unbroken stretch of a log that stands for most of it.
+
+    It turns where the rate, smoothed over 50 ms, departs from its median by `_MIN_RATE_DPS` and by six times
+    its robust spread; without a gyro, the slope of the elevation over 0.1 s is the rate, and slow moves drown
+    in its noise.
+
+    Args:
+        time_s: (n,) strictly increasing.
+        elevation_deg: (n,) continuous elevation of the accelerometer, finite.
+        rate_dps: (n,) rate about the axis of elevation, finite; None where there is no gyro.
+        within: the stretch.
+    """
+    time, elevation = time_s[within], elevation_deg[within]
+    if len(time) < 2:
+        return Activity((), (), ())
+    interval_s = float(np.median(np.diff(time)))
+    rate = _slope(elevation, interval_s) if rate_dps is None else _smooth(rate_dps[within], interval_s)
+    speed = np.abs(rate - np.median(rate))
+    threshold = max(_MIN_RATE_DPS, _SIGMAS * 1.4826 * float(np.median(speed)))
+    margin_s = _MARGIN_S if rate_dps is not None else _MARGIN_WITHOUT_GYRO_S
+    runs = _runs(speed > threshold, round(_JOIN_S / interval_s), round(margin_s / interval_s))
+    first = within.start
+    disturbed = tuple(slice(first + a, first + b) for a, b in runs)
+    moves = tuple(slice(first + a, first + b) for a, b in runs if _turned(elevation, a, b, interval_s))
+    return Activity(disturbed, moves, _still(disturbed, within, round(SETTLE_S / interval_s)))
+
+
+def _smooth(x: FloatArray, interval_s: float) -> FloatArray:
+    from scipy.ndimage import uniform_filter1d
+
+    smoothed = uniform_filter1d(x, max(1, round(_SMOOTHING_S / interval_s)), mode="nearest")
+    return np.asarray(smoothed, dtype=np.float64)
+
+
+def _slope(x: FloatArray, interval_s: float) -> FloatArray:
+    half = max(1, round(_SMOOTHING_S / interval_s))
+    smoothed = np.pad(_smooth(x, interval_s), half, mode="edge")
+    return np.asarray((smoothed[2 * half :] - smoothed[: -2 * half]) / (2 * half * interval_s))
+
+
+def _runs(active: npt.NDArray[np.bool_], join: int, margin: int) -> list[tuple[int, int]]:
+    """Runs of True with a margin on either side, those nearer than `join` taken together."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], active, [False]]).astype(np.int8)))
+    runs: list[tuple[int, int]] = []
+    for a, b in edges.reshape(-1, 2).tolist():
+        begin, end = max(a - margin, 0), min(b + margin, len(active))
+        if runs and begin - runs[-1][1] < join:
+            begin = runs.pop()[0]
+        runs.append((begin, end))
+    return runs
+
+
+def _turned(elevation: FloatArray, begin: int, end: int, interval_s: float) -> bool:
+    samples = max(1, round(0.1 / interval_s))
+    before, after = elevation[max(begin - samples, 0) : begin], elevation[end : end + samples]
+    if not len(before) or not len(after):
+        return False  # under way where the stretch begins or ends
+    return bool(abs(after.mean() - before.mean()) >= MIN_TURN_DEG)
+
+
+def _still(disturbed: tuple[slice, ...], within: slice, settle: int) -> tuple[slice, ...]:
+    begins = [within.start, *(one.stop for one in disturbed)]
+    ends = [*(one.start for one in disturbed), within.stop]
+    return tuple(slice(a + settle, b) for a, b in zip(begins, ends, strict=True) if a + settle < b)
