@@ -112,18 +112,21 @@ def print_result(run: Run) -> None:
     if run.result is None:
         return
     table = Table(title=Text(f"run {run.id}: unit {run.unit} on {run.rig}"), title_justify="left")
-    for heading in ("", "value", "standard error"):
+    for heading in ("", "value", "± (noise)", "± (stage)"):
         table.add_column(heading, justify="right" if heading else "left")
-    for name, value, std in _rows(run.result):
-        table.add_row(name, value, std)
+    for row in _rows(run.result):
+        table.add_row(*row)
     console.print(table)
 
 
-def _rows(result: dict[str, Any]) -> Iterable[tuple[str, str, str]]:
+def _rows(result: dict[str, Any]) -> Iterable[tuple[str, ...]]:
     gyro = result["gyro"]
     temperature = result["temperature_c"] or {"min": None, "max": None}
-    yield "bias", _number(result["bias_deg"], "°"), _number(result["bias_std_deg"], "°")
-    yield "scale", _number(result["scale"], "", 6), _number(result["scale_std"], "", 6)
+    stage = result["reference"] or {"bias_std_deg": None, "scale_std": None}
+    bias = result["bias_deg"], result["bias_std_deg"], stage["bias_std_deg"]
+    scale = result["scale"], result["scale_std"], stage["scale_std"]
+    yield "bias", *(_number(value, "°") for value in bias)
+    yield "scale", *(_number(value, "", 6) for value in scale)
     yield "RMS raw", _number(result["rms_raw_deg"], "°"), ""
     yield "RMS calibrated", _number(result["rms_calibrated_deg"], "°"), ""
     yield "noise of one reading", _number(result["noise_deg"], "°"), ""

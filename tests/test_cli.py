@@ -22,6 +22,7 @@ from calrig.store import Store
 CONFIG = """
 [[rig]]
 name = "bench-1"
+reference = { std_deg = 0.29, kind = "common" }
 simulated = { seed = 1, time_scale = 20.0, mount = { offset_deg = 0.8 } }
 """
 POSES = "target_deg,reading_deg\n-30,-29.5\n0,0.4\n30,30.6\n"
@@ -75,7 +76,11 @@ def test_rigs_lists_what_is_configured(folder):
 
 def test_a_run_ends_in_a_table(folder):
     done = calrig("run", "--unit", "AS-0042", "--plan", "plan.json", "--operator", "Ada")
-    assert "bias" in done.stdout
+    (bias,) = re.findall(r"│ bias .*", done.stdout)
+    value, std, stage = (float(number) for number in re.findall(r"(-?\d+\.\d+)°", bias))
+    assert value == pytest.approx(0.8, abs=0.2)  # the simulated mount's offset
+    assert std == pytest.approx(0.01, abs=0.009)
+    assert stage == pytest.approx(0.29, rel=0.01)  # what the rig says, times the scale
     assert done.stderr == ""
 
 

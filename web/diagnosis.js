@@ -7,6 +7,7 @@ import { effectCard } from "./effect.js";
 import { candidateWords, effectTitle } from "./effects.js";
 import { followUpBox } from "./followup.js";
 import { plural, significant } from "./format.js";
+import { Together } from "./together.js";
 
 const AS_NOISE = 1.5;
 
@@ -17,6 +18,7 @@ export class DiagnosisPanel {
     this.signal = signal;
     this.button = h("button", { id: "diagnose", type: "button", on: { click: () => this.#trace() } });
     this.state = h("p", { id: "diagnosis-state", class: "muted", role: "status", "aria-live": "polite" });
+    this.together = new Together(signal);
     this.error = errorLine("diagnosis-error");
     this.found = h("div", { id: "diagnosis-found" });
     this.element = h(
@@ -29,6 +31,7 @@ export class DiagnosisPanel {
         this.button,
       ),
       this.state,
+      this.together.element,
       this.error.element,
       this.found,
     );
@@ -37,6 +40,7 @@ export class DiagnosisPanel {
   show(run) {
     this.run = run;
     this.element.hidden = !run.result;
+    this.together.show(run);
     this.#ready();
     if (run.diagnosis && run.diagnosis !== this.shown) this.#draw(run.diagnosis);
   }
@@ -56,7 +60,7 @@ export class DiagnosisPanel {
     this.element.setAttribute("aria-busy", "true");
     this.state.textContent = "Tracing: the whole search, then once more for each fold of unseen poses…";
     try {
-      const diagnosis = await post(`${this.path}/diagnosis`);
+      const diagnosis = await post(`${this.path}/diagnosis`, { runs: [...this.together.chosen] });
       this.run = { ...this.run, diagnosis };
       this.#draw(diagnosis);
     } catch (error) {

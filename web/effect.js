@@ -3,7 +3,7 @@
 import { post } from "./api.js";
 import { askConfirmation } from "./ask.js";
 import { Chart } from "./charts.js";
-import { h, headings, tableBox } from "./dom.js";
+import { fill, h, headings, tableBox } from "./dom.js";
 import {
   candidateWords,
   covariateWords,
@@ -12,7 +12,7 @@ import {
   originWords,
   parameterRows,
 } from "./effects.js";
-import { significant } from "./format.js";
+import { moment, significant } from "./format.js";
 
 const LEAST_P = 0.001;
 const TOO_CLOSE = 6;
@@ -107,15 +107,24 @@ function fate(effect, label, behind) {
     : `explains these poses worse: odds about 1 : ${Math.round(Math.exp(behind / 2)).toLocaleString()}`;
 }
 
-/** Where an accepted effect goes depends on where it comes from; what cannot be accepted the service says. */
+/**
+ * The button, or since when it is accepted. Where an accepted effect goes depends on where it comes from; what
+ * cannot be accepted the service says.
+ */
 function acceptance(effect, title, path, run) {
   const ofStage = effect.origin === "stage";
   const keeper = ofStage ? `the error map of rig ${run.rig}` : `the calibration of unit ${run.unit}`;
   const done = h("p", { class: "accepted", role: "status" });
+  const say = (at) => fill(done, "Accepted ", moment(at), `: from then on it belongs to ${keeper}.`);
+  if (effect.accepted_at) {
+    say(effect.accepted_at);
+    return done;
+  }
   const button = h("button", { type: "button", id: `accept-${effect.name}` }, "Accept…");
   button.setAttribute("aria-label", `Accept: ${title}`);
   button.addEventListener("click", async () => {
-    const accepted = await askConfirmation(
+    let accepted;
+    await askConfirmation(
       {
         title: `Accept “${title}”?`,
         text:
@@ -123,11 +132,11 @@ function acceptance(effect, title, path, run) {
           (ofStage ? "; a stage's error is never flown." : ", as it is exported and flown."),
         action: "Accept it",
       },
-      () => post(`${path}/diagnosis/accept`, { effects: [effect.name] }),
+      async () => (accepted = await post(`${path}/diagnosis/accept`, { effects: [effect.name] })),
     );
     if (!accepted) return;
     button.hidden = true;
-    done.textContent = `Accepted: it belongs to ${keeper} from now on.`;
+    say(accepted.diagnosis.effects.find(({ name }) => name === effect.name).accepted_at);
   });
   return h("div", { class: "buttons" }, button, done);
 }

@@ -60,6 +60,8 @@ const PARAMETERS = {
   size_deg: ["Size, peak to peak", "°"],
 };
 
+const SAID_IN_WORDS = new Set(["of_axis_y"]);
+
 const CHANNELS = {
   accel_angle: "the accelerometer's angle",
   accel_norm: "|accelerometer|",
@@ -86,10 +88,10 @@ export function originWords(origin) {
   return ORIGINS[origin] ?? origin;
 }
 
-/** [name, value ± standard error with unit] of each parameter that is known. */
+/** [name, value ± standard error with unit] of each parameter that is known and not said in the evidence. */
 export function parameterRows({ parameters, covariate }) {
   return Object.entries(parameters)
-    .filter(([, found]) => found !== null)
+    .filter(([key, found]) => found !== null && !SAID_IN_WORDS.has(key))
     .map(([key, { value, std }]) => {
       const [name, unit] = PARAMETERS[key] ?? placed(key, covariate);
       return [name, std === null ? significant(value, 4, unit) : plusMinus(value, std, unit)];

@@ -61,7 +61,9 @@ export class LivePanel {
     const { poses_done, poses_total, fraction } = progress;
     this.latest = progress;
     this.bar.value = fraction;
-    this.count.textContent = `${poses_done} of ${plural(poses_total, "pose")}`;
+    this.count.textContent = poses_total
+      ? `${poses_done} of ${plural(poses_total, "pose")}`
+      : `${Math.floor(100 * fraction)} % of the log`;
     this.#left();
     const tenth = Math.floor(fraction * 10);
     if (tenth === this.tenth) return;

@@ -32,8 +32,8 @@ function figures(result) {
   const gyro = result.gyro;
   const temperature = result.temperature_c;
   const rows = [
-    ["Bias", plusMinus(result.bias_deg, result.bias_std_deg, "°")],
-    ["Scale", plusMinus(result.scale, result.scale_std)],
+    ["Bias", besideStage(result.bias_deg, result.bias_std_deg, result.reference?.bias_std_deg, "°")],
+    ["Scale", besideStage(result.scale, result.scale_std, result.reference?.scale_std)],
     ["RMS raw", significant(result.rms_raw_deg, 3, "°")],
     ["RMS calibrated", significant(result.rms_calibrated_deg, 3, "°")],
     ["Noise of a reading", significant(result.noise_deg, 2, "°")],
@@ -48,4 +48,16 @@ function figures(result) {
     plusMinus(gyro.bias_dps[k], gyro.bias_std_dps[k], "°/s"),
   ]);
   return [...rows, ...bias, ["Gyro scale", plusMinus(gyro.scale, gyro.scale_std)]];
+}
+
+/** A figure with its own standard error, and apart from it what the stage is worth: no more poses shrink that. */
+function besideStage(value, std, ofStage, unit) {
+  const own = plusMinus(value, std, unit);
+  if (!isKnown(value) || !isKnown(ofStage)) return own;
+  return [
+    h("span", {}, own),
+    isKnown(std) && h("small", {}, " (noise)"),
+    " ",
+    h("small", {}, `± ${significant(ofStage, 2, unit)} (stage)`),
+  ];
 }

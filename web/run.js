@@ -38,7 +38,15 @@ class RunPage {
     this.poses = new PoseTable((pose) => this.#exclude(pose));
     this.posesTitle = h("h2", { id: "poses-title" }, "Poses");
     this.faults = h("section", { class: "card", id: "faults", "aria-label": "Faults" });
+    this.study = h("p");
     this.more = h("div");
+    const posesCard = h(
+      "section",
+      { class: "card", "aria-labelledby": "poses-title" },
+      this.posesTitle,
+      tableBox("Poses", this.poses.element),
+    );
+    this.ofPoses = [this.residualChart.element, posesCard];
     this.element = h(
       "div",
       { class: "run" },
@@ -49,16 +57,13 @@ class RunPage {
       this.diagnosis.element,
       h("div", { class: "charts" }, this.timelineChart.element, this.residualChart.element),
       this.faults,
-      h(
-        "section",
-        { class: "card", "aria-labelledby": "poses-title" },
-        this.posesTitle,
-        tableBox("Poses", this.poses.element),
-      ),
+      posesCard,
+      this.study,
       this.more,
       this.spoken,
     );
     signal.addEventListener("abort", () => clearTimeout(this.timer));
+    window.addEventListener("keydown", (event) => this.#escape(event), { signal });
     this.#show(run);
   }
 
@@ -113,12 +118,14 @@ class RunPage {
     if (this.run && this.run.status !== run.status)
       this.spoken.textContent = `Run ${run.id} is ${run.status}`;
     this.run = run;
+    for (const part of this.ofPoses) part.hidden = run.plan?.kind === "static";
     fill(this.header, heading(run), this.ended && !run.voided && this.#voidButton());
     this.live.show(run);
     this.result.hidden = !run.result;
     if (run.result) fill(this.result, resultCard(run), downloads(run, this.path));
     if (this.ended) this.diagnosis.show(run);
     fill(this.faults, faultLine(run.faults));
+    fill(this.study, this.ended && run.plan && studyLink(run));
     fill(this.more, provenanceDetails(run));
   }
 
@@ -171,6 +178,21 @@ class RunPage {
     }
   }
 
+  /** The Escape key stops the stage of a run that goes on, unless it closes a dialog. */
+  #escape(event) {
+    if (event.key !== "Escape" || this.ended || document.querySelector("dialog[open]")) return;
+    this.#stop();
+  }
+
+  async #stop() {
+    this.error.say(null);
+    try {
+      await post(`/api/rigs/${encodeURIComponent(this.run.rig)}/stop`);
+    } catch (error) {
+      this.#say(error);
+    }
+  }
+
   #voidButton() {
     const button = h("button", { type: "button", id: "void" }, "Void this run…");
     button.addEventListener("click", () =>
@@ -201,4 +223,9 @@ class RunPage {
     this.#show(run);
     await this.#showMeasured();
   }
+}
+
+function studyLink(run) {
+  const text = run.plan.kind === "static" ? "The noise in this log" : "The filters side by side on this run";
+  return h("a", { id: "study", href: `#/noise/${encodeURIComponent(run.id)}` }, text);
 }

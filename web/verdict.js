@@ -50,14 +50,16 @@ function left(result) {
   ];
 }
 
-function calibration({ scale, scale_std: std }) {
+function calibration({ scale, scale_std: std, reference }) {
   if (!isKnown(scale))
     return ["All poses stand at one elevation, so the scale is not known and counts as 1."];
   if (!isKnown(std) || std <= 0) return [];
-  const sigmas = Math.abs(scale - 1) / std;
-  return sigmas > 3
-    ? [`The scale differs from 1 by ${fixed(sigmas, 0)} standard errors: it is worth applying.`]
-    : ["The scale cannot be told from 1 with these poses."];
+  const off = Math.abs(scale - 1);
+  if (off <= 3 * std) return ["The scale cannot be told from 1 with these poses."];
+  const sigmas = `The scale differs from 1 by ${fixed(off / std, 0)} standard errors`;
+  return off > 3 * Math.hypot(std, reference?.scale_std ?? 0)
+    ? [`${sigmas}: it is worth applying.`]
+    : [`${sigmas}, but by no more than an error of the stage itself could make.`];
 }
 
 function cautions({ result, faults }) {

@@ -2,9 +2,10 @@
 
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
+from datetime import datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from calrig.api.models import Answer, Body
 
@@ -36,7 +37,9 @@ class ConsideredAnswer(Answer):
 
 
 class EffectAnswer(Answer):
-    """An effect that was found."""
+    """An effect that was found; `accepted_at` is null until a person has put it in force."""
+
+    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
 
     name: str
     verdict: Literal["named", "ambiguous", "unnamed"]
@@ -48,6 +51,7 @@ class EffectAnswer(Answer):
     evidence: list[str]
     remedy: str
     considered: list[ConsideredAnswer]
+    accepted_at: datetime | None = None  # of diagnoses stored before it was kept: null
 
 
 class HeldOutAnswer(Answer):

@@ -89,8 +89,19 @@ class GyroAnswer(Answer):
     scale_std: float | None
 
 
+class ReferenceAnswer(Answer):
+    """What the rig said its stage is worth, and its part of bias and scale: type B, √n does not shrink it."""
+
+    std_deg: float
+    kind: Literal["setting", "harmonic", "common"]
+    bias_std_deg: float
+    scale_std: float | None
+
+
 class ResultAnswer(Answer):
-    """reading = bias_deg + scale·elevation; RMS as √(Σr²/n)."""
+    """reading = bias_deg + scale·elevation; RMS as √(Σr²/n). `bias_std_deg`, `scale_std` are of type A."""
+
+    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
 
     bias_deg: float
     bias_std_deg: float | None
@@ -103,6 +114,7 @@ class ResultAnswer(Answer):
     noise_deg: float | None
     temperature_c: Extremes | None
     gyro: GyroAnswer
+    reference: ReferenceAnswer | None = None  # of runs stored before it was reckoned: null
 
 
 class VoidedAnswer(Answer):
@@ -247,6 +259,8 @@ class UncertaintyAnswer(Answer):
     type_a_deg: float | None
     type_b_deg: float | None
     reference_deg: float | None
+    reference_bias_deg: float | None
+    reference_scale: float | None
 
 
 class CalibrationAnswer(Answer):

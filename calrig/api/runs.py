@@ -27,6 +27,17 @@ def rigs(context: Context) -> object:
 
 
 @router.post(
+    "/api/rigs/{name}/stop",
+    response_model=RigAnswer,
+    responses=problems(404, 409),
+    summary="Stop a rig's stage now",
+)
+def stop(name: str, context: Context) -> object:
+    """Whatever runs on it is aborted; a stage that stands by itself is told as well."""
+    return context.service.stop(name)
+
+
+@router.post(
     "/api/runs",
     status_code=201,
     response_model=RunAnswer,

@@ -58,7 +58,8 @@ def effect_on_reading_deg(
     """(n,) what an effect adds to the readings of n poses, degrees.
 
     Args:
-        name: of CONTRACT section 5, or `temperature_curvature` (deg_per_c2, reference_c).
+        name: of CONTRACT section 5, or `temperature_curvature` (deg_per_c2, reference_c). Where a
+            `temperature_bias` has `of_axis_y` 1, its degrees are those of a y axis that lies level.
         parameters: values by the contract's names; one that is absent counts as 0, a reference must be there.
         theta_deg: (n,) elevations.
         given: what else the effect depends on.
@@ -179,6 +180,11 @@ def _axis_mismatch(p: _Here) -> FloatArray:
     return p.turn_deg(gain * (s + c * np.sin(np.radians(p.value("skew_deg")))) - s, 0.0)
 
 
+def _temperature_bias(p: _Here) -> FloatArray:
+    turn_deg = p.value("deg_per_c") * p.warmer_c()
+    return p.turn_deg(np.radians(turn_deg), 0.0) if p.value("of_axis_y") else turn_deg
+
+
 def _mount_slip(p: _Here) -> FloatArray:
     step = np.full(len(p.theta), p.value("step_deg"))
     if p.given.time_s is None:
@@ -197,7 +203,7 @@ _FORMULAS: dict[str, Formula] = {
     "accelerometer_offset": lambda p: p.turn_deg(p.value("y_mg") / 1e3, p.value("z_mg") / 1e3),
     "axis_mismatch": _axis_mismatch,
     "nonlinearity": lambda p: p.value("deg_per_deg2") * p.theta**2 + p.value("deg_per_deg3") * p.theta**3,
-    "temperature_bias": lambda p: p.value("deg_per_c") * p.warmer_c(),
+    "temperature_bias": _temperature_bias,
     "temperature_curvature": lambda p: p.value("deg_per_c2") * p.warmer_c() ** 2,
     "temperature_scale": lambda p: p.value("per_c") * p.warmer_c() * p.theta,
     "time_drift": lambda p: p.value("deg_per_s") * p.column("time_s"),

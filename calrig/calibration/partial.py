@@ -104,10 +104,19 @@ def _forms(r: Responses, document: Document) -> list[Candidate]:
 def _catalogued(r: Responses, effect: Effect, parameters: Document) -> list[Shape]:
     if "period_deg" in parameters:
         return [periodic_shape(r, parameters["period_deg"]["value"])]
-    shapes = [shape for shape in effect.shapes(r) if set(shape.parameters) <= set(parameters)]
-    widest = max((len(shape.parameters) for shape in shapes), default=0)
+    shapes = [
+        shape
+        for shape in effect.shapes(r)
+        if {*shape.parameters, *shape.at} - set(NOT_A_PLACE) <= set(parameters)
+    ]
+    widest = max(map(_width, shapes), default=0)
     wanted = {name: given["value"] for name, given in parameters.items() if given is not None}
-    return _nearest([shape for shape in shapes if len(shape.parameters) == widest], wanted)
+    return _nearest([shape for shape in shapes if _width(shape) == widest], wanted)
+
+
+def _width(shape: Shape) -> int:
+    """How many parameters a form has in a document."""
+    return len({*shape.parameters, *shape.at} - set(NOT_A_PLACE))
 
 
 def _flexible(r: Responses, covariate: str, parameters: Document) -> list[Shape]:

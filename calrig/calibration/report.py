@@ -66,6 +66,7 @@ def _document(r: Responses, found: Found, candidate: Candidate, fitted: Fit, at:
         "evidence": _evidence(r, found, candidate),
         "remedy": "look at what changes with this column" if effect is None else effect.remedy,
         "considered": [{"name": name, "behind": behind} for name, behind in found.considered],
+        "accepted_at": None,
     }
 
 
@@ -122,6 +123,8 @@ def _evidence(r: Responses, found: Found, candidate: Candidate) -> list[str]:
     witnesses = [c for k, c in enumerate(r.channels[1:], 1) if np.ptp(candidate.columns[:, k, :]) > 0.0]
     if witnesses:
         said.append(f"seen by {', '.join(witnesses)} as well as by the reading, as it must be")
+    if candidate.shape.says:
+        said.append(candidate.shape.says)
     if found.candidate.effect is not None and math.isfinite(found.lead):
         if found.rivals:
             names = ", ".join(rival.name for rival in found.rivals)

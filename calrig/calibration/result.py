@@ -17,6 +17,7 @@ from calrig.calibration.applied import (
 )
 from calrig.calibration.fit import Line, fit_line, residuals_deg, rms
 from calrig.calibration.pose import Pose
+from calrig.calibration.uncertainty import Reference, ReferenceKind, reference_part
 from calrig.estimation.angles import FloatArray, wrap_deg
 
 AppliedEffect = tuple[str, Mapping[str, float]]
@@ -44,10 +45,25 @@ class TemperatureRange:
 
 
 @dataclass(frozen=True, slots=True)
+class ReferenceFigures:
+    """What the rig says its stage is worth, and what that makes of bias and scale.
+
+    Standard uncertainties of type B: `bias_std_deg` and `scale_std` of the result itself are of type A.
+    """
+
+    std_deg: float
+    kind: ReferenceKind
+    bias_std_deg: float
+    scale_std: float | None
+
+
+@dataclass(frozen=True, slots=True)
 class Result:
     """CONTRACT section 2, "Result"; what is not known is None.
 
     Attributes:
+        reference: the stage's part of bias and scale, beside their own standard errors; None where nobody
+            has said what the stage is worth.
         line: the fit itself, with covariance and residual scatter, for the unit's calibration.
         line_with_effects: the same once accepted effects are taken out; None without any.
     """
@@ -63,6 +79,7 @@ class Result:
     noise_deg: float | None
     temperature_c: TemperatureRange | None
     gyro: GyroFigures
+    reference: ReferenceFigures | None
     line: Line = field(repr=False)
     line_with_effects: Line | None = field(default=None, repr=False)
 
@@ -76,7 +93,10 @@ class Result:
 
 
 def build_result(
-    poses: Sequence[Pose], gyro: GyroFigures | None = None, effects: Sequence[AppliedEffect] = ()
+    poses: Sequence[Pose],
+    gyro: GyroFigures | None = None,
+    effects: Sequence[AppliedEffect] = (),
+    reference: Reference | None = None,
 ) -> Result:
     """Fits a run's poses and gathers what they say.
 
@@ -85,6 +105,7 @@ def build_result(
         gyro: what the run's samples say of the gyro, where there are any.
         effects: accepted for the unit or the rig; `line_with_effects` is None where the poses lack what one
             of them is a function of.
+        reference: what the rig said of its stage when the poses were measured.
 
     Raises:
         ValueError: no pose, or one whose angle or reading is not finite.
@@ -105,13 +126,18 @@ def build_result(
         noise_deg=_pooled_noise_deg(poses),
         temperature_c=_temperature_range(poses),
         gyro=gyro or GyroFigures(),
+        reference=None if reference is None else _reference_figures(theta, line, reference),
         line=line,
         line_with_effects=None if with_effects is None else with_effects[0],
     )
 
 
 def apply_calibration(
-    poses: Sequence[Pose], gyro: GyroFigures | None, line: Line, effects: Sequence[AppliedEffect]
+    poses: Sequence[Pose],
+    gyro: GyroFigures | None,
+    line: Line,
+    effects: Sequence[AppliedEffect],
+    reference: ReferenceFigures | None = None,
 ) -> Result:
     """What a calibration made earlier leaves of a run's poses: nothing is fitted, all of it is verified.
 
@@ -120,6 +146,7 @@ def apply_calibration(
         gyro: as for `build_result`.
         line: bias and scale in force, fitted together with the effects.
         effects: in force.
+        reference: the stage's part of that bias and scale, from the run that they were fitted to.
 
     Raises:
         ApplyError: the poses lack what an effect is a function of.
@@ -137,6 +164,7 @@ def apply_calibration(
         rms_with_effects_deg=_known(rms(residuals_deg(theta, without, line.bias_deg, line.scale)))
         if effects
         else None,
+        reference=reference,
         line=line,
     )
 
@@ -186,6 +214,11 @@ def residuals(poses: Sequence[Pose], bias_deg: float, scale: float | None) -> li
 def _angles(poses: Sequence[Pose]) -> tuple[FloatArray, FloatArray]:
     theta = np.array([pose.theta_deg for pose in poses], dtype=np.float64)
     return theta, np.array([pose.reading_deg for pose in poses], dtype=np.float64)
+
+
+def _reference_figures(theta: FloatArray, line: Line, reference: Reference) -> ReferenceFigures:
+    part = reference_part(theta, line.scale, reference)
+    return ReferenceFigures(reference.std_deg, reference.kind, part.bias_deg, part.scale)
 
 
 def _pooled_noise_deg(poses: Sequence[Pose]) -> float | None:

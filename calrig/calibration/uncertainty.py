@@ -18,6 +18,14 @@ ReferenceKind = Literal["setting", "harmonic", "common"]
 
 
 @dataclass(frozen=True, slots=True)
+class Reference:
+    """What the stage's own angle is worth: a standard uncertainty, shared among poses as `kind` says."""
+
+    std_deg: float
+    kind: ReferenceKind = "harmonic"
+
+
+@dataclass(frozen=True, slots=True)
 class ReferencePart:
     """What the stage's own uncertainty makes of a calibration: standard uncertainties of type B.
 
@@ -53,20 +61,17 @@ class Uncertainty:
     scale_reference_std: float | None = None
 
     def to_dict(self) -> dict[str, float | None]:
-        """The contract's `uncertainty`."""
+        """The contract's `uncertainty`, and the reference's part of bias and scale."""
         return {
             "type_a_deg": self.type_a_deg,
             "type_b_deg": self.type_b_deg,
             "reference_deg": self.reference_deg,
+            "reference_bias_deg": self.bias_reference_std_deg,
+            "reference_scale": self.scale_reference_std,
         }
 
 
-def uncertainty(
-    line: Line,
-    theta_deg: FloatArray,
-    reference_std_deg: float | None,
-    kind: ReferenceKind = "harmonic",
-) -> Uncertainty:
+def uncertainty(line: Line, theta_deg: FloatArray, reference: Reference | None) -> Uncertainty:
     """Uncertainty of an elevation that the calibration gives from one reading.
 
     elevation = (reading − bias)/scale, hence by the law of propagation with bias and scale correlated (GUM,
@@ -81,20 +86,17 @@ def uncertainty(
     Args:
         line: the fit.
         theta_deg: (n,) elevations of the poses it rests on; their lowest and highest are the range.
-        reference_std_deg: what the stage's own angle is worth; None where nobody has said.
-        kind: how that error is shared among poses.
+        reference: what the stage's own angle is worth; None where nobody has said.
     """
     type_a = _type_a_deg(line, theta_deg)
-    if reference_std_deg is None:
+    if reference is None:
         return Uncertainty(type_a, None, None, None)
-    part = reference_part(theta_deg, line.scale, reference_std_deg, kind)
+    part = reference_part(theta_deg, line.scale, reference)
     expanded = None if type_a is None else COVERAGE_FACTOR * math.hypot(type_a, part.elevation_deg)
     return Uncertainty(type_a, part.elevation_deg, part.elevation_deg, expanded, part.bias_deg, part.scale)
 
 
-def reference_part(
-    theta_deg: FloatArray, scale: float | None, std_deg: float, kind: ReferenceKind
-) -> ReferencePart:
+def reference_part(theta_deg: FloatArray, scale: float | None, reference: Reference) -> ReferencePart:
     """What an error d of the stage's angle, of standard uncertainty u, does to bias, scale and elevation.
 
     The stage says θ where the elevation is θ − d(θ), so that reading = bias + scale·θ − scale·d: the fit
@@ -119,9 +121,9 @@ def reference_part(
     Args:
         theta_deg: (n,) elevations of the poses, n >= 1.
         scale: of the fit; None with all poses at one angle, counts as 1.
-        std_deg: u.
-        kind: one of the three.
+        reference: u, and which of the three kinds.
     """
+    std_deg, kind = reference.std_deg, reference.kind
     factor = 1.0 if scale is None else abs(scale)
     design = np.ones((len(theta_deg), 1))
     if scale is not None:
@@ -133,7 +135,7 @@ def reference_part(
         angle = np.radians(theta_deg)
         line = to_line @ np.column_stack([np.sin(angle), np.cos(angle)])
     else:
-        line = to_line @ np.ones((len(theta_deg), 1))
+        line = np.eye(design.shape[1])[:, :1]
     covariance = np.asarray(std_deg**2 * line @ line.T, dtype=np.float64)
     of_elevation = math.sqrt(_mean_over_range(covariance, theta_deg)) if kind == "setting" else std_deg
     return ReferencePart(

@@ -149,6 +149,14 @@ def _polynomial(p: Parameters) -> str:
     return f"({square} + {cube} * theta) * theta * theta"
 
 
+def _with_temperature(p: Parameters) -> str:
+    deg_per_c = p.get("deg_per_c", 0.0)
+    if not p.get("of_axis_y"):
+        return f"{_literal(deg_per_c)} * {_warmer(p)}"
+    y = f"{_literal(math.radians(deg_per_c))} * {_warmer(p)}"
+    return _turn(f"{y} * c", f"{y} * s")
+
+
 def _warmer(p: Parameters) -> str:
     return f"(temperature_c - {_literal(p['reference_c'])})"
 
@@ -157,7 +165,7 @@ _TERMS: dict[str, Callable[[Parameters], str]] = {
     "accelerometer_offset": _offset,
     "axis_mismatch": _mismatch,
     "nonlinearity": _polynomial,
-    "temperature_bias": lambda p: f"{_literal(p.get('deg_per_c', 0.0))} * {_warmer(p)}",
+    "temperature_bias": _with_temperature,
     "temperature_curvature": lambda p: f"{_literal(p.get('deg_per_c2', 0.0))} * {_warmer(p)} * {_warmer(p)}",
     "temperature_scale": lambda p: f"{_literal(p.get('per_c', 0.0))} * {_warmer(p)} * theta",
     "mount_slip": lambda p: _literal(p.get("step_deg", 0.0)),

@@ -12,7 +12,7 @@ from calrig.calibration.applied import numbers_of
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import build_result
 from calrig.calibration.uncertainty import COVERAGE_FACTOR, uncertainty
-from calrig.store.records import AcceptedEffect, Run
+from calrig.store.records import AcceptedEffect, Run, reference_of
 
 SCHEMA = "calrig.calibration/1"
 MODEL = "elevation = (reading − bias − effects)/scale"
@@ -38,9 +38,7 @@ def calibration_document(
     elevations = [pose.theta_deg for pose in poses]
     built = build_result(poses, effects=[(e.name, numbers_of(e.parameters)) for e in accepted])
     line = built.line_with_effects or built.line
-    reference = (run.provenance.get("rig") or {}).get("reference") or {}
-    theta_deg = np.array(elevations, dtype=np.float64)
-    worth = uncertainty(line, theta_deg, reference.get("std_deg"), reference.get("kind", "harmonic"))
+    worth = uncertainty(line, np.array(elevations, dtype=np.float64), reference_of(run.provenance))
     gyro = result["gyro"]
     return {
         "schema": SCHEMA,

@@ -8,9 +8,8 @@ from typing import Any
 from calrig.calibration.diagnosis import Diagnosis, diagnose, trace
 from calrig.calibration.pose import Pose
 from calrig.calibration.responses import DiagnosisError
-from calrig.calibration.result import build_result
 from calrig.runs.errors import Conflict, Invalid, Unknown
-from calrig.runs.in_force import effects_in_force
+from calrig.runs.results import refitted
 from calrig.store import AcceptedEffect, Run, Store
 
 OF_THE_UNIT = ("sensor", "mounting")
@@ -31,6 +30,7 @@ class Diagnoses:
         Raises: as `traced`.
         """
         found = self.traced(run_id, more)
+        _keep_accepted(self._run(run_id).diagnosis, found)
         self._store.update_run(run_id, diagnosis=found)
         return found
 
@@ -88,10 +88,7 @@ class Diagnoses:
         self._store.accept_effects(run_id, accepted)
         if run.result is None or (run.plan or {}).get("kind") == "verification":
             return run
-        effects = effects_in_force(self._store, run.unit, run.rig)
-        built = build_result(self._poses(run), effects=effects)
-        result = {**run.result, "rms_with_effects_deg": built.rms_with_effects_deg}
-        return self._store.update_run(run_id, result=result)
+        return self._store.set_result(run_id, refitted(self._store, run, self._poses(run)))
 
     def poses(self, run_id: str) -> list[Pose]:
         """The poses of a run that count."""
@@ -100,15 +97,15 @@ class Diagnoses:
     def _of_one_unit(self, run_id: str, more: Sequence[str]) -> list[Run]:
         """The runs in the order measured: those it follows on, those asked for, itself."""
         run = self._run(run_id)
-        wanted = [self._run(other) for other in more if other != run_id]
+        wanted = {other: self._run(other) for other in more if other != run_id}
         follows = run.follows
-        while follows is not None and follows not in {r.id for r in wanted}:
-            wanted.append(self._run(follows))
-            follows = wanted[-1].follows
-        for other in wanted:
+        while follows is not None:
+            wanted[follows] = self._run(follows)
+            follows = wanted[follows].follows
+        for other in wanted.values():
             if other.unit != run.unit:
                 raise Conflict(f"run {other.id} is of unit {other.unit!r}, run {run_id} of unit {run.unit!r}")
-        runs = [*sorted(wanted, key=lambda r: r.created_at), run]
+        runs = [*sorted(wanted.values(), key=lambda r: r.created_at), run]
         for one in runs:
             if one.status not in ("completed", "failed", "aborted", "interrupted"):
                 raise Conflict(f"run {one.id} is {one.status}: wait until it has ended")
@@ -130,6 +127,14 @@ class Diagnoses:
         if run is None:
             raise Unknown(f"there is no run {run_id}")
         return run
+
+
+def _keep_accepted(before: dict[str, Any] | None, found: dict[str, Any]) -> None:
+    """An effect found once more with the very same values has been accepted; with others it has not."""
+    for earlier in [] if before is None else before["effects"]:
+        for effect in found["effects"]:
+            if all(effect[key] == earlier[key] for key in ("name", "parameters")):
+                effect["accepted_at"] = earlier.get("accepted_at")
 
 
 def limits_of(run: Run) -> tuple[float, float] | None:

@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from calrig.calibration.applied import ApplyError, numbers_of
+from calrig.calibration.applied import ApplyError
 from calrig.calibration.fit import Line
 from calrig.calibration.pose import Pose
-from calrig.calibration.result import AppliedEffect, GyroFigures, Result, apply_calibration, build_result
+from calrig.calibration.result import (
+    AppliedEffect,
+    GyroFigures,
+    ReferenceFigures,
+    Result,
+    apply_calibration,
+)
 from calrig.runs.errors import Conflict
+from calrig.runs.results import effects_in_force, fitted
 from calrig.store import Store
-
-
-def effects_in_force(store: Store, unit: str, rig: str | None) -> list[AppliedEffect]:
-    """The effects accepted for a unit and a rig, as they are applied."""
-    return [(e.name, numbers_of(e.parameters)) for e in store.effects_in_force(unit, rig)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,13 +27,14 @@ class InForce:
     run_id: str
     line: Line
     effects: Sequence[AppliedEffect]
+    reference: ReferenceFigures | None
 
     def result(self, poses: Sequence[Pose], gyro: GyroFigures | None) -> Result:
         """What it leaves of fresh poses; without the effects where the poses lack what they need."""
         try:
-            return apply_calibration(poses, gyro, self.line, self.effects)
+            return apply_calibration(poses, gyro, self.line, self.effects, self.reference)
         except ApplyError:
-            return apply_calibration(poses, gyro, self.line, ())
+            return apply_calibration(poses, gyro, self.line, (), self.reference)
 
 
 def calibration_in_force(store: Store, unit: str, rig: str | None) -> InForce:
@@ -44,6 +47,6 @@ def calibration_in_force(store: Store, unit: str, rig: str | None) -> InForce:
     if run is None:
         raise Conflict(f"unit {unit!r} has no calibration in force to verify: calibrate it first")
     poses = [stored.pose for stored in store.poses(run.id, include_excluded=False)]
-    effects = effects_in_force(store, unit, rig)
-    built = build_result(poses, effects=effects)
-    return InForce(run.id, built.line_with_effects or built.line, effects)
+    built = fitted(store, unit=unit, rig=rig, provenance=run.provenance, poses=poses)
+    line = built.line_with_effects or built.line
+    return InForce(run.id, line, effects_in_force(store, unit, rig), built.reference)

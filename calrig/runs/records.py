@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from calrig.calibration.result import build_result
 from calrig.export.poses_csv import CsvError, read_poses
 from calrig.runs.errors import Conflict, Invalid, Unknown
-from calrig.runs.in_force import effects_in_force
+from calrig.runs.results import fitted, refitted
 from calrig.runs.states import TERMINAL
 from calrig.runs.worker import provenance
 from calrig.store import Run, Store
@@ -50,6 +49,7 @@ class Records:
             "imported_from": file_name,
             "warnings": imported.warnings,
         }
+        result = fitted(self._store, unit=unit, rig=rig, provenance=origin, poses=imported.poses)
         return self._store.create_run(
             unit=unit,
             rig=rig,
@@ -58,7 +58,7 @@ class Records:
             poses=imported.poses,
             operator=operator,
             provenance=origin,
-            result=build_result(imported.poses).to_dict(),
+            result=result.to_dict(),
         )
 
     def void(self, run_id: str, reason: str) -> Run:
@@ -82,8 +82,7 @@ class Records:
                 raise Conflict(
                     f"pose {index} is the last one that run {run_id} rests on: void the run instead"
                 )
-            effects = effects_in_force(self._store, run.unit, run.rig)
-            result = {**build_result(left, effects=effects).to_dict(), "gyro": result["gyro"]}
+            result = refitted(self._store, run, left)
         return self._store.exclude_pose(run_id, index, _checked_reason(reason), result=result)
 
     def _ended(self, run_id: str) -> Run:

@@ -12,7 +12,7 @@ from calrig.instruments.axis import Axis
 from calrig.instruments.drivers import open_board, open_stage
 from calrig.instruments.errors import InstrumentError, PortError
 from calrig.instruments.types import Board, BoardIdentity, Stage, StageIdentity
-from calrig.settings import RigSettings
+from calrig.settings import RigSettings, StageSettings
 
 log = logging.getLogger(__name__)
 
@@ -60,12 +60,7 @@ def open_rig(
     """
     if settings.stage is None or settings.imu is None:
         raise InstrumentError(f"rig {settings.name!r} has no ports: its simulated devices are not running")
-    stage = open_stage(
-        settings.stage.driver,
-        settings.stage.port,
-        axis=settings.stage.axis,
-        baudrate=settings.stage.baudrate,
-    )
+    stage = _open_stage(settings.stage)
     axis = Axis(
         stage,
         zero_deg=settings.stage.zero_deg,
@@ -85,6 +80,25 @@ def open_rig(
         if board is not None:
             board.close()
         axis.close()
+
+
+def stop_idle_stage(settings: RigSettings) -> None:
+    """Opens a rig's stage, tells it to stop, and closes it.
+
+    Raises:
+        InstrumentError: the rig has no port, or it does not open or take the command.
+    """
+    if settings.stage is None:
+        raise InstrumentError(f"rig {settings.name!r} has no ports: its simulated devices are not running")
+    stage = _open_stage(settings.stage)
+    try:
+        stage.halt()
+    finally:
+        stage.close()
+
+
+def _open_stage(settings: StageSettings) -> Stage:
+    return open_stage(settings.driver, settings.port, axis=settings.axis, baudrate=settings.baudrate)
 
 
 def _leave_stopped(axis: Axis, warn: Callable[[str], None]) -> None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calrig.calibration.follow_up import design
+from calrig.instruments.errors import InstrumentError
 from calrig.plan import Plan, PlanError
 from calrig.runs.bus import Bus
 from calrig.runs.control import End
@@ -17,6 +18,7 @@ from calrig.runs.errors import Conflict, Invalid, Unknown
 from calrig.runs.follow_up import FollowUpRun
 from calrig.runs.in_force import calibration_in_force
 from calrig.runs.records import check_serial
+from calrig.runs.rig import stop_idle_stage
 from calrig.runs.worker import Worker, provenance
 from calrig.settings import RigSettings
 from calrig.store import Run, Store
@@ -213,6 +215,33 @@ class RunService:
         worker.control.end(End("aborted", None))
         worker.join(ANSWER_S)
         return self.run(run_id)
+
+    def stop(self, rig_name: str) -> RigState:
+        """Stops a rig's stage now, whatever runs: a run on it is aborted, an idle stage is told by itself.
+
+        The stop is sent from the asking thread and waits for no run's loop.
+
+        Raises:
+            Unknown: there is no such rig.
+            Conflict: the stage could not be told; says why.
+        """
+        settings = self._rig(rig_name)
+        if not self._stop_run_on(settings.name):
+            try:
+                stop_idle_stage(settings)
+            except InstrumentError as error:
+                if not self._stop_run_on(settings.name):  # a run may just have taken the port
+                    raise Conflict(
+                        f"the stage of rig {rig_name!r} cannot be told to stop ({error}): cut its motor power"
+                    ) from error
+        return next(state for state in self.rigs() if state.name == settings.name)
+
+    def _stop_run_on(self, rig_name: str) -> bool:
+        with self._lock:
+            worker = self._workers.get(self._busy.get(rig_name, ""))
+        if worker is not None:
+            worker.control.end(End("aborted", "the stage was stopped by request"))
+        return worker is not None
 
     def pause(self, run_id: str) -> Run:
         """Has the run hold after the pose in hand."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import platform
 import threading
 from collections.abc import Callable, Iterator
@@ -11,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import calrig
-from calrig.calibration.result import Result, build_result
+from calrig.calibration.result import Result
+from calrig.estimation.spectrum import MIN_SAMPLES
 from calrig.instruments.errors import BoardError, InstrumentError, LimitError
 from calrig.instruments.transcript import Tape, taped
 from calrig.plan import Plan, PlannedPose
@@ -19,9 +21,10 @@ from calrig.runs.bus import Bus
 from calrig.runs.control import Control, End, Ended
 from calrig.runs.execution import Execution
 from calrig.runs.follow_up import FollowUpRun
-from calrig.runs.in_force import InForce, effects_in_force
+from calrig.runs.in_force import InForce
 from calrig.runs.pace import Pace
 from calrig.runs.recorder import Recorder
+from calrig.runs.results import fitted
 from calrig.runs.rig import Rig, open_rig
 from calrig.runs.static_log import keep_log
 from calrig.settings import RigSettings
@@ -160,17 +163,23 @@ class Worker(threading.Thread):
                 self._fields["faults"] = rig.faults()
         if self._plan.kind == "static":
             return
-        self._fields["result"] = self._result(execution).to_dict()
+        self._fields["result"] = self._result(execution, origin).to_dict()
         if self._follow_up is not None:
             self._fields["provenance"] = {**origin, "follow_up": self._follow_up.provenance()}
             self._fields["diagnosis"] = self._follow_up.diagnosis(self.run_id, execution.poses)
 
-    def _result(self, execution: Execution) -> Result:
+    def _result(self, execution: Execution, origin: dict[str, Any]) -> Result:
         gyro = execution.gyro_figures()
         if self._verifies is not None:
             return self._verifies.result(execution.poses, gyro)
-        effects = effects_in_force(self._store, self._asked.unit, self._asked.rig)
-        return build_result(execution.poses, gyro, effects)
+        return fitted(
+            self._store,
+            unit=self._asked.unit,
+            rig=self._asked.rig,
+            provenance=origin,
+            poses=execution.poses,
+            gyro=gyro,
+        )
 
     def _check_board(self, rig: Rig) -> None:
         board, unit = rig.board_identity, self._asked.unit
@@ -179,10 +188,23 @@ class Worker(threading.Thread):
                 f"rig {self.rig.name!r}: the board says it is unit {board.serial!r}, the run is for unit "
                 f"{unit!r}; nothing was moved: mount the right unit or correct the serial number"
             )
-        if board.max_rate_hz is not None and self._plan.rate_hz > board.max_rate_hz:
+        if board.rate_hz is not None:
+            self._check_dwell(board.rate_hz)
+        elif board.max_rate_hz is not None and self._plan.rate_hz > board.max_rate_hz:
             raise BoardError(
                 f"rig {self.rig.name!r}: the plan asks for {self._plan.rate_hz} Hz and the board gives "
                 f"{board.max_rate_hz} Hz at most; nothing was moved: lower rate_hz"
+            )
+
+    def _check_dwell(self, rate_hz: float) -> None:
+        """A board that has one rate only may be too slow for the plan's dwell."""
+        count = self._plan.dwell_s * rate_hz
+        if count < MIN_SAMPLES:
+            enough_s = math.ceil(2 * (MIN_SAMPLES + 1) / rate_hz) / 2
+            raise BoardError(
+                f"rig {self.rig.name!r}: the board gives {rate_hz:.1f} samples a second and no other rate: a "
+                f"dwell of {self._plan.dwell_s:g} s holds about {count:.0f}, a reading needs {MIN_SAMPLES}; "
+                f"nothing was moved: dwell longer (dwell_s at least {enough_s:g})"
             )
 
     def _check_limits(self, rig: Rig) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import io
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -15,6 +16,8 @@ from calrig.store.tables import CalibrationTable, PoseTable, RunTable
 
 _POSE_FIELDS = tuple(field.name for field in dataclasses.fields(Pose))
 _ARRAYS = ("time_s", "accel_g", "gyro_dps", "temperature_c")
+_ANGLE = "angle_deg"
+"""Packed only where the board sends it."""
 
 
 def run_of(row: RunTable) -> Run:
@@ -76,7 +79,8 @@ def pose_of(row: PoseTable) -> StoredPose:
 def packed_arrays(block: SampleBlock) -> bytes:
     """A block's arrays as a compressed npz of float64: every bit of them comes back."""
     buffer = io.BytesIO()
-    arrays = {name: np.asarray(getattr(block, name), dtype=np.float64) for name in _ARRAYS}
+    names = _ARRAYS if block.angle_deg is None else (*_ARRAYS, _ANGLE)
+    arrays = {name: np.asarray(getattr(block, name), dtype=np.float64) for name in names}
     np.savez_compressed(buffer, allow_pickle=False, **arrays)
     return buffer.getvalue()
 
@@ -86,8 +90,13 @@ def joined_arrays(blobs: Iterable[bytes]) -> RawSamples:
     parts: dict[str, list[np.ndarray[Any, Any]]] = {
         name: [np.empty((0, 3) if name in {"accel_g", "gyro_dps"} else 0)] for name in _ARRAYS
     }
+    angles: list[np.ndarray[Any, Any]] = []
     for blob in blobs:
         with np.load(io.BytesIO(blob), allow_pickle=False) as arrays:
             for name in _ARRAYS:
                 parts[name].append(arrays[name])
-    return RawSamples(**{name: np.concatenate(arrays) for name, arrays in parts.items()})
+            known = arrays[_ANGLE] if _ANGLE in arrays else np.full(len(arrays["time_s"]), np.nan)
+            angles.append(known)
+    samples = RawSamples(**{name: np.concatenate(arrays) for name, arrays in parts.items()})
+    angle_deg = np.concatenate([np.empty(0), *angles])
+    return samples if np.isnan(angle_deg).all() else replace(samples, angle_deg=angle_deg)

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from sqlmodel import Session, col, or_, select
 
 from calrig.store import runs
-from calrig.store.records import AcceptedEffect
+from calrig.store.records import AcceptedEffect, Document
 from calrig.store.tables import AcceptedEffectTable
 
 
@@ -16,6 +16,8 @@ def accept(session: Session, run_id: str, effects: Sequence[AcceptedEffect]) -> 
     """As `Store.accept_effects`."""
     row = runs.row_of(session, run_id)
     now = datetime.now(UTC)
+    if row.diagnosis is not None:
+        row.diagnosis = _marked(row.diagnosis, effects, now)
     session.add_all(
         AcceptedEffectTable(
             run_id=row.id,
@@ -28,6 +30,17 @@ def accept(session: Session, run_id: str, effects: Sequence[AcceptedEffect]) -> 
         )
         for effect in effects
     )
+
+
+def _marked(diagnosis: Document, accepted: Sequence[AcceptedEffect], now: datetime) -> Document:
+    """The diagnosis, saying when effects of it were accepted: those of that name and with those values."""
+    at = now.isoformat().replace("+00:00", "Z")
+    marked = []
+    for effect in diagnosis["effects"]:
+        values = {name: given and given["value"] for name, given in effect["parameters"].items()}
+        is_one = any((one.name, one.parameters) == (effect["name"], values) for one in accepted)
+        marked.append({**effect, "accepted_at": at} if is_one else effect)
+    return {**diagnosis, "effects": marked}
 
 
 def in_force(session: Session, unit: str, rig: str | None) -> list[AcceptedEffect]:

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.pose import Pose
+from calrig.calibration.uncertainty import Reference
 
 FloatArray = npt.NDArray[np.float64]
 Document = dict[str, Any]
@@ -62,6 +63,12 @@ class Run:
     started_at: datetime | None
     finished_at: datetime | None
     error: str | None
+
+
+def reference_of(provenance: Document) -> Reference | None:
+    """What the rig said of its stage when a run was made; None where it said nothing, or none was known."""
+    stated = (provenance.get("rig") or {}).get("reference")
+    return None if stated is None else Reference(stated["std_deg"], stated.get("kind", "harmonic"))
 
 
 class RunChanges(TypedDict, total=False):
@@ -147,12 +154,14 @@ class RawSamples:
         accel_g: (n, 3) specific force along the sensor's x, y, z.
         gyro_dps: (n, 3) angular rate about x, y, z.
         temperature_c: (n,) die temperature.
+        angle_deg: (n,) elevation as the board computed it; None where it sends what it measured.
     """
 
     time_s: FloatArray
     accel_g: FloatArray
     gyro_dps: FloatArray
     temperature_c: FloatArray
+    angle_deg: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -172,10 +181,13 @@ class SampleBlock:
     accel_g: FloatArray
     gyro_dps: FloatArray
     temperature_c: FloatArray
+    angle_deg: FloatArray | None = None
 
     def __post_init__(self) -> None:
         n = len(self.time_s)
         shapes = {"time_s": (n,), "accel_g": (n, 3), "gyro_dps": (n, 3), "temperature_c": (n,)}
+        if self.angle_deg is not None:
+            shapes["angle_deg"] = (n,)
         for name, shape in shapes.items():
             if np.shape(getattr(self, name)) != shape:
                 raise ValueError(f"{name} has shape {np.shape(getattr(self, name))}, not {shape}")

@@ -222,7 +222,10 @@ class Store:
             return poses.exclude(session, run_id, index, reason, result)
 
     def accept_effects(self, run_id: str, accepted: Sequence[AcceptedEffect]) -> None:
-        """Puts effects of a run's diagnosis in force for its unit or its rig from now on."""
+        """Puts effects of a run's diagnosis in force from now on; the diagnosis says since when.
+
+        Each for its unit or its rig, in place of an earlier one of that name.
+        """
         with self._database.writing() as session:
             effects.accept(session, run_id, accepted)
 

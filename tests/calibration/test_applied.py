@@ -97,6 +97,14 @@ def test_an_accelerometers_error_turns_the_vector_it_measures(name, parameters, 
         assert added == pytest.approx(math.degrees(math.atan2(y, z) - theta), abs=1e-12)
 
 
+def test_a_y_axis_whose_offset_moves_with_temperature_turns_the_vector_it_measures():
+    of_axis_y = {"deg_per_c": 0.02, "reference_c": 25.0, "of_axis_y": 1.0}
+    added_deg = effect_on_reading_deg("temperature_bias", of_axis_y, THETA_DEG, GIVEN)
+    y = np.sin(np.radians(THETA_DEG)) + np.radians(0.02 * (GIVEN.temperature_c - 25.0))
+    turned_deg = np.degrees(np.arctan2(y, np.cos(np.radians(THETA_DEG)))) - THETA_DEG
+    np.testing.assert_allclose(added_deg, turned_deg, atol=1e-12)
+
+
 def poses_with_everything():
     rng = np.random.default_rng(0)
     theta_deg = rng.uniform(-60.0, 60.0, 40)

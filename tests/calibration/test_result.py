@@ -13,6 +13,7 @@ import pytest
 
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import GyroFigures, build_result, residuals
+from calrig.calibration.uncertainty import Reference
 
 DATA = Path(os.environ.get("CALRIG_DATA", Path(__file__).parents[2].parent / "shared" / "data"))
 
@@ -47,6 +48,7 @@ def test_a_runs_result_has_the_contracts_keys_and_is_json():
         "noise_deg",
         "temperature_c",
         "gyro",
+        "reference",
     ]
     assert json.loads(json.dumps(document, allow_nan=False)) == document
     assert document["bias_deg"] == pytest.approx(0.5, abs=4 * document["bias_std_deg"])
@@ -87,7 +89,32 @@ def test_what_poses_do_not_say_is_null_not_missing():
         "noise_deg": None,
         "temperature_c": None,
         "gyro": {"bias_dps": [None] * 3, "bias_std_dps": [None] * 3, "scale": None, "scale_std": None},
+        "reference": None,
     }
+
+
+@pytest.mark.parametrize("sweeps", [2, 5, 20])
+@pytest.mark.parametrize("kind", ["common", "harmonic", "setting"])
+def test_twice_the_sweeps_are_worth_a_root_of_two_in_type_a_and_nothing_in_what_the_stage_is_worth(
+    kind, sweeps
+):
+    rng = np.random.default_rng(sweeps)
+    theta_deg = np.tile(np.arange(-60.0, 61.0, 10.0), sweeps)
+    once = [
+        Pose(target_deg=t, reading_deg=0.5 + 1.01 * t + e)
+        for t, e in zip(theta_deg, rng.normal(0.0, 0.03, len(theta_deg)), strict=True)
+    ]
+    few, many = (build_result(poses, reference=Reference(0.29, kind)) for poses in (once, once * 2))
+
+    n = len(once)  # the scatter is estimated with n - 2 and 2n - 2 degrees of freedom
+    shrinks_by = math.sqrt(2.0) * math.sqrt((n - 1) / (n - 2))
+    assert few.bias_std_deg / many.bias_std_deg == pytest.approx(shrinks_by)
+    assert few.scale_std / many.scale_std == pytest.approx(shrinks_by)
+
+    stays = math.sqrt(2.0) if kind == "setting" else 1.0  # a fault made anew at each pose averages out
+    assert (many.reference.std_deg, many.reference.kind) == (0.29, kind)
+    assert few.reference.bias_std_deg / many.reference.bias_std_deg == pytest.approx(stays)
+    assert few.reference.scale_std == pytest.approx(stays * many.reference.scale_std)
 
 
 def test_poses_commanded_to_one_angle_have_no_scale_though_the_stage_jitters():

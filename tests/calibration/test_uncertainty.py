@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from calrig.calibration.fit import fit_line
-from calrig.calibration.uncertainty import reference_part, uncertainty
+from calrig.calibration.uncertainty import Reference, reference_part, uncertainty
+
+STAGE = Reference(std_deg=0.29)
 
 
 def test_type_a_is_the_error_of_new_readings_under_new_calibrations():
@@ -31,7 +33,7 @@ def test_no_number_of_poses_shrinks_the_references_share():
     theta_deg = np.tile(np.arange(-60.0, 61.0, 10.0), 200)
     line = fit_line(theta_deg, theta_deg + rng.normal(0.0, 0.01, len(theta_deg)))
 
-    worth = uncertainty(line, theta_deg, 0.29)
+    worth = uncertainty(line, theta_deg, STAGE)
 
     assert worth.type_b_deg == worth.reference_deg == 0.29
     assert worth.expanded_deg == pytest.approx(2.0 * math.hypot(0.29, 0.01), rel=0.01)
@@ -39,6 +41,8 @@ def test_no_number_of_poses_shrinks_the_references_share():
         "type_a_deg": worth.type_a_deg,
         "type_b_deg": 0.29,
         "reference_deg": 0.29,
+        "reference_bias_deg": worth.bias_reference_std_deg,
+        "reference_scale": worth.scale_reference_std,
     }
 
 
@@ -58,7 +62,7 @@ def test_without_a_stated_reference_the_expanded_uncertainty_is_unknown():
 )
 def test_too_little_to_tell_scatter_or_scale_leaves_type_a_unknown(theta_deg, reading_deg):
     line = fit_line(np.array(theta_deg), np.array(reading_deg))
-    worth = uncertainty(line, np.array(theta_deg), 0.29)
+    worth = uncertainty(line, np.array(theta_deg), STAGE)
 
     assert (worth.type_a_deg, worth.expanded_deg) == (None, None)
     assert worth.type_b_deg == 0.29
@@ -90,7 +94,7 @@ def test_bias_scale_and_elevation_scatter_over_stages_as_stated(kind):
         scale.append(line.scale)
         error.append((0.5 + 1.1 * anywhere_deg - line.bias_deg) / line.scale - anywhere_deg)
 
-    part = reference_part(ARC_DEG, 1.1, 0.3, kind)
+    part = reference_part(ARC_DEG, 1.1, Reference(0.3, kind))
 
     assert part.bias_deg == pytest.approx(np.std(bias), rel=0.05)
     assert part.scale == pytest.approx(np.std(scale), rel=0.05, abs=1e-12)
@@ -102,7 +106,8 @@ def test_bias_scale_and_elevation_scatter_over_stages_as_stated(kind):
 
 @pytest.mark.parametrize(("kind", "shrinks_by"), [("common", 1.0), ("harmonic", 1.0), ("setting", 10.0)])
 def test_only_an_error_made_anew_at_each_pose_averages_out(kind, shrinks_by):
-    few, many = (reference_part(theta, 1.0, 0.29, kind) for theta in (ARC_DEG, np.tile(ARC_DEG, 100)))
+    stage = Reference(0.29, kind)
+    few, many = (reference_part(theta, 1.0, stage) for theta in (ARC_DEG, np.tile(ARC_DEG, 100)))
 
     assert many.bias_deg == pytest.approx(few.bias_deg / shrinks_by)
     assert many.scale == pytest.approx(few.scale / shrinks_by, abs=1e-12)
@@ -113,16 +118,16 @@ def test_type_b_of_bias_and_scale_stand_beside_the_lines_own_errors():
     rng = np.random.default_rng(3)
     line = fit_line(ARC_DEG, ARC_DEG + rng.normal(0.0, 0.02, len(ARC_DEG)))
 
-    worth = uncertainty(line, ARC_DEG, 0.29, "common")
+    worth = uncertainty(line, ARC_DEG, Reference(0.29, "common"))
 
     assert worth.bias_reference_std_deg == pytest.approx(0.29 * line.scale)
-    assert worth.scale_reference_std == pytest.approx(0.0, abs=1e-12)
+    assert worth.scale_reference_std == 0.0
     assert worth.expanded_deg == pytest.approx(2.0 * math.hypot(worth.type_a_deg, 0.29))
 
 
 @pytest.mark.parametrize(("kind", "bias_deg"), [("common", 0.29), ("harmonic", 0.29), ("setting", 0.29 / 5)])
 def test_at_one_angle_only_the_bias_has_a_share(kind, bias_deg):
-    part = reference_part(np.full(25, 40.0), None, 0.29, kind)
+    part = reference_part(np.full(25, 40.0), None, Reference(0.29, kind))
 
     assert (part.bias_deg, part.scale) == (pytest.approx(bias_deg), None)
     assert part.elevation_deg == pytest.approx(bias_deg)

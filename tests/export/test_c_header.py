@@ -35,6 +35,7 @@ OFFSET = ("accelerometer_offset", {"y_mg": 12.0, "z_mg": -25.0})
 MISMATCH = ("axis_mismatch", {"gain_pct": -0.9, "skew_deg": 0.4})
 CUBIC = ("nonlinearity", {"deg_per_deg2": 3e-5, "deg_per_deg3": -1e-6})
 WARM = ("temperature_bias", {"deg_per_c": 0.0164, "reference_c": 24.3})
+WARM_Y = ("temperature_bias", {"deg_per_c": -0.05, "reference_c": 24.3, "of_axis_y": 1.0})
 CURVED = ("temperature_curvature", {"deg_per_c2": -3e-4, "reference_c": 26.0})
 STEEPER = ("temperature_scale", {"per_c": 2e-4, "reference_c": 24.3})
 SLIPPED = ("mount_slip", {"step_deg": -0.12, "at_s": 300.0})
@@ -78,6 +79,7 @@ def applied(program, reading_deg, temperature_c):
     [
         ([], {}),
         ([WARM], {}),
+        ([WARM_Y], {}),
         ([OFFSET], {}),
         ([MISMATCH, CUBIC], {}),
         ([OFFSET, MISMATCH, CUBIC, WARM, CURVED, STEEPER, SLIPPED], {}),

@@ -78,6 +78,8 @@ def test_the_document_has_the_contracts_names_and_is_json():
             "type_a_deg": document["uncertainty"]["type_a_deg"],
             "type_b_deg": None,
             "reference_deg": None,
+            "reference_bias_deg": None,
+            "reference_scale": None,
         },
         "temperature_c": {"min": 21.5, "max": 24.0},
         "provenance": {"calrig": "0.1.0"},
@@ -99,6 +101,15 @@ def test_what_the_stage_is_worth_enters_whole_however_many_poses_there_are():
         assert document["expanded_uncertainty_deg"] == pytest.approx(
             2 * math.hypot(parts["type_a_deg"], 0.29)
         )
+
+
+def test_the_stages_part_of_bias_and_scale_is_told_apart():
+    """All poses off by one unknown constant: the bias takes it whole, times the scale; the scale nothing."""
+    stage = {"std_deg": 0.29, "kind": "common"}
+    run = dataclasses.replace(RUN, provenance={"rig": {"reference": stage}})
+    parts = calibration_document(run, POSES)["uncertainty"]
+    assert parts["reference_bias_deg"] == pytest.approx(0.29 * 1.002)
+    assert parts["reference_scale"] == 0.0
 
 
 def test_applying_the_document_takes_a_reading_to_the_elevation():

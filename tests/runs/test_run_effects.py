@@ -48,9 +48,11 @@ def test_both_effects_are_named_and_the_error_on_unseen_poses_falls_towards_the_
 def test_an_accepted_effect_enters_calibration_and_later_runs_and_a_verification_confirms_it(traced):
     service, run_id = traced
     diagnoses = Diagnoses(service.store)
+    before = service.run(run_id).result
 
     accepted = diagnoses.accept(run_id, ["backlash", "accelerometer_offset"])
     assert accepted.result["rms_with_effects_deg"] < 0.25 * accepted.result["rms_calibrated_deg"]
+    assert {**accepted.result, "rms_with_effects_deg": None} == before
 
     flown = document_of(service.store, service.run(run_id))
     assert [effect["name"] for effect in flown["effects"]] == ["accelerometer_offset"], "play is the rig's"
@@ -63,6 +65,7 @@ def test_an_accepted_effect_enters_calibration_and_later_runs_and_a_verification
     verified = completed(service, plan=PLAN.model_copy(update={"kind": "verification", "sweeps": 1}))
     assert verified.provenance["verifies"] == later.id
     assert verified.result["rms_with_effects_deg"] < 0.3 * verified.result["rms_calibrated_deg"]
+    assert verified.result["reference"] == later.result["reference"], "bias and scale are those of that run"
     assert service.store.latest_calibration_run("AS-1").id == later.id, "a verification calibrates nothing"
 
 

@@ -55,6 +55,7 @@ def test_an_import_is_a_completed_run_with_its_fit(imported: Run, store: Store) 
         None,
     )
     assert imported.provenance["imported_from"] == "poses.csv"
+    assert imported.result["reference"] is None, "nobody says what that stage was worth"
     assert figures(imported) == pytest.approx(line_through(THETA, READING))
     assert [stored.pose.reading_deg for stored in store.poses(imported.id)] == READING
     assert imported.progress == {"poses_done": 5, "poses_total": 5, "fraction": 1.0, "remaining_s": 0.0}
@@ -190,4 +191,6 @@ def test_excluding_from_a_measured_run_keeps_what_its_samples_say_of_the_gyro(
     expected = line_through([p.stage_deg for p in left], [p.reading_deg for p in left])
     assert figures(amended) == pytest.approx(expected)
     assert amended.result["gyro"] == run.result["gyro"]
+    assert amended.result["reference"]["std_deg"] == run.result["reference"]["std_deg"] == 0.29
+    assert amended.result["reference"]["bias_std_deg"] != run.result["reference"]["bias_std_deg"]
     assert len(store.samples(run.id, 3)) > 0

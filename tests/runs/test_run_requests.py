@@ -21,6 +21,7 @@ from run_rigs import (
     until,
 )
 
+from calrig.instruments.ports import open_port
 from calrig.plan import Plan
 from calrig.runs.errors import Conflict, Invalid, Unknown
 from calrig.runs.service import RunService
@@ -254,3 +255,35 @@ def test_who_hears_of_the_end_may_start_the_next_run(
     until(lambda: heard, "next run")
     assert service.wait(heard[0].id, 20).status == "completed"
     assert events(store, heard[0])
+
+
+def test_a_stop_of_the_rig_stops_the_stage_at_once_and_aborts_the_run(
+    bench: TruthRig, service: RunService
+) -> None:
+    run = begin(service)
+    moving(bench, service, run)
+    asked_s = bench.now_s
+    assert service.stop("bench-1").name == "bench-1"
+    until(bench.stands_for_good, "stop")
+    assert bench.stood_after_s(asked_s) < STOPPED_S
+    ended = service.wait(run.id, 10)
+    assert (ended.status, ended.error) == ("aborted", "the stage was stopped by request")
+
+
+def test_a_stage_that_another_program_left_moving_is_stopped_as_well(
+    bench: TruthRig, service: RunService
+) -> None:
+    completed = service.wait(begin(service, plan(elevations_deg=[0], dwell_s=0.5)).id, 20)
+    assert completed.status == "completed"
+    port = open_port(bench.settings.stage.port, baudrate=57600, timeout_s=0.1)
+    port.write(b"1VA4\r\n1PA70\r\n")
+    port.close()
+    until(bench.moves, "motion that no run commanded")
+    assert service.stop("bench-1").state == "idle"
+    until(bench.stands_for_good, "stop")
+    assert bench.table_deg(bench.now_s) < 60
+
+
+def test_a_stop_of_no_rig_is_refused(service: RunService) -> None:
+    with pytest.raises(Unknown, match="bench-7"):
+        service.stop("bench-7")

@@ -103,6 +103,21 @@ def test_the_stated_errors_are_those_that_the_noise_makes(seeds: list[Measured])
         assert least < result["scale_std"] / (noise / theta.std()) < most
 
 
+def test_what_the_stage_is_worth_stands_beside_the_errors_that_the_noise_makes(measured: Measured) -> None:
+    """The rig says 0.29° and harmonic: the lines through sine and cosine are what the fit would take up."""
+    theta, result = measured.column("stage_deg"), measured.run.result
+    angle = np.radians(theta)
+    of_scale, of_bias = (
+        0.29 * result["scale"] * np.hypot(*(np.polyfit(theta, f(angle), 1) for f in (np.sin, np.cos)))
+    )
+    assert result["reference"] == {
+        "std_deg": 0.29,
+        "kind": "harmonic",
+        "bias_std_deg": pytest.approx(of_bias),
+        "scale_std": pytest.approx(of_scale),
+    }
+
+
 def test_rms_raw_and_calibrated_are_what_the_contract_says(measured: Measured) -> None:
     reading, stage, result = measured.column("reading_deg"), measured.column("stage_deg"), measured.run.result
     raw = reading - stage

@@ -37,8 +37,9 @@ def test_start_is_pressed_and_the_run_watched_to_its_result(page, client, go, ex
     assert (run["unit"], run["operator"], run["note"]) == ("MPU-1", "A. Person", "first one")
     assert run["plan"]["elevations_deg"] == [-40, 0, 40]
     decimals = 1 - int(f"{run['result']['bias_std_deg']:e}".split("e")[1])
+    of_stage = run["result"]["reference"]["bias_std_deg"]
     bias = f"{run['result']['bias_deg']:.{decimals}f} ± {run['result']['bias_std_deg']:.{decimals}f}°"
-    expect(page.locator("#result")).to_contain_text(bias)
+    expect(page.locator("#result")).to_contain_text(f"{bias} (noise) ± {of_stage:#.2g}° (stage)")
     expect(page.get_by_test_id("verdict")).to_contain_text("Is this good?")
     expect(page.locator("#poses-table tbody tr")).to_have_count(6)
     page.wait_for_function("document.querySelector('[data-testid=residual]').layout?.yaxis2")

@@ -92,10 +92,49 @@ def test_a_run_is_traced_to_backlash_and_the_effect_put_in_force(page, client, s
     page.get_by_test_id("confirm").click()
     expect(effect).to_contain_text("belongs to the error map of rig bench-1")
     assert [e.name for e in service.store.effects_in_force("MPU-1", "bench-1")] == ["backlash"]
+    shown = effect.locator(".accepted")
+    (kept,) = client.get(f"/api/runs/{run['id']}").json()["diagnosis"]["effects"]
+    expect(shown.locator("time")).to_have_attribute("datetime", kept["accepted_at"])
     page.reload()
-    expect(page.locator("[data-effect=backlash]")).to_be_visible()  # kept with the run
+    expect(shown).to_contain_text("belongs to the error map of rig bench-1")  # kept with the run
+    expect(shown.locator("time")).to_have_attribute("datetime", kept["accepted_at"])
+    expect(page.locator("#accept-backlash")).to_have_count(0)
     page.get_by_test_id("considered-backlash").locator("summary").click()
     expect(page.get_by_role("row", name="settling")).to_contain_text("worse")
+
+
+def test_further_runs_of_the_unit_are_chosen_and_diagnosed_together(page, client, go, expect):
+    first, voided, shown = (imported(client, noise_alone(k)) for k in range(3))
+    imported(client, noise_alone(3), unit="ANOTHER")
+    client.post(f"/api/runs/{voided['id']}/void", json={"reason": "bumped"}).raise_for_status()
+    go(f"#/runs/{shown['id']}")
+    picker = page.locator("#together")
+    expect(picker.get_by_role("checkbox")).to_have_count(0)  # folded until somebody wants it
+    picker.locator("summary").click()
+    box = picker.get_by_role("checkbox")
+    expect(box).to_have_count(1)
+    picker.get_by_label(f"Run {first['id']}, ").check()
+    expect(picker.locator("summary")).to_have_text("Diagnose together with 1 more run")
+
+    page.click("#diagnose")
+    expect(page.locator("#diagnosis-found")).to_contain_text(f"runs {first['id']}, {shown['id']}")
+    assert client.get(f"/api/runs/{shown['id']}/diagnosis").json()["runs"] == [first["id"], shown["id"]]
+
+    page.reload()
+    expect(picker.locator("summary")).to_have_text("Diagnose together with 1 more run")
+    picker.locator("summary").click()
+    expect(box).to_be_checked()
+    box.uncheck()
+    page.click("#diagnose")
+    expect(page.locator("#diagnosis-found")).to_contain_text(f"run {shown['id']}, each predicted")
+    assert client.get(f"/api/runs/{shown['id']}/diagnosis").json()["runs"] == [shown["id"]]
+
+
+def test_a_unit_with_one_run_has_none_to_diagnose_it_with(page, client, go, expect):
+    run = imported(client, noise_alone())
+    go(f"#/runs/{run['id']}")
+    page.locator("#together summary").click()
+    expect(page.locator("#together")).to_contain_text("no other completed run")
 
 
 def test_what_is_ambiguous_leads_to_the_run_that_separates_it(page, client, go, expect):
@@ -117,6 +156,9 @@ def test_what_is_ambiguous_leads_to_the_run_that_separates_it(page, client, go, 
     expect(page.locator("#follows")).to_have_text(f"follows run {run['id']}")
     expect(page.locator("#status")).to_have_text("completed")
     expect(page.locator("[data-effect=backlash]")).to_contain_text("named")
+    page.locator("#together summary").click()
+    expect(page.get_by_label(f"Run {run['id']}, ")).to_be_checked()
+    expect(page.get_by_label(f"Run {run['id']}, ")).to_be_disabled()  # it follows on that one
     (second, _) = client.get("/api/runs").json()["items"]
     confirmed = second["diagnosis"]["confirmed_by"]
     assert confirmed["before_rms_deg"] > 2 * confirmed["after_rms_deg"]

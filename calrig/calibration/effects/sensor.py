@@ -82,8 +82,21 @@ def _one_or_both(angle: FloatArray, norm: FloatArray, names: tuple[str, str]) ->
     remedy="wait until the unit is warm, or correct by its own thermometer",
 )
 def temperature_bias(r: Responses) -> Iterator[Shape]:
-    """Reading += deg_per_c·(T − reference): the package turns, or an offset of the chip moves."""
+    """Reading += deg_per_c·(T − reference): the package turns, or an offset of the chip moves.
+
+    Where |accelerometer| shows that it is the y axis's offset (`of_axis_y` is 1), times cos θ.
+    """
     yield from _of_temperature(r, 1, "deg_per_c")
+    warmer = warmer_c(r)
+    if warmer is not None and NORM in r.channels and turns(r):
+        s, c = sin_cos(r)
+        yield Shape(
+            {**tilted(warmer * c), NORM: warmer * s / DEG},
+            ("deg_per_c",),
+            form="axis_y",
+            at={"reference_c": reference_c(r), "of_axis_y": 1.0},
+            says="an offset of the accelerometer's y axis moves: what it adds falls with cos θ",
+        )
 
 
 @effect(

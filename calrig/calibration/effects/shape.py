@@ -29,6 +29,7 @@ class Shape:
         at: parameters found by scanning.
         polar: the two columns are A·sin and A·cos of something: amplitude and phase are reported.
         replaces: a base column that the effect's own column takes the place of.
+        says: what is to be said of this form beside the effect's name.
     """
 
     shares: Mapping[str, FloatArray]
@@ -37,6 +38,7 @@ class Shape:
     at: Mapping[str, float] = field(default_factory=dict)
     polar: bool = False
     replaces: str | None = None
+    says: str = ""
 
 
 @dataclass(frozen=True, slots=True)

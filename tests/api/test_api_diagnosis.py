@@ -1,0 +1,85 @@
+"""A diagnosis over HTTP: what was accepted of it stays visible, and several runs are taken together."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import pytest
+
+BACKLASH_DEG = 0.3
+NOISE_DEG = 0.02
+
+
+def worn(client, unit, seed=0):
+    """An imported run of a unit on a stage with play: random moves, so that backlash stands alone."""
+    rng = np.random.default_rng(seed)
+    theta = rng.uniform(-60, 60, 48).round(2)
+    approach = np.sign(np.diff(theta, prepend=-90.0))
+    reading = 0.8 + theta + BACKLASH_DEG / 2 * approach + rng.normal(0, NOISE_DEG, 48)
+    rows = (f"{x},{y:.4f},{a:.0f}" for x, y, a in zip(theta, reading, approach, strict=True))
+    files = {"file": ("poses.csv", "\n".join(["target_deg,reading_deg,approach", *rows]).encode())}
+    answer = client.post("/api/imports", data={"unit": unit, "rig": "bench-1"}, files=files)
+    return f"/api/runs/{answer.raise_for_status().json()['id']}"
+
+
+def diagnose(client, url, **body):
+    return client.post(f"{url}/diagnosis", json=body).raise_for_status().json()
+
+
+@pytest.fixture
+def traced(shared_client, request):
+    """The address of a diagnosed run."""
+    url = worn(shared_client, request.node.name[:90])
+    (effect,) = diagnose(shared_client, url)["effects"]
+    assert (effect["name"], effect["accepted_at"]) == ("backlash", None)
+    return url
+
+
+def accept(client, url, *names):
+    return client.post(f"{url}/diagnosis/accept", json={"effects": names})
+
+
+def test_since_when_an_effect_is_in_force_stands_in_the_diagnosis_and_in_the_run(shared_client, traced):
+    in_answer = accept(shared_client, traced, "backlash").raise_for_status().json()["diagnosis"]
+    last = shared_client.get(f"{traced}/diagnosis").json()
+    assert in_answer == shared_client.get(traced).json()["diagnosis"] == last
+    (effect,) = last["effects"]
+    assert effect["accepted_at"].endswith("Z")
+    assert abs(datetime.now(UTC) - datetime.fromisoformat(effect["accepted_at"])) < timedelta(minutes=1)
+
+
+def test_a_refused_acceptance_marks_nothing(shared_client, traced):
+    assert accept(shared_client, traced, "backlash", "time_drift").status_code == 409
+    (effect,) = shared_client.get(f"{traced}/diagnosis").json()["effects"]
+    assert effect["accepted_at"] is None
+
+
+def test_traced_again_the_same_effect_is_still_accepted_and_one_with_new_values_is_not(shared_client, traced):
+    accept(shared_client, traced, "backlash").raise_for_status()
+    (before,) = shared_client.get(f"{traced}/diagnosis").json()["effects"]
+    (again,) = diagnose(shared_client, traced)["effects"]
+    assert again["accepted_at"] == before["accepted_at"]
+
+    unit = shared_client.get(traced).json()["unit"]
+    other = worn(shared_client, unit, seed=1).rsplit("/", 1)[1]
+    both = diagnose(shared_client, traced, runs=[other])
+    (together,) = both["effects"]
+    assert both["runs"] == [traced.rsplit("/", 1)[1], other][::-1], "the run that was asked comes last"
+    assert together["parameters"] != before["parameters"]
+    assert together["accepted_at"] is None
+
+
+def test_runs_stored_before_this_was_kept_say_null(service, client):
+    """As calrig stored them before: a result without the stage's part, an effect that says nothing of it."""
+    url = worn(client, "AS-OLD")
+    run_id = url.rsplit("/", 1)[1]
+    document = diagnose(client, url)
+    del document["effects"][0]["accepted_at"]
+    result = dict(service.store.run(run_id).result)
+    del result["reference"]
+    service.store.update_run(run_id, diagnosis=document, result=result)
+
+    assert client.get(url).json()["result"]["reference"] is None
+    assert client.get(f"{url}/diagnosis").json()["effects"][0]["accepted_at"] is None
+    assert diagnose(client, url)["effects"][0]["accepted_at"] is None

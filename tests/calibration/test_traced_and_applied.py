@@ -1,0 +1,58 @@
+"""What was traced is what is applied: the error that a diagnosis promises, acceptance gives."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from blind.cells import Cell, bias_tempco, package_turn
+
+from calrig.calibration.applied import numbers_of
+from calrig.calibration.diagnosis import trace
+from calrig.calibration.partial import partial_residuals
+from calrig.calibration.result import build_result
+
+DEG_PER_C = 0.1
+NOISE_DEG = 0.03
+
+
+def traced(cause):
+    """100 poses of the simulator's physics within ±60°, warming up by 6 °C, and their diagnosis."""
+    poses = Cell("traced and applied", "one", (cause,)).run(seed=1).poses
+    return poses, trace([poses], ["1"])
+
+
+def applied_rms_deg(poses, effects):
+    return build_result(poses, effects=effects).rms_with_effects_deg
+
+
+def test_an_offset_of_the_y_axis_that_moves_with_temperature_is_applied_as_it_was_fitted():
+    poses, found = traced(bias_tempco(DEG_PER_C))
+    (effect,) = found["effects"]
+    assert (effect["name"], effect["verdict"]) == ("temperature_bias", "named")
+    assert any("y axis" in sentence for sentence in effect["evidence"])
+    slope = effect["parameters"]["deg_per_c"]
+    assert abs(slope["value"]) == pytest.approx(DEG_PER_C, abs=3.0 * slope["std"])
+
+    accepted = numbers_of(effect["parameters"])
+    promised_deg = found["final"]["held_out_rms_deg"]
+    assert promised_deg == pytest.approx(NOISE_DEG, rel=0.2)
+    assert applied_rms_deg(poses, [(effect["name"], accepted)]) == pytest.approx(promised_deg, rel=0.08)
+    everywhere_alike = {**accepted, "of_axis_y": 0.0}
+    assert applied_rms_deg(poses, [(effect["name"], everywhere_alike)]) > 1.2 * promised_deg
+
+    (drawn,) = partial_residuals([poses], found["effects"])
+    level = min(range(len(poses)), key=lambda k: abs(drawn.theta_deg[k]))
+    steep = max(range(len(poses)), key=lambda k: abs(drawn.theta_deg[k]))
+    for k in (level, steep):
+        warmer_c = poses[k].temperature_c - accepted["reference_c"]
+        falls = math.cos(math.radians(drawn.theta_deg[k]))
+        assert drawn.effect_deg[k] == pytest.approx(accepted["deg_per_c"] * warmer_c * falls, rel=1e-6)
+
+
+def test_a_package_that_turns_with_temperature_says_nothing_of_an_axis():
+    poses, found = traced(package_turn(DEG_PER_C))
+    (effect,) = found["effects"]
+    assert set(effect["parameters"]) == {"deg_per_c", "reference_c"}
+    accepted = [(effect["name"], numbers_of(effect["parameters"]))]
+    assert applied_rms_deg(poses, accepted) == pytest.approx(found["final"]["held_out_rms_deg"], rel=0.08)
