@@ -33,7 +33,7 @@ class Reading:
 def dwell_reading(
     time_s: FloatArray,
     elevation_deg: FloatArray,
-    rate_dps: FloatArray,
+    rate_dps: FloatArray | None,
     filtered_deg: FloatArray,
     noise: KalmanNoise | None = None,
 ) -> Reading:
@@ -42,7 +42,8 @@ def dwell_reading(
     Args:
         time_s: (n,) the board's clock over the dwell.
         elevation_deg: (n,) elevation of the accelerometer, as it went into the filter.
-        rate_dps: (n,) angular rate, as it went into the filter.
+        rate_dps: (n,) angular rate, as it went into the filter; None where the board has filtered and sends
+            the angle alone.
         filtered_deg: (n,) what the filter gave, continuous.
         noise: what the filter assumes.
 
@@ -50,8 +51,9 @@ def dwell_reading(
         ValueError: no sample, or shapes that differ.
     """
     n = len(filtered_deg)
-    if n == 0 or not len(time_s) == len(elevation_deg) == len(rate_dps) == n:
-        lengths = f"{len(time_s)} times, {len(elevation_deg)} elevations, {len(rate_dps)} rates, {n} filtered"
+    rates = n if rate_dps is None else len(rate_dps)
+    if n == 0 or not len(time_s) == len(elevation_deg) == rates == n:
+        lengths = f"{len(time_s)} times, {len(elevation_deg)} elevations, {rates} rates, {n} filtered"
         raise ValueError(f"a dwell needs samples, as many of each: {lengths}")
     return Reading(
         reading_deg=wrap_deg(float(filtered_deg.mean())),
@@ -64,7 +66,7 @@ def dwell_reading(
 def reading_stderr_deg(
     time_s: FloatArray,
     elevation_deg: FloatArray,
-    rate_dps: FloatArray,
+    rate_dps: FloatArray | None,
     filtered_deg: FloatArray,
     noise: KalmanNoise | None = None,
 ) -> float | None:
@@ -81,12 +83,17 @@ def reading_stderr_deg(
     before the dwell is taken to be as in it; noise common to both inputs is not accounted for. It is the
     noise within this dwell: what stays the same all through it (an offset, backlash) it cannot see.
 
+    Where the board filters, what went into its filter is not known, and the long-run variance of its angle
+    over n has to do: a guess from below where its filter is slow against the dwell.
+
     Returns:
         Degrees; None below `MIN_SAMPLES` samples.
     """
     n = len(filtered_deg)
     if n < MIN_SAMPLES:
         return None
+    if rate_dps is None:
+        return math.sqrt(float(fit_spectrum(filtered_deg).density(np.zeros(1))[0]) / n)
     gain = steady_gain(noise or KalmanNoise(), float(np.median(np.diff(time_s))))
     omega, weight = _frequencies(n, gain)
     to_elevation, to_rate = gain.response(omega)

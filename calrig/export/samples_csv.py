@@ -25,15 +25,22 @@ _ROWS_A_PIECE = 5000
 
 
 def sample_columns(samples: RawSamples) -> dict[str, FloatArray]:
-    """The samples as one (n,) array a column; what the board does not send is NaN."""
+    """The samples as one (n,) array a column; what the board does not send is NaN.
+
+    `angle_deg`, the elevation as the board computed it, is there only where the board sends it.
+    """
     table = np.column_stack((samples.time_s, samples.accel_g, samples.gyro_dps, samples.temperature_c))
-    return {name: table[:, place] for place, name in enumerate(COLUMNS)}
+    columns: dict[str, FloatArray] = {name: table[:, place] for place, name in enumerate(COLUMNS)}
+    if samples.angle_deg is not None:
+        columns["angle_deg"] = samples.angle_deg
+    return columns
 
 
 def write_samples_csv(samples: RawSamples) -> Iterator[str]:
     """The samples as CSV, piece by piece; a number reads back exactly, NaN is an empty cell."""
-    columns = sample_columns(samples).values()
-    yield ",".join(COLUMNS) + "\n"
+    named = sample_columns(samples)
+    columns = named.values()
+    yield ",".join(named) + "\n"
     for first in range(0, len(samples), _ROWS_A_PIECE):
         piece = (column[first : first + _ROWS_A_PIECE].tolist() for column in columns)
         text = io.StringIO()

@@ -7,13 +7,19 @@ point's name is the driver's, its object a callable like the ones below.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from importlib.metadata import entry_points
 from typing import Protocol, TypeVar, cast
 
 from calrig.instruments.calrig_board import CalrigBoard
 from calrig.instruments.errors import InstrumentError
+from calrig.instruments.esp301 import Esp301
+from calrig.instruments.grbl import Grbl
+from calrig.instruments.sketch_board import SketchBoard
+from calrig.instruments.sketches import SKETCHES
 from calrig.instruments.smc100 import Smc100
 from calrig.instruments.types import Board, Stage
+from calrig.instruments.zaber import Zaber
 
 
 class OpenStage(Protocol):
@@ -28,8 +34,16 @@ class OpenBoard(Protocol):
     def __call__(self, url: str, *, baudrate: int | None) -> Board: ...  # noqa: D102
 
 
-STAGES: Mapping[str, OpenStage] = {"smc100": Smc100.open}
-BOARDS: Mapping[str, OpenBoard] = {"calrig": CalrigBoard.open}
+STAGES: Mapping[str, OpenStage] = {
+    "smc100": Smc100.open,
+    "grbl": Grbl.open,
+    "esp301": Esp301.open,
+    "zaber": Zaber.open,
+}
+BOARDS: Mapping[str, OpenBoard] = {
+    "calrig": CalrigBoard.open,
+    **{sketch.driver: partial(SketchBoard.open, sketch=sketch) for sketch in SKETCHES},
+}
 
 T = TypeVar("T")
 

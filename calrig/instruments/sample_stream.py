@@ -82,6 +82,7 @@ class SampleStream:
             accel_g=rows[:, ACCEL] * self._g,
             gyro_dps=rows[:, GYRO] * self._dps,
             temperature_c=rows[:, TEMPERATURE] / 340 + 36.53,
+            angle_deg=np.full(len(rows), np.nan),
         )
 
     def _imagined_before(self, first: IntArray) -> IntArray:

@@ -21,12 +21,14 @@ class Samples:
         accel_g: (n, 3) specific force in g along the sensor's x, y, z.
         gyro_dps: (n, 3) angular rate in degrees per second about x, y, z.
         temperature_c: (n,) die temperature.
+        angle_deg: (n,) elevation about x as the board computed it; NaN where it sends what it measured.
     """
 
     time_s: FloatArray
     accel_g: FloatArray
     gyro_dps: FloatArray
     temperature_c: FloatArray
+    angle_deg: FloatArray
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -34,7 +36,7 @@ class Samples:
     @classmethod
     def empty(cls) -> Samples:
         """No samples."""
-        return cls(np.empty(0), np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
+        return cls(np.empty(0), np.empty((0, 3)), np.empty((0, 3)), np.empty(0), np.empty(0))
 
     @classmethod
     def join(cls, blocks: list[Samples]) -> Samples:
@@ -46,6 +48,7 @@ class Samples:
             np.concatenate([b.accel_g for b in blocks]),
             np.concatenate([b.gyro_dps for b in blocks]),
             np.concatenate([b.temperature_c for b in blocks]),
+            np.concatenate([b.angle_deg for b in blocks]),
         )
 
     def between(self, from_s: float, to_s: float) -> Samples:
@@ -56,12 +59,16 @@ class Samples:
             self.accel_g[first:last],
             self.gyro_dps[first:last],
             self.temperature_c[first:last],
+            self.angle_deg[first:last],
         )
 
 
 @dataclass(frozen=True, slots=True)
 class BoardIdentity:
-    """Who a board says it is; None where it does not say."""
+    """Who a board says it is; None where it does not say.
+
+    `rate_hz` is the one rate of a board that cannot be told another; None where it can.
+    """
 
     driver: str
     firmware: str | None
@@ -70,6 +77,7 @@ class BoardIdentity:
     accel_range_g: int | None
     gyro_range_dps: int | None
     max_rate_hz: int | None
+    rate_hz: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +113,7 @@ class Board(Protocol):
         """Asks until the board answers or its time is up (BoardError)."""
 
     def start(self, rate_hz: int) -> None:
-        """Starts streaming; a thread of the driver's own reads from here on."""
+        """Starts streaming, at this rate where the board can be told one; a thread of the driver's reads."""
 
     def take(self, timeout_s: float) -> Samples:
         """The valid samples since the last call, waiting up to timeout_s for the first one.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 
@@ -14,11 +13,11 @@ from calrig.estimation.gyro import GyroBias, dwell_bias, gyro_scale, move_angle_
 from calrig.estimation.kalman import KalmanNoise
 from calrig.estimation.reading import Reading, dwell_reading
 from calrig.instruments.errors import BoardError, StageError
-from calrig.instruments.types import FloatArray, Samples
+from calrig.instruments.types import FloatArray
 from calrig.plan import Plan, PlannedPose
 from calrig.runs.follow_up import FollowUpRun
 from calrig.runs.pace import Pace
-from calrig.store import SampleBlock
+from calrig.runs.stream import block_of
 
 FEWEST_FOR_TARGET_S = 0.5
 """A dwell with `target_std_deg` is at least this long: a standard error from less is itself a guess."""
@@ -118,12 +117,13 @@ class Execution:
 
     def _reading(self, start_s: float, end_s: float) -> Reading | None:
         dwell = self.pace.stream.kept().between(start_s, end_s)
-        if len(dwell.samples) < max(2, 0.5 * (end_s - start_s) * self.plan.rate_hz):
+        if len(dwell.samples) < max(2, 0.5 * (end_s - start_s) * self.pace.rate_hz):
             return None
+        rate_dps = dwell.samples.gyro_dps[:, 0]
         return dwell_reading(
             dwell.samples.time_s,
             dwell.elevation_deg,
-            dwell.samples.gyro_dps[:, 0],
+            None if np.isnan(rate_dps).any() else rate_dps,
             dwell.filtered_deg,
             self._noise,
         )
@@ -172,7 +172,7 @@ class Execution:
         )
         index = len(self.poses)  # of the poses measured: a follow-up skips some that were planned
         self.poses.append(pose)
-        blocks = [_block(index, "move", before), _block(index, "dwell", dwell)]
+        blocks = [block_of(index, "move", before), block_of(index, "dwell", dwell)]
         self.recorder.pose(index, pose, blocks, self.rig.faults())
         self.pace.forget(end_s)
 
@@ -226,7 +226,3 @@ def _mean(values: FloatArray) -> float | None:
     """The mean, or None where the board does not send the channel."""
     mean = float(np.mean(values))
     return None if np.isnan(mean) else mean
-
-
-def _block(index: int, phase: Literal["move", "dwell"], samples: Samples) -> SampleBlock:
-    return SampleBlock(index, phase, samples.time_s, samples.accel_g, samples.gyro_dps, samples.temperature_c)

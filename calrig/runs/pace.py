@@ -22,6 +22,7 @@ class Pace:
     Attributes:
         stage_deg: elevation last reported, None before the first report.
         stood_at_s: board's clock at an instant at which the stage stood and the next move had not begun.
+        rate_hz: samples a second to expect: the plan's, or the one rate that the board has.
     """
 
     rig: Rig
@@ -30,6 +31,7 @@ class Pace:
     stream: Stream = field(init=False)
     stage_deg: float | None = None
     stood_at_s: float = 0.0
+    rate_hz: float = field(init=False)
 
     def __post_init__(self) -> None:
         noise = KalmanNoise(**self.rig.settings.filter.model_dump())
@@ -37,6 +39,7 @@ class Pace:
 
     def begin(self, plan: Plan, *, moves: bool) -> None:
         """Starts the board, and makes the stage ready where it is to move: homed, at the plan's velocity."""
+        self.rate_hz = self.rig.board_identity.rate_hz or plan.rate_hz
         self.rig.board.start(plan.rate_hz)
         if moves and self.rig.axis.needs_home():
             self.rig.axis.begin_home()

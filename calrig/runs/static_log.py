@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from calrig.instruments.types import Samples
 from calrig.plan import Plan, PlannedPose
 from calrig.runs.pace import Pace
-from calrig.store import SampleBlock
+from calrig.runs.stream import block_of
 
 BLOCK_S = 10.0
 """So much of a log is lost at most where the process dies."""
@@ -28,7 +27,7 @@ def keep_log(plan: Plan, planned: list[PlannedPose], pace: Pace) -> None:
     pace.begin(plan, moves=bool(planned))
     for pose in planned:
         pace.move(pose.target_deg)
-    between_samples_s = 0.5 / plan.rate_hz  # so that no rounding decides to which block one belongs
+    between_samples_s = 0.5 / pace.rate_hz  # so that no rounding decides to which block one belongs
     settled_s = pace.synchronise() + plan.settle_s + between_samples_s
     pace.wait_until(settled_s)
     pace.forget(settled_s)
@@ -37,13 +36,9 @@ def keep_log(plan: Plan, planned: list[PlannedPose], pace: Pace) -> None:
         end_s = pace.stood_at_s + min(BLOCK_S, plan.dwell_s - done_s)
         pace.wait_until(end_s)
         done_s += end_s - pace.stood_at_s
-        block = _block(pace.stream.kept().between(pace.stood_at_s, end_s).samples)
+        block = block_of(0, "dwell", pace.stream.kept().between(pace.stood_at_s, end_s).samples)
         pace.recorder.log(block, done_s, max(plan.dwell_s - done_s, 0.0), pace.rig.faults())
         pace.forget(end_s)
         if pace.control.holding:
             pace.hold_while_paused()
             pace.forget(pace.synchronise())
-
-
-def _block(samples: Samples) -> SampleBlock:
-    return SampleBlock(0, "dwell", samples.time_s, samples.accel_g, samples.gyro_dps, samples.temperature_c)

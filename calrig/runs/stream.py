@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from calrig.estimation.angles import elevation_deg, wrap_deg
 from calrig.estimation.kalman import KalmanFilter
 from calrig.instruments.types import Board, FloatArray, Samples
+from calrig.store import SampleBlock
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,8 +19,9 @@ class Stretch:
 
     Attributes:
         samples: as the board sent them.
-        elevation_deg: atan2(accel_y, accel_z) of each.
-        filtered_deg: the filter's angle after each, continuous.
+        elevation_deg: atan2(accel_y, accel_z) of each, or the angle that the board sends instead.
+        filtered_deg: the filter's angle after each, continuous; where the board sends no rate to filter with,
+            the elevation, which it has filtered itself.
     """
 
     samples: Samples
@@ -49,6 +52,7 @@ class Stream:
         self._board = board
         self._kalman = kalman
         self._kept: list[Stretch] = []
+        self._filtered_deg: float | None = None
         self.clock_s = 0.0
         self.reading_deg: float | None = None
         self.temperature_c: float | None = None
@@ -58,14 +62,23 @@ class Stream:
         samples = self._board.take(timeout_s)
         if len(samples) == 0:
             return 0
-        elevation = elevation_deg(samples.accel_g)
-        filtered = self._kalman.run(samples.time_s, elevation, samples.gyro_dps[:, 0])
+        computed = samples.angle_deg
+        elevation = np.where(np.isnan(computed), elevation_deg(samples.accel_g), computed)
+        filtered = self._filtered(samples, elevation)
         self._kept.append(Stretch(samples, elevation, filtered))
         self.clock_s = float(samples.time_s[-1])
-        self.reading_deg = wrap_deg(float(filtered[-1]))
+        self._filtered_deg = float(filtered[-1])
+        self.reading_deg = wrap_deg(self._filtered_deg)
         temperature = float(samples.temperature_c[-1])
         self.temperature_c = None if np.isnan(temperature) else temperature
         return len(samples)
+
+    def _filtered(self, samples: Samples, elevation: FloatArray) -> FloatArray:
+        rate_dps = samples.gyro_dps[:, 0]
+        if not np.isnan(rate_dps).any():
+            return self._kalman.run(samples.time_s, elevation, rate_dps)
+        before = elevation[0] if self._filtered_deg is None else self._filtered_deg
+        return np.unwrap(np.append(before, elevation), period=360.0)[1:]
 
     def kept(self) -> Stretch:
         """Everything since the last cut."""
@@ -76,3 +89,16 @@ class Stream:
     def cut(self, before_s: float) -> None:
         """Forgets the samples before a time of the board's clock."""
         self._kept = [self.kept().between(before_s, np.inf)]
+
+
+def block_of(index: int, phase: Literal["move", "dwell"], samples: Samples) -> SampleBlock:
+    """The samples as the store takes them, with the board's own angle where it sends one."""
+    return SampleBlock(
+        index,
+        phase,
+        samples.time_s,
+        samples.accel_g,
+        samples.gyro_dps,
+        samples.temperature_c,
+        None if np.isnan(samples.angle_deg).all() else samples.angle_deg,
+    )

@@ -14,6 +14,7 @@ from calrig.simulator.bench import Bench
 from calrig.simulator.config import BoardFault, BoardOptions, ImuOptions
 from calrig.simulator.imu import Counts
 from calrig.simulator.packets import ACKNOWLEDGE, ERROR, IDENTITY, packet, sample_packets
+from calrig.simulator.wire import MOST_WAITING_BYTES
 
 BLOCK_INTERVAL_S = 0.03
 """Wall time between blocks: thirty a second look continuous; each wakes a processor gone cold."""
@@ -38,6 +39,8 @@ class Board:
         fault: breaks it on purpose, at any time: `silent`, `garbage`, `corrupt` (every tenth packet's bytes),
             `gaps` (every tenth packet lost), `frozen` (registers that no longer change) or None.
     """
+
+    most_waiting_bytes = MOST_WAITING_BYTES
 
     def __init__(
         self, options: BoardOptions, imu: ImuOptions, bench: Bench, now: Callable[[], float]

@@ -13,8 +13,23 @@ from calrig.simulator.presets import PRESETS
 Vector = tuple[float, float, float]
 NotNegative = Annotated[float, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
+StageDriver = Literal["smc100", "grbl", "esp301", "zaber"]
 StageFault = Literal["hang", "garbage", "echo"]
-BoardFault = Literal["silent", "garbage", "corrupt", "gaps", "frozen"]
+BoardFault = Literal[
+    "silent", "garbage", "corrupt", "gaps", "frozen", "zeros", "clone", "half_lines", "reset"
+]
+SketchName = Literal[
+    "i2cdev-raw",
+    "i2cdev-raw-fast",
+    "tkj-kalman",
+    "adafruit-plotter",
+    "adafruit-basic",
+    "mpu6050-light",
+    "tockn",
+    "dmp-ypr",
+]
+NOT_OF_PACKETS = {"zeros", "clone", "half_lines", "reset"}
+NOT_OF_TEXT = {"corrupt", "gaps"}
 
 ZERO: Vector = (0.0, 0.0, 0.0)
 
@@ -24,10 +39,16 @@ class _Options(BaseModel):
 
 
 class StageOptions(_Options):
-    """The stage's controller. `fault` makes it hang, answer garbage, or echo what it hears."""
+    """The stage's controller. `fault` makes it hang, answer garbage, or echo what it hears.
 
+    `driver` is the dialect it speaks, `firmware` what it calls itself (without: the dialect's own), `homing`
+    whether a GRBL has a limit switch to home to.
+    """
+
+    driver: StageDriver = "smc100"
     axis: int = Field(default=1, ge=1, le=31)
-    firmware: str = "SMC100CC simulated"
+    firmware: str | None = None
+    homing: bool = True
     velocity_dps: Positive = 20.0
     acceleration_dps2: Positive = 80.0
     homing_velocity_dps: Positive = 10.0
@@ -132,8 +153,13 @@ class ImuOptions(_Options):
 
 
 class BoardOptions(_Options):
-    """The board around the sensor. `fault` breaks it on purpose."""
+    """The board around the sensor. `fault` breaks it on purpose.
 
+    `sketch` is the public sketch that it runs instead of calrig's own; it then tells no serial number and has
+    one rate.
+    """
+
+    sketch: SketchName | None = None
     serial: str = Field(default="", max_length=64)
     firmware: str = "calrig simulated"
     max_rate_hz: int = Field(default=1000, ge=1, le=8000)
@@ -144,6 +170,12 @@ class BoardOptions(_Options):
     def _default_is_allowed(self) -> Self:
         if self.default_rate_hz > self.max_rate_hz:
             raise ValueError("default_rate_hz is above max_rate_hz")
+        return self
+
+    @model_validator(mode="after")
+    def _fault_is_of_this_board(self) -> Self:
+        if self.fault in (NOT_OF_PACKETS if self.sketch is None else NOT_OF_TEXT):
+            raise ValueError(f"fault {self.fault!r} is none of a board that runs {self.sketch or 'calrig'}")
         return self
 
 
@@ -160,6 +192,12 @@ class SimulatorSettings(_Options):
     environment: EnvironmentOptions = EnvironmentOptions()
     imu: ImuOptions = ImuOptions()
     board: BoardOptions = BoardOptions()
+
+    @model_validator(mode="after")
+    def _time_is_real_without_a_clock(self) -> Self:
+        if self.board.sketch is not None and self.time_scale != 1:
+            raise ValueError("a board whose sketch sends no clock runs in real time: time_scale must be 1")
+        return self
 
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> SimulatorSettings:

@@ -9,9 +9,16 @@ from calrig.simulator.bench import Bench
 from calrig.simulator.board import Board
 from calrig.simulator.clock import ScaledClock
 from calrig.simulator.config import SimulatorSettings
+from calrig.simulator.esp301 import Esp301
+from calrig.simulator.grbl import Grbl
 from calrig.simulator.ports import open_port
+from calrig.simulator.sketch_board import SketchBoard
 from calrig.simulator.smc100 import Smc100
 from calrig.simulator.wire import Wire
+from calrig.simulator.zaber import Zaber
+
+Stage = Smc100 | Grbl | Esp301 | Zaber
+DIALECTS: dict[str, type[Stage]] = {"smc100": Smc100, "grbl": Grbl, "esp301": Esp301, "zaber": Zaber}
 
 
 class SimulatedRig:
@@ -29,10 +36,16 @@ class SimulatedRig:
         self.settings = settings
         self.clock = ScaledClock(settings.time_scale)
         self.bench = Bench(settings)
-        self.stage = Smc100(settings.stage, self.bench, self.clock)
-        self.board = Board(settings.board, settings.imu, self.bench, self.clock)
+        self.stage: Stage = DIALECTS[settings.stage.driver](settings.stage, self.bench, self.clock)
+        self.board: Board | SketchBoard
+        if settings.board.sketch is None:
+            self.board = Board(settings.board, settings.imu, self.bench, self.clock)
+        else:
+            self.board = SketchBoard(settings.board, settings.imu, self.bench, self.clock)
         stage_wire = Wire(self.stage, open_port(settings.ports), "simulated stage")
-        board_wire = Wire(self.board, open_port(settings.ports), "simulated board")
+        board_wire = Wire(
+            self.board, open_port(settings.ports), "simulated board", self.board.most_waiting_bytes
+        )
         self._wires = (stage_wire, board_wire)
         self.stage_port, self.imu_port = stage_wire.url, board_wire.url
 

@@ -25,6 +25,7 @@ from calrig.simulator.smc100_codes import (
     State,
 )
 
+FIRMWARE = "SMC100CC simulated"
 LONGEST_COMMAND = 64
 COMMAND_FORM = re.compile(r"(\d{0,2})([A-Z]{2})(.*)")
 IGNORED = b" \t\r\x11\x13\x00"
@@ -77,7 +78,7 @@ class Smc100:
             "SR": lambda _, value: self._parameter("SR", value),
             "MM": self._switch_motor,
             "RS": lambda now_s, _: self._reset(now_s),
-            "VE": lambda *_: f" {options.firmware}",
+            "VE": lambda *_: f" {options.firmware or FIRMWARE}",
         }
         self._power_up()
 

@@ -29,8 +29,11 @@ class Device(Protocol):
 class Wire:
     """A device on a port, from `start` until `stop`."""
 
-    def __init__(self, device: Device, port: Port, name: str) -> None:
+    def __init__(
+        self, device: Device, port: Port, name: str, most_waiting_bytes: int = MOST_WAITING_BYTES
+    ) -> None:
         self._device = device
+        self._most_waiting_bytes = most_waiting_bytes
         self._port = port
         self._waiting = b""
         self._stopping = False
@@ -63,7 +66,7 @@ class Wire:
             self._say(self._device.emit())
 
     def _say(self, data: bytes) -> None:
-        if len(self._waiting) + len(data) <= MOST_WAITING_BYTES:
+        if len(self._waiting) + len(data) <= self._most_waiting_bytes:
             self._waiting += data
         if self._waiting:
             self._waiting = self._waiting[self._port.write(self._waiting) :]

@@ -152,3 +152,18 @@ def test_the_spectrum_of_a_known_process_is_found(phi):
 def test_a_perfectly_predictable_channel_does_not_break_the_spectrum():
     square = np.tile([0.01, -0.01], 200)
     assert fit_spectrum(square).density(np.zeros(1))[0] < 1e-6
+
+
+@pytest.mark.parametrize("filter_s", [0.02, 0.1])
+def test_an_angle_filtered_on_the_board_scatters_by_its_stated_standard_error(filter_s):
+    """Its filter is short against the dwell of 4 s; of a slow one the dwell cannot tell."""
+    rate_hz, n = 50, 200
+    pole = math.exp(-1 / (filter_s * rate_hz))
+    readings = []
+    for seed in range(SEEDS):
+        white = np.random.default_rng(seed).normal(0.0, 0.2, 3 * n)
+        angle_deg = 30.0 + lfilter([1.0 - pole], [1.0, -pole], white)[-n:]
+        readings.append(dwell_reading(np.arange(n) / rate_hz, angle_deg, None, angle_deg))
+    stated_deg = np.array([reading.reading_stderr_deg for reading in readings])
+    scatter_deg = np.std([reading.reading_deg for reading in readings], ddof=1)
+    assert np.sqrt(np.mean(stated_deg**2)) == pytest.approx(scatter_deg, rel=0.2)

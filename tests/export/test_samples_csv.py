@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 
 import numpy as np
@@ -39,3 +40,10 @@ def test_npz_holds_one_array_a_column():
         np.testing.assert_array_equal(arrays["accel_y_g"], log.accel_g[:, 1])
         np.testing.assert_array_equal(arrays["gyro_z_dps"], log.gyro_dps[:, 2])
         np.testing.assert_array_equal(arrays["temperature_c"], log.temperature_c)
+
+
+def test_the_angle_of_a_board_that_filters_itself_is_a_column_more():
+    log = dataclasses.replace(samples(3), angle_deg=np.array([1.25, np.nan, -3.5]))
+    rows = list(csv.DictReader(io.StringIO("".join(write_samples_csv(log)))))
+    assert list(rows[0]) == [*COLUMNS, "angle_deg"]
+    assert [row["angle_deg"] for row in rows] == ["1.25", "", "-3.5"]

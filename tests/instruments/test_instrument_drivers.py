@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+import re
 from importlib.metadata import EntryPoint, EntryPoints
+from importlib.resources import files
 
 import pytest
 
 from calrig.instruments import drivers
-from calrig.instruments.errors import InstrumentError
+from calrig.instruments.axis import Axis
+from calrig.instruments.errors import Halted, InstrumentError, StageError
 
 
 def make_stage(url, *, axis, baudrate):
@@ -45,3 +48,33 @@ def test_a_driver_that_cannot_be_loaded_is_said(monkeypatch):
     offer(monkeypatch, broken="no_such_module:open")
     with pytest.raises(InstrumentError, match="'broken' is installed but cannot be loaded: No module"):
         drivers.open_board("broken", "COM3")
+
+
+@pytest.fixture
+def page():
+    return files("calrig").joinpath("docs/drivers.md").read_text(encoding="utf-8")
+
+
+def blocks(page, kind):
+    return re.findall(rf"```{kind}\n(.*?)```", page, flags=re.DOTALL)
+
+
+def test_the_authors_page_names_every_built_in_stage(page):
+    assert set(drivers.STAGES) == set(re.findall(r"^\| `(\w+)` \|", page, flags=re.MULTILINE))
+
+
+def test_the_driver_on_the_authors_page_runs_from_the_transcript_beside_it(page, tmp_path, monkeypatch):
+    (tmp_path / "our_turntable.py").write_text(blocks(page, "python")[0])
+    (tmp_path / "turntable.txt").write_text(blocks(page, "text")[0])
+    monkeypatch.syspath_prepend(tmp_path)
+    offer(monkeypatch, turntable="our_turntable:Turntable.open")
+    stage = drivers.open_stage("turntable", f"replay://{tmp_path / 'turntable.txt'}")
+    axis = Axis(stage)
+    assert not axis.needs_home()
+    assert axis.elevation_deg() == 12.5
+    with pytest.raises(StageError, match="does not answer G=5"):
+        axis.begin_move(5)
+    axis.halt()
+    with pytest.raises(Halted, match="G=6 was not sent"):
+        axis.begin_move(6)
+    axis.close()

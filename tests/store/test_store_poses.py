@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -98,6 +99,18 @@ def test_every_bit_of_a_sample_comes_back(arrays):
     back = joined_arrays([packed_arrays(SampleBlock(0, "dwell", *arrays))])
     for was, now in zip(arrays, (back.time_s, back.accel_g, back.gyro_dps, back.temperature_c), strict=True):
         assert was.tobytes() == now.tobytes() and was.shape == now.shape
+
+
+def test_a_boards_own_angle_comes_back_where_it_was_sent(store, new_run):
+    run, plain = new_run(), block(0, "move")
+    angled = replace(block(0, "dwell", first_s=1), angle_deg=np.array([1.0, np.nan, 3.0]))
+    store.add_pose(run.id, 0, FULL, [plain, angled])
+    nan = np.nan
+    np.testing.assert_array_equal(store.samples(run.id).angle_deg, [nan, nan, nan, 1, nan, 3])
+    np.testing.assert_array_equal(store.samples(run.id, pose=0).angle_deg, [1, nan, 3])
+    assert joined_arrays([packed_arrays(plain)]).angle_deg is None
+    with pytest.raises(ValueError, match="angle_deg has shape"):
+        replace(plain, angle_deg=np.zeros(2))
 
 
 def test_samples_are_joined_in_order_or_given_for_one_dwell(store, new_run):

@@ -1,0 +1,113 @@
+"""Lines to and from a stage's controller: whole ones or none, and a stop that nothing can overtake."""
+
+from __future__ import annotations
+
+import re
+import threading
+import time
+from collections import Counter
+
+from calrig.instruments.errors import Halted
+from calrig.instruments.ports import Port
+
+LONGEST_LINE = 256
+DRAIN_S = 0.5
+LINE_END = re.compile(rb"[\r\n]+")
+
+
+class LineWire:
+    """One controller's lines. A line ends with CR, LF or both; empty ones are nobody's.
+
+    One thread asks; any thread may halt. Software flow control is left off: commands are short and go one at
+    a time, and a stray XOFF must never be able to hold back a stop.
+
+    Attributes:
+        nul_seen: a NUL byte came, as when motor power is cut.
+        halted: a stop was sent; no motion follows it.
+    """
+
+    def __init__(self, port: Port, faults: Counter[str]) -> None:
+        self.nul_seen = False
+        self.halted = False
+        self._port = port
+        self._faults = faults
+        self._tail = b""
+        self._sending = threading.Lock()
+
+    def send(self, data: bytes) -> None:
+        """Sends what moves nothing."""
+        with self._sending:
+            self._port.write(data)
+
+    def send_motion(self, data: bytes, who: str) -> None:
+        """Sends what moves the stage (Halted, naming `who`, where a stop was sent before)."""
+        with self._sending:
+            self.refuse_if_halted(data.decode("ascii").strip(), who)
+            self._port.write(data)
+
+    def refuse_if_halted(self, what: str, who: str) -> None:
+        """Raises Halted where a stop was sent before."""
+        if self.halted:
+            raise Halted(f"{who} was halted: {what} was not sent")
+
+    def halt(self, data: bytes) -> None:
+        """Sends a stop, from any thread; no motion is sent after it."""
+        self.halted = True  # before the lock: whoever holds it for a motion is followed by the stop
+        with self._sending:
+            self._port.write(data)
+
+    def line(self, deadline_s: float) -> str | None:
+        """The next whole line, waiting until `deadline_s` (monotonic); then half a line is dropped."""
+        while (line := self._next()) is None:
+            if time.monotonic() >= deadline_s:
+                self._drop_tail()
+                return None
+            self._read()
+        return line
+
+    def old_lines(self) -> list[str]:
+        """What came before anything was asked, half a line dropped."""
+        deadline_s = time.monotonic() + DRAIN_S
+        while self._port.waiting() and time.monotonic() < deadline_s:
+            self._read()
+        lines = []
+        while (line := self._next()) is not None:
+            lines.append(line)
+        self._drop_tail()
+        return lines
+
+    def close(self) -> None:
+        """Closes the port; never raises."""
+        with self._sending:
+            self._port.close()
+
+    def _read(self) -> None:
+        data = self._port.read_some()
+        self.nul_seen |= b"\0" in data
+        self._tail += data
+
+    def _next(self) -> str | None:
+        while end := LINE_END.search(self._tail):
+            line, self._tail = self._tail[: end.start()], self._tail[end.end() :]
+            if line := self._without_nul(line):
+                return line.decode("ascii", "replace")
+        if len(self._tail) > LONGEST_LINE:
+            self._drop_tail()
+        return None
+
+    def _without_nul(self, line: bytes) -> bytes:
+        bare = line.lstrip(b"\0")
+        if bare != line:
+            self._faults["unparsed"] += 1
+        return bare
+
+    def _drop_tail(self) -> None:
+        if self._tail:
+            self._faults["unparsed"] += 1
+        self._tail = b""
+
+
+def plain(value: float) -> str:
+    """A number without exponent, to a millionth, as short as it can be written."""
+    text = f"{value:.6f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text

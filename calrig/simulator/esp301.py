@@ -1,0 +1,206 @@
+"""The stage's dialect: a Newport ESP301 (ESP301 user's manual, section 3).
+
+Motion is `mechanics`' business; here is only what the controller says, allows and remembers.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+
+from calrig.simulator.bench import Bench
+from calrig.simulator.config import StageFault, StageOptions
+
+FIRMWARE = "ESP301 Version 3.0.1 simulated"
+STAGE_NAME = "URS75BCC, SN S0001"
+MOST_ERRORS = 10
+COMMAND = re.compile(r"(\d{0,2})([A-Z]{2})(\?|[-+]?[\d.]+|)")
+GARBLED = bytes(byte ^ 0x55 for byte in range(256))
+UNKNOWN, AXIS_OUT_OF_RANGE, PARAMETER_MISSING = 6, 9, 38
+PARAMETER, FOLLOWING, POSITIVE, NEGATIVE, TOO_FAST, MOTOR_OFF, HOMING_ABORTED = 1, 3, 4, 5, 10, 13, 20
+TEXTS = {
+    0: "NO ERROR DETECTED",
+    UNKNOWN: "COMMAND DOES NOT EXIST",
+    AXIS_OUT_OF_RANGE: "AXIS NUMBER OUT OF RANGE",
+    PARAMETER_MISSING: "COMMAND PARAMETER MISSING",
+}
+AXIS_TEXTS = {
+    PARAMETER: "PARAMETER OUT OF RANGE",
+    FOLLOWING: "FOLLOWING ERROR THRESHOLD EXCEEDED",
+    POSITIVE: "POSITIVE HARDWARE LIMIT DETECTED",
+    NEGATIVE: "NEGATIVE HARDWARE LIMIT DETECTED",
+    TOO_FAST: "MAXIMUM VELOCITY EXCEEDED",
+    MOTOR_OFF: "MOTOR NOT ENABLED",
+    HOMING_ABORTED: "HOMING ABORTED",
+}
+
+
+class _Refused(Exception):  # noqa: N818 (a code of the dialect, caught where it is remembered)
+    def __init__(self, code: int) -> None:
+        self.code = code
+
+
+class Esp301:
+    """A controller with one stage, fed with bytes, answering in bytes.
+
+    Attributes:
+        fault: breaks it on purpose, at any time: `hang`, `garbage`, `echo` or None.
+    """
+
+    interval_s = None
+    """It never speaks unasked."""
+
+    def __init__(self, options: StageOptions, bench: Bench, now: Callable[[], float]) -> None:
+        self.fault: StageFault | None = options.fault
+        self._options = options
+        self._bench = bench
+        self._now = now
+        self._tail = b""
+        self._errors: deque[tuple[int, float]] = deque(maxlen=MOST_ERRORS)
+        self._motor_is_on = True
+        self._velocity_dps = options.velocity_dps
+        self._setpoint_deg = 0.0
+        self._ends: tuple[float, int] | None = None
+        low, high = options.limits_deg
+        self._queries: dict[str, Callable[[float], str]] = {
+            "TP": lambda now_s: f"{self._position(now_s):.4f}",
+            "MD": lambda _: str(int(self._ends is None)),
+            "MO": lambda _: str(int(self._motor_is_on)),
+            "PA": lambda _: f"{self._setpoint_deg:.4f}",
+            "VA": lambda _: f"{self._velocity_dps:.4f}",
+            "AC": lambda _: f"{options.acceleration_dps2:.4f}",
+            "SL": lambda _: f"{low:.4f}",
+            "SR": lambda _: f"{high:.4f}",
+            "ID": lambda _: STAGE_NAME,
+        }
+        self._commands: dict[str, Callable[[float, str], None]] = {
+            "PA": lambda now_s, text: self._move(now_s, _number(text)),
+            "PR": lambda now_s, text: self._move(now_s, self._setpoint_deg + _number(text)),
+            "VA": lambda _, text: self._set_velocity(_number(text)),
+            "OR": lambda now_s, _: self._home(now_s),
+            "ST": lambda now_s, _: self._halt(now_s),
+            "MO": lambda *_: self._switch_motor(on=True),
+            "MF": lambda *_: self._switch_motor(on=False),
+        }
+
+    def receive(self, data: bytes) -> bytes:
+        """Takes what came over the wire; returns what goes back."""
+        *lines, self._tail = (self._tail + data).replace(b"\n", b"").split(b"\r")
+        self._tail = self._tail[-64:]
+        return b"".join(self._line(line) for line in lines)
+
+    def emit(self) -> bytes:
+        """Nothing, ever."""
+        return b""
+
+    def _line(self, line: bytes) -> bytes:
+        if self.fault == "hang":
+            return b""
+        echo = line + b"\r\n" if self.fault == "echo" else b""
+        with self._bench.lock:
+            now_s = self._now()
+            self._advance(now_s)
+            replies = [
+                self._answer(part.strip(), now_s) for part in line.decode("ascii", "replace").split(";")
+            ]
+        body = "".join(f"{reply}\r\n" for reply in replies if reply is not None).encode("ascii", "replace")
+        if self.fault == "garbage":
+            body = b"".join(part.translate(GARBLED) + b"\r\n" for part in body.split(b"\r\n")[:-1])
+        return echo + body
+
+    def _answer(self, text: str, now_s: float) -> str | None:
+        try:
+            return self._obey(text.upper(), now_s) if text else None
+        except _Refused as refusal:
+            self._errors.append((refusal.code, now_s))
+            return None
+
+    def _obey(self, text: str, now_s: float) -> str | None:
+        command = COMMAND.fullmatch(text)
+        if command is None:
+            raise _Refused(UNKNOWN)
+        axis, code, parameter = command.groups()
+        if code in ("TE", "TB", "VE"):
+            return self._about_itself(code)
+        if code == "AB":
+            self._halt(now_s)
+            return None
+        handled = code in self._queries if parameter == "?" else code in self._commands or code == "TP"
+        if not handled:
+            raise _Refused(UNKNOWN)
+        if axis != str(self._options.axis) and not (code == "ST" and axis == ""):
+            raise _Refused(AXIS_OUT_OF_RANGE)
+        if parameter == "?" or code == "TP":
+            return self._queries[code](now_s)
+        self._commands[code](now_s, parameter)
+        return None
+
+    def _about_itself(self, code: str) -> str:
+        if code == "VE":
+            return self._options.firmware or FIRMWARE
+        error, at_s = self._errors.popleft() if self._errors else (0, self._now())
+        if code == "TE":
+            return str(error)
+        text = AXIS_TEXTS[error % 100] if error >= 100 else TEXTS[error]
+        return f"{error}, {at_s * 1000:.0f}, {text}"
+
+    def _axis_error(self, number: int) -> _Refused:
+        return _Refused(100 * self._options.axis + number)
+
+    def _move(self, now_s: float, target_deg: float) -> None:
+        if not self._motor_is_on:
+            raise self._axis_error(MOTOR_OFF)
+        low, high = self._options.limits_deg
+        if not low <= target_deg <= high:
+            raise self._axis_error(POSITIVE if target_deg > high else NEGATIVE)
+        arrival = self._bench.mechanics.move(
+            now_s, target_deg, self._velocity_dps, self._options.acceleration_dps2
+        )
+        self._setpoint_deg = target_deg
+        self._ends = arrival.at_s, FOLLOWING if arrival.stalled else 0
+
+    def _home(self, now_s: float) -> None:
+        if not self._motor_is_on:
+            raise self._axis_error(MOTOR_OFF)
+        arrival = self._bench.mechanics.home(
+            now_s, self._options.homing_velocity_dps, self._options.acceleration_dps2
+        )
+        self._setpoint_deg = 0.0
+        self._ends = arrival.at_s, HOMING_ABORTED if arrival.stalled else 0
+
+    def _halt(self, now_s: float) -> None:
+        if self._ends:
+            rest_s = self._bench.mechanics.halt(now_s, self._options.acceleration_dps2)
+            self._setpoint_deg = self._position(rest_s)
+            self._ends = rest_s, 0
+
+    def _switch_motor(self, *, on: bool) -> None:
+        if not on and self._ends:
+            self._halt(self._now())
+        self._motor_is_on = on
+
+    def _set_velocity(self, velocity_dps: float) -> None:
+        if velocity_dps > self._options.velocity_dps:
+            raise self._axis_error(TOO_FAST)
+        if velocity_dps <= 0:
+            raise self._axis_error(PARAMETER)
+        self._velocity_dps = velocity_dps
+
+    def _advance(self, now_s: float) -> None:
+        if self._ends and now_s >= self._ends[0]:
+            (at_s, error), self._ends = self._ends, None
+            if error:
+                self._errors.append((100 * self._options.axis + error, at_s))
+                self._motor_is_on = False
+
+    def _position(self, now_s: float) -> float:
+        return float(self._bench.mechanics.encoder_deg(np.array([now_s]))[0]) + 0.0
+
+
+def _number(text: str) -> float:
+    if not re.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)", text):
+        raise _Refused(PARAMETER_MISSING)
+    return float(text)

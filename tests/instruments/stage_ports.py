@@ -1,0 +1,107 @@
+"""A driver's port whose far end is in this process: a scripted controller, or a simulated one, and damage."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from calrig.simulator.bench import Bench
+from calrig.simulator.clock import ScaledClock
+from calrig.simulator.config import SimulatorSettings
+from calrig.simulator.rig import DIALECTS
+
+Damage = Callable[[bytes], bytes]
+
+
+class InProcessPort:
+    """Hands what is written to `device.receive`; each answer passes the next of `damages`, if any."""
+
+    def __init__(self, device, name: str = "test-port"):
+        self.name = name
+        self.device = device
+        self.sent = b""
+        self.damages: list[str] = []
+        self.closed = False
+        self._arrived = b""
+        self._held = b""
+
+    def write(self, data: bytes) -> None:
+        self.sent += data
+        self._deliver(self.device.receive(data))
+
+    def waiting(self) -> int:
+        self._deliver(self.device.emit())
+        return len(self._arrived)
+
+    def read_some(self) -> bytes:
+        if not self.waiting():
+            time.sleep(0.0005)  # a port's own time-out
+        data, self._arrived = self._arrived, b""
+        return data
+
+    def push(self, data: bytes) -> None:
+        """Something that the controller says unasked."""
+        self._arrived += data
+
+    def close(self) -> None:
+        self.closed = True
+
+    def _deliver(self, answer: bytes) -> None:
+        if not answer:
+            return
+        held, self._held = self._held, b""
+        self._arrived += held
+        kind = self.damages.pop(0) if self.damages else "sound"
+        if kind == "late":
+            self._held = answer
+        else:
+            self._arrived += DAMAGES[kind](answer)
+
+
+DAMAGES: dict[str, Damage] = {
+    "sound": lambda answer: answer,
+    "lost": lambda answer: b"",
+    "cut": lambda answer: answer[: len(answer) // 2],
+    "headless": lambda answer: answer[len(answer) // 2 :],
+    "merged": lambda answer: answer.replace(b"\r", b"").replace(b"\n", b""),
+    "doubled": lambda answer: answer + answer,
+    "corrupt": lambda answer: answer[:1] + b"\xfe" + answer[2:],
+    "nul": lambda answer: b"\0" + answer,
+    "noisy": lambda answer: b"\xf7\x80\r\n" + answer,
+}
+KINDS = [*DAMAGES, "late"]
+
+
+def simulated(driver: str, **options) -> InProcessPort:
+    """A simulated controller on a perfect stage, two hundred times faster than life."""
+    clock = ScaledClock(200.0)
+    settings = SimulatorSettings.from_options({"preset": "ideal", **options})
+    stage = settings.stage.model_copy(update={"driver": driver})
+    return InProcessPort(DIALECTS[driver](stage, Bench(settings), clock), f"simulated-{driver}-{id(clock)}")
+
+
+def until_it_stands(stage) -> str:
+    """Polls until a stage is neither moving nor homing; its state then."""
+    give_up_s = time.monotonic() + 10
+    while time.monotonic() < give_up_s:
+        state = stage.status().state
+        if state not in {"moving", "homing"}:
+            return state
+    raise AssertionError("it moves on and on")
+
+
+def homed(stage):
+    """The stage, homed."""
+    stage.identify()
+    stage.home()
+    assert until_it_stands(stage) == "ready"
+    return stage
+
+
+def moved_to(stage, target_deg: float):
+    """The stage, standing at a target."""
+    stage.move(target_deg)
+    give_up_s = time.monotonic() + 10
+    while until_it_stands(stage) == "ready" and abs(stage.position_deg() - target_deg) > 0.01:
+        assert time.monotonic() < give_up_s
+    return stage

@@ -1,0 +1,297 @@
+from __future__ import annotations
+
+import pytest
+from grbl_script import BANNER, IDLE, Script
+from stage_ports import InProcessPort, homed, until_it_stands
+
+from calrig.instruments import grbl, grbl_wire
+from calrig.instruments.errors import Halted, StageError
+from calrig.instruments.grbl import Grbl
+from calrig.instruments.grbl_words import ALARMS, ERRORS, parse_report
+from calrig.instruments.types import StageIdentity
+
+
+@pytest.fixture(autouse=True)
+def short_patience(monkeypatch):
+    monkeypatch.setattr(grbl_wire, "REPLY_TIMEOUT_S", 0.01)
+    monkeypatch.setattr(grbl_wire, "GLANCE_S", 0.01)
+    monkeypatch.setattr(grbl, "WAKE_TIMEOUT_S", 0.05)
+
+
+@pytest.fixture
+def controller():
+    return Script()
+
+
+@pytest.fixture
+def port(controller, request):
+    return InProcessPort(controller, request.node.name)
+
+
+@pytest.fixture
+def stage(port):
+    return Grbl(port)
+
+
+@pytest.fixture
+def referenced(controller, stage):
+    """A stage that has been homed and stands at 0°."""
+    return homed(stage)
+
+
+def test_it_says_what_its_settings_allow(controller, port, stage):
+    controller.settings[20] = "1"
+    port.push(BANNER)
+    assert stage.identify() == StageIdentity("grbl", "Grbl 1.1h", (-180.0, 180.0), 20.0, 80.0)
+
+
+def test_without_soft_limits_it_has_no_limits_of_its_own(stage):
+    assert stage.identify().limits_deg is None
+
+
+def test_another_axis_has_its_own_letter_settings_and_place(controller, port):
+    controller.report = "<Idle|MPos:1.000,-7.250,3.000|FS:0,0>"
+    stage = Grbl(port, axis=2)
+    assert stage.identify().velocity_dps == 10.0
+    assert stage.position_deg() == -7.25
+    homed(stage).move(5)
+    assert "G0 Y5" in controller.lines
+
+
+def test_opening_and_identifying_moves_nothing_and_unlocks_nothing(controller, port, stage):
+    stage.identify()
+    stage.status()
+    stage.position_deg()
+    assert set(controller.lines) == {"$$"}
+    assert controller.resets == 0
+
+
+@pytest.mark.parametrize(
+    ("report", "state", "words"),
+    [
+        ("<Run|MPos:1.000,0.000,0.000|FS:500,0>", "moving", "RUN"),
+        ("<Jog|MPos:1.000,0.000,0.000|FS:500,0>", "moving", "JOG"),
+        ("<Hold:1|MPos:1.000,0.000,0.000|FS:500,0>", "moving", "HOLD"),
+        ("<Hold:0|MPos:1.000,0.000,0.000|FS:0,0>", "disabled", "HOLD"),
+        ("<Door:0|MPos:1.000,0.000,0.000|FS:0,0>", "disabled", "DOOR"),
+        ("<Sleep|MPos:0.000,0.000,0.000|FS:0,0>", "disabled", "SLEEP"),
+        ("<Check|MPos:0.000,0.000,0.000|FS:0,0>", "configuration", "CHECK"),
+        ("<Home|MPos:0.000,0.000,0.000|FS:0,0>", "homing", "HOME"),
+        ("<Alarm|MPos:0.000,0.000,0.000|FS:0,0>", "not_referenced", "ALARM"),
+        (IDLE, "ready", "IDLE"),
+    ],
+)
+def test_every_state_is_said_in_words(controller, referenced, report, state, words):
+    controller.report = report
+    status = referenced.status()
+    assert status.state == state
+    assert status.words.startswith(words)
+
+
+@pytest.mark.parametrize(
+    ("report", "degrees"),
+    [
+        ("<Idle|MPos:12.345,0.000,0.000|FS:0,0>", 12.345),
+        ("<Idle|MPos:-0.005,0.000,0.000|Bf:15,128|FS:0,0|Ov:100,100,100>", -0.005),
+        ("<Idle|WPos:7.500,0.000,0.000|FS:0,0|WCO:90.000,0.000,0.000>", 7.5),
+        ("<Idle|MPos:7.500,0.000,0.000|FS:0,0|WCO:90.000,0.000,0.000>", -82.5),
+        ("<Idle|MPos:7.500,0.000,0.000,1.000|Pn:XYZ|FS:0,0>", 7.5),
+    ],
+)
+def test_the_place_is_read_in_work_coordinates(controller, stage, report, degrees):
+    controller.report = report
+    stage.identify()
+    assert stage.position_deg() == degrees
+
+
+@pytest.mark.parametrize(
+    "damaged",
+    [
+        "Idle|MPos:1.000,0.000,0.000|FS:0,0>",
+        "<Idle|MPos:1.000,0.000,0.000|FS:0,0",
+        "<Idle|MPos:1.000,0.000<Idle|MPos:1.000,0.000,0.000|FS:0,0>",
+        "<Idle|MPos:1.0.00,0.000,0.000|FS:0,0>",
+        "<Idel|MPos:1.000,0.000,0.000|FS:0,0>",
+        "<Idle|MPos:1.000,0.000,0.000|WCO:1.0,|FS:0,0>",
+        "<Idle>",
+    ],
+)
+def test_a_damaged_report_is_no_report(damaged):
+    assert parse_report(damaged) is None
+
+
+def test_a_move_goes_at_full_speed_or_at_the_velocity_set(controller, referenced):
+    referenced.move(-59.5)
+    referenced.set_velocity(12.5)
+    referenced.move(10)
+    assert [line for line in controller.lines if line[0] == "G"] == ["G21", "G90", "G0 X-59.5", "G1 X10 F750"]
+    with pytest.raises(StageError, match=r"20°/s at most \(\$110\)"):
+        referenced.set_velocity(21)
+
+
+@pytest.mark.parametrize("number", sorted(ERRORS))
+def test_a_refused_move_is_refused_in_words(controller, referenced, number):
+    controller.answers["G0 X10"] = b"error:%d\r\n" % number
+    if number == 8:
+        return  # never a G-code's answer
+    with pytest.raises(StageError, match=rf"refused G0 X10: .*\(error:{number}\)"):
+        referenced.move(10)
+
+
+@pytest.mark.parametrize("number", sorted(set(ALARMS) - {2}))
+def test_an_alarm_costs_the_angle_until_it_is_homed_again(controller, port, referenced, number):
+    port.push(b"ALARM:%d\r\n" % number)
+    controller.report = "<Alarm|MPos:3.000,0.000,0.000|FS:0,0>"
+    status = referenced.status()
+    assert status.state == "not_referenced"
+    assert f"ALARM:{number}, {ALARMS[number]}" in status.words
+    with pytest.raises(StageError, match="takes no move"):
+        referenced.move(10)
+    with pytest.raises(StageError, match=f"has lost its angle: ALARM:{number}"):
+        referenced.position_deg()
+    assert "$X" not in controller.lines
+    referenced.home()
+    controller.report = IDLE
+    assert until_it_stands(referenced) == "ready"
+    assert referenced.position_deg() == 0
+
+
+def test_a_soft_limit_alarm_keeps_the_angle_and_is_unlocked(controller, referenced):
+    controller.answers["G0 X200"] = b"ALARM:2\r\n[MSG:Reset to continue]\r\n"
+    with pytest.raises(StageError, match="refused G0 X200: ALARM:2, soft limit"):
+        referenced.move(200)
+    assert controller.resets == 1
+    assert controller.lines[-2:] == ["$X", "$$"]
+    assert referenced.status().state == "ready"
+    referenced.move(10)
+
+
+def test_a_count_that_changed_in_a_soft_limit_alarm_is_not_unlocked(controller, referenced):
+    def reset_and_lose(data, receive=controller.receive):
+        if data == b"\x18":
+            controller.report = "<Alarm|MPos:1.000,0.000,0.000|FS:0,0>"
+        return receive(data)
+
+    controller.answers["G0 X200"] = b"ALARM:2\r\n"
+    controller.receive = reset_and_lose
+    with pytest.raises(StageError, match="soft limit"):
+        referenced.move(200)
+    assert "$X" not in controller.lines
+    with pytest.raises(StageError, match=r"takes no move: .*count changed"):
+        referenced.move(10)
+
+
+def test_a_reset_after_a_motion_costs_the_angle(port, referenced):
+    port.push(BANNER)
+    assert "its count with it" in referenced.status().words
+    with pytest.raises(StageError, match="lost its angle"):
+        referenced.position_deg()
+
+
+def test_a_count_that_jumps_while_it_stands_costs_the_angle(controller, referenced):
+    controller.report = "<Idle|MPos:40.000,0.000,0.000|FS:0,0>"
+    referenced.move(40)
+    assert referenced.position_deg() == 40
+    controller.report = IDLE
+    with pytest.raises(StageError, match="jumped from 40° to 0° while it stood"):
+        referenced.position_deg()
+
+
+def test_without_homing_it_counts_from_where_it_was_switched_on_and_says_so(controller, port):
+    controller.settings[22] = "0"
+    stage = Grbl(port)
+    stage.identify()
+    assert stage.status().words == "IDLE, counting from where it was switched on"
+    assert stage.faults["zero_not_homed"] == 1
+    stage.move(5)
+
+
+def test_without_homing_a_count_that_begins_anew_elsewhere_is_no_angle(controller, port):
+    controller.settings[22] = "0"
+    stage = Grbl(port)
+    stage.identify()
+    stage.move(60)
+    controller.report = "<Idle|MPos:60.000,0.000,0.000|FS:0,0>"
+    assert stage.position_deg() == 60
+    stage.close()
+    controller.report = IDLE  # opening the port has reset it, and the table is where it was
+    again = Grbl(InProcessPort(controller, port.name))
+    assert "left at 60° and its count now begins at 0°" in again.status().words
+    with pytest.raises(StageError, match="turn the stage to its zero by hand"):
+        again.home()
+
+
+def test_reports_in_inches_are_refused(controller, stage):
+    controller.settings[13] = "1"
+    with pytest.raises(StageError, match=r"set \$13=0"):
+        stage.identify()
+
+
+def test_a_setting_misread_once_is_read_again(controller, stage):
+    whole = Script()._answer("$$")
+    controller.answers["$$"] = [whole.replace(b"$110=1200", b"$110=7200"), whole, whole]
+    assert stage.identify().velocity_dps == 20.0
+
+
+def test_a_listing_cut_alike_twice_is_not_believed(controller, stage):
+    whole = Script()._answer("$$")
+    controller.answers["$$"] = [whole[whole.index(b"$100") :]] * 2
+    assert stage.status().state == "not_referenced"  # it has homing, which the lost half says
+
+
+def test_a_refused_homing_is_said_at_once(controller, stage):
+    controller.answers["$H"] = b"error:5\r\n"
+    with pytest.raises(StageError, match=r"refused \$H: homing is not switched on"):
+        stage.home()
+    assert controller.lines.count("$H") == 1
+
+
+def test_an_ok_of_another_command_is_not_taken_for_a_moves_own(controller, port, referenced):
+    controller.answers["G0 X10"] = b"ok\r\nerror:9\r\n"  # the first was late, and is another's
+    with pytest.raises(StageError, match="error:9"):
+        referenced.move(10)
+    assert referenced.faults["late_reply"] == 1
+
+
+def test_a_move_whose_ok_is_lost_is_sent_again_to_the_same_place(controller, referenced):
+    controller.answers["G0 X10"] = [b"o\xfe\r\n", b"ok\r\n"]
+    referenced.move(10)
+    assert controller.lines.count("G0 X10") == 2
+
+
+def test_while_it_runs_the_refused_listing_is_no_answer_to_the_move(controller, referenced):
+    controller.answers["$$"] = b"error:8\r\n"
+    referenced.move(10)
+
+
+def test_a_silent_controller_is_reset_once_and_then_given_up_in_words(controller, port, stage):
+    controller.silent = True
+    with pytest.raises(StageError, match=f"on {port.name} does not answer .*check power"):
+        stage.status()
+    assert port.sent.count(b"\x18") == 1
+
+
+def test_a_stop_sends_hold_and_jog_cancel_and_no_motion_after_it(controller, port, referenced):
+    before = len(port.sent)
+    referenced.halt()
+    assert port.sent[before:] == b"!\x85"
+    with pytest.raises(Halted, match="G0 X10 was not sent"):
+        referenced.move(10)
+    with pytest.raises(Halted, match=r"\$H was not sent"):
+        referenced.home()
+    assert b"~" not in port.sent
+
+
+def test_what_a_stop_left_of_a_move_is_thrown_away(controller, port, referenced):
+    referenced.halt()
+    controller.report = "<Hold:0|MPos:5.000,0.000,0.000|FS:0,0>"
+    referenced.close()
+    assert controller.resets == 1
+    assert port.closed
+
+
+def test_homing_is_stopped_by_a_reset(port, stage):
+    stage.home()
+    stage._homing = True
+    stage.halt()
+    assert port.sent.endswith(b"!\x85\x18")

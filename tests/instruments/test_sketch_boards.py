@@ -1,0 +1,264 @@
+"""Boards that print text, on a wire: who they are, their time, and all that goes wrong with them."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from instrument_fakes import Wire
+from sketch_texts import BANNERS, BY_DRIVER
+
+from calrig.instruments import drivers, sketch_board
+from calrig.instruments.errors import BoardError, PortError
+from calrig.instruments.sketch_board import SketchBoard
+from calrig.instruments.sketches import SKETCHES
+from calrig.instruments.types import Samples
+
+DEADLINE_S = 10.0
+RAW, LIGHT = BY_DRIVER["i2cdev-raw"], BY_DRIVER["mpu6050-light"]
+
+
+@pytest.fixture(autouse=True)
+def little_patience(monkeypatch):
+    monkeypatch.setattr(sketch_board, "MEASURE_S", 0.2)
+    monkeypatch.setattr(sketch_board, "LOOK_AGAIN_S", 0.05)
+    monkeypatch.setattr(sketch_board, "SILENCE_S", 0.5)
+    monkeypatch.setattr(sketch_board, "QUIET_S", 0.3)
+    monkeypatch.setattr(sketch_board, "USELESS_S", 0.3)
+
+
+@pytest.fixture
+def wire():
+    """The board's end of the wire; `keep_saying` sends what an iterator gives, a hundred times a second."""
+    end = Wire()
+    stops, threads = [], []
+
+    def keep_saying(pieces):
+        stop = threading.Event()
+
+        def send():
+            for piece in pieces:
+                if stop.wait(0.01):
+                    return
+                end.send(piece)
+
+        threads.append(threading.Thread(target=send))
+        stops.append(stop)
+        threads[-1].start()
+        return stop
+
+    end.keep_saying = keep_saying
+    yield end
+    for stop in stops:
+        stop.set()
+    for thread in threads:
+        thread.join()
+    end.vanish()
+
+
+@pytest.fixture
+def opened():
+    boards = []
+
+    def open_it(wire, text):
+        sketch = replace(text.sketch, starts_in_s=0.4, frozen_after_s=min(text.sketch.frozen_after_s, 0.6))
+        boards.append(SketchBoard.open(wire.path, sketch=sketch))
+        return boards[-1]
+
+    yield open_it
+    for board in boards:
+        board.close()
+
+
+def counting(text, first=0):
+    """Records that differ from one to the next."""
+    for k in itertools.count(first):
+        yield text.say([k % 50 + 1, *[1] * (len(text.largest) - 1)])
+
+
+def started(wire, opened, text, pieces=None):
+    enough = wire.keep_saying(pieces or counting(text))
+    board = opened(wire, text)
+    board.identify()
+    board.start(200)
+    return board, enough
+
+
+def take_until_it_fails(board):
+    with pytest.raises((BoardError, PortError)) as failure:
+        while True:  # pytest-timeout ends a board that never fails
+            board.take(0.1)
+    return str(failure.value)
+
+
+def taken(board, n):
+    blocks, deadline_s = [], time.monotonic() + DEADLINE_S
+    while sum(map(len, blocks)) < n:
+        assert time.monotonic() < deadline_s, (len(blocks), board.faults)
+        blocks.append(board.take(0.1))
+    return Samples.join(blocks)
+
+
+def test_every_sketch_is_a_driver_by_its_name():
+    assert {sketch.driver for sketch in SKETCHES} <= set(drivers.BOARDS)
+    assert len({sketch.driver for sketch in SKETCHES}) == len(SKETCHES) == 7
+
+
+def test_it_says_what_it_is_and_measures_its_one_rate(wire):
+    wire.keep_saying(counting(RAW))
+    board = drivers.open_board("i2cdev-raw", wire.path)
+    who = board.identify()
+    board.close()
+    assert (who.driver, who.serial, who.chip, who.max_rate_hz) == ("i2cdev-raw", "", None, None)
+    assert (who.accel_range_g, who.gyro_range_dps) == (2, 250)
+    assert 30 < who.rate_hz <= 101
+
+
+def test_its_time_is_that_of_arrival(wire, opened):
+    board, _ = started(wire, opened, RAW)
+    before_s = time.monotonic()
+    block = taken(board, 40)
+    assert (np.diff(block.time_s) > 0).all()
+    assert 0.39 < block.time_s[-1] < time.monotonic() - before_s + 0.2
+    assert not board.faults
+
+
+def test_records_that_come_in_one_read_are_spread_evenly(wire, opened):
+    board, enough = started(wire, opened, RAW)
+    taken(board, 3)
+    enough.set()
+    board.start(200)
+    wire.send(b"".join(itertools.islice(counting(RAW, 10), 8)))
+    block = taken(board, 8)
+    np.testing.assert_allclose(np.diff(block.time_s[-8:]), np.diff(block.time_s[-8:])[0], rtol=1e-6)
+
+
+def test_what_waited_while_nobody_read_says_nothing_of_the_rate(wire, opened):
+    board = opened(wire, RAW)
+    wire.send(b"".join(itertools.islice(counting(RAW), 150)))
+    wire.keep_saying(counting(RAW))
+    assert board.identify().rate_hz < 110
+
+
+def test_a_sketch_that_waits_for_a_character_is_given_one(wire, opened):
+    dmp = BY_DRIVER["dmp-ypr"]
+
+    def once_asked():
+        yield BANNERS["dmp-ypr"]
+        while not wire.recv():
+            pass
+        yield from counting(dmp)
+
+    wire.keep_saying(once_asked())
+    assert opened(wire, dmp).identify().driver == "dmp-ypr"
+
+
+def test_a_clone_whose_data_are_good_is_a_fault_and_no_end(wire, opened):
+    said = b"Initializing I2C devices...\r\nTesting device connections...\r\nMPU6050 connection failed\r\n"
+    board, _ = started(wire, opened, RAW, itertools.chain([said], counting(RAW)))
+    assert len(taken(board, 5)) >= 5
+    assert board.faults == {"board_error": 1}
+
+
+def test_half_lines_are_dropped_and_counted(wire, opened):
+    lines = (line if k % 10 else line[: len(line) // 2] for k, line in enumerate(counting(RAW)))
+    board, _ = started(wire, opened, RAW, lines)
+    block = taken(board, 40)
+    assert set((block.accel_g[:, 1:] * 16384).flat) == {1.0}
+    assert set(board.faults) == {"unparsed"}
+
+
+@pytest.mark.parametrize(
+    ("text", "piece", "words"),
+    [
+        (RAW, RAW.say([0] * 6), "all its values are 0: no sensor answers the board; check the wires"),
+        (RAW, RAW.say([1] * 6), "its values do not change: the sensor's bus hangs"),
+        (LIGHT, LIGHT.say([0] * 3), "all its values are 0: no sensor answers the board"),
+        (LIGHT, LIGHT.say([7, 8, 9]), "its values do not change: the sensor's bus hangs"),
+        (RAW, b"\x9c\xf1\x80\x0c\xe3", "no text: wrong baud rate.* at 38400 baud"),
+        (RAW, b"quaternion 1 0 0 0\r\n", "no whole line of jrowberg/i2cdevlib"),
+        (RAW, b"", "it is silent"),
+    ],
+)
+def test_what_goes_wrong_in_the_stream_is_named_and_is_no_sample(wire, opened, text, piece, words):
+    board, enough = started(wire, opened, text)
+    taken(board, 5)
+    enough.set()
+    wire.keep_saying(itertools.chain([b"\r\n"], itertools.repeat(piece)))
+    board.start(200)
+    with pytest.raises(BoardError, match=f"on {wire.path} has sent no usable sample for .*{words}"):
+        for n in itertools.count():
+            block = board.take(0.1)
+            assert len(block) == 0 or n < 5
+
+
+@pytest.mark.parametrize(
+    ("text", "sent", "words"),
+    [
+        (LIGHT, BY_DRIVER["tockn"].say([1, 2, 3]), "another sketch's; it looks like driver 'tockn'"),
+        (RAW, BY_DRIVER["adafruit-basic"].say([1] * 7), "looks like driver 'adafruit-basic'"),
+        (RAW, b"\x9c\xf1\x80\x0c\xe3\x0a", "no text: wrong baud rate"),
+        (RAW, b"hello\r\n", "is another sketch on the board"),
+        (RAW, b"", "silent: is it powered, and on this port.*ElectronicCats' sketch stops"),
+        (
+            BY_DRIVER["adafruit-plotter"],
+            b"Failed to find MPU6050 chip\r\n",
+            "says 'Failed to find MPU6050 chip'",
+        ),
+    ],
+)
+def test_a_board_that_cannot_be_identified_is_told_why(wire, opened, text, sent, words):
+    wire.keep_saying(itertools.repeat(sent))
+    with pytest.raises(BoardError, match=f"board {text.sketch.driver} on {wire.path}.*{words}"):
+        opened(wire, text).identify()
+
+
+def test_the_last_words_of_one_that_fell_silent_are_told(wire, opened):
+    board = opened(wire, RAW)
+    wire.send(b"Initializing MPU...\r\nTesting MPU6050 connection...\r\nMPU6050 connection failed\r\n")
+    with pytest.raises(BoardError, match=r"it is silent.*last words were 'MPU6050 connection failed'"):
+        board.identify()
+
+
+def test_a_reset_is_counted_and_a_raw_board_goes_on(wire, opened):
+    board, enough = started(wire, opened, RAW)
+    taken(board, 3)
+    enough.set()
+    wire.keep_saying(itertools.chain([b"a/g:\t1\t2", BANNERS["i2cdev-raw"]], counting(RAW)))
+    taken(board, 20)
+    assert board.faults["board_reset"] == 1
+
+
+@pytest.mark.parametrize("driver", ["mpu6050-light", "tockn", "dmp-ypr"])
+def test_a_reset_ends_the_stream_of_a_sketch_that_takes_its_zero_anew(wire, opened, driver):
+    text = BY_DRIVER[driver]
+    board, enough = started(wire, opened, text)
+    taken(board, 3)
+    enough.set()
+    wire.keep_saying(itertools.chain([BANNERS[driver]], counting(text)))
+    assert "takes its zero anew at every start" in take_until_it_fails(board)
+    assert board.faults["board_reset"] == 1
+
+
+def test_a_pulled_cable_is_a_port_error(wire, opened):
+    board, enough = started(wire, opened, RAW)
+    enough.set()
+    wire.vanish()
+    assert "went away" in take_until_it_fails(board)
+
+
+def test_it_must_be_identified_before_it_is_started(wire, opened):
+    with pytest.raises(BoardError, match="must be identified"):
+        opened(wire, RAW).start(200)
+
+
+def test_after_stop_nothing_more_is_taken(wire, opened):
+    board, _ = started(wire, opened, RAW)
+    taken(board, 3)
+    board.stop()
+    board.take(0.0)
+    assert len(board.take(0.1)) == 0

@@ -1,0 +1,190 @@
+"""The simulated board prints what sketches.md says the public sketches print."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import pytest
+
+from calrig.simulator.bench import Bench
+from calrig.simulator.config import SimulatorSettings
+from calrig.simulator.rig import SimulatedRig
+from calrig.simulator.sketch_board import SketchBoard
+
+NUMBER = r"-?\d+\.\d\d"
+LINES = {
+    "i2cdev-raw": r"a/g:(\t-?\d+){6}\r\n",
+    "i2cdev-raw-fast": r"a/g:(\t-?\d+){6}\r\n",
+    "tkj-kalman": rf"({NUMBER}\t){{4}}\t({NUMBER}\t){{4}}\r\n",
+    "adafruit-plotter": rf"AccelX:{NUMBER},AccelY:{NUMBER},AccelZ:{NUMBER}, "
+    rf"GyroX:{NUMBER},GyroY:{NUMBER},GyroZ:{NUMBER}\r\n",
+    "adafruit-basic": rf"Acceleration X: {NUMBER}, Y: {NUMBER}, Z: {NUMBER} m/s\^2\r\n"
+    rf"Rotation X: {NUMBER}, Y: {NUMBER}, Z: {NUMBER} rad/s\r\nTemperature: {NUMBER} degC\r\n\r\n",
+    "mpu6050-light": rf"X : {NUMBER}\tY : {NUMBER}\tZ : {NUMBER}\r\n",
+    "tockn": rf"angleX : {NUMBER}\tangleY : {NUMBER}\tangleZ : {NUMBER}\r\n",
+    "dmp-ypr": rf"ypr\t{NUMBER}\t{NUMBER}\t{NUMBER}\r\n",
+}
+A_SECOND = {  # lines or records; sketches.md, and what passes at the baud rate
+    "i2cdev-raw": (8, 10),
+    "i2cdev-raw-fast": (95, 130),
+    "tkj-kalman": (110, 200),
+    "adafruit-plotter": (50, 95),
+    "adafruit-basic": (1.5, 2.1),
+    "mpu6050-light": (20, 45),
+    "tockn": (15, 30),
+    "dmp-ypr": (60, 101),
+}
+
+
+class Board:
+    """A simulated board without a wire, whose time the test sets."""
+
+    def __init__(self, sketch, **board):
+        settings = SimulatorSettings.from_options({"board": {"sketch": sketch, **board}})
+        self.now_s = 0.0
+        self.device = SketchBoard(settings.board, settings.imu, Bench(settings), lambda: self.now_s)
+
+    def said(self, until_s):
+        """All it prints until then."""
+        text = ""
+        while self.now_s < until_s:
+            self.now_s += 0.25
+            text += self.device.emit().decode()
+        return text
+
+
+def running(sketch, **board):
+    it = Board(sketch, **board)
+    it.said(2)
+    it.device.receive(b"s")
+    it.said(8)
+    return it
+
+
+@pytest.mark.parametrize("sketch", sorted(LINES))
+def test_it_prints_its_lines_at_its_pace_and_nothing_else(sketch):
+    text = running(sketch).said(18)
+    assert re.fullmatch(f"({LINES[sketch]})+", text)
+    least, most = A_SECOND[sketch]
+    assert least <= len(re.findall(LINES[sketch], text)) / 10 <= most
+
+
+def test_raw_registers_are_those_of_the_chip():
+    it = running("i2cdev-raw")
+    ax, ay, az, *gyro = map(int, it.said(9).splitlines()[0].split("\t")[1:])
+    assert math.degrees(math.atan2(ay, az)) == pytest.approx(4, abs=0.5)  # where a stage powers up
+    assert math.hypot(ax, ay, az) == pytest.approx(16384, rel=0.02)
+    assert max(map(abs, gyro)) < 100
+
+
+@pytest.mark.parametrize(("sketch", "place"), [("tkj-kalman", 3), ("tockn", 0), ("dmp-ypr", 2)])
+def test_an_angle_sketch_sends_the_elevation_about_x(sketch, place):
+    numbers = re.findall(NUMBER, running(sketch).said(9).splitlines()[0])
+    assert float(numbers[place]) == pytest.approx(4, abs=0.5)
+
+
+def test_one_that_takes_where_it_starts_for_level_says_0_there():
+    assert abs(float(re.findall(NUMBER, running("mpu6050-light").said(9))[0])) < 0.5
+
+
+@pytest.mark.parametrize(
+    ("sketch", "first"),
+    [
+        (
+            "i2cdev-raw",
+            "Initializing I2C devices...\r\nTesting device connections...\r\nMPU6050 conn",
+        ),
+        (
+            "i2cdev-raw-fast",
+            "Initializing MPU...\r\nTesting MPU6050 connection...\r\nMPU6050 conn",
+        ),
+        ("tkj-kalman", ""),
+        ("adafruit-plotter", "\r\n"),
+        ("adafruit-basic", "Adafruit MPU6050 test!\r\nMPU6050 Found!\r\n"),
+        ("mpu6050-light", "MPU6050 status: 0\r\nCalculating offsets, do not move MPU6050\r\n"),
+        ("tockn", f"\r\n{'=' * 40}\r\nCalculating gyro offsets\r\nDO NOT MOVE MPU6050...\r\n"),
+        (
+            "dmp-ypr",
+            "Initializing I2C devices...\r\nTesting device connections...\r\nMPU6050 conn",
+        ),
+    ],
+)
+def test_a_banner_comes_after_the_boot_loaders_silence(sketch, first):
+    it = Board(sketch)
+    assert it.said(0.75) == ""
+    assert it.said(6).startswith(first)
+
+
+def test_the_first_line_of_tockn_is_glued_to_its_banner():
+    assert re.search(r"seconds\r\n={40}angleX : ", Board("tockn").said(7))
+
+
+def test_the_dmp_waits_for_a_character():
+    it = Board("dmp-ypr")
+    assert it.said(5).endswith("\nSend any character to begin DMP programming and demo: \r\n")
+    assert it.said(10) == ""
+    it.device.receive(b"s")
+    assert "ypr\t" in it.said(12)
+
+
+@pytest.mark.parametrize(
+    ("sketch", "fault", "text"),
+    [
+        ("i2cdev-raw", "zeros", r"connection failed\r\n(a/g:(\t0){6}\r\n)+"),
+        ("i2cdev-raw", "clone", rf"connection failed\r\n({LINES['i2cdev-raw']})+"),
+        ("i2cdev-raw-fast", "clone", r"MPU6050 connection failed\r\n"),
+        ("tkj-kalman", "clone", "Error reading sensor"),
+        ("tkj-kalman", "zeros", ""),
+        ("adafruit-plotter", "clone", "Failed to find MPU6050 chip\r\n"),
+        ("adafruit-basic", "zeros", "Failed to find MPU6050 chip\r\n"),
+        ("mpu6050-light", "clone", rf"Done!\n\r\n({LINES['mpu6050-light']})+"),
+        ("i2cdev-raw", "silent", ""),
+    ],
+)
+def test_a_clone_or_no_sensor_is_what_each_sketch_makes_of_it(sketch, fault, text):
+    said = Board(sketch, fault=fault).said(6)
+    assert re.search(f"^{text}$" if not text else f"{text}$", said)
+
+
+def test_frozen_lines_go_on_with_the_same_values():
+    it = running("i2cdev-raw")
+    it.device.fault = "frozen"
+    lines = it.said(12).splitlines()
+    assert len(lines) > 20
+    assert len(set(lines)) == 1
+
+
+def test_every_tenth_line_can_lose_its_second_half():
+    it = running("i2cdev-raw-fast")
+    it.device.fault = "half_lines"
+    text = it.said(12)
+    damaged = [ln for ln in text.splitlines(keepends=True) if not re.fullmatch(LINES["i2cdev-raw"], ln)]
+    assert len(damaged) == pytest.approx(text.count("a/g:") / 10, abs=2)
+
+
+def test_a_reset_prints_the_banner_again():
+    it = running("i2cdev-raw")
+    it.device.fault = "reset"
+    assert it.said(12).count("Initializing I2C devices...\r\n") == 1
+    assert it.said(18).count("Initializing I2C devices...\r\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"time_scale": 20, "board": {"sketch": "tockn"}}, "runs in real time: time_scale must be 1"),
+        ({"board": {"sketch": "tockn", "fault": "corrupt"}}, "'corrupt' is none of a board that runs tockn"),
+        ({"board": {"fault": "clone"}}, "'clone' is none of a board that runs calrig"),
+        ({"board": {"sketch": "nosuch"}}, "board.sketch"),
+    ],
+)
+def test_what_cannot_be_is_refused(options, words):
+    with pytest.raises(ValueError, match=words):
+        SimulatorSettings.from_options(options)
+
+
+def test_a_rig_makes_the_board_that_is_asked_for():
+    rig = SimulatedRig(SimulatorSettings.from_options({"board": {"sketch": "tockn"}}))
+    assert isinstance(rig.board, SketchBoard)
+    rig.stop()
