@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.candidates import Candidate
-from calrig.calibration.noise_model import PRIOR_RHO_STD, Fit, NoiseModel, noise_of, stacked
+from calrig.calibration.noise_model import PRIOR_RHO_STD, Fit, NoiseModel, Real, noise_of
 from calrig.calibration.responses import Responses
 from calrig.estimation.angles import FloatArray
 
@@ -25,16 +25,24 @@ FAMILY_QUANTILES = {True: 0.98, False: 0.995}
 """Of a family's maximum under noise, where its bar lies: an effect that has a name is likelier beforehand
 than a shape that has none, and four times as much of the error rate is spent on it.
 """
+LIKE_NOISE = 0.1
+"""A p-value beyond which more bootstraps cannot bring it below 1 %: of 249, 25 did as well."""
 SMALLEST = 1e-6
+BATCH = 250
+"""Bootstraps at a time: what belongs to them then stays in the processor's cache."""
 Float32Array = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
 class _Level:
-    """The candidates at one share of the null's correlation, by their number of columns."""
+    """The candidates at one share of the null's correlation, by their number of columns.
+
+    `base` (J, n, q) is orthonormal over all channels; the candidates' columns (J, p, C, n), orthonormal
+    beside it, come with their products (J, C, p, p) within each channel.
+    """
 
     share: float
-    base: FloatArray
+    base: Float32Array
     bases: dict[int, tuple[Float32Array, Float32Array]]
     cost: float
 
@@ -50,67 +58,89 @@ class Screen:
     def __init__(
         self, r: Responses, model: FloatArray, candidates: Sequence[Candidate], noise: NoiseModel
     ) -> None:
-        self._r, self._noise, self._count = r, noise, len(candidates)
-        self._by_width: dict[int, list[int]] = {}
+        self._r, self._noise = r, noise
+        by_width: dict[int, list[int]] = {}
         for index, candidate in enumerate(candidates):
-            self._by_width.setdefault(candidate.columns.shape[2], []).append(index)
+            by_width.setdefault(candidate.columns.shape[2], []).append(index)
         stacks = {
-            width: np.stack([candidates[i].columns for i in indices])
-            for width, indices in self._by_width.items()
+            width: noise.rotated(np.moveaxis(np.stack([candidates[i].columns for i in indices]), 3, 0))
+            for width, indices in by_width.items()
         }
-        self._levels = [self._level(share, model, stacks) for share in SHARES]
+        self._as_given = np.argsort(np.concatenate(list(by_width.values())))
+        rotated = noise.rotated(np.moveaxis(model, 2, 0))
+        self._levels = [self._level(share, rotated, stacks) for share in SHARES]
 
     def _level(self, share: float, model: FloatArray, stacks: dict[int, FloatArray]) -> _Level:
-        r, noise = self._r, self._noise
-        design = stacked(noise, r.starts, model, share)
+        """Takes the rotated model (J, p, n) and candidates (J, p, C, n)."""
+        starts, noise = self._r.starts, self._noise
+        white = noise.innovations(model, starts, share)
+        design = white.transpose(0, 2, 1).reshape(-1, model.shape[1])
         base, _ = np.linalg.qr(design[:, design.any(axis=0)])  # of a fold, a first pose may not be in it
-        bases = {width: _orthonormal(r, noise, share, base, stack) for width, stack in stacks.items()}
+        base = base.reshape(len(model), -1, base.shape[1])
+        bases = {
+            width: _orthonormal(noise.innovations(stack, starts, share), base)
+            for width, stack in stacks.items()
+        }
         rho = noise.rho * share
-        following = int((~r.starts).sum())
+        following = int((~starts).sum())
         cost = following * np.log(1.0 - rho**2).sum() + ((rho / PRIOR_RHO_STD) ** 2).sum()
-        return _Level(share, base, bases, float(cost))
+        return _Level(share, base.astype(np.float32), bases, float(cost))
 
-    def ratios(self, values: FloatArray) -> Float32Array:
-        """(b, C) reductions of −2 log likelihood for b sets of responses (b, n, J)."""
-        b, n, channels = values.shape
-        alternatives = np.full((b, self._count), np.inf, dtype=np.float32)
-        null = np.full(b, np.inf)
+    def ratios(self, residuals: FloatArray) -> Float32Array:
+        """(b, C) reductions of −2 log likelihood for b sets of residuals (b, n, J) of the model."""
+        rotated = self._noise.rotated(residuals).astype(np.float32)
+        parts = [self._ratios(rotated[:, k : k + BATCH]) for k in range(0, len(residuals), BATCH)]
+        return np.concatenate(parts)[:, self._as_given]
+
+    def _ratios(self, rotated: Float32Array) -> Float32Array:
+        """The same of rotated channels (J, b, n), candidates ordered by width."""
+        n = rotated.shape[2]
+        least = np.full((rotated.shape[1], len(self._as_given)), np.inf, dtype=np.float32)
+        null: list[FloatArray] = []
         for level in self._levels:
-            flat = self._noise.whiten(values, self._r.starts, level.share).reshape(b, -1)
-            white = (flat - (flat @ level.base) @ level.base.T).reshape(b, n, channels)
-            power = (white**2).sum(axis=1)
-            under_null = n * np.log(power).sum(axis=1) + level.cost
-            null = np.minimum(null, under_null)
-            by_channel = np.ascontiguousarray(white.transpose(2, 0, 1), dtype=np.float32)
-            for width, indices in self._by_width.items():
-                left = _share_left(by_channel, power.astype(np.float32), *level.bases[width])
-                under = n * np.log(left) + under_null[:, None].astype(np.float32)
-                alternatives[:, indices] = np.minimum(alternatives[:, indices], under)
-        return np.asarray(null[:, None].astype(np.float32) - alternatives, dtype=np.float32)
+            white = _beside(level.base, self._noise.innovations(rotated, self._r.starts, level.share))
+            power = np.einsum("jbn,jbn->jb", white, white)
+            null.append(n * np.log(power.astype(np.float64)).sum(axis=0) + level.cost)
+            against_first = np.exp((null[-1] - null[0]) / n).astype(np.float32)[:, None]
+            lefts = [_share_left(white, power, *of_width) for of_width in level.bases.values()]
+            np.minimum(least, np.concatenate(lefts, axis=1) * against_first, out=least)
+        gain = (np.min(null, axis=0) - null[0]).astype(np.float32)
+        return np.asarray(gain[:, None] - n * np.log(least), dtype=np.float32)
 
 
-def _orthonormal(
-    r: Responses, noise: NoiseModel, share: float, base: FloatArray, stack: FloatArray
-) -> tuple[Float32Array, Float32Array]:
-    """Orthonormal columns of each candidate of a stack (C, n, J, p) beside the base, and their products.
-
-    Both are split by channel: (J, p, C, n) and (J, C, p, p).
-    """
-    count, n, channels, width = stack.shape
-    white = noise.whiten(np.moveaxis(stack, 3, 1), r.starts, share).reshape(count * width, -1)
-    size_before = np.linalg.norm(white, axis=1)
-    white = white - (white @ base) @ base.T
-    size = np.linalg.norm(white, axis=1)
+def _orthonormal(white: FloatArray, base: FloatArray) -> tuple[Float32Array, Float32Array]:
+    """Columns of candidates (J, p, C, n) made orthonormal beside a base (J, n, q), and their products."""
+    width = white.shape[1]
+    size_before = np.sqrt(np.einsum("jkcn,jkcn->kc", white, white)).max(axis=0)
+    units = _beside(base, white.reshape(len(white), -1, white.shape[3])).reshape(white.shape)
+    size = np.sqrt(np.einsum("jkcn,jkcn->kc", units, units))
     size = np.where(size > 1e-7 * size_before, size, np.inf)  # what the base has already, counts for nothing
-    units = (white / size[:, None]).reshape(count, width, -1)
+    units /= size[:, :, None]
     if width > 1:
-        values, vectors = np.linalg.eigh(units @ units.transpose(0, 2, 1))
+        values, vectors = np.linalg.eigh(_products(units).sum(axis=0))
         inverse = np.where(values > SMALLEST, 1.0 / np.sqrt(np.maximum(values, SMALLEST)), 0.0)
-        units = (vectors * inverse[:, None, :]).transpose(0, 2, 1) @ units
-    columns = units.reshape(count, width, n, channels)
-    products = np.einsum("cknj,clnj->jckl", columns, columns, optimize=True)
-    by_channel = np.ascontiguousarray(columns.transpose(3, 1, 0, 2), dtype=np.float32)
-    return by_channel, products.astype(np.float32)
+        turn = vectors * inverse[:, None, :]
+        units = np.stack(
+            [sum(units[:, m] * turn[:, m, k, None] for m in range(width)) for k in range(width)], axis=1
+        )
+    return units.astype(np.float32), _products(units).astype(np.float32)
+
+
+def _beside(base: Real, columns: Real) -> Real:
+    """Columns (J, c, n) less what lies in an orthonormal base (J, n, q) over all channels.
+
+    A channel at a time: small products that the processor's cache holds.
+    """
+    inside = sum(of_channel @ base[j] for j, of_channel in enumerate(columns))
+    left = columns.copy()
+    for j in range(len(left)):
+        left[j] -= inside @ base[j].T
+    return left
+
+
+def _products(units: FloatArray) -> FloatArray:
+    """(J, C, p, p) inner products of columns (J, p, C, n) within each channel."""
+    return np.stack([np.einsum("jkcn,jcn->jck", units, units[:, m]) for m in range(units.shape[1])], axis=3)
 
 
 def _share_left(
@@ -118,7 +148,7 @@ def _share_left(
 ) -> Float32Array:
     """(b, C) product over the channels of what a candidate leaves of the channel's sum of squares.
 
-    Takes (J, b, n) whitened responses, (b, J) their sums of squares, and what `_orthonormal` gives.
+    Takes (J, b, n) whitened responses, (J, b) their sums of squares, and what `_orthonormal` gives.
     """
     channels, width = columns.shape[:2]
     within = [[values[j] @ columns[j, k].T for k in range(width)] for j in range(channels)]
@@ -130,7 +160,7 @@ def _share_left(
             change += total[k] * (total[k] * products[j][:, k, k] - 2.0 * within[j][k])
             for m in range(k):
                 change += 2.0 * total[k] * total[m] * products[j][:, k, m]
-        left *= np.maximum(1.0 + change / power[:, j : j + 1], np.float32(SMALLEST))
+        left *= np.maximum(1.0 + change / power[j][:, None], np.float32(SMALLEST))
     return np.asarray(left, dtype=np.float32)
 
 
@@ -138,8 +168,15 @@ def _share_left(
 class Verdict:
     """What the gate says of one search: each candidate's ratio, and the p-value of the search as a whole."""
 
+    candidates: Sequence[Candidate]
     ratios: Float32Array
     p_value: float
+    _null: Float32Array
+
+    def without(self, label: str) -> Verdict:
+        """The verdict had these candidates never been looked at."""
+        kept = [index for index, c in enumerate(self.candidates) if c.label != label]
+        return _judged([self.candidates[i] for i in kept], self.ratios[kept], self._null[:, kept])
 
 
 def gate(
@@ -152,6 +189,8 @@ def gate(
 ) -> Verdict:
     """Judges the best of all candidates against its distribution under the current model.
 
+    A search that a quarter of the bootstraps already show to be like noise is not judged by the rest.
+
     Args:
         r: the responses.
         model: (n, J, p) columns of the current model.
@@ -160,20 +199,33 @@ def gate(
         rng: of the bootstrap.
         bootstraps: how many.
     """
+    if not candidates:
+        nothing = np.empty((1, 0), dtype=np.float32)
+        return Verdict(candidates, nothing[0], 1.0, nothing)
     taken = max(1.0, model.shape[2] / len(r.channels))
     noise = noise_of(fitted.residuals, r.starts, taken, unbiased=True)
     screen = Screen(r, model, candidates, noise)
-    observed = screen.ratios(r.values[None])
-    null = screen.ratios(_resampled(r, fitted.residuals, noise, rng, bootstraps))
-    best_null, best = np.full(bootstraps, -np.inf), -np.inf
+    observed = screen.ratios(fitted.residuals[None])[0]
+    first = bootstraps // 4
+    null = screen.ratios(_resampled(r, fitted.residuals, noise, rng, first))
+    verdict = _judged(candidates, observed, null)
+    if verdict.p_value > LIKE_NOISE:
+        return verdict
+    rest = screen.ratios(_resampled(r, fitted.residuals, noise, rng, bootstraps - first))
+    return _judged(candidates, observed, np.concatenate([null, rest]))
+
+
+def _judged(candidates: Sequence[Candidate], observed: Float32Array, null: Float32Array) -> Verdict:
+    """The p-value of the best over all families, each against its own bar."""
+    best_null, best = np.full(len(null), -np.inf), -np.inf
     for indices in _families(candidates).values():
         of_family = null[:, indices].max(axis=1)
         named = candidates[indices[0]].effect is not None
         bar = float(np.quantile(of_family, FAMILY_QUANTILES[named]))
         best_null = np.maximum(best_null, of_family - bar)
-        best = max(best, float(observed[0, indices].max()) - bar)
-    p_value = (1 + int((best_null >= best).sum())) / (bootstraps + 1)
-    return Verdict(observed[0], p_value)
+        best = max(best, float(observed[indices].max()) - bar)
+    p_value = (1 + int((best_null >= best).sum())) / (len(null) + 1)
+    return Verdict(candidates, observed, p_value, null)
 
 
 def _families(candidates: Sequence[Candidate]) -> dict[str, list[int]]:

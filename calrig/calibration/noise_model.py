@@ -12,8 +12,10 @@ channels of one common ρ are both special cases.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from calrig.calibration.responses import BoolArray, Responses
 from calrig.estimation.angles import FloatArray
@@ -23,6 +25,8 @@ LARGEST_RHO = 0.95
 SMALLEST_RHO = -0.5
 PRIOR_RHO_STD = 0.2
 """Correlation that a model has to invoke counts against it by (ρ/0.2)²: noise is more often white."""
+
+Real = TypeVar("Real", npt.NDArray[np.float64], npt.NDArray[np.float32])
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,12 +38,21 @@ class NoiseModel:
 
     def whiten(self, x: FloatArray, starts: BoolArray, share: float = 1.0) -> FloatArray:
         """Innovations of x (…, n, J) in the rotated channels, with `share` of rho undone."""
-        rotated = x @ self.rotation
-        rho = self.rho * share
-        white: FloatArray = rotated.copy()
-        follows = ~starts[1:]
-        lagged = (rotated[..., 1:, :] - rho * rotated[..., :-1, :]) / np.sqrt(1.0 - rho**2)
-        white[..., 1:, :] = np.where(follows[:, None], lagged, rotated[..., 1:, :])
+        return np.moveaxis(self.innovations(self.rotated(x), starts, share), 0, -1)
+
+    def rotated(self, x: FloatArray) -> FloatArray:
+        """(J, …, n) independent channels of x (…, n, J), in memory one after the other."""
+        flat = self.rotation.T @ x.reshape(-1, x.shape[-1]).T
+        return np.asarray(flat.reshape(-1, *x.shape[:-1]), dtype=np.float64)
+
+    def innovations(self, rotated: Real, starts: BoolArray, share: float = 1.0) -> Real:
+        """Innovations (J, …, n) of rotated channels, with `share` of rho undone."""
+        rho = (self.rho * share).astype(rotated.dtype).reshape(-1, *(1,) * (rotated.ndim - 1))
+        gain = 1.0 / np.sqrt(1.0 - rho**2)
+        white = rotated.copy()  # the first pose, and the first of each run, follow on nothing
+        white[..., 1:] -= rho * rotated[..., :-1]
+        white[..., 1:] *= gain
+        white[..., starts] = rotated[..., starts]
         return white
 
     def colour(self, innovations: FloatArray, starts: BoolArray) -> FloatArray:

@@ -9,8 +9,8 @@ import numpy as np
 
 from calrig.calibration.candidates import Candidate, base_without, candidates_of
 from calrig.calibration.effects.stage import periodic_shape
-from calrig.calibration.gate import Screen, gate
-from calrig.calibration.noise_model import Fit, fit, noise_of
+from calrig.calibration.gate import Screen, Verdict, gate
+from calrig.calibration.noise_model import Fit, fit
 from calrig.calibration.responses import Responses
 from calrig.estimation.angles import FloatArray
 
@@ -18,15 +18,9 @@ LEVEL = 0.01
 """The nominal rate at which a search of noise alone says something."""
 MARGIN = 6.0
 """Of the criterion, between a name and the next: held by truth in 94–100 % where the data can decide."""
-LOOK_AHEAD = 0.2
-"""Effects of one size hide each other: each is correlated noise to the search for the others. A step that
-fails by no more than this goes on trial, up to `MOST_ON_TRIAL` of them; all stay if the one after them passes
-at half the level. In noise alone that happens in about 0.2·level/2 of cases.
-"""
-MOST_ON_TRIAL = 2
 PAIR_MARGIN = 8.0
-"""Of the criterion, by which two effects must beat the best one to enter together: noise adds a second effect
-by that much in 0.5 % (χ² of one degree of freedom beyond log n + 8, a dozen names).
+"""Of the criterion, by which two effects must beat the best one to enter together, and the second of them
+must pass the gate beside the first: on trial by this margin alone it was wrong in 1 % of all runs.
 """
 LEADING_NAMES = 4
 MOST_EFFECTS = 5
@@ -97,29 +91,40 @@ def search(
     """
     found: list[Found] = []
     too_small: set[str] = set()
-    settled: Findings | None = None
-    while True:
-        accepted = [f.candidate for f in found]
-        offered = _offered(candidates, accepted, too_small)
+
+    def judged(accepted: Sequence[Candidate]) -> tuple[FloatArray, Fit, Verdict]:
         columns = model_columns(r, accepted)
         fitted = fit(r, columns)
-        verdict = gate(r, columns, fitted, offered, rng, bootstraps)
-        now = Findings(tuple(found), fitted, columns, verdict.p_value)
-        on_trial = 0 if settled is None else len(found) - len(settled.found)
-        if verdict.p_value > (level / 2.0 if on_trial else level) or len(found) == MOST_EFFECTS:
-            hopeless = verdict.p_value > LOOK_AHEAD or on_trial == MOST_ON_TRIAL
-            if hopeless or len(found) == MOST_EFFECTS:
-                return settled or now
-            settled = settled or now
-        elif settled is not None:
-            settled = None
-            found = [replace(f, p_value=min(f.p_value, 2.0 * verdict.p_value)) for f in found]
-        step = _named(r, accepted, offered, verdict.ratios, verdict.p_value)
-        if _share_of_reading(r, accepted, step.candidate) < LEAST_SHARE:
-            too_small.add(step.candidate.label)
-            continue
-        steps = _pair(r, accepted, offered, verdict.ratios, step) or (step,)
+        offered = _offered(candidates, accepted, too_small)
+        return columns, fitted, gate(r, columns, fitted, offered, rng, bootstraps)
+
+    while True:
+        accepted = [f.candidate for f in found]
+        columns, fitted, verdict = judged(accepted)
+        step, verdict = _step(r, accepted, verdict, level, too_small)
+        if step is None or len(found) >= MOST_EFFECTS:
+            return Findings(tuple(found), fitted, columns, verdict.p_value)
+        steps = [step]
+        if pair := _pair(r, accepted, verdict, step):
+            first, second = pair
+            p_value = judged([*accepted, first])[2].p_value
+            if p_value <= level:
+                beside = replace(step, candidate=second, rivals=(), p_value=p_value)
+                steps = [replace(step, candidate=first, rivals=()), beside]
         found = _reconsidered(r, candidates, [*found, *steps])
+
+
+def _step(
+    r: Responses, accepted: Sequence[Candidate], verdict: Verdict, level: float, too_small: set[str]
+) -> tuple[Found | None, Verdict]:
+    """The effect that enters next, and the verdict that lets it, less what is too small to be worth it."""
+    while verdict.p_value <= level:
+        step = _named(r, accepted, verdict.candidates, verdict.ratios, verdict.p_value)
+        if _share_of_reading(r, accepted, step.candidate) >= LEAST_SHARE:
+            return step, verdict
+        too_small.add(step.candidate.label)
+        verdict = verdict.without(step.candidate.label)
+    return None, verdict
 
 
 def _offered(
@@ -151,43 +156,38 @@ def _named(
     named = [c for c in near if c.effect is not None]
     # A catalogue effect that explains as well outranks the flexible shapes that contain it.
     claimed = (named or near)[0]
-    best_shape = _better_shape(ranked, claimed)
-    others: dict[str, Candidate] = {}
-    for c in named or near:
-        if c.label != claimed.label:
-            others.setdefault(c.label, c)
-    if claimed.effect is None:
-        others = {}
-    elif best_shape is not None:
-        others[best_shape.label] = best_shape
+    rivals = () if claimed.effect is None else _rivals(ranked, claimed)
     own = min(criterion for criterion, c in ranked if c.label == claimed.label)
     rest = [criterion for criterion, c in ranked if c.label != claimed.label and c.effect is not None]
     lead = min(rest) - own if rest else np.inf
     considered: dict[str, float] = {}
     for criterion, c in ranked:
         considered.setdefault(c.label, round(criterion - best, 2))
-    return Found(claimed, tuple(others.values()), p_value, float(lead), tuple(considered.items()))
+    return Found(claimed, rivals, p_value, float(lead), tuple(considered.items()))
 
 
-def _better_shape(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> Candidate | None:
-    """The shape without a name that explains better than the claimed effect, None where none does."""
-    leader = ranked[0][1]
-    return leader if leader.effect is None and claimed.effect is not None else None
+def _rivals(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> tuple[Candidate, ...]:
+    """The best of each other name within `MARGIN` of the best, and a shape without a name that leads."""
+    best, leader = ranked[0]
+    others: dict[str, Candidate] = {}
+    for criterion, c in ranked:
+        if c.effect is not None and c.label != claimed.label and criterion - best < MARGIN:
+            others.setdefault(c.label, c)
+    if leader.effect is None:
+        others[leader.label] = leader
+    return tuple(others.values())
 
 
 def _pair(
-    r: Responses,
-    accepted: Sequence[Candidate],
-    offered: Sequence[Candidate],
-    ratios: np.ndarray[tuple[int], np.dtype[np.float32]],
-    step: Found,
-) -> tuple[Found, Found] | None:
+    r: Responses, accepted: Sequence[Candidate], verdict: Verdict, step: Found
+) -> tuple[Candidate, Candidate] | None:
     """Two named effects that together explain far more than the best one does, None where there are none.
 
     What both come with time hide each other: a slip in a drift looks like correlated noise once the wrong one
     of them, or a curve that is neither, has entered alone.
     """
     toll = float(np.log(len(r)))
+    offered, ratios = verdict.candidates, verdict.ratios
 
     def criterion(*added: Candidate) -> float:
         fitted = fit(r, model_columns(r, [*accepted, *added]))
@@ -204,15 +204,13 @@ def _pair(
         rest = [offered[i] for i in named if offered[i].label != first.label]
         if not rest:
             continue
-        noise = noise_of(fit(r, columns).residuals, r.starts, max(1.0, columns.shape[2] / len(r.channels)))
-        more = Screen(r, columns, rest, noise).ratios(r.values[None])[0]
+        fitted = fit(r, columns)
+        more = Screen(r, columns, rest, fitted.noise).ratios(fitted.residuals[None])[0]
         second = rest[int(np.argmax(more - toll * np.array([c.parameters for c in rest])))]
         together = criterion(first, second)
         if together < to_beat:
             to_beat, best = together, (first, second)
-    if best is None:
-        return None
-    return replace(step, candidate=best[0], rivals=()), replace(step, candidate=best[1], rivals=())
+    return best
 
 
 def _ranked(
@@ -268,8 +266,7 @@ def _reconsidered(r: Responses, candidates: Sequence[Candidate], found: list[Fou
         offered = _offered(candidates, others, set())
         columns = model_columns(r, others)
         fitted = fit(r, columns)
-        noise = noise_of(fitted.residuals, r.starts, max(1.0, columns.shape[2] / len(r.channels)))
-        ratios = Screen(r, columns, offered, noise).ratios(r.values[None])[0]
+        ratios = Screen(r, columns, offered, fitted.noise).ratios(fitted.residuals[None])[0]
         found[place] = _named(r, others, offered, ratios, one.p_value)
     return found
 
