@@ -7,6 +7,7 @@ import { runView } from "./run.js";
 import { unitsView, unitView } from "./units.js";
 import { compareView } from "./compare.js";
 import { importView } from "./import.js";
+import { noiseView } from "./noise.js";
 
 const ROUTES = [
   [/^\/$/, startView],
@@ -15,6 +16,8 @@ const ROUTES = [
   [/^\/units\/([^/]+)$/, unitView],
   [/^\/compare$/, compareView],
   [/^\/import$/, importView],
+  [/^\/noise$/, noiseView],
+  [/^\/noise\/([^/]+)$/, noiseView],
 ];
 
 const root = document.getElementById("view");

@@ -3,6 +3,7 @@
 import { get, post } from "./api.js";
 import { errorLine, fill, h, runHref, statusPill } from "./dom.js";
 import { planForm } from "./plan.js";
+import { portsLook } from "./ports.js";
 import { runList } from "./runlist.js";
 
 const REFRESH_MS = 3000;
@@ -26,6 +27,7 @@ export async function startView({ root, signal }) {
         { class: "card", "aria-labelledby": "rigs-title" },
         h("h2", { id: "rigs-title" }, "Rigs"),
         rigList,
+        portsLook(),
       ),
     ),
     runs.element,

@@ -11,13 +11,25 @@ from starlette.concurrency import run_in_threadpool
 from starlette.types import Lifespan
 
 import calrig
-from calrig.api import compare, diagnoses, errors, events, figures, imports, measurements, pages, runs, units
+from calrig.api import (
+    compare,
+    diagnoses,
+    errors,
+    events,
+    figures,
+    imports,
+    measurements,
+    noise,
+    pages,
+    runs,
+    units,
+)
 from calrig.api.context import ApiContext
 from calrig.api.limits import BodyLimit
 from calrig.runs.service import RunService
 from calrig.settings import packed
 
-PARTS = (runs, diagnoses, events, measurements, figures, units, compare, imports)
+PARTS = (runs, diagnoses, events, measurements, noise, figures, units, compare, imports)
 """Figures before units: `/api/units/{serial:path}` would take their paths for serial numbers."""
 
 

@@ -8,7 +8,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 JSON_BYTES = 1_000_000
 UPLOAD_BYTES = 50_000_000
-UPLOAD_PATHS = frozenset({"/api/imports"})
+UPLOAD_PATHS = frozenset({"/api/imports", "/api/noise", "/api/filters"})
 
 
 class BodyLimit:

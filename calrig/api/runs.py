@@ -8,6 +8,9 @@ import calrig
 from calrig.api.context import Context, KnownRun
 from calrig.api.errors import problems
 from calrig.api.models import Health, Reason, RigAnswer, RunAnswer, RunList, StartRun, Status
+from calrig.api.scan_models import ScanAnswer
+from calrig.instruments import scan as ports
+from calrig.instruments.scan_stanza import stanza
 from calrig.runs.errors import Invalid
 from calrig.store import Run
 
@@ -24,6 +27,13 @@ def health() -> Health:
 def rigs(context: Context) -> object:
     """In the order configured; the first one is what a run without `rig` takes."""
     return context.service.rigs()
+
+
+@router.post("/api/rigs/scan", response_model=ScanAnswer, summary="Look who answers on which port")
+def scan(context: Context) -> object:
+    """Moves nothing, but resets most boards; ports in use are left alone. It takes some seven seconds."""
+    found = ports.scan()
+    return {"found": found, "stanza": stanza(found, {rig.name for rig in context.service.rigs()})}
 
 
 @router.post(

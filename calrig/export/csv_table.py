@@ -106,7 +106,7 @@ def _decode(data: bytes, first_line: int = 1) -> str:
     except UnicodeDecodeError as error:
         line = first_line + data.count(b"\n", 0, error.start)
         raise CsvError(
-            f"is not UTF-8 text (byte {error.start}): save the file as UTF-8", line=line
+            f"is not UTF-8 text (byte 0x{data[error.start]:02X}): save the file as UTF-8", line=line
         ) from error
 
 

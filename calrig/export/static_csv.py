@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from calrig.estimation.angles import FloatArray
-from calrig.export.cells import Cells, CsvError
-from calrig.export.csv_table import read_table
+from calrig.export.cells import CsvError
+from calrig.export.log_table import LogTable, read_log_table
 
 STANDARD_GRAVITY_MPS2 = 9.80665
 COUNTS = 32768
 """Full scale of a register of 16 bits is the range (CONTRACT section 3.1)."""
-MAX_SAMPLES = 2_000_000
-"""Nearly three hours at 200 Hz; the table's bounds on cells and bytes hold as well."""
+MAX_SAMPLES = 20_000_000
+"""More than a day at 200 Hz."""
+MAX_BYTES = 1_500_000_000
 AXES = "xyz"
 TIME, TEMPERATURE = "time_s", "temperature_c"
 _SENSOR = re.compile(r"(accel|gyro)_([xyz])_(g|mps2|dps|rps|lsb)")
@@ -30,16 +32,23 @@ class StaticLog:
     Attributes:
         channels: (N,) each, in the contract's order, by name with its unit: `accel_x_g`, `gyro_x_dps`,
             `temperature_c`; `accel_x_lsb` where the range of counts is not known. NaN where not known.
-        time_s: (N,) not decreasing; None where the log has none that can be used.
+        time_s: (N,) as logged: a clock may wrap in it, and NaN is where it is not known; None without any.
+        time_flaw: why that cannot be taken for the time that passed, and in which line; empty if it can.
         warnings: what a person should know about how it was read.
     """
 
     channels: dict[str, FloatArray]
     time_s: FloatArray | None
+    time_flaw: str
     warnings: tuple[str, ...]
 
     def __len__(self) -> int:
         return len(next(iter(self.channels.values())))
+
+    @property
+    def forward_time_s(self) -> FloatArray | None:
+        """(N,) known and not decreasing; None where the log's time is not so."""
+        return None if self.time_flaw else self.time_s
 
     def axes(self, sensor: str, unit: str) -> FloatArray | None:
         """(N, 3) of `accel` in `g` or `gyro` in `dps`; None unless all three axes are there in this unit."""
@@ -50,50 +59,58 @@ class StaticLog:
 
 
 def read_static(
-    data: bytes, *, accel_range_g: float | None = None, gyro_range_dps: float | None = None
+    data: bytes,
+    *,
+    accel_range_g: float | None = None,
+    gyro_range_dps: float | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> StaticLog:
     """Reads a log of samples.
 
     `_mps2` becomes g (9.80665 m/s²) and `_rps` deg/s; counts (`_lsb`) become g or deg/s by the range given,
     full scale 32768, and keep name and unit without one. A column that is none of the contract's is left
-    out with a warning, and so is a `time_s` that goes backwards or is not known throughout.
+    out with a warning. A `time_s` that goes backwards or is not known throughout is kept, with its flaw.
+
+    Args:
+        data: the file's content.
+        accel_range_g: full scale of the accelerometer's counts, in g.
+        gyro_range_dps: full scale of the gyro's counts, in degrees per second.
+        progress: told the share of the file that has been read, from 0 to 1.
 
     Raises:
         CsvError: the file is not such a table; says line and column.
         ValueError: a range is not above 0.
     """
-    for name, full_scale in (("accelerometer", accel_range_g), ("gyro", gyro_range_dps)):
+    ranges = {"accel": accel_range_g, "gyro": gyro_range_dps}
+    for sensor, full_scale in ranges.items():
         if full_scale is not None and not (math.isfinite(full_scale) and full_scale > 0.0):
-            raise ValueError(f"the range of the {name} is {full_scale}; it must be above 0")
-    table = read_table(data, (), max_rows=MAX_SAMPLES)
+            raise ValueError(f"the range of the {sensor} is {full_scale}; it must be above 0")
+    table = read_log_table(data, _is_known, max_rows=MAX_SAMPLES, max_bytes=MAX_BYTES, progress=progress)
     _refuse_two_units(table.header, table.header_line)
     warnings: list[str] = []
     channels: dict[str, FloatArray] = {}
     time_s: FloatArray | None = None
     for place, name in enumerate(table.header):
-        sensor = _SENSOR.fullmatch(name)
-        known = sensor is not None and sensor[3] in _UNITS[sensor[1]]
-        if not known and name not in (TIME, TEMPERATURE):
+        if place not in table.columns:
             warnings.append(f"column {name or place + 1} is not a channel of a log; left out")
-            continue
-        values = _numbers(table.column(place))
-        if name == TIME:
-            time_s, why_not = _usable_time(values, table.lines)
-            warnings += [f"{TIME} {why_not}; not used"] if why_not else []
-        elif np.isnan(values).all():
+        elif np.isnan(values := table.columns[place]).all():
             warnings.append(f"column {name} has no values; left out")
-        elif sensor is None:
+        elif name == TIME:
+            time_s = values
+        elif (sensor_of := _SENSOR.fullmatch(name)) is None:
             channels[name] = values
         else:
-            full_scale = accel_range_g if sensor[1] == "accel" else gyro_range_dps
-            channels.update([_in_unit(sensor[1], sensor[2], sensor[3], values, full_scale)])
+            sensor, axis, unit = sensor_of.groups()
+            channels.update([_in_unit(sensor, axis, unit, values, ranges[sensor])])
     if not channels:
         raise CsvError(
             "there is no channel of a log (accel_x_g, gyro_x_dps, temperature_c, …; also accel_x_mps2, "
             "gyro_x_rps, accel_x_lsb)",
             line=table.header_line,
         )
-    return StaticLog({name: channels[name] for name in sorted(channels, key=_order)}, time_s, tuple(warnings))
+    ordered = {name: channels[name] for name in sorted(channels, key=_order)}
+    flaw = "" if time_s is None else _flaw_of(time_s, table)
+    return StaticLog(ordered, time_s, flaw, tuple(warnings))
 
 
 def accel_g_of(log: StaticLog) -> FloatArray:
@@ -115,34 +132,35 @@ def accel_g_of(log: StaticLog) -> FloatArray:
     raise CsvError("there is no such column: gravity needs all three axes", column=missing)
 
 
-def _numbers(cells: Cells) -> FloatArray:
-    return np.array([np.nan if value is None else value for value in cells.numbers()], dtype=np.float64)
+def _is_known(name: str) -> bool:
+    sensor = _SENSOR.fullmatch(name)
+    return name in (TIME, TEMPERATURE) if sensor is None else sensor[3] in _UNITS[sensor[1]]
 
 
-def _usable_time(time_s: FloatArray, lines: list[int]) -> tuple[FloatArray | None, str]:
-    unknown = np.flatnonzero(np.isnan(time_s))
-    if len(unknown):
-        return None, f"is not known in line {lines[int(unknown[0])]}"
-    back = np.flatnonzero(np.diff(time_s) < 0.0)
-    if len(back):
-        k = int(back[0])
-        return None, f"goes back from {time_s[k]:g} to {time_s[k + 1]:g} in line {lines[k + 1]}"
-    return time_s, ""
+def _flaw_of(time_s: FloatArray, table: LogTable) -> str:
+    unknown = np.isnan(time_s)
+    if unknown.any():
+        return f"is not known in line {table.line_of(int(unknown.argmax()))}"
+    back = np.diff(time_s) < 0.0
+    if back.any():
+        k = int(back.argmax())
+        return f"goes back from {time_s[k]:g} to {time_s[k + 1]:g} in line {table.line_of(k + 1)}"
+    return ""
 
 
 def _in_unit(
     sensor: str, axis: str, unit: str, values: FloatArray, full_scale: float | None
 ) -> tuple[str, FloatArray]:
-    """The channel's name and its values, in g or deg/s where that is known."""
+    """The channel's name and its values, changed in place to g or deg/s where that is known."""
     target = _UNITS[sensor][0]
     if unit == "lsb" and full_scale is None:
         return f"{sensor}_{axis}_lsb", values
     if unit == "lsb":
-        values = values * (full_scale or 0.0) / COUNTS
+        values *= (full_scale or 0.0) / COUNTS
     elif unit == "mps2":
-        values = values / STANDARD_GRAVITY_MPS2
+        values /= STANDARD_GRAVITY_MPS2
     elif unit == "rps":
-        values = np.degrees(values)
+        np.degrees(values, out=values)
     return f"{sensor}_{axis}_{target}", values
 
 

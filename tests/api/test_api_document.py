@@ -26,6 +26,9 @@ def test_every_answer_is_what_the_document_says(shared_client):
     run_id = begun.json()["id"]
     assert ended(shared_client, run_id)["status"] == "completed"
     assert shared_client.post(f"/api/runs/{run_id}/diagnosis", json={}).status_code == 200
+    still = {"kind": "static", "dwell_s": 20.0}
+    static_id = shared_client.post("/api/runs", json={"unit": "A/1", "plan": still}).json()["id"]
+    assert ended(shared_client, static_id)["status"] == "completed"
     shared_client.post("/api/imports", files={"file": ("poses.csv", CSV)}, data={"unit": "B"})
     routes = [route for part in PARTS for route in part.router.routes if "GET" in route.methods]
     models = {route.path: route.response_model for route in routes if route.response_model is not None}
@@ -36,7 +39,8 @@ def test_every_answer_is_what_the_document_says(shared_client):
         "/api/compare/figures/{name}": "bias",
     }
     for path, model in models.items():
-        url = path.replace("{run_id}", run_id).replace("{serial:path}", "A/1")
+        told_by = static_id if path.endswith("/noise") else run_id
+        url = path.replace("{run_id}", told_by).replace("{serial:path}", "A/1")
         answer = shared_client.get(url.replace("{name}", names.get(path, "")))
         assert answer.status_code == 200, url
         TypeAdapter(model).validate_json(answer.content, strict=True)

@@ -43,19 +43,31 @@ def test_counts_of_an_unknown_range_stay_counts():
         accel_g_of(log)
 
 
-def test_what_is_no_channel_and_a_time_of_no_use_are_left_out_with_a_warning():
-    log = read_static(b"time_s,accel_x_g,lux,gyro_x_dps\n0,1,a,\n2,1,b,\n1,1,c,\n")
+def test_what_is_no_channel_is_left_out_with_a_warning():
+    log = read_static(b"time_s,accel_x_g,lux,gyro_x_dps\n0,1,a,\n1,1,b,\n2,1,c,\n")
 
     assert list(log.channels) == ["accel_x_g"]
-    assert log.time_s is None
     assert log.warnings == (
-        "time_s goes back from 2 to 1 in line 4; not used",
         "column lux is not a channel of a log; left out",
         "column gyro_x_dps has no values; left out",
     )
-    assert read_static(b"time_s,accel_x_g\n0,1\n,1\n").warnings == (
-        "time_s is not known in line 3; not used",
-    )
+
+
+@pytest.mark.parametrize(
+    ("times", "flaw"),
+    [
+        ("0,2,1", "goes back from 2 to 1 in line 4"),
+        ("0,,1", "is not known in line 3"),
+        ("0,0,1", ""),
+    ],
+)
+def test_time_comes_as_logged_and_is_taken_for_what_passed_only_if_it_goes_forward(times, flaw):
+    rows = "".join(f"{time},1\n" for time in times.split(","))
+    log = read_static(f"time_s,accel_x_g\n{rows}".encode())
+
+    assert log.time_flaw == flaw
+    np.testing.assert_array_equal(log.time_s, [float(time or "nan") for time in times.split(",")])
+    assert (log.forward_time_s is None) == bool(flaw)
 
 
 def test_a_log_may_be_longer_than_a_run_has_poses():

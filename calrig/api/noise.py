@@ -1,0 +1,110 @@
+"""Noise and filters: of a run's samples, or of a log that somebody brings."""
+
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+from fastapi import APIRouter, File, Form, UploadFile
+
+from calrig.api.context import Context, KnownRun
+from calrig.api.errors import problems
+from calrig.api.noise_models import FiltersAnswer, NoiseAnswer
+from calrig.export.cells import CsvError
+from calrig.export.static_csv import StaticLog, read_static
+from calrig.figures.filters import filters_figures
+from calrig.figures.noise import noise_figures
+from calrig.figures.parts import Figure
+from calrig.noise.analysis import Noise, analyse
+from calrig.noise.filters import FilterStudy, filters_document, study_filters
+from calrig.noise.report import noise_document
+from calrig.runs.errors import Invalid
+from calrig.runs.studies import filters_of_run, noise_of_run
+
+router = APIRouter(tags=["noise"])
+
+LogFile = Annotated[UploadFile, File(description="CONTRACT section 4's static log")]
+Rate = Annotated[float | None, Form(gt=0, le=1e6, description="Samples a second; wins over time_s.")]
+Range = Annotated[float | None, Form(gt=0, le=1e5, description="Full scale of raw counts.")]
+
+
+@router.get(
+    "/api/runs/{run_id}/noise",
+    response_model=NoiseAnswer,
+    responses=problems(404, 409, 422),
+    summary="The noise in the log of a static run",
+)
+def run_noise(run: KnownRun, context: Context) -> dict[str, Any]:
+    """Allan deviation, spectrum, distribution and dependence on temperature of each channel."""
+    return _noise_answer(noise_of_run(context.store, run.id))
+
+
+@router.get(
+    "/api/runs/{run_id}/filters",
+    response_model=FiltersAnswer,
+    responses=problems(404, 409, 422),
+    summary="The filters side by side on a run's samples",
+)
+def run_filters(run: KnownRun, context: Context) -> dict[str, Any]:
+    """Jitter, lag and largest offset of each, the Kalman filter tuned from the run's own rests among them."""
+    return _filters_answer(filters_of_run(context.store, run.id))
+
+
+@router.post(
+    "/api/noise",
+    response_model=NoiseAnswer,
+    responses=problems(413, 422),
+    summary="The noise in a log from anybody's sensor",
+)
+def log_noise(
+    file: LogFile, rate_hz: Rate = None, accel_range_g: Range = None, gyro_range_dps: Range = None
+) -> dict[str, Any]:
+    """The sensor lay still. Nothing is stored."""
+    name, log = _read(file, accel_range_g, gyro_range_dps)
+    try:
+        found = analyse(log.channels, log.time_s, rate_hz)
+    except ValueError as error:
+        raise Invalid(f"{name}: {error}") from error
+    return _noise_answer(found, log.warnings)
+
+
+@router.post(
+    "/api/filters",
+    response_model=FiltersAnswer,
+    responses=problems(413, 422),
+    summary="The filters side by side on a log from anybody's sensor",
+)
+def log_filters(
+    file: LogFile, rate_hz: Rate = None, accel_range_g: Range = None, gyro_range_dps: Range = None
+) -> dict[str, Any]:
+    """The sensor lay still and was turned about its x axis. Nothing is stored."""
+    name, log = _read(file, accel_range_g, gyro_range_dps)
+    try:
+        found = study_filters(log.channels, log.time_s, rate_hz)
+    except ValueError as error:
+        raise Invalid(f"{name}: {error}") from error
+    return _filters_answer(found, log.warnings)
+
+
+def _read(
+    file: UploadFile, accel_range_g: float | None, gyro_range_dps: float | None
+) -> tuple[str, StaticLog]:
+    name = file.filename or "upload"
+    try:
+        return name, read_static(file.file.read(), accel_range_g=accel_range_g, gyro_range_dps=gyro_range_dps)
+    except CsvError as error:
+        raise Invalid(f"{name}: {error}") from error
+
+
+def _noise_answer(found: Noise, warnings: tuple[str, ...] = ()) -> dict[str, Any]:
+    return _answer(noise_document(found), noise_figures(found), warnings)
+
+
+def _filters_answer(found: FilterStudy, warnings: tuple[str, ...] = ()) -> dict[str, Any]:
+    return _answer(filters_document(found), filters_figures(found), warnings)
+
+
+def _answer(
+    report: dict[str, Any], figures: Sequence[Sequence[tuple[str, Figure]]], warnings: tuple[str, ...]
+) -> dict[str, Any]:
+    said = [f"{warning[0].upper()}{warning[1:]}." for warning in warnings]
+    drawn = [{"caption": caption, "figure": figure} for row in figures for caption, figure in row]
+    return {"report": {**report, "summary": [*said, *report["summary"]]}, "figures": drawn}

@@ -1,0 +1,216 @@
+"""Overlapping Allan deviation of sampled values, with confidence limits.
+
+The Allan variance at τ = mτ₀ is half the mean square of the difference between neighbouring averages of m
+samples, taken at every place where it fits (NIST SP 1065, equation 11; IEEE Std 952-1997, annex C). With the
+running sum x of the samples such a difference is (x[i+2m] − 2x[i+m] + x[i])/m.
+
+The paper's equation 4 divides by 2s − 1, which is not the number of these differences; the standard divides
+by that number, and so does this.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import allantools  # type: ignore[import-untyped]
+import numpy as np
+import numpy.typing as npt
+from scipy.special import gammaincinv
+
+from calrig.estimation.angles import FloatArray
+from calrig.noise.even import EvenLog
+
+IntArray = npt.NDArray[np.int64]
+
+CONFIDENCE = 0.6827
+"""Share of logs whose true deviation lies within the limits: one sigma, as the field draws them."""
+POINTS_PER_OCTAVE = 4
+MIN_CLUSTERS = 4
+"""A log of fewer averages of length τ says nothing there (Stable32's stop ratio for this deviation)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AllanCurve:
+    """Overlapping Allan deviation of one channel.
+
+    Attributes:
+        tau_s: (M,) averaging times in s from one sample on, four an octave and 1 s with its decades; none
+            that the log is too short for.
+        deviation, low, high: (M,) in the channel's unit, and the limits of `CONFIDENCE`.
+        n_clusters: (M,) how many averages of length τ lie end to end in the log.
+        rate_hz: of the samples.
+        factors: (M,) τ in samples.
+        lengths: (S,) samples of each segment.
+        mean_step: (M,) mean difference, with its sign, of neighbouring averages; a steady ramp leaves R·τ.
+        slope_per_s: slope of the straight line through the samples of a segment, in unit/s, pooled over the
+            segments with their length³ for weight.
+        rounding: spread, in unit·s, that double precision alone leaves in the running sum.
+    """
+
+    tau_s: FloatArray
+    deviation: FloatArray
+    low: FloatArray
+    high: FloatArray
+    n_clusters: IntArray
+    rate_hz: float
+    factors: IntArray
+    lengths: IntArray
+    mean_step: FloatArray
+    slope_per_s: float
+    rounding: float
+
+    @property
+    def local_slopes(self) -> FloatArray:
+        """(M,) d log σ / d log τ at each τ; NaN where there is no telling."""
+        if len(self.tau_s) < 2 or not (self.deviation > 0.0).all():
+            return np.full(len(self.tau_s), np.nan)
+        return np.asarray(np.gradient(np.log(self.deviation), np.log(self.tau_s)), dtype=np.float64)
+
+    @property
+    def adf_slope(self) -> float | None:
+        """Slope of log σ over log τ from one sample to 1 s; None with fewer than three values there."""
+        used = (self.tau_s <= 1.0 + 1e-9) & (self.deviation > 0.0)
+        if used.sum() < 3:
+            return None
+        return float(np.polyfit(np.log(self.tau_s[used]), np.log(self.deviation[used]), 1)[0])
+
+
+def allan_curve(log: EvenLog, name: str) -> AllanCurve:
+    """The overlapping Allan deviation of a channel.
+
+    A log of one segment goes through allantools.oadev. Over gaps, the squared differences that lie wholly
+    within a segment are summed over the segments and divided by how many there are; none reaches across a
+    gap, so τ ends at half the longest segment.
+
+    Args:
+        log: evenly spaced samples.
+        name: one of its channels.
+    """
+    pieces = [log.channels[name][segment] for segment in log.segments]
+    pieces = [piece for piece in pieces if len(piece) >= 2]
+    lengths = np.array([len(piece) for piece in pieces], dtype=np.int64)
+    factors = _factors(lengths, log.rate_hz)
+    squares, steps, counts = (np.zeros(len(factors)) for _ in range(3))
+    slope, weight, rounding = 0.0, 0.0, 0.0
+    for piece in pieces:
+        phase = _phase(piece)
+        fitting = factors[2 * factors <= len(piece)]
+        count = len(phase) - 2 * fitting
+        used = slice(len(fitting))
+        counts[used] += count
+        squares[used] += _mean_squares(phase, fitting, whole=len(pieces) == 1) * count
+        steps[used] += _sums_of_differences(phase, fitting)
+        slope += _slope(phase) * len(piece) ** 3
+        weight += float(len(piece)) ** 3
+        rounding = max(rounding, float(np.abs(phase).max() * np.sqrt(len(piece))) * np.finfo(np.float64).eps)
+    variance = squares / np.maximum(counts, 1.0) / 2.0
+    low, high = _limits(variance, _edf(factors, lengths, _exponents(factors, variance)))
+    return AllanCurve(
+        tau_s=factors / log.rate_hz,
+        deviation=np.sqrt(variance),
+        low=low,
+        high=high,
+        n_clusters=_clusters(factors, lengths),
+        rate_hz=log.rate_hz,
+        factors=factors,
+        lengths=lengths,
+        mean_step=steps / np.maximum(counts, 1.0) / factors,
+        slope_per_s=slope / weight * log.rate_hz if weight else 0.0,
+        rounding=rounding / log.rate_hz,
+    )
+
+
+def _factors(lengths: IntArray, rate_hz: float) -> IntArray:
+    """Averaging factors that the segments are long enough for; 1 s and its decades are among them."""
+    if not len(lengths):
+        return np.zeros(0, dtype=np.int64)
+    steps = np.arange(np.log2(lengths.max()) * POINTS_PER_OCTAVE)
+    decades = rate_hz * 10.0 ** np.arange(-3.0, 6.0)
+    wanted = np.concatenate((2.0 ** (steps / POINTS_PER_OCTAVE), decades[decades >= 1.0]))
+    factors = np.unique(np.rint(wanted).astype(np.int64))
+    return factors[_clusters(factors, lengths) >= MIN_CLUSTERS]
+
+
+def _clusters(factors: IntArray, lengths: IntArray) -> IntArray:
+    whole = lengths // factors[:, None]
+    return np.asarray(np.where(whole >= 2, whole, 0).sum(axis=1), dtype=np.int64)
+
+
+def _phase(values: FloatArray) -> FloatArray:
+    """(n + 1,) running sum about the mean, from 0; about the mean, since that keeps its digits."""
+    phase = np.empty(len(values) + 1)
+    phase[0] = 0.0
+    np.subtract(values, values.mean(), out=phase[1:])
+    np.cumsum(phase[1:], out=phase[1:])
+    return phase
+
+
+def _mean_squares(phase: FloatArray, factors: IntArray, *, whole: bool) -> FloatArray:
+    """(M,) mean square of the differences at each factor."""
+    if whole and len(factors):
+        _, deviation, _, _ = allantools.oadev(phase, rate=1.0, data_type="phase", taus=factors.astype(float))
+        return np.asarray(2.0 * deviation**2, dtype=np.float64)
+    mean_squares = np.empty(len(factors))
+    for place, m in enumerate(factors):
+        difference = phase[2 * m :] - 2.0 * phase[m:-m] + phase[: -2 * m]
+        mean_squares[place] = difference @ difference / len(difference) / m**2
+    return mean_squares
+
+
+def _sums_of_differences(phase: FloatArray, factors: IntArray) -> FloatArray:
+    """(M,) Σ (x[i+2m] − 2x[i+m] + x[i]), of which all but the ends cancels."""
+    running = np.cumsum(phase)
+    first, middle = running[factors - 1], running[2 * factors - 1]
+    last, before = running[-1] - running[-1 - factors], running[-1] - running[-1 - 2 * factors]
+    return np.asarray((last - (before - last)) - ((middle - first) - first), dtype=np.float64)
+
+
+def _slope(phase: FloatArray) -> float:
+    """Least-squares slope per sample of the values whose running sum this is."""
+    n = len(phase) - 1
+    moment = 0.5 * (n + 1) * phase[-1] - phase[1:].sum()
+    return float(12.0 * moment / (n * (float(n) ** 2 - 1.0)))
+
+
+def _exponents(factors: IntArray, variance: FloatArray) -> IntArray:
+    """(M,) α of the density f^α that the variance's slope over two octaves tells of: 2, 0, −1 or −2.
+
+    What falls slower with τ outlasts what falls faster, so α never rises again.
+    """
+    known = variance > 0.0
+    if known.sum() < 2:
+        return np.zeros(len(factors), dtype=np.int64)
+    octave, log_variance = np.log2(factors), np.log2(variance, where=known, out=np.zeros(len(factors)))
+    above = np.interp(octave + 1.0, octave[known], log_variance[known])
+    below = np.interp(octave - 1.0, octave[known], log_variance[known])
+    width = np.minimum(octave + 1.0, octave[known][-1]) - np.maximum(octave - 1.0, octave[known][0])
+    slope = (above - below) / np.maximum(width, 1e-9)
+    alpha = np.select([slope < -1.5, slope < -0.5, slope < 0.5], [2, 0, -1], -2)
+    return np.asarray(np.minimum.accumulate(alpha), dtype=np.int64)
+
+
+def _edf(factors: IntArray, lengths: IntArray, exponents: IntArray) -> FloatArray:
+    """(M,) equivalent degrees of freedom (NIST SP 1065, table 5), summed over the segments."""
+    edf = np.zeros(len(factors))
+    sizes, how_many = np.unique(lengths, return_counts=True)
+    for size, times in zip(sizes, how_many, strict=True):
+        used = 2 * factors <= size
+        n, m, alpha = size + 1.0, factors[used].astype(np.float64), exponents[used]
+        white_phase = (n + 1.0) * (n - 2.0 * m) / (2.0 * (n - m))
+        white = (1.5 * (n - 1.0) / m - 2.0 * (n - 2.0) / n) * 4.0 * m**2 / (4.0 * m**2 + 5.0)
+        flicker = np.where(
+            m == 1.0, 2.0 * (n - 2.0) ** 2 / (2.3 * n - 4.9), 1.25 * n**2 / (m * (n + 3.0 * m))
+        )
+        walk = (n - 2.0) / m * ((n - 1.0) ** 2 - 3.0 * m * (n - 1.0) + 4.0 * m**2) / max(n - 3.0, 1.0) ** 2
+        edf[used] += times * np.select(
+            [alpha == 2, alpha == 0, alpha == -1], [white_phase, white, flicker], walk
+        )
+    return np.maximum(edf, 1.0)
+
+
+def _limits(variance: FloatArray, edf: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Limits of the deviation: edf·σ̂²/σ² is chi-square of edf degrees (NIST SP 1065, equations 45 and 46)."""
+    tail = (1.0 - CONFIDENCE) / 2.0
+    low = np.sqrt(variance * edf / (2.0 * gammaincinv(edf / 2.0, 1.0 - tail)))
+    high = np.sqrt(variance * edf / (2.0 * gammaincinv(edf / 2.0, tail)))
+    return low, high

@@ -1,0 +1,192 @@
+"""How a channel's values are distributed: moments, histogram, whether a Gaussian fits, outliers.
+
+Samples that are correlated tell less of the shape than as many independent ones. Of n samples with
+autocorrelation ρ(j) the third moment is worth n/Σρ³ and the fourth n/Σρ⁴ independent ones (Lobato & Velasco,
+Econometric Theory 20, 2004); with these numbers D'Agostino's test of skewness and Anscombe and Glynn's of
+kurtosis are made, and put together as D'Agostino and Pearson do (Biometrika 60, 1973). Values that come in
+steps are compared with a Gaussian rounded to these steps, whose moments are not a Gaussian's.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtr
+
+from calrig.estimation.angles import FloatArray
+from calrig.noise.independence import independent_samples
+from calrig.noise.outliers import count_outliers
+
+SIGNIFICANCE = 0.01
+"""p-value below which a distribution is said not to be Gaussian."""
+COARSEST = 2.0
+"""Steps of more standard deviations than that: too few values are taken for a verdict."""
+FEWEST_INDEPENDENT = 30.0
+"""Fewer independent samples, as in a log that mostly drifts, give no verdict."""
+MOST_BINS = 400
+_LOOKED_AT = 100_000
+_FINE = 20.0
+"""Standard deviations of that many steps hide the steps: kurtosis changes by 5e-8."""
+_ROUNDS = 30
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Distribution:
+    """How the values of one channel are distributed.
+
+    Attributes:
+        mean, std: of the Gaussian fitted, in the channel's unit (n in the denominator).
+        skewness, kurtosis: third and fourth standardised moment, the latter less a Gaussian's 3.
+        gaussian: whether a Gaussian fits at 1 %; None where nothing can be said.
+        p_value: of the test; None where `gaussian` is.
+        undecided: why there is no verdict, one sentence; None where there is one.
+        outliers: samples further out than chance and the channel's slow course would have them.
+        step: what the values are multiples of; 0 where there is no telling.
+        edges: (B + 1,) of the histogram's bins, each of a whole number of steps.
+        counts: (B,) samples in each.
+    """
+
+    mean: float
+    std: float
+    skewness: float
+    kurtosis: float
+    gaussian: bool | None
+    p_value: float | None
+    undecided: str | None
+    outliers: int
+    step: float
+    edges: FloatArray
+    counts: FloatArray
+
+
+def distribution_of(x: FloatArray) -> Distribution:
+    """The distribution of a channel's samples.
+
+    Args:
+        x: (N,) finite samples in order; gaps between them do not matter here.
+    """
+    mean = float(x.mean())
+    centred = x - mean
+    squares = centred * centred
+    variance = float(squares.mean())
+    step = step_of(x)
+    std = math.sqrt(variance)
+    skewness = kurtosis = 0.0
+    if variance > 0.0:
+        skewness = float(squares @ centred) / (len(x) * std**3)
+        kurtosis = float(squares @ squares) / (len(x) * variance**2) - 3.0
+    del squares
+    p_value, undecided = _verdict(centred, mean, std, step, skewness, kurtosis)
+    edges, counts = _histogram(x, std, step)
+    return Distribution(
+        mean=mean,
+        std=std,
+        skewness=skewness,
+        kurtosis=kurtosis,
+        gaussian=None if p_value is None else p_value >= SIGNIFICANCE,
+        p_value=p_value,
+        undecided=undecided,
+        outliers=count_outliers(x, step),
+        step=step,
+        edges=edges,
+        counts=counts,
+    )
+
+
+def step_of(x: FloatArray) -> float:
+    """The step that values are rounded to: the least difference, if all others are multiples; else 0."""
+    values = np.unique(x[:: max(len(x) // _LOOKED_AT, 1)])
+    gaps = np.diff(values)
+    rounding = 8.0 * np.finfo(np.float64).eps * float(np.abs(values).max())
+    gaps = gaps[gaps > rounding]
+    if len(gaps) == 0:
+        return 0.0
+    multiples = gaps / gaps.min()
+    whole = np.rint(multiples)
+    if np.abs(multiples - whole).max() > 0.01:
+        return 0.0
+    return float(gaps.sum() / whole.sum())
+
+
+def _verdict(
+    centred: FloatArray, mean: float, std: float, step: float, skewness: float, kurtosis: float
+) -> tuple[float | None, str | None]:
+    """The p-value of a Gaussian, or why there is none."""
+    if std == 0.0:
+        return None, "All values are the same."
+    if step > COARSEST * std:
+        return None, f"Steps of {step:.3g} are too coarse for a standard deviation of {std:.3g}."
+    third, fourth = independent_samples(centred)
+    if fourth < FEWEST_INDEPENDENT or third < FEWEST_INDEPENDENT:
+        return (
+            None,
+            f"The samples are worth about {third:.0f} independent ones only, as in a log that drifts.",
+        )
+    expected = _rounded_gaussian(mean, std, step) if step > 0.0 else (0.0, 0.0)
+    z3 = _skewness_score(skewness - expected[0], third)
+    z4 = _kurtosis_score(kurtosis - expected[1], fourth)
+    return math.exp(-0.5 * (z3 * z3 + z4 * z4)), None
+
+
+def _rounded_gaussian(mean: float, std: float, step: float) -> tuple[float, float]:
+    """Skewness and excess kurtosis of a Gaussian that, rounded to multiples of `step`, has this mean and std.
+
+    It starts with Sheppard's correction, a variance less by step²/12, and is brought to agree from there.
+    """
+    if std > _FINE * step:
+        return 0.0, 0.0
+    wanted = mean - step * round(mean / step)
+    centre, spread2 = wanted, std**2 - step**2 / 12.0
+    for _ in range(_ROUNDS):
+        spread = math.sqrt(spread2)
+        reach = math.ceil(8.0 * spread / step) + 1
+        codes = step * np.arange(-reach, reach + 1)
+        share = ndtr((codes + step / 2.0 - centre) / spread) - ndtr((codes - step / 2.0 - centre) / spread)
+        found = float(share @ codes)
+        codes = codes - found
+        variance = float(share @ codes**2)
+        centre += wanted - found
+        spread2 = max(spread2 + std**2 - variance, (0.05 * step) ** 2)
+    return float(share @ codes**3) / variance**1.5, float(share @ codes**4) / variance**2 - 3.0
+
+
+def _skewness_score(skewness: float, n: float) -> float:
+    """Skewness of `n` samples as a standard normal one (D'Agostino 1970, Biometrika 57)."""
+    y = skewness * math.sqrt((n + 1.0) * (n + 3.0) / (6.0 * (n - 2.0)))
+    beta = 3.0 * (n**2 + 27.0 * n - 70.0) * (n + 1.0) * (n + 3.0)
+    beta /= (n - 2.0) * (n + 5.0) * (n + 7.0) * (n + 9.0)
+    w2 = math.sqrt(2.0 * (beta - 1.0)) - 1.0
+    return math.asinh(y / math.sqrt(2.0 / (w2 - 1.0))) / math.sqrt(0.5 * math.log(w2))
+
+
+def _kurtosis_score(kurtosis: float, n: float) -> float:
+    """Excess kurtosis of `n` samples as a standard normal one (Anscombe & Glynn 1983, Biometrika 70)."""
+    variance = 24.0 * n * (n - 2.0) * (n - 3.0) / ((n + 1.0) ** 2 * (n + 3.0) * (n + 5.0))
+    x = (kurtosis + 6.0 / (n + 1.0)) / math.sqrt(variance)
+    beta = 6.0 * (n**2 - 5.0 * n + 2.0) / ((n + 7.0) * (n + 9.0))
+    beta *= math.sqrt(6.0 * (n + 3.0) * (n + 5.0) / (n * (n - 2.0) * (n - 3.0)))
+    a = 6.0 + 8.0 / beta * (2.0 / beta + math.sqrt(1.0 + 4.0 / beta**2))
+    denominator = 1.0 + x * math.sqrt(2.0 / (a - 4.0))
+    cube = (
+        math.copysign(abs((1.0 - 2.0 / a) / denominator) ** (1.0 / 3.0), denominator) if denominator else 0.0
+    )
+    return (1.0 - 2.0 / (9.0 * a) - cube) / math.sqrt(2.0 / (9.0 * a))
+
+
+def _histogram(x: FloatArray, std: float, step: float) -> tuple[FloatArray, FloatArray]:
+    """Bins of Freedman and Diaconis' width (1981), of whole steps, and no more than `MOST_BINS`."""
+    low, high = float(x.min()), float(x.max())
+    if std == 0.0:
+        return np.array([low - 0.5, low + 0.5]), np.array([float(len(x))])
+    quarter, three = np.quantile(x[:: max(len(x) // _LOOKED_AT, 1)], [0.25, 0.75])
+    spread = float(three - quarter) or 1.35 * std
+    width = max(2.0 * spread * len(x) ** (-1.0 / 3.0), (high - low) / (MOST_BINS - 1))
+    first = low
+    if step > 0.0:
+        width = step * math.ceil(width / step - 1e-9)
+        first = low - step / 2.0
+    place = ((x - first) / width).astype(np.int32)
+    counts = np.bincount(place)
+    return first + width * np.arange(len(counts) + 1), counts.astype(np.float64)

@@ -1,0 +1,163 @@
+"""Overlapping Allan deviation: against published values, allantools, its definition and measured logs."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+
+import allantools
+import numpy as np
+import pytest
+
+import calrig
+from calrig.noise.allan import CONFIDENCE, MIN_CLUSTERS, allan_curve
+from calrig.noise.even import EvenLog, even
+
+DATA = Path(os.environ.get("CALRIG_DATA", Path(calrig.__file__).parents[2] / "shared" / "data"))
+
+
+def curve_of(values, rate_hz=1.0):
+    return allan_curve(even({"x": np.asarray(values, dtype=float)}, None, rate_hz), "x")
+
+
+def in_pieces(values, lengths, rate_hz=1.0):
+    ends = np.cumsum(lengths)
+    parts = tuple(slice(end - n, end) for end, n in zip(ends, lengths, strict=True))
+    return EvenLog(rate_hz, len(values) / rate_hz, {"x": values}, parts, (0.0,) * len(parts), 0, 0, ())
+
+
+def differences(values, m):
+    means = np.convolve(values, np.ones(m) / m, "valid")
+    return means[m:] - means[:-m]
+
+
+@pytest.fixture(scope="module")
+def published():
+    """The 1000-point test set of NIST SP 1065 (Riley, 2008)."""
+    x = [1234567890]
+    while len(x) < 1000:
+        x.append(16807 * x[-1] % 2147483647)
+    return np.array(x) / 2147483647
+
+
+@pytest.mark.parametrize(("tau_s", "deviation"), [(1, 2.922319e-01), (10, 9.159953e-02), (100, 3.241343e-02)])
+def test_the_published_deviations(published, tau_s, deviation):
+    curve = curve_of(published)
+    at = np.flatnonzero(curve.tau_s == tau_s)
+    assert curve.deviation[at] == pytest.approx(deviation, rel=1e-6)
+
+
+@pytest.mark.parametrize("level", [0.0, 16384.0])
+def test_allantools_agrees(level):
+    values = level + np.cumsum(np.random.default_rng(1).standard_normal(5000))
+    curve = curve_of(values, rate_hz=200.0)
+    _, deviation, _, _ = allantools.oadev(values, rate=200.0, data_type="freq", taus=curve.tau_s)
+    np.testing.assert_allclose(curve.deviation, deviation, rtol=1e-6)
+
+
+def test_summing_over_segments_is_the_same_thing_as_allantools():
+    """A segment too short for any difference sends a log of one through the sums that gaps need."""
+    values = np.random.default_rng(2).standard_normal(3000)
+    whole = curve_of(values)
+    summed = allan_curve(in_pieces(np.append(values, [9.0, 9.0]), [3000, 2]), "x")
+    shared = whole.factors > 1  # the two samples make one difference of their own there
+    np.testing.assert_allclose(summed.deviation[shared], whole.deviation[shared], rtol=1e-9)
+
+
+def test_over_gaps_only_differences_within_a_segment_count():
+    values, lengths = np.random.default_rng(3).standard_normal(900).cumsum(), [500, 40, 360]
+    curve = allan_curve(in_pieces(values, lengths), "x")
+    pieces = np.split(values, np.cumsum(lengths)[:-1])
+    for m, deviation, step in zip(curve.factors, curve.deviation, curve.mean_step, strict=True):
+        within = np.concatenate([differences(piece, m) for piece in pieces if len(piece) >= 2 * m])
+        assert deviation == pytest.approx(math.sqrt(np.mean(within**2) / 2.0), rel=1e-9)
+        assert step == pytest.approx(within.mean(), rel=1e-6, abs=1e-12)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 7, 40, 1000])
+def test_a_tau_that_the_log_is_too_short_for_has_no_value(count):
+    curve = curve_of(np.random.default_rng(4).standard_normal(count), rate_hz=10.0)
+    assert (curve.n_clusters >= MIN_CLUSTERS).all()
+    assert (curve.factors * MIN_CLUSTERS <= count).all()
+    assert len(curve.tau_s) == len(curve.deviation) == len(curve.low) == len(curve.high)
+    assert np.isfinite(curve.deviation).all()
+
+
+def test_one_second_and_its_decades_are_among_the_taus():
+    tau_s = curve_of(np.random.default_rng(5).standard_normal(60_000), rate_hz=133.0).tau_s
+    assert {1.0, 10.0, 100.0} <= set(tau_s)
+
+
+@pytest.mark.parametrize(
+    ("make", "slope"),
+    [(lambda w: w, -0.5), (np.cumsum, 0.5), (np.diff, -1.0), (lambda w: np.arange(float(len(w))), 1.0)],
+    ids=["white", "random walk", "quantisation", "ramp"],
+)
+def test_slopes_are_those_of_the_kind(make, slope):
+    curve = curve_of(make(np.random.default_rng(6).standard_normal(60_000)), rate_hz=100.0)
+    assert curve.adf_slope == pytest.approx(slope, abs=0.04)
+    assert np.median(curve.local_slopes[:30]) == pytest.approx(slope, abs=0.04)
+
+
+def test_a_constant_has_no_slope():
+    curve = curve_of(np.full(500, 0.3), rate_hz=100.0)
+    assert (curve.deviation == 0.0).all()
+    assert curve.adf_slope is None
+    assert np.isnan(curve.local_slopes).all()
+
+
+@pytest.mark.parametrize("kind", ["white", "random walk"])
+def test_the_limits_hold_the_true_deviation_as_often_as_they_say(kind):
+    """500 logs, at every octave from 8 samples to a sixteenth of the log, on average over the octaves."""
+    hits = []
+    for seed in range(500):
+        step = np.random.default_rng(seed).standard_normal(2048)
+        curve = curve_of(step if kind == "white" else np.cumsum(step))
+        used = np.isin(curve.factors, 2 ** np.arange(3, 8))
+        m = curve.factors[used]
+        true = 1.0 / np.sqrt(m) if kind == "white" else np.sqrt((2 * m**2 + 1) / (6 * m))
+        hits.append((curve.low[used] <= true) & (true <= curve.high[used]))
+    assert np.mean(hits) == pytest.approx(CONFIDENCE, abs=0.04)
+
+
+def test_the_limits_are_those_of_allantools_degrees_of_freedom():
+    curve = curve_of(np.random.default_rng(7).standard_normal(4000))
+    for at in np.flatnonzero(np.isin(curve.factors, [1, 8, 64, 512])):
+        m, deviation = int(curve.factors[at]), curve.deviation[at]
+        edf = allantools.edf_greenhall(0, 2, m, 4001, overlapping=True, modified=False)
+        low, high = allantools.confidence_interval(deviation, edf, ci=CONFIDENCE)
+        assert (curve.low[at], curve.high[at]) == pytest.approx((low, high), rel=0.03)
+
+
+def test_the_slope_of_the_log_is_the_least_squares_one():
+    values = np.random.default_rng(8).standard_normal(700) + 0.01 * np.arange(700)
+    assert curve_of(values, 50.0).slope_per_s == pytest.approx(
+        50.0 * np.polyfit(np.arange(700), values, 1)[0]
+    )
+
+
+@pytest.mark.parametrize(("sensor", "least", "most"), [("accel", 5.0, 7.4), ("gyro", 0.98, 1.47)])
+def test_an_mpu6050_lying_still(sensor, least, most):
+    file = DATA / "mpu6050_static_100hz.csv"
+    if not file.exists():
+        pytest.skip(f"{file} is not here: set CALRIG_DATA to the folder of measured data")
+    table = np.genfromtxt(file, delimiter=",", names=True)
+    log = even(
+        {f"{sensor}_{axis}_lsb": table[f"{sensor}_{axis}_lsb"] for axis in "xyz"}, table["time_s"], None
+    )
+    for name in log.channels:
+        curve = allan_curve(log, name)
+        assert least <= curve.deviation[curve.tau_s == 1.0] <= most
+        assert -0.51 <= curve.adf_slope <= -0.49
+
+
+def test_a_log_with_378_gaps():
+    file = DATA / "mpu6050_warmup_log.csv"
+    if not file.exists():
+        pytest.skip(f"{file} is not here: set CALRIG_DATA to the folder of measured data")
+    table = np.genfromtxt(file, delimiter=",", names=True)
+    log = even({"accel_z_lsb": table["accel_z_lsb"]}, table["time_s"], None)
+    curve = allan_curve(log, "accel_z_lsb")
+    assert curve.tau_s[-1] <= max(part.stop - part.start for part in log.segments) / log.rate_hz / 2.0
+    assert curve.adf_slope == pytest.approx(-0.5, abs=0.02)

@@ -1,0 +1,128 @@
+"""The report of a log: CONTRACT section 7's document, and what its sentences say."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from calrig.noise.analysis import analyse, still_elevation_deg
+from calrig.noise.report import noise_document, report
+from calrig.noise.units import bias_instability, white_density, white_random_walk
+
+RATE_HZ = 100.0
+WHITE_G, WHITE_DPS = 3e-4, 4e-3
+"""N of the synthetic sensor's accelerometer (g·√s) and gyro (°/√s)."""
+CHANNEL = {
+    *("mean", "std", "adf_slope", "psd_slope", "colour", "allan", "coefficients", "lines", "distribution"),
+    "temperature",
+}
+
+
+def still_log(n=20_000, seed=1, down=False):
+    """White noise of a known level on a sensor tilted by 30°, or lying upside down."""
+    rng = np.random.default_rng(seed)
+    y, z = (0.0, -1.0) if down else (math.sin(math.radians(30)), math.cos(math.radians(30)))
+    means = {"accel_x_g": 0.0, "accel_y_g": y, "accel_z_g": z}
+    means |= {"gyro_x_dps": 1.0, "gyro_y_dps": -2.0, "gyro_z_dps": 0.5}
+    return {
+        name: mean + rng.normal(0.0, (WHITE_G if name.endswith("_g") else WHITE_DPS) * math.sqrt(RATE_HZ), n)
+        for name, mean in means.items()
+    }
+
+
+@pytest.fixture(scope="module")
+def document():
+    return report(still_log(), np.arange(20_000) / RATE_HZ)
+
+
+def test_the_document_has_every_key_of_the_contract_and_no_other(document):
+    json.dumps(document, allow_nan=False)
+    assert set(document) == {"rate_hz", "duration_s", "dropped", "channels", "summary"}
+    assert (document["rate_hz"], document["duration_s"]) == pytest.approx((RATE_HZ, 200.0))
+    assert document["dropped"] == {"gaps": 0, "not_finite": 0}
+    assert list(document["channels"]) == [*still_log(10), "elevation_deg"]
+    for channel in document["channels"].values():
+        assert set(channel) == CHANNEL
+        assert set(channel["allan"]) == {"tau_s", "deviation", "low", "high"}
+        assert set(channel["coefficients"]) == {"quantisation", "white", "flicker", "random_walk", "ramp"}
+        assert set(channel["distribution"]) == {"gaussian", "p_value", "skewness", "kurtosis", "outliers"}
+
+
+def test_white_noise_is_called_white_with_its_level(document):
+    for name, channel in document["channels"].items():
+        assert channel["colour"] == "white"
+        assert channel["adf_slope"] == pytest.approx(-0.5, abs=0.03)
+        assert channel["psd_slope"] == pytest.approx(0.0, abs=0.1)
+        white = channel["coefficients"]["white"]
+        sigma = {"g": WHITE_G, "dps": WHITE_DPS, "deg": math.degrees(WHITE_G)}[name.rpartition("_")[2]]
+        assert abs(white["value"] - sigma) < 4.0 * white["std"]
+        assert channel["std"] == pytest.approx(sigma * math.sqrt(RATE_HZ), rel=0.03)
+    assert document["channels"]["elevation_deg"]["mean"] == pytest.approx(30.0, abs=0.01)
+    assert document["channels"]["accel_x_g"]["coefficients"]["white"]["unit"] == "g·√s"
+
+
+def test_the_summary_gives_a_data_sheets_figures(document):
+    text = "\n".join(document["summary"])
+    assert "Accelerometer: the noise is white" in text
+    assert "µg/√Hz" in text
+    assert "°/√h" in text
+    assert "°/s/√Hz" in text
+    assert "tone" not in text
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (white_density("accel_x_g", 400e-6 / math.sqrt(2.0)), "400 µg/√Hz"),
+        (white_density("gyro_x_dps", 0.005 / math.sqrt(2.0)), "0.005 °/s/√Hz"),
+        (white_random_walk("gyro_x_dps", 0.005), "0.3 °/√h"),
+        (white_random_walk("accel_x_g", 1e-3), "0.588 m/s/√h"),
+        (bias_instability("gyro_z_dps", 0.01), "36 °/h"),
+        (bias_instability("accel_z_g", 50e-6), "50 µg"),
+        (white_density("accel_z_lsb", 5.0), "7.07 LSB/√Hz"),
+    ],
+)
+def test_units_are_those_of_data_sheets(words, says):
+    assert words == says
+
+
+def test_upside_down_the_elevation_does_not_jump():
+    log = still_log(2000, down=True)
+    elevation_deg = still_elevation_deg(log["accel_y_g"], log["accel_z_g"])
+    assert np.ptp(elevation_deg) < 2.0
+    np.testing.assert_allclose(
+        np.cos(np.radians(elevation_deg)), log["accel_z_g"] / np.hypot(log["accel_y_g"], log["accel_z_g"])
+    )
+
+
+@pytest.mark.parametrize("n", [2, 3, 10, 50])
+def test_a_log_too_short_for_a_figure_has_null_there(n):
+    document = report(still_log(n), rate_hz=RATE_HZ)
+    json.dumps(document, allow_nan=False)
+    assert document["channels"]["gyro_x_dps"]["temperature"] is None
+
+
+def test_a_dead_channel_is_reported_like_any_other():
+    document = report({"accel_x_lsb": np.full(5000, 17.0)}, rate_hz=RATE_HZ)
+    json.dumps(document, allow_nan=False)
+    channel = document["channels"]["accel_x_lsb"]
+    assert (channel["mean"], channel["std"], channel["lines"]) == (17.0, 0.0, [])
+    assert channel["coefficients"]["white"] is None
+
+
+def test_it_says_how_far_it_is_and_what_was_left_out():
+    log = still_log(2000)
+    log["accel_x_g"][700] = np.nan
+    shares = []
+    document = report(log, np.arange(2000) / RATE_HZ, progress=shares.append)
+    assert shares == pytest.approx(np.arange(1, 8) / 7)
+    assert document["dropped"]["not_finite"] == 1
+    assert any("1 of 2000 samples" in sentence for sentence in document["summary"])
+
+
+def test_the_document_is_that_of_the_analysis():
+    log = still_log(1000)
+    assert noise_document(analyse(log, rate_hz=RATE_HZ)) == report(log, rate_hz=RATE_HZ)

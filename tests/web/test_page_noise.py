@@ -1,0 +1,46 @@
+"""The noise page: a log is kept on a rig or brought as a file, and told in words, figures and pictures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.browser
+
+
+def test_a_log_is_kept_on_the_rig_and_its_noise_shown(page, go, expect):
+    go("#/noise")
+    page.fill("#unit", "N-1")
+    page.fill("#minutes", "0.5")
+    page.click("#keep-log")
+    page.wait_for_url("**/#/runs/*")
+    expect(page.locator("#status")).to_have_text("completed", timeout=20_000)
+    expect(page.locator("#poses-table")).to_be_hidden()
+    page.click("#study")
+    rows = page.locator("#noise tbody tr")
+    expect(rows).to_have_count(8)  # three axes twice, temperature, and the elevation
+    expect(rows.filter(has_text="gyro_x_dps")).to_contain_text("white")
+    page.wait_for_function("document.querySelector('[data-testid=noise-0]').layout?.xaxis?.type === 'log'")
+    expect(page.locator("#summary li").first).to_be_visible()
+
+
+def test_a_file_of_ones_own_is_analysed_and_a_bad_one_refused_in_place(page, go, expect, forgiven, tmp_path):
+    rng = np.random.default_rng(1)
+    samples = enumerate(rng.normal([0.0, 1.0], 4e-3, (3000, 2)))
+    rows = "\n".join(f"{k / 100},{y:.6f},{z:.6f}" for k, (y, z) in samples)
+    log = tmp_path / "mine.csv"
+    log.write_text(f"time_s,accel_y_g,accel_z_g\n{rows}\n")
+    go("#/noise")
+    page.set_input_files("#log", log)
+    page.click("#analyse")
+    expect(page.locator("#noise tbody tr")).to_have_count(3)  # y, z, and the elevation
+
+    page.select_option("#what", "filters")
+    page.click("#analyse")
+    expect(page.locator("#filters tbody tr").first).to_contain_text("°")
+
+    forgiven.append(r"status of 422")
+    log.write_text("time_s,accel_y_g,accel_z_g\n0,0,one\n")
+    page.set_input_files("#log", log)
+    page.click("#analyse")
+    expect(page.locator("#noise-error")).to_contain_text("line 2")

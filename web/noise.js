@@ -1,0 +1,204 @@
+// Noise and filters: of a log from anybody's sensor, or of a run's samples.
+
+import { get, post, postForm } from "./api.js";
+import { Chart } from "./charts.js";
+import { errorLine, fill, h, headings, runHref, tableBox } from "./dom.js";
+import { NOT_KNOWN, fixed, isKnown, significant } from "./format.js";
+
+const field = (id, label, input) => h("div", { class: "field" }, h("label", { for: id }, label), input);
+
+/** Without a run: a form for a file, and one that keeps a log on a rig. With one: what its samples say. */
+export async function noiseView({ root, parts: [id], signal }) {
+  if (id !== undefined) return ofRun(root, id, signal);
+  const rigs = await get("/api/rigs", signal);
+  const shown = h("div", { id: "noise-result", class: "run", "aria-live": "polite" });
+  fill(
+    root,
+    h("h1", {}, "Noise and filters"),
+    h("div", { class: "columns" }, fileForm(shown, signal), rigForm(rigs)),
+    shown,
+  );
+}
+
+async function ofRun(root, id, signal) {
+  const path = `/api/runs/${encodeURIComponent(id)}`;
+  const run = await get(path, signal);
+  const shown = h("div", { id: "noise-result", class: "run" });
+  const still = run.plan?.kind === "static";
+  const heading = still ? `Noise of unit ${run.unit}` : `Filters on unit ${run.unit}`;
+  const busy = h("p", { class: "muted" }, "Reckoning…");
+  fill(root, h("h1", {}, heading), h("p", {}, h("a", { href: runHref(id) }, `Run ${id}`)), busy, shown);
+  if (still) show(shown, await get(`${path}/noise`, signal), noiseTable, signal);
+  else show(shown, await get(`${path}/filters`, signal), filterTable, signal);
+  busy.remove();
+}
+
+function fileForm(shown, signal) {
+  const file = h("input", { id: "log", type: "file", accept: ".csv,text/csv", required: true });
+  const what = h(
+    "select",
+    { id: "what" },
+    h("option", { value: "noise" }, "noise: it lay still"),
+    h("option", { value: "filters" }, "filters: it lay still and was turned"),
+  );
+  const number = (id) => h("input", { id, type: "number", min: "0", step: "any", inputmode: "decimal" });
+  const [rate, accel, gyro] = ["rate", "accel-range", "gyro-range"].map(number);
+  const error = errorLine("noise-error");
+  const submit = h("button", { id: "analyse", type: "submit", class: "primary" }, "Analyse");
+  const form = h(
+    "form",
+    { class: "card start", "aria-labelledby": "file-title" },
+    h("h2", { id: "file-title" }, "A log of your own"),
+    field("log", "CSV, one row a sample", file),
+    h(
+      "div",
+      { class: "fields two" },
+      field("what", "Look at", what),
+      field("rate", "Samples a second (if the log has no time_s)", rate),
+      field("accel-range", "Range of raw accelerometer counts (g)", accel),
+      field("gyro-range", "Range of raw gyro counts (°/s)", gyro),
+    ),
+    error.element,
+    h("div", { class: "buttons" }, submit),
+  );
+  form.addEventListener("submit", async (event) => {
+    event.preventDefault();
+    submit.disabled = true;
+    error.say(null);
+    fill(shown, h("p", { class: "muted" }, "Reckoning…"));
+    const body = new FormData();
+    body.set("file", file.files[0]);
+    const given = { rate_hz: rate, accel_range_g: accel, gyro_range_dps: gyro };
+    for (const [name, input] of Object.entries(given)) if (input.value) body.set(name, input.value);
+    try {
+      const answer = await postForm(`/api/${what.value}`, body);
+      if (!signal.aborted) show(shown, answer, what.value === "noise" ? noiseTable : filterTable, signal);
+    } catch (problem) {
+      fill(shown);
+      error.say(problem);
+    } finally {
+      submit.disabled = false;
+    }
+  });
+  return form;
+}
+
+function rigForm(rigs) {
+  const rig = h(
+    "select",
+    { id: "rig" },
+    rigs.map(({ name }) => h("option", { value: name }, name)),
+  );
+  const unit = h("input", {
+    id: "unit",
+    type: "text",
+    required: true,
+    autocomplete: "off",
+    spellcheck: "false",
+  });
+  const minutes = h("input", {
+    id: "minutes",
+    type: "number",
+    min: "0.1",
+    max: "1440",
+    step: "any",
+    value: "10",
+    required: true,
+  });
+  const error = errorLine("static-error");
+  const start = h("button", { id: "keep-log", type: "submit", class: "primary" }, "Keep a log");
+  const form = h(
+    "form",
+    { class: "card start", "aria-labelledby": "rig-title" },
+    h("h2", { id: "rig-title" }, "A log from a rig"),
+    h("p", { class: "muted" }, "The stage stands still; nothing moves."),
+    field("unit", "Unit's serial number", unit),
+    h(
+      "div",
+      { class: "fields two" },
+      field("rig", "Rig", rig),
+      field("minutes", "For how long (min)", minutes),
+    ),
+    error.element,
+    h("div", { class: "buttons" }, start),
+  );
+  form.addEventListener("submit", async (event) => {
+    event.preventDefault();
+    start.disabled = true;
+    error.say(null);
+    const plan = { kind: "static", dwell_s: 60 * Number(minutes.value) };
+    try {
+      const run = await post("/api/runs", { rig: rig.value || null, unit: unit.value, plan });
+      location.hash = runHref(run.id);
+    } catch (problem) {
+      error.say(problem);
+    } finally {
+      start.disabled = false;
+    }
+  });
+  return form;
+}
+
+function show(place, { report, figures }, table, signal) {
+  const charts = figures.map(({ caption, figure }, k) => [
+    new Chart(`noise-${k}`, caption, { tall: true, signal }),
+    figure,
+  ]);
+  fill(
+    place,
+    h(
+      "section",
+      { class: "card", id: "summary", "aria-label": "Summary" },
+      h("h2", {}, "In words"),
+      h(
+        "ul",
+        {},
+        report.summary.map((sentence) => h("li", {}, sentence)),
+      ),
+    ),
+    h("section", { class: "card" }, table(report)),
+    h(
+      "div",
+      { class: "charts" },
+      charts.map(([chart]) => chart.element),
+    ),
+  );
+  for (const [chart, figure] of charts) chart.draw(figure);
+}
+
+const told = (value, words) => (isKnown(value) ? words(value) : NOT_KNOWN);
+const cell = (text) => h("td", { class: "number" }, text);
+
+function noiseTable({ channels }) {
+  const term = (term) => told(term, ({ value, unit }) => `${significant(value, 3)}\u00a0${unit}`);
+  const rows = Object.entries(channels).map(([name, channel]) =>
+    h(
+      "tr",
+      {},
+      h("th", { scope: "row" }, name),
+      [channel.adf_slope, channel.psd_slope].map((slope) => cell(told(slope, (value) => fixed(value, 2)))),
+      cell(significant(channel.std, 3)),
+      [channel.coefficients.white, channel.coefficients.flicker].map((one) => cell(term(one))),
+      cell(channel.lines.map(({ frequency_hz }) => `${significant(frequency_hz, 3)}\u00a0Hz`).join(", ") || "none"),
+      cell(told(channel.colour, String)),
+    ),
+  );
+  const names = ["Channel", "#Slope of ADF", "#Slope of PSD", "#Std", "#White", "#Flicker", "#Lines", "#Colour"];
+  return tableBox("Noise by channel", h("table", { id: "noise" }, headings(...names), h("tbody", {}, rows)));
+}
+
+function filterTable({ filters }) {
+  const rows = filters.map((filter) =>
+    h(
+      "tr",
+      {},
+      h("th", { scope: "row" }, filter.label),
+      cell(told(filter.jitter_deg, (value) => fixed(value, 4, "°"))),
+      cell(told(filter.lag_ms, (value) => fixed(value, 1, "ms"))),
+      cell(told(filter.largest_offset_deg, (value) => fixed(value, 3, "°"))),
+      cell(filter.causal ? "yes" : "no"),
+    ),
+  );
+  const names = ["Filter", "#Jitter in 100 ms", "#Lag", "#Largest offset", "#Causal"];
+  return tableBox("Filters", h("table", { id: "filters" }, headings(...names), h("tbody", {}, rows)));
+}

@@ -1,0 +1,61 @@
+// Who answers on which port, and what to write into calrig.toml for it.
+
+import { post } from "./api.js";
+import { errorLine, fill, h, headings, tableBox } from "./dom.js";
+
+export function portsLook() {
+  const error = errorLine("ports-error");
+  const shown = h("div", { "data-testid": "ports", "aria-live": "polite" });
+  const look = h("button", { type: "button", id: "look-at-ports" }, "Look at the ports");
+  look.addEventListener("click", async () => {
+    look.disabled = true;
+    error.say(null);
+    fill(shown, h("p", { class: "muted" }, "Listening on every port: some seven seconds."));
+    try {
+      show(shown, await post("/api/rigs/scan"));
+    } catch (problem) {
+      fill(shown);
+      error.say(problem);
+    } finally {
+      look.disabled = false;
+    }
+  });
+  return h(
+    "div",
+    {},
+    h("div", { class: "buttons" }, look),
+    h("p", { class: "muted" }, "Nothing moves; boards that are not in a run are reset by it."),
+    error.element,
+    shown,
+  );
+}
+
+function show(place, { found, stanza }) {
+  if (found.length === 0) {
+    fill(place, h("p", { class: "muted" }, "There is no serial port: is the USB cable plugged in?"));
+    return;
+  }
+  const table = h(
+    "table",
+    {},
+    headings("Port", "What", "Who", "USB adapter"),
+    h("tbody", {}, found.map(row)),
+  );
+  fill(
+    place,
+    tableBox("Ports", table),
+    stanza && h("p", { class: "muted" }, "For calrig.toml:"),
+    stanza && tableBox("For calrig.toml", h("pre", { "data-testid": "stanza" }, stanza)),
+  );
+}
+
+function row({ port, kind, driver, identity, usb_id, usb_serial }) {
+  return h(
+    "tr",
+    {},
+    h("td", {}, port),
+    h("td", {}, kind),
+    h("td", {}, driver ? `${driver}: ${identity}` : identity),
+    h("td", {}, [usb_id, usb_serial].filter(Boolean).join(", ")),
+  );
+}
