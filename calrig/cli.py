@@ -234,12 +234,24 @@ def export(
 
 
 @app.command()
-def rigs(config: Config = None) -> None:
-    """List the rigs that are configured."""
+def rigs(
+    scan: Annotated[
+        bool, typer.Option("--scan", help="Also look who answers on every port; boards are reset by it.")
+    ] = False,
+    config: Config = None,
+) -> None:
+    """List the rigs that are configured and, with --scan, what answers on the ports; nothing is moved."""
     from calrig import terminal
     from calrig.settings import load_settings
 
-    terminal.print_rigs(load_settings(config).rig)
+    settings = load_settings(config)
+    terminal.print_rigs(settings.rig)
+    if scan:
+        from calrig.instruments import scan as ports
+        from calrig.instruments.scan_stanza import stanza
+
+        found = ports.scan(settings.ports())
+        terminal.print_ports(found, stanza(found, {rig.name for rig in settings.rig}))
 
 
 @contextmanager

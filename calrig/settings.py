@@ -22,7 +22,11 @@ class _Strict(BaseModel):
 
 
 class StageSettings(_Strict):
-    """A rig's stage: elevation = sign · (stage − zero_deg) / ratio."""
+    """A rig's stage: elevation = sign · (stage − zero_deg) / ratio.
+
+    `port`, of a board as well, is anything `serial.serial_for_url` opens, or `usb:` and the serial number of
+    the USB adapter, which stays the same when the system names its ports anew.
+    """
 
     driver: str
     port: str
@@ -84,6 +88,11 @@ class Settings(_Strict):
     rig: tuple[RigSettings, ...] = ()
     keep_samples_days: float | None = Field(default=None, gt=0)
     """Raw samples of runs older than this are deleted when the service starts; null keeps them for ever."""
+
+    def ports(self) -> list[str]:
+        """The ports that are configured, without those of simulated rigs, which are not running."""
+        real = [rig for rig in self.rig if rig.simulated is None]
+        return [part.port for rig in real for part in (rig.stage, rig.imu) if part is not None]
 
     @model_validator(mode="after")
     def _names_are_unique(self) -> Self:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +17,7 @@ from calrig.runs.errors import Conflict
 from calrig.runs.states import TERMINAL
 
 if TYPE_CHECKING:
+    from calrig.instruments.scan import Found
     from calrig.runs.service import RunService
     from calrig.settings import RigSettings
     from calrig.store import Event, Run
@@ -155,6 +156,24 @@ def print_rigs(rigs: Iterable[RigSettings]) -> None:
         ]
         table.add_row(rig.name, f"{low:g}° to {high:g}°", *(Text(part) for part in parts))
     Console(soft_wrap=True).print(table)
+
+
+def print_ports(found: Sequence[Found], stanza: str) -> None:
+    """Prints who answers on which port, and what can be pasted into the configuration."""
+    console = Console(soft_wrap=True, highlight=False)
+    if not found:
+        console.print(Text("there is no serial port: is the USB cable plugged in?"))
+        return
+    table = Table()
+    for heading in ("port", "what", "driver", "who", "USB", "serial number"):
+        table.add_column(heading)
+    for one in found:
+        cells = (one.port, one.kind, one.driver, one.identity, one.usb_id, one.usb_serial)
+        table.add_row(*(Text(cell or "") for cell in cells))
+    console.print(table)
+    if stanza:
+        console.print(Text("for calrig.toml:\n"))
+        console.print(Text(stanza), end="")
 
 
 def print_diagnosis(found: dict[str, Any]) -> None:

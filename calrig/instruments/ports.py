@@ -6,12 +6,15 @@ import errno
 import socket
 
 import serial
+from serial.tools import list_ports
 
 from calrig.instruments.errors import PortError
 from calrig.instruments.transcript import Tape, tape_of
 
 serial.protocol_handler_packages.append("calrig.instruments")  # for `replay://FILE`
 WRITE_TIMEOUT_S = 0.5
+USB = "usb:"
+"""Before the serial number of a USB adapter: which name the system gave it does not matter then."""
 
 _WHAT_TO_DO = {
     errno.ENOENT: "does not exist: is it plugged in? `python -m serial.tools.list_ports` lists all there are",
@@ -75,6 +78,13 @@ class Port:
         except OSError as error:
             raise self._gone("writing", error) from error
 
+    def change_baudrate(self, baudrate: int) -> None:
+        """Goes on at another rate without opening the port anew, which would reset most boards again."""
+        try:
+            self._wire.baudrate = baudrate
+        except (OSError, ValueError) as error:
+            raise PortError(f"port {self.name} cannot be set to {baudrate} baud ({error})") from error
+
     def close(self) -> None:
         """Closes the port; never raises. Nobody else may be using it."""
         try:
@@ -93,23 +103,49 @@ def open_port(url: str, *, baudrate: int, timeout_s: float) -> Port:
     ENOTTY for what it is. `rfc2217://` knows no write time-out.
 
     Args:
-        url: `/dev/ttyUSB0`, `COM3`, `socket://host:port`, `rfc2217://host:port`, `replay://FILE`, …
+        url: `/dev/ttyUSB0`, `COM3`, `socket://host:port`, `rfc2217://host:port`, `replay://FILE`, …, or
+            `usb:` and the serial number of a USB adapter, whatever its port is called today.
         baudrate: bits per second; a socket ignores it.
         timeout_s: how long a read waits for what it was asked for.
 
     Raises:
         PortError: it cannot be opened; says why and what to do.
     """
+    device = device_of(url)
     write_timeout_s = None if url.lower().startswith("rfc2217:") else WRITE_TIMEOUT_S
     try:
         wire = serial.serial_for_url(
-            url, baudrate=baudrate, timeout=timeout_s, write_timeout=write_timeout_s, exclusive=True
+            device, baudrate=baudrate, timeout=timeout_s, write_timeout=write_timeout_s, exclusive=True
         )
         if url.lower().startswith("socket:"):
             _send_small_writes_at_once(wire)
     except (OSError, ValueError) as error:
         raise PortError(f"port {url} {_reason(error)}") from error
     return Port(url, wire, tape_of(url))
+
+
+def device_of(url: str) -> str:
+    """The port that a URL means: the same, but for `usb:` the one whose adapter has that serial number.
+
+    Raises:
+        PortError: no adapter that is plugged in has it, or several have; names those there are.
+    """
+    if not url.lower().startswith(USB):
+        return url
+    wanted, there = url[len(USB) :], list_ports.comports()
+    devices = sorted(port.device for port in there if port.serial_number == wanted)
+    if len(devices) > 1:
+        raise PortError(
+            f"port {url} may be any of {', '.join(devices)}, which all have this serial number: "
+            "name the port itself instead"
+        )
+    if not devices:
+        known = ", ".join(f"{port.serial_number} ({port.device})" for port in there if port.serial_number)
+        raise PortError(
+            f"port {url}: no USB adapter with serial number {wanted!r} is plugged in; "
+            f"those there are: {known or 'none that has a serial number'}"
+        )
+    return str(devices[0])
 
 
 def _send_small_writes_at_once(wire: serial.Serial) -> None:
