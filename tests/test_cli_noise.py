@@ -13,12 +13,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
+from support import QUICK
 
 from calrig import terminal_noise
 
 DATA = Path(os.environ.get("CALRIG_DATA", Path(__file__).parent.parent.parent / "shared" / "data"))
 STATIC, WARM_UP = DATA / "mpu6050_static_100hz.csv", DATA / "mpu6050_warmup_log.csv"
 measured = pytest.mark.skipif(not STATIC.exists(), reason=f"the measured data are not at {DATA}")
+CONFIG = '[[rig]]\nname = "bench-1"\nsimulated = { seed = 1, time_scale = 20.0 }\n'
 SIX = [f"{sensor}_{axis}" for sensor in ("accel", "gyro") for axis in "xyz"]
 
 
@@ -128,6 +130,21 @@ def test_bad_input_is_one_line_and_status_2(tmp_path, arguments, content, reason
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.count("\n") == 1
     assert re.search(reason, done.stderr), done.stderr
+
+
+def test_filters_of_a_run_are_compared_on_its_moves_and_tuned_at_its_rests(tmp_path):
+    (tmp_path / "calrig.toml").write_text(CONFIG)
+    (tmp_path / "plan.json").write_text(json.dumps(QUICK | {"dwell_s": 3.0}))
+    ran = calrig("run", "--unit", "A", "--plan", "plan.json", "--db", "runs.db", cwd=tmp_path)
+    assert ran.returncode == 0, ran.stderr
+    done = calrig("filters", 1, "--db", "runs.db", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    rows = {row["name"]: row for row in found["filters"]}
+    assert found["n_moves"] >= 3
+    assert rows["kalman_tuned"]["jitter_deg"] < rows["kalman_paper"]["jitter_deg"] < rows["raw"]["jitter_deg"]
+    unknown = calrig("filters", 99, "--db", "runs.db", cwd=tmp_path)
+    assert (unknown.returncode, unknown.stderr) == (1, "calrig: there is no run 99\n")
 
 
 def bar_after(patience_s, monkeypatch):

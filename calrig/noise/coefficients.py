@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -52,6 +52,8 @@ class Coefficients:
         random_walk: K, σ = K·√(τ/3), in unit/√s; rate random walk.
         ramp: R, σ = R·τ/√2, in unit/s; its size, without its sign.
         unclear: kinds that something in the curve may be, and that these data do not tell apart.
+        explained_s: first and last τ that these explain; short ones are left out where a filter bends the curve,
+            long ones where something drifts that is neither noise nor a steady ramp. None without a fit.
     """
 
     quantisation: Coefficient | None = None
@@ -60,6 +62,7 @@ class Coefficients:
     random_walk: Coefficient | None = None
     ramp: Coefficient | None = None
     unclear: tuple[str, ...] = ()
+    explained_s: tuple[float, float] | None = None
 
 
 def coefficients(curve: AllanCurve, unit: str, lines: Sequence[tuple[float, float]] = ()) -> Coefficients:
@@ -83,14 +86,18 @@ def coefficients(curve: AllanCurve, unit: str, lines: Sequence[tuple[float, floa
         return Coefficients(ramp=_bare_ramp(curve, unit))
     by_lines = _of_lines(curve, lines)
     level = np.maximum(level - by_lines, LINE_ERROR * np.minimum(level, by_lines))
-    found, steady = _fits(curve, used, level, LINE_ERROR * by_lines)
-    return Coefficients() if found is None else _named(found, slope, unit, steady)
+    found, explained = _fits(curve, used, level, LINE_ERROR * by_lines)
+    if found is None:
+        return Coefficients()
+    first, last = curve.tau_s[explained[[0, -1]]]
+    named = _named(found, slope, unit, steady=explained[-1] == used[-1])
+    return replace(named, explained_s=(float(first), float(last)))
 
 
 def _fits(
     curve: AllanCurve, used: IntArray, level: FloatArray, error: FloatArray
-) -> tuple[CurveFits | None, bool]:
-    """Fits of the octaves `used`, and whether the longest are among them.
+) -> tuple[CurveFits | None, IntArray]:
+    """Fits of the octaves `used`, and of which of them.
 
     Where no sum of these kinds explains them all, as few as it takes are left out: short ones, which the
     sensor's own filter bends, or long ones, where something drifts that is neither noise nor a steady ramp.
@@ -102,17 +109,17 @@ def _fits(
         return found if found is not None and found.excess <= MOST_EXCESS else None
 
     if whole := fits(used, filtered=False):
-        return whole, True
+        return whole, used
     for dropped in range(1, len(used) - MIN_OCTAVES + 1):
         if dropped <= MOST_FILTERED and fits(used[dropped:], filtered=True):
             further = used[min(dropped + 1, len(used) - MIN_OCTAVES) :]  # a filter reaches on unseen
-            return fits(further, filtered=True), True
+            return fits(further, filtered=True), further
         if short := fits(used[:-dropped], filtered=False):
-            return short, False
-    return None, False
+            return short, used[:-dropped]
+    return None, used[:0]
 
 
-def _named(found: CurveFits, slope_per_s: float, unit: str, steady: bool) -> Coefficients:
+def _named(found: CurveFits, slope_per_s: float, unit: str, *, steady: bool) -> Coefficients:
     """The terms of the best fit that no other combination contests."""
     best, scatter = found.best, math.sqrt(found.excess)
     values = [*np.sqrt(best.c), abs(slope_per_s)]

@@ -24,7 +24,7 @@ FIRST_BIN, LAST_SHARE = 4, 0.8
 """What a slope is fitted over: from the fourth bin, below which taking the mean shows, to 0.8 of Nyquist,
 above which a chip's own low-pass filter does."""
 GROUPS_PER_OCTAVE = 4
-_LINE_BINS = 3
+_LINE_BINS = 4
 _HALF_OVER, _NEIGHBOURS = 1.056, 1.94
 """Pieces and bins worth one independent one: Hann's window correlates the squares of half overlapping
 pieces by 1/36, those of neighbouring bins by 4/9 and 1/36."""
