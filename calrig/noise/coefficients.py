@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -52,8 +52,8 @@ class Coefficients:
         random_walk: K, σ = K·√(τ/3), in unit/√s; rate random walk.
         ramp: R, σ = R·τ/√2, in unit/s; its size, without its sign.
         unclear: kinds that something in the curve may be, and that these data do not tell apart.
-        explained_s: first and last τ that these explain; short ones are left out where a filter bends the curve,
-            long ones where something drifts that is neither noise nor a steady ramp. None without a fit.
+        explained_s: first and last τ that these explain; short ones are left out where a filter bends the
+            curve, long ones where something drifts that is neither noise nor a ramp. None without a fit.
     """
 
     quantisation: Coefficient | None = None
@@ -90,8 +90,8 @@ def coefficients(curve: AllanCurve, unit: str, lines: Sequence[tuple[float, floa
     if found is None:
         return Coefficients()
     first, last = curve.tau_s[explained[[0, -1]]]
-    named = _named(found, slope, unit, steady=explained[-1] == used[-1])
-    return replace(named, explained_s=(float(first), float(last)))
+    steady = bool(explained[-1] == used[-1])
+    return _named(found, slope, unit, (float(first), float(last)), steady=steady)
 
 
 def _fits(
@@ -119,7 +119,9 @@ def _fits(
     return None, used[:0]
 
 
-def _named(found: CurveFits, slope_per_s: float, unit: str, *, steady: bool) -> Coefficients:
+def _named(
+    found: CurveFits, slope_per_s: float, unit: str, explained_s: tuple[float, float], *, steady: bool
+) -> Coefficients:
     """The terms of the best fit that no other combination contests."""
     best, scatter = found.best, math.sqrt(found.excess)
     values = [*np.sqrt(best.c), abs(slope_per_s)]
@@ -132,7 +134,8 @@ def _named(found: CurveFits, slope_per_s: float, unit: str, *, steady: bool) -> 
             named[TERMS[term]] = Coefficient(float(values[place]), float(stds[place]), unit + UNITS[term])
         elif rivals and steady:
             unclear |= {term, *rivals}
-    return Coefficients(**named, unclear=tuple(TERMS[term] for term in sorted(unclear)))
+    contested = tuple(TERMS[term] for term in sorted(unclear))
+    return Coefficients(**named, unclear=contested, explained_s=explained_s)
 
 
 def _bare_ramp(curve: AllanCurve, unit: str) -> Coefficient | None:

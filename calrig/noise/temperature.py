@@ -30,7 +30,7 @@ MIN_PARTS = 16
 MOST_PARTS = 64
 _MIN_SAMPLES = 4
 _SHARES = 10.0 ** np.arange(-6.0, 4.1, 1.0)
-_TIMES = 2.0 ** np.arange(0.0, 17.0, 2.0)
+_TIMES = 2.0 ** np.arange(0.0, 11.0, 1.5)
 
 
 @dataclass(frozen=True, slots=True)

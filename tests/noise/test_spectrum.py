@@ -1,4 +1,4 @@
-"""Welch's density and the slope that is read from it."""
+"""Welch's spectrum and its slope, on noise of a known power law."""
 
 from __future__ import annotations
 
@@ -6,95 +6,85 @@ import numpy as np
 import pytest
 from scipy.signal import welch
 
-from calrig.noise.spectrum import LONGEST, psd_of, psd_slope
+from calrig.noise.spectrum import psd_of, psd_slope
 
 RATE_HZ = 100.0
 
 
-def power_law(exponent: float, n: int, seed: int) -> np.ndarray:
-    """Noise whose density goes as f^exponent, a stretch of twice as much, so that its ends do not meet."""
-    white = np.fft.rfft(np.random.default_rng(seed).normal(size=2 * n))
-    frequency = np.arange(len(white), dtype=float)
-    frequency[0] = 1.0
-    return np.fft.irfft(white * frequency ** (exponent / 2.0), 2 * n)[:n]
+def power_law(seed: int, exponent: float, n: int = 40_000) -> np.ndarray:
+    """Noise whose density falls as f^-exponent, shaped in frequency."""
+    spectrum = np.fft.rfft(np.random.default_rng(seed).standard_normal(2 * n))
+    f = np.fft.rfftfreq(2 * n)
+    f[0] = f[1]
+    return np.fft.irfft(spectrum * f ** (-exponent / 2.0))[:n]
 
 
-def whole(x: np.ndarray) -> tuple[slice, ...]:
-    return (slice(0, len(x)),)
+@pytest.mark.parametrize("exponent", [0.0, 1.0, 2.0])
+def test_the_slope_is_the_power_laws_within_its_own_standard_error(exponent):
+    found = [psd_slope(psd_of(power_law(seed, exponent), RATE_HZ, [slice(0, 40_000)])) for seed in range(30)]
+    off = np.array([(told.slope + exponent) / told.std for told in found])
+    assert abs(off.mean()) < 4.0 / np.sqrt(len(off))
+    assert 0.6 < off.std() < 1.5
 
 
-def test_a_long_log_has_the_density_that_scipy_gives_in_one_go() -> None:
-    x = power_law(-1.0, 1_200_777, seed=1)
-    found = psd_of(x, RATE_HZ, whole(x))
-    frequency_hz, density = welch(x, fs=RATE_HZ, nperseg=LONGEST)
-    np.testing.assert_allclose(found.frequency_hz, frequency_hz)
-    np.testing.assert_allclose(found.density, density, rtol=1e-12)
+def test_the_density_of_white_noise_is_twice_its_variance_over_the_rate():
+    x = np.random.default_rng(1).normal(0.0, 0.3, 100_000)
+    psd = psd_of(x, RATE_HZ, [slice(0, len(x))])
+    assert psd.density[2:-2].mean() == pytest.approx(2 * 0.3**2 / RATE_HZ, rel=0.02)
 
 
-def test_white_noise_of_half_a_milli_g_per_root_hertz_reads_so() -> None:
-    x = 0.5e-3 * np.sqrt(RATE_HZ / 2.0) * np.random.default_rng(2).normal(size=60_000)
-    found = psd_of(x, RATE_HZ, whole(x))
-    assert np.sqrt(np.mean(found.density[4:])) == pytest.approx(0.5e-3, rel=0.02)
+def test_one_segment_gives_what_scipy_gives_and_several_their_average():
+    x = np.random.default_rng(2).standard_normal(30_000)
+    whole = psd_of(x, RATE_HZ, [slice(0, 30_000)])
+    window = 2 * (len(whole.density) - 1)
+    assert whole.density == pytest.approx(welch(x, RATE_HZ, nperseg=window)[1])
+    parts = psd_of(x, RATE_HZ, [slice(0, 15_000), slice(15_000, 30_000)])
+    window = 2 * (len(parts.density) - 1)
+    halves = [welch(part, RATE_HZ, nperseg=window)[1] for part in (x[:15_000], x[15_000:])]
+    assert parts.density == pytest.approx(np.mean(halves, axis=0))
 
 
-def test_no_piece_reaches_over_a_gap() -> None:
-    """A step between two segments would be brown noise to a piece that holds both."""
-    x = np.random.default_rng(3).normal(size=40_000)
+def test_a_line_does_not_bend_the_slope():
+    t = np.arange(60_000) / RATE_HZ
+    x = np.random.default_rng(3).standard_normal(len(t)) + 2.0 * np.sin(2 * np.pi * 7.3 * t)
+    told = psd_slope(psd_of(x, RATE_HZ, [slice(0, len(t))]))
+    assert abs(told.slope) < 4 * told.std
+
+
+def test_a_log_too_short_has_no_spectrum():
+    psd = psd_of(np.arange(10.0), RATE_HZ, [slice(0, 10)])
+    assert (len(psd.density), psd_slope(psd), psd.averages) == (0, None, 0)
+
+
+def test_no_piece_reaches_over_a_gap():
+    x = np.random.default_rng(4).standard_normal(40_000)
     x[20_000:] += 1000.0
-    found = psd_of(x, RATE_HZ, (slice(0, 20_000), slice(20_000, 40_000)))
-    assert found.density.max() < 10.0 * np.median(found.density)
+    psd = psd_of(x, RATE_HZ, [slice(0, 20_000), slice(20_000, 40_000)])
+    assert psd.density.max() < 10.0 * np.median(psd.density)
 
 
-def test_many_short_segments_are_pooled() -> None:
-    x = np.random.default_rng(4).normal(size=51 * 378)
-    found = psd_of(x, RATE_HZ, [slice(a, a + 51) for a in range(0, len(x), 51)])
-    assert found.averages >= 378
-    np.testing.assert_allclose(found.density[3:-1], 2.0 / RATE_HZ, rtol=0.25)
+def test_a_log_in_hundreds_of_short_pieces_has_the_spectrum_of_all_of_them():
+    x = np.random.default_rng(5).standard_normal(51 * 378)
+    psd = psd_of(x, RATE_HZ, [slice(a, a + 51) for a in range(0, len(x), 51)])
+    assert psd.averages >= 378
+    assert psd.density[3:-1] == pytest.approx(2.0 / RATE_HZ, rel=0.25)
 
 
-@pytest.mark.parametrize("n", [0, 1, 15])
-def test_a_log_too_short_for_a_piece_has_no_density_and_no_slope(n: int) -> None:
-    found = psd_of(np.arange(float(n)), RATE_HZ, (slice(0, n),))
-    assert found.averages == 0
-    assert psd_slope(found) is None
+def test_a_strong_line_at_low_frequency_does_not_bend_the_slope_once_it_is_known():
+    t = np.arange(60_000) / RATE_HZ
+    x = np.random.default_rng(6).standard_normal(len(t)) + 3.0 * np.sin(2 * np.pi * 0.31 * t)
+    psd = psd_of(x, RATE_HZ, [slice(0, len(t))])
+    assert abs(psd_slope(psd).slope) > 0.05
+    assert abs(psd_slope(psd, lines_hz=[0.31]).slope) < 0.05
 
 
-@pytest.mark.parametrize("exponent", [0.0, -1.0, -2.0])
-@pytest.mark.parametrize("n", [2_000, 60_000])
-def test_the_slope_is_the_exponent_within_its_standard_error(exponent: float, n: int) -> None:
-    scores = []
-    for seed in range(40):
-        x = power_law(exponent, n, seed)
-        found = psd_slope(psd_of(x, RATE_HZ, whole(x)))
-        assert found is not None
-        scores.append((found.slope - exponent) / found.std)
-    assert np.mean(np.abs(scores) < 2.0) >= 0.85
-    assert abs(np.mean(scores)) < 0.6
-
-
-def test_strong_lines_do_not_tilt_it() -> None:
-    x = np.random.default_rng(5).normal(size=60_000)
-    t = np.arange(len(x)) / RATE_HZ
-    x += sum(3.0 * np.sin(2.0 * np.pi * f * t) for f in (0.31, 7.3, 20.1))
-    psd = psd_of(x, RATE_HZ, whole(x))
-    found = psd_slope(psd, lines_hz=(0.31, 7.3, 20.1))
-    assert found is not None
-    assert abs(found.slope) < 0.05
-
-
-def test_where_the_density_bends_the_error_says_that_it_is_no_power_law() -> None:
-    r = np.random.default_rng(6)
-    x = r.normal(size=60_000) + 0.05 * np.cumsum(r.normal(size=60_000))
-    found = psd_slope(psd_of(x, RATE_HZ, whole(x)))
-    assert found is not None
-    assert -2.0 < found.slope < 0.0
-    assert found.std > 0.05
-
-
-def test_it_says_over_which_frequencies_it_was_fitted() -> None:
-    x = np.random.default_rng(7).normal(size=60_000)
-    psd = psd_of(x, RATE_HZ, whole(x))
-    found = psd_slope(psd)
-    assert found is not None
-    assert found.low_hz == pytest.approx(4.0 * psd.frequency_hz[1])
-    assert found.high_hz == pytest.approx(0.8 * RATE_HZ / 2.0, rel=0.01)
+def test_a_spectrum_that_bends_gives_a_slope_with_a_larger_error_and_the_band_it_is_of():
+    rng = np.random.default_rng(7)
+    white = rng.standard_normal(60_000)
+    straight, bent = (
+        psd_slope(psd_of(x, RATE_HZ, [slice(0, len(x))]))
+        for x in (white, white + 0.05 * np.cumsum(rng.standard_normal(60_000)))
+    )
+    assert -2.0 < bent.slope < 0.0
+    assert bent.std > 5.0 * straight.std
+    assert (bent.low_hz, bent.high_hz) == pytest.approx((4 * RATE_HZ / 4096, 0.8 * RATE_HZ / 2), rel=0.01)
