@@ -31,13 +31,14 @@ def keep_log(plan: Plan, planned: list[PlannedPose], pace: Pace) -> None:
     settled_s = pace.synchronise() + plan.settle_s + between_samples_s
     pace.wait_until(settled_s)
     pace.forget(settled_s)
-    done_s = 0.0
-    while done_s < plan.dwell_s:
-        end_s = pace.stood_at_s + min(BLOCK_S, plan.dwell_s - done_s)
+    left_s = plan.dwell_s  # counted down by whole blocks, so that rounding leaves no sliver of one
+    while left_s > 0.0:
+        length_s = min(BLOCK_S, left_s)
+        end_s = pace.stood_at_s + length_s
         pace.wait_until(end_s)
-        done_s += end_s - pace.stood_at_s
+        left_s -= length_s
         block = block_of(0, "dwell", pace.stream.kept().between(pace.stood_at_s, end_s).samples)
-        pace.recorder.log(block, done_s, max(plan.dwell_s - done_s, 0.0), pace.rig.faults())
+        pace.recorder.log(block, plan.dwell_s - left_s, left_s, pace.rig.faults())
         pace.forget(end_s)
         if pace.control.holding:
             pace.hold_while_paused()

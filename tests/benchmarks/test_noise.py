@@ -1,8 +1,8 @@
 """The whole report of a noise log beside allantools.oadev at the same τ and scipy.signal.welch alone.
 
 `OPENBLAS_NUM_THREADS=1 NOISE_SAMPLES=10000000 pytest tests/benchmarks/test_noise.py`; a tenth of that without
-the variable. Aims, in processor time: 1.5 times theirs and 2 GB at 10⁷ samples (in shorter logs the fits, which cost
-the same in all, weigh more); an hour at 200 Hz, reading included, 5 s.
+the variable. Aims, in processor time: 1.5 times theirs and 2 GB at 10⁷ samples (the fits cost the same in
+any log and weigh more in a shorter one); an hour at 200 Hz, reading included, 5 s.
 """
 
 from __future__ import annotations

@@ -91,11 +91,12 @@ class LineDevice:
             tail += self.wire.recv()
             *lines, tail = tail.split(self._line_end)
             for line in lines:
-                with self._news:
-                    self.received.append(line.decode())
-                    self.arrived_s.append(time.monotonic())
-                    self._news.notify_all()
+                arrived_s = time.monotonic()
                 self.on_line(line.decode())
+                with self._news:  # who waits for a line finds it answered
+                    self.received.append(line.decode())
+                    self.arrived_s.append(arrived_s)
+                    self._news.notify_all()
 
 
 class FakeSmc100(LineDevice):

@@ -21,7 +21,7 @@ def little_patience(monkeypatch):
     monkeypatch.setattr(calrig_board, "ASK_AGAIN_S", 0.1)
     monkeypatch.setattr(calrig_board, "IDENTIFY_S", 0.6)
     monkeypatch.setattr(calrig_board, "ANSWER_S", 0.3)
-    monkeypatch.setattr(calrig_board, "SILENCE_S", 0.5)
+    monkeypatch.setattr(calrig_board, "SILENCE_S", 1.0)  # a terminal may hold bytes back for half of it
     monkeypatch.setattr(calrig_board, "USELESS_S", 0.3)
 
 
