@@ -52,6 +52,7 @@ class LineDevice:
     def __init__(self, line_end: bytes):
         self.wire = Wire()
         self.received: list[str] = []
+        self.answered: list[str] = []
         self.arrived_s: list[float] = []
         self._line_end = line_end
         self._news = threading.Condition()
@@ -67,9 +68,9 @@ class LineDevice:
         raise NotImplementedError
 
     def wait_for(self, line: str, times: int = 1) -> float:
-        """When the line first arrived, waiting until it has come so many times."""
+        """When the line first arrived, waiting until it has come, and been answered, so many times."""
         with self._news:
-            came = self._news.wait_for(lambda: self.received.count(line) >= times, DEADLINE_S)
+            came = self._news.wait_for(lambda: self.answered.count(line) >= times, DEADLINE_S)
             assert came, (line, self.received)
             return self.arrived_s[self.received.index(line)]
 
@@ -91,11 +92,11 @@ class LineDevice:
             tail += self.wire.recv()
             *lines, tail = tail.split(self._line_end)
             for line in lines:
-                arrived_s = time.monotonic()
+                self.arrived_s.append(time.monotonic())
+                self.received.append(line.decode())
                 self.on_line(line.decode())
-                with self._news:  # who waits for a line finds it answered
-                    self.received.append(line.decode())
-                    self.arrived_s.append(arrived_s)
+                with self._news:
+                    self.answered.append(line.decode())
                     self._news.notify_all()
 
 
