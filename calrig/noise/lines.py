@@ -23,7 +23,7 @@ from scipy.special import gammainccinv
 from calrig.estimation.angles import FloatArray
 from calrig.noise.gridded import Gridded, lay_out
 from calrig.noise.peaks import LOWEST, excess, rough_background
-from calrig.noise.sinusoids import SIGNIFICANCE, take_out_steady
+from calrig.noise.sinusoids import ROUNDING, SIGNIFICANCE, take_out_steady
 
 MIN_SAMPLES = 256
 FINEST_BANDS = 16384
@@ -68,7 +68,8 @@ def find_lines(
     band_hz = max(rate_hz / FINEST_BANDS, _WIDER * bin_hz)
     steady, power = take_out_steady(grid, band_hz / bin_hz)
     tones = [_Tone(one.bin_ * bin_hz, abs(one.c), one.p_value, band_hz) for one in steady]
-    return _merged(tones + _wide(grid, power, band_hz))
+    tones += _wide(grid, power, band_hz)
+    return _merged([tone for tone in tones if tone.amplitude > ROUNDING * grid.scale])
 
 
 @dataclass(frozen=True, slots=True)

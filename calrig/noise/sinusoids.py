@@ -23,8 +23,8 @@ _MOST_PER_LINE = 4
 _COMPARED = 24
 """Peaks over gaps of which the highest is measured: off a bin one may stand back behind its own sidelobe."""
 _LONGEST_RELAXED = 2**20
-_ROUNDING = 1e-8
-"""Share of the log's own range below which a sinusoid may be the arithmetic's."""
+ROUNDING = 1e-8
+"""Share of the log's largest value below which a sinusoid may be the arithmetic's."""
 
 
 Range = tuple[float, float]
@@ -96,7 +96,7 @@ def _peaks(
     grid: Gridded, windowed: FloatArray, power: FloatArray, crowded: list[Range]
 ) -> list[tuple[float, float]]:
     """Significant peaks, in bins with their p-values; over gaps, with their many sidelobes, the highest."""
-    least = (_ROUNDING * grid.scale * float(grid.weight.sum())) ** 2
+    least = (ROUNDING * grid.scale * float(grid.weight.sum())) ** 2
     whole = len(grid.parts) == 1
     found: list[tuple[float, float, float]] = []
     for k in candidates(power, SIGNIFICANCE):

@@ -11,10 +11,8 @@ from calrig.runs.recorder import Recorder
 from calrig.runs.rig import Rig
 from calrig.runs.stream import Stream
 
-LOOK_S = 0.05
-"""How long one look waits for samples before it turns to stage and requests again.
-
-Longer than a board's blocks lie apart (0.04 s): to wake in between would cost as much and see nothing."""
+LOOK_S = 0.02
+"""How long one look waits for samples before it turns to stage and requests again."""
 
 
 @dataclass

@@ -56,7 +56,9 @@ def test_an_accepted_effect_enters_calibration_and_later_runs_and_a_verification
 
     flown = document_of(service.store, service.run(run_id))
     assert [effect["name"] for effect in flown["effects"]] == ["accelerometer_offset"], "play is the rig's"
-    assert flown["effects"][0]["parameters"]["z_mg"] == pytest.approx(OFFSET_MG, abs=1.5)
+    (offset,) = (one for one in diagnoses.last(run_id)["effects"] if one["name"] == "accelerometer_offset")
+    assert flown["effects"][0]["parameters"]["z_mg"] == offset["parameters"]["z_mg"]["value"]
+    assert abs(offset["parameters"]["z_mg"]["value"] - OFFSET_MG) < 5 * offset["parameters"]["z_mg"]["std"]
 
     later = completed(service, plan=PLAN.model_copy(update={"sweeps": 2, "seed": 9}))
     assert later.result["rms_with_effects_deg"] < 0.3 * later.result["rms_calibrated_deg"]
