@@ -7,6 +7,7 @@ force in g, the rate in °/s, the die's temperature in °C.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from typing import NamedTuple
 
@@ -29,7 +30,7 @@ class Found(NamedTuple):
     genuine: bool
 
 
-class Sketch:
+class Sketch(ABC):
     """A sketch. `pause_s` lies between two records, `setup_s` is what its set-up takes."""
 
     baudrate = 115200
@@ -40,13 +41,13 @@ class Sketch:
         """What it prints before it waits for a character; nothing where it does not wait."""
         return ""
 
+    @abstractmethod
     def setup(self, found: Found, still: Motion) -> tuple[str, bool]:
         """What it prints at its start, and whether it goes on from there."""
-        raise NotImplementedError
 
+    @abstractmethod
     def record(self, motion: Motion, dt_s: float) -> str:
         """What it prints each time."""
-        raise NotImplementedError
 
 
 class Raw(Sketch):
