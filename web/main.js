@@ -42,7 +42,8 @@ async function show({ focus }) {
   if (signal.aborted) return;
   const title = root.querySelector("h1");
   document.title = title ? `${title.textContent} · calrig` : "calrig";
-  if (focus) root.focus({ preventScroll: true });
+  // Whoever has begun to use the view while it loaded keeps the focus.
+  if (focus && !root.contains(document.activeElement)) root.focus({ preventScroll: true });
 }
 
 function match(path) {
