@@ -111,7 +111,7 @@ def noise(
     from calrig import terminal_noise
     from calrig.figures.files import writer_of
     from calrig.noise.analysis import analyse
-    from calrig.noise.report import noise_document
+    from calrig.noise.report import noise_document, said_first
 
     write = None if plot is None else writer_of(plot)
     with terminal_noise.late_bar(file.name) as show:
@@ -122,8 +122,7 @@ def noise(
             )
         except ValueError as error:
             raise InputError(f"{file}: {error}") from error
-    document = noise_document(found)
-    document["summary"] = [*_as_sentences(log.warnings), *document["summary"]]
+    document = said_first(log.warnings, noise_document(found))
     if write is not None:
         from calrig.figures.noise import noise_sheet
 
@@ -152,14 +151,14 @@ def filters(
     from calrig import terminal_noise
     from calrig.figures.files import writer_of
     from calrig.noise.filters import filters_document
+    from calrig.noise.report import said_first
 
     write = None if plot is None else writer_of(plot)
     if _is_file(source):
         found, warnings = _filters_of_file(Path(source), accel_range, gyro_range, rate)
     else:
         found, warnings = _filters_of_run(source, db), ()
-    document = filters_document(found)
-    document["summary"] = [*_as_sentences(warnings), *document["summary"]]
+    document = said_first(warnings, filters_document(found))
     if write is not None:
         from calrig.figures.filters import filters_sheet
 
@@ -206,10 +205,6 @@ def _log_of(
         )
     except CsvError as error:
         raise InputError(f"{file}: {error}") from error
-
-
-def _as_sentences(warnings: Sequence[str]) -> list[str]:
-    return [f"{warning[0].upper()}{warning[1:]}." for warning in warnings]
 
 
 def _is_file(source: str) -> bool:

@@ -43,6 +43,11 @@ export function statusPill(status, props = {}) {
   return h("span", { ...props, class: `pill ${status}` }, status);
 }
 
+/** An input with its label above it. */
+export function field(id, label, input) {
+  return h("div", { class: "field" }, h("label", { for: id }, label), input);
+}
+
 /** A table in a box of its own that scrolls sideways on a narrow screen, also by keyboard. */
 export function tableBox(label, table) {
   return h("div", { class: "table-box", role: "region", "aria-label": label, tabindex: "0" }, table);

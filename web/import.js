@@ -1,7 +1,7 @@
 // A CSV of poses measured elsewhere becomes a run.
 
 import { get, postForm } from "./api.js";
-import { errorLine, fill, h, runHref } from "./dom.js";
+import { errorLine, field, fill, h, runHref } from "./dom.js";
 
 export async function importView({ root, signal }) {
   const rigs = await get("/api/rigs", signal);
@@ -27,7 +27,6 @@ export async function importView({ root, signal }) {
   );
   const error = errorLine("import-error");
   const submit = h("button", { id: "import", type: "submit", class: "primary" }, "Import");
-  const field = (id, label, input) => h("div", { class: "field" }, h("label", { for: id }, label), input);
   const form = h(
     "form",
     { class: "card start" },

@@ -2,10 +2,9 @@
 
 import { get, post, postForm } from "./api.js";
 import { Chart } from "./charts.js";
-import { errorLine, fill, h, headings, runHref, tableBox } from "./dom.js";
+import { errorLine, field, fill, h, headings, runHref, tableBox } from "./dom.js";
 import { NOT_KNOWN, fixed, isKnown, significant } from "./format.js";
 
-const field = (id, label, input) => h("div", { class: "field" }, h("label", { for: id }, label), input);
 
 /** Without a run: a form for a file, and one that keeps a log on a rig. With one: what its samples say. */
 export async function noiseView({ root, parts: [id], signal }) {

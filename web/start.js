@@ -1,7 +1,7 @@
 // The first view: start a run, see the rigs, find the runs there are.
 
 import { get, post } from "./api.js";
-import { errorLine, fill, h, runHref, statusPill } from "./dom.js";
+import { errorLine, field, fill, h, runHref, statusPill } from "./dom.js";
 import { planForm } from "./plan.js";
 import { portsLook } from "./ports.js";
 import { runList } from "./runlist.js";
@@ -59,7 +59,6 @@ function startForm(rigs) {
   const plan = planForm();
   const error = errorLine("start-error");
   const start = h("button", { id: "start", type: "submit", class: "primary" }, "Start");
-  const field = (id, label, input) => h("div", { class: "field" }, h("label", { for: id }, label), input);
   const form = h(
     "form",
     { class: "card start" },

@@ -15,7 +15,7 @@ from calrig.figures.noise import noise_figures
 from calrig.figures.parts import Figure
 from calrig.noise.analysis import Noise, analyse
 from calrig.noise.filters import FilterStudy, filters_document, study_filters
-from calrig.noise.report import noise_document
+from calrig.noise.report import noise_document, said_first
 from calrig.runs.errors import Invalid
 from calrig.runs.studies import filters_of_run, noise_of_run
 
@@ -105,6 +105,5 @@ def _filters_answer(found: FilterStudy, warnings: tuple[str, ...] = ()) -> dict[
 def _answer(
     report: dict[str, Any], figures: Sequence[Sequence[tuple[str, Figure]]], warnings: tuple[str, ...]
 ) -> dict[str, Any]:
-    said = [f"{warning[0].upper()}{warning[1:]}." for warning in warnings]
     drawn = [{"caption": caption, "figure": figure} for row in figures for caption, figure in row]
-    return {"report": {**report, "summary": [*said, *report["summary"]]}, "figures": drawn}
+    return {"report": said_first(warnings, report), "figures": drawn}

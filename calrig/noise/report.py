@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -32,6 +32,12 @@ def noise_document(noise: Noise) -> dict[str, Any]:
         "channels": {name: _channel(one) for name, one in noise.channels.items()},
         "summary": summarise(noise),
     }
+
+
+def said_first(warnings: Sequence[str], document: dict[str, Any]) -> dict[str, Any]:
+    """A document whose summary begins with what was said of the file it came from, as sentences."""
+    said = [f"{warning[0].upper()}{warning[1:]}." for warning in warnings]
+    return {**document, "summary": [*said, *document["summary"]]}
 
 
 def _channel(one: ChannelNoise) -> dict[str, Any]:
