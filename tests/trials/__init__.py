@@ -1,0 +1,1 @@
+"""What calrig must withstand, tried and counted: `python -m tests.trials` makes the whole table."""
