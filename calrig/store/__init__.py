@@ -1,6 +1,7 @@
 """Runs, poses, events and raw samples in one SQLite file (SQLModel tables, Alembic migrations)."""
 
-from calrig.store.errors import NotFound, StoreError
+from calrig.store.backup import BackedUp, back_up
+from calrig.store.errors import NotFound, StoreDamagedError, StoreError, StoreUnavailableError
 from calrig.store.event_log import Announced
 from calrig.store.records import (
     AcceptedEffect,
@@ -21,6 +22,7 @@ from calrig.store.store import Store
 __all__ = [
     "AcceptedEffect",
     "Announced",
+    "BackedUp",
     "ComparisonRow",
     "Event",
     "NotFound",
@@ -31,8 +33,11 @@ __all__ = [
     "SampleBlock",
     "Status",
     "Store",
+    "StoreDamagedError",
     "StoreError",
+    "StoreUnavailableError",
     "StoredPose",
     "Unit",
     "Voided",
+    "back_up",
 ]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import io
+import zipfile
+import zlib
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any, cast
@@ -11,10 +13,25 @@ from typing import Any, cast
 import numpy as np
 
 from calrig.calibration.pose import Pose
+from calrig.store import checksums
+from calrig.store.errors import Unreadable
 from calrig.store.records import Progress, RawSamples, Run, SampleBlock, Status, StoredPose, Voided
 from calrig.store.tables import CalibrationTable, PoseTable, RunTable
 
 _POSE_FIELDS = tuple(field.name for field in dataclasses.fields(Pose))
+_NUMBERS = tuple(name for name in _POSE_FIELDS if name != "covariates")
+FIGURES = (
+    "bias_deg",
+    "bias_std_deg",
+    "scale",
+    "scale_std",
+    "rms_raw_deg",
+    "rms_calibrated_deg",
+    "rms_with_effects_deg",
+    "temperature_min_c",
+    "temperature_max_c",
+)
+"""The columns of a result in comparisons."""
 _ARRAYS = ("time_s", "accel_g", "gyro_dps", "temperature_c")
 _ANGLE = "angle_deg"
 """Packed only where the board sends it."""
@@ -50,7 +67,7 @@ def run_of(row: RunTable) -> Run:
 def figures_of(run_id: int, result: dict[str, Any]) -> CalibrationTable:
     """The row that stands for a result in comparisons."""
     temperature = result.get("temperature_c") or {}
-    return CalibrationTable(
+    figures = CalibrationTable(
         run_id=run_id,
         bias_deg=result["bias_deg"],
         bias_std_deg=result.get("bias_std_deg"),
@@ -62,16 +79,22 @@ def figures_of(run_id: int, result: dict[str, Any]) -> CalibrationTable:
         temperature_min_c=temperature.get("min"),
         temperature_max_c=temperature.get("max"),
     )
+    figures.crc32 = checksums.of_numbers(getattr(figures, name) for name in FIGURES)
+    return figures
 
 
 def pose_values(run_id: int, index: int, pose: Pose) -> dict[str, Any]:
     """A pose as the columns of its table."""
     values = {name: getattr(pose, name) for name in _POSE_FIELDS}
-    return {"run_id": run_id, "pose_index": index, **values}
+    crc32 = checksums.of_numbers((run_id, index, *(values[name] for name in _NUMBERS)))
+    return {"run_id": run_id, "pose_index": index, **values, "crc32": crc32}
 
 
 def pose_of(row: PoseTable) -> StoredPose:
     """The pose of a row."""
+    what = f"pose {row.pose_index} of run {row.run_id}"
+    numbers = (getattr(row, name) for name in _NUMBERS)
+    checksums.check_numbers(row.crc32, (row.run_id, row.pose_index, *numbers), what)
     pose = Pose(**{name: getattr(row, name) for name in _POSE_FIELDS})
     return StoredPose(index=row.pose_index, pose=pose, excluded=row.excluded_reason)
 
@@ -92,11 +115,33 @@ def joined_arrays(blobs: Iterable[bytes]) -> RawSamples:
     }
     angles: list[np.ndarray[Any, Any]] = []
     for blob in blobs:
-        with np.load(io.BytesIO(blob), allow_pickle=False) as arrays:
-            for name in _ARRAYS:
-                parts[name].append(arrays[name])
-            known = arrays[_ANGLE] if _ANGLE in arrays else np.full(len(arrays["time_s"]), np.nan)
-            angles.append(known)
+        arrays = _unpacked(blob)
+        for name in _ARRAYS:
+            parts[name].append(arrays[name])
+        angles.append(arrays.get(_ANGLE, np.full(len(arrays["time_s"]), np.nan)))
     samples = RawSamples(**{name: np.concatenate(arrays) for name, arrays in parts.items()})
     angle_deg = np.concatenate([np.empty(0), *angles])
     return samples if np.isnan(angle_deg).all() else replace(samples, angle_deg=angle_deg)
+
+
+def unpacked_block(blob: bytes) -> RawSamples:
+    """The samples of one block, with the board's angle wherever it was packed."""
+    arrays = _unpacked(blob)
+    return RawSamples(**{name: arrays[name] for name in _ARRAYS}, angle_deg=arrays.get(_ANGLE))
+
+
+def _unpacked(blob: bytes) -> dict[str, np.ndarray[Any, Any]]:
+    """The arrays of one block; the npz has a CRC-32 for each."""
+    try:
+        with np.load(io.BytesIO(blob), allow_pickle=False) as arrays:
+            return {name: arrays[name] for name in (*_ARRAYS, *({_ANGLE} & set(arrays.files)))}
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        ValueError,
+        KeyError,
+        EOFError,
+        OSError,
+        NotImplementedError,
+    ) as error:
+        raise Unreadable(f"raw samples cannot be unpacked any more: {error}") from error

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
+import shutil
 import sqlite3
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import cast
 
@@ -14,9 +14,12 @@ from sqlalchemy import Connection, QueuePool, create_engine, event, make_url
 from sqlalchemy.exc import ArgumentError, StatementError
 from sqlmodel import Session
 
-from calrig.store import migrate
-from calrig.store.errors import StoreError, in_words
+from calrig.store import medium, migrate
+from calrig.store.checksums import from_json, to_json
+from calrig.store.copying import check_sound
+from calrig.store.errors import StoreError, StoreUnavailableError, Unreadable, damaged, store_error
 from calrig.store.lock import WriterLock
+from calrig.store.records import Size
 
 BUSY_TIMEOUT_S = 10.0
 
@@ -60,13 +63,17 @@ class Database:
         self._engine = create_engine(
             "sqlite://",
             creator=self._connect,
-            json_serializer=_to_json,
+            json_serializer=to_json,
+            json_deserializer=from_json,
             poolclass=QueuePool,
             pool_size=8,
             max_overflow=-1,  # a thread never waits for a connection, only for the write lock
         )
         event.listen(self._engine, "begin", _begin)
         self._write_engine = self._engine.execution_options(calrig_begin="BEGIN IMMEDIATE")
+        self._uri = path.as_uri()
+        if writer:
+            medium.refuse_network(path)
         self._lock = WriterLock(path, writer) if writer else None
         try:
             if self._lock:
@@ -78,12 +85,25 @@ class Database:
             raise
 
     def _prepare_for_writing(self) -> None:
-        stored = migrate.stored_revision(self.path)
+        uri = None
+        if medium.has_writer(self.path):
+            # It died, perhaps with the power: a good moment for damage, which is looked for first.
+            uri = medium.reading_uri(self.path, self._timeout_s)
+            with closing(sqlite3.connect(uri, uri=True, timeout=self._timeout_s)) as connection:
+                check_sound(connection, self.path)
+        stored = migrate.stored_revision(self.path, uri)
         migrate.check_not_newer(self.path, stored)
-        migrate.upgrade(self.path, stored)
+        with self._in_words():
+            if stored is not None:
+                self._engine.connect().close()  # where that cannot be done, nothing is migrated
+            migrate.upgrade(self.path, stored)
+            self._engine.connect().close()
 
     def _check_for_reading(self) -> None:
-        stored = migrate.stored_revision(self.path) if self.path.is_file() else None
+        stored = None
+        if self.path.is_file():
+            self._uri = medium.reading_uri(self.path, self._timeout_s)
+            stored = migrate.stored_revision(self.path, self._uri)
         if stored is None:
             raise StoreError(
                 f"{self.path}: there is no calrig database: name one with --db, "
@@ -98,12 +118,15 @@ class Database:
 
     def _connect(self) -> sqlite3.Connection:
         connection = sqlite3.connect(
-            self.path, timeout=self._timeout_s, isolation_level=None, check_same_thread=False
+            self._uri, uri=True, timeout=self._timeout_s, isolation_level=None, check_same_thread=False
         )
         connection.execute("PRAGMA foreign_keys = ON")
         connection.execute("PRAGMA synchronous = FULL")
         if self._lock:
-            connection.execute("PRAGMA journal_mode = WAL")
+            (mode,) = connection.execute("PRAGMA journal_mode = WAL").fetchone()
+            if mode != "wal":
+                connection.close()
+                raise medium.on_a_network_drive(self.path, f"its journal stays {mode!r}")
         else:
             connection.execute("PRAGMA query_only = ON")
         return connection
@@ -113,6 +136,8 @@ class Database:
         """A session that sees one state of the database throughout."""
         with self._in_words(), Session(self._engine) as session:
             yield session
+        if self._uri.endswith(medium.AS_IT_LIES) and medium.has_writer(self.path):
+            raise StoreUnavailableError(f"{self.path}: a writer has taken it while it was read: try again")
 
     @contextmanager
     def writing(self) -> Iterator[Session]:
@@ -132,12 +157,22 @@ class Database:
     def _in_words(self) -> Iterator[None]:
         try:
             yield
+        except Unreadable as error:
+            raise damaged(self.path, str(error)) from error
+        except UnicodeDecodeError as error:
+            raise damaged(self.path, str(error)) from error
         except StatementError as error:
             if isinstance(error.orig, ValueError):
                 raise ValueError(f"cannot be stored: {error.orig}") from error
-            raise StoreError(in_words(error.orig, self.path)) from error
+            raise store_error(error.orig, self.path) from error
         except sqlite3.Error as error:
-            raise StoreError(in_words(error, self.path)) from error
+            raise store_error(error, self.path) from error
+
+    def size(self) -> Size:
+        """What the store takes of its disk."""
+        files = (self.path, self.path.with_name(f"{self.path.name}-wal"))
+        used_bytes = sum(medium.size_bytes(file) for file in files)
+        return Size(used_bytes, shutil.disk_usage(self.path.parent).free)
 
     def close(self) -> None:
         """Closes every connection and lets the writer's lock go."""
@@ -150,7 +185,3 @@ class Database:
 def _begin(connection: Connection) -> None:
     # A transaction that will write says so at once: turning a read into a write can fail midway.
     connection.exec_driver_sql(connection.get_execution_options().get("calrig_begin", "BEGIN"))
-
-
-def _to_json(value: object) -> str:
-    return json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))

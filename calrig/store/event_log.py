@@ -8,6 +8,7 @@ from typing import Any
 
 from sqlmodel import Session, col, func, insert, select
 
+from calrig.store.errors import Unreadable
 from calrig.store.records import Event
 from calrig.store.tables import EventTable, RunTable
 
@@ -42,4 +43,8 @@ def after(session: Session, run: RunTable, seq: int, limit: int) -> list[Event]:
         .order_by(col(EventTable.seq))
         .limit(limit)
     )
-    return [Event(seq=row.seq, type=row.type, data=row.data) for row in session.exec(wanted)]
+    found = [Event(seq=row.seq, type=row.type, data=row.data) for row in session.exec(wanted)]
+    for expected, event in enumerate(found, start=seq + 1):
+        if event.seq != expected:
+            raise Unreadable(f"event {expected} of run {run.id} is missing")
+    return found

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, get_args
 
 import sqlalchemy
 from sqlmodel import Session, col, func, select
 
-from calrig.store.convert import run_of
-from calrig.store.records import ComparisonRow, Run, Unit
+from calrig.store.checksums import check_numbers
+from calrig.store.convert import FIGURES, run_of
+from calrig.store.records import ComparisonRow, Run, Status, Unit
 from calrig.store.tables import CalibrationTable, RunTable, UnitTable, UtcText
 
 _IN_FORCE = (
@@ -23,17 +24,17 @@ _COMPARED: tuple[Any, ...] = (
     sqlalchemy.cast(RunTable.id, sqlalchemy.String),
     RunTable.rig,
     RunTable.finished_at,
-    CalibrationTable.bias_deg,
-    CalibrationTable.bias_std_deg,
-    CalibrationTable.scale,
-    CalibrationTable.scale_std,
-    CalibrationTable.rms_raw_deg,
-    CalibrationTable.rms_calibrated_deg,
-    CalibrationTable.rms_with_effects_deg,
-    CalibrationTable.temperature_min_c,
-    CalibrationTable.temperature_max_c,
+    *(getattr(CalibrationTable, name) for name in FIGURES),
+    CalibrationTable.crc32,
 )
 """In the order of `ComparisonRow`; columns, not objects of the tables: thousands come in milliseconds."""
+_NOT_FIGURES = len(_COMPARED) - len(FIGURES) - 1
+
+
+def count_runs(session: Session) -> dict[str, int]:
+    """How many runs there are of each status, those without any as well."""
+    counted = session.exec(select(RunTable.status, func.count()).group_by(col(RunTable.status)))
+    return {**dict.fromkeys(get_args(Status), 0), **dict(counted.all())}
 
 
 def units(session: Session, serial: str | None = None) -> list[Unit]:
@@ -62,7 +63,13 @@ def comparison(session: Session, serials: Sequence[str] | None) -> list[Comparis
     )
     if serials is not None:
         wanted = wanted.where(col(RunTable.unit).in_(serials))
-    return [ComparisonRow._make(row) for row in session.connection().execute(wanted)]
+    return [_compared(row) for row in session.connection().execute(wanted)]
+
+
+def _compared(row: Sequence[Any]) -> ComparisonRow:
+    *shown, crc32 = row
+    check_numbers(crc32, shown[_NOT_FIGURES:], f"the figures of run {shown[1]}")
+    return ComparisonRow._make(shown)
 
 
 def latest_calibration(session: Session, serial: str) -> Run | None:

@@ -9,7 +9,8 @@ import socket
 from datetime import UTC, datetime
 from pathlib import Path
 
-from calrig.store.errors import StoreError
+from calrig.store.errors import StoreError, store_error
+from calrig.store.medium import on_a_network_drive
 
 
 class WriterLock:
@@ -38,9 +39,7 @@ class WriterLock:
             holder = self._holder()
             os.close(self._file)
             if not isinstance(error, BlockingIOError):
-                raise StoreError(
-                    f"{self.path}: cannot be locked ({error.strerror}): keep the database on a local disk"
-                ) from error
+                raise on_a_network_drive(database, f"it cannot be locked: {error.strerror}") from error
             raise StoreError(
                 f"{database}: {holder} writes to it, and a store has one writer at a time: "
                 "stop that one first, or name another database with --db"
@@ -51,8 +50,12 @@ class WriterLock:
             "host": socket.gethostname(),
             "since": datetime.now(UTC).isoformat(timespec="seconds"),
         }
-        os.ftruncate(self._file, 0)
-        os.pwrite(self._file, json.dumps(mine).encode(), 0)
+        try:
+            os.ftruncate(self._file, 0)
+            os.pwrite(self._file, json.dumps(mine).encode(), 0)
+        except OSError as error:
+            os.close(self._file)
+            raise store_error(error, self.path) from error
 
     def _holder(self) -> str:
         try:
@@ -63,5 +66,7 @@ class WriterLock:
 
     def close(self) -> None:
         """Lets the lock go. The file stays: removing it could take it from the next holder."""
-        os.ftruncate(self._file, 0)
-        os.close(self._file)
+        try:
+            os.ftruncate(self._file, 0)
+        finally:
+            os.close(self._file)

@@ -12,7 +12,8 @@ import sqlite3
 from pathlib import Path
 
 from calrig.settings import packed
-from calrig.store.errors import StoreError, in_words
+from calrig.store.copying import copy_database
+from calrig.store.errors import StoreError, damaged, store_error
 
 
 def revisions() -> list[str]:
@@ -26,14 +27,18 @@ def revisions() -> list[str]:
     return known
 
 
-def stored_revision(database: Path) -> str | None:
+def stored_revision(database: Path, uri: str | None = None) -> str | None:
     """The revision of a database file; None where it is empty.
+
+    Args:
+        database: the file.
+        uri: how to open it for reading only, as `calrig.store.medium.reading_uri` says.
 
     Raises:
         StoreError: it cannot be read, is not SQLite, or is another program's.
     """
     try:
-        with contextlib.closing(sqlite3.connect(database)) as connection:
+        with contextlib.closing(sqlite3.connect(uri or database, uri=uri is not None)) as connection:
             tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master")}
             if not tables:
                 return None
@@ -42,7 +47,9 @@ def stored_revision(database: Path) -> str | None:
                 if row:
                     return str(row[0])
     except sqlite3.Error as error:
-        raise StoreError(in_words(error, database)) from error
+        raise store_error(error, database) from error
+    except UnicodeDecodeError as error:  # of SQLite's own message, with a table's broken name in it
+        raise damaged(database, str(error)) from error
     raise StoreError(f"{database}: is another program's database: name another file with --db")
 
 
@@ -79,6 +86,8 @@ def upgrade(database: Path, stored: str | None) -> None:
         _run_alembic(database)
     except Exception as error:
         reason = getattr(error, "orig", error)  # SQLAlchemy's own text has the statement and a link
+        if isinstance(reason, sqlite3.Error):
+            reason = store_error(reason, database)
         kept = f"; a copy is in {copy}" if copy else ""
         raise StoreError(
             f"{database}: could not be brought to revision {head} ({reason}); it is as it was{kept}"
@@ -91,17 +100,10 @@ def _keep_copy(database: Path, head: str) -> Path:
     while copy.exists():  # a copy is never overwritten: it may be the only one of another state
         number += 1
         copy = database.with_name(f"{database.name}.before-{head}.{number}.bak")
-    unfinished = copy.with_name(f"{copy.name}.unfinished")
     try:
-        with (
-            contextlib.closing(sqlite3.connect(database)) as source,
-            contextlib.closing(sqlite3.connect(unfinished)) as target,
-        ):
-            source.backup(target)
-        unfinished.replace(copy)
-    except (sqlite3.Error, OSError) as error:
-        unfinished.unlink(missing_ok=True)
-        raise StoreError(f"no copy could be kept, so nothing was changed: {in_words(error, copy)}") from error
+        copy_database(database, copy)
+    except StoreError as error:
+        raise StoreError(f"no copy could be kept, so nothing was changed: {error}") from error
     return copy
 
 

@@ -9,9 +9,12 @@ from sqlmodel import Session, col, delete, func, insert, select
 
 from calrig.calibration.pose import Pose
 from calrig.store import convert, runs
-from calrig.store.errors import NotFound
+from calrig.store.errors import NotFound, Unreadable
 from calrig.store.records import UNFINISHED, Document, Run, SampleBlock, StoredPose
 from calrig.store.tables import PoseTable, RunTable, SampleBlockTable
+
+VARIABLES = 500
+"""In one statement; SQLite takes a thousand."""
 
 
 def add(session: Session, run: RunTable, index: int, pose: Pose, blocks: Sequence[SampleBlockTable]) -> None:
@@ -35,9 +38,11 @@ def of_run(session: Session, run_id: str, *, include_excluded: bool) -> list[Sto
     """As `Store.poses`."""
     row = runs.row_of(session, run_id)
     wanted = select(PoseTable).where(PoseTable.run_id == row.id).order_by(col(PoseTable.pose_index))
-    if not include_excluded:
-        wanted = wanted.where(col(PoseTable.excluded_reason).is_(None))
-    return [convert.pose_of(pose) for pose in session.exec(wanted)]
+    found = [convert.pose_of(pose) for pose in session.exec(wanted)]
+    missing = row.progress.get("poses_done", 0) - len(found)
+    if missing > 0:  # their number is stored with them, in the same transaction
+        raise Unreadable(f"{missing} poses of run {run_id} are missing")
+    return [pose for pose in found if include_excluded or pose.excluded is None]
 
 
 def exclude(session: Session, run_id: str, index: int, reason: str, result: Document | None) -> Run:
@@ -53,9 +58,14 @@ def exclude(session: Session, run_id: str, index: int, reason: str, result: Docu
 
 def packed_samples(session: Session, run_id: str, pose: int | None) -> list[bytes]:
     """The packed blocks of a run in the order stored, or those of one pose's dwell."""
+    return packed_blocks(session, [number for number, _ in block_numbers(session, run_id, pose)])
+
+
+def block_numbers(session: Session, run_id: str, pose: int | None) -> list[tuple[int, int]]:
+    """The rows of those blocks, each with how many samples it holds."""
     run = runs.row_of(session, run_id)
     wanted = (
-        select(SampleBlockTable.data)
+        select(SampleBlockTable.id, SampleBlockTable.n_samples)
         .where(SampleBlockTable.run_id == run.id)
         .order_by(col(SampleBlockTable.id))
     )
@@ -64,7 +74,18 @@ def packed_samples(session: Session, run_id: str, pose: int | None) -> list[byte
         if pose < 0 or not known:
             raise NotFound(f"run {run_id} has no pose {pose}")
         wanted = wanted.where(SampleBlockTable.pose_index == pose, SampleBlockTable.phase == "dwell")
-    return list(session.exec(wanted))
+    return [(number or 0, n_samples) for number, n_samples in session.exec(wanted)]
+
+
+def packed_blocks(session: Session, numbers: Sequence[int]) -> list[bytes]:
+    """The packed blocks of these rows, one after the other."""
+    packed: list[bytes] = []
+    for first in range(0, len(numbers), VARIABLES):
+        some = col(SampleBlockTable.id).in_(numbers[first : first + VARIABLES])
+        packed += session.exec(select(SampleBlockTable.data).where(some).order_by(col(SampleBlockTable.id)))
+    if len(packed) < len(numbers):
+        raise NotFound("raw samples were deleted while they were read")
+    return packed
 
 
 def prune_samples(session: Session, before: datetime) -> int:

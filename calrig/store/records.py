@@ -118,6 +118,14 @@ class AcceptedEffect:
 
 
 @dataclass(frozen=True, slots=True)
+class Size:
+    """What the store takes of its disk, and what room is left there."""
+
+    used_bytes: int
+    free_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
 class Unit:
     """A sensor being calibrated, and how often and when it was last on a rig."""
 

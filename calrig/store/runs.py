@@ -14,7 +14,8 @@ from calrig.store.errors import NotFound
 from calrig.store.records import TERMINAL, UNFINISHED, Document, Run, RunChanges, Status
 from calrig.store.tables import CalibrationTable, PoseTable, RunTable, UnitTable
 
-_DIED = "the program that carried it out ended before the run did; resume takes the run up again"
+POSES_AT_ONCE = 1000
+"""Handed to SQLite together: an import has a hundred thousand."""
 
 
 def number(run_id: str) -> int | None:
@@ -79,9 +80,9 @@ def create(
     _stamp(row, now)
     session.add(row)
     session.flush()
-    if poses:
-        values = [convert.pose_values(row.id, index, pose) for index, pose in enumerate(poses)]
-        session.execute(insert(PoseTable), values)
+    for first in range(0, len(poses), POSES_AT_ONCE):
+        some = enumerate(poses[first : first + POSES_AT_ONCE], start=first)
+        session.execute(insert(PoseTable), [convert.pose_values(row.id, index, pose) for index, pose in some])
     set_result(session, row, result)
     event_log.append(session, row, [event_log.state(row)])
     return convert.run_of(row)
@@ -138,14 +139,10 @@ def change(
     return event_log.append(session, row, [*events, *state])
 
 
-def interrupt_unfinished(session: Session) -> list[str]:
-    """As `Store.interrupt_unfinished`."""
+def unfinished(session: Session) -> list[Run]:
+    """As `Store.unfinished`."""
     wanted = select(RunTable).where(col(RunTable.status).in_(UNFINISHED)).order_by(col(RunTable.id))
-    rows = session.exec(wanted).all()
-    for row in rows:
-        row.status, row.error = "interrupted", _DIED
-        event_log.append(session, row, [event_log.state(row)])
-    return [str(row.id) for row in rows]
+    return [convert.run_of(row) for row in session.exec(wanted)]
 
 
 def void(session: Session, run_id: str, reason: str) -> Run:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
 from types import TracebackType
 from typing import Self, Unpack
@@ -20,10 +20,14 @@ from calrig.store.records import (
     Run,
     RunChanges,
     SampleBlock,
+    Size,
     Status,
     StoredPose,
     Unit,
 )
+
+SAMPLES_AT_ONCE = 20_000
+"""Read from the file together where they are asked for some at a time."""
 
 
 class Store:
@@ -143,13 +147,10 @@ class Store:
         with self._database.writing() as session:
             return runs.void(session, run_id, reason)
 
-    def interrupt_unfinished(self) -> list[str]:
-        """Marks the runs that a dead program left queued, running or paused as `interrupted`.
-
-        For a writer that has just opened the store: then no living program carries any of them out.
-        """
-        with self._database.writing() as session:
-            return runs.interrupt_unfinished(session)
+    def unfinished(self) -> list[Run]:
+        """The runs that are queued, running or paused, the oldest first."""
+        with self._database.reading() as session:
+            return runs.unfinished(session)
 
     def append_events(self, run_id: str, events: Sequence[Announced]) -> list[int]:
         """Appends events to a run's log.
@@ -256,8 +257,30 @@ class Store:
             NotFound: the run has no such pose.
         """
         with self._database.reading() as session:
-            packed = poses.packed_samples(session, run_id, pose)
-        return convert.joined_arrays(packed)
+            return convert.joined_arrays(poses.packed_samples(session, run_id, pose))
+
+    def sample_blocks(self, run_id: str, pose: int | None = None) -> Iterator[RawSamples]:
+        """The same, some at a time as they are asked for: a day of them does not fit into memory.
+
+        Raises:
+            NotFound: at once where the run has no such pose; later where the samples were pruned meanwhile.
+        """
+        with self._database.reading() as session:
+            numbers = poses.block_numbers(session, run_id, pose)
+        return self._unpacked(numbers)
+
+    def _unpacked(self, numbers: Sequence[tuple[int, int]]) -> Iterator[RawSamples]:
+        together: list[int] = []
+        n_samples = 0
+        for place, (number, n) in enumerate(numbers, start=1):
+            together.append(number)
+            n_samples += n
+            if n_samples >= SAMPLES_AT_ONCE or place == len(numbers):
+                with self._database.reading() as session:
+                    packed = poses.packed_blocks(session, together)
+                    unpacked = [convert.unpacked_block(block) for block in packed]
+                yield from unpacked
+                together, n_samples = [], 0
 
     def prune_samples(self, before: datetime) -> int:
         """Deletes the raw samples of runs made before then and no longer going on, and nothing else.
@@ -272,6 +295,15 @@ class Store:
             count = poses.prune_samples(session, before)
         self._database.give_back_space()
         return count
+
+    def count_runs(self) -> dict[str, int]:
+        """How many runs there are of each status."""
+        with self._database.reading() as session:
+            return history.count_runs(session)
+
+    def size(self) -> Size:
+        """What the store takes of its disk."""
+        return self._database.size()
 
     def units(self) -> list[Unit]:
         """Every unit by serial number."""

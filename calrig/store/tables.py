@@ -5,8 +5,11 @@
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import JSON, Dialect, String, TypeDecorator
+from sqlalchemy import Dialect, String, TypeDecorator
 from sqlmodel import Column, Field, ForeignKey, Index, LargeBinary, SQLModel
+
+from calrig.store.checksums import CheckedJson
+from calrig.store.errors import Unreadable
 
 
 class UtcText(TypeDecorator[datetime]):
@@ -21,11 +24,10 @@ class UtcText(TypeDecorator[datetime]):
 
     def process_result_value(self, value: Any | None, dialect: Dialect) -> datetime | None:  # noqa: ARG002
         """Database to Python."""
-        return None if value is None else datetime.fromisoformat(value)
-
-
-def _json() -> Any:
-    return JSON(none_as_null=True)
+        try:
+            return None if value is None else datetime.fromisoformat(value)
+        except (TypeError, ValueError) as error:
+            raise Unreadable(f"a time is no time any more: {value!r}") from error
 
 
 class UnitTable(SQLModel, table=True):
@@ -48,13 +50,13 @@ class RunTable(SQLModel, table=True):
     rig: str | None
     kind: str
     status: str
-    plan: dict[str, Any] | None = Field(default=None, sa_type=_json())
-    progress: dict[str, Any] = Field(sa_type=_json())
-    result: dict[str, Any] | None = Field(default=None, sa_type=_json())
-    diagnosis: dict[str, Any] | None = Field(default=None, sa_type=_json())
-    faults: dict[str, int] = Field(sa_type=_json())
+    plan: dict[str, Any] | None = Field(default=None, sa_type=CheckedJson)
+    progress: dict[str, Any] = Field(sa_type=CheckedJson)
+    result: dict[str, Any] | None = Field(default=None, sa_type=CheckedJson)
+    diagnosis: dict[str, Any] | None = Field(default=None, sa_type=CheckedJson)
+    faults: dict[str, int] = Field(sa_type=CheckedJson)
     follows: int | None = Field(default=None, foreign_key="run.id")
-    provenance: dict[str, Any] = Field(sa_type=_json())
+    provenance: dict[str, Any] = Field(sa_type=CheckedJson)
     operator: str | None = None
     note: str | None = None
     voided_reason: str | None = None
@@ -80,6 +82,7 @@ class CalibrationTable(SQLModel, table=True):
     rms_with_effects_deg: float | None
     temperature_min_c: float | None
     temperature_max_c: float | None
+    crc32: int | None = None
 
 
 class PoseTable(SQLModel, table=True):
@@ -104,9 +107,10 @@ class PoseTable(SQLModel, table=True):
     accel_z_g: float | None
     gyro_move_deg: float | None
     settle_s: float | None
-    covariates: dict[str, Any] = Field(sa_type=_json())
+    covariates: dict[str, Any] = Field(sa_type=CheckedJson)
     excluded_reason: str | None = None
     excluded_at: datetime | None = Field(default=None, sa_type=UtcText)
+    crc32: int | None = None
 
 
 class EventTable(SQLModel, table=True):
@@ -118,7 +122,7 @@ class EventTable(SQLModel, table=True):
     run_id: int = Field(primary_key=True, foreign_key="run.id")
     seq: int = Field(primary_key=True)
     type: str
-    data: dict[str, Any] = Field(sa_type=_json())
+    data: dict[str, Any] = Field(sa_type=CheckedJson)
     at: datetime = Field(sa_type=UtcText)
 
 
@@ -148,7 +152,7 @@ class AcceptedEffectTable(SQLModel, table=True):
     rig: str | None = None
     name: str
     origin: str
-    parameters: dict[str, Any] = Field(sa_type=_json())
+    parameters: dict[str, Any] = Field(sa_type=CheckedJson)
     accepted_at: datetime = Field(sa_type=UtcText)
 
 

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from sqlmodel import Session, col, select
 
 from calrig.store import runs
+from calrig.store.errors import Unreadable
 from calrig.store.tables import TranscriptTable
 
 
@@ -24,4 +25,7 @@ def of_run(session: Session, run_id: str) -> dict[str, str]:
     """As `Store.transcripts`."""
     run = runs.row_of(session, run_id)
     wanted = select(TranscriptTable).where(TranscriptTable.run_id == run.id).order_by(col(TranscriptTable.id))
-    return {row.port: zlib.decompress(row.data).decode() for row in session.exec(wanted)}
+    try:
+        return {row.port: zlib.decompress(row.data).decode() for row in session.exec(wanted)}
+    except (zlib.error, UnicodeDecodeError) as error:
+        raise Unreadable(f"a transcript cannot be unpacked any more: {error}") from error

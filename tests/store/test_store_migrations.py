@@ -129,3 +129,42 @@ def test_a_newer_database_is_refused_untouched_with_what_to_do(filled, url, data
     assert "install the newer calrig" in str(refused.value)
     assert f"calrig.db.before-{revision}.bak" in str(refused.value)
     assert database.read_bytes() == was
+
+
+@pytest.mark.parametrize("revision", migrate.revisions()[:-1])
+def test_a_store_of_every_earlier_revision_is_brought_up_to_date(url, database, revision):
+    make_as_of(database, revision)
+    with Store.open(url, writer="serve") as store:
+        (pose,) = store.poses("1")
+        assert (pose.index, pose.pose.reading_deg, pose.pose.covariates) == (0, 10.25, {"humidity": 0.4})
+        assert store.run("1").result == {"bias_deg": 0.25}
+        (row,) = store.comparison()
+        assert (row.unit, row.bias_deg) == ("A", 0.25)
+        assert [(event.seq, event.type) for event in store.events_after("1")] == [(1, "state")]
+    assert migrate.stored_revision(database) == migrate.revisions()[-1]
+    copy = database.with_name(f"calrig.db.before-{migrate.revisions()[-1]}.bak")
+    assert migrate.stored_revision(copy) == revision
+
+
+def make_as_of(database: Path, revision: str) -> None:
+    """A store as calrig made it at that revision, with one completed run."""
+    from alembic import command
+    from alembic.config import Config
+
+    config = Config()
+    config.set_main_option("script_location", str(packed("migrations")))
+    with create_engine(f"sqlite:///{database}").begin() as connection:
+        config.attributes["connection"] = connection
+        command.upgrade(config, revision)
+        at = "2026-01-02T03:04:05.000006+00:00"
+        for statement in (
+            f"INSERT INTO unit (serial, created_at) VALUES ('A', '{at}')",
+            "INSERT INTO run (id, unit, rig, kind, status, progress, result, faults, provenance, created_at, "
+            "started_at, finished_at) VALUES (1, 'A', 'r', 'calibration', 'completed', '{}', "
+            f"'{{\"bias_deg\":0.25}}', '{{}}', '{{}}', '{at}', '{at}', '{at}')",
+            "INSERT INTO calibration (run_id, bias_deg, rms_raw_deg) VALUES (1, 0.25, 0.3)",
+            "INSERT INTO pose (run_id, pose_index, target_deg, reading_deg, covariates) "
+            "VALUES (1, 0, 10, 10.25, '{\"humidity\":0.4}')",
+            f"INSERT INTO event (run_id, seq, type, data, at) VALUES (1, 1, 'state', '{{}}', '{at}')",
+        ):
+            connection.exec_driver_sql(statement)

@@ -16,7 +16,7 @@ import pytest
 
 import calrig
 from calrig.store import Store, StoreError
-from calrig.store.errors import in_words
+from calrig.store.errors import store_error
 
 ROOT = Path(calrig.__file__).parent.parent
 
@@ -84,7 +84,7 @@ def test_what_was_announced_survives_the_death_of_the_writer(url):
         assert [p.index for p in poses] == list(range(len(poses)))
         assert [e.seq for e in store.events_after(run.id, limit=10**6)] == list(range(1, len(poses) + 2))
         assert len(store.samples(run.id)) == 50 * len(poses), "a pose has its samples"
-        assert store.interrupt_unfinished() == [run.id]
+        assert [left.id for left in store.unfinished()] == [run.id]
 
 
 def test_threads_share_a_store(store, new_run):
@@ -198,7 +198,7 @@ def test_a_full_disk_is_said_with_what_to_do(database):
         connection.execute("PRAGMA max_page_count = 4")
         with pytest.raises(sqlite3.OperationalError) as full:
             connection.execute("INSERT INTO t VALUES (zeroblob(100000))")
-    assert "the disk is full: free some space" in in_words(full.value, database)
+    assert "the disk is full: free some space" in str(store_error(full.value, database))
 
 
 def test_a_read_only_file_is_said_with_what_to_do(database, url):
@@ -208,4 +208,4 @@ def test_a_read_only_file_is_said_with_what_to_do(database, url):
         pytest.raises(sqlite3.OperationalError) as read_only,
     ):
         connection.execute("DELETE FROM run")
-    assert "read-only: make both writable" in in_words(read_only.value, database)
+    assert "read-only: make both writable" in str(store_error(read_only.value, database))

@@ -1,0 +1,44 @@
+"""A backup of a store, also while it is written to."""
+
+from __future__ import annotations
+
+import contextlib
+import sqlite3
+from dataclasses import dataclass
+from pathlib import Path
+
+from calrig.store import medium, migrate
+from calrig.store.copying import BUSY_TIMEOUT_S, copy_database
+from calrig.store.database import database_path
+from calrig.store.errors import StoreError
+
+
+@dataclass(frozen=True, slots=True)
+class BackedUp:
+    """What a backup holds; `size_bytes` is its file's."""
+
+    runs: int
+    poses: int
+    size_bytes: int
+
+
+def back_up(url: str, target: Path) -> BackedUp:
+    """Copies a store of any revision as it is at one instant; its writer goes on meanwhile.
+
+    Args:
+        url: of the store, as `Store.open` takes it.
+        target: the file to make: a store of its own, and there only once it is complete.
+
+    Raises:
+        StoreError: `target` exists, or cannot be written; there is no store at `url`, or it is damaged.
+    """
+    database = database_path(url)
+    if not database.is_file():
+        raise StoreError(f"{database}: there is no calrig database: name one with --db")
+    if migrate.stored_revision(database, medium.reading_uri(database, BUSY_TIMEOUT_S)) is None:
+        raise StoreError(f"{database}: is empty: there is nothing to keep a copy of")
+    copy_database(database, target)
+    with contextlib.closing(sqlite3.connect(target.resolve().as_uri() + medium.AS_IT_LIES, uri=True)) as copy:
+        (runs,) = copy.execute("SELECT count(*) FROM run").fetchone()
+        (poses,) = copy.execute("SELECT count(*) FROM pose").fetchone()
+    return BackedUp(runs, poses, target.stat().st_size)

@@ -1,0 +1,63 @@
+"""Checksums of what is stored: SQLite sees a page whose order is broken, and not a digit that has changed."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+import zlib
+from collections.abc import Iterable
+from typing import Any
+
+from sqlalchemy import JSON, Dialect, TypeDecorator
+
+from calrig.store.errors import Unreadable
+
+KEY = " crc32"
+"""What a stored document has beside its own keys. No column of a file is called so: names are stripped."""
+
+
+def of_numbers(numbers: Iterable[float | None]) -> int:
+    """CRC-32 of numbers in a row; None counts as what is not known."""
+    # SQLite keeps no sign of a zero; adding one takes it away.
+    values = [math.nan if number is None else number + 0.0 for number in numbers]
+    return zlib.crc32(struct.pack(f"<{len(values)}d", *values))
+
+
+def check_numbers(stored: int | None, numbers: Iterable[float | None], what: str) -> None:
+    """Raises Unreadable where numbers are not those stored; rows older than checksums have None."""
+    if stored is not None and stored != of_numbers(numbers):
+        raise Unreadable(f"{what} is not what was stored")
+
+
+def to_json(value: object) -> str:
+    """JSON as it is stored: the same text for the same document."""
+    return json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+
+
+class CheckedJson(TypeDecorator[dict[str, Any]]):
+    """A document as JSON, with the CRC-32 of its text as one more key. One without is from before."""
+
+    impl = JSON(none_as_null=True)
+    cache_ok = True
+
+    def process_bind_param(self, value: Any | None, dialect: Dialect) -> dict[str, Any] | None:  # noqa: ARG002
+        """Python to database."""
+        return None if value is None else {**value, KEY: zlib.crc32(to_json(value).encode())}
+
+    def process_result_value(self, value: Any | None, dialect: Dialect) -> dict[str, Any] | None:  # noqa: ARG002
+        """Database to Python."""
+        if value is None:
+            return None
+        stored = value.pop(KEY, None) if isinstance(value, dict) else 0
+        if stored is not None and stored != zlib.crc32(to_json(value).encode()):
+            raise Unreadable("a document is not what was stored")
+        return dict(value)
+
+
+def from_json(text: str) -> Any:
+    """What JSON text holds; Unreadable where it is no JSON any more."""
+    try:
+        return json.loads(text)
+    except ValueError as error:
+        raise Unreadable(f"a document is no JSON any more: {error}") from error
