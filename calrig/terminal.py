@@ -13,8 +13,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rich.table import Table
 from rich.text import Text
 
+from calrig.cli_errors import printable
 from calrig.runs.errors import Conflict
-from calrig.runs.states import TERMINAL
+from calrig.runs.states import AT_REST
 
 if TYPE_CHECKING:
     from calrig.instruments.scan import Found
@@ -84,7 +85,7 @@ def _until_ended(service: RunService, run_id: str, asked: _Asked, show: Callable
             for event in service.store.events_after(run_id, seen):
                 seen = event.seq
                 show(event)
-            if run.status in TERMINAL:
+            if run.status in AT_REST:
                 return run
             if asked.to_stop and not aborted:
                 aborted = True
@@ -112,7 +113,7 @@ def print_result(run: Run) -> None:
     console = Console(soft_wrap=True)
     if run.result is None:
         return
-    table = Table(title=Text(f"run {run.id}: unit {run.unit} on {run.rig}"), title_justify="left")
+    table = Table(title=_text(f"run {run.id}: unit {run.unit} on {run.rig}"), title_justify="left")
     for heading in ("", "value", "± (noise)", "± (stage)"):
         table.add_column(heading, justify="right" if heading else "left")
     for row in _rows(run.result):
@@ -139,6 +140,11 @@ def _rows(result: dict[str, Any]) -> Iterable[tuple[str, ...]]:
     yield "gyro scale", _number(gyro["scale"], "", 6), _number(gyro["scale_std"], "", 6)
 
 
+def _text(text: str, style: str = "") -> Text:
+    """Text as it is: no markup, no escape sequences."""
+    return Text(printable(text), style)
+
+
 def _number(value: float | None, unit: str, decimals: int = 4) -> str:
     return "not known" if value is None else f"{value:.{decimals}f}{unit}"
 
@@ -154,7 +160,7 @@ def print_rigs(rigs: Iterable[RigSettings]) -> None:
             "simulated" if rig.simulated is not None or part is None else f"{part.driver} on {part.port}"
             for part in (rig.stage, rig.imu)
         ]
-        table.add_row(rig.name, f"{low:g}° to {high:g}°", *(Text(part) for part in parts))
+        table.add_row(rig.name, f"{low:g}° to {high:g}°", *(_text(part) for part in parts))
     Console(soft_wrap=True).print(table)
 
 
@@ -162,33 +168,33 @@ def print_ports(found: Sequence[Found], stanza: str) -> None:
     """Prints who answers on which port, and what can be pasted into the configuration."""
     console = Console(soft_wrap=True, highlight=False)
     if not found:
-        console.print(Text("there is no serial port: is the USB cable plugged in?"))
+        console.print(_text("there is no serial port: is the USB cable plugged in?"))
         return
     table = Table()
     for heading in ("port", "what", "driver", "who", "USB", "serial number"):
         table.add_column(heading)
     for one in found:
         cells = (one.port, one.kind, one.driver, one.identity, one.usb_id, one.usb_serial)
-        table.add_row(*(Text(cell or "") for cell in cells))
+        table.add_row(*(_text(cell or "") for cell in cells))
     console.print(table)
     if stanza:
-        console.print(Text("for calrig.toml:\n"))
-        console.print(Text(stanza), end="")
+        console.print(_text("for calrig.toml:\n"))
+        console.print(_text(stanza), end="")
 
 
 def print_diagnosis(found: dict[str, Any]) -> None:
     """Prints a diagnosis: verdict, each effect with parameters and evidence, the error before and after."""
     console = Console(soft_wrap=True, highlight=False)
-    console.print(Text(f"{found['verdict']}: {found['final']['model']}", style="bold"))
+    console.print(_text(f"{found['verdict']}: {found['final']['model']}", style="bold"))
     for effect in found["effects"]:
         rivals = f", or {', '.join(effect['confusable_with'])}" if effect["confusable_with"] else ""
-        console.print(Text(f"\n{effect['name']}{rivals} ({effect['verdict']}; {effect['origin']})"))
+        console.print(_text(f"\n{effect['name']}{rivals} ({effect['verdict']}; {effect['origin']})"))
         for name, parameter in effect["parameters"].items():
             if parameter is not None:
                 std = "" if parameter["std"] is None else f" ± {parameter['std']:.2g}"
-                console.print(Text(f"  {name} = {parameter['value']:.4g}{std}"))
+                console.print(_text(f"  {name} = {parameter['value']:.4g}{std}"))
         for sentence in (*effect["evidence"], effect["remedy"]):
-            console.print(Text(f"  · {sentence}"))
+            console.print(_text(f"  · {sentence}"))
     console.print()
     table = Table()
     for heading in ("RMS", "before", "after"):
@@ -198,22 +204,24 @@ def print_diagnosis(found: dict[str, Any]) -> None:
     table.add_row("noise floor", "", _number(found["noise"]["floor_deg"], "°"))
     console.print(table)
     for warning in found["warnings"]:
-        console.print(Text(f"note: {warning}"))
+        console.print(_text(f"note: {warning}"))
     if found["follow_up"] is not None:
         apart = f"{found['follow_up']['separation_sigma']:.1f} standard errors"
         names = " from ".join(found["follow_up"]["separates"])
-        console.print(Text(f"a follow-up run would separate {names} by {apart}: POST /api/runs/ID/follow-up"))
+        console.print(
+            _text(f"a follow-up run would separate {names} by {apart}: POST /api/runs/ID/follow-up")
+        )
 
 
 def print_gravity(found: dict[str, Any]) -> None:
     """Prints a calibration against gravity: what was found, and |a| less 1 g before and after."""
     console = Console(soft_wrap=True, highlight=False)
     names = [effect["name"] for effect in found["effects"]]
-    console.print(Text(f"{found['verdict']}: {', '.join(['bias', 'scale', *names])}", style="bold"))
+    console.print(_text(f"{found['verdict']}: {', '.join(['bias', 'scale', *names])}", style="bold"))
     for effect in found["effects"]:
         for name, parameter in effect["parameters"].items():
             std = "" if parameter["std"] is None else f" ± {parameter['std']:.2g}"
-            console.print(Text(f"  {name} = {parameter['value']:.4g}{std}"))
+            console.print(_text(f"  {name} = {parameter['value']:.4g}{std}"))
     table = Table()
     for heading in (f"|a| − 1 g, {found['n_poses']} poses", "before", "after"):
         table.add_column(heading, justify="left" if heading.startswith("|") else "right")
@@ -221,4 +229,4 @@ def print_gravity(found: dict[str, Any]) -> None:
         table.add_row(name, _number(found["base"][key], " mg", 2), _number(found["final"][key], " mg", 2))
     console.print(table)
     for warning in found["warnings"]:
-        console.print(Text(f"note: {warning}"))
+        console.print(_text(f"note: {warning}"))

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from calrig.instruments.axis_goal import Goal, travel_time_s
 from calrig.instruments.errors import Halted, InstrumentError, LimitError, StageError
 from calrig.instruments.types import Stage, StageIdentity, StageStatus
 
@@ -17,6 +18,7 @@ GRACE_S = 1.0
 STALL_S = 3.0
 STALL_DEG = 0.05
 ASSUMED_VELOCITY_DPS = 1.0
+OVERSHOOT_DEG = 1.0  # beyond the tolerance: nothing that moves as it was told is so far off its way
 IN_MOTION = ("moving", "homing")
 
 
@@ -26,22 +28,6 @@ class Motion:
 
     elevation_deg: float
     moving: bool
-
-
-@dataclass(slots=True)
-class _Goal:
-    """What the axis was sent to do: a target, or None for the reference; and what it must not overstep."""
-
-    target_deg: float | None
-    deadline_s: float
-    stall_s: float
-    progress_s: float
-    progress_deg: float
-    off_since_s: float | None = None
-
-    @property
-    def words(self) -> str:
-        return "homing" if self.target_deg is None else f"the move to {self.target_deg:g}°"
 
 
 class Axis:
@@ -80,7 +66,8 @@ class Axis:
         self._velocity_dps: float | None = None
         self._velocity_before_dps: float | None = None
         self._acceleration_dps2: float | None = None
-        self._goal: _Goal | None = None
+        self._goal: Goal | None = None
+        self._rests_deg: float | None = None  # where the last move has ended
         self._halted = False
         self.has_moved = False
 
@@ -116,10 +103,10 @@ class Axis:
     def begin_home(self) -> None:
         """Begins to look for the reference, or waits for a search that is already under way."""
         if self.stage.status().state != "homing":
-            self.has_moved = True
+            self.has_moved, self._rests_deg = True, None
             self.stage.home()
         now = self._clock()
-        self._goal = _Goal(None, now + HOME_TIMEOUT_S, HOME_TIMEOUT_S, now, math.inf)
+        self._goal = Goal(None, now + HOME_TIMEOUT_S, HOME_TIMEOUT_S, now, math.inf)
 
     def begin_move(self, elevation_deg: float) -> None:
         """Begins a move; `poll` tells how it goes on.
@@ -135,19 +122,20 @@ class Axis:
                 f"elevation {elevation_deg:g}° is beyond {self._limits_of} {low:g}° to {high:g}°; "
                 "nothing was sent to the stage"
             )
-        here = self.elevation_deg()
-        self.has_moved = True
+        here = self.elevation_deg() if self._rests_deg is None else self.see_that_it_stands(self._rests_deg)
+        self.has_moved, self._rests_deg = True, None
         self.stage.move(self._zero_deg + self._gain * elevation_deg)
         velocity = self._velocity_dps or ASSUMED_VELOCITY_DPS
         acceleration = self._acceleration_dps2 or velocity
         travel_s = travel_time_s(abs(self._gain * (elevation_deg - here)), velocity, acceleration)
         now = self._clock()
-        self._goal = _Goal(
+        self._goal = Goal(
             target_deg=elevation_deg,
             deadline_s=now + 2 * travel_s + MOVE_MARGIN_S,
             stall_s=max(STALL_S, 4 * STALL_DEG / velocity),
             progress_s=now,
             progress_deg=here,
+            from_deg=here,
         )
 
     def poll(self) -> Motion:
@@ -163,7 +151,8 @@ class Axis:
         status = self.stage.status()
         self._require_usable(status)
         if status.state in IN_MOTION:
-            motion = Motion(self._to_elevation(self.stage.glimpse_deg()), moving=True)
+            motion = Motion(self._glimpse_deg(), moving=True)
+            self._check_way(motion.elevation_deg)
             self._check_progress(motion.elevation_deg, status)
             return motion
         elevation = self.elevation_deg()
@@ -172,6 +161,29 @@ class Axis:
     def elevation_deg(self) -> float:
         """Where the standing stage says it is, in elevation."""
         return self._to_elevation(self.stage.position_deg())
+
+    def see_that_it_stands(self, stood_deg: float) -> float:
+        """Where a stage stands that was told nothing since it stood at `stood_deg`.
+
+        Raises:
+            StageError: it is disabled, says that it moves, or stands elsewhere by more than the tolerance.
+        """
+        for last in (False, True):  # one answer may have been damaged on the wire
+            status = self.stage.status()
+            if status.state in IN_MOTION:
+                said = f"says {status.words}"
+            else:
+                self._require_usable(status)
+                now_deg = self.elevation_deg()
+                if abs(now_deg - stood_deg) <= self.tolerance_deg:
+                    return now_deg
+                said = f"stands at {now_deg:g}°"
+            if last:
+                break
+        raise StageError(
+            f"the stage stood at {stood_deg:g}° and now {said}, without being told to move: look for a "
+            "second program, a keypad or a slipping drive"
+        )
 
     def set_velocity(self, velocity_dps: float) -> None:
         """Sets the velocity, in elevation, of the moves that follow; `close` restores the one before."""
@@ -231,6 +243,21 @@ class Axis:
                 "power cut, then start again"
             )
 
+    def _glimpse_deg(self) -> float:
+        return self._to_elevation(self.stage.glimpse_deg())
+
+    def _check_way(self, elevation_deg: float) -> None:
+        """Stops a stage that two looks in a row see elsewhere than between where it was and where it goes."""
+        goal, slack_deg = self._goal, self.tolerance_deg + OVERSHOOT_DEG
+        if goal is None or not goal.is_astray(elevation_deg, slack_deg):
+            return
+        if goal.is_astray(self._glimpse_deg(), slack_deg):
+            self.halt()
+            raise StageError(
+                f"{goal.words} from {goal.from_deg:g}° went astray and was stopped at {elevation_deg:.3f}°: "
+                "check the cable to the controller, and that nobody else moves the stage"
+            )
+
     def _check_progress(self, elevation_deg: float, status: StageStatus) -> None:
         goal, now = self._goal, self._clock()
         if goal is None:
@@ -258,6 +285,7 @@ class Axis:
                 return True
             if abs(elevation_deg - goal.target_deg) <= self.tolerance_deg:
                 goal.off_since_s, goal.deadline_s = None, math.inf
+                self._rests_deg = elevation_deg
                 return True
         goal.off_since_s = now if goal.off_since_s is None else goal.off_since_s
         if now - goal.off_since_s > GRACE_S:
@@ -266,10 +294,3 @@ class Axis:
                 f"and says {status.words}"
             )
         return False
-
-
-def travel_time_s(distance_deg: float, velocity_dps: float, acceleration_dps2: float) -> float:
-    """The time of a move with trapezoidal velocity, triangular where it is too short to reach the plateau."""
-    if distance_deg * acceleration_dps2 < velocity_dps**2:
-        return 2 * math.sqrt(distance_deg / acceleration_dps2)
-    return distance_deg / velocity_dps + velocity_dps / acceleration_dps2

@@ -24,6 +24,7 @@ import errno
 import time
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -101,7 +102,7 @@ class Found:
     description: str
 
 
-def scan(ports: Iterable[str] = ()) -> list[Found]:
+def scan(ports: Iterable[str] = (), *, ours: Iterable[str] = ()) -> list[Found]:
     """Looks at every port that the system lists, and at those given, side by side; some seven seconds.
 
     It moves nothing. Opening a port resets most boards, and a GRBL with them, whose angle calrig believes
@@ -110,16 +111,18 @@ def scan(ports: Iterable[str] = ()) -> list[Found]:
 
     Args:
         ports: more of them, such as those configured: `socket://host:port`, `usb:SERIAL`, names.
+        ours: those that must stay free to be taken at any moment; listed as busy and not touched.
 
     Returns:
         One of each port, by name.
     """
     listed = {info.device: info for info in list_ports.comports()}
     names = sorted({*listed, *filter(None, map(_name_of, ports))})
+    kept = set(filter(None, map(_name_of, ours)))
     if not names:
         return []
     with ThreadPoolExecutor(len(names)) as beside:
-        return list(beside.map(lambda name: _look_at(name, listed.get(name)), names))
+        return list(beside.map(lambda name: _look_at(name, listed.get(name), ours=name in kept), names))
 
 
 def _name_of(port: str) -> str | None:
@@ -130,16 +133,16 @@ def _name_of(port: str) -> str | None:
     return str(Path(device).resolve()) if Path(device).is_symlink() else device
 
 
-def _look_at(name: str, info: ListPortInfo | None) -> Found:
+def _look_at(name: str, info: ListPortInfo | None, *, ours: bool) -> Found:
     sign: Sign | None = None
     rate: int | None = None
     kind: Kind = "unknown"
     try:
-        port = open_port(name, baudrate=LOOKS[0].baudrate, timeout_s=READ_TIMEOUT_S)
-        try:
-            sign, rate, words = _converse(port)
-        finally:
-            port.close()
+        if ours:
+            kind, words = "busy", "a rig of this service: left alone, so that it can be stopped at any moment"
+        else:
+            with closing(open_port(name, baudrate=LOOKS[0].baudrate, timeout_s=READ_TIMEOUT_S)) as port:
+                sign, rate, words = _converse(port)
     except PortError as error:
         words = str(error)
         kind = NOT_OPENED.get(getattr(error.__cause__, "errno", None) or 0, "unknown")

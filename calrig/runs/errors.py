@@ -15,5 +15,9 @@ class Conflict(RunsError):  # noqa: N818
     """The rig is busy, or the run is in a state that does not allow this."""
 
 
+class NotTheSame(Conflict):
+    """What an interrupted run was measured with is not there any more; it stays interrupted."""
+
+
 class Invalid(RunsError):  # noqa: N818
     """The request itself is wrong: a serial number, a plan beyond the limits, a file that does not parse."""

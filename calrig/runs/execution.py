@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
@@ -12,51 +13,68 @@ from calrig.calibration.result import GyroFigures
 from calrig.estimation.gyro import GyroBias, dwell_bias, gyro_scale, move_angle_deg, run_bias
 from calrig.estimation.kalman import KalmanNoise
 from calrig.estimation.reading import Reading, dwell_reading
-from calrig.instruments.errors import BoardError, StageError
+from calrig.instruments.errors import BoardError
 from calrig.instruments.types import FloatArray
 from calrig.plan import Plan, PlannedPose
 from calrig.runs.follow_up import FollowUpRun
 from calrig.runs.pace import Pace
+from calrig.runs.returning import MOVE_OFF_DEG, Returned, way_back
 from calrig.runs.stream import block_of
+from calrig.runs.task import Earlier
 
 FEWEST_FOR_TARGET_S = 0.5
 """A dwell with `target_std_deg` is at least this long: a standard error from less is itself a guess."""
 DWELL_TRIES = 3
 TEMPERATURE_WAIT_S = 4 * 3600.0
-MOVE_OFF_DEG = 5.0
-"""More than any play."""
 MOVED_DEG = 1e-4
 """A change of reported angle below this is no move."""
 
 
 @dataclass
 class Execution:
-    """What a run carries from pose to pose. `moves` pairs the stage's turn with the gyro's, in degrees."""
+    """What a run carries from pose to pose. `moves` pairs the stage's turn with the gyro's, in degrees.
+
+    `returned` is what the last pose before an interruption gave when it was measured once more.
+    """
 
     plan: Plan
     pace: Pace
     follow_up: FollowUpRun | None = None
-    biases: list[GyroBias] = field(default_factory=list)
-    moves: list[tuple[float, float]] = field(default_factory=list)
-    poses: list[Pose] = field(default_factory=list)
+    earlier: Earlier = field(default_factory=Earlier)
+    returned: Returned | None = None
+    biases: list[GyroBias] = field(init=False)
+    moves: list[tuple[float, float]] = field(init=False)
+    poses: list[Pose] = field(init=False)
     _approach: int = 0
 
     def __post_init__(self) -> None:
         self.rig, self.recorder = self.pace.rig, self.pace.recorder
+        self.poses, self.biases = list(self.earlier.poses), list(self.earlier.biases)
+        self.moves = [
+            (now.stage_deg - before.stage_deg, now.gyro_move_deg)
+            for before, now in pairwise(self.poses)
+            if before.stage_deg is not None and now.stage_deg is not None and now.gyro_move_deg is not None
+        ]
         self._noise = KalmanNoise(**self.rig.settings.filter.model_dump())
 
     def carry_out(self, planned: list[PlannedPose]) -> None:
-        """Homes the stage where it must be, then takes the planned poses in their order.
+        """Homes the stage where it must be, then takes the planned poses that are left, in their order.
 
         Raises:
             Ended: the run was asked to end.
             InstrumentError: a device failed; the poses so far are stored.
+            NotTheSame: after an interruption the last pose reads otherwise by far.
         """
         self.pace.begin(self.plan, moves=True)
-        self._move_off(planned)
+        left = self._left(planned)
+        sweep: int | None = None
+        if self.poses:
+            self._return(self.poses[-1])
+            sweep = self.poses[-1].sweep
+        else:
+            self._move_off(planned)
         self.recorder.poses_begin()
-        sweep = -1
-        for pose in planned:
+        for pose in left:
             if self.follow_up is not None and self.follow_up.skips(pose, self.poses):
                 self.recorder.skip_pose()
                 continue
@@ -65,6 +83,34 @@ class Execution:
                 self._wait_before_sweep()
             self._take(pose)
             self.pace.hold_while_paused()
+
+    def _left(self, planned: list[PlannedPose]) -> list[PlannedPose]:
+        """The poses not measured yet; a follow-up decides once more what it has decided before."""
+        known = 0
+        for place, pose in enumerate(planned):
+            if known == len(self.poses):
+                return planned[place:]
+            if self.follow_up is not None and self.follow_up.skips(pose, self.poses[:known]):
+                self.recorder.skip_pose()
+            else:
+                known += 1
+        return []
+
+    def _return(self, last: Pose) -> None:
+        """Goes back to the last pose before an interruption, and measures it once more.
+
+        So the next move begins where it would have begun, on the same side of the play. Whether the unit
+        still reads there what it read tells whether anything was touched meanwhile.
+        """
+        for elevation_deg in way_back(last, self.rig.axis.limits_deg):
+            before_deg = self.pace.stage_deg
+            self.pace.move(elevation_deg)
+            self._note_approach(before_deg)
+        _, end_s, reading = self._measure(f"pose {len(self.poses) - 1}, measured again", last.target_deg)
+        returned = Returned(last, reading)
+        returned.require_same_unit()
+        self.returned = returned
+        self.pace.forget(end_s)
 
     def _move_off(self, planned: list[PlannedPose]) -> None:
         """Leaves the first elevation where the stage stands on it: how it came there is not known.
@@ -83,15 +129,19 @@ class Execution:
         before_deg = self.pace.stage_deg
         self.pace.move(planned.target_deg)
         self._note_approach(before_deg)
+        start_s, end_s, reading = self._measure(f"pose {planned.index}", planned.target_deg)
+        self._finish(planned, before_deg, start_s, end_s, reading)
+
+    def _measure(self, name: str, target_deg: float) -> tuple[float, float, Reading]:
+        """Settles and dwells; begin and end of the dwell, and its reading."""
         for _ in range(DWELL_TRIES):
             start_s = self._settle()
             end_s, reading = self._dwell(start_s)
             if reading is not None:
-                self._finish(planned, before_deg, start_s, end_s, reading)
-                return
+                return start_s, end_s, reading
             self.rig.board.faults["retried_pose"] += 1
         raise BoardError(
-            f"pose {planned.index} at {planned.target_deg:g}°: fewer than half of the samples of the dwell "
+            f"{name} at {target_deg:g}°: fewer than half of the samples of the dwell "
             f"were valid, {DWELL_TRIES} times over; check the cable and the board's rate"
         )
 
@@ -139,7 +189,7 @@ class Execution:
         self, planned: PlannedPose, before_deg: float | None, start_s: float, end_s: float, reading: Reading
     ) -> None:
         """Makes a pose of a dwell, stores it with its samples, and lets go of them."""
-        self._see_that_it_stood(planned)
+        self.pace.see_that_it_stands()
         stretch = self.pace.stream.kept()
         before = stretch.between(-np.inf, start_s).samples
         move = before.between(self.pace.stood_at_s, start_s)
@@ -175,14 +225,6 @@ class Execution:
         blocks = [block_of(index, "move", before), block_of(index, "dwell", dwell)]
         self.recorder.pose(index, pose, blocks, self.rig.faults())
         self.pace.forget(end_s)
-
-    def _see_that_it_stood(self, planned: PlannedPose) -> None:
-        arrived_deg, self.pace.stage_deg = self.pace.stage_deg, self.rig.axis.elevation_deg()
-        if arrived_deg is not None and abs(self.pace.stage_deg - arrived_deg) > self.rig.axis.tolerance_deg:
-            raise StageError(
-                f"the stage moved from {arrived_deg:g}° to {self.pace.stage_deg:g}° during the dwell of pose "
-                f"{planned.index} without being told to; look for a second program or a slipping drive"
-            )
 
     def gyro_figures(self) -> GyroFigures:
         """What dwells and moves together say of the gyro."""

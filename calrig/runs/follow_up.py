@@ -54,6 +54,7 @@ class FollowUpRun:
         """What is kept with the run."""
         return {
             "separates": list(self.separates),
+            "deciding": self.deciding,
             "decided_on": self.decided_on,
             "decided_early": self._decided,
         }

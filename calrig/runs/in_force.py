@@ -46,7 +46,19 @@ def calibration_in_force(store: Store, unit: str, rig: str | None) -> InForce:
     run = store.latest_calibration_run(unit)
     if run is None:
         raise Conflict(f"unit {unit!r} has no calibration in force to verify: calibrate it first")
+    return as_applied(store, run.id, rig)
+
+
+def as_applied(store: Store, run_id: str, rig: str | None) -> InForce:
+    """The calibration that a completed run gives its unit, as it is applied on a rig.
+
+    Raises:
+        Conflict: there is no such run any more.
+    """
+    run = store.run(run_id)
+    if run is None:
+        raise Conflict(f"there is no run {run_id} whose calibration could be applied")
     poses = [stored.pose for stored in store.poses(run.id, include_excluded=False)]
-    built = fitted(store, unit=unit, rig=rig, provenance=run.provenance, poses=poses)
+    built = fitted(store, unit=run.unit, rig=rig, provenance=run.provenance, poses=poses)
     line = built.line_with_effects or built.line
-    return InForce(run.id, line, effects_in_force(store, unit, rig), built.reference)
+    return InForce(run.id, line, effects_in_force(store, run.unit, rig), built.reference)

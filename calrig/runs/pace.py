@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, field
 
 from calrig.estimation.kalman import KalmanFilter, KalmanNoise
@@ -13,6 +14,8 @@ from calrig.runs.stream import Stream
 
 LOOK_S = 0.02
 """How long one look waits for samples before it turns to stage and requests again."""
+WATCH_S = 0.5
+"""How often a stage that is to stand is asked whether it does."""
 
 
 @dataclass
@@ -20,6 +23,7 @@ class Pace:
     """The samples that come, the angle the stage last reported, and since when it has stood.
 
     Attributes:
+        clock_s: of the run when the board's clock stands at 0.
         stage_deg: elevation last reported, None before the first report.
         stood_at_s: board's clock at an instant at which the stage stood and the next move had not begun.
         rate_hz: samples a second to expect: the plan's, or the one rate that the board has.
@@ -28,14 +32,17 @@ class Pace:
     rig: Rig
     control: Control
     recorder: Recorder
+    clock_s: float = 0.0
     stream: Stream = field(init=False)
     stage_deg: float | None = None
     stood_at_s: float = 0.0
     rate_hz: float = field(init=False)
+    _stood_deg: float | None = None
+    _watched_s: float = 0.0
 
     def __post_init__(self) -> None:
         noise = KalmanNoise(**self.rig.settings.filter.model_dump())
-        self.stream = Stream(self.rig.board, KalmanFilter(noise))
+        self.stream = Stream(self.rig.board, KalmanFilter(noise), self.clock_s, self.recorder.meter.samples)
 
     def begin(self, plan: Plan, *, moves: bool) -> None:
         """Starts the board, and makes the stage ready where it is to move: homed, at the plan's velocity."""
@@ -46,11 +53,12 @@ class Pace:
             self.until_it_stands()
         if moves and plan.velocity_dps is not None:  # refused by some controllers before they are referenced
             self.rig.axis.set_velocity(plan.velocity_dps)
-        self.stage_deg = self.rig.axis.elevation_deg()
+        self._stands(self.rig.axis.elevation_deg())
         self.stood_at_s = self.synchronise()  # what the gyro felt before is homing's, and no pose's move
 
     def move(self, target_deg: float) -> None:
         """Moves to an elevation and waits until the stage stands there."""
+        self._stood_deg = None
         self.rig.axis.begin_move(target_deg)
         self.until_it_stands()
 
@@ -60,13 +68,25 @@ class Pace:
             motion = self.rig.axis.poll()
             self.stage_deg = motion.elevation_deg
             if not motion.moving:
-                return
+                return self._stands(motion.elevation_deg)
             self.look()
+
+    def _stands(self, elevation_deg: float) -> None:
+        self.stage_deg = self._stood_deg = elevation_deg
+        self._watched_s = time.monotonic()
+
+    def see_that_it_stands(self) -> None:
+        """Looks where the stage stands; StageError where it has left its place without being told to."""
+        if self._stood_deg is not None:
+            self.stage_deg = self.rig.axis.see_that_it_stands(self._stood_deg)
+            self._watched_s = time.monotonic()
 
     def look(self) -> None:
         """Takes samples for a moment, tells what is seen, and unwinds where an end was asked for."""
         self.stream.pump(LOOK_S)
         self.control.check()
+        if time.monotonic() - self._watched_s > WATCH_S:
+            self.see_that_it_stands()
         self.recorder.reading(
             self.stream.clock_s, self.stage_deg, self.stream.reading_deg, self.stream.temperature_c
         )

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Mapping
 from typing import Any, Unpack
 
 from calrig.calibration.pose import Pose
 from calrig.runs.bus import Bus
-from calrig.runs.states import check_transition
+from calrig.runs.meter import RunMeter
+from calrig.runs.states import AT_REST, check_transition
 from calrig.store import Progress, RunChanges, SampleBlock, Status, Store
+
+log = logging.getLogger(__name__)
 
 READING_INTERVAL_S = 0.05
 """Readings go out at most twenty times a second (CONTRACT section 2)."""
@@ -20,13 +24,22 @@ FLUSH_INTERVAL_S = 0.25
 class Recorder:
     """One run's way into the store and out to those who watch. Used by the run's own thread only."""
 
-    def __init__(self, store: Store, bus: Bus, run_id: str, poses_total: int) -> None:
+    def __init__(
+        self,
+        store: Store,
+        bus: Bus,
+        run_id: str,
+        meter: RunMeter,
+        poses_total: int,
+        poses_before: int = 0,
+    ) -> None:
         self._store = store
         self._bus = bus
         self.run_id = run_id
+        self.meter = meter
         self._status: Status = "queued"
         self._poses_total = poses_total
-        self._poses_done = 0
+        self._poses_done = self._poses_before = poses_before
         self._first_pose_began_s = time.monotonic()
         self._paused_s = 0.0
         self._readings: list[tuple[str, dict[str, Any]]] = []
@@ -44,12 +57,21 @@ class Recorder:
         self.flush()
         told: RunChanges = {**(changes or {}), "status": status}
         self._store.update_run(self.run_id, **told)
+        self._tell_watchers(status, told)
         if status == "paused":
             self._paused_s = time.monotonic()
         elif self._status == "paused":  # a pause says nothing of how long poses take
             self._first_pose_began_s += time.monotonic() - self._paused_s
         self._status = status
         self._bus.wake(self.run_id)
+
+    def _tell_watchers(self, status: Status, told: RunChanges) -> None:
+        self.meter.faults(told.get("faults", {}))
+        if status in AT_REST:
+            self.meter.ended(status)
+        error = told.get("error")
+        level = logging.WARNING if status in {"failed", "interrupted"} else logging.INFO
+        log.log(level, "run %s is %s%s", self.run_id, status, f": {error}" if error else "")
 
     def poses_begin(self) -> None:
         """The first pose begins: the time left is reckoned from here."""
@@ -70,6 +92,8 @@ class Recorder:
         progress = self._progress()
         events = [("pose", {"index": index, **pose.row()}), ("progress", progress)]
         self._store.add_pose(self.run_id, index, pose, blocks, events, progress=progress, faults=dict(faults))
+        self.meter.pose()
+        self.meter.faults(faults)
         self._bus.wake(self.run_id)
 
     def log(self, block: SampleBlock, done_s: float, left_s: float, faults: Mapping[str, int]) -> None:
@@ -84,6 +108,7 @@ class Recorder:
         self._store.add_samples(
             self.run_id, [block], [("progress", progress)], progress=progress, faults=dict(faults)
         )
+        self.meter.faults(faults)
         self._bus.wake(self.run_id)
 
     def reading(
@@ -113,7 +138,7 @@ class Recorder:
             self._bus.wake(self.run_id)
 
     def _progress(self) -> Progress:
-        a_pose_s = (time.monotonic() - self._first_pose_began_s) / self._poses_done
+        a_pose_s = (time.monotonic() - self._first_pose_began_s) / (self._poses_done - self._poses_before)
         return {
             "poses_done": self._poses_done,
             "poses_total": self._poses_total,

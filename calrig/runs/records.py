@@ -7,7 +7,7 @@ from typing import Any
 from calrig.export.poses_csv import CsvError, read_poses
 from calrig.runs.errors import Conflict, Invalid, Unknown
 from calrig.runs.results import fitted, refitted
-from calrig.runs.states import TERMINAL
+from calrig.runs.states import AT_REST
 from calrig.runs.worker import provenance
 from calrig.store import Run, Store
 
@@ -89,7 +89,7 @@ class Records:
         run = self._store.run(run_id)
         if run is None:
             raise Unknown(f"there is no run {run_id}")
-        if run.status not in TERMINAL:
+        if run.status not in AT_REST:
             raise Conflict(f"run {run_id} is {run.status}: end it first")
         return run
 

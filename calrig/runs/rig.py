@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass
 
 from calrig.instruments.axis import Axis
@@ -16,10 +17,19 @@ from calrig.settings import RigSettings, StageSettings
 
 log = logging.getLogger(__name__)
 
+STANDS_S = 2.0
+"""How long a stage may take to say that it stands once it was told to stop."""
+COME_BACK_S = 1.5
+"""How long a port that went away is waited for, so that its stage can be told to stop."""
+AGAIN_S = 0.1
+
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """An open rig: who its instruments say they are, and the two of them."""
+    """An open rig: who its instruments say they are, and the two of them.
+
+    `faults_before` are those of a run before it was interrupted.
+    """
 
     settings: RigSettings
     axis: Axis
@@ -27,10 +37,11 @@ class Rig:
     board: Board
     stage_identity: StageIdentity
     board_identity: BoardIdentity
+    faults_before: Mapping[str, int]
 
     def faults(self) -> dict[str, int]:
         """Everything odd that the drivers have counted so far, by kind."""
-        return dict(Counter(self.board.faults) + Counter(self.stage.faults))
+        return dict(Counter(self.faults_before) + Counter(self.board.faults) + Counter(self.stage.faults))
 
     def provenance(self) -> dict[str, object]:
         """Who and what measured, as it is stored with the run."""
@@ -46,7 +57,10 @@ class Rig:
 
 @contextmanager
 def open_rig(
-    settings: RigSettings, arm: Callable[[Callable[[], None]], None], warn: Callable[[str], None]
+    settings: RigSettings,
+    arm: Callable[[Callable[[], None]], None],
+    warn: Callable[[str], None],
+    faults_before: Mapping[str, int],
 ) -> Iterator[Rig]:
     """Opens and identifies both instruments of a rig; moves nothing.
 
@@ -54,60 +68,75 @@ def open_rig(
         settings: the rig, with the ports of both instruments.
         arm: is given the way to halt the stage as soon as there is one.
         warn: is told where the stage, left behind, is not known to stand.
+        faults_before: counts that the run has already.
 
     Raises:
         InstrumentError: a port does not open, or a device does not answer as it should.
     """
     if settings.stage is None or settings.imu is None:
         raise InstrumentError(f"rig {settings.name!r} has no ports: its simulated devices are not running")
-    stage = _open_stage(settings.stage)
-    axis = Axis(
-        stage,
-        zero_deg=settings.stage.zero_deg,
-        sign=settings.stage.sign,
-        ratio=settings.stage.ratio,
-        limits_deg=settings.limits_deg,
-        tolerance_deg=settings.stage.tolerance_deg,
-    )
+    axis = _open_axis(settings, settings.stage)
     arm(axis.halt)
     board: Board | None = None
     try:
         board = open_board(settings.imu.driver, settings.imu.port, baudrate=settings.imu.baudrate)
-        yield Rig(settings, axis, stage, board, axis.identify(), board.identify())
+        yield Rig(settings, axis, axis.stage, board, axis.identify(), board.identify(), faults_before)
     finally:
-        if axis.has_moved:
-            _leave_stopped(axis, warn)
+        out_of_reach = axis.has_moved and not _told_to_stop(axis, warn)
         if board is not None:
             board.close()
         axis.close()
+        if out_of_reach:
+            _stop_when_back(settings, warn)
 
 
-def stop_idle_stage(settings: RigSettings) -> None:
-    """Opens a rig's stage, tells it to stop, and closes it.
+def stop_stage(settings: RigSettings) -> None:
+    """Opens the stage of a rig that nobody uses, tells it to stop, sees that it stands, and closes it.
 
     Raises:
-        InstrumentError: the rig has no port, or it does not open or take the command.
+        InstrumentError: the rig has no port, or it does not open, or the stage is not known to stand.
     """
     if settings.stage is None:
         raise InstrumentError(f"rig {settings.name!r} has no ports: its simulated devices are not running")
-    stage = _open_stage(settings.stage)
+    with closing(_open_axis(settings, settings.stage)) as axis:
+        axis.confirm_stopped(STANDS_S)
+
+
+def _open_axis(settings: RigSettings, stage: StageSettings) -> Axis:
+    return Axis(
+        open_stage(stage.driver, stage.port, axis=stage.axis, baudrate=stage.baudrate),
+        zero_deg=stage.zero_deg,
+        sign=stage.sign,
+        ratio=stage.ratio,
+        limits_deg=settings.limits_deg,
+        tolerance_deg=stage.tolerance_deg,
+    )
+
+
+def _told_to_stop(axis: Axis, warn: Callable[[str], None]) -> bool:
+    """Halts a stage that may have moved, and waits until it stands; False where its port is gone."""
     try:
-        stage.halt()
-    finally:
-        stage.close()
-
-
-def _open_stage(settings: StageSettings) -> Stage:
-    return open_stage(settings.driver, settings.port, axis=settings.axis, baudrate=settings.baudrate)
-
-
-def _leave_stopped(axis: Axis, warn: Callable[[str], None]) -> None:
-    """Halts a stage that may have moved and waits until it says that it stands."""
-    try:
-        axis.confirm_stopped(2.0)
+        axis.confirm_stopped(STANDS_S)
     except PortError as error:
         log.warning("could not see the stage stopped: %s", error)
-        warn("the stage could not be told to stop: cut its motor power")
+        return False
     except InstrumentError as error:
         log.warning("could not see the stage stopped: %s", error)
         warn(str(error))
+    return True
+
+
+def _stop_when_back(settings: RigSettings, warn: Callable[[str], None]) -> None:
+    """Stops a stage whose port went away, should it come back in time; under another name where `usb:`."""
+    give_up_s = time.monotonic() + COME_BACK_S
+    while True:
+        try:
+            return stop_stage(settings)
+        except PortError as error:
+            if time.monotonic() > give_up_s:
+                log.warning("the stage's port did not come back: %s", error)
+                return warn("the stage could not be told to stop: cut its motor power")
+        except InstrumentError as error:
+            log.warning("could not see the stage stopped: %s", error)
+            return warn(str(error))
+        time.sleep(AGAIN_S)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 from calrig.calibration.follow_up import design
@@ -17,8 +17,13 @@ from calrig.runs.diagnosing import Diagnoses
 from calrig.runs.errors import Conflict, Invalid, Unknown
 from calrig.runs.follow_up import FollowUpRun
 from calrig.runs.in_force import calibration_in_force
+from calrig.runs.meter import Meter
 from calrig.runs.records import check_serial
-from calrig.runs.rig import stop_idle_stage
+from calrig.runs.rig import stop_stage
+from calrig.runs.rig_states import RigState, state_of
+from calrig.runs.states import check_transition
+from calrig.runs.taking_up import task_to_take_up
+from calrig.runs.task import Task
 from calrig.runs.worker import Worker, provenance
 from calrig.settings import RigSettings
 from calrig.store import Run, Store
@@ -27,18 +32,6 @@ ANSWER_S = 2.0
 """How long a request to end waits for the run to say that it has ended."""
 CLOSE_S = 4.0
 """How long the service waits for all of its runs together when it is told to go."""
-
-
-@dataclass(frozen=True, slots=True)
-class RigState:
-    """A rig as `GET /api/rigs` shows it."""
-
-    name: str
-    stage: str
-    imu: str
-    simulated: bool
-    state: str
-    run_id: str | None
 
 
 class RunService:
@@ -53,6 +46,7 @@ class RunService:
     def __init__(self, store: Store, rigs: Sequence[RigSettings], record: Path | None = None) -> None:
         self.store = store
         self.bus = Bus()
+        self.meter = Meter()
         self._rigs = {rig.name: rig for rig in rigs}
         self._lock = threading.Lock()
         self._diagnoses = Diagnoses(store)
@@ -65,24 +59,11 @@ class RunService:
     def rigs(self) -> list[RigState]:
         """Every configured rig and what it is doing. Looks at no port that would notice."""
         with self._lock:
-            busy = dict(self._busy)
-        return [self._rig_state(rig, busy.get(rig.name)) for rig in self._rigs.values()]
-
-    def _rig_state(self, rig: RigSettings, run_id: str | None) -> RigState:
-        if run_id is not None:
-            state = "busy"
-        elif rig.name in self._unreachable or _port_is_absent(rig):
-            state = "unreachable"
-        else:
-            state = "idle"
-        return RigState(
-            name=rig.name,
-            stage=rig.stage.driver if rig.stage else "",
-            imu=rig.imu.driver if rig.imu else "",
-            simulated=rig.simulated is not None,
-            state=state,
-            run_id=run_id,
-        )
+            busy, unreachable = dict(self._busy), set(self._unreachable)
+        return [
+            state_of(rig, busy.get(rig.name), unreachable=rig.name in unreachable)
+            for rig in self._rigs.values()
+        ]
 
     def start(
         self,
@@ -153,10 +134,7 @@ class RunService:
         if plan.kind == "verification":
             verifies = calibration_in_force(self.store, unit, settings.name)
         with self._lock:
-            if self._closing:
-                raise Conflict("the service is shutting down")
-            if settings.name in self._busy:
-                raise Conflict(f"rig {settings.name!r} is busy with run {self._busy[settings.name]}")
+            self._require_free(settings.name)
             run = self.store.create_run(
                 unit=unit,
                 rig=settings.name,
@@ -169,26 +147,33 @@ class RunService:
                     **provenance(operator),
                     "seed": plan.seed,
                     **({} if verifies is None else {"verifies": verifies.run_id}),
+                    **({} if follow_up is None else {"follow_up": follow_up.provenance()}),
                 },
                 poses_total=0 if plan.kind == "static" else len(planned),
             )
-            worker = Worker(
-                run,
-                settings,
-                plan,
-                planned,
-                self.store,
-                self.bus,
-                self._worker_left_rig,
-                self._worker_ended,
-                follow_up,
-                verifies,
-                self._record,
-            )
-            self._workers[run.id] = worker
-            self._busy[settings.name] = run.id
-        worker.start()
+            self._employ(Task(run, settings, plan, planned, follow_up, verifies))
         return self.run(run.id)
+
+    def _require_free(self, rig_name: str) -> None:
+        if self._closing:
+            raise Conflict("the service is shutting down")
+        if rig_name in self._busy:
+            raise Conflict(f"rig {rig_name!r} is busy with run {self._busy[rig_name]}")
+
+    def _employ(self, task: Task) -> None:
+        """Starts a worker; called with the lock held, so that nobody meets a rig half taken."""
+        worker = Worker(
+            task,
+            self.store,
+            self.bus,
+            self.meter,
+            self._worker_left_rig,
+            self._worker_ended,
+            self._record,
+        )
+        self._workers[task.run.id] = worker
+        self._busy[task.rig.name] = task.run.id
+        worker.start()
 
     def _worker_left_rig(self, worker: Worker) -> None:
         with self._lock:
@@ -203,14 +188,23 @@ class RunService:
             del self._workers[worker.run_id]
 
     def run(self, run_id: str) -> Run:
-        """The run, or Unknown."""
+        """The run, or Unknown. One whose end the store could not be told of yet is as it ended."""
+        worker = self._workers.get(run_id)  # before the store is asked: it is let go once that is told
+        untold = None if worker is None else worker.untold
         run = self.store.run(run_id)
         if run is None:
             raise Unknown(f"there is no run {run_id}")
-        return run
+        return run if untold is None else replace(run, **untold)
 
     def abort(self, run_id: str) -> Run:
-        """Stops the stage now and ends the run; returns once it has ended, or after two seconds."""
+        """Stops the stage now and ends the run; returns once it has ended, or after two seconds.
+
+        An interrupted run, which nobody carries out, is not to be taken up again.
+        """
+        with self._lock:
+            run = self.run(run_id)
+            if run.status == "interrupted" and run_id not in self._workers:
+                return self.store.update_run(run_id, status="aborted")
         worker = self._worker(run_id, "aborted")
         worker.control.end(End("aborted", None))
         worker.join(ANSWER_S)
@@ -228,7 +222,7 @@ class RunService:
         settings = self._rig(rig_name)
         if not self._stop_run_on(settings.name):
             try:
-                stop_idle_stage(settings)
+                stop_stage(settings)
             except InstrumentError as error:
                 if not self._stop_run_on(settings.name):  # a run may just have taken the port
                     raise Conflict(
@@ -249,12 +243,33 @@ class RunService:
         return self.run(run_id)
 
     def resume(self, run_id: str) -> Run:
-        """Has a paused run go on, or takes the wish for a pause back."""
+        """Has a paused run go on, or takes the wish for a pause back; takes an interrupted run up again.
+
+        Raises:
+            Unknown: there is no such run.
+            Conflict: it is neither paused nor interrupted; its rig is busy, not configured any more, or
+                configured otherwise, and how.
+        """
+        run = self.run(run_id)
+        if run.status == "interrupted":
+            return self._take_up(run)
         worker = self._worker(run_id, "resumed")
         if not worker.control.holding:
             raise Conflict(f"run {run_id} is not paused")
         worker.control.resume()
         return self.run(run_id)
+
+    def _take_up(self, run: Run) -> Run:
+        settings = self._rigs.get(run.rig or "")
+        if settings is None:
+            raise Conflict(f"run {run.id} was on rig {run.rig!r}, which is not configured any more")
+        task = task_to_take_up(self.store, run, settings)
+        with self._lock:
+            self._require_free(settings.name)
+            check_transition(run.id, self.run(run.id).status, "queued")  # somebody else may have been first
+            self.store.update_run(run.id, status="queued", error=None)
+            self._employ(task)
+        return self.run(run.id)
 
     def _worker(self, run_id: str, wish: str) -> Worker:
         with self._lock:
@@ -284,6 +299,11 @@ class RunService:
             worker.join(max(0.0, deadline_s - time.monotonic()))
             worker.give_up(self.store, end)
 
+    def ports(self) -> list[str]:
+        """The ports of all rigs."""
+        parts = [part for rig in self._rigs.values() for part in (rig.stage, rig.imu)]
+        return [part.port for part in parts if part is not None]
+
     def known_rig(self, name: str) -> None:
         """Raises Unknown where no such rig is configured."""
         self._rig(name)
@@ -294,8 +314,3 @@ class RunService:
         if name not in self._rigs:
             raise Unknown(f"there is no rig {name!r}; configured: {', '.join(sorted(self._rigs))}")
         return self._rigs[name]
-
-
-def _port_is_absent(rig: RigSettings) -> bool:
-    ports = [part.port for part in (rig.stage, rig.imu) if part is not None]
-    return any(port.startswith("/") and not Path(port).exists() for port in ports)

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from calrig.runs.errors import Conflict
+from calrig.store.records import TERMINAL
 
-TERMINAL = frozenset({"completed", "failed", "aborted", "interrupted"})
+AT_REST = frozenset({*TERMINAL, "interrupted"})
+"""Nobody carries the run out: it has ended for good, or was interrupted and can be taken up again."""
 
 ALLOWED: dict[str, frozenset[str]] = {
     "queued": frozenset({"running", "failed", "aborted", "interrupted"}),
     "running": frozenset({"paused", "completed", "failed", "aborted", "interrupted"}),
     "paused": frozenset({"running", "failed", "aborted", "interrupted"}),
-    "completed": frozenset(),
-    "failed": frozenset(),
-    "aborted": frozenset(),
-    "interrupted": frozenset(),
+    "interrupted": frozenset({"queued", "aborted"}),
+    **{status: frozenset() for status in TERMINAL},
 }
 
 

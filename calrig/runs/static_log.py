@@ -10,15 +10,16 @@ BLOCK_S = 10.0
 """So much of a log is lost at most where the process dies."""
 
 
-def keep_log(plan: Plan, planned: list[PlannedPose], pace: Pace) -> None:
+def keep_log(plan: Plan, planned: list[PlannedPose], pace: Pace, logged_s: float = 0.0) -> None:
     """Keeps what the board sends for `dwell_s`; nothing moves unless the plan names an elevation.
 
-    A pause leaves a gap in the log.
+    A pause or an interruption leaves a gap in the log.
 
     Args:
         plan: of kind `static`.
         planned: the elevation to stand at; empty where it stands already.
         pace: of an open rig.
+        logged_s: how much of the log was kept before an interruption.
 
     Raises:
         Ended: the run was asked to end; the log so far is stored.
@@ -31,7 +32,7 @@ def keep_log(plan: Plan, planned: list[PlannedPose], pace: Pace) -> None:
     settled_s = pace.synchronise() + plan.settle_s + between_samples_s
     pace.wait_until(settled_s)
     pace.forget(settled_s)
-    left_s = plan.dwell_s  # counted down by whole blocks, so that rounding leaves no sliver of one
+    left_s = plan.dwell_s - logged_s  # counted down by whole blocks, so that rounding leaves no sliver of one
     while left_s > 0.0:
         length_s = min(BLOCK_S, left_s)
         end_s = pace.stood_at_s + length_s

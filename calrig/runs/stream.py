@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -46,10 +47,21 @@ class Stretch:
 
 
 class Stream:
-    """Takes samples from a started board, runs the filter over them, keeps them since the last cut."""
+    """Takes samples from a started board, runs the filter over them, keeps them since the last cut.
 
-    def __init__(self, board: Board, kalman: KalmanFilter) -> None:
+    `begins_s` is the run's time when the board's clock stands at 0.
+    """
+
+    def __init__(
+        self,
+        board: Board,
+        kalman: KalmanFilter,
+        begins_s: float = 0.0,
+        count: Callable[[int], None] = lambda _taken: None,
+    ) -> None:
         self._board = board
+        self._count = count
+        self._begins_s = begins_s
         self._kalman = kalman
         self._kept: list[Stretch] = []
         self._filtered_deg: float | None = None
@@ -62,6 +74,7 @@ class Stream:
         samples = self._board.take(timeout_s)
         if len(samples) == 0:
             return 0
+        samples = replace(samples, time_s=samples.time_s + self._begins_s)
         computed = samples.angle_deg
         elevation = np.where(np.isnan(computed), elevation_deg(samples.accel_g), computed)
         filtered = self._filtered(samples, elevation)
@@ -71,6 +84,7 @@ class Stream:
         self.reading_deg = wrap_deg(self._filtered_deg)
         temperature = float(samples.temperature_c[-1])
         self.temperature_c = None if np.isnan(temperature) else temperature
+        self._count(len(samples))
         return len(samples)
 
     def _filtered(self, samples: Samples, elevation: FloatArray) -> FloatArray:

@@ -12,25 +12,28 @@ from pathlib import Path
 from typing import Any
 
 import calrig
-from calrig.calibration.result import Result
+from calrig import logs
 from calrig.estimation.spectrum import MIN_SAMPLES
 from calrig.instruments.errors import BoardError, InstrumentError, LimitError
 from calrig.instruments.transcript import Tape, taped
-from calrig.plan import Plan, PlannedPose
 from calrig.runs.bus import Bus
 from calrig.runs.control import Control, End, Ended
+from calrig.runs.errors import NotTheSame
 from calrig.runs.execution import Execution
-from calrig.runs.follow_up import FollowUpRun
-from calrig.runs.in_force import InForce
+from calrig.runs.meter import Meter
 from calrig.runs.pace import Pace
 from calrig.runs.recorder import Recorder
 from calrig.runs.results import fitted
 from calrig.runs.rig import Rig, open_rig
 from calrig.runs.static_log import keep_log
-from calrig.settings import RigSettings
-from calrig.store import Run, RunChanges, Status, Store, StoreError
+from calrig.runs.taking_up import require_same_devices
+from calrig.runs.task import Task
+from calrig.store import RunChanges, Status, Store, StoreError
 
 log = logging.getLogger(__name__)
+
+TRY_AGAIN_S = 1.0
+"""How often a store that refuses a run's end is asked again: a disk does not stay full for ever."""
 
 
 def provenance(operator: str | None) -> dict[str, Any]:
@@ -44,44 +47,57 @@ def provenance(operator: str | None) -> dict[str, Any]:
 
 
 class Worker(threading.Thread):
-    """Carries one run out. `control` takes requests; `reached_rig` tells whether both devices answered."""
+    """Carries one run out. `control` takes requests; `reached_rig` tells whether both devices answered.
+
+    `untold` is how the run ended, while the store cannot be told of it.
+
+    A daemon: a device that keeps it from ending must not keep the program from ending.
+    """
 
     def __init__(
         self,
-        run: Run,
-        rig: RigSettings,
-        plan: Plan,
-        planned: list[PlannedPose],
+        task: Task,
         store: Store,
         bus: Bus,
+        meter: Meter,
         left_rig: Callable[[Worker], None],
         ended: Callable[[Worker], None],
-        follow_up: FollowUpRun | None = None,
-        verifies: InForce | None = None,
         record: Path | None = None,
     ) -> None:
-        super().__init__(name=f"run-{run.id}")
-        self.run_id = run.id
-        self.rig = rig
+        super().__init__(name=f"run-{task.run.id}", daemon=True)
+        self.run_id = task.run.id
+        self.rig = task.rig
         self.control = Control()
         self.reached_rig = False
-        self._asked = run
-        self._plan = plan
-        self._planned = planned
-        self._recorder = Recorder(store, bus, run.id, len(planned))
+        self._task = task
+        self._recorder = Recorder(
+            store,
+            bus,
+            task.run.id,
+            meter.of_run(task.rig.name, task.earlier.faults),
+            len(task.planned),
+            len(task.earlier.poses),
+        )
         self._left_rig = left_rig
         self._ended = ended
-        self._follow_up = follow_up
-        self._verifies = verifies
         self._store = store
         self._record = record
         self._fields: RunChanges = {}
         self._warnings: list[str] = []
+        self._origin = task.run.provenance
+        self._under_way = task.taken_up is None
         self._concluding = threading.Lock()
         self._concluded = False
+        self._given_up = threading.Event()
+        self.untold: RunChanges | None = None
 
     def run(self) -> None:
-        """Carries the run out; whatever happens, the run ends in a state that says what happened."""
+        """Carries the run out; what is logged meanwhile says which run it is about."""
+        with logs.about(run_id=self.run_id, rig=self.rig.name, unit=self._task.run.unit):
+            self._run()
+
+    def _run(self) -> None:
+        """Whatever happens, the run ends in a state that says what happened."""
         status: Status = "failed"
         error: str | None = None
         try:
@@ -90,8 +106,11 @@ class Worker(threading.Thread):
             status = "completed"
         except Ended as ended:
             status, error = ended.end.status, ended.end.reason
+        except NotTheSame as problem:
+            status, error = "interrupted", str(problem)
         except (InstrumentError, StoreError) as problem:
-            status, error = self._as_asked_or("failed", str(problem))
+            left: Status = "failed" if self._under_way else "interrupted"
+            status, error = self._as_asked_or(left, str(problem))
         except Exception as problem:
             log.exception("run %s failed inside calrig", self.run_id)
             status, error = "failed", f"internal error ({type(problem).__name__}: {problem}); see the log"
@@ -123,66 +142,105 @@ class Worker(threading.Thread):
         self._left_rig(self)
         told = [error, *self._warnings] if error else self._warnings
         fields: RunChanges = {**self._fields, "error": "; ".join(told) or None}
-        self._once(status, lambda: self._recorder.state(status, fields))
+        fields["status"] = status
+        while not self._once(fields, lambda: self._recorder.state(status, fields)):
+            if self._given_up.wait(TRY_AGAIN_S):
+                break
         self._ended(self)
 
     def give_up(self, store: Store, end: End) -> None:
-        """Writes the end down in place of a run whose devices keep it from doing so in time."""
-        self._once(end.status, lambda: store.update_run(self.run_id, status=end.status, error=end.reason))
+        """Writes the end down in place of a run whose devices, or store, keep it from doing so in time."""
+        self._given_up.set()
+        fields: RunChanges = {"status": end.status, "error": end.reason}
+        self._once(fields, lambda: store.update_run(self.run_id, **(self.untold or fields)))
 
-    def _once(self, status: Status, write: Callable[[], object]) -> None:
-        """Writes the run's end unless that has been done."""
+    def _once(self, fields: RunChanges, write: Callable[[], object]) -> bool:
+        """Writes the run's end unless that has been done; returns False where the store cannot be told."""
         with self._concluding:
             if self._concluded:
-                return
-            self._concluded = True
+                return True
             try:
                 write()
-            except StoreError:
-                log.exception("run %s ended as %s, and the store cannot be told", self.run_id, status)
+            except StoreError as error:
+                if self.untold is None:
+                    ended = f"run {self.run_id} ended as {fields['status']}: {fields['error'] or 'no error'}"
+                    log.error("%s; the store cannot be told, and is asked again: %s", ended, error)
+                self.untold = self.untold or fields
+                return False
+            self._concluded, self.untold = True, None
+            return True
 
     def _carry_out(self) -> None:
+        task = self._task
         with (
             taped(self._record) as tapes,
             self._keeping(tapes.all),
-            open_rig(self.rig, self.control.arm, self._warnings.append) as rig,
+            open_rig(task.rig, self.control.arm, self._warnings.append, task.earlier.faults) as rig,
         ):
             self.reached_rig = True
             self._check_board(rig)
             self._check_limits(rig)
-            origin = {**self._asked.provenance, **rig.provenance()}
-            self._recorder.update(provenance=origin)
-            pace = Pace(rig, self.control, self._recorder)
-            execution = Execution(self._plan, pace, self._follow_up)
+            self._note_origin(rig)
+            self._under_way = True
+            pace = Pace(rig, self.control, self._recorder, task.earlier.clock_s)
+            execution = Execution(task.plan, pace, task.follow_up, task.earlier)
             try:
-                if self._plan.kind == "static":
-                    keep_log(self._plan, self._planned, pace)
+                if task.plan.kind == "static":
+                    keep_log(task.plan, task.planned, pace, task.earlier.logged_s)
                 else:
-                    execution.carry_out(self._planned)
+                    execution.carry_out(task.planned)
             finally:
                 self._fields["faults"] = rig.faults()
-        if self._plan.kind == "static":
-            return
-        self._fields["result"] = self._result(execution, origin).to_dict()
-        if self._follow_up is not None:
-            self._fields["provenance"] = {**origin, "follow_up": self._follow_up.provenance()}
-            self._fields["diagnosis"] = self._follow_up.diagnosis(self.run_id, execution.poses)
+                self._note_return(execution)
+        if task.plan.kind != "static":
+            self._fields["result"] = self._result(execution)
+        if task.follow_up is not None:
+            self._fields["provenance"] = {**self._origin, "follow_up": task.follow_up.provenance()}
+            self._fields["diagnosis"] = task.follow_up.diagnosis(self.run_id, execution.poses)
 
-    def _result(self, execution: Execution, origin: dict[str, Any]) -> Result:
+    def _note_origin(self, rig: Rig) -> None:
+        """Keeps what measures with the run; of one taken up again, that it was interrupted."""
+        if self._task.taken_up is None:
+            self._origin = {**self._origin, **rig.provenance()}
+        else:
+            require_same_devices(self._task.run, rig)
+            before = self._origin.get("interruptions", [])
+            self._origin = {
+                **rig.provenance(),
+                **self._origin,
+                "interruptions": [*before, self._task.taken_up],
+            }
+        self._recorder.update(provenance=self._origin)
+
+    def _note_return(self, execution: Execution) -> None:
+        """Says with the last interruption what the last pose before it gave once more."""
+        if execution.returned is None:
+            return
+        *before, last = self._origin["interruptions"]
+        last = {**last, "measured_again": execution.returned.document()}
+        self._origin = {**self._origin, "interruptions": [*before, last]}
+        self._fields["provenance"] = self._origin
+        self._warnings.extend(execution.returned.warnings())
+
+    def _result(self, execution: Execution) -> dict[str, Any] | None:
+        """The result of the poses stored; None where all of them were excluded meanwhile."""
         gyro = execution.gyro_figures()
-        if self._verifies is not None:
-            return self._verifies.result(execution.poses, gyro)
+        poses = [stored.pose for stored in self._store.poses(self.run_id, include_excluded=False)]
+        if not poses:
+            return None
+        if self._task.verifies is not None:
+            return self._task.verifies.result(poses, gyro).to_dict()
         return fitted(
             self._store,
-            unit=self._asked.unit,
-            rig=self._asked.rig,
-            provenance=origin,
-            poses=execution.poses,
+            unit=self._task.run.unit,
+            rig=self._task.run.rig,
+            provenance=self._origin,
+            poses=poses,
             gyro=gyro,
-        )
+        ).to_dict()
 
     def _check_board(self, rig: Rig) -> None:
-        board, unit = rig.board_identity, self._asked.unit
+        board, unit = rig.board_identity, self._task.run.unit
         if board.serial and board.serial != unit:
             raise BoardError(
                 f"rig {self.rig.name!r}: the board says it is unit {board.serial!r}, the run is for unit "
@@ -190,27 +248,28 @@ class Worker(threading.Thread):
             )
         if board.rate_hz is not None:
             self._check_dwell(board.rate_hz)
-        elif board.max_rate_hz is not None and self._plan.rate_hz > board.max_rate_hz:
+        elif board.max_rate_hz is not None and self._task.plan.rate_hz > board.max_rate_hz:
             raise BoardError(
-                f"rig {self.rig.name!r}: the plan asks for {self._plan.rate_hz} Hz and the board gives "
+                f"rig {self.rig.name!r}: the plan asks for {self._task.plan.rate_hz} Hz and the board gives "
                 f"{board.max_rate_hz} Hz at most; nothing was moved: lower rate_hz"
             )
 
     def _check_dwell(self, rate_hz: float) -> None:
         """A board that has one rate only may be too slow for the plan's dwell."""
-        count = self._plan.dwell_s * rate_hz
+        dwell_s = self._task.plan.dwell_s
+        count = dwell_s * rate_hz
         if count < MIN_SAMPLES:
             enough_s = math.ceil(2 * (MIN_SAMPLES + 1) / rate_hz) / 2
             raise BoardError(
                 f"rig {self.rig.name!r}: the board gives {rate_hz:.1f} samples a second and no other rate: a "
-                f"dwell of {self._plan.dwell_s:g} s holds about {count:.0f}, a reading needs {MIN_SAMPLES}; "
+                f"dwell of {dwell_s:g} s holds about {count:.0f}, a reading needs {MIN_SAMPLES}; "
                 f"nothing was moved: dwell longer (dwell_s at least {enough_s:g})"
             )
 
     def _check_limits(self, rig: Rig) -> None:
         """The controller's own limits, known only now, may be narrower than those the plan was checked by."""
         low, high = rig.axis.limits_deg
-        for pose in self._planned:
+        for pose in self._task.planned:
             if not low <= pose.target_deg <= high:
                 raise LimitError(
                     f"rig {self.rig.name!r}: elevation {pose.target_deg:g}° is beyond the limits of rig and "

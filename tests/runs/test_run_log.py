@@ -10,7 +10,7 @@ import pytest
 from run_rigs import TruthRig, events, plan, states
 
 from calrig.runs.service import RunService
-from calrig.runs.states import TERMINAL
+from calrig.runs.states import AT_REST
 from calrig.store import Event, Run, Store
 
 
@@ -107,6 +107,6 @@ def test_a_run_is_told_as_it_was_asked_for(bench: TruthRig, service: RunService,
     assert run.progress["poses_total"] == 1
     ended = service.wait(run.id, 30)
     assert ended.created_at <= ended.started_at <= ended.finished_at
-    assert ended.status in TERMINAL
+    assert ended.status in AT_REST
     assert ended.provenance["operator"] == "Ada"
     assert states(store, run) == ["queued", "running", "completed"]

@@ -1,0 +1,57 @@
+"""After a program died: every stage it may have left moving is told to stop, then its runs are marked."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+
+from calrig.instruments.errors import InstrumentError
+from calrig.runs.rig import stop_stage
+from calrig.settings import RigSettings
+from calrig.store import Store
+
+log = logging.getLogger(__name__)
+
+DIED = "the program that carried it out ended before the run did; resume takes the run up again"
+STAGES_AT_ONCE = 8
+
+
+def interrupt_left_behind(store: Store, rigs: Mapping[str, RigSettings]) -> list[str]:
+    """Marks the runs that a dead program left unfinished as `interrupted`, their stages stopped before.
+
+    For a writer that has just opened the store: then no living program carries any of them out.
+
+    Args:
+        store: where they are.
+        rigs: all that are configured, by name.
+
+    Returns:
+        The runs' ids.
+    """
+    left = store.unfinished()
+    names = sorted({run.rig for run in left if run.rig is not None})
+    said: dict[str, str | None] = {}
+    if names:
+        with ThreadPoolExecutor(STAGES_AT_ONCE) as stages:
+            said = dict(
+                zip(names, stages.map(lambda name: _stopped(name, rigs.get(name)), names), strict=True)
+            )
+    for run in left:
+        trouble = said.get(run.rig or "")
+        log.warning("run %s was interrupted: %s", run.id, trouble or "its stage stands")
+        store.update_run(run.id, status="interrupted", error=f"{DIED}; {trouble}" if trouble else DIED)
+    return [run.id for run in left]
+
+
+def _stopped(name: str, rig: RigSettings | None) -> str | None:
+    """Stops the stage of a rig; what a person must know where that cannot be done."""
+    if rig is None:
+        return f"its rig {name!r} is not configured any more: see for yourself that the stage stands"
+    if rig.simulated is not None:
+        return None  # its devices went with the program
+    try:
+        stop_stage(rig)
+    except InstrumentError as error:
+        return f"its stage could not be told to stop ({error}): see that it stands, or cut its motor power"
+    return None
