@@ -13,22 +13,22 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager, suppress
 from datetime import UTC, datetime, timedelta
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
 import calrig
-from calrig import cli_analysis
-from calrig.cli_errors import InputError, WorkError
+from calrig import cli_analysis, cli_store
+from calrig.cli_errors import InputError, WorkError, printable
+from calrig.cli_store import Rig, UnitSerial
 
 if TYPE_CHECKING:
     import socket
 
+    from calrig.api.access import Access
     from calrig.runs.service import RunService
     from calrig.settings import RigSettings, Settings
-    from calrig.store import Store
 
 app = typer.Typer(
     name="calrig",
@@ -38,24 +38,18 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
+app.add_typer(cli_store.app)
 app.add_typer(cli_analysis.app)
 
 Db = Annotated[str | None, typer.Option(metavar="FILE", help="Store: a path or a URL [CALRIG_DB].")]
 Config = Annotated[str | None, typer.Option(metavar="FILE", help="Configuration [CALRIG_CONFIG].")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
-Rig = Annotated[str | None, typer.Option(metavar="NAME", help="Rig; without it the first one configured.")]
+LogFormat = Annotated[
+    str | None, typer.Option(metavar="text|json", help="Form of the log on standard error [CALRIG_LOG].")
+]
 Record = Annotated[
     Path | None, typer.Option("--record", metavar="DIR", help="Write every byte on the wires down there.")
 ]
-UnitSerial = Annotated[str, typer.Option("--unit", metavar="SERIAL", help="Serial number of the unit.")]
-
-
-class Format(StrEnum):
-    """What `export` writes."""
-
-    json = "json"
-    csv = "csv"
-    c_header = "c-header"
 
 
 STATUS = {
@@ -67,6 +61,7 @@ STATUS = {
     "calrig.runs.errors.RunsError": 1,
     "calrig.runs.errors.Invalid": 2,
     "calrig.api.address.AddressError": 1,
+    "calrig.api.access.AccessError": 2,
 }
 """Exit status by kind of error; by name, for importing them all would take a second to say one line."""
 
@@ -90,7 +85,7 @@ def main() -> None:
 
 
 def _leave(reason: str, status: int) -> NoReturn:
-    typer.echo(f"calrig: {' '.join(reason.split())}", err=True)
+    typer.echo(f"calrig: {printable(' '.join(reason.split()))}", err=True)
     sys.exit(status)
 
 
@@ -120,23 +115,34 @@ def serve(
     host: Annotated[str, typer.Option(metavar="H", help="Address to listen on.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(metavar="N", min=0, max=65535, help="Port; 0: any free one.")] = 8000,
     record: Record = None,
+    log_format: LogFormat = None,
     db: Db = None,
     config: Config = None,
 ) -> None:
-    """Serve the web page and the API, with a simulated rig when none is configured."""
-    from calrig.api.address import listen
+    """Serve the web page and the API, with a simulated rig when none is configured.
+
+    CALRIG_TOKEN is the token that whoever comes in has to show; without one, only this machine may.
+    """
+    from calrig.api.access import access_here
+    from calrig.api.address import address_of, listen
+    from calrig.logs import configure_log
     from calrig.settings import load_settings, store_url
 
     settings = load_settings(config)
+    configure_log(log_format)
+    access = access_here(host, address_of(host, port), settings.hosts)
     with closing(listen(host, port)) as listener:
-        _serve_on(listener, settings, store_url(db), record)
+        _serve_on(listener, access, settings, store_url(db), record)
 
 
-def _serve_on(listener: socket.socket, settings: Settings, url: str, record: Path | None) -> None:
+def _serve_on(
+    listener: socket.socket, access: Access, settings: Settings, url: str, record: Path | None
+) -> None:
+    from calrig.api.access import TOKEN
     from calrig.api.app import create_app
     from calrig.api.server import Server
 
-    with _service(url, "serve", settings.rig, record) as service, suppress(KeyboardInterrupt):
+    with _service(url, "serve", settings.rig, settings, record) as service, suppress(KeyboardInterrupt):
         if settings.keep_samples_days is not None:
             service.store.prune_samples(datetime.now(UTC) - timedelta(days=settings.keep_samples_days))
 
@@ -144,10 +150,11 @@ def _serve_on(listener: socket.socket, settings: Settings, url: str, record: Pat
             rigs = ", ".join(f"{r.name} (simulated)" if r.simulated else r.name for r in service.rigs())
             host, port = listener.getsockname()[:2]
             where = f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
-            typer.echo(f"calrig {calrig.__version__} at {where}, store {url}, rigs: {rigs}")
+            asks = "" if access.token is None else f"; it asks for the token of {TOKEN}"
+            typer.echo(f"calrig {calrig.__version__} at {where}, store {url}, rigs: {rigs}{asks}")
 
         # On SIGINT and SIGTERM uvicorn stops in order, then raises what it was told by.
-        Server(create_app(service), say_ready).run(sockets=[listener])
+        Server(create_app(service, access=access), say_ready).run(sockets=[listener])
 
 
 @app.command()
@@ -171,9 +178,10 @@ def run(
     from calrig.settings import load_settings, store_url
 
     the_plan = read_plan(plan) if plan else Plan()
-    settings = _rig_named(load_settings(config), rig)
-    with _service(store_url(db), "run", (settings,), record) as service:
-        begun = service.start(unit=unit, rig=settings.name, plan=the_plan, operator=operator, note=note)
+    settings = load_settings(config)
+    chosen = _rig_named(settings, rig)
+    with _service(store_url(db), "run", (chosen,), settings, record) as service:
+        begun = service.start(unit=unit, rig=chosen.name, plan=the_plan, operator=operator, note=note)
         ended = terminal.follow(service, begun)
     if as_json:
         from calrig.api.models import RunAnswer
@@ -183,54 +191,6 @@ def run(
         terminal.print_result(ended)
     if ended.status != "completed":
         raise WorkError(f"run {ended.id} {ended.status}" + (f": {ended.error}" if ended.error else ""))
-
-
-@app.command("import")
-def import_(
-    file: Annotated[Path, typer.Argument(metavar="FILE.csv", help="Poses, one row each.")],
-    unit: UnitSerial,
-    rig: Rig = None,
-    db: Db = None,
-) -> None:
-    """Make a run of a CSV of poses and print its id."""
-    from calrig.runs.records import Records
-    from calrig.settings import store_url
-
-    content = cli_analysis.read_bytes(file)
-    with _writer(store_url(db), "import") as store:
-        made = Records(store).import_poses(unit=unit, rig=rig, file_name=file.name, content=content)
-    typer.echo(made.id)
-
-
-@app.command()
-def export(
-    run_id: Annotated[str | None, typer.Argument(metavar="RUN_ID", help="The run to export.")] = None,
-    unit: Annotated[str | None, typer.Option(metavar="SERIAL", help="The unit, by its run in force.")] = None,
-    format_: Annotated[Format, typer.Option("--format", help="The poses, or calibration.h.")] = Format.json,
-    db: Db = None,
-) -> None:
-    """Print a calibration, as JSON or as calibration.h, or the poses it rests on."""
-    import json
-
-    from calrig.api.calibrations import document_of, run_in_force
-    from calrig.export.c_header import c_header
-    from calrig.export.poses_csv import write_poses
-    from calrig.settings import store_url
-    from calrig.store import Store
-
-    if (run_id is None) == (unit is None):
-        raise InputError("export: name either a RUN_ID or --unit SERIAL")
-    with Store.open(store_url(db), writer=None) as store:
-        found = run_in_force(store, unit) if unit is not None else store.run(run_id or "")
-        if found is None:
-            raise WorkError(f"there is no run {run_id}")
-        if format_ is Format.csv:
-            counted = [stored.pose for stored in store.poses(found.id, include_excluded=False)]
-            sys.stdout.write(write_poses(counted))
-        elif format_ is Format.c_header:
-            sys.stdout.write(c_header(document_of(store, found)))
-        else:
-            typer.echo(json.dumps(document_of(store, found), indent=2, ensure_ascii=False, allow_nan=False))
 
 
 @app.command()
@@ -255,24 +215,22 @@ def rigs(
 
 
 @contextmanager
-def _writer(url: str, what: str) -> Iterator[Store]:
-    """The store, opened for writing; runs that a dead program left unfinished are marked so."""
-    from calrig.store import Store
+def _service(
+    url: str, what: str, rigs: Sequence[RigSettings], settings: Settings, record: Path | None
+) -> Iterator[RunService]:
+    """The run service over the store; its simulated rigs start beside, for a process takes its time.
 
-    with Store.open(url, writer=what) as store:
-        store.interrupt_unfinished()
-        yield store
-
-
-@contextmanager
-def _service(url: str, what: str, rigs: Sequence[RigSettings], record: Path | None) -> Iterator[RunService]:
-    """The run service over the store; its simulated rigs start beside, for a process takes its time."""
+    Stages that a dead program may have left moving, of whichever rig is configured, are told to stop first.
+    """
     with ExitStack() as stack:
         with ThreadPoolExecutor(1) as beside:
             starting = beside.submit(lambda: [stack.enter_context(_with_ports(rig)) for rig in rigs])
+            from calrig.runs.recovery import interrupt_left_behind
             from calrig.runs.service import RunService
+            from calrig.store import Store
 
-            store = stack.enter_context(_writer(url, what))
+            store = stack.enter_context(Store.open(url, writer=what))
+            interrupt_left_behind(store, {rig.name: rig for rig in settings.rig})
             powered = starting.result()
         service = RunService(store, powered, record)
         stack.callback(service.close)

@@ -65,8 +65,11 @@ def running_service(store_path: Path, *rigs: RigSettings) -> Iterator[Any]:
 
 
 @contextmanager
-def serving(service: Any) -> Iterator[httpx.Client]:
-    """The real application on a free port, served by uvicorn in a thread; a client of it."""
+def serving(service: Any, **options: Any) -> Iterator[httpx.Client]:
+    """The real application on a free port, served by uvicorn in a thread; a client of it.
+
+    The options are those of `create_app`.
+    """
     from calrig.api.address import listen
     from calrig.api.app import create_app
     from calrig.api.server import Server
@@ -74,7 +77,7 @@ def serving(service: Any) -> Iterator[httpx.Client]:
     ready = threading.Event()
     socket = listen("127.0.0.1", 0)
     url = f"http://127.0.0.1:{socket.getsockname()[1]}"
-    server = Server(create_app(service), ready.set)
+    server = Server(create_app(service, **options), ready.set)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [socket]}, name="server")
     thread.start()
     try:

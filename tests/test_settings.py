@@ -168,3 +168,12 @@ def test_the_store_is_where_it_is_said_to_be(
 @pytest.mark.parametrize(("folder", "file"), [("web", "index.html"), ("migrations", "env.py")])
 def test_packed_files_are_found(folder: str, file: str) -> None:
     assert (packed(folder) / file).is_file()
+
+
+def test_the_names_people_use_for_the_service_stand_above_the_rigs(tmp_path: Path) -> None:
+    file = tmp_path / "calrig.toml"
+    file.write_text('hosts = ["calrig.lab.example", "10.0.0.7"]\n[[rig]]\nname = "a"\nsimulated = {}\n')
+    assert load_settings(str(file)).hosts == ("calrig.lab.example", "10.0.0.7")
+    file.write_text('hosts = ["https://calrig.lab.example"]\n')
+    with pytest.raises(SettingsError, match="hosts"):
+        load_settings(str(file))

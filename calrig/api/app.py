@@ -18,27 +18,35 @@ from calrig.api import (
     events,
     figures,
     imports,
+    login,
     measurements,
+    metrics,
     noise,
     pages,
     runs,
     units,
 )
+from calrig.api.access import Access
 from calrig.api.context import ApiContext
+from calrig.api.door import Door
+from calrig.api.guard import Guard
 from calrig.api.limits import BodyLimit
+from calrig.api.request_log import RequestLog
 from calrig.runs.service import RunService
 from calrig.settings import packed
 
-PARTS = (runs, diagnoses, events, measurements, noise, figures, units, compare, imports)
+PARTS = (runs, diagnoses, events, measurements, noise, figures, units, compare, imports, login, metrics)
 """Figures before units: `/api/units/{serial:path}` would take their paths for serial numbers."""
+EVERYBODY = Access()
 
 
-def create_app(service: RunService, *, web: Path | None = None) -> FastAPI:
+def create_app(service: RunService, *, web: Path | None = None, access: Access = EVERYBODY) -> FastAPI:
     """Makes the application; nothing of it is shared with another one.
 
     Args:
         service: carries out what is asked. It is closed when the application shuts down.
         web: the folder of the page; without it the one that comes with calrig.
+        access: the token that is asked for and the names the service has.
     """
 
     @asynccontextmanager
@@ -48,6 +56,9 @@ def create_app(service: RunService, *, web: Path | None = None) -> FastAPI:
 
     app = api(lifespan)
     app.state.context = ApiContext(service, service.store)
+    app.state.door = Door(access)
+    app.add_middleware(Guard, app.state.door)
+    app.add_middleware(RequestLog)  # the last one added is the first to look
     pages.install(app, packed("web") if web is None else web)
     return app
 
@@ -60,6 +71,7 @@ def api(lifespan: Lifespan[FastAPI] | None = None) -> FastAPI:
         summary="Calibrates IMU attitude sensors on a rotary stage",
         lifespan=lifespan,
         openapi_url="/api/openapi.json",
+        responses=errors.problems_in_json(401, 403, 429, 503),  # the guard's and the store's, of any path
         docs_url=None,  # its pages load their scripts from another host
         redoc_url=None,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,17 +11,25 @@ from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse
 
+from calrig.api.guard import HEADERS
 from calrig.api.models import Problem
 from calrig.runs.errors import Conflict, Invalid, RunsError, Unknown
-from calrig.store.errors import NotFound, StoreError
+from calrig.store.errors import NotFound, StoreError, StoreUnavailableError
+
+log = logging.getLogger(__name__)
 
 STATUS: dict[type[RunsError], int] = {Unknown: 404, Conflict: 409, Invalid: 422}
 
 WORDS = {
+    401: "No token or session was shown, or a wrong one",
+    403: "The request came by a name that is not the service's, or from a page elsewhere",
     404: "Unknown",
+    408: "The body came too slowly",
     409: "The rig is busy, or the run's state does not allow this",
     413: "The body is too large",
     422: "Invalid",
+    429: "Too many wrong tokens came from there",
+    503: "The store is full, locked or read-only, or too many uploads are in hand",
 }
 
 
@@ -50,12 +59,16 @@ async def _runs_error(_request: Request, error: Exception) -> JSONResponse:
 
 
 async def _store_error(_request: Request, error: Exception) -> JSONResponse:
-    status = 404 if isinstance(error, NotFound) else 500
+    # Full, locked or read-only is the operator's to mend, and then the same request will do.
+    status = 404 if isinstance(error, NotFound) else 503 if isinstance(error, StoreUnavailableError) else 500
+    if status != 404:
+        log.error("%s", error)
     return JSONResponse({"detail": str(error)}, status_code=status)
 
 
 async def _defect(_request: Request, _error: Exception) -> JSONResponse:
-    return JSONResponse({"detail": "calrig failed inside; the service's log says where"}, status_code=500)
+    # This answer is given outside of every middleware, the guard too.
+    return JSONResponse({"detail": "calrig failed inside; the service's log says where"}, 500, HEADERS)
 
 
 async def _validation_error(_request: Request, error: Exception) -> JSONResponse:

@@ -5,14 +5,14 @@ from collections.abc import AsyncIterator
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Header
-from fastapi.responses import StreamingResponse
+from fastapi.responses import Response, StreamingResponse
 from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 
 from calrig.api.context import ApiContext, Context, KnownRun
 from calrig.api.errors import problems_in_json
-from calrig.runs.states import TERMINAL
+from calrig.runs.states import AT_REST
 from calrig.store import Event
 
 BATCH = 500
@@ -44,6 +44,16 @@ class EventStream(StreamingResponse):
     media_type = "text/event-stream"
 
 
+AN_EVENT = {
+    "type": "object",
+    "required": ["data", "event", "id"],
+    "properties": {
+        "data": {"type": "string", "contentMediaType": "application/json"},
+        "event": {"enum": ["state", "progress", "pose", "reading"]},
+        "id": {"type": "string", "pattern": "^[0-9]+$"},
+    },
+}
+
 router = APIRouter(tags=["runs"])
 
 
@@ -69,8 +79,11 @@ async def _news(run: KnownRun, context: Context) -> AsyncIterator[asyncio.Event]
 
 @router.get(
     "/api/runs/{run_id}/events",
-    response_class=EventStream,
-    responses=problems_in_json(404, 422),
+    response_class=Response,  # with EventStream, the document would call the whole answer one string
+    responses={
+        200: {"content": {EventStream.media_type: {"itemSchema": AN_EVENT}}},
+        **problems_in_json(404, 422),
+    },
     summary="Server-Sent Events, from the beginning or after `Last-Event-ID`",
 )
 async def events(
@@ -106,7 +119,7 @@ async def _follow(context: ApiContext, news: asyncio.Event, run_id: str, known: 
 
 def _look(context: ApiContext, run_id: str, known: int) -> tuple[bool, list[Event]]:
     """Whether the run had ended, asked before its events are read: then these are the last there are."""
-    ended = context.service.run(run_id).status in TERMINAL
+    ended = context.service.run(run_id).status in AT_REST
     return ended, context.store.events_after(run_id, known, BATCH)
 
 

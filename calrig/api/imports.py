@@ -6,6 +6,7 @@ from fastapi import APIRouter, File, Form, UploadFile
 
 from calrig.api.context import Context
 from calrig.api.errors import problems
+from calrig.api.limits import Turn, name_of
 from calrig.api.models import RunAnswer
 from calrig.store import Run
 
@@ -16,11 +17,12 @@ router = APIRouter(tags=["runs"])
     "/api/imports",
     status_code=201,
     response_model=RunAnswer,
-    responses=problems(404, 413, 422),
+    responses=problems(408, 413, 422, 503),
     summary="Make a run of a CSV of poses",
 )
 def import_poses(
     context: Context,
+    _turn: Turn,
     file: Annotated[UploadFile, File(description="CONTRACT section 4's CSV")],
     unit: Annotated[str, Form()],
     rig: Annotated[str | None, Form()] = None,
@@ -30,7 +32,7 @@ def import_poses(
     return context.records.import_poses(
         unit=unit,
         rig=rig or None,
-        file_name=file.filename or "upload",
+        file_name=name_of(file),
         content=file.file.read(),
         operator=operator,
     )

@@ -1,7 +1,15 @@
-"""How large a request's body may be. The answer to a larger one is 413, before it is parsed or kept."""
+"""How large a request's body may be, how slowly it may come, and how many uploads are in hand at once.
+
+What is too large is answered by 413, what comes too slowly by 408, before it is parsed or kept.
+"""
 
 from __future__ import annotations
 
+import asyncio
+from collections.abc import AsyncIterator
+from typing import Annotated
+
+from fastapi import Depends, UploadFile
 from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -9,6 +17,15 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 JSON_BYTES = 1_000_000
 UPLOAD_BYTES = 50_000_000
 UPLOAD_PATHS = frozenset({"/api/imports", "/api/noise", "/api/filters"})
+MOST_UPLOADS = 16
+"""In hand at once. Each may lie on the disk, in a temporary file, until its turn has come."""
+GRACE_S = 10.0
+SLOWEST_BYTES_PER_S = 20_000
+"""A body may take GRACE_S, and a second more for each so many bytes of it that have come."""
+REST_S = 10.0
+"""How long the rest of a refused body is read from a client that asked to be closed down after its answer."""
+
+LONGEST_NAME = 200
 
 
 class BodyLimit:
@@ -19,32 +36,120 @@ class BodyLimit:
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
+        self._uploads: set[_Body] = set()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Passes the request on with a `receive` that counts."""
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        limit = UPLOAD_BYTES if scope["path"] in UPLOAD_PATHS else JSON_BYTES
-        reason = f"the body is larger than the {limit // 1_000_000} MB this path takes"
-        if _content_length(scope) > limit:
-            # The rest is read and dropped: a client that is still sending would otherwise see its
-            # connection reset instead of the answer.
-            while (await receive()).get("more_body", False):
-                pass
-            await JSONResponse({"detail": reason}, status_code=413)(scope, receive, send)
+        is_upload = scope["path"] in UPLOAD_PATHS
+        body = _Body(scope, receive, UPLOAD_BYTES if is_upload else JSON_BYTES)
+        if _content_length(scope) > body.limit:
+            await body.let_it_end()
+            await JSONResponse({"detail": body.too_large}, status_code=413)(scope, receive, send)
+        elif is_upload and not self._has_room():
+            await body.let_it_end()
+            reason = f"{MOST_UPLOADS} uploads are in hand: try again later"
+            await JSONResponse({"detail": reason}, 503, {"Retry-After": "5"})(scope, receive, send)
+        else:
+            if is_upload:
+                self._uploads.add(body)
+            try:
+                await self.app(scope, body.receive, body.noting(send))
+            finally:
+                self._uploads.discard(body)
+
+    def _has_room(self) -> bool:
+        """Whether one more upload is taken: among too many, the one that comes most slowly gives way."""
+        if len(self._uploads) < MOST_UPLOADS:
+            return True
+        coming = [upload for upload in self._uploads if upload.is_coming]
+        if coming:
+            min(coming, key=lambda upload: upload.bytes_per_s).give_way()
+        return bool(coming)
+
+
+class _Body:
+    """The body of one request as it comes."""
+
+    def __init__(self, scope: Scope, receive: Receive, limit: int) -> None:
+        self.limit = limit
+        self.too_large = f"the body is larger than the {limit // 1_000_000} MB this path takes"
+        self._receive = receive
+        self._n_bytes = 0
+        self._waited_s = 0.0
+        self._waiting: asyncio.Timeout | None = None
+        self._has_ended = False
+        self._is_answered = False
+        self._closes = (b"connection", b"close") in scope["headers"]
+
+    def noting(self, send: Send) -> Send:
+        """A `send` from which it is known whether an answer has begun."""
+
+        async def noted(message: Message) -> None:
+            self._is_answered = True
+            await send(message)
+
+        return noted
+
+    async def receive(self) -> Message:
+        """The next piece.
+
+        Raises:
+            HTTPException: the body is too large, or comes too slowly.
+        """
+        if self._has_ended:  # what comes then is the end of the connection, and may take its time
+            return await self._receive()
+        loop = asyncio.get_running_loop()
+        began_s = loop.time()
+        left_s = GRACE_S + self._n_bytes / SLOWEST_BYTES_PER_S - self._waited_s
+        try:
+            async with asyncio.timeout(left_s) as self._waiting:
+                message = await self._receive()
+        except TimeoutError as error:
+            if self._is_answered:
+                return {"type": "http.disconnect"}
+            raise HTTPException(408, f"the body came too slowly: {self._n_bytes} bytes so far") from error
+        finally:
+            self._waiting = None
+            self._waited_s += loop.time() - began_s
+        self._n_bytes += len(message.get("body", b""))
+        self._has_ended = not message.get("more_body", False)
+        if self._n_bytes > self.limit:
+            await self.let_it_end()
+            raise HTTPException(413, self.too_large)
+        return message
+
+    @property
+    def is_coming(self) -> bool:
+        """Whether it is its client that is waited for."""
+        return self._waiting is not None
+
+    @property
+    def bytes_per_s(self) -> float:
+        """How fast it has come, of the time that its client was waited for."""
+        return self._n_bytes / (self._waited_s + 1.0)
+
+    def give_way(self) -> None:
+        """Waits for the client no longer."""
+        if self._waiting is not None:
+            self._waiting.reschedule(asyncio.get_running_loop().time())
+
+    async def let_it_end(self) -> None:
+        """Reads and drops the rest where the connection is closed after the answer.
+
+        The client would see a connection reset under its hands in the place of the answer. Where it stays
+        open, the server reads and drops the rest by itself.
+        """
+        if not self._closes:
             return
-        received = 0
-
-        async def counted() -> Message:
-            nonlocal received
-            message = await receive()
-            received += len(message.get("body", b""))
-            if received > limit:
-                raise HTTPException(413, reason)
-            return message
-
-        await self.app(scope, counted, send)
+        try:
+            async with asyncio.timeout(REST_S):
+                while (await self._receive()).get("more_body", False):
+                    pass
+        except TimeoutError:
+            pass
 
 
 def _content_length(scope: Scope) -> int:
@@ -52,3 +157,17 @@ def _content_length(scope: Scope) -> int:
         if name == b"content-length" and value.isdigit():
             return int(value)
     return 0
+
+
+def name_of(file: UploadFile) -> str:
+    """The name that a client gave its file, as a text to be shown: it is never a path of this machine."""
+    name = file.filename or "upload"
+    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in name[:LONGEST_NAME])
+
+
+async def _turn() -> AsyncIterator[None]:
+    yield
+
+
+Turn = Annotated[None, Depends(_turn, scope="function", max_concurrency=1)]
+"""For what takes much memory: one at a time. Those that wait hold no thread, and their files lie on disk."""

@@ -66,11 +66,12 @@ def samples(
     format: Literal["csv", "npz"] = "csv",
 ) -> Response:
     """In the columns of a static log, moves and dwells in the order taken; none once they were pruned."""
-    raw = context.store.samples(run.id, pose)
     name = f"run-{run.id}-samples" if pose is None else f"run-{run.id}-pose-{pose}-samples"
     if format == "npz":
-        return _file(write_samples_npz(raw), "application/octet-stream", f"{name}.npz")
-    return StreamingResponse(write_samples_csv(raw), media_type=CSV, headers=_named(f"{name}.csv"))
+        packed = write_samples_npz(context.store.samples(run.id, pose))
+        return _file(packed, "application/octet-stream", f"{name}.npz")
+    text = write_samples_csv(context.store.sample_blocks(run.id, pose))
+    return StreamingResponse(text, media_type=CSV, headers=_named(f"{name}.csv"))
 
 
 @router.get(

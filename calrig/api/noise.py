@@ -7,6 +7,7 @@ from fastapi import APIRouter, File, Form, UploadFile
 
 from calrig.api.context import Context, KnownRun
 from calrig.api.errors import problems
+from calrig.api.limits import Turn, name_of
 from calrig.api.noise_models import FiltersAnswer, NoiseAnswer
 from calrig.export.cells import CsvError
 from calrig.export.static_csv import StaticLog, read_static
@@ -21,6 +22,8 @@ from calrig.runs.studies import filters_of_run, noise_of_run
 
 router = APIRouter(tags=["noise"])
 
+MOST_SAMPLES = 2_000_000
+"""Of an uploaded log; the command line takes a longer one, on the memory of whoever asks."""
 LogFile = Annotated[UploadFile, File(description="CONTRACT section 4's static log")]
 Rate = Annotated[float | None, Form(gt=0, le=1e6, description="Samples a second; wins over time_s.")]
 Range = Annotated[float | None, Form(gt=0, le=1e5, description="Full scale of raw counts.")]
@@ -32,7 +35,7 @@ Range = Annotated[float | None, Form(gt=0, le=1e5, description="Full scale of ra
     responses=problems(404, 409, 422),
     summary="The noise in the log of a static run",
 )
-def run_noise(run: KnownRun, context: Context) -> dict[str, Any]:
+def run_noise(run: KnownRun, context: Context, _turn: Turn) -> dict[str, Any]:
     """Allan deviation, spectrum, distribution and dependence on temperature of each channel."""
     return _noise_answer(noise_of_run(context.store, run.id))
 
@@ -43,7 +46,7 @@ def run_noise(run: KnownRun, context: Context) -> dict[str, Any]:
     responses=problems(404, 409, 422),
     summary="The filters side by side on a run's samples",
 )
-def run_filters(run: KnownRun, context: Context) -> dict[str, Any]:
+def run_filters(run: KnownRun, context: Context, _turn: Turn) -> dict[str, Any]:
     """Jitter, lag and largest offset of each, the Kalman filter tuned from the run's own rests among them."""
     return _filters_answer(filters_of_run(context.store, run.id))
 
@@ -51,11 +54,15 @@ def run_filters(run: KnownRun, context: Context) -> dict[str, Any]:
 @router.post(
     "/api/noise",
     response_model=NoiseAnswer,
-    responses=problems(413, 422),
+    responses=problems(408, 413, 422, 503),
     summary="The noise in a log from anybody's sensor",
 )
 def log_noise(
-    file: LogFile, rate_hz: Rate = None, accel_range_g: Range = None, gyro_range_dps: Range = None
+    _turn: Turn,
+    file: LogFile,
+    rate_hz: Rate = None,
+    accel_range_g: Range = None,
+    gyro_range_dps: Range = None,
 ) -> dict[str, Any]:
     """The sensor lay still. Nothing is stored."""
     name, log = _read(file, accel_range_g, gyro_range_dps)
@@ -69,11 +76,15 @@ def log_noise(
 @router.post(
     "/api/filters",
     response_model=FiltersAnswer,
-    responses=problems(413, 422),
+    responses=problems(408, 413, 422, 503),
     summary="The filters side by side on a log from anybody's sensor",
 )
 def log_filters(
-    file: LogFile, rate_hz: Rate = None, accel_range_g: Range = None, gyro_range_dps: Range = None
+    _turn: Turn,
+    file: LogFile,
+    rate_hz: Rate = None,
+    accel_range_g: Range = None,
+    gyro_range_dps: Range = None,
 ) -> dict[str, Any]:
     """The sensor lay still and was turned about its x axis. Nothing is stored."""
     name, log = _read(file, accel_range_g, gyro_range_dps)
@@ -87,9 +98,14 @@ def log_filters(
 def _read(
     file: UploadFile, accel_range_g: float | None, gyro_range_dps: float | None
 ) -> tuple[str, StaticLog]:
-    name = file.filename or "upload"
+    name = name_of(file)
     try:
-        return name, read_static(file.file.read(), accel_range_g=accel_range_g, gyro_range_dps=gyro_range_dps)
+        return name, read_static(
+            file.file.read(),
+            accel_range_g=accel_range_g,
+            gyro_range_dps=gyro_range_dps,
+            max_samples=MOST_SAMPLES,
+        )
     except CsvError as error:
         raise Invalid(f"{name}: {error}") from error
 

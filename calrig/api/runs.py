@@ -31,8 +31,11 @@ def rigs(context: Context) -> object:
 
 @router.post("/api/rigs/scan", response_model=ScanAnswer, summary="Look who answers on which port")
 def scan(context: Context) -> object:
-    """Moves nothing, but resets most boards; ports in use are left alone. It takes some seven seconds."""
-    found = ports.scan()
+    """Moves nothing, but resets most boards; ports of this service's rigs and those in use are left alone.
+
+    It takes some seven seconds.
+    """
+    found = ports.scan(ours=context.service.ports())
     return {"found": found, "stanza": stanza(found, {rig.name for rig in context.service.rigs()})}
 
 
@@ -110,10 +113,14 @@ def pause_run(run: KnownRun, context: Context) -> Run:
     "/api/runs/{run_id}/resume",
     response_model=RunAnswer,
     responses=problems(404, 409),
-    summary="Go on with a paused run",
+    summary="Go on with a paused or interrupted run",
 )
 def resume_run(run: KnownRun, context: Context) -> Run:
-    """Takes a pause that has not begun yet back, too."""
+    """Takes a pause that has not begun yet back, too. An interrupted run is `queued` again.
+
+    409 where its rig is busy or not as it was. Where other devices answer than before, or the unit was
+    touched, it becomes `interrupted` again with the reason in `error`.
+    """
     return context.service.resume(run.id)
 
 

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import uvicorn
 from fastapi import FastAPI
 
+from calrig.api.connections import PatientProtocol
 from calrig.api.context import context_of
 
 DRAIN_S = 1
@@ -20,7 +21,13 @@ class Server(uvicorn.Server):
     def __init__(self, app: FastAPI, on_ready: Callable[[], None] = lambda: None) -> None:
         super().__init__(
             uvicorn.Config(
-                app, log_level="warning", access_log=False, timeout_graceful_shutdown=DRAIN_S, ws="none"
+                app,
+                http=PatientProtocol,
+                log_config=None,  # as calrig.logs says
+                log_level="warning",
+                access_log=False,
+                timeout_graceful_shutdown=DRAIN_S,
+                ws="none",
             )
         )
         self._streams = context_of(app).streams

@@ -38,3 +38,11 @@ def test_a_look_at_the_ports_tells_who_answers_and_what_to_configure(client, plu
 def test_without_a_port_there_is_nothing(client, monkeypatch):
     monkeypatch.setattr(list_ports, "comports", list)
     assert client.post("/api/rigs/scan").json() == {"found": [], "stanza": ""}
+
+
+def test_the_ports_of_the_services_own_rigs_stay_free_for_a_stop(client, rig, monkeypatch):
+    ports = [rig.stage.port, rig.imu.port]
+    monkeypatch.setattr(list_ports, "comports", lambda: [ListPortInfo(port) for port in ports])
+    answer = client.post("/api/rigs/scan").raise_for_status().json()
+    assert [(one["port"], one["kind"]) for one in answer["found"]] == [(p, "busy") for p in sorted(ports)]
+    assert all("a rig of this service" in one["identity"] for one in answer["found"])

@@ -1,0 +1,108 @@
+"""Who may speak to the service: the token that is asked for, and the names it is known by."""
+
+from __future__ import annotations
+
+import os
+import re
+import socket
+from collections.abc import Iterable
+from dataclasses import dataclass
+from ipaddress import IPv4Address, IPv6Address, ip_address
+
+TOKEN = "CALRIG_TOKEN"  # noqa: S105 (the variable's name)
+LEAST_TOKEN = 16
+MAKE_ONE = "python3 -c 'import secrets; print(secrets.token_urlsafe(24))'"
+_TOKEN_FORM = re.compile(r"[\x21-\x7e]+")
+_HOST_FORM = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[^\s:/@\[\]]+)(:[0-9]{1,5})?")
+
+
+class AccessError(Exception):
+    """The service would be open to people it is not meant for; the message says what to set."""
+
+
+@dataclass(frozen=True)
+class Access:
+    """What a service asks of those who speak to it.
+
+    Attributes:
+        token: what has to be shown; None where whoever reaches the address may do everything.
+        names: host names, in lower case, that it answers to besides the address a connection came in at.
+        patience_s: how late a wrong token is answered.
+    """
+
+    token: str | None = None
+    names: frozenset[str] = frozenset()
+    patience_s: float = 1.0
+
+
+def access_of(token: str | None, *, host: str, bound_to: str, hosts: Iterable[str], own_name: str) -> Access:
+    """The access that a configuration means.
+
+    Args:
+        token: the value of CALRIG_TOKEN; None where it is not set.
+        host: the host to listen on, as it was told.
+        bound_to: its address.
+        hosts: further names, from calrig.toml: somebody is to come in from elsewhere.
+        own_name: what this machine calls itself.
+
+    Raises:
+        AccessError: others can reach the service and there is no token, or the token is no good.
+    """
+    named = frozenset(name.lower() for name in hosts)
+    outside = not is_loopback(bound_to)
+    if token is None:
+        if outside or named:
+            why = f"{host} can be reached from other machines" if outside else "calrig.toml has `hosts`"
+            raise AccessError(f"{why}: set {TOKEN} to a token of your own, made by {MAKE_ONE}")
+        return Access()
+    if len(token) < LEAST_TOKEN or not _TOKEN_FORM.fullmatch(token):
+        raise AccessError(
+            f"{TOKEN} must have {LEAST_TOKEN} ASCII characters or more and no space: make one by {MAKE_ONE}"
+        )
+    own = {host.lower(), own_name.lower(), f"{own_name.lower()}.local"} if outside else set()
+    return Access(token, named | own)
+
+
+def access_here(host: str, bound_to: str, hosts: Iterable[str]) -> Access:
+    """As `access_of`, with the token of this process and the name of this machine."""
+    token, name = os.environ.get(TOKEN), socket.gethostname()
+    return access_of(token, host=host, bound_to=bound_to, hosts=hosts, own_name=name)
+
+
+def is_loopback(address: str) -> bool:
+    """Whether only this machine can reach the address."""
+    found = _address(address)
+    return found is not None and found.is_loopback
+
+
+def knows(access: Access, host: str, server: str | None) -> bool:
+    """Whether a Host header names the service.
+
+    A page elsewhere can have any name of its own lead here, but the browser sends that very name: DNS
+    rebinding ends at this check. Ports are not looked at: no name becomes somebody else's by its port, and
+    `ssh -L` changes them.
+
+    Args:
+        access: the names the service has.
+        host: the header, `name`, `name:port` or `[address]:port`.
+        server: the address at which the connection came in; None where it has none.
+    """
+    form = _HOST_FORM.fullmatch(host)
+    if form is None:
+        return False
+    name = form[1].strip("[]").lower()
+    if name in access.names:
+        return True
+    if server is None:
+        return False
+    if is_loopback(server):
+        return name == "localhost" or is_loopback(name)
+    return name == server.lower() or (_address(name) == _address(server) is not None)
+
+
+def _address(text: str) -> IPv4Address | IPv6Address | None:
+    try:
+        found = ip_address(text)
+    except ValueError:
+        return None
+    return (isinstance(found, IPv6Address) and found.ipv4_mapped) or found

@@ -1,0 +1,144 @@
+"""Connections whose client dawdles: each is answered or cut off in time, and holds little meanwhile.
+
+Uvicorn waits for ever for a request's head, and for a client to read its answer. The time a body may take
+is `calrig.api.limits`'s to say.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from typing import Any
+
+import h11
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+HEAD_S = 10.0
+"""How long a request's head may take to come, from its first byte or the connection's beginning."""
+REST_S = 30.0
+"""How long the rest of a body may come, and is dropped, after its answer has been sent."""
+UNREAD_S = 30.0
+"""How long an answer may wait for its client to read the next tens of kilobytes of it."""
+UNREAD_BYTES = 50_000_000
+"""What all clients together may leave unread; beyond it those waited for longest are cut off."""
+MOST = 400
+"""Connections at once: files and ports need descriptors too, and many systems give a process 1,024."""
+
+
+class PatientProtocol(H11Protocol):
+    """Uvicorn's HTTP/1.1 with an end to its patience."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._head_or_rest: asyncio.TimerHandle | None = None
+        self._unread: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Takes the connection; where there are too many, in the place of one that has asked for nothing."""
+        super().connection_made(transport)
+        self._look()
+        if len(self.connections) > MOST:
+            others = [c for c in self._patient() if c is not self and c.is_waiting_for_head]
+            if others:
+                min(others, key=lambda c: c.gives_up_at_s).cut_off()
+            else:
+                self._refuse(503, "the service has too many connections: close some, or try again later")
+
+    def data_received(self, data: bytes) -> None:
+        """As uvicorn's."""
+        super().data_received(data)
+        self._look()
+
+    def on_response_complete(self) -> None:
+        """As uvicorn's."""
+        super().on_response_complete()
+        self._look()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Forgets the clocks."""
+        super().connection_lost(exc)
+        for clock in (self._head_or_rest, self._unread):
+            if clock is not None:
+                clock.cancel()
+
+    def pause_writing(self) -> None:
+        """The client leaves tens of kilobytes unread: it has some time, and all together some room."""
+        super().pause_writing()
+        self._wait_for_reading()
+        slow = sorted((c for c in self._patient() if c._unread), key=lambda c: c.unread_until_s)
+        unread = sum(c.n_unread for c in slow)
+        for other in slow:
+            if unread > UNREAD_BYTES and other is not self:
+                unread -= other.n_unread
+                other.cut_off()
+
+    def resume_writing(self) -> None:
+        """The client has read."""
+        super().resume_writing()
+        if self._unread is not None:
+            self._unread.cancel()
+            self._unread = None
+
+    def timeout_keep_alive_handler(self) -> None:
+        """Closes an idle connection; for its client to read the last answer it waits no longer than else."""
+        super().timeout_keep_alive_handler()
+        if self.n_unread:
+            self._wait_for_reading()
+
+    @property
+    def is_waiting_for_head(self) -> bool:
+        """Whether no request is under way."""
+        return self._head_or_rest is not None and self.conn.their_state is h11.IDLE
+
+    @property
+    def gives_up_at_s(self) -> float:
+        """When a head or the rest of a body is waited for no longer."""
+        return self._head_or_rest.when() if self._head_or_rest else 0.0
+
+    @property
+    def unread_until_s(self) -> float:
+        """When a client that does not read is waited for no longer."""
+        return self._unread.when() if self._unread else 0.0
+
+    @property
+    def n_unread(self) -> int:
+        """Bytes that the client has not taken."""
+        return self.transport.get_write_buffer_size()
+
+    def cut_off(self) -> None:
+        """Ends the connection, whatever is still to be sent."""
+        self.transport.abort()
+
+    def _patient(self) -> list[PatientProtocol]:
+        return [c for c in self.connections if isinstance(c, PatientProtocol)]
+
+    def _look(self) -> None:
+        """Starts or stops the clock of a head or of a body's rest; one that runs goes on."""
+        is_answered = self.cycle is None or self.cycle.response_complete
+        if self.transport.is_closing() or not is_answered:
+            if self._head_or_rest is not None:
+                self._head_or_rest.cancel()
+                self._head_or_rest = None
+        elif self._head_or_rest is None:
+            is_head = self.conn.their_state is h11.IDLE
+            self._head_or_rest = self.loop.call_later(
+                HEAD_S if is_head else REST_S, self._head_is_late if is_head else self.cut_off
+            )
+
+    def _wait_for_reading(self) -> None:
+        if self._unread is None:
+            self._unread = self.loop.call_later(UNREAD_S, self.cut_off)
+
+    def _head_is_late(self) -> None:
+        if self.conn.trailing_data[0] and self.conn.our_state is h11.IDLE:
+            self._refuse(408, f"the request's head did not come within {HEAD_S:g} s")
+        else:  # a browser that opened it in case it were needed
+            self.transport.close()
+
+    def _refuse(self, status: int, reason: str) -> None:
+        body = json.dumps({"detail": reason}).encode()
+        headers = [("content-type", "application/json"), ("content-length", str(len(body)))]
+        head = h11.Response(status_code=status, headers=[*headers, ("connection", "close")])
+        for event in (head, h11.Data(data=body), h11.EndOfMessage()):
+            self.transport.write(self.conn.send(event) or b"")
+        self.transport.close()

@@ -1,0 +1,127 @@
+"""Telling who may come in: the token of a program, the session of a person, and patience with wrong ones."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import hmac
+import logging
+from collections import Counter
+
+from starlette.exceptions import HTTPException
+from starlette.requests import HTTPConnection
+from starlette.responses import Response
+
+from calrig.api.access import Access
+from calrig.api.sessions import LASTS_S, Sessions
+
+WAITING_EACH = 4
+WAITING_ALL = 64
+SCHEME = "bearer "
+
+log = logging.getLogger(__name__)
+
+
+class Door:
+    """Lets in who shows the token or a session that was begun with it.
+
+    A wrong token is answered late, and while a few wrong ones from an address wait for their answers, no
+    token from there is looked at: so many can be tried in a second and no more. A program with an old token
+    that asks every second keeps nobody else out, and who has a session is never kept waiting.
+
+    Args:
+        access: the token; without one everybody comes in.
+    """
+
+    def __init__(self, access: Access) -> None:
+        self.access = access
+        self.sessions = Sessions()
+        self._waiting: Counter[str] = Counter()
+
+    async def check(self, asked: HTTPConnection) -> None:
+        """Lets a request pass.
+
+        Raises:
+            HTTPException: 401, neither token nor session; 429, too many wrong tokens from there just now.
+        """
+        if self.access.token is None or self.has_session(asked):
+            return
+        shown = asked.headers.get("authorization", "")
+        if shown.lower().startswith(SCHEME):
+            await self.check_token(asked, shown[len(SCHEME) :].strip())
+            return
+        ended = ": the session has ended, log in again" if self.cookie(asked) in asked.cookies else ""
+        raise refusal(f"{_who(asked)} has not shown a token{ended}")
+
+    async def check_token(self, asked: HTTPConnection, token: str) -> None:
+        """Lets the right token pass at once; the wrong one waits for its refusal.
+
+        Raises:
+            HTTPException: 401, it is wrong; 429, too many wrong ones from there just now.
+        """
+        address = address_of(asked)
+        if self._waiting[address] >= WAITING_EACH or self._waiting.total() >= WAITING_ALL:
+            raise HTTPException(
+                429, f"too many wrong tokens from {address}: try again in a moment", {"Retry-After": "1"}
+            )
+        if self._is_right(token):
+            return
+        log.warning("wrong token from %s", address)
+        self._waiting[address] += 1
+        try:
+            await asyncio.sleep(self.access.patience_s)
+        finally:
+            self._waiting[address] -= 1
+            self._waiting += Counter()  # drops who waits no more: the memory is that of those who wait
+        raise refusal(f"{_who(asked)} has shown a wrong token")
+
+    def has_session(self, asked: HTTPConnection) -> bool:
+        """Whether the request carries a session that has not ended."""
+        value = asked.cookies.get(self.cookie(asked))
+        return value is not None and self.sessions.holds(value)
+
+    def set_cookie(self, asked: HTTPConnection, answer: Response) -> None:
+        """Begins a session, as a cookie that no script reads and no page elsewhere has sent along."""
+        answer.set_cookie(
+            self.cookie(asked),
+            self.sessions.begin(),
+            max_age=int(LASTS_S),
+            secure=asked.scope["scheme"] == "https",
+            httponly=True,
+            samesite="strict",
+        )
+
+    def drop_cookie(self, asked: HTTPConnection, answer: Response) -> None:
+        """Ends the session whose cookie came along."""
+        name = self.cookie(asked)
+        self.sessions.end(asked.cookies.get(name, ""))
+        answer.delete_cookie(name, httponly=True, samesite="strict")
+
+    @staticmethod
+    def cookie(asked: HTTPConnection) -> str:
+        """The cookie's name, which has the port in it: cookies of one machine are shared among its ports."""
+        server = asked.scope.get("server")
+        return f"calrig_session_{server[1] if server else ''}"
+
+    def _is_right(self, token: str) -> bool:
+        expected = self.access.token
+        return expected is not None and hmac.compare_digest(_digest(token), _digest(expected))
+
+
+def refusal(reason: str) -> HTTPException:
+    """The answer to who may not come in, with the ways in."""
+    ways = "a program sends `Authorization: Bearer TOKEN`, a person logs in on the page"
+    return HTTPException(401, f"{reason}; {ways}", {"WWW-Authenticate": "Bearer"})
+
+
+def address_of(asked: HTTPConnection) -> str:
+    """Where a request came from."""
+    return asked.client.host if asked.client else "an unknown address"
+
+
+def _who(asked: HTTPConnection) -> str:
+    return f"{asked.scope['method']} {asked.scope['path'][:200]!a} from {address_of(asked)}"
+
+
+def _digest(token: str) -> bytes:
+    return hashlib.sha256(token.encode()).digest()

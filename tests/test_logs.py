@@ -1,0 +1,139 @@
+"""The log: one line an event, with the run it is about; nothing that came from outside can forge one."""
+
+from __future__ import annotations
+
+import io
+import json
+import logging
+import re
+import signal
+import subprocess
+from collections.abc import Iterator
+
+import httpx
+import pytest
+from support import QUICK, ended, wait_for
+from test_cli import CALRIG, CONFIG, reason
+
+from calrig import logs
+
+FORGED = "0042\n2026-01-01T00:00:00.000Z info calrig: all is well\x1b[2K\u2028\r"
+
+
+@pytest.fixture
+def lines() -> Iterator[io.StringIO]:
+    """The log of this process, in whatever form the test configures; put back afterwards."""
+    root, ours = logging.getLogger(), logging.getLogger("calrig")
+    before = root.handlers, root.level, ours.level
+    yield io.StringIO()
+    root.handlers, root.level, ours.level = before
+    logging.captureWarnings(False)
+
+
+def test_text_is_one_line_and_says_what_it_is_about(lines):
+    logs.configure("text", lines)
+    with logs.about(run_id="17", rig="bench-1"):
+        logging.getLogger("calrig.runs").warning("board says %s", "hello")
+    logging.getLogger("calrig.runs").info("of no run")
+    first, second = lines.getvalue().splitlines()
+    assert re.fullmatch(
+        r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z warning calrig\.runs: board says hello "
+        r"\[run_id=17 rig=bench-1\]",
+        first,
+    )
+    assert second.endswith("info calrig.runs: of no run")
+
+
+def test_json_is_one_document_a_line(lines):
+    logs.configure("json", lines)
+    with logs.about(run_id="17", unit="AS/1"):
+        logging.getLogger("calrig.runs").info("run %s", "17", extra={"fields": {"status": 201}})
+    line = json.loads(lines.getvalue())
+    assert line.pop("time").endswith("Z")
+    assert line == {
+        "level": "info",
+        "logger": "calrig.runs",
+        "message": "run 17",
+        "run_id": "17",
+        "unit": "AS/1",
+        "status": 201,
+    }
+
+
+@pytest.mark.parametrize("form", logs.FORMATS)
+def test_what_a_device_says_cannot_forge_a_line(lines, form):
+    logs.configure(form, lines)
+    log = logging.getLogger("calrig.instruments")
+    with logs.about(unit=FORGED):
+        log.warning("the board says %s", FORGED)
+        try:
+            raise ValueError(FORGED)
+        except ValueError:
+            log.exception("it failed")
+    written = lines.getvalue()
+    assert not set(written) & set("\x1b\r\u2028")
+    if form == "json":
+        parsed = [json.loads(line) for line in written.splitlines()]
+        assert [line["message"] for line in parsed] == [f"the board says {FORGED}", "it failed"]
+        assert FORGED in parsed[1]["traceback"]
+    else:
+        events = [line for line in written.splitlines() if not line.startswith("  | ")]
+        assert len(events) == 2
+        assert all("calrig.instruments: " in line for line in events)
+
+
+def test_other_programs_chatter_stays_out_and_their_warnings_come_in(lines):
+    logs.configure("json", lines)
+    logging.getLogger("uvicorn.error").info("Started server process")
+    logging.getLogger("uvicorn.error").warning("Invalid HTTP request received.")
+    assert [json.loads(line)["logger"] for line in lines.getvalue().splitlines()] == ["uvicorn.error"]
+
+
+def test_requests_that_change_something_or_fail_are_said_and_no_token_is(client: httpx.Client, lines):
+    logs.configure("json", lines)
+    secret = {"Authorization": "Bearer sesame-42", "Cookie": "calrig=sesame-42"}
+    client.get("/api/runs", headers=secret)
+    client.post("/api/runs?token=sesame-42", json={"unit": ""}, headers=secret)
+    begun = client.post("/api/runs", json={"unit": "AS-1", "plan": QUICK}).json()
+    assert ended(client, begun["id"])["status"] == "completed"
+    client.post(f"/api/runs/{begun['id']}/void", json={"reason": "trial"})
+    wait_for(lambda: "/void" in lines.getvalue(), "the last request's line, which follows its answer")
+    written = lines.getvalue()
+    said = [json.loads(line) for line in written.splitlines()]
+    requests = [line for line in said if line["logger"] == "calrig.api.request_log"]
+    assert [(r["method"], r["path"], r["status"]) for r in requests] == [
+        ("POST", "/api/runs", 422),
+        ("POST", "/api/runs", 201),
+        ("POST", f"/api/runs/{begun['id']}/void", 200),
+    ]
+    assert requests[-1]["run_id"] == begun["id"]
+    assert all(r["client"] == "127.0.0.1" and 0 <= r["duration_s"] < 20 for r in requests)
+    of_the_run = [line for line in said if line["logger"] == "calrig.runs.recorder"]
+    assert [line["message"] for line in of_the_run] == [
+        f"run {begun['id']} is running",
+        f"run {begun['id']} is completed",
+    ]
+    assert {(r["run_id"], r["rig"], r["unit"]) for r in of_the_run} == {(begun["id"], "bench-1", "AS-1")}
+    assert "sesame" not in written
+
+
+def test_serve_logs_json_on_standard_error_from_beginning_to_end(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("CALRIG_DB", str(tmp_path / "calrig.db"))
+    monkeypatch.setenv("CALRIG_LOG", "json")
+    (tmp_path / "calrig.toml").write_text(CONFIG)
+    command = [*CALRIG, "serve", "--port", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        (url,) = re.findall(r"http://[^, ]+", process.stdout.readline())
+        httpx.post(
+            f"{url}/api/runs", json={"unit": "A", "plan": {"sweeps": 50}}, timeout=20
+        ).raise_for_status()
+        process.send_signal(signal.SIGTERM)
+        _, err = process.communicate(timeout=10)
+    said = [json.loads(line) for line in err.splitlines()]
+    assert [line["run_id"] for line in said if "interrupted" in line["message"]] == ["1"]
+
+
+def test_an_unknown_form_is_2(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert "there is no form 'xml'" in reason("serve", "--log-format", "xml", status=2)
