@@ -40,6 +40,7 @@ async function request(path, options) {
     throw new Unreachable();
   }
   if (response.ok) return response.json();
+  if (response.status === 401 && path !== "/api/login") window.dispatchEvent(new Event("calrig:login"));
   throw await refusal(response);
 }
 

@@ -31,13 +31,20 @@ function ask({ title, text, action, fields, kind }, act) {
     h("div", { class: "buttons end" }, cancel, confirm),
   );
   const dialog = h("dialog", { "aria-labelledby": "ask-title" }, form);
+  const view = document.getElementById("view");
   document.body.append(dialog);
   return new Promise((resolve) => {
     let done = false;
     cancel.addEventListener("click", () => dialog.close());
     dialog.addEventListener("close", () => {
       dialog.remove();
+      view.inert = false;
       resolve(done);
+    });
+    dialog.addEventListener("keydown", (event) => {
+      if (event.key !== "Escape") return;
+      event.stopPropagation(); // on a live page the key alone stops the stage
+      dialog.close();
     });
     form.addEventListener("submit", async (event) => {
       event.preventDefault();
@@ -53,6 +60,7 @@ function ask({ title, text, action, fields, kind }, act) {
         confirm.disabled = false;
       }
     });
-    dialog.showModal();
+    view.inert = true; // not a modal dialog: the stop buttons above it must take a click at any time
+    dialog.show();
   });
 }

@@ -1,6 +1,6 @@
 // Figures as the service draws them, in the colours of the page's theme.
 
-import { h } from "./dom.js";
+import { fill, h } from "./dom.js";
 import { ApiError, get } from "./api.js";
 
 const CONFIG = { responsive: true, displayModeBar: false, doubleClick: "reset" };
@@ -63,7 +63,7 @@ export class Chart {
   #say(error) {
     if (this.signal?.aborted) return;
     if (!(error instanceof ApiError)) throw error;
-    this.problem.textContent = error.message;
+    fill(this.problem, error.message);
     this.problem.hidden = false;
   }
 }

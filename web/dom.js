@@ -1,5 +1,13 @@
 // Elements without innerHTML: whatever comes from the service or a person ends up as text.
 
+// Controls that have no look of their own, those among them that turn the direction of what stands around.
+const UNSEEN = /[\u0000-\u0008\u000b-\u001f\u007f-\u009f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u2069\ufeff]/g;
+
+/** A text as it can be read: a control in it is shown by its code, so that no text poses as another one. */
+export function visible(text) {
+  return text.replace(UNSEEN, (sign) => `\\u${sign.charCodeAt(0).toString(16).padStart(4, "0")}`);
+}
+
 /**
  * An element. `props` are attributes, except `on` (listeners by event); `true` sets a bare attribute,
  * null, undefined and false leave it out. Children are nodes, texts, or arrays of both.
@@ -13,17 +21,18 @@ export function h(tag, props = {}, ...children) {
       element.setAttribute(name, value === true ? "" : String(value));
     }
   }
-  element.append(...children.flat(Infinity).filter(isShown));
+  element.append(...shown(children));
   return element;
 }
 
-function isShown(child) {
-  return child !== null && child !== undefined && child !== false;
+function shown(children) {
+  const kept = children.flat(Infinity).filter((child) => child !== null && child !== undefined && child !== false);
+  return kept.map((child) => (child instanceof Node ? child : visible(String(child))));
 }
 
 /** Replaces what an element holds; null and false among the children are left out. */
 export function fill(element, ...children) {
-  element.replaceChildren(...children.flat(Infinity).filter(isShown));
+  element.replaceChildren(...shown(children));
 }
 
 export function unitHref(serial) {
@@ -66,7 +75,7 @@ export function errorLine(id) {
   return {
     element,
     say(error) {
-      element.textContent = error ? error.message : "";
+      element.textContent = error ? visible(error.message) : "";
       element.hidden = !error;
     },
   };

@@ -2,8 +2,11 @@
 
 import { fill, h } from "./dom.js";
 import { watchHealth } from "./health.js";
+import { loginState, loginView, logOut } from "./login.js";
+import { watchRigs } from "./rigs.js";
 import { startView } from "./start.js";
 import { runView } from "./run.js";
+import { stopButtons } from "./stop.js";
 import { unitsView, unitView } from "./units.js";
 import { compareView } from "./compare.js";
 import { importView } from "./import.js";
@@ -21,9 +24,13 @@ const ROUTES = [
 ];
 
 const root = document.getElementById("view");
+const stop = document.getElementById("stop");
+const leave = document.getElementById("log-out");
 let leaving = new AbortController();
+let locked = false;
 
 async function show({ focus }) {
+  if (locked) return;
   leaving.abort();
   leaving = new AbortController();
   const { signal } = leaving;
@@ -81,5 +88,40 @@ document.querySelector(".skip").addEventListener("click", (event) => {
   event.preventDefault(); // the hash is the router's
   root.focus();
 });
+
+/** Asks whether to log in, then shows what the address says. */
+async function begin() {
+  try {
+    const { needed, logged_in } = await loginState();
+    if (needed && !logged_in) return lock();
+    leave.hidden = !logged_in;
+  } catch (error) {
+    if (error.status === undefined) throw error; // the view below and the banner tell the rest
+  }
+  stop.hidden = false;
+  watchRigs();
+  show({ focus: false });
+}
+
+/** The login in place of the view, at the beginning or when a session has run out. */
+function lock() {
+  if (locked) return;
+  locked = true;
+  leaving.abort();
+  stop.hidden = true;
+  leave.hidden = true;
+  document.title = "Log in · calrig";
+  loginView(root, () => {
+    locked = false;
+    begin();
+  });
+}
+
+window.addEventListener("calrig:login", lock);
+leave.addEventListener("click", async () => {
+  await logOut();
+  lock();
+});
 watchHealth(document.getElementById("banner"));
-show({ focus: false });
+stopButtons(stop, document.getElementById("stop-line"));
+begin();

@@ -5,11 +5,13 @@ import { askReason } from "./ask.js";
 import { Chart } from "./charts.js";
 import { DiagnosisPanel } from "./diagnosis.js";
 import { errorLine, fill, h, tableBox } from "./dom.js";
+import { wayOn } from "./interrupted.js";
 import { LivePanel, TERMINAL } from "./live.js";
 import { PoseTable } from "./poses.js";
 import { provenanceDetails } from "./provenance.js";
 import { resultCard } from "./result.js";
 import { downloads, faultLine, heading } from "./runhead.js";
+import { preferRig } from "./stop.js";
 import { follow } from "./stream.js";
 import { Timeline } from "./timeline.js";
 
@@ -65,6 +67,7 @@ class RunPage {
     signal.addEventListener("abort", () => clearTimeout(this.timer));
     window.addEventListener("keydown", (event) => this.#escape(event), { signal });
     this.#show(run);
+    preferRig(run.rig);
   }
 
   async begin() {
@@ -119,7 +122,12 @@ class RunPage {
       this.spoken.textContent = `Run ${run.id} is ${run.status}`;
     this.run = run;
     for (const part of this.ofPoses) part.hidden = run.plan?.kind === "static";
-    fill(this.header, heading(run), this.ended && !run.voided && this.#voidButton());
+    fill(
+      this.header,
+      heading(run),
+      wayOn(run, (verb) => this.#goOn(verb)),
+      this.ended && !run.voided && this.#voidButton(),
+    );
     this.live.show(run);
     this.result.hidden = !run.result;
     if (run.result) fill(this.result, resultCard(run), downloads(run, this.path));
@@ -173,6 +181,17 @@ class RunPage {
       const run = await post(`${this.path}/${verb}`);
       if (!this.ended) this.#show(run);
       this.live.hold(verb === "pause");
+    } catch (error) {
+      this.#say(error);
+    }
+  }
+
+  /** Takes an interrupted run up again, and follows it; or leaves it as it is. */
+  async #goOn(verb) {
+    this.error.say(null);
+    try {
+      this.#show(await post(`${this.path}/${verb}`));
+      await this.begin();
     } catch (error) {
       this.#say(error);
     }

@@ -2,6 +2,7 @@
 
 import { h, runHref, statusPill, unitHref, unitLink } from "./dom.js";
 import { moment } from "./format.js";
+import { interruptions } from "./interrupted.js";
 
 export function heading(run) {
   return h(
@@ -19,6 +20,7 @@ export function heading(run) {
       h("span", {}, run.finished_at ? "finished " : "created ", moment(run.finished_at ?? run.created_at)),
     ),
     run.note && h("p", { class: "note" }, run.note),
+    interruptions(run),
     run.error && h("p", { class: "error", id: "run-reason", role: "alert" }, run.error),
     run.voided &&
       h(

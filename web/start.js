@@ -4,9 +4,9 @@ import { get, post } from "./api.js";
 import { errorLine, field, fill, h, runHref, statusPill } from "./dom.js";
 import { planForm } from "./plan.js";
 import { portsLook } from "./ports.js";
+import { onRigs } from "./rigs.js";
 import { runList } from "./runlist.js";
 
-const REFRESH_MS = 3000;
 const OPERATOR_KEY = "calrig.operator";
 
 export async function startView({ root, signal }) {
@@ -116,20 +116,13 @@ function showRigs(list, rigs) {
   );
 }
 
-/** Rigs are looked at every few seconds; the runs only when a rig's doings have changed. */
+/** The rigs as they change; the runs only then, too. */
 function keepFresh(rigList, runs, rigs, signal) {
   let before = JSON.stringify(rigs);
-  const timer = setInterval(async () => {
-    if (document.hidden) return;
-    try {
-      const now = await get("/api/rigs", signal);
-      if (JSON.stringify(now) === before) return;
-      before = JSON.stringify(now);
-      showRigs(rigList, now);
-      await runs.refresh();
-    } catch (error) {
-      if (error.status === undefined && error.name !== "AbortError") throw error; // the banner tells the rest
-    }
-  }, REFRESH_MS);
-  signal.addEventListener("abort", () => clearInterval(timer));
+  onRigs((now) => {
+    if (JSON.stringify(now) === before) return;
+    before = JSON.stringify(now);
+    showRigs(rigList, now);
+    runs.refresh();
+  }, signal);
 }

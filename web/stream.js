@@ -6,13 +6,18 @@ const RETRY_MS = 2000;
 /**
  * Follows a run until `signal` aborts or `stop()` is called. `on[type](data)` is called once an event,
  * however often the line breaks: the sequence number in `id:` tells what was there before.
+ *
+ * A browser grants a service six connections for all its tabs. A tab that nobody sees lets its own go, so that
+ * many of them never keep a stop from getting through.
  */
 export function follow(runId, on, signal) {
   let source;
   let retry;
   let seen = 0;
+  let over = false;
 
   function open() {
+    if (over || document.hidden) return;
     source = new EventSource(`/api/runs/${encodeURIComponent(runId)}/events`);
     for (const type of TYPES) source.addEventListener(type, receive);
     source.addEventListener("error", mend);
@@ -34,12 +39,19 @@ export function follow(runId, on, signal) {
     retry = setTimeout(open, RETRY_MS);
   }
 
-  function stop() {
+  function reopen() {
     clearTimeout(retry);
-    source.close();
+    source?.close();
+    open();
+  }
+
+  function stop() {
+    over = true;
+    reopen();
   }
 
   signal.addEventListener("abort", stop);
+  document.addEventListener("visibilitychange", reopen, { signal });
   open();
   return { stop };
 }

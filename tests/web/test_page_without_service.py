@@ -72,6 +72,8 @@ def test_a_service_that_dies_is_said_to_be_gone_and_its_run_to_be_interrupted_wh
     expect(page.locator("#banner")).to_contain_text("Lost connection")
     page.click("#abort")
     expect(page.locator("#run-error")).to_contain_text("does not answer")
+    page.click("button.stop")
+    expect(page.locator("#stop-line")).to_contain_text("cut its motor power")
 
     serve(free_port)
     expect(page.locator("#banner")).to_be_hidden()

@@ -1,0 +1,76 @@
+"""The page of a service that asks for a token: logging in, out, and a session that ends meanwhile."""
+
+from __future__ import annotations
+
+import httpx
+import pytest
+from page_help import measured
+from support import LONG, serving
+
+from calrig.api.access import Access
+
+pytestmark = pytest.mark.browser
+
+TOKEN = "the-benches-of-building-4"
+
+
+@pytest.fixture
+def client(service):
+    """A program that knows the token of its service."""
+    with serving(service, access=Access(TOKEN, patience_s=0.1)) as client:
+        client.headers["Authorization"] = f"Bearer {TOKEN}"
+        yield client
+
+
+def log_in(page, token=TOKEN):
+    page.fill("#token", token)
+    page.keyboard.press("Enter")
+
+
+def test_a_person_logs_in_works_and_logs_out(page, go, expect, forgiven):
+    forgiven.append("status of 401")
+    go("#/units")
+    expect(page.locator("h1")).to_have_text("Log in")
+    expect(page.locator("button.stop")).to_have_count(0)
+    log_in(page, "not the right one")
+    expect(page.locator("#login-error")).to_have_text("This is not the service's token.")
+    log_in(page)
+    expect(page.locator("h1")).to_have_text("Units")
+    expect(page.locator("button.stop")).to_be_visible()
+    assert page.evaluate("document.cookie") == ""
+    assert TOKEN not in page.evaluate("JSON.stringify([{...localStorage}, {...sessionStorage}])")
+
+    page.reload()
+    expect(page.locator("h1")).to_have_text("Units")
+    page.click("#log-out")
+    expect(page.locator("h1")).to_have_text("Log in")
+    page.reload()
+    expect(page.locator("h1")).to_have_text("Log in")
+
+
+def test_a_session_that_ends_while_a_run_is_watched_asks_again_and_the_run_is_there(
+    page, client, go, expect, forgiven
+):
+    forgiven.append("status of 401")
+    run = client.post("/api/runs", json={"unit": "A", "plan": LONG}).raise_for_status().json()
+    go(f"#/runs/{run['id']}")
+    log_in(page)
+    expect(page.locator("#poses-table tbody tr").nth(1)).to_be_visible()
+    cookies = {cookie["name"]: cookie["value"] for cookie in page.context.cookies()}
+    httpx.post(client.base_url.join("/api/logout"), cookies=cookies).raise_for_status()
+
+    expect(page.locator("h1")).to_have_text("Log in")
+    log_in(page)
+    expect(page.locator("h1")).to_contain_text(f"Run {run['id']}")
+    expect(page.locator("#status")).to_have_text("running")
+    page.click("button.stop")
+    expect(page.locator("#status")).to_have_text("aborted")
+
+
+def test_what_is_taken_home_comes_with_the_session(page, client, go):
+    run = measured(client, "A")
+    go(f"#/runs/{run['id']}")
+    log_in(page)
+    with page.expect_download() as download:
+        page.get_by_role("link", name="Poses (CSV)").click()
+    assert download.value.path().read_text().startswith("target_deg,reading_deg")

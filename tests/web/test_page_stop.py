@@ -1,0 +1,141 @@
+"""The stop button: in view on every page, one click or key, while a run goes on and while nothing does."""
+
+from __future__ import annotations
+
+import pytest
+from page_help import imported
+from support import LONG, ended, running_service, serving
+
+from calrig.settings import BoardSettings, RigSettings, StageSettings
+
+pytestmark = pytest.mark.browser
+
+ON_TOP = """button => {
+  const { left, top, width, height } = button.getBoundingClientRect();
+  const inside = left >= 0 && top >= 0 && left + width <= innerWidth && top + height <= innerHeight;
+  const hit = document.elementFromPoint(left + width / 2, top + height / 2);
+  return inside && height >= 40 && button.contains(hit);
+}"""
+HIDE, SHOW = (
+    f"""Object.defineProperty(document, "hidden", {{ value: {hidden}, configurable: true }});
+    document.dispatchEvent(new Event("visibilitychange"));"""
+    for hidden in ("true", "false")
+)
+"""What a browser does when another tab is looked at; without a screen it takes all tabs for seen."""
+DESK, PHONE = {"width": 1280, "height": 900}, {"width": 360, "height": 640}
+
+
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+def test_it_is_in_view_on_every_page_wherever_that_is_scrolled_to(page, client, go, expect, size):
+    run = imported(client, "A")
+    page.set_viewport_size(size)
+    views = [
+        "#/",
+        f"#/runs/{run['id']}",
+        "#/units",
+        "#/units/A",
+        "#/compare?unit=A",
+        "#/noise",
+        "#/import",
+        "#/none",
+    ]
+    for view in views:
+        go(view)
+        expect(page.locator("h1")).to_be_visible()
+        page.evaluate("scrollTo(0, document.body.scrollHeight)")
+        button = page.locator("button.stop")
+        expect(button).to_have_text("Stop bench-1")
+        assert button.evaluate(ON_TOP), view
+        assert page.evaluate("document.documentElement.scrollWidth") <= size["width"], view
+
+
+def test_one_click_on_any_page_stops_the_run_and_says_so(page, client, go, expect):
+    run = client.post("/api/runs", json={"unit": "A", "plan": LONG}).raise_for_status().json()
+    go("#/units")
+    page.click("button.stop")
+    expect(page.locator("#stop-line")).to_contain_text("bench-1: the stage was told to stop.")
+    assert ended(client, run["id"])["status"] == "aborted"
+
+
+def test_a_stage_that_stands_by_itself_is_told_too(page, go, expect):
+    go("#/")
+    page.click("button.stop")
+    expect(page.locator("#stop-line")).to_have_text("bench-1: the stage was told to stop.")
+
+
+def test_the_keyboard_reaches_it_in_three_steps(page, client, go, expect):
+    run = client.post("/api/runs", json={"unit": "A", "plan": LONG}).raise_for_status().json()
+    go(f"#/runs/{run['id']}")
+    expect(page.locator("#abort")).to_be_visible()
+    for _ in range(3):
+        page.keyboard.press("Tab")
+    expect(page.locator("button.stop")).to_be_focused()
+    page.keyboard.press("Enter")
+    expect(page.locator("#status")).to_have_text("aborted")
+
+
+def test_a_question_that_waits_for_its_answer_does_not_stand_before_it(page, client, go, expect):
+    old = imported(client, "A")
+    run = client.post("/api/runs", json={"unit": "B", "plan": LONG}).raise_for_status().json()
+    go(f"#/runs/{old['id']}")
+    page.click("#void")
+    expect(page.locator("#reason")).to_be_focused()
+    page.click("button.stop")
+    assert ended(client, run["id"])["status"] == "aborted"
+    page.focus("#reason")
+    page.keyboard.press("Escape")
+    expect(page.locator("dialog")).to_have_count(0)
+
+
+def test_a_tab_that_nobody_sees_holds_no_connection_that_a_stop_might_need(page, client, go, expect):
+    """A browser opens six to one service: six tabs that watch a run would keep the seventh from stopping."""
+    run = client.post("/api/runs", json={"unit": "A", "plan": LONG}).raise_for_status().json()
+    go(f"#/runs/{run['id']}")
+    rows = page.locator("#poses-table tbody tr")
+    expect(rows.first).to_be_visible()
+    with page.expect_event("requestfailed", lambda request: request.url.endswith("/events")):
+        page.evaluate(HIDE)
+    with page.expect_request("**/events"):
+        page.evaluate(SHOW)
+    page.click("button.stop")
+    expect(page.locator("#status")).to_have_text("aborted")
+    indices = rows.evaluate_all("rows => rows.map(row => Number(row.dataset.pose))")
+    assert indices == list(range(len(indices)))
+
+
+def test_a_stage_that_cannot_be_told_is_said_to_be_so_with_what_to_do(
+    fresh_page, store_path, expect, forgiven
+):
+    forgiven.append("status of 409")
+    with running_service(store_path, absent("bench-9")) as service, serving(service) as client:
+        fresh_page.goto(str(client.base_url))
+        fresh_page.click("button.stop")
+        line = fresh_page.locator("#stop-line")
+        expect(line).to_contain_text("bench-9 was not stopped")
+        expect(line).to_contain_text("cut its motor power")
+        fresh_page.goto("about:blank")
+
+
+def test_of_many_rigs_one_is_chosen_and_a_runs_own_is_chosen_on_its_page(fresh_page, rig, store_path, expect):
+    rigs = [*(absent(f"bench-{k}") for k in (7, 8, 9)), rig]
+    with running_service(store_path, *rigs) as service, serving(service) as client:
+        run = client.post("/api/runs", json={"unit": "A", "rig": rig.name, "plan": LONG}).json()
+        fresh_page.goto(str(client.base_url.join(f"/#/runs/{run['id']}")))
+        button = fresh_page.locator("button.stop")
+        expect(button).to_have_text("Stop bench-1")
+        fresh_page.select_option("#stop-rig", "bench-8")
+        expect(button).to_have_text("Stop bench-8")
+        fresh_page.select_option("#stop-rig", "bench-1")
+        button.click()
+        expect(fresh_page.locator("#status")).to_have_text("aborted")
+        fresh_page.goto("about:blank")
+
+
+def absent(name):
+    """A rig whose cables are not plugged in."""
+    stage, imu = (f"/dev/serial/by-id/absent-{name}-{part}" for part in ("stage", "imu"))
+    return RigSettings(
+        name=name,
+        stage=StageSettings(driver="smc100", port=stage),
+        imu=BoardSettings(driver="calrig", port=imu),
+    )
