@@ -225,12 +225,17 @@ def _service(
     with ExitStack() as stack:
         with ThreadPoolExecutor(1) as beside:
             starting = beside.submit(lambda: [stack.enter_context(_with_ports(rig)) for rig in rigs])
-            from calrig.runs.recovery import interrupt_left_behind
+            from calrig.runs.recovery import mark_interrupted, stop_stages
             from calrig.runs.service import RunService
             from calrig.store import Store
 
-            store = stack.enter_context(Store.open(url, writer=what))
-            interrupt_left_behind(store, {rig.name: rig for rig in settings.rig})
+            configured, troubles = {rig.name: rig for rig in settings.rig}, dict[str, str]()
+
+            def stop(rig_names: Sequence[str]) -> None:
+                troubles.update(stop_stages(rig_names, configured))
+
+            store = stack.enter_context(Store.open(url, writer=what, left_by_the_dead=stop))
+            mark_interrupted(store, troubles)
             powered = starting.result()
         service = RunService(store, powered, record)
         stack.callback(service.close)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -27,8 +28,9 @@ AccelRange = Annotated[
 GyroRange = Annotated[
     int | None, typer.Option("--gyro-range", metavar="DPS", min=1, help="Full scale of gyro counts, °/s.")
 ]
-LARGEST_FILE = 1_500_000_000
-"""Bytes that are read of a file; what it holds may be bounded further."""
+LARGEST_LOG = 1_500_000_000
+"""Bytes; more than a day at 200 Hz."""
+LARGEST_POSES = 50_000_000
 READING = 0.4
 """Share of an analysis of noise that goes into reading its file."""
 
@@ -201,7 +203,10 @@ def _log_of(
 
     try:
         return read_static(
-            read_bytes(file), accel_range_g=accel_range, gyro_range_dps=gyro_range, progress=progress
+            read_bytes(file, LARGEST_LOG),
+            accel_range_g=accel_range,
+            gyro_range_dps=gyro_range,
+            progress=progress,
         )
     except CsvError as error:
         raise InputError(f"{file}: {error}") from error
@@ -231,15 +236,16 @@ def _poses_of(file: Path) -> tuple[list[Pose], list[str]]:
     return imported.poses, imported.warnings
 
 
-def read_bytes(file: Path) -> bytes:
-    """The file's content, or InputError that says why not."""
+def read_bytes(file: Path, limit: int = LARGEST_POSES) -> bytes:
+    """The file's content, or InputError that says why not; a file that says its size is not read in vain."""
     try:
         with file.open("rb") as opened:
-            content = opened.read(LARGEST_FILE + 1)
+            is_larger = os.fstat(opened.fileno()).st_size > limit
+            content = b"" if is_larger else opened.read(limit + 1)
     except OSError as error:
         raise InputError(f"{file}: cannot be read ({error.strerror})") from error
-    if len(content) > LARGEST_FILE:
-        raise InputError(f"{file}: has more than {LARGEST_FILE} bytes, and no more are read")
+    if is_larger or len(content) > limit:
+        raise InputError(f"{file}: has more than {limit} bytes, and no more are read")
     return content
 
 

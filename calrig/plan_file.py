@@ -9,6 +9,9 @@ from pydantic import ValidationError
 
 from calrig.plan import Plan
 
+LARGEST = 1_000_000
+"""Bytes: ten thousand elevations take a tenth of them."""
+
 
 class PlanFileError(Exception):
     """The file is not a plan; the message says where and why."""
@@ -21,7 +24,11 @@ def read_plan(file: Path) -> Plan:
         PlanFileError: the file cannot be read, is not JSON, or has an unknown key or a wrong value.
     """
     try:
-        text = file.read_text(encoding="utf-8-sig")
+        with file.open("rb") as opened:
+            content = opened.read(LARGEST + 1)
+        if len(content) > LARGEST:
+            raise PlanFileError(f"{file}: has more than {LARGEST} bytes, which is no plan")
+        text = content.decode("utf-8-sig")
         return Plan.model_validate(json.loads(text))
     except OSError as error:
         raise PlanFileError(f"{file}: cannot be read ({error.strerror})") from error

@@ -12,6 +12,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
+from calrig.cli_errors import printable
 from calrig.noise.units import bias_instability, level, white_density
 
 PATIENCE_S = 2.0
@@ -25,7 +26,7 @@ def late_bar(what: str, patience_s: float = PATIENCE_S) -> Iterator[Callable[[fl
     begun_s = time.monotonic()
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn())
     progress = Progress(*columns, TimeRemainingColumn(), console=console, transient=True)
-    bar = progress.add_task(what, total=1.0)
+    bar = progress.add_task(printable(what), total=1.0)
 
     def show(share: float) -> None:
         progress.update(bar, completed=share)
@@ -87,7 +88,7 @@ def _print_table(headings: Iterable[str], rows: Iterable[tuple[str, ...]], capti
 def _print_sentences(sentences: Iterable[str]) -> None:
     console = Console(soft_wrap=True, highlight=False)
     for sentence in sentences:
-        console.print(Text(f"· {sentence}"))
+        console.print(Text(printable(f"· {sentence}")))
 
 
 def _number(value: float | None, form: str, unit: str = "") -> str:

@@ -71,7 +71,7 @@ def api(lifespan: Lifespan[FastAPI] | None = None) -> FastAPI:
         summary="Calibrates IMU attitude sensors on a rotary stage",
         lifespan=lifespan,
         openapi_url="/api/openapi.json",
-        responses=errors.problems_in_json(401, 403, 429, 503),  # the guard's and the store's, of any path
+        responses=errors.problems_in_json(401, 403, 408, 413, 422, 429, 503),  # of any path
         docs_url=None,  # its pages load their scripts from another host
         redoc_url=None,
     )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import socket
 from typing import Any
 
 import h11
@@ -21,6 +22,8 @@ UNREAD_S = 30.0
 """How long an answer may wait for its client to read the next tens of kilobytes of it."""
 UNREAD_BYTES = 50_000_000
 """What all clients together may leave unread; beyond it those waited for longest are cut off."""
+SEND_BUFFER = 131_072
+"""Bytes that the system holds of what is on its way to a client; left to itself, it holds megabytes."""
 MOST = 400
 """Connections at once: files and ports need descriptors too, and many systems give a process 1,024."""
 
@@ -36,6 +39,7 @@ class PatientProtocol(H11Protocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Takes the connection; where there are too many, in the place of one that has asked for nothing."""
         super().connection_made(transport)
+        transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
         self._look()
         if len(self.connections) > MOST:
             others = [c for c in self._patient() if c is not self and c.is_waiting_for_head]

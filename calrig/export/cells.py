@@ -12,7 +12,19 @@ LARGEST = 1e30
 
 NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 """A decimal number; unlike `float`, neither `1_000` nor digits of other scripts."""
+_FORMULA = re.compile(r"'*[=+\-@＝＋－＠]")
+"""What a spreadsheet would take for a formula: our own quotes, then what begins one."""
 _UNKNOWN = frozenset({"", "nan", "na", "n/a", "null", "none"})
+
+
+def for_spreadsheet(text: str) -> str:
+    """A text for a cell; one that a spreadsheet would reckon as a formula gets a quote before it."""
+    return f"'{text}" if _FORMULA.match(text) else text
+
+
+def from_spreadsheet(text: str) -> str:
+    """The text that `for_spreadsheet` made a cell of."""
+    return text[1:] if text.startswith("'") and _FORMULA.match(text) else text
 
 
 class CsvError(ValueError):

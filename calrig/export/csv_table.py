@@ -1,20 +1,23 @@
-"""Any bytes → a rectangular table of texts with line numbers, or an error that says where; bounded."""
+"""Any bytes → rectangular tables of texts with line numbers, or an error that says where; bounded."""
 
 from __future__ import annotations
 
 import csv
 import io
+from array import array
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from calrig.export.cells import NUMBER, Cells, CsvError
+from calrig.export.cells import NUMBER, Cells, CsvError, from_spreadsheet
 
 MAX_BYTES = 50_000_000
 MAX_COLUMNS = 200
 MAX_ROWS = 100_000
-MAX_CELLS = 4_000_000
+MAX_CELLS = 2_000_000
 """Bounds what a file of short cells takes in memory."""
 MAX_ROW_CHARACTERS = 1_000_000
+BATCH_CELLS = 50_000
+"""Held as texts at once, which take ten times the memory of numbers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,15 +27,18 @@ class Table:
     header: list[str]
     header_line: int
     rows: list[list[str]]
-    lines: list[int]
+    lines: Sequence[int]
 
     def column(self, place: int) -> Cells:
         """The cells of one column."""
         return Cells(self.header[place], [row[place] for row in self.rows], self.lines)
 
 
-def read_table(data: bytes, required: Sequence[str], *, max_rows: int = MAX_ROWS) -> Table:
+def read_tables(data: bytes, required: Sequence[str], *, max_rows: int = MAX_ROWS) -> Iterator[Table]:
     """Reads UTF-8 CSV with a header row; BOM, CRLF and blank lines are accepted.
+
+    Yields:
+        The rows in the order of the file, some at a time, each time under the same header.
 
     Raises:
         CsvError: not UTF-8, empty, no rows, a required column missing, a name twice, a ragged row, broken
@@ -40,78 +46,103 @@ def read_table(data: bytes, required: Sequence[str], *, max_rows: int = MAX_ROWS
     """
     if len(data) > MAX_BYTES:
         raise CsvError(f"the file has {len(data)} bytes; at most {MAX_BYTES} are read")
-    rows = _parsed(_decode(data), 1)
+    rows = _parsed(data, 0, 1, "utf-8-sig")
     line, names = next(rows, (0, []))
     if not names:
         raise CsvError("the file is empty")
-    table = Table(_header(names, line, required), line, [], [])
-    _fill(table, rows, max_rows)
-    if not table.rows:
+    header = _header(names, line, required)
+    n = 0
+    for table in _batches(rows, header, line):
+        n += len(table.rows)
+        if n > max_rows:
+            at = table.lines[len(table.rows) - (n - max_rows)]
+            raise CsvError(f"the file has more than {max_rows} rows", line=at)
+        if n * len(header) > MAX_CELLS:
+            at = table.lines[MAX_CELLS // len(header) - (n - len(table.rows))]
+            raise CsvError(f"the file has more than {MAX_CELLS} cells", line=at)
+        yield table
+    if n == 0:
         raise CsvError("the file has a header and no rows", line=line)
-    return table
 
 
 def read_header(line_of_names: bytes, line: int) -> list[str]:
-    """The column names in a header row that stands in this line, checked as `read_table` does."""
-    return _header(next(_parsed(_decode(line_of_names, line), line))[1], line, ())
+    """The column names in a header row that stands in this line, checked as `read_tables` does."""
+    return _header(next(_parsed(line_of_names, 0, line))[1], line, ())
 
 
-def read_rows(data: bytes, header: list[str], first_line: int) -> Table:
-    """Reads rows under a header read before; the first of them stands in `first_line`."""
-    table = Table(header, first_line, [], [])
-    _fill(table, _parsed(_decode(data, first_line), first_line), MAX_CELLS)
-    return table
+def read_rows(data: bytes, first: int, header: list[str], first_line: int) -> Iterator[Table]:
+    """Reads rows under a header read before, from byte `first` on, which begins line `first_line`."""
+    return _batches(_parsed(data, first, first_line), header, first_line)
 
 
-def _parsed(text: str, first_line: int) -> Iterator[tuple[int, list[str]]]:
+def _batches(rows: Iterator[tuple[int, list[str]]], header: list[str], header_line: int) -> Iterator[Table]:
+    most = max(1, BATCH_CELLS // len(header))
+    held: list[list[str]] = []
+    lines = array("q")
+    for line, row in rows:
+        _check_row(row, len(header), line)
+        held.append(row)
+        lines.append(line)
+        if len(held) == most:
+            yield Table(header, header_line, held, lines)
+            held, lines = [], array("q")
+    if held:
+        yield Table(header, header_line, held, lines)
+
+
+def _parsed(
+    data: bytes, first: int, first_line: int, encoding: str = "utf-8"
+) -> Iterator[tuple[int, list[str]]]:
     """Rows that are not blank, each with the line it ends in."""
-    lines = _Lines(text, first_line)
+    lines = _Lines(data, first, first_line, encoding)
     reader = csv.reader(lines, strict=True)
     try:
         for row in reader:
-            lines.since_row = 0
             if row:
+                lines.since_row = 0
                 yield first_line - 1 + reader.line_num, row
     except csv.Error as error:
         line = first_line - 1 + max(reader.line_num, 1)
         raise CsvError(f"is not CSV ({error})", line=line) from error
 
 
-def _fill(table: Table, rows: Iterator[tuple[int, list[str]]], max_rows: int) -> None:
-    for line, row in rows:
-        _check_row(table, row, line, max_rows)
-        table.rows.append(row)
-        table.lines.append(line)
-
-
 class _Lines:
-    """The text's lines; refuses a row that has grown without end before it is held as a million cells."""
+    """The text's lines, decoded as they are asked for; refuses a row that has grown without end."""
 
-    def __init__(self, text: str, first_line: int) -> None:
-        self._lines = io.StringIO(text, newline="")
+    def __init__(self, data: bytes, first: int, first_line: int, encoding: str) -> None:
+        self._bytes = io.BytesIO(data)  # shares them
+        self._bytes.seek(first)
+        self._text = io.TextIOWrapper(self._bytes, encoding, newline="")
+        self._data = data
+        self._first = first
         self._first_line = first_line
         self.since_row = 0
 
     def __iter__(self) -> Iterator[str]:
-        for number, line in enumerate(self._lines, start=self._first_line):
+        number = self._first_line
+        while line := self._next_line():
             self.since_row += len(line)
             if self.since_row > MAX_ROW_CHARACTERS:
-                raise CsvError(f"the row is longer than {MAX_ROW_CHARACTERS} characters", line=number)
+                raise CsvError(
+                    f"the row, with blank lines before it, is longer than {MAX_ROW_CHARACTERS} characters",
+                    line=number,
+                )
             yield line
+            number += 1
 
-
-def _decode(data: bytes, first_line: int = 1) -> str:
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = first_line + data.count(b"\n", 0, error.start)
-        raise CsvError(
-            f"is not UTF-8 text (byte 0x{data[error.start]:02X}): save the file as UTF-8", line=line
-        ) from error
+    def _next_line(self) -> str:
+        try:
+            return self._text.readline(MAX_ROW_CHARACTERS + 1)
+        except UnicodeDecodeError as error:
+            at = self._bytes.tell() - len(error.object) + error.start
+            raise CsvError(
+                f"is not UTF-8 text (byte 0x{error.object[error.start]:02X}): save the file as UTF-8",
+                line=self._first_line + self._data.count(b"\n", self._first, at),
+            ) from error
 
 
 def _header(row: list[str], line: int, required: Sequence[str]) -> list[str]:
-    names = [name.strip() for name in row]
+    names = [from_spreadsheet(name.strip()) for name in row]
     if len(names) > MAX_COLUMNS:
         raise CsvError(f"the header has {len(names)} columns; at most {MAX_COLUMNS} are read", line=line)
     for place, name in enumerate(names):
@@ -133,12 +164,7 @@ def _hint(names: list[str]) -> str:
     return ""
 
 
-def _check_row(table: Table, row: list[str], line: int, max_rows: int) -> None:
-    width = len(table.header)
+def _check_row(row: list[str], width: int, line: int) -> None:
     if len(row) != width:
         hint = " (decimals are written with a point)" if len(row) == 2 * width else ""
         raise CsvError(f"has {len(row)} cells where the header has {width}{hint}", line=line)
-    if len(table.rows) >= max_rows:
-        raise CsvError(f"the file has more than {max_rows} rows", line=line)
-    if width * (len(table.rows) + 1) > MAX_CELLS:
-        raise CsvError(f"the file has more than {MAX_CELLS} cells", line=line)

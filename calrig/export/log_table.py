@@ -16,10 +16,10 @@ import numpy as np
 
 from calrig.estimation.angles import FloatArray
 from calrig.export.cells import LARGEST, CsvError
-from calrig.export.csv_table import MAX_BYTES, Table, read_header, read_rows
+from calrig.export.csv_table import MAX_ROW_CHARACTERS, read_header, read_rows
 
 PIECE_BYTES = 2_000_000
-"""As many cells at most, which `csv_table` takes; small beside a log, large beside what a piece costs."""
+"""Small beside a log, large beside what a piece costs."""
 _PLAIN = b"0123456789+-.eE,\nnaNA"
 _SIGNED_NAN = (b"-n", b"-N", b"+n", b"+N")
 _BOM = b"\xef\xbb\xbf"
@@ -55,7 +55,7 @@ def read_log_table(
     max_bytes: int,
     progress: Callable[[float], None] | None = None,
 ) -> LogTable:
-    """Reads the columns whose names are wanted, as `csv_table.read_table` and `Cells.numbers` would.
+    """Reads the columns whose names are wanted, as `csv_table.read_tables` and `Cells.numbers` would.
 
     Args:
         data: UTF-8 CSV with a header row.
@@ -72,10 +72,10 @@ def read_log_table(
     header, header_line, body = _header_of(data)
     places = [place for place, name in enumerate(header) if wanted(name)]
     most = data.count(b"\n", body) + data.count(b"\r", body) + 1
-    values = np.empty((len(places), min(most, max_rows)))
+    most = min(most, max_rows, (len(data) - body) // len(header) + 1)  # a cell takes a byte with its comma
+    values = np.empty((len(places), most))
     n, first_rows, lines = 0, [], []
-    for end, piece, first_line in _pieces(data, body, header_line + 1):
-        read, at = _numbers(piece, header, first_line, places)
+    for end, read, at in _read(data, body, header, header_line + 1, places):
         if n + len(at) > max_rows:
             raise CsvError(f"the file has more than {max_rows} rows", line=at[max_rows - n])
         values[:, n : n + len(at)] = read
@@ -105,40 +105,41 @@ def _header_of(data: bytes) -> tuple[list[str], int, int]:
     return read_header(data[first:end], line), line, begin
 
 
-def _pieces(data: bytes, first: int, line: int) -> Iterator[tuple[int, bytes, int]]:
-    """Where each piece ends, its whole lines, and the line that it begins with."""
+Read = tuple[int, FloatArray, Sequence[int]]
+"""Where it ends in the file, its (columns, rows) numbers, and the line of each row."""
+
+
+def _read(data: bytes, first: int, header: list[str], line: int, places: list[int]) -> Iterator[Read]:
+    """The rows from byte `first` on, which begins this line."""
     if b'"' in data or data.count(b"\r") != data.count(b"\r\n"):  # lines may end where no LF is, or not there
-        if len(data) > MAX_BYTES:
-            raise CsvError(
-                f"the file has {len(data)} bytes; at most {MAX_BYTES} are read where cells have quotes or "
-                "lines end in CR alone"
-            )
-        yield len(data), data[first:], line
+        yield from _read_exactly(data, first, header, line, places)
         return
     while first < len(data):
         end = data.rfind(b"\n", first, first + PIECE_BYTES) + 1 or data.find(b"\n", first) + 1 or len(data)
+        if end - first > max(PIECE_BYTES, 4 * MAX_ROW_CHARACTERS):  # as bytes of UTF-8
+            raise CsvError(f"the row is longer than {MAX_ROW_CHARACTERS} characters", line=line)
         piece = data[first:end]
-        yield end, piece, line
+        plain = _plain(piece, len(header))
+        if plain is not None:
+            yield end, plain.T[places], range(line, line + len(plain))
+        else:
+            for _, read, at in _read_exactly(piece, 0, header, line, places):
+                yield end, read, at
         first = end
         line += piece.count(b"\n")
 
 
-def _numbers(
-    piece: bytes, header: list[str], first_line: int, places: list[int]
-) -> tuple[FloatArray, Sequence[int]]:
-    """(columns, rows) numbers of a piece, and the line of each row."""
-    plain = _plain(piece, len(header))
-    if plain is not None:
-        return plain.T[places], range(first_line, first_line + len(plain))
-    table: Table = read_rows(piece, header, first_line)
-    columns = [table.column(place).numbers() for place in places]
-    return np.array(columns, dtype=np.float64).reshape(len(places), len(table.rows)), table.lines
+def _read_exactly(data: bytes, first: int, header: list[str], line: int, places: list[int]) -> Iterator[Read]:
+    for table in read_rows(data, first, header, line):
+        numbers = [table.column(place).numbers() for place in places]
+        read = np.array(numbers, dtype=np.float64).reshape(len(places), len(table.rows))
+        yield len(data), read, table.lines
 
 
 def _plain(piece: bytes, width: int) -> FloatArray | None:
     """(rows, width) numbers, if the piece is nothing but lines of so many plain numbers and blanks."""
     text = piece.replace(b"\r\n", b"\n").removesuffix(b"\n")
-    if not text or text.translate(None, _PLAIN) or any(signed in text for signed in _SIGNED_NAN):
+    if not text.strip(b"\n") or text.translate(None, _PLAIN) or any(sign in text for sign in _SIGNED_NAN):
         return None
     for _ in range(2):  # of three commas in a row, the middle one is of two pairs
         text = text.replace(b",,", b",nan,")

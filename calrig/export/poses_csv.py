@@ -5,19 +5,19 @@ from __future__ import annotations
 import csv
 import io
 import itertools
-from collections.abc import Sequence
+import math
+from array import array
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from calrig.calibration.pose import COLUMNS, INTEGER, REQUIRED, Pose
-from calrig.export.cells import Cells, CsvError
-from calrig.export.csv_table import read_table
+from calrig.export.cells import Cells, CsvError, for_spreadsheet
+from calrig.export.csv_table import read_tables
 
 __all__ = ["CsvError", "ImportedPoses", "read_poses", "write_poses"]
 
 MAX_COUNT = 2**53
 """The largest whole number that a float holds exactly."""
-
-Column = Sequence[float | int | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,32 +37,32 @@ def read_poses(data: bytes) -> ImportedPoses:
     Raises:
         CsvError: the file is not such a table; says line and column.
     """
-    table = read_table(data, REQUIRED)
+    columns: list[_Column] = []
+    for table in read_tables(data, REQUIRED):
+        columns = columns or [_Column(name) for name in table.header]
+        for place, column in enumerate(columns):
+            column.take(table.column(place))
     warnings: list[str] = []
-    columns: dict[str, Column] = {}
-    for place, name in enumerate(table.header):
-        cells = table.column(place)
-        if name in COLUMNS:
-            columns[name] = _known(cells)
-            continue
-        covariate, why_not = _covariate(cells, table.header_line)
-        if covariate is not None:
-            columns[name] = covariate
-        else:
-            warnings.append(f"column {name or place + 1}: {why_not}; left out")
-    rows = (dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True))
-    return _in_time([Pose.from_row(row) for row in rows], warnings)
+    for place, column in enumerate(columns):
+        if why := column.why_left_out():
+            warnings.append(f"column {column.name or place + 1}: {why}; left out")
+    kept = [column for column in columns if not column.why_left_out()]
+    names = [column.name for column in kept]
+    rows = zip(*(column.values() for column in kept), strict=True)
+    return _in_time([Pose.from_row(dict(zip(names, row, strict=True))) for row in rows], warnings)
 
 
 def write_poses(poses: Sequence[Pose]) -> str:
     """The poses as CSV that `read_poses` reads back exactly; a column known in no pose is left out."""
-    rows = [pose.row() for pose in poses]
-    names = list(dict.fromkeys([*COLUMNS, *(name for row in rows for name in row)]))
-    kept = [n for n in names if n in REQUIRED or any(row.get(n) is not None for row in rows)]
+    names = dict.fromkeys([*COLUMNS, *(name for pose in poses for name in pose.covariates)])
+    known = {name for pose in poses for name, value in pose.row().items() if value is not None}
+    kept = [name for name in names if name in REQUIRED or name in known]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(kept)
-    writer.writerows([_text(row.get(name)) for name in kept] for row in rows)
+    writer.writerow(for_spreadsheet(name) for name in kept)
+    for pose in poses:
+        row = pose.row()
+        writer.writerow(_text(row.get(name)) for name in kept)
     return text.getvalue()
 
 
@@ -70,12 +70,51 @@ def _text(value: float | int | None) -> str:
     return "" if value is None else repr(value)
 
 
-def _known(cells: Cells) -> Column:
-    values = cells.numbers()
+class _Column:
+    """A column as it grows; eight bytes a cell, NaN where it is not known."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._cells = array("d")
+        self._why_not = "" if name else "has no name"
+
+    def take(self, cells: Cells) -> None:
+        """The next cells.
+
+        Raises:
+            CsvError: the column is one of the contract's, and a cell is nothing that it can hold.
+        """
+        if self._why_not:
+            return
+        try:
+            values = cells.numbers()
+        except CsvError as error:
+            if self.name in COLUMNS:
+                raise
+            self._why_not = f"is not numeric (line {error.line}: {error.what})"
+            return
+        _check(cells, values)
+        self._cells.extend(math.nan if value is None else value for value in values)
+
+    def why_left_out(self) -> str:
+        """Why no pose gets this column; empty where they do. A column of the contract is always kept."""
+        if self.name not in COLUMNS and not self._why_not and all(map(math.isnan, self._cells)):
+            self._why_not = "has no values"
+        return self._why_not
+
+    def values(self) -> Iterator[float | int | None]:
+        """The cells, None where not known."""
+        whole = self.name in INTEGER
+        for value in self._cells:
+            yield None if math.isnan(value) else int(value) if whole else value
+
+
+def _check(cells: Cells, values: Sequence[float | None]) -> None:
+    """Refuses what a column of the contract cannot hold."""
     if cells.name in REQUIRED:
         cells.refuse_first(values, lambda value: value is None, "is not known, and a pose needs it")
     if cells.name not in INTEGER:
-        return values
+        return
     cells.refuse_first(values, lambda value: value is not None and not value.is_integer(), "is not whole")
     if cells.name == "approach":
         cells.refuse_first(values, lambda value: value not in {None, -1.0, 0.0, 1.0}, "is none of -1, 0, 1")
@@ -83,23 +122,6 @@ def _known(cells: Cells) -> Column:
         cells.refuse_first(
             values, lambda value: value is not None and not 0 <= value <= MAX_COUNT, "is not a count"
         )
-    return [None if value is None else int(value) for value in values]
-
-
-def _covariate(cells: Cells, header_line: int) -> tuple[Column | None, str]:
-    if not cells.name:
-        return None, "has no name"
-    if cells.name[0] in "=+-@":
-        raise CsvError(
-            "a spreadsheet would take this name for a formula: begin it with a letter",
-            line=header_line,
-            column=cells.name,
-        )
-    try:
-        values = cells.numbers()
-    except CsvError as error:
-        return None, f"is not numeric (line {error.line}: {error.what})"
-    return (values, "") if any(value is not None for value in values) else (None, "has no values")
 
 
 def _in_time(poses: list[Pose], warnings: list[str]) -> ImportedPoses:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
@@ -21,7 +21,8 @@ COLUMNS = (
     "gyro_z_dps",
     "temperature_c",
 )
-_ROWS_A_PIECE = 5000
+_ROWS_A_PIECE = 500
+_CHARACTERS_A_PIECE = 30_000
 
 
 def sample_columns(samples: RawSamples) -> dict[str, FloatArray]:
@@ -36,18 +37,33 @@ def sample_columns(samples: RawSamples) -> dict[str, FloatArray]:
     return columns
 
 
-def write_samples_csv(samples: RawSamples) -> Iterator[str]:
-    """The samples as CSV, piece by piece; a number reads back exactly, NaN is an empty cell."""
-    named = sample_columns(samples)
-    columns = named.values()
-    yield ",".join(named) + "\n"
-    for first in range(0, len(samples), _ROWS_A_PIECE):
-        piece = (column[first : first + _ROWS_A_PIECE].tolist() for column in columns)
-        text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerows(
-            ["" if math.isnan(value) else repr(value) for value in row] for row in zip(*piece, strict=True)
-        )
-        yield text.getvalue()
+def write_samples_csv(blocks: Iterable[RawSamples]) -> Iterator[str]:
+    """The samples as CSV, piece by piece; a number reads back exactly, NaN is an empty cell.
+
+    Args:
+        blocks: one after the other; the first says whether the board sends its angle.
+    """
+    names: list[str] = []
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    for block in blocks:
+        columns = sample_columns(block)
+        if not names:
+            names = list(columns)
+            writer.writerow(names)
+        for first in range(0, len(block), _ROWS_A_PIECE):
+            piece = (columns[name][first : first + _ROWS_A_PIECE].tolist() for name in names)
+            writer.writerows(
+                ["" if math.isnan(value) else repr(value) for value in row]
+                for row in zip(*piece, strict=True)
+            )
+            if text.tell() > _CHARACTERS_A_PIECE:
+                yield text.getvalue()
+                text.seek(0)
+                text.truncate()
+    if not names:
+        writer.writerow(COLUMNS)
+    yield text.getvalue()
 
 
 def write_samples_npz(samples: RawSamples) -> bytes:

@@ -63,6 +63,7 @@ def read_static(
     *,
     accel_range_g: float | None = None,
     gyro_range_dps: float | None = None,
+    max_samples: int = MAX_SAMPLES,
     progress: Callable[[float], None] | None = None,
 ) -> StaticLog:
     """Reads a log of samples.
@@ -75,6 +76,7 @@ def read_static(
         data: the file's content.
         accel_range_g: full scale of the accelerometer's counts, in g.
         gyro_range_dps: full scale of the gyro's counts, in degrees per second.
+        max_samples: more are refused.
         progress: told the share of the file that has been read, from 0 to 1.
 
     Raises:
@@ -85,7 +87,7 @@ def read_static(
     for sensor, full_scale in ranges.items():
         if full_scale is not None and not (math.isfinite(full_scale) and full_scale > 0.0):
             raise ValueError(f"the range of the {sensor} is {full_scale}; it must be above 0")
-    table = read_log_table(data, _is_known, max_rows=MAX_SAMPLES, max_bytes=MAX_BYTES, progress=progress)
+    table = read_log_table(data, _is_known, max_rows=max_samples, max_bytes=MAX_BYTES, progress=progress)
     _refuse_two_units(table.header, table.header_line)
     warnings: list[str] = []
     channels: dict[str, FloatArray] = {}

@@ -120,6 +120,9 @@ def test_the_compiled_header_gives_pythons_elevation_to_a_ten_thousandth_of_a_de
         "Ünit № ٣",
         "\u202e\u2066",
         "x" * 5000,
+        'a"b',
+        "ends in \\\\",
+        "\\u2028#error oops",
     ],
 )
 def test_no_serial_number_breaks_the_header(unit, tmp_path):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from calrig.export import log_table
 from calrig.export.cells import CsvError
-from calrig.export.csv_table import read_table
+from calrig.export.csv_table import read_tables
 from calrig.export.log_table import read_log_table
 
 LIMITS = {"max_rows": 1000, "max_bytes": 100_000}
@@ -55,8 +55,8 @@ def log_of(data):
 
 
 def exact_of(data):
-    table = read_table(data, ())
-    return table.column(1).numbers(), table.lines
+    (table,) = read_tables(data, ())
+    return table.column(1).numbers(), list(table.lines)
 
 
 def outcome(read, data):

@@ -110,6 +110,15 @@ def test_a_spreadsheets_bom_line_ends_and_spaces_are_accepted():
     ]
 
 
+@pytest.mark.parametrize("name", ["=cmd()", "+5V", "-dT_c", "@lux", "＝1", "'=x", "''=x", "'quoted"])
+def test_a_name_that_a_spreadsheet_would_reckon_is_text_in_the_file_and_itself_again_when_read(name):
+    written = [Pose(1.0, -0.5, covariates={name: -3.5}), Pose(2.0, 0.5, covariates={name: 1e-9})]
+    header, *rows = write_poses(written).splitlines()
+    assert header.split(",")[2].startswith("'")
+    assert rows[0] == "1.0,-0.5,-3.5"
+    assert read_poses(write_poses(written).encode()).poses == written
+
+
 def test_quoted_cells_may_hold_commas_and_line_breaks():
     imported = read_poses(b'note,target_deg,"reading_deg"\n"one, two\nthree","1","2"\n,3,4\n')
     assert [(p.target_deg, p.reading_deg) for p in imported.poses] == [(1.0, 2.0), (3.0, 4.0)]
@@ -161,11 +170,12 @@ def test_rows_whose_time_is_partly_unknown_stay_where_they_are_with_a_warning():
         (b"target_deg,reading_deg,n_samples\n1,2,1e25\n", 2, "n_samples", "not a count"),
         (b"target_deg,reading_deg,approach\n1,2,1\n1,2,2\n", 3, "approach", "none of -1, 0, 1"),
         (b'target_deg,reading_deg\n1,"2\n', 2, None, "is not CSV"),
-        (b"target_deg,reading_deg,=cmd()\n1,2,3\n", 1, "=cmd()", "formula"),
         (b"target_deg,reading_deg" + b",x" * 199 + b"\n", 1, None, "201 columns; at most 200"),
         (b"target_deg,reading_deg\n" + b"1,2\n" * 100_001, 100_002, None, "more than 100000 rows"),
         (b"target_deg,reading_deg\n" + b"," * 2_000_000, 2, None, "longer than"),
         (b'target_deg,reading_deg\n"' + b"\n" * 200_000, None, None, "is not CSV"),
+        (b"target_deg,reading_deg\n" + b"1,2\n" * 50_000 + b"\xff,2\n", 50_002, None, "byte 0xFF"),
+        (b"target_deg,reading_deg,=a,'=a\n1,2,3,4\n", 1, "=a", "this name twice"),
         (b"target_deg,reading_deg," + b"x" * 101 + b"\n1,2,3\n", 1, "x" * 101, "at most 100 characters"),
     ],
 )
