@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 from calrig.instruments.errors import InstrumentError
@@ -17,28 +17,31 @@ DIED = "the program that carried it out ended before the run did; resume takes t
 STAGES_AT_ONCE = 8
 
 
-def interrupt_left_behind(store: Store, rigs: Mapping[str, RigSettings]) -> list[str]:
-    """Marks the runs that a dead program left unfinished as `interrupted`, their stages stopped before.
-
-    For a writer that has just opened the store: then no living program carries any of them out.
+def stop_stages(names: Sequence[str], rigs: Mapping[str, RigSettings]) -> dict[str, str]:
+    """Tells the stages of rigs that a dead program used to stop, side by side, and sees that they stand.
 
     Args:
-        store: where they are.
+        names: of the rigs.
         rigs: all that are configured, by name.
 
     Returns:
-        The runs' ids.
+        What a person must know, by rig, where a stage could not be told.
+    """
+    if not names:
+        return {}
+    with ThreadPoolExecutor(min(len(names), STAGES_AT_ONCE)) as stages:
+        said = stages.map(lambda name: _stopped(name, rigs.get(name)), names)
+        return {name: trouble for name, trouble in zip(names, said, strict=True) if trouble is not None}
+
+
+def mark_interrupted(store: Store, troubles: Mapping[str, str]) -> list[str]:
+    """Marks the runs that a dead program left unfinished as `interrupted`; returns their ids.
+
+    For a writer that has just opened the store: then no living program carries any of them out.
     """
     left = store.unfinished()
-    names = sorted({run.rig for run in left if run.rig is not None})
-    said: dict[str, str | None] = {}
-    if names:
-        with ThreadPoolExecutor(STAGES_AT_ONCE) as stages:
-            said = dict(
-                zip(names, stages.map(lambda name: _stopped(name, rigs.get(name)), names), strict=True)
-            )
     for run in left:
-        trouble = said.get(run.rig or "")
+        trouble = troubles.get(run.rig or "")
         log.warning("run %s was interrupted: %s", run.id, trouble or "its stage stands")
         store.update_run(run.id, status="interrupted", error=f"{DIED}; {trouble}" if trouble else DIED)
     return [run.id for run in left]

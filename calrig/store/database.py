@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import sqlite3
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import cast
@@ -19,7 +19,7 @@ from calrig.store.checksums import from_json, to_json
 from calrig.store.copying import check_sound
 from calrig.store.errors import StoreError, StoreUnavailableError, Unreadable, damaged, store_error
 from calrig.store.lock import WriterLock
-from calrig.store.records import Size
+from calrig.store.records import UNFINISHED, Size
 
 BUSY_TIMEOUT_S = 10.0
 
@@ -49,12 +49,19 @@ class Database:
         path: the database's file.
         writer: what the writer does (`serve`, `run`, `import`); None opens for reading only.
         busy_timeout_s: how long to wait for a lock that another process holds.
+        left_by_the_dead: as `calrig.store.Store.open`.
 
     Raises:
         StoreError: as `calrig.store.Store.open`.
     """
 
-    def __init__(self, path: Path, writer: str | None, busy_timeout_s: float) -> None:
+    def __init__(
+        self,
+        path: Path,
+        writer: str | None,
+        busy_timeout_s: float,
+        left_by_the_dead: Callable[[Sequence[str]], None] = lambda _: None,
+    ) -> None:
         self.path = path
         self._timeout_s = busy_timeout_s
         self._writes = threading.Lock()
@@ -77,12 +84,23 @@ class Database:
         self._lock = WriterLock(path, writer) if writer else None
         try:
             if self._lock:
+                left_by_the_dead(self._rigs_in_use())
                 self._prepare_for_writing()
             else:
                 self._check_for_reading()
         except BaseException:
             self.close()
             raise
+
+    def _rigs_in_use(self) -> list[str]:
+        """Rigs of unfinished runs; none where the file cannot be read, which the checks to come will say."""
+        marks = ", ".join("?" * len(UNFINISHED))
+        wanted = f"SELECT DISTINCT rig FROM run WHERE rig IS NOT NULL AND status IN ({marks})"  # noqa: S608
+        try:
+            with closing(sqlite3.connect(f"{self._uri}?mode=ro", uri=True, timeout=self._timeout_s)) as file:
+                return [name for (name,) in file.execute(wanted, UNFINISHED)]
+        except (sqlite3.Error, UnicodeDecodeError):
+            return []
 
     def _prepare_for_writing(self) -> None:
         uri = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime
 from types import TracebackType
 from typing import Self, Unpack
@@ -26,7 +26,7 @@ from calrig.store.records import (
     Unit,
 )
 
-SAMPLES_AT_ONCE = 20_000
+SAMPLES_AT_ONCE = 1_000
 """Read from the file together where they are asked for some at a time."""
 
 
@@ -41,7 +41,14 @@ class Store:
         self._database = database
 
     @classmethod
-    def open(cls, url: str, *, writer: str | None, busy_timeout_s: float = BUSY_TIMEOUT_S) -> Self:
+    def open(
+        cls,
+        url: str,
+        *,
+        writer: str | None,
+        busy_timeout_s: float = BUSY_TIMEOUT_S,
+        left_by_the_dead: Callable[[Sequence[str]], None] = lambda _: None,
+    ) -> Self:
         """Opens a store; a writer makes it where there is none and brings an older one up to date.
 
         Args:
@@ -49,12 +56,14 @@ class Store:
             writer: what the writer does (`serve`, `run`, `import`), told to whoever finds the store taken;
                 None opens it for reading, which always may.
             busy_timeout_s: how long to wait for another process's lock on the file.
+            left_by_the_dead: is told by a writer which rigs have unfinished runs, which no living program
+                carries out, before anything else is done: looking through a large file can take a while.
 
         Raises:
             StoreError: another writer holds it; it is absent (for a reader), older (for a reader), newer,
                 not SQLite, another program's, unreadable, read-only, or the disk is full.
         """
-        return cls(Database(database_path(url), writer, busy_timeout_s))
+        return cls(Database(database_path(url), writer, busy_timeout_s, left_by_the_dead))
 
     def close(self) -> None:
         """Closes the file and lets another writer in."""

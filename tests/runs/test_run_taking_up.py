@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from run_rigs import TruthRig, begin, plan, states, until
 
 from calrig.instruments.drivers import open_stage
 from calrig.runs.errors import Conflict
-from calrig.runs.recovery import interrupt_left_behind
+from calrig.runs.recovery import mark_interrupted, stop_stages
 from calrig.runs.service import RunService
 from calrig.store import Run, Store
 
@@ -167,37 +168,41 @@ def test_an_interrupted_run_can_be_aborted_instead(bench: TruthRig, serve: Serve
         again.resume(left.id)
 
 
-def test_the_stage_is_told_to_stop_before_the_run_is_marked(
-    bench: TruthRig, serve: Serve, store: Store, monkeypatch: pytest.MonkeyPatch
+def test_the_stage_is_told_to_stop_before_anything_else(
+    bench: TruthRig, serve: Serve, store: Store, tmp_path: Path
 ) -> None:
-    service = serve(bench)
-    run = service.wait(begin(service, PLAN).id, 30)
-    store.update_run(run.id, status="running")  # as a program leaves it that dies
+    path = tmp_path / "left.db"
+    with Store.open(f"sqlite:///{path}", writer="serve") as left:  # as a program leaves it that dies
+        left.create_run(unit="A", rig="bench-1", plan={}, status="running", provenance={})
+        left.create_run(unit="B", rig="bench-2", plan={}, status="completed", provenance={})
     stage = open_stage("smc100", bench.settings.stage.port)
+    while stage.status().state in ("not_referenced", "homing"):
+        if stage.status().state == "not_referenced":
+            stage.home()
     stage.set_velocity(1.0)
     stage.move(-80.0)
     stage.close()
     assert bench.moves()
-    stood_when_told: list[bool] = []
-    tell = store.update_run
+    before = path.read_bytes()
 
-    def telling(*args: Any, **changes: Any) -> Run:
-        stood_when_told.append(bench.stands_for_good())
-        return tell(*args, **changes)
+    def stop(names: Sequence[str]) -> None:
+        assert names == ["bench-1"]
+        assert stop_stages(names, {"bench-1": bench.settings}) == {}
+        assert bench.stands_for_good()
+        assert path.read_bytes() == before
 
-    monkeypatch.setattr(store, "update_run", telling)
-    assert interrupt_left_behind(store, {"bench-1": bench.settings}) == [run.id]
-    assert stood_when_told == [True]
-    assert states(store, run)[-1] == "interrupted"
+    with Store.open(f"sqlite:///{path}", writer="serve", left_by_the_dead=stop) as again:
+        assert mark_interrupted(again, {}) == ["1"]
+        assert [run.status for run in again.runs()[0]] == ["completed", "interrupted"]
 
 
-def test_a_stage_that_cannot_be_told_is_said_with_the_run(
-    bench: TruthRig, serve: Serve, store: Store
-) -> None:
-    service = serve(bench)
-    run = service.wait(begin(service, PLAN).id, 30)
-    store.update_run(run.id, status="running")
-    gone = bench.settings.stage.model_copy(update={"port": "/dev/nowhere"})
-    interrupt_left_behind(store, {"bench-1": bench.settings.model_copy(update={"stage": gone})})
-    assert "/dev/nowhere does not exist" in (store.run(run.id).error or "")
-    assert "cut its motor power" in (store.run(run.id).error or "")
+def test_a_stage_that_cannot_be_told_is_said_with_the_run(bench: TruthRig, store: Store) -> None:
+    run = store.create_run(unit="A", rig="gone", plan={}, status="running", provenance={})
+    port = bench.settings.stage.model_copy(update={"port": "/dev/nowhere"})
+    gone = bench.settings.model_copy(update={"name": "gone", "stage": port})
+    troubles = stop_stages(["gone", "unknown"], {"gone": gone})
+    assert "not configured any more" in troubles["unknown"]
+    mark_interrupted(store, troubles)
+    told = store.run(run.id)
+    assert told.status == "interrupted"
+    assert "/dev/nowhere does not exist" in told.error and "cut its motor power" in told.error
