@@ -47,13 +47,19 @@ class KalmanFilter:
 
     It starts at the first elevation measured, whose variance is R; the bias starts at 0 within
     `INITIAL_BIAS_VARIANCE`. The angle is continuous: it goes past ±180° without a jump.
+
+    Args:
+        noise: what it assumes.
+        gap_s: after so long without a sample it takes the angle anew from the next one and keeps the bias:
+            what the gyro would have told of a turn meanwhile is lost. The filter of the paper never does.
     """
 
-    __slots__ = ("_angle", "_bias", "_p00", "_p01", "_p11", "_q_angle", "_q_bias", "_r", "_time_s")
+    __slots__ = ("_angle", "_bias", "_gap_s", "_p00", "_p01", "_p11", "_q_angle", "_q_bias", "_r", "_time_s")
 
-    def __init__(self, noise: KalmanNoise | None = None) -> None:
+    def __init__(self, noise: KalmanNoise | None = None, gap_s: float = math.inf) -> None:
         noise = noise or KalmanNoise()
         self._q_angle, self._q_bias, self._r = noise.q_angle, noise.q_bias, noise.r_deg2
+        self._gap_s = gap_s
         self._angle: float | None = None
         self._bias = 0.0
         self._p00, self._p01, self._p11 = noise.r_deg2, 0.0, INITIAL_BIAS_VARIANCE
@@ -90,6 +96,8 @@ class KalmanFilter:
             return self._start(angle_deg, rate_dps)
         if not dt_s > 0.0:
             raise ValueError(f"time must go forward from sample to sample, dt is {dt_s} s")
+        if dt_s > self._gap_s:
+            return self._go_on(angle_deg, rate_dps, dt_s, angle)
         m01 = self._p01 - dt_s * self._p11
         m00 = self._p00 + dt_s * (self._q_angle - self._p01 - m01)
         s = m00 + self._r
@@ -146,6 +154,13 @@ class KalmanFilter:
             raise ValueError(f"a sample is not finite: elevation {angle_deg}°, rate {rate_dps} °/s")
         self._angle = angle_deg
         return angle_deg
+
+    def _go_on(self, angle_deg: float, rate_dps: float, dt_s: float, before_deg: float) -> float:
+        """After a gap: the angle as at the start, on the nearer turn; the bias kept, less sure by so long."""
+        angle = self._start(before_deg + wrap_deg(angle_deg - before_deg), rate_dps)
+        self._p00, self._p01 = self._r, 0.0
+        self._p11 += dt_s * self._q_bias
+        return angle
 
 
 def _check(times: FloatArray, elevations: FloatArray, rates: FloatArray, steps: FloatArray) -> None:

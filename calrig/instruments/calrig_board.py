@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import json
 import threading
 import time
 from collections import Counter
 from typing import Self
 
+from calrig.instruments.calrig_identity import read_identity
+from calrig.instruments.calrig_mark import Mark
+from calrig.instruments.calrig_words import NO_SENSOR, USELESS, why_none
 from calrig.instruments.errors import BoardError, InstrumentError, PortError
 from calrig.instruments.packets import ACKNOWLEDGE, FILTERED_SAMPLE, IDENTITY, SAMPLE, PacketDecoder
 from calrig.instruments.ports import Port, open_port
@@ -26,22 +28,21 @@ IDENTIFY_S = 5.0
 ASK_AGAIN_S = 0.5
 ANSWER_S = 1.0
 ATTEMPTS = 3
+LATE_S = 0.12
+"""Longer than reading and a system at rest let samples wait: then something on their way does."""
+RESTART_S = 1.0
+"""So long after it fell silent, and again, a board is started anew: what told of its reset may be lost."""
 SILENCE_S = 4.0
 """Longer than the 3 s that a board may take from a reset to its identity."""
 USELESS_S = 2.0
-NO_SENSOR = "all registers read 0: no sensor answers the board; check the wires between them"
-USELESS = {
-    "frozen": "the sensor's registers do not change: its bus hangs; switch the board off and on",
-    "clock_jump": "the board's clock does not advance at the rate asked for: ask for one it can hold",
-    "repeated": "it sends the same samples again and again: reset the board",
-}
 
 
 class CalrigBoard:
     """One board on a port. A thread reads from the first moment; `take` must be called while it streams.
 
     A board that resets in the middle (it sends its identity again) is started again, counted as
-    `board_reset`; its time then goes on by the host's clock over the gap.
+    `board_reset`, and so is one that falls silent, counted as `restarted`; its time then goes on by the
+    host's clock over the gap.
     """
 
     def __init__(self, port: Port) -> None:
@@ -62,7 +63,10 @@ class CalrigBoard:
         self._last_words = ""
         self._blocks: list[Samples] = []
         self._n_bytes = 0
-        self._heard_at = self._valid_at = time.monotonic()
+        self._heard_at = self._valid_at = self._asked_at = self._restarted_at = time.monotonic()
+        self._mark = Mark(lambda: self._send("ID"))
+        self._may_be_late = False  # whether samples were ever held up on their way since `start`
+        self._is_reset = self._awaits_start = False
         self._faults_then: Counter[str] = Counter()
         self._reader = threading.Thread(target=self._listen, name=f"reader of {self._name}", daemon=True)
         self._reader.start()
@@ -88,7 +92,8 @@ class CalrigBoard:
                 self._news.wait_for(lambda: self._identity or self._failure, ASK_AGAIN_S)
                 self._raise_failure()
             if self._identity is None:
-                raise BoardError(f"{self._name} sent no identity in {IDENTIFY_S:g} s: {self._why_none()}")
+                why = why_none(self._last_words, self._n_bytes)
+                raise BoardError(f"{self._name} sent no identity in {IDENTIFY_S:g} s: {why}")
             self.faults.clear()
             self._last_words = ""
             return self._identity
@@ -109,7 +114,9 @@ class CalrigBoard:
             self._blocks.clear()
             self._stream = SampleStream(identity, rate_hz, self.faults)
             self._period_s = 1 / rate_hz
+            asked_s = time.monotonic()
             self._command(f"START {rate_hz}")
+            self._may_be_late = time.monotonic() - asked_s > LATE_S
 
     def take(self, timeout_s: float) -> Samples:
         """The valid samples since the last call, waiting up to timeout_s for the first one.
@@ -125,6 +132,21 @@ class CalrigBoard:
                 self._raise_failure()
                 self._check_health()
             return Samples.join(blocks)
+
+    def mark(self) -> None:
+        """Asks for a sign in the stream: what comes after it was measured after this call.
+
+        Only where the way was ever slow: the answer takes a full line's time from the samples.
+        """
+        with self._news:
+            if self._may_be_late:
+                self._mark.begin()
+
+    @property
+    def marked(self) -> bool:
+        """Whether the sign has come, or the board gives none; blocks not taken yet may be older than it."""
+        with self._news:
+            return self._mark.came()
 
     def stop(self) -> None:
         """Stops streaming (BoardError if the board does not acknowledge); what came before can be taken."""
@@ -146,14 +168,17 @@ class CalrigBoard:
         self._port.write(f"{line}\n".encode("ascii"))
 
     def _command(self, line: str) -> None:
-        """Sends a line until it is acknowledged; each may be repeated without harm."""
-        self._asked, self._answer = line, None
+        """Sends a line until it is acknowledged: each may be repeated, and refused because it was damaged."""
+        self._asked, answer = line, None
         for _ in range(ATTEMPTS):
             self._raise_failure()
+            self._answer = None
             self._send(line)
-            if self._news.wait_for(lambda: self._answer or self._failure, ANSWER_S):
+            self._news.wait_for(lambda: self._answer or self._failure, ANSWER_S)
+            answer = self._answer or answer
+            if answer is not None and answer[0] == ACKNOWLEDGE:
                 break
-        self._asked, answer = "", self._answer
+        self._asked = ""
         self._raise_failure()
         if answer is None:
             raise BoardError(
@@ -179,7 +204,10 @@ class CalrigBoard:
     def _digest(self, data: bytes) -> None:
         with self._news:
             packets = self._decoder.feed(data)
-            self._heard_at = time.monotonic()
+            now = time.monotonic()
+            if now - self._heard_at > max(LATE_S, 3 * self._period_s) or len(data) > BACKLOG_BYTES:
+                self._may_be_late |= self._streaming
+            self._heard_at = now
             self._n_bytes += len(data)
             for are_samples, group in itertools.groupby(packets, _is_sample):
                 if are_samples:
@@ -192,6 +220,7 @@ class CalrigBoard:
     def _keep(self, packets: list[bytes]) -> None:
         if self._stream is None or not self._streaming:
             return  # of a START before this one
+        self._is_reset = False
         block = self._stream.push(packets)
         if len(block):
             self._blocks.append(block)
@@ -217,14 +246,14 @@ class CalrigBoard:
         elif self._stream is not None and line in (self._asked, self._start_line):
             if line == self._start_line:  # after a reset, or late, to a START that was sent twice
                 self._stream.restart(self._heard_at - self._valid_at)
-            self._start_line, self._streaming = line, True
+            self._start_line, self._streaming, self._awaits_start = line, True, False
             self._valid_at, self._faults_then = self._heard_at, self.faults.copy()
         if line == self._asked:
             self._answer = ACKNOWLEDGE, line
 
     def _meet(self, text: str) -> None:
         try:
-            identity = _read_identity(text)
+            identity = read_identity(text)
         except ValueError as error:
             raise BoardError(
                 f"{self._name} sent an identity that cannot be used ({error}): does it carry calrig's sketch?"
@@ -236,10 +265,19 @@ class CalrigBoard:
                 f"{self._name} was exchanged while it streamed: it now says it is {identity.serial!r}, "
                 f"{identity.chip}, ±{identity.accel_range_g} g, ±{identity.gyro_range_dps} °/s"
             )
+        elif self._mark.heard():
+            self._is_reset = True  # perhaps: that it is going on shows at its next sample
         else:
-            self.faults["board_reset"] += 1
-            self._streaming = False
-            self._send(self._start_line)
+            self._is_reset = True
+            self._start_again()
+
+    def _start_again(self) -> None:
+        """Starts a board anew that was reset, or may have been: it is silent, or did not acknowledge."""
+        self.faults["board_reset" if self._is_reset else "restarted"] += 1
+        self._streaming &= not self._is_reset  # what is only late is still to be taken
+        self._is_reset, self._awaits_start = False, True
+        self._restarted_at = time.monotonic()
+        self._send(str(self._start_line))
 
     def _raise_failure(self) -> None:
         if self._failure is not None:
@@ -248,7 +286,11 @@ class CalrigBoard:
     def _check_health(self) -> None:
         if self._start_line is None or self._stream is None:
             return
-        useless_s = time.monotonic() - self._valid_at
+        now = time.monotonic()
+        silent_s = now - (self._restarted_at if self._awaits_start else self._heard_at)
+        if silent_s > max(ASK_AGAIN_S if self._is_reset else RESTART_S, 3 * self._period_s):
+            self._start_again()
+        useless_s = now - self._valid_at
         since = self.faults - self._faults_then
         refused = max(USELESS, key=lambda kind: since[kind])
         went_on = since[refused] * self._period_s > USELESS_S / 2  # not just the last ones before a reset
@@ -263,38 +305,6 @@ class CalrigBoard:
         words = f"; its last words were {self._last_words!r}" if self._last_words else ""
         raise BoardError(f"{self._name} has sent no usable sample for {useless_s:.1f} s: {why}{words}")
 
-    def _why_none(self) -> str:
-        if self._last_words:
-            return f"it says {self._last_words!r}"
-        if self._n_bytes:
-            return f"{self._n_bytes} bytes came but no identity: wrong baud rate, or another sketch on it?"
-        return "it is silent: is it powered, on this port, and does it carry calrig's sketch?"
-
 
 def _is_sample(packet: bytes) -> bool:
     return packet[0] in (SAMPLE, FILTERED_SAMPLE)
-
-
-def _read_identity(text: str) -> BoardIdentity:
-    said = json.loads(text)
-    if not isinstance(said, dict):
-        raise ValueError("not a JSON object")
-    for key, known in (("accel_range_g", (2, 4, 8, 16)), ("gyro_range_dps", (250, 500, 1000, 2000))):
-        if said.get(key) not in known:
-            raise ValueError(f"{key} is {said.get(key)!r}, not one of {', '.join(map(str, known))}")
-    rate_hz = said.get("max_rate_hz")
-    if rate_hz is not None and not (isinstance(rate_hz, int) and rate_hz > 0):
-        raise ValueError(f"max_rate_hz is {rate_hz!r}, not a whole number")
-    return BoardIdentity(
-        driver="calrig",
-        firmware=_text(said.get("firmware")),
-        serial=_text(said.get("serial")) or "",
-        chip=_text(said.get("chip")),
-        accel_range_g=int(said["accel_range_g"]),
-        gyro_range_dps=int(said["gyro_range_dps"]),
-        max_rate_hz=rate_hz,
-    )
-
-
-def _text(value: object) -> str | None:
-    return None if value is None else str(value)

@@ -3,6 +3,7 @@
 Its replies are bare numbers that do not say what they answer. So after every query a fence is sent, `VE?` or
 `1ID?` in turn, whose text was learned when the controller was first asked: replies come in order, so exactly
 one number before the fence is the answer, and none or two are damage, after which the query is asked again.
+A digit that was damaged looks like any other: what matters is believed when it was said twice (`belief`).
 
 Nothing tells whether the stage was homed since power came on. It counts as not referenced until this driver
 has homed it, in the way that the stage itself is set up for (`OM`).
@@ -17,6 +18,7 @@ from collections import Counter
 from itertools import cycle
 from typing import Self
 
+from calrig.instruments import belief
 from calrig.instruments.errors import StageError
 from calrig.instruments.esp301_words import error_words
 from calrig.instruments.ports import Port, open_port
@@ -25,10 +27,12 @@ from calrig.instruments.types import StageIdentity, StageStatus
 
 BAUDRATE = 19200
 REPLY_TIMEOUT_S = 0.5
-ATTEMPTS = 3
-AGREE_DEG = 0.01
+ATTEMPTS = 4
 MOST_ERRORS = 11
 """Ten in its memory, and the 0 after them."""
+PERHAPS_DAMAGED = (6, 7, 9, 37, 38)
+"""Refusals of a command that may have been damaged on its way."""
+PERHAPS_DAMAGED_OF_AXIS = (1, 4, 5, 6, 7)
 
 NUMBER = re.compile(r"\s*([-+]?\d+(?:\.\d*)?(?:[Ee][-+]?\d{1,2})?)\s*")
 CODE = re.compile(r"\s*(\d{1,4})\s*")
@@ -55,6 +59,10 @@ class Esp301:
         self._referenced = False
         self._homing = False
         self._fault: int | None = None
+        self._tells_target: bool | None = None  # not known before it was asked
+        self._mover = belief.Mover(
+            self._name, self.faults, self.position_deg, self._moves, self.halt, self._target_deg
+        )
 
     @classmethod
     def open(cls, url: str, *, axis: int = 1, baudrate: int | None = None) -> Self:
@@ -92,28 +100,26 @@ class Esp301:
             return self._standing()
 
     def position_deg(self) -> float:
-        """Where a standing stage says it is: two reads in a row that agree.
+        """Where a standing stage says it is: two reads in a row that agree, three on a wire with faults.
 
         Raises:
             StageError: it does not answer, or stands and yet never says the same twice.
         """
         with self._asking:
-            for _ in range(5):
-                first, second = self.glimpse_deg(), self.glimpse_deg()
-                if abs(second - first) <= AGREE_DEG or self._must("MD?", DONE) == "0":
-                    return second
-        raise StageError(
-            f"{self._name}: two readings of its position in a row differ ({first:g} and {second:g}) "
-            "though it stands: check the encoder and the serial cable"
-        )
+            return belief.position_deg(self._name, self.glimpse_deg, self._moves, self.faults)
 
     def glimpse_deg(self) -> float:
         """One read, unchecked: to show a stage on the move, never for a result."""
         return float(self._must("TP?", NUMBER))
 
     def set_velocity(self, velocity_dps: float) -> None:
-        """Sets the velocity of the moves that follow (StageError if refused)."""
-        self._command(f"VA{plain(velocity_dps)}")
+        """Sets the velocity of the moves that follow (StageError if refused, or not taken as it was sent)."""
+        belief.velocity(
+            self._name,
+            velocity_dps,
+            lambda: self._command(f"VA{plain(velocity_dps)}"),
+            lambda: self._number("VA?"),
+        )
 
     def home(self) -> None:
         """Switches the motor on and begins to look for the reference; sent once.
@@ -132,10 +138,10 @@ class Esp301:
             self._homing = True
 
     def move(self, target_deg: float) -> None:
-        """Begins a move.
+        """Begins a move, and asks back what target the controller took; sent again where it took none.
 
         Raises:
-            StageError: it was not homed, or the controller refused it, in words.
+            StageError: it was not homed, or the controller refused it, or took it for another: stopped.
             Halted: it was halted; nothing was sent.
         """
         with self._asking:
@@ -145,7 +151,7 @@ class Esp301:
                 raise StageError(
                     f"{self._name} was not homed since its port was opened: {command} was not sent"
                 )
-            self._command(command, motion=True)
+            self._mover.move(command, target_deg, lambda: self._send(command, motion=True))
 
     def halt(self) -> None:
         """Stops the stage now, from any thread, waiting for no answer; later motion raises Halted."""
@@ -165,17 +171,32 @@ class Esp301:
         return StageStatus("ready", "STANDING")
 
     def _command(self, command: str, *, motion: bool = False) -> None:
-        """Sends what answers nothing, then asks whether it was refused. Never sent twice."""
+        """Sends what answers nothing, once, and asks whether it was refused."""
         with self._asking:
-            self._forget_errors()  # an error of long ago is not this command's
-            data = f"{self._axis}{command}\r".encode("ascii")
-            if motion:
-                self._lines.send_motion(data, self._name)
-            else:
-                self._lines.send(data)
-            code = int(self._must("TE?", CODE))
-            if code:
-                raise StageError(f"{self._name} refused {command}: {error_words(code)}")
+            if refusal := self._send(command, motion=motion):
+                raise StageError(f"{self._name} refused {command}: {refusal.words}")
+
+    def _send(self, command: str, *, motion: bool) -> belief.Refusal | None:
+        self._forget_errors()  # an error of long ago is not this command's
+        data = f"{self._axis}{command}\r".encode("ascii")
+        if motion:
+            self._lines.send_motion(data, self._name)
+        else:
+            self._lines.send(data)
+        code = int(self._must("TE?", CODE))
+        if not code:
+            return None
+        of_axis = code // 100 == self._axis and code % 100 in PERHAPS_DAMAGED_OF_AXIS
+        return belief.Refusal(error_words(code), of_axis or code in PERHAPS_DAMAGED)
+
+    def _moves(self) -> bool:
+        return self._must("MD?", DONE) == "0"
+
+    def _target_deg(self) -> float | None:
+        """The target it says it has; None where it is one that does not say."""
+        if self._tells_target is None:
+            self._tells_target = self._ask("PA?", NUMBER) is not None
+        return float(self._must("PA?", NUMBER)) if self._tells_target else None
 
     def _forget_errors(self) -> None:
         for _ in range(MOST_ERRORS):
@@ -191,15 +212,18 @@ class Esp301:
         return code
 
     def _number(self, query: str) -> float | None:
-        reply = self._ask(query, NUMBER)
-        return None if reply is None else float(reply)
+        def ask() -> float | None:
+            reply = self._ask(query, NUMBER)
+            return None if reply is None else float(reply)
+
+        return belief.setting(self._name, query, ask)
 
     def _must(self, query: str, form: re.Pattern[str]) -> str:
         reply = self._ask(query, form)
         if reply is None:
-            dropped = ", ".join(f"{count} {kind}" for kind, count in self.faults.items())
+            counted = ", ".join(f"{count} {kind}" for kind, count in self.faults.items())
             raise StageError(
-                f"{self._name} does not answer {query} (dropped so far: {dropped or 'nothing'}): "
+                f"{self._name} does not answer {query} (faults so far: {counted or 'nothing'}): "
                 "check power, cable, axis and baud rate"
             )
         return reply
@@ -209,7 +233,7 @@ class Esp301:
             if not self._fences and not self._learn_fences():
                 return None
             sent = query if query == "TE?" else f"{self._axis}{query}"
-            for _ in range(ATTEMPTS):
+            for _ in range(1 if self._lines.halted else ATTEMPTS):  # a stop goes first
                 reply = self._ask_once(sent, form)
                 if reply is not None:
                     return reply
@@ -222,6 +246,8 @@ class Esp301:
         came = self._listen(1, sent)
         self._lines.send(f"{fence}\r".encode("ascii"))
         came += self._listen(3, sent, fence)
+        if not came:
+            self.faults["no_reply"] += 1
         if came[-1:] != [self._fences[fence]]:
             self._in_doubt = True
         elif len(came) == 2 and (reply := form.fullmatch(came[0])):
@@ -236,7 +262,9 @@ class Esp301:
         deadline_s = time.monotonic() + REPLY_TIMEOUT_S
         came: list[str] = []
         while len(came) < most and (line := self._lines.line(deadline_s)) is not None:
-            if line not in sent:
+            if line in sent:
+                self.faults["echo"] += 1
+            else:
                 came.append(line)
             if len(sent) > 1 and line == self._fences[sent[1]]:
                 break

@@ -13,8 +13,9 @@ import time
 from collections import Counter
 from typing import Self
 
+from calrig.instruments import belief
 from calrig.instruments.errors import InstrumentError, StageError
-from calrig.instruments.grbl_count import AGREE_DEG, Count
+from calrig.instruments.grbl_count import Count
 from calrig.instruments.grbl_wire import RESET, STOP, GrblWire
 from calrig.instruments.grbl_words import LOCKED_UNTIL_RESET, SOFT_LIMIT, Report, alarm_words, error_words
 from calrig.instruments.ports import Port, open_port
@@ -23,6 +24,7 @@ from calrig.instruments.types import StageIdentity, StageStatus
 
 BAUDRATE = 115200
 WAKE_TIMEOUT_S = 3.0  # a boot loader listens for two before GRBL does
+MOST_LISTINGS = 6
 LOOKS_FOR_OFFSET = 24  # idle, GRBL adds its offset to every tenth report
 HOMING, SOFT_LIMITS, INCHES = 22, 20, 13
 DISABLED = {
@@ -89,24 +91,23 @@ class Grbl:
             return self._status(report)
 
     def position_deg(self) -> float:
-        """Where a standing stage says it is: two reports in a row that agree on state and place.
+        """Where a standing stage says it is: two reports in a row that agree, three on a wire with faults.
 
         Raises:
             StageError: it does not answer, never says the same twice, or has lost its angle.
         """
         with self._asking:
-            for _ in range(5):
-                first, second = self._report(), self._report()
-                before_deg, here_deg = self._count.degrees(first), self._count.degrees(second)
-                if second.moves:
-                    return here_deg
-                if first.state == second.state and abs(here_deg - before_deg) <= AGREE_DEG:
-                    self._count.check(here_deg, homing=bool(self._settings.get(HOMING)))
-                    return here_deg
-        raise StageError(
-            f"{self._name}: two reports in a row differ ({before_deg:g} and {here_deg:g}) though it stands: "
-            "check the serial cable"
-        )
+            for _ in range(belief.MOST_READS):
+                reports = [self._report() for _ in range(3 if self.faults.total() else 2)]
+                places_deg = [self._count.degrees(report) for report in reports]
+                if reports[-1].moves:
+                    return places_deg[-1]
+                same = len({report.state for report in reports}) == 1
+                if same and belief.agree(min(places_deg), max(places_deg)):
+                    self._count.check(places_deg[-1], homing=bool(self._settings.get(HOMING)))
+                    return places_deg[-1]
+        said = ", ".join(f"{place:g}" for place in places_deg)
+        raise StageError(f"{self._name}: reports differ ({said}) though it stands: check the serial cable")
 
     def glimpse_deg(self) -> float:
         """One read, unchecked: to show a stage on the move, never for a result."""
@@ -201,9 +202,9 @@ class Grbl:
         report = self._wire.look() if self._settings else self._wake()
         if report is None:
             self._settings = {}  # they are read again when it answers again
-            dropped = ", ".join(f"{count} {kind}" for kind, count in self.faults.items())
+            counted = ", ".join(f"{count} {kind}" for kind, count in self.faults.items())
             raise StageError(
-                f"{self._name} does not answer ? (dropped so far: {dropped or 'nothing'}): "
+                f"{self._name} does not answer ? (faults so far: {counted or 'nothing'}): "
                 "check power, cable and baud rate"
             )
         self._heed()
@@ -226,7 +227,7 @@ class Grbl:
     def _learn(self, report: Report) -> Report:
         """Reads settings and offset, twice alike each, and whether the count can be an angle."""
         last: dict[int, float] = {}
-        for _ in range(4):
+        for _ in range(MOST_LISTINGS):
             before, last = last, dict(self._wire.settings) if self._wire.fence() else {}
             if last == before and {SOFT_LIMITS, HOMING, 110 + self._index} <= last.keys():
                 break

@@ -6,10 +6,9 @@ there is no homing, from the place where it was switched on; and only until an a
 
 from __future__ import annotations
 
+from calrig.instruments.belief import AGREE_DEG
 from calrig.instruments.errors import StageError
 from calrig.instruments.grbl_words import Report
-
-AGREE_DEG = 0.01
 
 _left_at_deg: dict[str, float] = {}
 """Where stages without homing were last seen, by port: a count that begins anew elsewhere is no angle."""

@@ -17,7 +17,11 @@ from calrig.instruments.stage_lines import LineWire
 
 REPLY_TIMEOUT_S = 0.5
 GLANCE_S = 0.1
-ATTEMPTS = 2
+ATTEMPTS = 4
+PERHAPS_DAMAGED = frozenset(
+    f"error:{n}" for n in (1, 2, 3, 4, 11, 14, 20, 21, 22, 23, 24, 25, 26, 28, 31, 33, 36)
+)
+"""Refusals of a line that may have been damaged on its way."""
 RESET = b"\x18"
 STOP = b"!\x85"
 """Feed hold, and jog cancel for a jog."""
@@ -52,13 +56,15 @@ class GrblWire:
 
     def look(self, attempts: int = ATTEMPTS) -> Report | None:
         """Asks for a report; None where none comes."""
-        for _ in range(attempts):
+        for _ in range(1 if self.lines.halted else attempts):  # a stop goes first
             self.catch_up()
             self._report = None
             self.lines.send(b"?")
             if self.listen(lambda: self._report is not None):
                 return self._report
             self._in_doubt = True
+            if attempts > 1:  # one that is just waking up answers none
+                self._faults["no_reply"] += 1
         return None
 
     def look_in_passing(self) -> Report | None:
@@ -77,7 +83,7 @@ class GrblWire:
             moving: the stage's name where the line moves it (Halted after a stop).
         """
         data = f"{line}\n".encode("ascii")
-        self._sent = line
+        self._sent, own = line, None
         for _ in range(ATTEMPTS):
             self.catch_up()
             self._begin()
@@ -93,9 +99,10 @@ class GrblWire:
             own = self.answers.pop() if self.answers else None
             self._count_late(len(self.answers))
             self.answers = []
-            if sound and own is not None:
+            if sound and own is not None and own not in PERHAPS_DAMAGED:
                 return own
-        return None
+            self._faults["resent"] += 1
+        return own if own in PERHAPS_DAMAGED else None
 
     def begin(self, line: str, moving: str) -> None:
         """Sends a line that is answered when it is done, and never sent again."""
@@ -147,8 +154,11 @@ class GrblWire:
             self._faults["late_reply"] += n
 
     def _take(self, line: str) -> None:
-        line = line.lstrip("?")  # an echo of what asked for the report
+        if line.startswith("?"):  # an echo of what asked for the report
+            self._faults["echo"] += 1
+            line = line.lstrip("?")
         if report := parse_report(line):
+            self._count_late(self._report is not None)  # each is asked for, and answered once
             self._report = report
         elif REPLY.fullmatch(line):
             if self.settings and not self._listed and line == "ok":
@@ -156,11 +166,14 @@ class GrblWire:
             else:
                 self.answers.append(line)
         elif setting := SETTING.fullmatch(line):
+            self._count_late(int(setting[1]) in self.settings)
             self.settings[int(setting[1])] = float(setting[2])
         elif alarm := ALARM.fullmatch(line):
             self.alarm = int(alarm[1])
         elif banner := BANNER.fullmatch(line):
             self.firmware = banner[1]
             self.resets += 1
-        elif not REMARK.fullmatch(line) and line not in ("", "$$", self._sent):
+        elif line in ("$$", self._sent):
+            self._faults["echo"] += 1
+        elif line and not REMARK.fullmatch(line):
             self._faults["unparsed"] += 1

@@ -122,6 +122,14 @@ class SketchBoard:
                 self._check_health()
             return Samples.join(blocks)
 
+    def mark(self) -> None:
+        """Nothing: it cannot be asked."""
+
+    @property
+    def marked(self) -> bool:
+        """Always: a sample's time is that of its arrival."""
+        return True
+
     def stop(self) -> None:
         """Takes no more samples; what came before can be taken."""
         with self._news:

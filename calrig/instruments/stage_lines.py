@@ -12,6 +12,8 @@ from calrig.instruments.ports import Port
 
 LONGEST_LINE = 256
 DRAIN_S = 0.5
+COMING_S = 0.05
+"""A line whose last byte came so lately is still coming: on a socket they are read one by one."""
 LINE_END = re.compile(rb"[\r\n]+")
 
 
@@ -32,6 +34,7 @@ class LineWire:
         self._port = port
         self._faults = faults
         self._tail = b""
+        self._came_s = 0.0
         self._sending = threading.Lock()
 
     def send(self, data: bytes) -> None:
@@ -59,11 +62,15 @@ class LineWire:
     def line(self, deadline_s: float) -> str | None:
         """The next whole line, waiting until `deadline_s` (monotonic); then half a line is dropped."""
         while (line := self._next()) is None:
-            if time.monotonic() >= deadline_s:
+            if time.monotonic() >= deadline_s and not self._is_coming:
                 self._drop_tail()
                 return None
             self._read()
         return line
+
+    @property
+    def _is_coming(self) -> bool:
+        return bool(self._tail) and time.monotonic() - self._came_s < COMING_S
 
     def old_lines(self) -> list[str]:
         """What came before anything was asked, half a line dropped."""
@@ -85,6 +92,8 @@ class LineWire:
         data = self._port.read_some()
         self.nul_seen |= b"\0" in data
         self._tail += data
+        if data:
+            self._came_s = time.monotonic()
 
     def _next(self) -> str | None:
         while end := LINE_END.search(self._tail):

@@ -43,6 +43,11 @@ class Piece:
         return f"{self.at_s:.6f} {self.direction} {self.data.hex()}\n"
 
 
+def _heading(port: str) -> str:
+    """One line, whatever the port is called."""
+    return f"{HEADING}{' '.join(port.split())}\n"
+
+
 class Tape:
     """The transcript of one port; reader and writer may note at the same time."""
 
@@ -54,7 +59,7 @@ class Tape:
         self._kept: deque[Piece] = deque()
         self._n_bytes = 0
         if file is not None:
-            file.write(HEADING + port + "\n")
+            file.write(_heading(port))
 
     def note(self, direction: Direction, data: bytes) -> None:
         """Takes what was sent or received just now."""
@@ -71,7 +76,7 @@ class Tape:
         """What is kept, as the text of a transcript."""
         with self._lock:
             pieces = list(self._kept)
-        return HEADING + self.port + "\n" + "".join(piece.line() for piece in pieces)
+        return _heading(self.port) + "".join(piece.line() for piece in pieces)
 
 
 @dataclass(frozen=True)
@@ -86,7 +91,7 @@ class Tapes:
         """A new tape."""
         file = None
         if self.folder is not None:
-            name = "".join(c if c.isalnum() else "-" for c in port).strip("-")
+            name = "".join(c if c.isalnum() else "-" for c in port).strip("-")[:80]
             path = self.folder / f"{time.strftime('%Y%m%dT%H%M%S')}-{len(self.all)}-{name}.txt"
             file = self._files.enter_context(path.open("x", encoding="ascii", errors="replace"))
         tape = Tape(port, file)

@@ -122,6 +122,13 @@ class Board(Protocol):
             BoardError: the board has been silent, frozen or unreadable for too long, or went away.
         """
 
+    def mark(self) -> None:
+        """Asks for a sign in the stream: what comes after it was measured after this call."""
+
+    @property
+    def marked(self) -> bool:
+        """Whether the sign has come, or the board gives none; blocks not taken yet may be older than it."""
+
     def stop(self) -> None:
         """Stops streaming."""
 

@@ -2,8 +2,9 @@
 
 `axis` is the device's address in its chain; its first axis is turned. The library's open-custom connection
 lets it use calrig's own port, so sockets and transcripts work. It numbers its requests and matches replies by
-number; here only replies whose checksum holds are handed to it. Units are native ones: how many there are in
-a turn the controller itself says (`limit.cycle.dist`), so no device database has to be asked.
+number, and gives each request a checksum; here only replies whose own holds are handed to it. Units are
+native ones: how many there are in a turn the controller itself says (`limit.cycle.dist`), so no device
+database has to be asked.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import time
 from collections import Counter
 from typing import Any, Self
 
+from calrig.instruments import belief
 from calrig.instruments.errors import Halted, InstrumentError, PortError, StageError
 from calrig.instruments.ports import Port, open_port
 from calrig.instruments.stage_lines import LineWire
@@ -23,8 +25,7 @@ from calrig.instruments.zaber_words import UNREFERENCED, flag_words
 
 BAUDRATE = 115200
 REPLY_TIMEOUT_S = 0.5
-ATTEMPTS = 2
-AGREE_DEG = 0.01
+ATTEMPTS = 4
 LISTEN_S = 0.2
 UNITS_OF_SPEED = 1.6384
 """A speed of 1 is 1/1.6384 microsteps per second; an acceleration of 1 is 10⁴ times that, per second."""
@@ -32,7 +33,13 @@ UNITS_OF_SPEED = 1.6384
 REPLY = re.compile(r"@(\d{2} \d \d{2} (?:OK|RJ) (?:IDLE|BUSY) (?:--|[A-Z]{2}) .+):([0-9A-F]{2})")
 STOP_REPLY = re.compile(r"@\d{2} 1 (?:OK|RJ) (?:IDLE|BUSY) (?:--|[A-Z]{2}) \S+")
 """What a stop is answered with: it carries no number, for nobody waits for it."""
+DAMAGED = "BADCOMMAND"
+"""The refusal of what cannot be read: a NUL byte, for one, escapes the checksum."""
 MOTION = re.compile(r"/\d+ \d+ \d+ (?:move|home)\b.*")
+
+
+class NoAnswer(StageError):  # noqa: N818 (what it is)
+    """Nothing came in reply."""
 
 
 class Zaber:
@@ -49,6 +56,7 @@ class Zaber:
         self._homing = False
         self._port_error: InstrumentError | None = None
         self._closing = False
+        self._last_reply = ""
         self._transport = self._maker.Transport.open()
         self._connection = self._maker.Connection.open_custom(self._transport)
         self._pumps = [threading.Thread(target=pump, daemon=True) for pump in (self._speak, self._hear)]
@@ -100,20 +108,13 @@ class Zaber:
             return StageStatus("ready", words)
 
     def position_deg(self) -> float:
-        """Where a standing stage says it is: two reads in a row that agree.
+        """Where a standing stage says it is: two reads in a row that agree, three on a wire with faults.
 
         Raises:
             StageError: it does not answer, or stands and yet never says the same twice.
         """
         with self._asking:
-            for _ in range(5):
-                first, second = self.glimpse_deg(), self.glimpse_deg()
-                if abs(second - first) <= AGREE_DEG or self._ask("").status == "BUSY":
-                    return second
-        raise StageError(
-            f"{self._name}: two readings of its position in a row differ ({first:g} and {second:g}) "
-            "though it stands: check the encoder"
-        )
+            return belief.position_deg(self._name, self.glimpse_deg, self._moves, self.faults)
 
     def glimpse_deg(self) -> float:
         """One read, unchecked: to show a stage on the move, never for a result."""
@@ -129,7 +130,11 @@ class Zaber:
         """Begins to look for the reference; sent once (StageError if refused, Halted after a stop)."""
         with self._asking:
             self._homing = True
-            self._ask("home", attempts=1, motion=True)
+            try:
+                self._ask("home", attempts=1, motion=True)
+            except NoAnswer:
+                if not self._moves():
+                    raise
 
     def move(self, target_deg: float) -> None:
         """Begins a move (StageError if refused, Halted after a stop)."""
@@ -149,6 +154,9 @@ class Zaber:
                 pump.join()
             self._lines.close()
 
+    def _moves(self) -> bool:
+        return str(self._ask("").status) == "BUSY"
+
     def _microsteps_per_deg(self) -> float:
         if self._per_deg is None:
             turn = self._value("limit.cycle.dist")
@@ -167,15 +175,20 @@ class Zaber:
     def _ask(self, command: str, *, attempts: int = ATTEMPTS, motion: bool = False) -> Any:
         """What the device answers; a command may be sent again unless `attempts` is 1."""
         errors = self._maker.exceptions
-        for _ in range(attempts):
+        refusal = ""
+        for _ in range(1 if self._lines.halted else attempts):  # a stop goes first
             if motion:
                 self._lines.refuse_if_halted(command, self._name)
             try:
                 timeout_ms = round(REPLY_TIMEOUT_S * 1000)
                 return self._connection.generic_command(command, self._address, 1, True, timeout_ms)
             except errors.RequestTimeoutException:
-                continue
+                self.faults["no_reply"] += 1
             except errors.CommandFailedException as error:
+                if error.details.response_data == DAMAGED and attempts > 1:
+                    refusal = f"refused {command}: {error.message}"
+                    self.faults["resent"] += 1
+                    continue
                 raise StageError(f"{self._name} refused {command}: {error.message}") from error
             except errors.MotionLibException as error:
                 if self._port_error:
@@ -183,11 +196,13 @@ class Zaber:
                 raise StageError(f"{self._name}: {error.message}") from error
         if self._port_error:
             raise self._port_error
+        if refusal:
+            raise StageError(f"{self._name} {refusal}")
         if motion:
             self._lines.refuse_if_halted(command, self._name)
-        dropped = ", ".join(f"{count} {kind}" for kind, count in self.faults.items())
-        raise StageError(
-            f"{self._name} does not answer {command or 'at all'} (dropped so far: {dropped or 'nothing'}): "
+        counted = ", ".join(f"{count} {kind}" for kind, count in self.faults.items())
+        raise NoAnswer(
+            f"{self._name} does not answer {command or 'at all'} (faults so far: {counted or 'nothing'}): "
             "check power, cable, address and baud rate"
         )
 
@@ -227,7 +242,10 @@ class Zaber:
     def _is_sound(self, line: str) -> bool:
         reply = REPLY.fullmatch(line)
         if reply and -sum(reply[1].encode("ascii", "replace")) & 0xFF == int(reply[2], 16):
-            return True
+            again, self._last_reply = line == self._last_reply, line
+            if again:
+                self.faults["late_reply"] += 1  # its number tells that it came twice
+            return not again
         if STOP_REPLY.fullmatch(line):
             return False
         self.faults["crc" if reply else "unparsed"] += 1

@@ -12,6 +12,8 @@ from calrig.runs.recorder import Recorder
 from calrig.runs.rig import Rig
 from calrig.runs.stream import Stream
 
+GAP_PERIODS = 8
+"""Without a sample for so many of its periods, the filter does not know how far the stage has turned."""
 LOOK_S = 0.02
 """How long one look waits for samples before it turns to stage and requests again."""
 WATCH_S = 0.5
@@ -40,13 +42,13 @@ class Pace:
     _stood_deg: float | None = None
     _watched_s: float = 0.0
 
-    def __post_init__(self) -> None:
-        noise = KalmanNoise(**self.rig.settings.filter.model_dump())
-        self.stream = Stream(self.rig.board, KalmanFilter(noise), self.clock_s, self.recorder.meter.samples)
-
     def begin(self, plan: Plan, *, moves: bool) -> None:
         """Starts the board, and makes the stage ready where it is to move: homed, at the plan's velocity."""
         self.rate_hz = self.rig.board_identity.rate_hz or plan.rate_hz
+        kalman = KalmanFilter(
+            KalmanNoise(**self.rig.settings.filter.model_dump()), GAP_PERIODS / self.rate_hz
+        )
+        self.stream = Stream(self.rig.board, kalman, self.clock_s, self.recorder.meter.samples)
         self.rig.board.start(plan.rate_hz)
         if moves and self.rig.axis.needs_home():
             self.rig.axis.begin_home()
@@ -97,11 +99,14 @@ class Pace:
             self.look()
 
     def synchronise(self) -> float:
-        """The board's clock now: of a sample that cannot have been on its way already.
+        """The board's clock now: of a sample that was measured after this call.
 
-        The first block that comes may have waited, whole, in the system or the board; what comes after that
-        one had not been sent yet.
+        However long what was measured before it is held up on its way, the board's own sign comes after it.
+        The first block after that may yet have waited in the system, where a board gives no sign.
         """
+        self.rig.board.mark()
+        while not self.rig.board.marked:
+            self.look()
         while self.stream.pump(0.0):
             pass
         for _ in range(2):

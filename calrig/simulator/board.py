@@ -55,6 +55,9 @@ class Board:
         self._stream: _Stream | None = None
         self._unsaid = [self._identity()]
         self._last: Counts | None = None
+        self._heard: list[str] = []
+        self._is_reset = self._is_behind = False
+        self._began_s = 0.0  # its clock counts from here
         self._noise = random.Random(0)  # noqa: S311 (garbage, not a secret)
 
     @property
@@ -67,24 +70,43 @@ class Board:
         """Whether samples are being sent."""
         return self._stream is not None
 
+    def reset(self) -> None:
+        """It begins anew at the next block: says who it is, counts time from there, and streams no more."""
+        self._is_reset = True
+
     def receive(self, data: bytes) -> bytes:
         """Takes what came over the wire; returns what goes back, after the samples that were due."""
+        self._begin_anew()
         *lines, self._tail = (self._tail + data).split(b"\n")
-        answers, self._unsaid = self._unsaid, []
-        for line in lines:
-            command = line.removesuffix(b"\r").decode("utf-8", "replace")
-            if command:
-                answers += self._due_samples()
-                answers.append(self._answer(command))
+        heard = (line.removesuffix(b"\r").decode("utf-8", "replace") for line in lines)
+        self._heard += filter(None, heard)
+        said = self._answers()
         if len(self._tail) > LONGEST_COMMAND:
             self._tail = b""
-            answers.append(packet(ERROR, b"command too long"))
-        return self._spoken(answers)
+            said.append(packet(ERROR, b"command too long"))
+        return self._spoken(said)
 
     def emit(self) -> bytes:
         """The samples of all instants up to now that were not sent yet."""
-        unsaid, self._unsaid = self._unsaid, []
-        return self._spoken(unsaid + self._due_samples())
+        self._begin_anew()
+        said = self._answers()
+        return self._spoken(said if self._heard else said + self._due_samples())
+
+    def _answers(self) -> list[bytes]:
+        """Answers, each after the samples due before it, with which a busy machine may have to catch up."""
+        said, self._unsaid = self._unsaid, []
+        while self._heard:
+            said += self._due_samples()
+            if self._is_behind:
+                break
+            said.append(self._answer(self._heard.pop(0)))
+        return said
+
+    def _begin_anew(self) -> None:
+        if self._is_reset:
+            self._is_reset, self._is_behind, self._stream, self._tail = False, False, None, b""
+            self._heard.clear()
+            self._began_s, self._unsaid = self._now(), [self._identity()]
 
     def _answer(self, command: str) -> bytes:
         word, _, argument = command.partition(" ")
@@ -116,11 +138,13 @@ class Board:
 
     def _due_samples(self) -> list[bytes]:
         stream = self._stream
+        self._is_behind = False
         if stream is None:
             return []
         with self._bench.lock:
             due = int((self._now() - stream.start_s) * stream.rate_hz) + 1
             count = min(due - stream.sent, MOST_SAMPLES_A_BLOCK)
+            self._is_behind = count < due - stream.sent
             if count <= 0:
                 return []
             times_s = stream.start_s + np.arange(stream.sent, stream.sent + count) / stream.rate_hz
@@ -128,7 +152,7 @@ class Board:
         if self.fault == "frozen" and self._last is not None:
             counts = np.repeat(self._last, count, axis=0)
         self._last = counts[-1:]
-        packets = sample_packets(stream.sent, times_s, counts)
+        packets = sample_packets(stream.sent, times_s - self._began_s, counts)
         if self.fault in {"corrupt", "gaps"}:
             packets = [self._damaged(p, stream.sent + k) for k, p in enumerate(packets)]
         stream.sent += count

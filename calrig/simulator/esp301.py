@@ -64,6 +64,7 @@ class Esp301:
         self._velocity_dps = options.velocity_dps
         self._setpoint_deg = 0.0
         self._ends: tuple[float, int] | None = None
+        self._zero_deg = 0.0  # where it counts from: its home, or where it was switched on
         low, high = options.limits_deg
         self._queries: dict[str, Callable[[float], str]] = {
             "TP": lambda now_s: f"{self._position(now_s):.4f}",
@@ -85,6 +86,17 @@ class Esp301:
             "MO": lambda *_: self._switch_motor(on=True),
             "MF": lambda *_: self._switch_motor(on=False),
         }
+
+    def reset(self) -> None:
+        """It is switched off and on: it counts from here, wherever here is, and does not say so."""
+        with self._bench.lock:
+            now_s = self._now()
+            self._advance(now_s)
+            self._halt(now_s)
+            self._tail, self._ends, self._motor_is_on = b"", None, True
+            self._errors.clear()
+            self._velocity_dps, self._setpoint_deg = self._options.velocity_dps, 0.0
+            self._zero_deg += self._position(now_s)
 
     def receive(self, data: bytes) -> bytes:
         """Takes what came over the wire; returns what goes back."""
@@ -157,7 +169,7 @@ class Esp301:
         if not low <= target_deg <= high:
             raise self._axis_error(POSITIVE if target_deg > high else NEGATIVE)
         arrival = self._bench.mechanics.move(
-            now_s, target_deg, self._velocity_dps, self._options.acceleration_dps2
+            now_s, target_deg + self._zero_deg, self._velocity_dps, self._options.acceleration_dps2
         )
         self._setpoint_deg = target_deg
         self._ends = arrival.at_s, FOLLOWING if arrival.stalled else 0
@@ -168,7 +180,7 @@ class Esp301:
         arrival = self._bench.mechanics.home(
             now_s, self._options.homing_velocity_dps, self._options.acceleration_dps2
         )
-        self._setpoint_deg = 0.0
+        self._setpoint_deg = self._zero_deg = 0.0
         self._ends = arrival.at_s, HOMING_ABORTED if arrival.stalled else 0
 
     def _halt(self, now_s: float) -> None:
@@ -197,7 +209,7 @@ class Esp301:
                 self._motor_is_on = False
 
     def _position(self, now_s: float) -> float:
-        return float(self._bench.mechanics.encoder_deg(np.array([now_s]))[0]) + 0.0
+        return float(self._bench.mechanics.encoder_deg(np.array([now_s]))[0]) - self._zero_deg + 0.0
 
 
 def _number(text: str) -> float:

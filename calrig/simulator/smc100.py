@@ -89,6 +89,12 @@ class Smc100:
             self._advance(self._now())
             return self._state
 
+    def reset(self) -> None:
+        """It is switched off and on."""
+        with self._bench.lock:
+            self._advance(self._now())
+            self._reset(self._now())
+
     def receive(self, data: bytes) -> bytes:
         """Takes what came over the wire; returns what goes back."""
         *lines, self._tail = (self._tail + data.translate(None, IGNORED)).split(b"\n")

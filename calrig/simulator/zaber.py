@@ -57,6 +57,15 @@ class Zaber:
             "accel": round(options.acceleration_dps2 * MICROSTEPS_PER_DEG * NATIVE_VELOCITY / 1e4),
         }
 
+    def reset(self) -> None:
+        """It is switched off and on."""
+        with self._bench.lock:
+            now_s = self._now()
+            self._advance(now_s)
+            self._stop(now_s)
+            self._tail, self._ends, self._homing, self._referenced = b"", None, False, False
+            self._flags.clear()
+
     def receive(self, data: bytes) -> bytes:
         """Takes what came over the wire; returns what goes back."""
         *lines, self._tail = (self._tail + data).replace(b"\r", b"\n").split(b"\n")

@@ -107,6 +107,26 @@ def test_one_second_of_settling_forgets_a_data_sheets_worst_bias():
     assert kalman.bias_dps == pytest.approx(20.0, abs=0.06)
 
 
+def test_after_a_gap_it_takes_the_angle_anew_and_keeps_the_bias():
+    """A table that turned by 60° while no sample came, its gyro off by 1.4 °/s."""
+    before_s, after_s = np.arange(2000) * 0.005, 12.0 + np.arange(200) * 0.005
+    plain, kalman = KalmanFilter(), KalmanFilter(gap_s=0.04)
+    for one in (plain, kalman):
+        one.run(before_s, np.zeros(2000), np.full(2000, 1.4))
+    filtered_deg = kalman.run(after_s, np.full(200, 60.0), np.full(200, 1.4))
+
+    assert np.abs(filtered_deg - 60.0).max() < 0.01
+    assert kalman.bias_dps == pytest.approx(1.4, abs=0.01)
+    assert np.abs(plain.run(after_s, np.full(200, 60.0), np.full(200, 1.4)) - 60.0).max() > 10.0
+
+
+def test_after_a_gap_the_angle_stays_on_its_turn():
+    kalman = KalmanFilter(gap_s=0.04)
+    kalman.run(np.arange(3) * 0.01, [178.0, 179.0, 180.0], np.full(3, 100.0))
+
+    assert kalman.run([1.0], [-178.0], [0.0])[0] == pytest.approx(182.0)
+
+
 @pytest.mark.parametrize(
     "sample", [(math.nan, 0.0, 0.01), (0.0, math.nan, 0.01), (math.inf, 0.0, 0.01), (0.0, 0.0, 0.0)]
 )

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import settings
 from instrument_fakes import FakeBoard, FakeSmc100
 
-from calrig.instruments import smc100
+from calrig.instruments import smc100, smc100_wire
 from calrig.instruments.calrig_board import CalrigBoard
 from calrig.instruments.smc100 import Smc100
 
@@ -15,7 +15,7 @@ settings.load_profile("no deadline")
 @pytest.fixture(autouse=True)
 def short_patience(monkeypatch):
     """What waits for an answer that never comes waits less, so that the tests take seconds."""
-    monkeypatch.setattr(smc100, "REPLY_TIMEOUT_S", 0.2)
+    monkeypatch.setattr(smc100_wire, "REPLY_TIMEOUT_S", 0.2)
     monkeypatch.setattr(smc100, "ENABLE_TIMEOUT_S", 0.2)
 
 

@@ -107,8 +107,11 @@ class FakeSmc100(LineDevice):
         self.state = "0A"
         self.error_bits = "0000"
         self.position = "0"
+        self.target = "0"
+        self.velocity = "20"
         self.error = "@"
         self.refuse: dict[str, str] = {}
+        self.lost: list[str] = []
         self.say: dict[str, list[bytes]] = {}
         self.unknown: set[str] = set()
         self.silent = False
@@ -120,6 +123,9 @@ class FakeSmc100(LineDevice):
         self.on_command(command)
         if self.silent:
             return
+        if command in self.lost:
+            self.lost.remove(command)
+            return
         if self.say.get(command):
             self.wire.send(self.say[command].pop(0))
             return
@@ -128,12 +134,18 @@ class FakeSmc100(LineDevice):
             self.state = "1E"
         elif command == "MM1" and self.state.startswith("3"):
             self.state = "34"
+        refused = self.error != "@"
+        if command.startswith("PA") and command != "PA?" and not refused:
+            self.target = command[2:]
+        elif command.startswith("VA") and command != "VA?" and not refused:
+            self.velocity = command[2:]
         answers = {
             "TS": self.error_bits + self.state,
             "TP": self.position,
             "TE": self.error,
             "VE": " SMC100CC 2.1.0",
-            "VA?": "20",
+            "PA?": self.target,
+            "VA?": self.velocity,
             "AC?": "80",
             "SL?": "-120",
             "SR?": "130.5",
@@ -219,8 +231,10 @@ class FakeBoard(LineDevice):
             elif self.starts_to_ignore < 0:
                 self.seq = 0
                 self.wire.send(packet(4, line.encode()))
-        else:
+        elif line == "STOP":
             self.wire.send(packet(4, line.encode()))
+        else:
+            self.wire.send(packet(3, f"unknown command: {line}".encode()))
 
     def say_identity(self) -> None:
         self.wire.send(packet(1, json.dumps(self.identity).encode()))

@@ -18,6 +18,7 @@ REPLIES = {
     "1ID?": "URS75BCC, SN B101",
     "1TP?": "0.0000",
     "1MD?": "1",
+    "1PA?": "0",
     "1VA?": "20",
     "1AC?": "80",
     "1SL?": "-170.5",
@@ -54,7 +55,10 @@ class Script:
         elif line in self.replies:
             reply = self.replies[line]
         else:
-            self.errors += [code for start, code in self.refuse.items() if line.startswith(start)]
+            refused = [code for start, code in self.refuse.items() if line.startswith(start)]
+            self.errors += refused
+            if not refused and f"{line[:3]}?" in self.replies:
+                self.replies[f"{line[:3]}?"] = line[3:]
             return b""
         return reply.encode() + self._line_end
 
@@ -152,7 +156,30 @@ def test_a_refused_move_is_refused_in_words(controller, referenced, code, words)
     controller.refuse = {"1PA": code}
     with pytest.raises(StageError, match=rf"refused PA10: .*{words}.*\(error {code}\)"):
         referenced.move(10)
-    assert controller.commands().count("1PA10") == 1
+    perhaps_damaged = code in (104, 105, 6, 9, 38)
+    assert controller.commands().count("1PA10") == (5 if perhaps_damaged else 1)
+
+
+def test_a_move_that_was_lost_on_its_way_is_sent_again(controller, referenced):
+    controller.once["1PA10"] = [b""]
+    referenced.move(10)
+    assert controller.commands()[-2:] == ["1PA10", "1PA10"]
+    assert referenced.faults["resent"] == 1
+
+
+def test_a_move_that_was_taken_for_another_is_stopped(controller, referenced):
+    controller.once["1PA10"] = [b""]
+    controller.replies["1PA?"], controller.replies["1MD?"] = "90", "0"
+    with pytest.raises(StageError, match=r"took PA10 for a move to 90 and was stopped"):
+        referenced.move(10)
+    assert controller.commands()[-1] == "1ST"
+
+
+def test_a_controller_that_does_not_tell_its_target_is_believed(controller, referenced):
+    del controller.replies["1PA?"]
+    referenced.move(10)
+    referenced.move(20)
+    assert controller.commands()[-2:] == ["1PA10", "1PA20"]
 
 
 def test_an_error_of_long_ago_is_not_taken_for_this_moves(controller, referenced):

@@ -129,6 +129,13 @@ def test_a_move_goes_at_full_speed_or_at_the_velocity_set(controller, referenced
         referenced.set_velocity(21)
 
 
+def test_a_move_that_was_damaged_on_its_way_is_sent_again(controller, referenced):
+    controller.answers["G0 X10"] = [b"error:2\r\n"]
+    referenced.move(10)
+    assert controller.lines.count("G0 X10") == 2
+    assert referenced.faults["resent"] == 1
+
+
 @pytest.mark.parametrize("number", sorted(ERRORS))
 def test_a_refused_move_is_refused_in_words(controller, referenced, number):
     controller.answers["G0 X10"] = b"error:%d\r\n" % number
@@ -219,6 +226,12 @@ def test_without_homing_a_count_that_begins_anew_elsewhere_is_no_angle(controlle
     assert "left at 60° and its count now begins at 0°" in again.status().words
     with pytest.raises(StageError, match="turn the stage to its zero by hand"):
         again.home()
+
+
+def test_an_echo_is_counted_and_is_no_answer(controller, referenced):
+    controller.answers["G0 X10"] = [b"G0 X10\r\nok\r\n"]
+    referenced.move(10)
+    assert referenced.faults["echo"] == 1
 
 
 def test_reports_in_inches_are_refused(controller, stage):

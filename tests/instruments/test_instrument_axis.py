@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calrig.instruments.axis import Axis, Motion, travel_time_s
+from calrig.instruments.axis import Axis, Motion
+from calrig.instruments.axis_goal import travel_time_s
 from calrig.instruments.errors import Halted, LimitError, StageError
 from calrig.instruments.smc100 import Smc100
 from calrig.instruments.types import StageIdentity, StageStatus
@@ -145,6 +146,35 @@ def test_a_move_that_ends_elsewhere_fails(axis, stage, clock):
     clock.now_s += 1.1
     with pytest.raises(StageError, match=r"stands at 19\.600°"):
         axis.poll()
+
+
+@pytest.mark.parametrize("astray_deg", [21.5, -1.5])
+def test_a_move_that_leaves_its_way_is_stopped(axis, stage, astray_deg):
+    axis.begin_move(20.0)
+    stage.state, stage.at_deg = "moving", 20.0
+    assert axis.poll() == Motion(20.0, moving=True)
+    stage.at_deg = astray_deg
+    with pytest.raises(StageError, match=r"the move to 20° from 0° went astray and was stopped at"):
+        axis.poll()
+    assert stage.sent[-1] == "ST"
+
+
+def test_one_look_that_is_off_the_way_is_taken_for_a_damaged_one(axis, stage):
+    axis.begin_move(20.0)
+    stage.state, looks_deg = "moving", iter([84.0, 10.0])
+    stage.glimpse_deg = lambda: next(looks_deg)
+    assert axis.poll().moving
+    assert "ST" not in stage.sent
+
+
+def test_a_stage_that_counts_from_elsewhere_since_its_last_move_is_not_moved(axis, stage):
+    axis.begin_move(20.0)
+    stage.at_deg = 20.0
+    assert not axis.poll().moving
+    stage.at_deg = 0.0  # it was switched off and on
+    with pytest.raises(StageError, match=r"stood at 20° and now stands at 0°, without being told to move"):
+        axis.begin_move(30.0)
+    assert stage.sent == [("PA", 20.0)]
 
 
 def test_a_stage_that_leaves_its_target_later_fails(axis, stage, clock):
@@ -315,7 +345,7 @@ def test_an_axis_drives_a_controller_over_its_wire(controller):
     controller.state, controller.position = "33", "-25"
     assert axis.poll() == Motion(30.0, moving=False)
     axis.close()
-    assert [line for line in controller.received if re.match("1(OR|PA)", line)] == ["1OR", "1PA-25"]
+    assert [line for line in controller.received if re.match("1(OR|PA-)", line)] == ["1OR", "1PA-25"]
 
 
 def test_a_move_the_controller_never_heard_of_fails(controller, clock):

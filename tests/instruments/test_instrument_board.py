@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from instrument_fakes import IDENTITY, FakeBoard, packet, sample
 
-from calrig.instruments import calrig_board
+from calrig.instruments import calrig_board, calrig_mark
 from calrig.instruments.calrig_board import CalrigBoard
 from calrig.instruments.errors import BoardError, PortError
 from calrig.instruments.types import BoardIdentity, Samples
@@ -19,6 +19,7 @@ DEADLINE_S = 10.0
 @pytest.fixture(autouse=True)
 def little_patience(monkeypatch):
     monkeypatch.setattr(calrig_board, "ASK_AGAIN_S", 0.1)
+    monkeypatch.setattr(calrig_mark, "ASK_AGAIN_S", 0.1)
     monkeypatch.setattr(calrig_board, "IDENTIFY_S", 0.6)
     monkeypatch.setattr(calrig_board, "ANSWER_S", 0.3)
     monkeypatch.setattr(calrig_board, "SILENCE_S", 1.0)  # a terminal may hold bytes back for half of it
@@ -154,6 +155,19 @@ def test_a_refusal_comes_in_the_boards_own_words(device, board):
         board.start(200)
 
 
+def test_a_start_that_was_damaged_on_its_way_is_sent_again(device, board):
+    board.identify()
+    answer, refusals = device.on_line, ["unknown command: STRT 200"]
+
+    def answer_but_once(line):
+        device.refusal = refusals.pop() if line.startswith("START") and refusals else None
+        answer(line)
+
+    device.on_line = answer_but_once
+    board.start(200)
+    assert device.received.count("START 200") == 2
+
+
 def test_a_start_whose_acknowledge_is_lost_is_sent_again(device, board):
     board.identify()
     device.starts_to_ignore = 1
@@ -213,6 +227,97 @@ def test_a_board_that_resets_is_started_again_and_time_goes_on(device, streaming
     assert after.time_s[0] > before.time_s[-1]
     np.testing.assert_allclose(np.diff(after.time_s), 0.005, atol=1e-9)
     assert streaming.faults == {"board_reset": 1}
+
+
+def has_marked(board):
+    deadline = time.monotonic() + DEADLINE_S
+    while not board.marked:
+        assert time.monotonic() < deadline
+        threading.Event().wait(0.01)
+
+
+@pytest.fixture
+def held_up(device, streaming, monkeypatch):
+    """The board, after its samples were held up once."""
+    monkeypatch.setattr(calrig_board, "LATE_S", 0.0)
+    device.stream(3)
+    take_n(streaming, 3)
+    return streaming
+
+
+def test_a_board_whose_samples_come_at_once_is_not_asked_for_a_sign(device, streaming):
+    asked = device.received.count("ID")
+    device.stream(3)
+    take_n(streaming, 3)
+    streaming.mark()
+    assert streaming.marked
+    assert device.received.count("ID") == asked
+
+
+def test_the_sign_is_asked_for_until_it_comes_and_is_no_reset(device, held_up):
+    device.ids_to_ignore = 1
+    held_up.mark()
+    assert not held_up.marked
+    has_marked(held_up)
+    assert device.received.count("START 200") == 1
+    device.stream(3)
+    assert len(take_n(held_up, 3)) == 3
+    assert held_up.faults == {}
+
+
+def test_a_late_answer_is_not_taken_for_a_new_sign(device, held_up):
+    """The first is asked for twice; its second answer comes after the second was asked for."""
+    device.ids_to_ignore = 2
+    held_up.mark()
+    threading.Event().wait(2 * calrig_mark.ASK_AGAIN_S)
+    assert not held_up.marked  # asks again
+    device.wait_for("ID", times=device.received.count("ID"))
+    device.say_identity()
+    has_marked(held_up)
+    device.ids_to_ignore = 1_000
+    held_up.mark()
+    device.say_identity()
+    device.stream(3)
+    take_n(held_up, 3)
+    assert not held_up.marked
+    device.ids_to_ignore = 0
+    has_marked(held_up)
+    assert held_up.faults == {}
+
+
+def test_a_board_that_gives_no_sign_is_not_waited_for(device, held_up):
+    device.ids_to_ignore = 1_000
+    before = device.received.count("ID")
+    held_up.mark()
+    has_marked(held_up)
+    assert device.received.count("ID") == before + calrig_mark.ATTEMPTS
+    held_up.mark()
+    assert held_up.marked
+
+
+def test_a_reset_that_looks_like_a_sign_is_found_out_by_the_silence_after_it(device, held_up):
+    device.stream(3)
+    take_n(held_up, 3)
+    device.ids_to_ignore = 1
+    held_up.mark()
+    device.say_identity()
+    held_up.take(0.3)
+    held_up.take(0.3)
+    device.wait_for("START 200", times=2)
+    device.stream(3)
+    assert len(take_n(held_up, 3)) == 3
+    assert held_up.faults["board_reset"] == 1
+
+
+def test_a_board_that_falls_silent_is_started_again(device, streaming, monkeypatch):
+    monkeypatch.setattr(calrig_board, "RESTART_S", 0.2)
+    device.stream(3)
+    take_n(streaming, 3)
+    streaming.take(0.4)
+    device.wait_for("START 200", times=2)
+    device.stream(3)
+    assert len(take_n(streaming, 3)) == 3
+    assert streaming.faults["restarted"] == 1
 
 
 def test_another_board_in_its_place_ends_the_stream(device, streaming):

@@ -27,7 +27,7 @@ STATES = [
 
 
 def sent(controller, kind):
-    return [line for line in controller.received if re.match(rf"1{kind}", line)]
+    return [line for line in controller.received if re.match(rf"1{kind}[^?]*$", line)]
 
 
 def test_it_says_who_it_is_and_what_it_allows(stage):
@@ -77,11 +77,13 @@ def test_the_position_is_read_as_written(controller, stage, text):
     ("target_deg", "line"),
     [(10, "1PA10"), (-59.999999, "1PA-59.999999"), (1e-7, "1PA0"), (-1e-9, "1PA0"), (0.1 + 0.2, "1PA0.3")],
 )
-def test_a_move_is_sent_once_and_its_error_asked_for(controller, stage, target_deg, line):
+def test_a_move_is_sent_once_and_its_error_and_target_asked_for(controller, stage, target_deg, line):
     controller.state = "33"
     stage.move(target_deg)
     assert sent(controller, "PA") == [line]
-    assert controller.received[-1] == "1TE"
+    after = controller.received[controller.received.index(line) + 1 :]
+    assert after[0] == "1TE"
+    assert set(after[1:]) == {"1PA?"}
 
 
 def test_velocity_is_sent_in_stage_degrees(controller, stage):
@@ -100,9 +102,51 @@ def test_velocity_is_sent_in_stage_degrees(controller, stage):
 )
 def test_a_refused_move_is_refused_in_words(controller, stage, letter, words):
     controller.state, controller.refuse = "33", {"PA": letter}
-    with pytest.raises(StageError, match=f"refused PA10: .*{words}"):
+    with pytest.raises(StageError, match=rf"PA10: .*{words}"):
         stage.move(10)
-    assert sent(controller, "PA") == ["1PA10"]
+    perhaps_damaged = letter in "ABCN"
+    assert sent(controller, "PA") == ["1PA10"] * (5 if perhaps_damaged else 1)
+
+
+def test_a_move_that_was_lost_on_its_way_is_sent_again(controller, stage):
+    controller.state, controller.lost = "33", ["PA10"]
+    stage.move(10)
+    assert sent(controller, "PA") == ["1PA10", "1PA10"]
+    assert stage.faults == {"resent": 1}
+
+
+def test_a_move_that_was_taken_for_another_is_stopped(controller, stage):
+    controller.state, controller.lost, controller.target = "28", ["PA10"], "90"
+    with pytest.raises(StageError, match=r"took PA10 for a move to 90 and was stopped"):
+        stage.move(10)
+    controller.wait_for("1ST")
+    assert sent(controller, "(PA|ST)") == ["1PA10", "1ST"]
+
+
+def test_a_move_that_was_taken_as_sent_is_no_refusal_whatever_a_damaged_letter_says(controller, stage):
+    controller.state, controller.say["TE"] = "28", [b"1TE@\r\n", b"1TEA\r\n"]
+    stage.move(10)
+    assert sent(controller, "(PA|ST)") == ["1PA10"]
+
+
+def test_a_controller_that_does_not_tell_its_target_is_believed(controller, stage):
+    controller.state = "33"
+    controller.unknown = {"PA?"}
+    stage.move(10)
+    stage.move(20)
+    assert sent(controller, "PA") == ["1PA10", "1PA20"]
+
+
+def test_a_controller_that_tells_its_place_for_its_target_is_believed(controller, stage):
+    controller.state, controller.position = "28", "0.2"
+    controller.say["PA?"] = [b"1PA0.2\r\n"] * 3
+    stage.move(10)
+    assert sent(controller, "(PA|ST)") == ["1PA10"]
+
+
+def test_limits_are_believed_when_they_came_twice_alike(controller, stage):
+    controller.say["SL?"] = [b"1SL-160\r\n"]
+    assert stage.identify().limits_deg == (-120.0, 130.5)
 
 
 def test_an_error_of_long_ago_is_not_taken_for_this_moves(controller, stage):
@@ -144,7 +188,7 @@ def test_a_motor_that_stays_disabled_fails_in_words_and_no_flash_is_written(cont
 
 
 def test_a_nul_byte_tells_that_motor_power_was_cut(controller, stage):
-    controller.say["TS"] = [b"\x001TS00003D\r\n"]
+    controller.state, controller.say["TS"] = "3D", [b"\x001TS00003D\r\n"]
     status = stage.status()
     assert status.state == "disabled"
     assert "motor power is cut" in status.words
@@ -172,7 +216,7 @@ def test_a_late_reply_is_not_taken_for_the_answer_to_the_same_question_asked_aga
 
     controller.on_command = release_with_the_next_command
     assert stage.glimpse_deg() == 2.0
-    assert stage.faults == {"late_reply": 1}
+    assert stage.faults == {"late_reply": 1, "no_reply": 1}
 
 
 def test_what_arrived_before_a_question_is_not_its_answer(controller, stage):
@@ -208,7 +252,7 @@ def test_a_position_that_never_agrees_fails_in_words(controller, stage):
 
 @pytest.mark.parametrize("reply", [b"1TS0000ZZ\r\n", b"1TS000077\r\n", b"1TS33\r\n", b"garbage\r\n"])
 def test_a_state_that_does_not_exist_is_not_believed(controller, stage, reply):
-    controller.say["TS"] = [reply] * 2
+    controller.say["TS"] = [reply] * 4
     with pytest.raises(StageError, match=r"does not answer TS .*(unparsed|late_reply)"):
         stage.status()
 

@@ -141,7 +141,13 @@ def test_homing_is_sent_once_even_if_its_answer_is_lost(controller, port, stage)
     with pytest.raises(StageError, match="does not answer home"):
         stage.home()
     assert controller.commands.count("home") == 1
-    controller.status = "BUSY"
+
+
+@needs_library
+def test_a_homing_whose_answer_is_lost_is_known_by_its_motion(controller, port, stage):
+    port.damages, controller.status = ["lost"], "BUSY"
+    stage.home()
+    assert controller.commands.count("home") == 1
     assert stage.status().state == "homing"
 
 

@@ -135,6 +135,27 @@ def test_however_late_it_is_asked_no_sample_is_missing():
     assert numbers == list(range(10_002))
 
 
+def test_an_answer_comes_after_all_that_was_measured_before_it_however_much_that_is():
+    board = Sensor()
+    board.tell("START 1000")
+    board.now_s += 5.0
+    said = board.tell("ID")
+    while not any(packet.kind == 0x01 for packet in said):
+        said += board.wait(0.0)
+    assert [packet.kind for packet in said].index(0x01) == 5001
+
+
+def test_a_reset_board_says_who_it_is_and_streams_no_more():
+    board = Sensor()
+    board.tell("START 1000")
+    board.wait(1.0)
+    board.device.reset()
+    assert [packet.kind for packet in board.wait(1.0)] == [0x01]
+    assert not board.device.streaming
+    board.tell("START 1000")
+    assert board.wait(0.5)[-1].sample[1] == 500_000  # its clock began anew
+
+
 def test_faults_on_purpose():
     board = Sensor(board={"fault": "silent"})
     assert board.power_up == b""
