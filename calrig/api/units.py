@@ -29,7 +29,7 @@ def list_units(context: Context) -> object:
 @router.get(
     "/api/units/{serial:path}/calibration",
     response_model=CalibrationAnswer,
-    responses=problems(404),
+    responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}, **problems(404)},
     summary="The calibration in force",
 )
 def show_calibration(
