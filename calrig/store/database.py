@@ -94,6 +94,8 @@ class Database:
 
     def _rigs_in_use(self) -> list[str]:
         """Rigs of unfinished runs; none where the file cannot be read, which the checks to come will say."""
+        if not self.path.is_file() or self.path.stat().st_size == 0:  # opened, it would lose its -wal file
+            return []
         marks = ", ".join("?" * len(UNFINISHED))
         wanted = f"SELECT DISTINCT rig FROM run WHERE rig IS NOT NULL AND status IN ({marks})"  # noqa: S608
         try:
