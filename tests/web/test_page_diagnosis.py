@@ -63,7 +63,7 @@ def test_a_run_is_traced_to_backlash_and_the_effect_put_in_force(page, client, s
     page.fill("#unit", "MPU-1")
     page.get_by_label("List", exact=True).check()
     page.fill("#elevations_deg", "−60, −30, 0, 30, 60")
-    page.fill("#sweeps", "6")
+    page.fill("#sweeps", "8")  # so that each fold has enough to find it in
     page.fill("#settle_s", "0.3")
     page.fill("#dwell_s", "0.6")
     page.click("#start")
