@@ -178,8 +178,7 @@ class RunPage {
   async #ask(verb) {
     this.error.say(null);
     try {
-      const run = await post(`${this.path}/${verb}`);
-      if (!this.ended) this.#show(run);
+      await post(`${this.path}/${verb}`); // the stream tells what came of it, later or sooner than this answer
       this.live.hold(verb === "pause");
     } catch (error) {
       this.#say(error);

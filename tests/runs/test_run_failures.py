@@ -14,7 +14,7 @@ from run_rigs import TruthRig, plan, states, until
 from calrig.runs.service import RunService
 from calrig.store import Run, Store, StoredPose
 
-SLOW_END = plan(elevations_deg=[0, 5, 80], velocity_dps=1.6)
+SLOW_END = plan(elevations_deg=[0, 5, 80], velocity_dps=1.2)
 """Two poses soon, then a move that takes longer than any device takes to be found dead."""
 
 
