@@ -1,5 +1,5 @@
 """`python -m calrig`."""
 
-from calrig.cli import main
+from calrig.cli.main import main
 
 main()

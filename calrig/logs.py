@@ -13,7 +13,7 @@ from contextvars import ContextVar
 from datetime import UTC, datetime
 from typing import Any, Literal, TextIO
 
-from calrig.cli_errors import InputError
+from calrig.errors import InputError
 
 Format = Literal["text", "json"]
 FORMATS: tuple[Format, ...] = ("text", "json")

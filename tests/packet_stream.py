@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calrig.instruments.calrig_board import READ_EVERY_S
+from calrig.instruments.boards.calrig.driver import READ_EVERY_S
 from calrig.instruments.types import BoardIdentity
 from calrig.simulator.packets import sample_packets
 

@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 import pytest
 
 from calrig import figures
-from calrig.calibration.partial import Traced
+from calrig.calibration.partial_residuals import Traced
 from calrig.calibration.pose import Pose
 
 

@@ -12,7 +12,7 @@ from urllib.parse import quote
 import pytest
 
 from calrig import terminal
-from calrig.cli_errors import printable
+from calrig.errors import printable
 from calrig.instruments.transcript import read_transcript, taped
 
 POSES = "target_deg,reading_deg,+5V\n-30,-29.5,5.01\n0,-0.4,4.99\n30,30.6,5.00\n"
@@ -167,7 +167,7 @@ COMMANDS = (("import", "--unit", "A", "--db", "a.db"), ("diagnose",), ("noise",)
 TELLING_ITS_PEAK = """
 import re, sys
 from pathlib import Path
-from calrig.cli import main
+from calrig.cli.main import main
 try:
     main()
 finally:

@@ -27,10 +27,10 @@ from calrig.api import (
     units,
 )
 from calrig.api.access import Access
+from calrig.api.authentication import Door
 from calrig.api.context import ApiContext
-from calrig.api.door import Door
-from calrig.api.guard import Guard
 from calrig.api.limits import BodyLimit
+from calrig.api.origin_check import Guard
 from calrig.api.request_log import RequestLog
 from calrig.runs.service import RunService
 from calrig.settings import packed

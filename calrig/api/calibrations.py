@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from calrig.analysis.errors import Conflict, Unknown
 from calrig.export.calibration_json import calibration_document
-from calrig.runs.errors import Conflict, Unknown
 from calrig.store import Run, Store
 
 

@@ -7,11 +7,11 @@ from fastapi import APIRouter, Query
 from fastapi.responses import Response
 from pydantic_core import to_json
 
+from calrig.analysis.errors import Unknown
 from calrig.api.context import ApiContext, Context
 from calrig.api.errors import problems
 from calrig.api.models import Comparison
 from calrig.calibration.compare import components, drift
-from calrig.runs.errors import Unknown
 from calrig.store import ComparisonRow
 
 Units = Annotated[

@@ -5,10 +5,10 @@ from typing import Annotated
 
 from fastapi import Depends, FastAPI, Request
 
+from calrig.analysis.amendments import Records
+from calrig.analysis.diagnoses import Diagnoses
+from calrig.analysis.errors import Unknown
 from calrig.api.streams import Streams
-from calrig.runs.diagnosing import Diagnoses
-from calrig.runs.errors import Unknown
-from calrig.runs.records import Records
 from calrig.runs.service import RunService
 from calrig.store import Run, Store, Unit
 

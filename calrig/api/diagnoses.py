@@ -4,11 +4,11 @@ from typing import Any
 
 from fastapi import APIRouter
 
+from calrig.analysis.error_map import error_map
 from calrig.api.context import Context, KnownRun
 from calrig.api.diagnosis_models import Accept, Diagnose, DiagnosisAnswer, ErrorMapAnswer
 from calrig.api.errors import problems
 from calrig.api.models import RunAnswer
-from calrig.runs.error_map import error_map
 from calrig.store import Run
 
 router = APIRouter(tags=["diagnoses"])

@@ -11,9 +11,9 @@ from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse
 
-from calrig.api.guard import HEADERS
+from calrig.analysis.errors import Conflict, Invalid, RunsError, Unknown
 from calrig.api.models import Problem
-from calrig.runs.errors import Conflict, Invalid, RunsError, Unknown
+from calrig.api.origin_check import HEADERS
 from calrig.store.errors import NotFound, StoreError, StoreUnavailableError
 
 log = logging.getLogger(__name__)

@@ -10,9 +10,9 @@ from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 
+from calrig.analysis.states import AT_REST
 from calrig.api.context import ApiContext, Context, KnownRun
 from calrig.api.errors import problems_in_json
-from calrig.runs.states import AT_REST
 from calrig.store import Event
 
 BATCH = 500

@@ -6,13 +6,13 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Path
 
 from calrig import figures
+from calrig.analysis.error_map import error_map
+from calrig.analysis.errors import Unknown
+from calrig.analysis.partial_residuals import traced_effects
 from calrig.api.compare import Units, compared_runs
 from calrig.api.context import ApiContext, Context, KnownRun, KnownUnit
 from calrig.api.errors import problems
 from calrig.api.models import Figure
-from calrig.runs.error_map import error_map
-from calrig.runs.errors import Unknown
-from calrig.runs.tracing import traced_effects
 from calrig.store import Run
 
 BATCH = 5000

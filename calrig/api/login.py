@@ -5,7 +5,7 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Request, Response
 from pydantic import Field
 
-from calrig.api.door import Door
+from calrig.api.authentication import Door
 from calrig.api.errors import problems
 from calrig.api.models import Answer, Body
 

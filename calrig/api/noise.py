@@ -5,6 +5,8 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, File, Form, UploadFile
 
+from calrig.analysis.errors import Invalid
+from calrig.analysis.noise_studies import filters_of_run, noise_of_run
 from calrig.api.context import Context, KnownRun
 from calrig.api.errors import problems
 from calrig.api.limits import Turn, name_of
@@ -17,8 +19,6 @@ from calrig.figures.parts import Figure
 from calrig.noise.analysis import Noise, analyse
 from calrig.noise.filters import FilterStudy, filters_document, study_filters
 from calrig.noise.report import noise_document, said_first
-from calrig.runs.errors import Invalid
-from calrig.runs.studies import filters_of_run, noise_of_run
 
 router = APIRouter(tags=["noise"])
 

@@ -5,13 +5,13 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Query
 
 import calrig
+from calrig.analysis.errors import Invalid
 from calrig.api.context import Context, KnownRun
 from calrig.api.errors import problems
 from calrig.api.models import Health, Reason, RigAnswer, RunAnswer, RunList, StartRun, Status
 from calrig.api.scan_models import ScanAnswer
 from calrig.instruments import scan as ports
 from calrig.instruments.scan_stanza import stanza
-from calrig.runs.errors import Invalid
 from calrig.store import Run
 
 router = APIRouter(tags=["runs"])

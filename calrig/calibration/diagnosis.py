@@ -11,9 +11,9 @@ import numpy as np
 
 from calrig.calibration.candidates import candidates_of
 from calrig.calibration.confirmation import confirm
+from calrig.calibration.cross_validation import HeldOut, held_out
+from calrig.calibration.experiment_design import design
 from calrig.calibration.fit import fit_line, residuals_deg, rms
-from calrig.calibration.follow_up import design
-from calrig.calibration.held_out import HeldOut, held_out
 from calrig.calibration.outliers import without_outliers
 from calrig.calibration.pose import Pose
 from calrig.calibration.report import effect_documents, model_words

@@ -10,7 +10,7 @@ import numpy as np
 from calrig.calibration.fit import rms
 from calrig.calibration.gravity_model import GravityFit, Problem, fit_gravity, undetermined_base, unseen_pairs
 from calrig.calibration.gravity_search import FoundEffect, leave_one_out, poses_needed, search
-from calrig.calibration.still import GravityError, StillPoses, still_poses
+from calrig.calibration.static_detector import GravityError, StillPoses, still_poses
 from calrig.estimation.angles import FloatArray
 
 __all__ = ["Gravity", "GravityError", "calibrate_by_gravity", "gravity_document", "trace_gravity"]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calrig.calibration.still import BoolArray, GravityError, StillPoses
+from calrig.calibration.static_detector import BoolArray, GravityError, StillPoses
 from calrig.estimation.angles import FloatArray
 
 AXES = "xyz"

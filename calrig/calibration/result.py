@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.applied import (
+from calrig.calibration.correction import (
     ApplyError,
     Circumstances,
     effects_on_reading_deg,

@@ -186,16 +186,16 @@ def _pair(
     What both come with time hide each other: a slip in a drift looks like correlated noise once the wrong one
     of them, or a curve that is neither, has entered alone.
     """
-    toll = float(np.log(len(r)))
+    bic_penalty = float(np.log(len(r)))
     offered, ratios = verdict.candidates, verdict.ratios
 
     def criterion(*added: Candidate) -> float:
         fitted = fit(r, model_columns(r, [*accepted, *added]))
-        return fitted.criterion + toll * sum(c.parameters for c in added)
+        return fitted.criterion + bic_penalty * sum(c.parameters for c in added)
 
     named = [i for i, c in enumerate(offered) if c.effect is not None and c.effect.follows is None]
     firsts: dict[str, Candidate] = {}
-    for i in sorted(named, key=lambda i: toll * offered[i].parameters - float(ratios[i])):
+    for i in sorted(named, key=lambda i: bic_penalty * offered[i].parameters - float(ratios[i])):
         firsts.setdefault(offered[i].label, offered[i])
     to_beat = criterion(step.candidate) - dict(step.considered)[step.candidate.label] - PAIR_MARGIN
     best: tuple[Candidate, Candidate] | None = None
@@ -206,7 +206,7 @@ def _pair(
             continue
         fitted = fit(r, columns)
         more = Screen(r, columns, rest, fitted.noise).ratios(fitted.residuals[None])[0]
-        second = rest[int(np.argmax(more - toll * np.array([c.parameters for c in rest])))]
+        second = rest[int(np.argmax(more - bic_penalty * np.array([c.parameters for c in rest])))]
         together = criterion(first, second)
         if together < to_beat:
             to_beat, best = together, (first, second)
@@ -220,17 +220,17 @@ def _ranked(
     ratios: np.ndarray[tuple[int], np.dtype[np.float32]],
 ) -> list[tuple[float, Candidate]]:
     """A shortlist, the best of each form, ordered by −2 log likelihood plus log n for each parameter."""
-    toll = float(np.log(len(r)))
+    bic_penalty = float(np.log(len(r)))
     best: dict[tuple[str, str], int] = {}
     for index, candidate in enumerate(offered):
         key = candidate.label, candidate.shape.form
         if key not in best or ratios[index] > ratios[best[key]]:
             best[key] = index
-    order = sorted(best.values(), key=lambda i: toll * offered[i].parameters - float(ratios[i]))
+    order = sorted(best.values(), key=lambda i: bic_penalty * offered[i].parameters - float(ratios[i]))
     ranked: list[tuple[float, Candidate]] = []
     for index in order[:SHORTLIST]:
         criterion, candidate = _refined(r, accepted, offered[index], len(ranked) == 0)
-        ranked.append((criterion + toll * candidate.parameters, candidate))
+        ranked.append((criterion + bic_penalty * candidate.parameters, candidate))
     return sorted(ranked, key=lambda pair: pair[0])
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.applied import (
+from calrig.calibration.correction import (
     ApplyError,
     Circumstances,
     Parameters,

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.applied import numbers_of
+from calrig.calibration.correction import numbers_of
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import build_result
 from calrig.calibration.uncertainty import COVERAGE_FACTOR, uncertainty

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.partial import Traced
+from calrig.calibration.partial_residuals import Traced
 from calrig.estimation.angles import FloatArray
 from calrig.figures.parts import APPROACHES, GREY, PALETTE, Figure, as_text, error_bars, layout_of
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 
-from calrig.cli_errors import InputError, WorkError
+from calrig.errors import InputError, WorkError
 from calrig.figures.parts import Figure
 
 PNG_SCALE = 2.0

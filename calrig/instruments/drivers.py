@@ -11,15 +11,15 @@ from functools import partial
 from importlib.metadata import entry_points
 from typing import Protocol, TypeVar, cast
 
-from calrig.instruments.calrig_board import CalrigBoard
+from calrig.instruments.boards.calrig.driver import CalrigBoard
+from calrig.instruments.boards.sketches.catalogue import SKETCHES
+from calrig.instruments.boards.sketches.driver import SketchBoard
 from calrig.instruments.errors import InstrumentError
-from calrig.instruments.esp301 import Esp301
-from calrig.instruments.grbl import Grbl
-from calrig.instruments.sketch_board import SketchBoard
-from calrig.instruments.sketches import SKETCHES
-from calrig.instruments.smc100 import Smc100
+from calrig.instruments.stages.esp301.driver import Esp301
+from calrig.instruments.stages.grbl.driver import Grbl
+from calrig.instruments.stages.smc100.driver import Smc100
+from calrig.instruments.stages.zaber.driver import Zaber
 from calrig.instruments.types import Board, Stage
-from calrig.instruments.zaber import Zaber
 
 
 class OpenStage(Protocol):

@@ -7,9 +7,9 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
-from calrig.instruments.grbl_words import BANNER, parse_report
-from calrig.instruments.packets import IDENTITY, PacketDecoder
-from calrig.instruments.sketches import SKETCHES, Sketch
+from calrig.instruments.boards.calrig.packets import IDENTITY, PacketDecoder
+from calrig.instruments.boards.sketches.catalogue import SKETCHES, Sketch
+from calrig.instruments.stages.grbl.words import BANNER, parse_report
 
 LINE_ENDS = re.compile(rb"[\r\n]+")
 NOT_OF_LINES = b"\x00\x11\x13"

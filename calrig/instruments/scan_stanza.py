@@ -6,9 +6,9 @@ import json
 from collections.abc import Container, Iterable, Sequence
 from itertools import count
 
+from calrig.instruments.boards.sketches.catalogue import SKETCHES
 from calrig.instruments.ports import USB
 from calrig.instruments.scan import Found
-from calrig.instruments.sketches import SKETCHES
 
 CHECK = "# before the first run: check limits_deg, and on the stage itself zero_deg and sign"
 NO_BOARD = '# imu = { driver = "calrig", port = "…" }   # no board was found'

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from scipy.special import gammaincinv
 
 from calrig.estimation.angles import FloatArray
-from calrig.noise.even import EvenLog
+from calrig.noise.resampling import EvenLog
 
 IntArray = npt.NDArray[np.int64]
 

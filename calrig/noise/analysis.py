@@ -12,8 +12,8 @@ from calrig.noise.allan import AllanCurve, allan_curve
 from calrig.noise.coefficients import Coefficients, coefficients
 from calrig.noise.colour import Colour, colour_of
 from calrig.noise.distribution import Distribution, distribution_of
-from calrig.noise.even import EvenLog, even
 from calrig.noise.lines import Line, find_lines
+from calrig.noise.resampling import EvenLog, even
 from calrig.noise.spectrum import Psd, PsdSlope, psd_of, psd_slope
 from calrig.noise.temperature import Temperature, temperature_of
 from calrig.noise.units import unit_of

@@ -20,7 +20,7 @@ from calrig.estimation.stretches import activity
 from calrig.estimation.tuning import midpoint_rate_dps, tuned_noise
 from calrig.noise.allan import allan_curve
 from calrig.noise.coefficients import coefficients
-from calrig.noise.even import EvenLog, even
+from calrig.noise.resampling import EvenLog, even
 from calrig.noise.units import unit_of
 
 GYRO, ELEVATION = "gyro_x_dps", "elevation_deg"

@@ -10,7 +10,7 @@ from calrig.calibration.diagnosis import trace
 from calrig.calibration.pose import Pose
 from calrig.calibration.responses import DiagnosisError
 from calrig.calibration.search import Findings
-from calrig.calibration.sequential import SequentialTest
+from calrig.calibration.sprt import SequentialTest
 from calrig.plan import Plan, PlannedPose
 
 

@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from calrig.analysis.errors import NotTheSame
 from calrig.calibration.pose import Pose
 from calrig.estimation.angles import wrap_deg
 from calrig.estimation.reading import Reading
-from calrig.runs.errors import NotTheSame
 
 MOVE_OFF_DEG = 5.0
 """More than any play."""

@@ -8,23 +8,24 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from calrig.calibration.follow_up import design
+from calrig.analysis.active_calibration import active_calibration
+from calrig.analysis.amendments import check_serial
+from calrig.analysis.diagnoses import Diagnoses
+from calrig.analysis.errors import Conflict, Invalid, Unknown
+from calrig.analysis.provenance import provenance
+from calrig.analysis.states import check_transition
+from calrig.calibration.experiment_design import design
 from calrig.instruments.errors import InstrumentError
 from calrig.plan import Plan, PlanError
 from calrig.runs.bus import Bus
 from calrig.runs.control import End
-from calrig.runs.diagnosing import Diagnoses
-from calrig.runs.errors import Conflict, Invalid, Unknown
 from calrig.runs.follow_up import FollowUpRun
-from calrig.runs.in_force import calibration_in_force
 from calrig.runs.meter import Meter
-from calrig.runs.records import check_serial
+from calrig.runs.resume import resumed_task
 from calrig.runs.rig import stop_stage
 from calrig.runs.rig_states import RigState, state_of
-from calrig.runs.states import check_transition
-from calrig.runs.taking_up import task_to_take_up
 from calrig.runs.task import Task
-from calrig.runs.worker import Worker, provenance
+from calrig.runs.worker import Worker
 from calrig.settings import RigSettings
 from calrig.store import Run, Store
 
@@ -132,7 +133,7 @@ class RunService:
             raise Invalid(f"rig {settings.name!r}: {error}") from error
         verifies = None
         if plan.kind == "verification":
-            verifies = calibration_in_force(self.store, unit, settings.name)
+            verifies = active_calibration(self.store, unit, settings.name)
         with self._lock:
             self._require_free(settings.name)
             run = self.store.create_run(
@@ -263,7 +264,7 @@ class RunService:
         settings = self._rigs.get(run.rig or "")
         if settings is None:
             raise Conflict(f"run {run.id} was on rig {run.rig!r}, which is not configured any more")
-        task = task_to_take_up(self.store, run, settings)
+        task = resumed_task(self.store, run, settings)
         with self._lock:
             self._require_free(settings.name)
             check_transition(run.id, self.run(run.id).status, "queued")  # somebody else may have been first

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from calrig.analysis.active_calibration import ActiveCalibration
 from calrig.calibration.pose import Pose
 from calrig.estimation.gyro import GyroBias
 from calrig.plan import Plan, PlannedPose
 from calrig.runs.follow_up import FollowUpRun
-from calrig.runs.in_force import InForce
 from calrig.settings import RigSettings
 from calrig.store import Run
 
@@ -51,6 +51,6 @@ class Task:
     plan: Plan
     planned: list[PlannedPose]
     follow_up: FollowUpRun | None = None
-    verifies: InForce | None = None
+    verifies: ActiveCalibration | None = None
     earlier: Earlier = field(default_factory=Earlier)
     taken_up: dict[str, Any] | None = None

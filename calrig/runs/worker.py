@@ -4,29 +4,27 @@ from __future__ import annotations
 
 import logging
 import math
-import platform
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-import calrig
 from calrig import logs
+from calrig.analysis.errors import NotTheSame
+from calrig.analysis.results import fitted
 from calrig.estimation.spectrum import MIN_SAMPLES
 from calrig.instruments.errors import BoardError, InstrumentError, LimitError
 from calrig.instruments.transcript import Tape, taped
 from calrig.runs.bus import Bus
 from calrig.runs.control import Control, End, Ended
-from calrig.runs.errors import NotTheSame
 from calrig.runs.execution import Execution
 from calrig.runs.meter import Meter
 from calrig.runs.pace import Pace
 from calrig.runs.recorder import Recorder
-from calrig.runs.results import fitted
+from calrig.runs.resume import require_same_devices
 from calrig.runs.rig import Rig, open_rig
 from calrig.runs.static_log import keep_log
-from calrig.runs.taking_up import require_same_devices
 from calrig.runs.task import Task
 from calrig.store import RunChanges, Status, Store, StoreError
 
@@ -34,16 +32,6 @@ log = logging.getLogger(__name__)
 
 TRY_AGAIN_S = 1.0
 """How often a store that refuses a run's end is asked again: a disk does not stay full for ever."""
-
-
-def provenance(operator: str | None) -> dict[str, Any]:
-    """What is known of a run's origin before any device has been asked."""
-    return {
-        "calrig": calrig.__version__,
-        "python": platform.python_version(),
-        "host": platform.node(),
-        "operator": operator,
-    }
 
 
 class Worker(threading.Thread):

@@ -7,7 +7,7 @@ import sqlite3
 from dataclasses import dataclass
 from pathlib import Path
 
-from calrig.store import medium, migrate
+from calrig.store import file_system, migrate
 from calrig.store.copying import BUSY_TIMEOUT_S, copy_database
 from calrig.store.database import database_path
 from calrig.store.errors import StoreError
@@ -35,10 +35,12 @@ def back_up(url: str, target: Path) -> BackedUp:
     database = database_path(url)
     if not database.is_file():
         raise StoreError(f"{database}: there is no calrig database: name one with --db")
-    if migrate.stored_revision(database, medium.reading_uri(database, BUSY_TIMEOUT_S)) is None:
+    if migrate.stored_revision(database, file_system.reading_uri(database, BUSY_TIMEOUT_S)) is None:
         raise StoreError(f"{database}: is empty: there is nothing to keep a copy of")
     copy_database(database, target)
-    with contextlib.closing(sqlite3.connect(target.resolve().as_uri() + medium.AS_IT_LIES, uri=True)) as copy:
+    with contextlib.closing(
+        sqlite3.connect(target.resolve().as_uri() + file_system.AS_IT_LIES, uri=True)
+    ) as copy:
         (runs,) = copy.execute("SELECT count(*) FROM run").fetchone()
         (poses,) = copy.execute("SELECT count(*) FROM pose").fetchone()
     return BackedUp(runs, poses, target.stat().st_size)

@@ -7,7 +7,7 @@ import os
 import sqlite3
 from pathlib import Path
 
-from calrig.store import medium
+from calrig.store import file_system
 from calrig.store.errors import StoreError, damaged, store_error
 
 PAGES_AT_ONCE = 2000
@@ -41,7 +41,7 @@ def copy_database(database: Path, target: Path) -> None:
 
 
 def _copy(database: Path, unfinished: Path, target: Path) -> None:
-    uri = medium.reading_uri(database, BUSY_TIMEOUT_S)
+    uri = file_system.reading_uri(database, BUSY_TIMEOUT_S)
     with (
         contextlib.closing(sqlite3.connect(uri, uri=True, timeout=BUSY_TIMEOUT_S)) as source,
         contextlib.closing(_new(unfinished, target)) as copy,

@@ -14,7 +14,7 @@ from sqlalchemy import Connection, QueuePool, create_engine, event, make_url
 from sqlalchemy.exc import ArgumentError, StatementError
 from sqlmodel import Session
 
-from calrig.store import medium, migrate
+from calrig.store import file_system, migrate
 from calrig.store.checksums import from_json, to_json
 from calrig.store.copying import check_sound
 from calrig.store.errors import StoreError, StoreUnavailableError, Unreadable, damaged, store_error
@@ -80,7 +80,7 @@ class Database:
         self._write_engine = self._engine.execution_options(calrig_begin="BEGIN IMMEDIATE")
         self._uri = path.as_uri()
         if writer:
-            medium.refuse_network(path)
+            file_system.refuse_network(path)
         self._lock = WriterLock(path, writer) if writer else None
         try:
             if self._lock:
@@ -106,9 +106,9 @@ class Database:
 
     def _prepare_for_writing(self) -> None:
         uri = None
-        if medium.has_writer(self.path):
+        if file_system.has_writer(self.path):
             # It died, perhaps with the power: a good moment for damage, which is looked for first.
-            uri = medium.reading_uri(self.path, self._timeout_s)
+            uri = file_system.reading_uri(self.path, self._timeout_s)
             with closing(sqlite3.connect(uri, uri=True, timeout=self._timeout_s)) as connection:
                 check_sound(connection, self.path)
         stored = migrate.stored_revision(self.path, uri)
@@ -122,7 +122,7 @@ class Database:
     def _check_for_reading(self) -> None:
         stored = None
         if self.path.is_file():
-            self._uri = medium.reading_uri(self.path, self._timeout_s)
+            self._uri = file_system.reading_uri(self.path, self._timeout_s)
             stored = migrate.stored_revision(self.path, self._uri)
         if stored is None:
             raise StoreError(
@@ -146,7 +146,7 @@ class Database:
             (mode,) = connection.execute("PRAGMA journal_mode = WAL").fetchone()
             if mode != "wal":
                 connection.close()
-                raise medium.on_a_network_drive(self.path, f"its journal stays {mode!r}")
+                raise file_system.on_a_network_drive(self.path, f"its journal stays {mode!r}")
         else:
             connection.execute("PRAGMA query_only = ON")
         return connection
@@ -156,7 +156,7 @@ class Database:
         """A session that sees one state of the database throughout."""
         with self._in_words(), Session(self._engine) as session:
             yield session
-        if self._uri.endswith(medium.AS_IT_LIES) and medium.has_writer(self.path):
+        if self._uri.endswith(file_system.AS_IT_LIES) and file_system.has_writer(self.path):
             raise StoreUnavailableError(f"{self.path}: a writer has taken it while it was read: try again")
 
     @contextmanager
@@ -191,7 +191,7 @@ class Database:
     def size(self) -> Size:
         """What the store takes of its disk."""
         files = (self.path, self.path.with_name(f"{self.path.name}-wal"))
-        used_bytes = sum(medium.size_bytes(file) for file in files)
+        used_bytes = sum(file_system.size_bytes(file) for file in files)
         return Size(used_bytes, shutil.disk_usage(self.path.parent).free)
 
     def close(self) -> None:

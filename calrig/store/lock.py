@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from calrig.store.errors import StoreError, store_error
-from calrig.store.medium import on_a_network_drive
+from calrig.store.file_system import on_a_network_drive
 
 
 class WriterLock:

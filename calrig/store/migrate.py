@@ -32,7 +32,7 @@ def stored_revision(database: Path, uri: str | None = None) -> str | None:
 
     Args:
         database: the file.
-        uri: how to open it for reading only, as `calrig.store.medium.reading_uri` says.
+        uri: how to open it for reading only, as `calrig.store.file_system.reading_uri` says.
 
     Raises:
         StoreError: it cannot be read, is not SQLite, or is another program's.

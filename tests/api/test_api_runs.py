@@ -224,7 +224,7 @@ def test_a_port_that_is_not_there_becomes_a_failed_run_with_a_reason(store_path)
 
 
 def test_a_board_that_never_answers_fails_the_run(launch_rig, store_path, monkeypatch):
-    monkeypatch.setattr("calrig.instruments.calrig_board.IDENTIFY_S", 1.0)
+    monkeypatch.setattr("calrig.instruments.boards.calrig.driver.IDENTIFY_S", 1.0)
     rig = launch_rig("mute", board={"fault": "silent"})
     run = failed_on(rig, store_path)
     assert rig.imu.port in run["error"]

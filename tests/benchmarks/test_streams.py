@@ -19,9 +19,9 @@ from packet_stream import MPU, as_read, sample_blocks
 from prepared_boards import prepared_boards
 
 from calrig.estimation.kalman import KalmanFilter
-from calrig.instruments.calrig_board import CalrigBoard
-from calrig.instruments.packets import PacketDecoder
-from calrig.instruments.sample_stream import SampleStream
+from calrig.instruments.boards.calrig.driver import CalrigBoard
+from calrig.instruments.boards.calrig.packets import PacketDecoder
+from calrig.instruments.boards.calrig.sample_stream import SampleStream
 from calrig.runs.pace import LOOK_S
 from calrig.runs.stream import Stream
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calrig.calibration.candidates import candidates_of
-from calrig.calibration.held_out import folds_of
+from calrig.calibration.cross_validation import folds_of
 from calrig.calibration.noise_model import NoiseModel, stacked
 from calrig.calibration.responses import Responses
 from calrig.calibration.search import MARGIN, model_columns
@@ -22,14 +22,14 @@ def set_size(r: Responses, noise: Noise) -> int:
     root = np.linalg.inv(np.linalg.cholesky(covariance[np.ix_(at, at)])).T
     known = NoiseModel(root, np.full(len(at), noise.rho))
     target = known.whiten(r.values, r.starts).ravel()
-    toll = float(np.log(len(r)))
+    bic_penalty = float(np.log(len(r)))
     best: dict[str, float] = {}
     for candidate in candidates_of(r):
         if candidate.effect is None or candidate.effect.follows:
             continue
         design = stacked(known, r.starts, model_columns(r, [candidate]))
         left = target - design @ np.linalg.lstsq(design, target, rcond=1e-9)[0]
-        criterion = float(left @ left) + toll * candidate.parameters
+        criterion = float(left @ left) + bic_penalty * candidate.parameters
         best[candidate.name] = min(best.get(candidate.name, np.inf), criterion)
     least = min(best.values())
     return sum(value - least < MARGIN for value in best.values())

@@ -15,7 +15,7 @@ import calrig
 from calrig.calibration.gravity import GravityError, calibrate_by_gravity, gravity_document, trace_gravity
 from calrig.calibration.gravity_model import EFFECTS, Problem, fit_gravity
 from calrig.calibration.gravity_search import search
-from calrig.calibration.still import StillPoses, still_poses
+from calrig.calibration.static_detector import StillPoses, still_poses
 from calrig.export.static_csv import accel_g_of, read_static
 
 DATA = Path(os.environ.get("CALRIG_DATA", Path(calrig.__file__).parents[2] / "shared" / "data"))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calrig.calibration.diagnosis import diagnose, document
-from calrig.calibration.partial import partial_residuals
+from calrig.calibration.partial_residuals import partial_residuals
 from calrig.calibration.pose import Pose
 from calrig.calibration.responses import DiagnosisError
 

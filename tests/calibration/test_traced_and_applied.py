@@ -7,9 +7,9 @@ import math
 import pytest
 from blind.cells import Cell, bias_tempco, package_turn
 
-from calrig.calibration.applied import numbers_of
+from calrig.calibration.correction import numbers_of
 from calrig.calibration.diagnosis import trace
-from calrig.calibration.partial import partial_residuals
+from calrig.calibration.partial_residuals import partial_residuals
 from calrig.calibration.result import build_result
 
 DEG_PER_C = 0.1

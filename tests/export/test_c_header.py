@@ -8,7 +8,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from calrig.calibration.applied import (
+from calrig.calibration.correction import (
     ApplyError,
     Circumstances,
     calibrated_elevation_deg,

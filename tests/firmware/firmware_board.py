@@ -18,8 +18,15 @@ from typing import Self
 import numpy as np
 import serial
 
-from calrig.instruments.packets import ACKNOWLEDGE, ERROR, FILTERED_SAMPLE, IDENTITY, SAMPLE, PacketDecoder
-from calrig.instruments.sample_stream import RECORD
+from calrig.instruments.boards.calrig.packets import (
+    ACKNOWLEDGE,
+    ERROR,
+    FILTERED_SAMPLE,
+    IDENTITY,
+    SAMPLE,
+    PacketDecoder,
+)
+from calrig.instruments.boards.calrig.sample_stream import RECORD
 
 Counts = Callable[[float], np.ndarray]
 """The sensor's seven registers at an instant, in seconds since the board was switched on."""

@@ -11,7 +11,7 @@ from firmware_build import sizes
 
 from calrig.estimation.angles import elevation_deg, wrap_deg
 from calrig.estimation.kalman import KalmanFilter
-from calrig.instruments.packets import ACKNOWLEDGE, ERROR, FILTERED_SAMPLE, IDENTITY, SAMPLE
+from calrig.instruments.boards.calrig.packets import ACKNOWLEDGE, ERROR, FILTERED_SAMPLE, IDENTITY, SAMPLE
 
 
 @pytest.mark.parametrize("baudrate", [115200, 500000])

@@ -9,8 +9,8 @@ import pytest
 from firmware_board import assert_on_time
 from support import wait_for
 
-from calrig.instruments.calrig_board import CalrigBoard
-from calrig.instruments.packets import ERROR, IDENTITY
+from calrig.instruments.boards.calrig.driver import CalrigBoard
+from calrig.instruments.boards.calrig.packets import ERROR, IDENTITY
 
 RATE_HZ = 400
 LOST = "the sensor does not answer any more: check its wires; trying again"

@@ -5,8 +5,8 @@ from hypothesis import settings
 from instrument_fakes import FakeBoard, FakeSmc100
 
 from calrig.instruments import smc100, smc100_wire
-from calrig.instruments.calrig_board import CalrigBoard
-from calrig.instruments.smc100 import Smc100
+from calrig.instruments.boards.calrig.driver import CalrigBoard
+from calrig.instruments.stages.smc100.driver import Smc100
 
 settings.register_profile("no deadline", deadline=None)  # a busy machine is no failure
 settings.load_profile("no deadline")

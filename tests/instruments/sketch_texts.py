@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from hypothesis import strategies as st
 
 from calrig.instruments import sketches
-from calrig.instruments.sketches import Sketch
+from calrig.instruments.boards.sketches.catalogue import Sketch
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from stage_ports import KINDS, InProcessPort, homed, moved_to, simulated, until_
 
 from calrig.instruments import esp301
 from calrig.instruments.errors import Halted, StageError
-from calrig.instruments.esp301 import Esp301
 from calrig.instruments.ports import open_port
+from calrig.instruments.stages.esp301.driver import Esp301
 from calrig.instruments.types import StageIdentity
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.rig import SimulatedRig

@@ -6,8 +6,8 @@ from stage_ports import InProcessPort, homed, until_it_stands
 
 from calrig.instruments import grbl, grbl_wire
 from calrig.instruments.errors import Halted, StageError
-from calrig.instruments.grbl import Grbl
-from calrig.instruments.grbl_words import ALARMS, ERRORS, parse_report
+from calrig.instruments.stages.grbl.driver import Grbl
+from calrig.instruments.stages.grbl.words import ALARMS, ERRORS, parse_report
 from calrig.instruments.types import StageIdentity
 
 

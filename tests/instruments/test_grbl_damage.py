@@ -10,8 +10,8 @@ from stage_ports import KINDS, InProcessPort, homed, moved_to, simulated, until_
 
 from calrig.instruments import grbl, grbl_wire
 from calrig.instruments.errors import StageError
-from calrig.instruments.grbl import Grbl
 from calrig.instruments.ports import open_port
+from calrig.instruments.stages.grbl.driver import Grbl
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.rig import SimulatedRig
 

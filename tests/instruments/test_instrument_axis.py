@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from calrig.instruments.axis import Axis, Motion
 from calrig.instruments.axis_goal import travel_time_s
 from calrig.instruments.errors import Halted, LimitError, StageError
-from calrig.instruments.smc100 import Smc100
+from calrig.instruments.stages.smc100.driver import Smc100
 from calrig.instruments.types import StageIdentity, StageStatus
 
 

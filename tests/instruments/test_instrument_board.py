@@ -9,7 +9,7 @@ import pytest
 from instrument_fakes import IDENTITY, FakeBoard, packet, sample
 
 from calrig.instruments import calrig_board, calrig_mark
-from calrig.instruments.calrig_board import CalrigBoard
+from calrig.instruments.boards.calrig.driver import CalrigBoard
 from calrig.instruments.errors import BoardError, PortError
 from calrig.instruments.types import BoardIdentity, Samples
 

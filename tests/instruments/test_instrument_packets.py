@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from instrument_fakes import cobs_decode, cobs_encode, crc16_bit_by_bit, packet, sample
 
-from calrig.instruments.packets import PacketDecoder
+from calrig.instruments.boards.calrig.packets import PacketDecoder
 
 EXAMPLE = bytes.fromhex("0302010388130101010101010240 02fe 010101010103 39c2 00".replace(" ", ""))
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from instrument_fakes import FakeSmc100
 
 from calrig.instruments.errors import Halted, PortError, StageError
-from calrig.instruments.smc100 import Smc100
+from calrig.instruments.stages.smc100.driver import Smc100
 from calrig.instruments.types import StageIdentity
 
 STATES = [

@@ -13,9 +13,9 @@ from instrument_fakes import Wire
 from sketch_texts import BANNERS, BY_DRIVER
 
 from calrig.instruments import drivers, sketch_board
+from calrig.instruments.boards.sketches.catalogue import SKETCHES
+from calrig.instruments.boards.sketches.driver import SketchBoard
 from calrig.instruments.errors import BoardError, PortError
-from calrig.instruments.sketch_board import SketchBoard
-from calrig.instruments.sketches import SKETCHES
 from calrig.instruments.types import Samples
 
 DEADLINE_S = 10.0

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from sketch_texts import BANNERS, BY_DRIVER, ELECTRONIC_CATS, TEXTS
 
 from calrig.instruments import sketches
+from calrig.instruments.boards.sketches.lines import SketchReader
+from calrig.instruments.boards.sketches.samples import SketchSamples
 from calrig.instruments.errors import BoardError
-from calrig.instruments.sketch_lines import SketchReader
-from calrig.instruments.sketch_samples import SketchSamples
 
 G_MPS2 = 9.80665
 ALL = pytest.mark.parametrize("text", TEXTS, ids=lambda text: text.sketch.driver)

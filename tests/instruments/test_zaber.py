@@ -10,8 +10,8 @@ from stage_ports import KINDS, InProcessPort, homed, moved_to, simulated, until_
 
 from calrig.instruments import drivers, zaber
 from calrig.instruments.errors import Halted, InstrumentError, PortError, StageError
-from calrig.instruments.zaber import Zaber
-from calrig.instruments.zaber_words import FLAGS
+from calrig.instruments.stages.zaber.driver import Zaber
+from calrig.instruments.stages.zaber.words import FLAGS
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.rig import SimulatedRig
 

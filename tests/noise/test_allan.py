@@ -12,7 +12,7 @@ import pytest
 
 import calrig
 from calrig.noise.allan import CONFIDENCE, MIN_CLUSTERS, allan_curve
-from calrig.noise.even import EvenLog, even
+from calrig.noise.resampling import EvenLog, even
 
 DATA = Path(os.environ.get("CALRIG_DATA", Path(calrig.__file__).parents[2] / "shared" / "data"))
 

@@ -11,7 +11,7 @@ from scipy.stats import binom
 
 from calrig.noise.allan import allan_curve
 from calrig.noise.coefficients import TERMS, coefficients
-from calrig.noise.even import EvenLog, even
+from calrig.noise.resampling import EvenLog, even
 
 N, RATE_HZ = 2**15, 100.0
 TIME_S = np.arange(N) / RATE_HZ

@@ -10,8 +10,8 @@ import pytest
 from scipy.signal import lfilter
 
 from calrig.export.static_csv import read_static
-from calrig.noise.even import even
 from calrig.noise.lines import Line, find_lines
+from calrig.noise.resampling import even
 
 DATA = Path(os.environ.get("CALRIG_DATA", Path(__file__).parents[3] / "shared" / "data"))
 RATE_HZ, TEN_MINUTES_S = 100.0, 600.0

@@ -10,7 +10,7 @@ import pytest
 from scipy.signal import lfilter
 
 from calrig.export.static_csv import read_static
-from calrig.noise.even import even
+from calrig.noise.resampling import even
 from calrig.noise.temperature import temperature_of
 
 DATA = Path(os.environ.get("CALRIG_DATA", Path(__file__).parents[3] / "shared" / "data"))

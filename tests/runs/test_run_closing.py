@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 from run_rigs import ENDLESS, STOPPED_S, TruthRig, begin, moving, paused, plan, states, until
 
-from calrig.runs.errors import Conflict
+from calrig.analysis.errors import Conflict
 from calrig.runs.service import RunService
 from calrig.store import Run, Store
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from support import running_service
 
+from calrig.analysis.diagnoses import Diagnoses
+from calrig.analysis.errors import Conflict
 from calrig.api.calibrations import document_of
 from calrig.plan import Plan
-from calrig.runs.diagnosing import Diagnoses
-from calrig.runs.errors import Conflict
 
 PLAN = Plan(settle_s=0.5, dwell_s=0.5)
 PLAY_DEG = 0.4

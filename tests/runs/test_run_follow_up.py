@@ -7,11 +7,11 @@ import random
 import pytest
 from support import running_service
 
+from calrig.analysis.diagnoses import Diagnoses
+from calrig.analysis.errors import Conflict
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import build_result
 from calrig.plan import Plan
-from calrig.runs.diagnosing import Diagnoses
-from calrig.runs.errors import Conflict
 
 ONE_SWEEP = Plan(sweeps=1, settle_s=0.5, dwell_s=0.5)
 

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from run_rigs import TruthRig, events, plan, states
 
+from calrig.analysis.states import AT_REST
 from calrig.runs.service import RunService
-from calrig.runs.states import AT_REST
 from calrig.store import Event, Run, Store
 
 

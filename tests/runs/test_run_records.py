@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from run_rigs import ENDLESS, TruthRig, until
 
-from calrig.runs.errors import Conflict, Invalid, Unknown
-from calrig.runs.records import Records
+from calrig.analysis.amendments import Records
+from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.runs.service import RunService
 from calrig.store import Run, Store
 

@@ -21,9 +21,9 @@ from run_rigs import (
     until,
 )
 
+from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.instruments.ports import open_port
 from calrig.plan import Plan
-from calrig.runs.errors import Conflict, Invalid, Unknown
 from calrig.runs.service import RunService
 from calrig.store import Run, Store
 

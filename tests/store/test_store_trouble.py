@@ -20,7 +20,7 @@ from test_store_migrations import later_program
 from test_store_open import python
 
 from calrig.calibration.pose import Pose
-from calrig.store import SampleBlock, Store, StoreDamagedError, StoreError, StoreUnavailableError, medium
+from calrig.store import SampleBlock, Store, StoreDamagedError, StoreError, StoreUnavailableError, file_system
 
 
 def block(index: int, n: int = 500) -> SampleBlock:
@@ -176,7 +176,7 @@ def test_a_network_drive_is_not_written_to_and_read_only_where_nobody_writes(
         "22 1 8:1 / / rw shared:1 - ext4 /dev/sda1 rw\n"
         f"40 22 0:35 / {tmp_path} rw shared:2 - nfs4 server:/lab rw,vers=4.2\n"
     )
-    monkeypatch.setattr(medium, "MOUNTS", mounts)
+    monkeypatch.setattr(file_system, "MOUNTS", mounts)
     with pytest.raises(StoreError, match=r"network drive.*nfs4.*local disk.*calrig backup"):
         Store.open(url, writer="serve")
     with Store.open(url, writer=None) as reader:
@@ -195,10 +195,10 @@ def test_mount_points_with_blanks_and_the_last_of_two_are_understood(tmp_path, m
         "41 22 0:36 / /mnt/twice rw - nfs server:/old rw\n"
         "42 22 0:37 / /mnt/twice rw - xfs /dev/sdb1 rw\n"
     )
-    monkeypatch.setattr(medium, "MOUNTS", mounts)
-    assert medium.file_system(Path("/mnt/lab share/calrig.db")) == "cifs"
-    assert medium.file_system(Path("/mnt/twice/calrig.db")) == "xfs"
-    assert medium.file_system(Path("/mnt/lab/calrig.db")) == "ext4"
+    monkeypatch.setattr(file_system, "MOUNTS", mounts)
+    assert file_system.file_system(Path("/mnt/lab share/calrig.db")) == "cifs"
+    assert file_system.file_system(Path("/mnt/twice/calrig.db")) == "xfs"
+    assert file_system.file_system(Path("/mnt/lab/calrig.db")) == "ext4"
 
 
 @pytest.mark.parametrize("refusal", [errno.ENOLCK, errno.EOPNOTSUPP])

@@ -13,13 +13,13 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from calrig.analysis.amendments import Records
+from calrig.analysis.errors import Invalid
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import build_result
 from calrig.export.cells import CsvError
 from calrig.export.poses_csv import read_poses, write_poses
 from calrig.export.static_csv import read_static
-from calrig.runs.errors import Invalid
-from calrig.runs.records import Records
 from calrig.store import Store
 from tests.trials.counting import Count, Extent, none_of
 from tests.trials.damaged_csv import damaged_log, damaged_poses, rows_of

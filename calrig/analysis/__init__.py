@@ -1,0 +1,1 @@
+"""What is made of stored runs: diagnosis, the calibration in force, amendments, noise studies."""

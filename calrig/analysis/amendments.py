@@ -1,0 +1,102 @@
+"""What is done to runs after they were measured, or instead: import, void, exclude. Nothing is deleted."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from calrig.analysis.errors import Conflict, Invalid, Unknown
+from calrig.analysis.provenance import provenance
+from calrig.analysis.results import fitted, refitted
+from calrig.analysis.states import AT_REST
+from calrig.export.poses_csv import CsvError, read_poses
+from calrig.store import Run, Store
+
+LONGEST_SERIAL = 100
+LONGEST_REASON = 1000
+
+
+def check_serial(serial: str) -> str:
+    """The serial number, or Invalid: 1 to 100 printable characters without blanks at its ends."""
+    if not serial or serial != serial.strip() or not serial.isprintable():
+        raise Invalid("a unit's serial number is made of printable characters, without blanks at its ends")
+    if len(serial) > LONGEST_SERIAL:
+        raise Invalid(f"a unit's serial number has at most {LONGEST_SERIAL} characters, not {len(serial)}")
+    return serial
+
+
+class Records:
+    """Imports and amendments in a store."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+
+    def import_poses(
+        self, *, unit: str, rig: str | None, file_name: str, content: bytes, operator: str | None = None
+    ) -> Run:
+        """Makes a completed run of a CSV of poses (CONTRACT section 4).
+
+        Raises:
+            Invalid: the serial is out of bounds or the file is bad; the message names line and column, and
+                nothing is stored.
+        """
+        check_serial(unit)
+        try:
+            imported = read_poses(content)
+        except CsvError as error:
+            raise Invalid(f"{file_name}: {error}") from error
+        origin: dict[str, Any] = {
+            **provenance(operator),
+            "imported_from": file_name,
+            "warnings": imported.warnings,
+        }
+        result = fitted(self._store, unit=unit, rig=rig, provenance=origin, poses=imported.poses)
+        return self._store.create_run(
+            unit=unit,
+            rig=rig,
+            plan=None,
+            status="completed",
+            poses=imported.poses,
+            operator=operator,
+            provenance=origin,
+            result=result.to_dict(),
+        )
+
+    def void(self, run_id: str, reason: str) -> Run:
+        """Takes an ended run out of every comparison; it stays, with the reason."""
+        self._ended(run_id)
+        return self._store.void_run(run_id, _checked_reason(reason))
+
+    def exclude_pose(self, run_id: str, index: int, reason: str) -> Run:
+        """Takes one pose out of an ended run's result, which is reckoned again; the pose stays."""
+        run = self._ended(run_id)
+        poses = self._store.poses(run_id)
+        if index not in {stored.index for stored in poses}:
+            raise Unknown(f"run {run_id} has no pose {index}")
+        left = [p.pose for p in poses if p.excluded is None and p.index != index]
+        result = run.result
+        kind = (run.plan or {}).get("kind", "calibration")
+        if result is not None and kind != "calibration":
+            raise Conflict(f"run {run_id} is a {kind}: it fits nothing that a pose could be taken out of")
+        if result is not None:
+            if not left:
+                raise Conflict(
+                    f"pose {index} is the last one that run {run_id} rests on: void the run instead"
+                )
+            result = refitted(self._store, run, left)
+        return self._store.exclude_pose(run_id, index, _checked_reason(reason), result=result)
+
+    def _ended(self, run_id: str) -> Run:
+        run = self._store.run(run_id)
+        if run is None:
+            raise Unknown(f"there is no run {run_id}")
+        if run.status not in AT_REST:
+            raise Conflict(f"run {run_id} is {run.status}: end it first")
+        return run
+
+
+def _checked_reason(reason: str) -> str:
+    if not reason.strip():
+        raise Invalid("a reason is needed: it stays with the run")
+    if len(reason) > LONGEST_REASON:
+        raise Invalid(f"a reason has at most {LONGEST_REASON} characters, not {len(reason)}")
+    return reason.strip()

@@ -1,0 +1,167 @@
+"""Diagnoses of stored runs, and the effects that people accept from them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from calrig.analysis.errors import Conflict, Invalid, Unknown
+from calrig.analysis.results import refitted
+from calrig.calibration.diagnosis import Diagnosis, diagnose, trace
+from calrig.calibration.pose import Pose
+from calrig.calibration.responses import DiagnosisError
+from calrig.store import AcceptedEffect, Run, Store
+
+OF_THE_UNIT = ("sensor", "mounting")
+OF_THE_RIG = ("stage",)
+OF_ONE_RUN = ("mount_slip", "time_drift")
+"""What happened once, or at one instant, says nothing about the next run."""
+
+
+class Diagnoses:
+    """Traces what calibration left of stored runs, and remembers what was found and accepted."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+
+    def trace(self, run_id: str, more: Sequence[str] = ()) -> dict[str, Any]:
+        """Diagnoses a run, together with more runs of its unit; the document is kept with the run.
+
+        Raises: as `traced`.
+        """
+        found = self.traced(run_id, more)
+        _keep_accepted(self._run(run_id).diagnosis, found)
+        self._store.update_run(run_id, diagnosis=found)
+        return found
+
+    def traced(self, run_id: str, more: Sequence[str] = ()) -> dict[str, Any]:
+        """The diagnosis of a run, together with more runs of its unit and those it follows on.
+
+        Raises:
+            Unknown: there is no such run.
+            Conflict: a run is of another unit, or has not ended.
+            Invalid: the poses cannot be diagnosed; says why.
+        """
+        runs = self._of_one_unit(run_id, more)
+        latest = runs[-1]
+        try:
+            return trace(
+                [self._poses(run) for run in runs],
+                [run.id for run in runs],
+                plan=latest.plan,
+                limits_deg=limits_of(latest),
+                deciding=self._deciding(latest) if len(runs) > 1 else None,
+            )
+        except DiagnosisError as error:
+            raise Invalid(f"run {run_id}: {error}") from error
+
+    def last(self, run_id: str) -> dict[str, Any]:
+        """The last diagnosis of a run (Unknown where it has none)."""
+        found = self._run(run_id).diagnosis
+        if found is None:
+            raise Unknown(f"run {run_id} has not been diagnosed")
+        return found
+
+    def suspects(self, run_id: str) -> tuple[list[Run], Diagnosis]:
+        """A run with those it follows on, and their diagnosis, quickly: without errors on unseen poses."""
+        runs = self._of_one_unit(run_id, ())
+        try:
+            return runs, diagnose([self._poses(run) for run in runs], cross_fit=False)
+        except DiagnosisError as error:
+            raise Conflict(f"run {run_id}: {error}") from error
+
+    def accept(self, run_id: str, names: Sequence[str]) -> Run:
+        """Puts named effects of a run's diagnosis in force: the unit's own for it, the stage's for the rig.
+
+        Raises:
+            Unknown: no such run, or it has not been diagnosed.
+            Conflict: an effect is not in the diagnosis, or is none that later runs could be corrected for.
+        """
+        run, found = self._run(run_id), self.last(run_id)
+        known = {effect["name"]: effect for effect in found["effects"]}
+        accepted = []
+        for name in names:
+            if name not in known:
+                listed = ", ".join(known) or "none"
+                raise Conflict(f"the diagnosis of run {run_id} has no effect {name!r}; it has: {listed}")
+            accepted.append(_accepted(run, known[name]))
+        self._store.accept_effects(run_id, accepted)
+        if run.result is None or (run.plan or {}).get("kind") == "verification":
+            return run
+        return self._store.set_result(run_id, refitted(self._store, run, self._poses(run)))
+
+    def poses(self, run_id: str) -> list[Pose]:
+        """The poses of a run that count."""
+        return self._poses(self._run(run_id))
+
+    def _of_one_unit(self, run_id: str, more: Sequence[str]) -> list[Run]:
+        """The runs in the order measured: those it follows on, those asked for, itself."""
+        run = self._run(run_id)
+        wanted = {other: self._run(other) for other in more if other != run_id}
+        follows = run.follows
+        while follows is not None:
+            wanted[follows] = self._run(follows)
+            follows = wanted[follows].follows
+        for other in wanted.values():
+            if other.unit != run.unit:
+                raise Conflict(f"run {other.id} is of unit {other.unit!r}, run {run_id} of unit {run.unit!r}")
+        runs = [*sorted(wanted.values(), key=lambda r: r.created_at), run]
+        for one in runs:
+            if one.status not in ("completed", "failed", "aborted", "interrupted"):
+                raise Conflict(f"run {one.id} is {one.status}: wait until it has ended")
+        return runs
+
+    def _deciding(self, run: Run) -> list[int] | None:
+        """Places, among the poses of a follow-up that count, of those that served to decide."""
+        decided_on = deciding_poses(run)
+        if decided_on is None:
+            return None
+        counting = self._store.poses(run.id, include_excluded=False)
+        return [place for place, stored in enumerate(counting) if stored.index in decided_on]
+
+    def _poses(self, run: Run) -> list[Pose]:
+        return [stored.pose for stored in self._store.poses(run.id, include_excluded=False)]
+
+    def _run(self, run_id: str) -> Run:
+        run = self._store.run(run_id)
+        if run is None:
+            raise Unknown(f"there is no run {run_id}")
+        return run
+
+
+def _keep_accepted(before: dict[str, Any] | None, found: dict[str, Any]) -> None:
+    """An effect found once more with the very same values has been accepted; with others it has not."""
+    for earlier in [] if before is None else before["effects"]:
+        for effect in found["effects"]:
+            if all(effect[key] == earlier[key] for key in ("name", "parameters")):
+                effect["accepted_at"] = earlier.get("accepted_at")
+
+
+def limits_of(run: Run) -> tuple[float, float] | None:
+    """The soft limits a run was made under; None for an imported one."""
+    limits = (run.provenance.get("rig") or {}).get("limits_deg")
+    return None if limits is None else (float(limits[0]), float(limits[1]))
+
+
+def deciding_poses(run: Run) -> list[int] | None:
+    """Indices of the poses of a follow-up that served to decide; None for any other run."""
+    return (run.provenance.get("follow_up") or {}).get("decided_on")
+
+
+def _accepted(run: Run, effect: dict[str, Any]) -> AcceptedEffect:
+    name, origin = effect["name"], effect["origin"]
+    if effect["verdict"] != "named":
+        raise Conflict(f"{name} is {effect['verdict']}, not named: separate it from its look-alikes first")
+    if name in OF_ONE_RUN or origin not in (*OF_THE_UNIT, *OF_THE_RIG):
+        raise Conflict(f"{name} ({origin}) cannot correct later runs: {effect['remedy']}")
+    if origin in OF_THE_RIG and run.rig is None:
+        raise Conflict(f"{name} belongs to the stage, and run {run.id} names no rig")
+    parameters = {key: value and value["value"] for key, value in effect["parameters"].items()}
+    return AcceptedEffect(
+        run_id=run.id,
+        unit=run.unit if origin in OF_THE_UNIT else None,
+        rig=run.rig if origin in OF_THE_RIG else None,
+        name=name,
+        origin=origin,
+        parameters=parameters,
+    )

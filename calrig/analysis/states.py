@@ -1,0 +1,23 @@
+"""The states of a run and the moves between them that are allowed."""
+
+from __future__ import annotations
+
+from calrig.analysis.errors import Conflict
+from calrig.store.records import TERMINAL
+
+AT_REST = frozenset({*TERMINAL, "interrupted"})
+"""Nobody carries the run out: it has ended for good, or was interrupted and can be taken up again."""
+
+ALLOWED: dict[str, frozenset[str]] = {
+    "queued": frozenset({"running", "failed", "aborted", "interrupted"}),
+    "running": frozenset({"paused", "completed", "failed", "aborted", "interrupted"}),
+    "paused": frozenset({"running", "failed", "aborted", "interrupted"}),
+    "interrupted": frozenset({"queued", "aborted"}),
+    **{status: frozenset() for status in TERMINAL},
+}
+
+
+def check_transition(run_id: str, before: str, after: str) -> None:
+    """Raises Conflict where a run may not go from `before` to `after`."""
+    if after not in ALLOWED[before]:
+        raise Conflict(f"run {run_id} is {before} and cannot become {after}")

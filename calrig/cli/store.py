@@ -1,0 +1,93 @@
+"""The commands that put runs into a store, take them out, or keep a copy of all of it."""
+
+from __future__ import annotations
+
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calrig.cli.analysis import Db, read_bytes
+from calrig.errors import InputError, WorkError
+
+app = typer.Typer(rich_markup_mode=None)
+
+Rig = Annotated[str | None, typer.Option(metavar="NAME", help="Rig; without it the first one configured.")]
+UnitSerial = Annotated[str, typer.Option("--unit", metavar="SERIAL", help="Serial number of the unit.")]
+
+
+class Format(StrEnum):
+    """What `export` writes."""
+
+    json = "json"
+    csv = "csv"
+    c_header = "c-header"
+
+
+@app.command("import")
+def import_(
+    file: Annotated[Path, typer.Argument(metavar="FILE.csv", help="Poses, one row each.")],
+    unit: UnitSerial,
+    rig: Rig = None,
+    db: Db = None,
+) -> None:
+    """Make a run of a CSV of poses and print its id."""
+    from calrig.analysis.amendments import Records
+    from calrig.settings import store_url
+    from calrig.store import Store
+
+    content = read_bytes(file)
+    with Store.open(store_url(db), writer="import") as store:
+        made = Records(store).import_poses(unit=unit, rig=rig, file_name=file.name, content=content)
+    typer.echo(made.id)
+
+
+@app.command()
+def export(
+    run_id: Annotated[str | None, typer.Argument(metavar="RUN_ID", help="The run to export.")] = None,
+    unit: Annotated[str | None, typer.Option(metavar="SERIAL", help="The unit, by its run in force.")] = None,
+    format_: Annotated[Format, typer.Option("--format", help="The poses, or calibration.h.")] = Format.json,
+    db: Db = None,
+) -> None:
+    """Print a calibration, as JSON or as calibration.h, or the poses it rests on."""
+    import json
+
+    from calrig.api.calibrations import document_of, run_in_force
+    from calrig.export.c_header import c_header
+    from calrig.export.poses_csv import write_poses
+    from calrig.settings import store_url
+    from calrig.store import Store
+
+    if (run_id is None) == (unit is None):
+        raise InputError("export: name either a RUN_ID or --unit SERIAL")
+    with Store.open(store_url(db), writer=None) as store:
+        found = run_in_force(store, unit) if unit is not None else store.run(run_id or "")
+        if found is None:
+            raise WorkError(f"there is no run {run_id}")
+        if format_ is Format.csv:
+            counted = [stored.pose for stored in store.poses(found.id, include_excluded=False)]
+            sys.stdout.write(write_poses(counted))
+        elif format_ is Format.c_header:
+            sys.stdout.write(c_header(document_of(store, found)))
+        else:
+            typer.echo(json.dumps(document_of(store, found), indent=2, ensure_ascii=False, allow_nan=False))
+
+
+@app.command()
+def backup(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The copy to make; never overwritten.")],
+    db: Db = None,
+) -> None:
+    """Keep a copy of the whole store, also while a service writes to it; the copy is a store itself."""
+    from calrig.settings import store_url
+    from calrig.store import back_up
+
+    if file.is_dir() or not file.parent.is_dir():
+        raise InputError(f"backup: {file}: is a folder, or in one that is not there: name a file to make")
+    if file.exists():
+        raise InputError(f"backup: {file}: exists and is not overwritten: name another file")
+    made = back_up(store_url(db), file)
+    size_mb = made.size_bytes / 1e6
+    typer.echo(f"{file}: {made.runs} runs, {made.poses} poses, {size_mb:.1f} MB")

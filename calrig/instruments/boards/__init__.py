@@ -1,0 +1,1 @@
+"""Boards: a folder a device with its driver and its words."""

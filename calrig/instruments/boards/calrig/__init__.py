@@ -1,0 +1,1 @@
+"""Boards that speak calrig's own packets."""

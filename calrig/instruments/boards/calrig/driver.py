@@ -1,0 +1,316 @@
+"""Boards that speak the packet protocol of CONTRACT 3.1 (driver `calrig`)."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import threading
+import time
+from collections import Counter
+from typing import Self
+
+from calrig.instruments.boards.calrig.identity import read_identity
+from calrig.instruments.boards.calrig.mark import Mark
+from calrig.instruments.boards.calrig.packets import (
+    ACKNOWLEDGE,
+    FILTERED_SAMPLE,
+    IDENTITY,
+    SAMPLE,
+    PacketDecoder,
+)
+from calrig.instruments.boards.calrig.sample_stream import SampleStream
+from calrig.instruments.boards.calrig.words import NO_SENSOR, USELESS, why_none
+from calrig.instruments.errors import BoardError, InstrumentError, PortError
+from calrig.instruments.ports import Port, open_port
+from calrig.instruments.types import BoardIdentity, Samples
+
+BAUDRATE = 115200
+READ_EVERY_S = 0.04
+READ_TIMEOUT_S = 0.002
+"""All bytes there are, 25 times a second: waking for each sample would cost several times as much."""
+BACKLOG_BYTES = 2000
+"""A read this large may be half of a terminal's 4 kB buffer: more waits behind it and grows old."""
+IDENTIFY_S = 5.0
+ASK_AGAIN_S = 0.5
+ANSWER_S = 1.0
+ATTEMPTS = 3
+LATE_S = 0.12
+"""Longer than reading and a system at rest let samples wait: then something on their way does."""
+RESTART_S = 1.0
+"""So long after it fell silent, and again, a board is started anew: what told of its reset may be lost."""
+SILENCE_S = 4.0
+"""Longer than the 3 s that a board may take from a reset to its identity."""
+USELESS_S = 2.0
+
+
+class CalrigBoard:
+    """One board on a port. A thread reads from the first moment; `take` must be called while it streams.
+
+    A board that resets in the middle (it sends its identity again) is started again, counted as
+    `board_reset`, and so is one that falls silent, counted as `restarted`; its time then goes on by the
+    host's clock over the gap.
+    """
+
+    def __init__(self, port: Port) -> None:
+        self.faults: Counter[str] = Counter()
+        self._port = port
+        self._name = f"board calrig on {port.name}"
+        self._decoder = PacketDecoder(self.faults)
+        self._news = threading.Condition()
+        self._closing = threading.Event()
+        self._failure: InstrumentError | None = None
+        self._identity: BoardIdentity | None = None
+        self._stream: SampleStream | None = None
+        self._start_line: str | None = None  # what it acknowledged; None again once told to stop
+        self._streaming = False  # whether samples are believed: from the acknowledge of START to that of STOP
+        self._period_s = 0.0
+        self._asked = ""
+        self._answer: tuple[int, str] | None = None
+        self._last_words = ""
+        self._blocks: list[Samples] = []
+        self._n_bytes = 0
+        self._heard_at = self._valid_at = self._asked_at = self._restarted_at = time.monotonic()
+        self._mark = Mark(lambda: self._send("ID"))
+        self._may_be_late = False  # whether samples were ever held up on their way since `start`
+        self._is_reset = self._awaits_start = False
+        self._faults_then: Counter[str] = Counter()
+        self._reader = threading.Thread(target=self._listen, name=f"reader of {self._name}", daemon=True)
+        self._reader.start()
+
+    @classmethod
+    def open(cls, url: str, *, baudrate: int | None = None) -> Self:
+        """Opens the port (PortError), which resets most boards."""
+        return cls(open_port(url, baudrate=baudrate or BAUDRATE, timeout_s=READ_TIMEOUT_S))
+
+    def identify(self) -> BoardIdentity:
+        """Asks twice a second until the board answers; faults are counted from here on.
+
+        Raises:
+            BoardError: no identity in 5 s, or one that cannot be used.
+            PortError: the port went away.
+        """
+        with self._news:
+            self._identity = None
+            self._send("STOP")  # a process before this one may have left it streaming
+            deadline = time.monotonic() + IDENTIFY_S
+            while self._identity is None and time.monotonic() < deadline:
+                self._send("ID")
+                self._news.wait_for(lambda: self._identity or self._failure, ASK_AGAIN_S)
+                self._raise_failure()
+            if self._identity is None:
+                why = why_none(self._last_words, self._n_bytes)
+                raise BoardError(f"{self._name} sent no identity in {IDENTIFY_S:g} s: {why}")
+            self.faults.clear()
+            self._last_words = ""
+            return self._identity
+
+    def start(self, rate_hz: int) -> None:
+        """Starts streaming and waits for the acknowledge.
+
+        Raises:
+            BoardError: not identified, the rate is above the board's, or it refused in its own words.
+        """
+        identity = self._identity
+        if identity is None:
+            raise BoardError(f"{self._name} must be identified before it is started")
+        if identity.max_rate_hz is not None and rate_hz > identity.max_rate_hz:
+            raise BoardError(f"{self._name} samples at {identity.max_rate_hz} Hz at most, not {rate_hz} Hz")
+        with self._news:
+            self._streaming, self._start_line = False, None
+            self._blocks.clear()
+            self._stream = SampleStream(identity, rate_hz, self.faults)
+            self._period_s = 1 / rate_hz
+            asked_s = time.monotonic()
+            self._command(f"START {rate_hz}")
+            self._may_be_late = time.monotonic() - asked_s > LATE_S
+
+    def take(self, timeout_s: float) -> Samples:
+        """The valid samples since the last call, waiting up to timeout_s for the first one.
+
+        Raises:
+            BoardError: for too long the board has been silent, frozen, unreadable or without a sensor.
+            PortError: the port went away.
+        """
+        with self._news:
+            self._news.wait_for(lambda: self._blocks or self._failure, timeout_s)
+            blocks, self._blocks = self._blocks, []
+            if not blocks:
+                self._raise_failure()
+                self._check_health()
+            return Samples.join(blocks)
+
+    def mark(self) -> None:
+        """Asks for a sign in the stream: what comes after it was measured after this call.
+
+        Only where the way was ever slow: the answer takes a full line's time from the samples.
+        """
+        with self._news:
+            if self._may_be_late:
+                self._mark.begin()
+
+    @property
+    def marked(self) -> bool:
+        """Whether the sign has come, or the board gives none; blocks not taken yet may be older than it."""
+        with self._news:
+            return self._mark.came()
+
+    def stop(self) -> None:
+        """Stops streaming (BoardError if the board does not acknowledge); what came before can be taken."""
+        with self._news:
+            self._start_line = None
+            self._command("STOP")
+
+    def close(self) -> None:
+        """Closes the port, having told a streaming board to stop; never raises."""
+        if self._start_line is not None:
+            with contextlib.suppress(PortError), self._news:
+                self._start_line = None
+                self._send("STOP")
+        self._closing.set()
+        self._reader.join()
+        self._port.close()
+
+    def _send(self, line: str) -> None:
+        self._port.write(f"{line}\n".encode("ascii"))
+
+    def _command(self, line: str) -> None:
+        """Sends a line until it is acknowledged: each may be repeated, and refused because it was damaged."""
+        self._asked, answer = line, None
+        for _ in range(ATTEMPTS):
+            self._raise_failure()
+            self._answer = None
+            self._send(line)
+            self._news.wait_for(lambda: self._answer or self._failure, ANSWER_S)
+            answer = self._answer or answer
+            if answer is not None and answer[0] == ACKNOWLEDGE:
+                break
+        self._asked = ""
+        self._raise_failure()
+        if answer is None:
+            raise BoardError(
+                f"{self._name} did not acknowledge {line} in {ATTEMPTS * ANSWER_S:g} s: reset the board"
+            )
+        kind, words = answer
+        if kind != ACKNOWLEDGE:
+            raise BoardError(f"{self._name} refused {line}: {words}")
+
+    def _listen(self) -> None:
+        data = b""
+        while not self._closing.wait(READ_EVERY_S if len(data) < BACKLOG_BYTES else 0.0):
+            try:
+                data = self._port.read(65536)
+                if data:
+                    self._digest(data)
+            except InstrumentError as error:
+                with self._news:
+                    self._failure = error
+                    self._news.notify_all()
+                return
+
+    def _digest(self, data: bytes) -> None:
+        with self._news:
+            packets = self._decoder.feed(data)
+            now = time.monotonic()
+            if now - self._heard_at > max(LATE_S, 3 * self._period_s) or len(data) > BACKLOG_BYTES:
+                self._may_be_late |= self._streaming
+            self._heard_at = now
+            self._n_bytes += len(data)
+            for are_samples, group in itertools.groupby(packets, _is_sample):
+                if are_samples:
+                    self._keep(list(group))
+                else:
+                    for packet in group:
+                        self._listen_to(packet[0], packet[1:])
+            self._news.notify_all()
+
+    def _keep(self, packets: list[bytes]) -> None:
+        if self._stream is None or not self._streaming:
+            return  # of a START before this one
+        self._is_reset = False
+        block = self._stream.push(packets)
+        if len(block):
+            self._blocks.append(block)
+            self._valid_at = self._heard_at
+            self._faults_then = self.faults.copy()
+
+    def _listen_to(self, kind: int, payload: bytes) -> None:
+        text = payload.decode("utf-8", "replace")
+        if kind == IDENTITY:
+            self._meet(text)
+        elif kind == ACKNOWLEDGE:
+            self._follow(text)
+        else:
+            self._last_words = text
+            if self._start_line is not None:
+                self.faults["board_error"] += 1
+            elif self._asked.startswith("START"):
+                self._answer = kind, text
+
+    def _follow(self, line: str) -> None:
+        if line == "STOP":
+            self._streaming = False
+        elif self._stream is not None and line in (self._asked, self._start_line):
+            if line == self._start_line:  # after a reset, or late, to a START that was sent twice
+                self._stream.restart(self._heard_at - self._valid_at)
+            self._start_line, self._streaming, self._awaits_start = line, True, False
+            self._valid_at, self._faults_then = self._heard_at, self.faults.copy()
+        if line == self._asked:
+            self._answer = ACKNOWLEDGE, line
+
+    def _meet(self, text: str) -> None:
+        try:
+            identity = read_identity(text)
+        except ValueError as error:
+            raise BoardError(
+                f"{self._name} sent an identity that cannot be used ({error}): does it carry calrig's sketch?"
+            ) from error
+        if self._start_line is None:
+            self._identity = self._identity or identity
+        elif identity != self._identity:
+            raise BoardError(
+                f"{self._name} was exchanged while it streamed: it now says it is {identity.serial!r}, "
+                f"{identity.chip}, ±{identity.accel_range_g} g, ±{identity.gyro_range_dps} °/s"
+            )
+        elif self._mark.heard():
+            self._is_reset = True  # perhaps: that it is going on shows at its next sample
+        else:
+            self._is_reset = True
+            self._start_again()
+
+    def _start_again(self) -> None:
+        """Starts a board anew that was reset, or may have been: it is silent, or did not acknowledge."""
+        self.faults["board_reset" if self._is_reset else "restarted"] += 1
+        self._streaming &= not self._is_reset  # what is only late is still to be taken
+        self._is_reset, self._awaits_start = False, True
+        self._restarted_at = time.monotonic()
+        self._send(str(self._start_line))
+
+    def _raise_failure(self) -> None:
+        if self._failure is not None:
+            raise self._failure
+
+    def _check_health(self) -> None:
+        if self._start_line is None or self._stream is None:
+            return
+        now = time.monotonic()
+        silent_s = now - (self._restarted_at if self._awaits_start else self._heard_at)
+        if silent_s > max(ASK_AGAIN_S if self._is_reset else RESTART_S, 3 * self._period_s):
+            self._start_again()
+        useless_s = now - self._valid_at
+        since = self.faults - self._faults_then
+        refused = max(USELESS, key=lambda kind: since[kind])
+        went_on = since[refused] * self._period_s > USELESS_S / 2  # not just the last ones before a reset
+        if went_on and useless_s > max(USELESS_S, 3 * self._period_s):
+            why = NO_SENSOR if self._stream.reads_zero else USELESS[refused]
+        elif useless_s <= max(SILENCE_S, 3 * self._period_s):
+            return
+        elif since["crc"] or since["unparsed"]:
+            why = "bytes come, but no packet is whole: check baud rate, cable and ground"
+        else:
+            why = "it is silent: check its power and cable"
+        words = f"; its last words were {self._last_words!r}" if self._last_words else ""
+        raise BoardError(f"{self._name} has sent no usable sample for {useless_s:.1f} s: {why}{words}")
+
+
+def _is_sample(packet: bytes) -> bool:
+    return packet[0] in (SAMPLE, FILTERED_SAMPLE)

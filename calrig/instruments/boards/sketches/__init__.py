@@ -1,0 +1,1 @@
+"""Boards that already run somebody's sketch and print text."""

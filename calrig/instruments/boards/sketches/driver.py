@@ -1,0 +1,237 @@
+"""Boards that already run somebody's sketch and print text (CONTRACT 3.2): one class for all of them."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter
+from typing import Self
+
+from calrig.instruments.boards.sketches.catalogue import Sketch
+from calrig.instruments.boards.sketches.lines import Record, SketchReader
+from calrig.instruments.boards.sketches.samples import SketchSamples
+from calrig.instruments.errors import BoardError, InstrumentError, PortError
+from calrig.instruments.ports import Port, open_port
+from calrig.instruments.types import BoardIdentity, Samples
+
+READ_TIMEOUT_S = 0.004
+"""How long a read gathers: so far is a record's time off."""
+BACKLOG_BYTES = 1000
+"""A read this large waited in the system: its lines, and those right behind, say nothing of the rate."""
+LOOK_AGAIN_S = 0.5
+MEASURE_S = 1.0
+MEASURE_RECORDS = 3
+SILENCE_S = 4.0
+"""Longer than the 3 s that a board may take from a reset to its first line."""
+QUIET_S = 2.0
+USELESS_S = 2.0
+TICK_S = 1e-6
+NO_SENSOR = "all its values are 0: no sensor answers the board; check the wires between them"
+FROZEN = "its values do not change: the sensor's bus hangs; switch the board off and on"
+
+
+class SketchBoard:
+    """One board on a port; a thread reads from the first moment.
+
+    It has no clock, so that a sample's time is that of its arrival: records that come in one read are spread
+    evenly between the arrival before and this one. It cannot be told a rate or to stop. A reset in the
+    middle is counted as `board_reset`; a sketch that takes its zero anew then ends the stream.
+    """
+
+    def __init__(self, port: Port, sketch: Sketch) -> None:
+        self.faults: Counter[str] = Counter()
+        self._port = port
+        self._sketch = sketch
+        self._name = f"board {sketch.driver} on {port.name}"
+        self._reader = SketchReader(sketch, self.faults)
+        self._news = threading.Condition()
+        self._closing = threading.Event()
+        self._failure: InstrumentError | None = None
+        self._identified = False
+        self._samples: SketchSamples | None = None
+        self._blocks: list[Samples] = []
+        self._seen_s: list[float] = []  # arrivals without a break, from which the rate is measured
+        self._behind = False
+        self._arrived_s = self._started_s = self._heard_s = time.monotonic()
+        self._thread = threading.Thread(target=self._listen, name=f"reader of {self._name}", daemon=True)
+        self._thread.start()
+
+    @classmethod
+    def open(cls, url: str, *, sketch: Sketch, baudrate: int | None = None) -> Self:
+        """Opens the port (PortError), which resets most boards."""
+        return cls(open_port(url, baudrate=baudrate or sketch.baudrate, timeout_s=READ_TIMEOUT_S), sketch)
+
+    def identify(self) -> BoardIdentity:
+        """Waits until records have come for a second, and measures their rate.
+
+        Raises:
+            BoardError: they do not come; says what comes instead.
+            PortError: the port went away.
+        """
+        with self._news:
+            self._identified, self._seen_s = False, []
+            deadline_s = time.monotonic() + self._sketch.starts_in_s + MEASURE_S
+            while not self._measured:
+                if time.monotonic() > deadline_s or self._reader.looks_like:
+                    raise BoardError(f"{self._name} sent no record that can be read: {self._why_none()}")
+                if self._sketch.wake and not self._seen_s:
+                    self._port.write(self._sketch.wake)
+                self._news.wait_for(lambda: self._measured or self._failure, LOOK_AGAIN_S)
+                self._raise_failure()
+            self._identified = True
+            del self.faults["unparsed"]  # of the time before; what the board said of itself stays
+            between_s = (self._seen_s[-1] - self._seen_s[0]) / (len(self._seen_s) - 1)
+            accel_range_g, gyro_range_dps = self._sketch.ranges
+            return BoardIdentity(
+                driver=self._sketch.driver,
+                firmware=self._sketch.source,
+                serial="",
+                chip="MPU-6050" if self._sketch.checks_chip else None,
+                accel_range_g=accel_range_g,
+                gyro_range_dps=gyro_range_dps,
+                max_rate_hz=None,
+                rate_hz=round(1 / between_s, 2),
+            )
+
+    def start(self, rate_hz: int) -> None:  # noqa: ARG002 (it has one rate)
+        """Takes its samples from here on, at the rate it has.
+
+        Raises:
+            BoardError: not identified.
+        """
+        with self._news:
+            if not self._identified:
+                raise BoardError(f"{self._name} must be identified before it is started")
+            self._blocks.clear()
+            self._samples = SketchSamples(self._sketch, self.faults)
+            self._started_s = self._arrived_s = time.monotonic()
+
+    def take(self, timeout_s: float) -> Samples:
+        """The valid samples since the last call, waiting up to timeout_s for the first one.
+
+        Raises:
+            BoardError: for too long the board has been silent, frozen, unreadable or without a sensor; or
+                it was reset and has taken its zero anew.
+            PortError: the port went away.
+        """
+        with self._news:
+            self._news.wait_for(lambda: self._blocks or self._failure, timeout_s)
+            blocks, self._blocks = self._blocks, []
+            if not blocks:
+                self._raise_failure()
+                self._check_health()
+            return Samples.join(blocks)
+
+    def mark(self) -> None:
+        """Nothing: it cannot be asked."""
+
+    @property
+    def marked(self) -> bool:
+        """Always: a sample's time is that of its arrival."""
+        return True
+
+    def stop(self) -> None:
+        """Takes no more samples; what came before can be taken."""
+        with self._news:
+            self._samples = None
+
+    def close(self) -> None:
+        """Closes the port; never raises."""
+        self._closing.set()
+        self._thread.join()
+        self._port.close()
+
+    @property
+    def _measured(self) -> bool:
+        seen_s = self._seen_s
+        return len(seen_s) >= MEASURE_RECORDS and seen_s[-1] - seen_s[0] >= MEASURE_S
+
+    def _listen(self) -> None:
+        while not self._closing.is_set():
+            try:
+                data = self._port.read(65536)
+                if data:
+                    with self._news:
+                        self._digest(data, max(time.monotonic(), self._arrived_s + TICK_S))
+                        self._news.notify_all()
+            except InstrumentError as error:
+                with self._news:
+                    self._failure = self._named(error)
+                    self._news.notify_all()
+                return
+
+    def _named(self, error: InstrumentError) -> InstrumentError:
+        return error if isinstance(error, PortError) else BoardError(f"{self._name}: {error}")
+
+    def _digest(self, data: bytes, now_s: float) -> None:
+        self._heard_s = now_s
+        found = self._reader.feed(data)
+        self._behind = len(data) >= BACKLOG_BYTES or (self._behind and len(found) > 1)
+        if self._behind:
+            self._seen_s.clear()
+        if None in found:
+            self._begin_anew()
+            found = found[len(found) - found[::-1].index(None) :]
+        records = [record for record in found if record is not None]
+        if not records:
+            return
+        step_s = (now_s - self._arrived_s) / len(records)
+        times_s = [self._arrived_s + step_s * (k + 1) for k in range(len(records))]
+        self._arrived_s = times_s[-1]
+        if not self._identified and not self._behind:
+            self._seen_s += times_s
+        self._keep(times_s, records)
+
+    def _keep(self, times_s: list[float], records: list[Record]) -> None:
+        if self._samples is None:
+            return
+        since_start_s = [time_s - self._started_s for time_s in times_s]
+        block = self._samples.push(list(zip(since_start_s, records, strict=True)))
+        if len(block):
+            self._blocks.append(block)
+
+    def _begin_anew(self) -> None:
+        """The board was reset."""
+        if not self._identified:
+            self._seen_s.clear()
+            return
+        self.faults["board_reset"] += 1
+        if self._sketch.zeroes_at_reset:
+            raise BoardError(
+                "it was reset while it streamed, and its sketch takes its zero anew at every start: what "
+                "came before and after does not belong together; check power and cable, then run again"
+            )
+        if self._samples is not None:
+            self._samples.restart()
+
+    def _raise_failure(self) -> None:
+        if self._failure is not None:
+            raise self._failure
+
+    def _check_health(self) -> None:
+        if self._samples is None:
+            return
+        silent_s = time.monotonic() - self._arrived_s
+        frozen_s = self._samples.frozen_s
+        if frozen_s > max(USELESS_S, self._sketch.frozen_after_s):
+            useless_s, why = frozen_s, NO_SENSOR if self._samples.reads_zero else FROZEN
+        elif silent_s > SILENCE_S:
+            useless_s, why = silent_s, self._why_none()
+        else:
+            return
+        raise BoardError(f"{self._name} has sent no usable sample for {useless_s:.1f} s: {why}")
+
+    def _why_none(self) -> str:
+        sketch, reader = self._sketch, self._reader
+        said = f"; its last words were {reader.last_words!r}" if reader.last_words else ""
+        if time.monotonic() - self._heard_s > QUIET_S or not reader.n_strange:
+            mute = f" ({sketch.mute})" if sketch.mute else ""
+            return f"it is silent: is it powered, and on this port?{mute}{said}"
+        if other := reader.looks_like:
+            return f"its lines are another sketch's; it looks like driver {other!r}"
+        if reader.garbled:
+            return f"what comes is no text: wrong baud rate? As published it sends at {sketch.baudrate} baud"
+        return (
+            f"{reader.n_strange} bytes came and no whole line of {sketch.source} ({sketch.pace}): "
+            f"is another sketch on the board, or the cable bad?{said}"
+        )

@@ -1,0 +1,1 @@
+"""Stage controllers: a folder a device with its driver and its words."""

@@ -1,0 +1,99 @@
+"""Whether a GRBL controller's count of steps is the stage's angle, and what that angle is.
+
+GRBL counts its own steps and knows nothing of the table. Its count is the angle from a homing on, or where
+there is no homing, from the place where it was switched on; and only until an alarm, a reset or a jump.
+"""
+
+from __future__ import annotations
+
+from calrig.instruments.errors import StageError
+from calrig.instruments.readback import AGREE_DEG
+from calrig.instruments.stages.grbl.words import Report
+
+_left_at_deg: dict[str, float] = {}
+"""Where stages without homing were last seen, by port: a count that begins anew elsewhere is no angle."""
+
+
+class Count:
+    """One axis's count.
+
+    Attributes:
+        unreferenced: why the count is no angle, None while it is one.
+        lost: whether it was an angle and is none any more.
+        offset_deg: the work coordinates' zero in machine coordinates, None before it was heard.
+        shown_deg: the last one read.
+    """
+
+    def __init__(self, index: int, name: str, port_name: str) -> None:
+        self.unreferenced: str | None = "not homed since its port was opened"
+        self.lost = False
+        self.offset_deg: float | None = None
+        self.shown_deg = 0.0
+        self._index = index
+        self._name = name
+        self._port_name = port_name
+        self._offset_heard: float | None = None
+        self._has_moved = False
+        self._target_deg: float | None = None
+        self._rests_deg: float | None = None
+
+    @property
+    def has_moved(self) -> bool:
+        """Whether a motion was commanded."""
+        return self._has_moved
+
+    def lose(self, why: str) -> None:
+        """The count is no angle from here on."""
+        self.lost, self.unreferenced = True, why
+
+    def begin(self, target_deg: float | None) -> None:
+        """A motion is sent: to a target, or None for homing, which makes good what was lost."""
+        self._has_moved, self._target_deg, self._rests_deg = True, target_deg, None
+        if target_deg is None:
+            self.lost, self.unreferenced = False, "homing has not succeeded"
+
+    def trust(self, report: Report) -> bool:
+        """Counts from where it was switched on, unless that is not where this program left it."""
+        here_deg, left_deg = self.degrees(report), _left_at_deg.get(self._port_name)
+        if left_deg is not None and abs(left_deg - here_deg) > AGREE_DEG:
+            self.lose(f"it was left at {left_deg:g}° and its count now begins at {here_deg:g}°")
+            return False
+        self.unreferenced = None
+        return True
+
+    def degrees(self, report: Report) -> float:
+        """A report's angle in work coordinates (StageError where it has no such axis)."""
+        if self._index >= len(report.position):
+            raise StageError(f"{self._name}: the controller reports {len(report.position)} axes only")
+        self.shown_deg = report.position[self._index] - ((self.offset_deg or 0.0) if report.machine else 0.0)
+        return self.shown_deg
+
+    def hear_offset(self, report: Report) -> None:
+        """Takes in an offset, which is believed when it has come twice alike."""
+        if report.offset is None or self._index >= len(report.offset):
+            return
+        heard = report.offset[self._index]
+        if heard == self._offset_heard and heard != self.offset_deg:
+            if self.offset_deg is not None and self._has_moved:
+                self.lose(f"its work coordinates were shifted by {heard - self.offset_deg:g}°")
+            self.offset_deg = heard
+        self._offset_heard = heard
+
+    def check(self, here_deg: float, *, homing: bool) -> None:
+        """Believes an angle at which the stage stands.
+
+        Args:
+            here_deg: two reports agree on it.
+            homing: whether the controller can home, and so need not be remembered.
+
+        Raises:
+            StageError: the count has jumped, or is no angle any more for another reason.
+        """
+        if self._rests_deg is not None and abs(here_deg - self._rests_deg) > AGREE_DEG:
+            self.lose(f"its count jumped from {self._rests_deg:g}° to {here_deg:g}° while it stood")
+        if self.lost:
+            raise StageError(f"{self._name} has lost its angle: {self.unreferenced}")
+        if self._target_deg is not None and abs(here_deg - self._target_deg) <= AGREE_DEG:
+            self._rests_deg = here_deg
+        if self._has_moved and not homing:
+            _left_at_deg[self._port_name] = here_deg

@@ -1,0 +1,305 @@
+"""GRBL 1.1 (driver `grbl`): an Arduino with a stepper shield turning the stage, one unit a degree.
+
+`axis` 1 is X, 2 Y, 3 Z. Angles are work coordinates: an offset that an operator has stored (`G54`) is kept.
+Where its count is no longer the stage's angle (`grbl_count`), `move` refuses and `position_deg` raises until
+it has been homed. `$X` is sent in one case alone: after a soft limit alarm, when no step was lost.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections import Counter
+from typing import Self
+
+from calrig.instruments import readback
+from calrig.instruments.errors import InstrumentError, StageError
+from calrig.instruments.ports import Port, open_port
+from calrig.instruments.stages.grbl.count import Count
+from calrig.instruments.stages.grbl.wire import RESET, STOP, GrblWire
+from calrig.instruments.stages.grbl.words import (
+    LOCKED_UNTIL_RESET,
+    SOFT_LIMIT,
+    Report,
+    alarm_words,
+    error_words,
+)
+from calrig.instruments.stages.lines import plain
+from calrig.instruments.types import StageIdentity, StageStatus
+
+BAUDRATE = 115200
+WAKE_TIMEOUT_S = 3.0  # a boot loader listens for two before GRBL does
+MOST_LISTINGS = 6
+LOOKS_FOR_OFFSET = 24  # idle, GRBL adds its offset to every tenth report
+HOMING, SOFT_LIMITS, INCHES = 22, 20, 13
+DISABLED = {
+    "Hold": "HOLD: it stands, and keeps what is left of its move until it is reset",
+    "Door": "DOOR: the safety door is open",
+    "Sleep": "SLEEP: its motors are off",
+}
+
+
+class Grbl:
+    """One controller on a port, one of its axes. Opening it moves nothing, but resets most Arduinos."""
+
+    def __init__(self, port: Port, axis: int = 1) -> None:
+        if not 1 <= axis <= 6:
+            raise StageError(f"stage grbl on {port.name}: axis {axis} is not one of 1 (X) to 6 (C)")
+        self.faults: Counter[str] = Counter()
+        self._index = axis - 1
+        self._letter = "XYZABC"[self._index]
+        self._name = f"stage grbl, axis {self._letter}, on {port.name}"
+        self._wire = GrblWire(port, self.faults)
+        self._count = Count(self._index, self._name, port.name)
+        self._asking = threading.RLock()
+        self._settings: dict[int, float] = {}
+        self._resets = 0
+        self._homing = False
+        self._modes_set = False
+        self._feed_per_min: float | None = None
+
+    @classmethod
+    def open(cls, url: str, *, axis: int = 1, baudrate: int | None = None) -> Self:
+        """Opens the port (PortError); asks nothing yet."""
+        return cls(open_port(url, baudrate=baudrate or BAUDRATE, timeout_s=0.02), axis)
+
+    def identify(self) -> StageIdentity:
+        """Waits for it to wake, and reads its settings (StageError if it does not answer, or is busy).
+
+        With soft limits on (`$20`) it keeps to `$130` on one side of its origin; which one it was built for
+        it does not say, so both are allowed here and its own alarm tells the rest.
+        """
+        with self._asking:
+            report = self._report()
+            if not self._settings:
+                raise StageError(f"{self._name} is in {report.state}, not by calrig: reset it first")
+            rate = self._setting(110)
+            offset_deg = self._count.offset_deg or 0.0
+            travel = self._setting(130) if self._settings.get(SOFT_LIMITS) else None
+            return StageIdentity(
+                driver="grbl",
+                firmware=self._wire.firmware,
+                limits_deg=(-travel - offset_deg, travel - offset_deg) if travel else None,
+                velocity_dps=None if rate is None else rate / 60,
+                acceleration_dps2=self._setting(120),
+            )
+
+    def status(self) -> StageStatus:
+        """State and alarm in words (StageError if it does not answer)."""
+        with self._asking:
+            if not self._homing:
+                return self._status(self._report())
+            report = self._wire.look_in_passing()
+            self._heed()
+            if report is None:
+                return StageStatus("homing", "HOME (it answers nothing until it is done)")
+            return self._status(report)
+
+    def position_deg(self) -> float:
+        """Where a standing stage says it is: two reports in a row that agree, three on a wire with faults.
+
+        Raises:
+            StageError: it does not answer, never says the same twice, or has lost its angle.
+        """
+        with self._asking:
+            for _ in range(readback.MOST_READS):
+                reports = [self._report() for _ in range(3 if self.faults.total() else 2)]
+                places_deg = [self._count.degrees(report) for report in reports]
+                if reports[-1].moves:
+                    return places_deg[-1]
+                same = len({report.state for report in reports}) == 1
+                if same and readback.agree(min(places_deg), max(places_deg)):
+                    self._count.check(places_deg[-1], homing=bool(self._settings.get(HOMING)))
+                    return places_deg[-1]
+        said = ", ".join(f"{place:g}" for place in places_deg)
+        raise StageError(f"{self._name}: reports differ ({said}) though it stands: check the serial cable")
+
+    def glimpse_deg(self) -> float:
+        """One read, unchecked: to show a stage on the move, never for a result."""
+        with self._asking:
+            return self._count.shown_deg if self._homing else self._count.degrees(self._report())
+
+    def set_velocity(self, velocity_dps: float) -> None:
+        """Sets the velocity of the moves that follow (StageError above the controller's own)."""
+        most = self._setting(110)
+        if most is not None and velocity_dps * 60 > most * (1 + 1e-9):
+            raise StageError(
+                f"{self._name} turns at {most / 60:g}°/s at most (${110 + self._index}): {velocity_dps:g}°/s"
+            )
+        self._feed_per_min = velocity_dps * 60
+
+    def home(self) -> None:
+        """Begins to look for the limit switch; sent once.
+
+        Raises:
+            StageError: it has no homing (`$22=0`), or is in a state that does not allow it.
+            Halted: it was halted; nothing was sent.
+        """
+        with self._asking:
+            self._wire.lines.refuse_if_halted("$H", self._name)
+            report = self._report()
+            if self._settings and not self._settings.get(HOMING):
+                raise StageError(
+                    f"{self._name} has no homing ($22=0) and no angle ({self._count.unreferenced}): "
+                    "turn the stage to its zero by hand, switch the controller off and on, and restart calrig"
+                )
+            if report.state not in ("Idle", "Alarm"):
+                raise StageError(f"{self._name} homes only from Idle and Alarm and is in {report.state}")
+            if self._wire.alarm in LOCKED_UNTIL_RESET:
+                self._wire.restart()
+            self._wire.alarm, self._resets = None, self._wire.resets
+            self._count.begin(None)
+            self._homing = True  # before it is sent: a stop from here on must be one that homing heeds
+            self._wire.begin("$H", self._name)
+            self._wire.listen(lambda: bool(self._wire.answers) or self._wire.alarm is not None, 0.2)
+            self._heed()
+            if not self._homing:
+                raise StageError(f"{self._name} refused $H: {self._count.unreferenced}")
+
+    def move(self, target_deg: float) -> None:
+        """Begins a move.
+
+        Raises:
+            StageError: it has no reference, is not idle, or refused the move, in words.
+            Halted: it was halted; nothing was sent.
+        """
+        word = f"{self._letter}{plain(target_deg)}"
+        feed = self._feed_per_min
+        command = f"G0 {word}" if feed is None else f"G1 {word} F{plain(feed)}"
+        with self._asking:
+            self._wire.lines.refuse_if_halted(command, self._name)
+            before = self._report()
+            if before.state != "Idle" or self._count.unreferenced:
+                raise StageError(f"{self._name} takes no move: it is in {self._status(before).words}")
+            if not self._modes_set:
+                for mode in ("G21", "G90"):
+                    self._require_ok(mode, self._wire.command(mode))
+                self._modes_set = True
+            self._count.begin(target_deg)
+            answer = self._wire.command(command, moving=self._name)
+            if self._wire.alarm == SOFT_LIMIT:
+                self._unlock(before)
+                raise StageError(f"{self._name} refused {command}: {alarm_words(SOFT_LIMIT)}")
+            self._require_ok(command, answer)
+
+    def halt(self) -> None:
+        """Stops the stage now, from any thread, waiting for no answer; later motion raises Halted.
+
+        Homing heeds no feed hold: there the controller is reset, which stops it dead.
+        """
+        self._wire.lines.halt(STOP + RESET if self._homing else STOP)
+
+    def close(self) -> None:
+        """Closes the port; never raises. What a stop has left of a move is thrown away."""
+        with self._asking:
+            if self._wire.lines.halted:
+                with contextlib.suppress(InstrumentError):
+                    report = self._wire.look(attempts=1)
+                    if report and report.state == "Hold" and not report.moves:
+                        self._wire.restart()
+            self._wire.lines.close()
+
+    def _setting(self, of_x: int) -> float | None:
+        return self._settings.get(of_x + self._index)
+
+    def _report(self) -> Report:
+        """A report, of a controller that is awake and known (StageError if it does not answer)."""
+        report = self._wire.look() if self._settings else self._wake()
+        if report is None:
+            self._settings = {}  # they are read again when it answers again
+            counted = ", ".join(f"{count} {kind}" for kind, count in self.faults.items())
+            raise StageError(
+                f"{self._name} does not answer ? (faults so far: {counted or 'nothing'}): "
+                "check power, cable and baud rate"
+            )
+        self._heed()
+        self._count.hear_offset(report)
+        if not self._settings and report.state in ("Idle", "Alarm") and not self._homing:
+            return self._learn(report)
+        return report
+
+    def _wake(self) -> Report | None:
+        """Asks until it answers; a controller locked up by an alarm does so only after a reset."""
+        for reset in (False, True):
+            if reset:
+                self._wire.restart()
+            deadline_s = time.monotonic() + WAKE_TIMEOUT_S
+            while time.monotonic() < deadline_s:
+                if report := self._wire.look(attempts=1):
+                    return report
+        return None
+
+    def _learn(self, report: Report) -> Report:
+        """Reads settings and offset, twice alike each, and whether the count can be an angle."""
+        last: dict[int, float] = {}
+        for _ in range(MOST_LISTINGS):
+            before, last = last, dict(self._wire.settings) if self._wire.fence() else {}
+            if last == before and {SOFT_LIMITS, HOMING, 110 + self._index} <= last.keys():
+                break
+        else:
+            raise StageError(f"{self._name} does not list its settings ($$) twice alike: check the cable")
+        if last.get(INCHES):
+            raise StageError(f"{self._name} reports in inches: set $13=0, so that a unit is a degree")
+        for _ in range(LOOKS_FOR_OFFSET):
+            if self._count.offset_deg is not None or not report.machine:
+                break
+            report = self._wire.look() or report
+            self._count.hear_offset(report)
+        self._settings = last
+        if not last.get(HOMING) and not self._count.has_moved and report.state == "Idle":
+            self.faults["zero_not_homed"] = int(self._count.trust(report))
+        return report
+
+    def _heed(self) -> None:
+        """Draws the consequences of what came unasked."""
+        wire = self._wire
+        if wire.resets != self._resets:
+            self._resets, self._modes_set, self._homing = wire.resets, False, False
+            if self._count.has_moved:
+                self._count.lose("it was reset, and its count with it")
+        if wire.alarm is not None:
+            self._homing = False
+            self._count.lose(alarm_words(wire.alarm))
+        if self._homing and wire.answers and wire.answers[-1] != "ok":
+            self._homing = False
+            self._count.unreferenced = error_words(wire.answers[-1])
+
+    def _status(self, report: Report) -> StageStatus:
+        state = report.state
+        if self._homing and state == "Idle" and (self._wire.answers or self._wire.fence()):
+            self._heed()
+            if self._homing:
+                self._homing, self._count.unreferenced, self._wire.answers = False, None, []
+        if self._homing or state == "Home":
+            return StageStatus("homing", "HOME")
+        if report.moves:
+            known = bool(self._settings)
+            words = state.upper() if known else f"{state.upper()}, not by calrig"
+            return StageStatus("moving" if known else "homing", words)
+        if state == "Check":
+            return StageStatus("configuration", "CHECK: it moves nothing until $C")
+        if state in DISABLED:
+            return StageStatus("disabled", DISABLED[state])
+        if self._count.unreferenced or state == "Alarm":
+            return StageStatus("not_referenced", f"{state.upper()} ({self._count.unreferenced or 'locked'})")
+        place = "" if self._settings.get(HOMING) else ", counting from where it was switched on"
+        return StageStatus("ready", f"IDLE{place}")
+
+    def _require_ok(self, command: str, answer: str | None) -> None:
+        self._heed()
+        if answer is None:
+            why = self._count.unreferenced or "no answer of its own came: check the serial cable"
+            raise StageError(f"{self._name} did not accept {command}: {why}")
+        if answer != "ok":
+            raise StageError(f"{self._name} refused {command}: {error_words(answer)}")
+
+    def _unlock(self, before: Report) -> None:
+        """After a soft limit alarm, in which no step is lost: reset, compare the count, then unlock."""
+        if self._wire.restart():
+            self._wire.alarm, self._resets, self._modes_set = None, self._wire.resets, False
+            after = self._wire.look()
+            if after and self._wire.alarm is None and after.position == before.position:
+                self._require_ok("$X", self._wire.command("$X"))
+                return
+        self._count.lose("its count changed in a soft limit alarm")

@@ -1,0 +1,179 @@
+"""What comes from a GRBL controller, each line told apart, and every `ok` held against its own command.
+
+`ok` and `error:n` do not say what they answer. So every command is followed by the listing of settings
+(`$$`), which moves nothing and looks like nothing else: lines are answered in order, so the last answer
+before the listing is the command's own, and an earlier one, late or doubled, is nobody's.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable
+
+from calrig.instruments.ports import Port
+from calrig.instruments.stages.grbl.words import ALARM, BANNER, REMARK, REPLY, SETTING, Report, parse_report
+from calrig.instruments.stages.lines import LineWire
+
+REPLY_TIMEOUT_S = 0.5
+GLANCE_S = 0.1
+ATTEMPTS = 4
+PERHAPS_DAMAGED = frozenset(
+    f"error:{n}" for n in (1, 2, 3, 4, 11, 14, 20, 21, 22, 23, 24, 25, 26, 28, 31, 33, 36)
+)
+"""Refusals of a line that may have been damaged on its way."""
+RESET = b"\x18"
+STOP = b"!\x85"
+"""Feed hold, and jog cancel for a jog."""
+BUSY = "error:8"
+"""How the listing itself is refused while a move is under way; no G-code ever is."""
+
+
+class GrblWire:
+    """One controller on a port.
+
+    Attributes:
+        lines: what is written and read.
+        firmware: from its banner, None before one was seen.
+        resets: how many banners have come.
+        alarm: the last alarm that came; None after it was dealt with.
+        answers: `ok` and `error:n` since the last command.
+        settings: the last listing, as far as it has come.
+    """
+
+    def __init__(self, port: Port, faults: Counter[str]) -> None:
+        self.lines = LineWire(port, faults)
+        self.firmware: str | None = None
+        self.resets = 0
+        self.alarm: int | None = None
+        self.answers: list[str] = []
+        self.settings: dict[int, float] = {}
+        self._faults = faults
+        self._report: Report | None = None
+        self._listed = False
+        self._in_doubt = False
+        self._sent = ""
+
+    def look(self, attempts: int = ATTEMPTS) -> Report | None:
+        """Asks for a report; None where none comes."""
+        for _ in range(1 if self.lines.halted else attempts):  # a stop goes first
+            self.catch_up()
+            self._report = None
+            self.lines.send(b"?")
+            if self.listen(lambda: self._report is not None):
+                return self._report
+            self._in_doubt = True
+            if attempts > 1:  # one that is just waking up answers none
+                self._faults["no_reply"] += 1
+        return None
+
+    def look_in_passing(self) -> Report | None:
+        """Asks for a report of a controller that is known to answer none for a while."""
+        self.catch_up()
+        self._report = None
+        self.lines.send(b"?")
+        self.listen(lambda: self._report is not None, GLANCE_S)
+        return self._report
+
+    def command(self, line: str, *, moving: str | None = None) -> str | None:
+        """Sends a line that may be sent again, and returns its own `ok` or `error:n`; None: no such answer.
+
+        Args:
+            line: the command, without its end.
+            moving: the stage's name where the line moves it (Halted after a stop).
+        """
+        data = f"{line}\n".encode("ascii")
+        self._sent, own = line, None
+        for _ in range(ATTEMPTS):
+            self.catch_up()
+            self._begin()
+            damage = self._faults["unparsed"]
+            if moving is None:
+                self.lines.send(data)
+            else:
+                self.lines.send_motion(data, moving)
+            self.listen(lambda: bool(self.answers) or self.alarm is not None)
+            if self.alarm is not None:
+                return None
+            sound = self.fence() and self._faults["unparsed"] == damage
+            own = self.answers.pop() if self.answers else None
+            self._count_late(len(self.answers))
+            self.answers = []
+            if sound and own is not None and own not in PERHAPS_DAMAGED:
+                return own
+            self._faults["resent"] += 1
+        return own if own in PERHAPS_DAMAGED else None
+
+    def begin(self, line: str, moving: str) -> None:
+        """Sends a line that is answered when it is done, and never sent again."""
+        self.catch_up()
+        self._begin()
+        self._sent = line
+        self.lines.send_motion(f"{line}\n".encode("ascii"), moving)
+
+    def fence(self) -> bool:
+        """Lists the settings; whether the listing came to its end, and before it all that was late."""
+        self.settings, self._listed = {}, False
+        self.lines.send(b"$$\n")
+        passed = self.listen(lambda: self._listed or self.answers[-1:] == [BUSY], 2 * REPLY_TIMEOUT_S)
+        if self.answers[-1:] == [BUSY]:
+            self.answers.pop()
+        self._in_doubt |= not passed
+        return passed
+
+    def restart(self) -> bool:
+        """Resets the controller, which moves nothing; whether its banner came."""
+        seen = self.resets
+        self.lines.send(RESET)
+        return self.listen(lambda: self.resets != seen, 2 * REPLY_TIMEOUT_S)
+
+    def listen(self, until: Callable[[], bool], timeout_s: float | None = None) -> bool:
+        """Takes in lines until something holds or time is up; whether it holds."""
+        deadline_s = time.monotonic() + (REPLY_TIMEOUT_S if timeout_s is None else timeout_s)
+        while not until():
+            line = self.lines.line(deadline_s)
+            if line is None:
+                return False
+            self._take(line)
+        return True
+
+    def catch_up(self) -> None:
+        """Takes in what has come; after an answer that never came, also what is still on its way."""
+        for line in self.lines.old_lines():
+            self._take(line)
+        if self._in_doubt:
+            self.listen(lambda: False)
+            self._in_doubt = False
+
+    def _begin(self) -> None:
+        self._count_late(len(self.answers))
+        self.answers, self.settings, self._listed = [], {}, False
+
+    def _count_late(self, n: int) -> None:
+        if n:
+            self._faults["late_reply"] += n
+
+    def _take(self, line: str) -> None:
+        if line.startswith("?"):  # an echo of what asked for the report
+            self._faults["echo"] += 1
+            line = line.lstrip("?")
+        if report := parse_report(line):
+            self._count_late(self._report is not None)  # each is asked for, and answered once
+            self._report = report
+        elif REPLY.fullmatch(line):
+            if self.settings and not self._listed and line == "ok":
+                self._listed = True  # the end of a listing, and no command's answer
+            else:
+                self.answers.append(line)
+        elif setting := SETTING.fullmatch(line):
+            self._count_late(int(setting[1]) in self.settings)
+            self.settings[int(setting[1])] = float(setting[2])
+        elif alarm := ALARM.fullmatch(line):
+            self.alarm = int(alarm[1])
+        elif banner := BANNER.fullmatch(line):
+            self.firmware = banner[1]
+            self.resets += 1
+        elif line in ("$$", self._sent):
+            self._faults["echo"] += 1
+        elif line and not REMARK.fullmatch(line):
+            self._faults["unparsed"] += 1

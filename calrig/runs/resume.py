@@ -1,0 +1,145 @@
+"""Taking an interrupted run up again: what was measured, and whether rig, board and stage are still the same.
+
+The board's clock begins anew. The run's time goes on by the wall's clock from its beginning, or from its last
+sample where a rig's clocks run faster than life.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+
+from calrig.analysis.active_calibration import as_applied
+from calrig.analysis.diagnoses import Diagnoses
+from calrig.analysis.errors import Conflict, NotTheSame
+from calrig.calibration.pose import Pose
+from calrig.estimation.gyro import GyroBias, dwell_bias
+from calrig.plan import Plan, PlanError
+from calrig.runs.follow_up import FollowUpRun
+from calrig.runs.rig import Rig
+from calrig.runs.task import Earlier, Task
+from calrig.settings import RigSettings
+from calrig.store import Run, Store
+
+MAY_DIFFER = ("port", "baudrate")
+"""Of a rig: where its devices are plugged in today."""
+VELOCITY = "velocity_dps"
+"""A stage keeps what the interrupted run has set."""
+GAP_S = 1.0
+"""Between the last sample before and the first one after, at least."""
+
+
+def resumed_task(store: Store, run: Run, settings: RigSettings) -> Task:
+    """What is left of an interrupted run.
+
+    Args:
+        store: has its poses and samples.
+        run: an interrupted one.
+        settings: of its rig, as it is configured now.
+
+    Raises:
+        Conflict: it cannot go on, because the rig was configured otherwise, and how.
+    """
+    known = run.provenance.get("rig")
+    if known is not None:
+        _require_same(run.id, f"rig {settings.name!r}", known, _described(settings))
+    plan = Plan.model_validate(run.plan)
+    try:
+        planned = plan.poses(settings.limits_deg)
+    except PlanError as error:
+        raise Conflict(f"run {run.id} cannot be taken up again: {error}") from error
+    verifies = run.provenance.get("verifies")
+    return Task(
+        run=run,
+        rig=settings,
+        plan=plan,
+        planned=planned,
+        follow_up=None if run.follows is None else _follow_up(store, run, plan, settings),
+        verifies=None if verifies is None else as_applied(store, str(verifies), settings.name),
+        earlier=_earlier(store, run, plan),
+        taken_up={
+            "after_poses": run.progress["poses_done"],
+            "reason": run.error,
+            "taken_up_at": datetime.now(UTC).isoformat(timespec="seconds"),
+        },
+    )
+
+
+def require_same_devices(run: Run, rig: Rig) -> None:
+    """Raises NotTheSame where another board or stage answers than the run began with; names what differs."""
+    for what, identity in (("stage", asdict(rig.stage_identity)), ("board", asdict(rig.board_identity))):
+        known = run.provenance.get(what)
+        if known is not None:
+            _require_same(run.id, f"the {what}", known, {**identity, VELOCITY: known.get(VELOCITY)})
+
+
+def _described(settings: RigSettings) -> dict[str, Any]:
+    return settings.model_dump(mode="json", exclude={"filter", "simulated"})
+
+
+def _require_same(run_id: str, what: str, known: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    differ = _differences(known, now)
+    if differ:
+        raise NotTheSame(
+            f"run {run_id} cannot be taken up again, for {what} is not what it was: {'; '.join(differ)}; "
+            "nothing was moved: put it back, or start a new run"
+        )
+
+
+def _differences(known: Mapping[str, Any], now: Mapping[str, Any], within: str = "") -> list[str]:
+    found: list[str] = []
+    for key in known.keys() & now.keys() - set(MAY_DIFFER):
+        then, today = _plain(known[key]), _plain(now[key])
+        if isinstance(then, dict) and isinstance(today, dict):
+            found += _differences(then, today, f"{within}{key}.")
+        elif then != today:
+            found.append(f"{within}{key} was {then!r} and is {today!r}")
+    return sorted(found)
+
+
+def _plain(value: Any) -> Any:
+    """As JSON keeps it."""
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _earlier(store: Store, run: Run, plan: Plan) -> Earlier:
+    poses = [stored.pose for stored in store.poses(run.id)]
+    times_s = store.samples(run.id).time_s
+    last_s = float(times_s[-1]) + GAP_S if len(times_s) else 0.0
+    since_s = 0.0 if run.started_at is None else (datetime.now(UTC) - run.started_at).total_seconds()
+    begun = bool(poses) or bool(len(times_s))
+    return Earlier(
+        poses=poses,
+        biases=_biases(store, run, poses),
+        logged_s=plan.dwell_s * run.progress["fraction"] if plan.kind == "static" else 0.0,
+        clock_s=max(last_s, since_s, poses[-1].time_s or 0.0 if poses else 0.0) if begun else 0.0,
+        faults={**run.faults, "interrupted": run.faults.get("interrupted", 0) + 1},
+    )
+
+
+def _biases(store: Store, run: Run, poses: list[Pose]) -> list[GyroBias]:
+    dwells = [store.samples(run.id, index).gyro_dps for index in range(len(poses))]
+    return [dwell_bias(np.asarray(gyro_dps)) for gyro_dps in dwells if len(gyro_dps)]
+
+
+def _follow_up(store: Store, run: Run, plan: Plan, settings: RigSettings) -> FollowUpRun:
+    """As it began: its decisions rest on poses that are stored, so they come out alike."""
+    assert run.follows is not None  # noqa: S101 (the caller looked)
+    diagnoses = Diagnoses(store)
+    earlier, diagnosis = diagnoses.suspects(run.follows)
+    known = run.provenance.get("follow_up") or {}
+    if "deciding" not in known:
+        raise Conflict(f"run {run.id} follows {run.follows} and was begun by an older calrig: start it anew")
+    return FollowUpRun(
+        run_ids=[one.id for one in earlier],
+        runs=[diagnoses.poses(one.id) for one in earlier],
+        findings=diagnosis.findings,
+        separates=known["separates"],
+        deciding=known["deciding"],
+        plan=plan,
+        limits_deg=settings.limits_deg,
+    )
