@@ -11,7 +11,7 @@ from urllib.parse import quote
 
 import pytest
 
-from calrig import terminal
+from calrig.cli import terminal
 from calrig.errors import printable
 from calrig.instruments.transcript import read_transcript, taped
 

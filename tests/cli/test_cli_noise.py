@@ -15,7 +15,7 @@ import pytest
 from rich.console import Console
 from support import QUICK
 
-from calrig import terminal_noise
+from calrig.cli import terminal_noise
 
 DATA = Path(os.environ.get("CALRIG_DATA", Path(__file__).parent.parent.parent / "shared" / "data"))
 STATIC, WARM_UP = DATA / "mpu6050_static_100hz.csv", DATA / "mpu6050_warmup_log.csv"

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from hypothesis import strategies as st
 
-from calrig.instruments import sketches
+from calrig.instruments.boards.sketches import catalogue as sketches
 from calrig.instruments.boards.sketches.catalogue import Sketch
 
 

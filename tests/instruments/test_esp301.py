@@ -5,9 +5,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from stage_ports import KINDS, InProcessPort, homed, moved_to, simulated, until_it_stands
 
-from calrig.instruments import esp301
 from calrig.instruments.errors import Halted, StageError
 from calrig.instruments.ports import open_port
+from calrig.instruments.stages.esp301 import driver as esp301
 from calrig.instruments.stages.esp301.driver import Esp301
 from calrig.instruments.types import StageIdentity
 from calrig.simulator.config import SimulatorSettings

@@ -4,8 +4,9 @@ import pytest
 from grbl_script import BANNER, IDLE, Script
 from stage_ports import InProcessPort, homed, until_it_stands
 
-from calrig.instruments import grbl, grbl_wire
 from calrig.instruments.errors import Halted, StageError
+from calrig.instruments.stages.grbl import driver as grbl
+from calrig.instruments.stages.grbl import wire as grbl_wire
 from calrig.instruments.stages.grbl.driver import Grbl
 from calrig.instruments.stages.grbl.words import ALARMS, ERRORS, parse_report
 from calrig.instruments.types import StageIdentity

@@ -8,9 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from stage_ports import KINDS, InProcessPort, homed, moved_to, simulated, until_it_stands
 
-from calrig.instruments import grbl, grbl_wire
 from calrig.instruments.errors import StageError
 from calrig.instruments.ports import open_port
+from calrig.instruments.stages.grbl import driver as grbl
+from calrig.instruments.stages.grbl import wire as grbl_wire
 from calrig.instruments.stages.grbl.driver import Grbl
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.rig import SimulatedRig

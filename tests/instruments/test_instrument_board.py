@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from instrument_fakes import IDENTITY, FakeBoard, packet, sample
 
-from calrig.instruments import calrig_board, calrig_mark
+from calrig.instruments.boards.calrig import driver as calrig_board
+from calrig.instruments.boards.calrig import mark as calrig_mark
 from calrig.instruments.boards.calrig.driver import CalrigBoard
 from calrig.instruments.errors import BoardError, PortError
 from calrig.instruments.types import BoardIdentity, Samples

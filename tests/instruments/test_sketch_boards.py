@@ -12,7 +12,8 @@ import pytest
 from instrument_fakes import Wire
 from sketch_texts import BANNERS, BY_DRIVER
 
-from calrig.instruments import drivers, sketch_board
+from calrig.instruments import drivers
+from calrig.instruments.boards.sketches import driver as sketch_board
 from calrig.instruments.boards.sketches.catalogue import SKETCHES
 from calrig.instruments.boards.sketches.driver import SketchBoard
 from calrig.instruments.errors import BoardError, PortError

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sketch_texts import BANNERS, BY_DRIVER, ELECTRONIC_CATS, TEXTS
 
-from calrig.instruments import sketches
+from calrig.instruments.boards.sketches import catalogue as sketches
 from calrig.instruments.boards.sketches.lines import SketchReader
 from calrig.instruments.boards.sketches.samples import SketchSamples
 from calrig.instruments.errors import BoardError

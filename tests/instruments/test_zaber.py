@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from stage_ports import KINDS, InProcessPort, homed, moved_to, simulated, until_it_stands
 
-from calrig.instruments import drivers, zaber
+from calrig.instruments import drivers
 from calrig.instruments.errors import Halted, InstrumentError, PortError, StageError
+from calrig.instruments.stages.zaber import driver as zaber
 from calrig.instruments.stages.zaber.driver import Zaber
 from calrig.instruments.stages.zaber.words import FLAGS
 from calrig.simulator.config import SimulatorSettings
