@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -12,6 +13,9 @@ from typing import Any, TypeVar
 import httpx
 
 from calrig.settings import RigSettings
+
+DATA = Path(os.environ.get("CALRIG_DATA", Path(__file__).parents[2] / "shared" / "data"))
+"""The measured logs; tests that need them skip, saying so, where they are not."""
 
 FAST: dict[str, Any] = {
     "seed": 1,

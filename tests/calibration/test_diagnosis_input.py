@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from support import DATA
 
 from calrig.calibration.diagnosis import diagnose, document
 from calrig.calibration.pose import Pose
 from calrig.calibration.responses import DiagnosisError
 from calrig.export.poses_csv import read_poses
 
-DATA = Path(os.environ.get("CALRIG_DATA", Path(__file__).parents[2].parent / "shared" / "data"))
 NOISE_DEG = 0.03
 
 

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import json
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
 from scipy.stats import binom
+from support import DATA
 
-import calrig
 from calrig.calibration.gravity import GravityError, calibrate_by_gravity, gravity_document, trace_gravity
 from calrig.calibration.gravity_model import EFFECTS, Problem, fit_gravity
 from calrig.calibration.gravity_search import search
 from calrig.calibration.static_detector import StillPoses, still_poses
 from calrig.export.static_csv import accel_g_of, read_static
 
-DATA = Path(os.environ.get("CALRIG_DATA", Path(calrig.__file__).parents[2] / "shared" / "data"))
 BIAS_G = np.array([0.02, -0.03, 0.05])
 SCALE = np.array([1.003, 0.996, 1.01])
 MATRIX = np.array([[1.0, 0.003, -0.005], [0.0, 1.0, 0.004], [0.0, 0.0, 1.0]])

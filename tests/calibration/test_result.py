@@ -5,17 +5,14 @@ from __future__ import annotations
 import csv
 import json
 import math
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
+from support import DATA
 
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import GyroFigures, build_result, residuals
 from calrig.calibration.uncertainty import Reference
-
-DATA = Path(os.environ.get("CALRIG_DATA", Path(__file__).parents[2].parent / "shared" / "data"))
 
 
 def test_a_runs_result_has_the_contracts_keys_and_is_json():

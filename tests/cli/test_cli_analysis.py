@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from support import DATA
 
-DATA = Path(os.environ.get("CALRIG_DATA", Path(__file__).parent.parent.parent / "shared" / "data"))
 WARM_UP = DATA / "mpu6050_warmup_poses.csv"
 measured = pytest.mark.skipif(not WARM_UP.exists(), reason=f"the measured data are not at {DATA}")
 

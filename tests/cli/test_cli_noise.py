@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from rich.console import Console
-from support import QUICK
+from support import DATA, QUICK
 
 from calrig.cli import terminal_noise
 
-DATA = Path(os.environ.get("CALRIG_DATA", Path(__file__).parent.parent.parent / "shared" / "data"))
 STATIC, WARM_UP = DATA / "mpu6050_static_100hz.csv", DATA / "mpu6050_warmup_log.csv"
 measured = pytest.mark.skipif(not STATIC.exists(), reason=f"the measured data are not at {DATA}")
 CONFIG = '[[rig]]\nname = "bench-1"\nsimulated = { seed = 1, time_scale = 20.0 }\n'

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
-from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support import DATA
 
-import calrig
 from calrig.calibration.pose import COLUMNS, Pose
 from calrig.export import csv_table
 from calrig.export.cells import CsvError
 from calrig.export.poses_csv import read_poses, write_poses
-
-DATA = Path(os.environ.get("CALRIG_DATA", Path(calrig.__file__).parents[2] / "shared" / "data"))
 
 number = st.floats(-1e30, 1e30, allow_nan=False)
 count = st.integers(0, 2**53)

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import math
-import os
-from pathlib import Path
 
 import allantools
 import numpy as np
 import pytest
+from support import DATA
 
-import calrig
 from calrig.noise.allan import CONFIDENCE, MIN_CLUSTERS, allan_curve
 from calrig.noise.resampling import EvenLog, even
-
-DATA = Path(os.environ.get("CALRIG_DATA", Path(calrig.__file__).parents[2] / "shared" / "data"))
 
 
 def curve_of(values, rate_hz=1.0):

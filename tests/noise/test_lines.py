@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from support import DATA
 
 from calrig.export.static_csv import read_static
 from calrig.noise.lines import Line, find_lines
 from calrig.noise.resampling import even
 
-DATA = Path(os.environ.get("CALRIG_DATA", Path(__file__).parents[3] / "shared" / "data"))
 RATE_HZ, TEN_MINUTES_S = 100.0, 600.0
 N = int(RATE_HZ * TEN_MINUTES_S)
 T_S = np.arange(N) / RATE_HZ

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support import DATA
 
-import calrig
 from calrig.noise.resampling import even
 
-DATA = Path(os.environ.get("CALRIG_DATA", Path(calrig.__file__).parents[2] / "shared" / "data"))
 N, RATE_HZ = 2000, 100.0
 TIME_S = np.arange(N) / RATE_HZ
 

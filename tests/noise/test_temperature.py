@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from support import DATA
 
 from calrig.export.static_csv import read_static
 from calrig.noise.resampling import even
 from calrig.noise.temperature import temperature_of
 
-DATA = Path(os.environ.get("CALRIG_DATA", Path(__file__).parents[3] / "shared" / "data"))
 N = 60_000
 WHOLE = 100.0, [slice(0, N)], [0.0]
 

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import csv
 import json
-import os
-from pathlib import Path
 
 import pytest
 from page_help import imported, measured
+from support import DATA
 
 pytestmark = pytest.mark.browser
 
-DATA = Path(os.environ.get("CALRIG_DATA", Path(__file__).parents[3] / "shared" / "data"))
 WARMUP = DATA / "mpu6050_warmup_poses.csv"
 REFUSED_422 = r"status of 422"
 
