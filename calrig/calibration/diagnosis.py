@@ -90,7 +90,7 @@ def document(diagnosis: Diagnosis, run_ids: Sequence[str]) -> dict[str, Any]:
         },
         "noise": {
             "std_deg": _unbiased_std(findings),
-            "lag1_correlation": _lag1(after_deg),
+            "lag1_correlation": _lag1(after_deg, float(r.rounding[0])),
             "floor_deg": diagnosis.floor_deg,
         },
         "base": {
@@ -126,9 +126,9 @@ def _unbiased_std(findings: Findings) -> float:
     return math.sqrt(float(residuals @ residuals) / freedom)
 
 
-def _lag1(residual: FloatArray) -> float:
-    power = float(residual @ residual)
-    return float(residual[1:] @ residual[:-1]) / power if power > 0.0 else 0.0
+def _lag1(residual: FloatArray, rounding_deg: float) -> float:
+    power = float(residual @ residual) + len(residual) * rounding_deg**2
+    return float(residual[1:] @ residual[:-1]) / power
 
 
 def trace(

@@ -14,7 +14,7 @@ from calrig.calibration.candidates import Candidate
 from calrig.calibration.noise_model import NoiseModel, fit, stacked
 from calrig.calibration.pose import Pose
 from calrig.calibration.responses import Responses, responses_of
-from calrig.calibration.search import Findings, Found, model_columns
+from calrig.calibration.search import SAME, Findings, Found, model_columns
 from calrig.estimation.angles import FloatArray
 
 MOST_POSES = 12
@@ -220,7 +220,8 @@ def _greedy(trial: _Trial, limits_deg: tuple[float, float], rng: np.random.Gener
         grid = low + step * np.arange(PLACES) + rng.uniform(-step / 3, step / 3, PLACES)
         places = [round(float(p), 3) for p in np.clip(grid, low, high)]
         gains = [trial.separation([*chosen, place]) for place in places]
-        chosen.append(places[int(np.argmax(gains))])
+        best = max(gains)
+        chosen.append(next(place for place, gain in zip(places, gains, strict=True) if gain >= best - SAME))
     return chosen
 
 

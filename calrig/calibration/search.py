@@ -28,6 +28,8 @@ SHORTLIST = 16
 LEAST_SHARE = 0.05
 """An effect whose part of the reading is smaller than this share of its noise is not worth a correction."""
 REFINEMENTS = 12
+SAME = 1e-3
+"""Of −2 log likelihood: the screen's single precision decides no more, and the first of equals is taken."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +164,7 @@ def _named(
     lead = min(rest) - own if rest else np.inf
     considered: dict[str, float] = {}
     for criterion, c in ranked:
-        considered.setdefault(c.label, round(criterion - best, 2))
+        considered.setdefault(c.label, round(max(criterion - best, 0.0), 2))
     return Found(claimed, rivals, p_value, float(lead), tuple(considered.items()))
 
 
@@ -206,7 +208,7 @@ def _pair(
             continue
         fitted = fit(r, columns)
         more = Screen(r, columns, rest, fitted.noise).ratios(fitted.residuals[None])[0]
-        second = rest[int(np.argmax(more - bic_penalty * np.array([c.parameters for c in rest])))]
+        second = rest[_first_best(more - bic_penalty * np.array([c.parameters for c in rest]))]
         together = criterion(first, second)
         if together < to_beat:
             to_beat, best = together, (first, second)
@@ -224,14 +226,20 @@ def _ranked(
     best: dict[tuple[str, str], int] = {}
     for index, candidate in enumerate(offered):
         key = candidate.label, candidate.shape.form
-        if key not in best or ratios[index] > ratios[best[key]]:
+        if key not in best or ratios[index] > ratios[best[key]] + SAME:
             best[key] = index
     order = sorted(best.values(), key=lambda i: bic_penalty * offered[i].parameters - float(ratios[i]))
     ranked: list[tuple[float, Candidate]] = []
     for index in order[:SHORTLIST]:
         criterion, candidate = _refined(r, accepted, offered[index], len(ranked) == 0)
         ranked.append((criterion + bic_penalty * candidate.parameters, candidate))
-    return sorted(ranked, key=lambda pair: pair[0])
+    place = {id(candidate.effect): k for k, candidate in reversed(list(enumerate(offered)))}
+    return sorted(ranked, key=lambda pair: (round(pair[0] / SAME), place[id(pair[1].effect)]))
+
+
+def _first_best(values: FloatArray) -> int:
+    """The first place whose value is the largest but for rounding."""
+    return int(np.flatnonzero(values >= values.max() - SAME)[0])
 
 
 def _refined(
@@ -279,8 +287,7 @@ def _share_of_reading(r: Responses, accepted: Sequence[Candidate], candidate: Ca
     part = candidate.columns[:, 0, :] @ fitted.beta[-width:]
     line = np.column_stack([np.ones(len(r)), r.theta_deg])
     part = part - line @ np.linalg.lstsq(line, part, rcond=None)[0]
-    noise_deg = float(fitted.residuals[:, 0].std())
-    return float(part.std()) / noise_deg if noise_deg > 0.0 else np.inf
+    return float(part.std() / np.hypot(fitted.residuals[:, 0].std(), r.rounding[0]))
 
 
 __all__ = ["Findings", "Found", "candidates_of", "model_columns", "search"]

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from calrig.calibration.effects.shape import Shape, tilted, turned, turns
-from calrig.calibration.responses import Responses
+from calrig.calibration.responses import MOVE, Responses
 from calrig.estimation.angles import FloatArray
 
 UNNAMED = "unnamed"
@@ -23,8 +23,9 @@ def unnamed_shapes(r: Responses) -> Iterator[tuple[str, Shape]]:
     if turns(r):
         for shape in _of_one(r, r.theta_deg, "target_deg", stage=False):
             yield "target_deg", shape
-        for shape in _of_one(r, r.theta_deg, "target_deg", stage=True):
-            yield "target_deg", shape
+        if MOVE in r.channels:  # without a gyro to feel it, a stage's shape is the same thing again
+            for shape in _of_one(r, r.theta_deg, "target_deg", stage=True):
+                yield "target_deg", shape
     if r.temperature_c is not None and np.ptp(r.temperature_c) > 0.0:
         for shape in _of_one(r, r.temperature_c, "temperature_c", stage=False):
             yield "temperature_c", shape
