@@ -149,7 +149,8 @@ def _share_left(
 ) -> Float32Array:
     """(b, C) product over the channels of what a candidate leaves of the channel's sum of squares.
 
-    Takes (J, b, n) whitened responses, (J, b) their sums of squares with what rounding may add, and what `_orthonormal` gives.
+    Takes (J, b, n) whitened responses, (J, b) their sums of squares with what rounding may
+    add, and what `_orthonormal` gives.
     """
     channels, width = columns.shape[:2]
     within = [[values[j] @ columns[j, k].T for k in range(width)] for j in range(channels)]

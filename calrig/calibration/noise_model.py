@@ -103,7 +103,7 @@ def fit(r: Responses, columns: FloatArray) -> Fit:
         r: the responses.
         columns: (n, J, p).
     """
-    n, _, p = columns.shape
+    _, _, p = columns.shape
     spread = np.hypot(r.values.std(axis=0), r.rounding)
     noise = NoiseModel(np.diag(1.0 / spread), np.zeros(len(spread)))
     taken = max(1.0, p / len(spread))
