@@ -222,7 +222,7 @@ def _judged(candidates: Sequence[Candidate], observed: Float32Array, null: Float
     best_null, best = np.full(len(null), -np.inf), -np.inf
     for indices in _families(candidates).values():
         of_family = null[:, indices].max(axis=1)
-        named = candidates[indices[0]].effect is not None
+        named = candidates[indices[0]].named
         bar = float(np.quantile(of_family, FAMILY_QUANTILES[named]))
         best_null = np.maximum(best_null, of_family - bar)
         best = max(best, float(observed[indices].max()) - bar)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from calrig.calibration.filter_share import filter_share
 from calrig.calibration.fit import reading_error_deg
 from calrig.calibration.pose import Pose
 from calrig.calibration.pose_columns import (
@@ -34,13 +35,20 @@ __all__ = [
     "BoolArray",
     "DiagnosisError",
     "Responses",
-    "filter_share",
     "responses_of",
 ]
 
 BoolArray = npt.NDArray[np.bool_]
 
 READING, ANGLE, NORM, MOVE, STAGE = "reading", "accel_angle", "accel_norm", "gyro_move", "stage"
+CHANNELS = {
+    READING: "the reading",
+    ANGLE: "the accelerometer's angle",
+    NORM: "|accelerometer|",
+    MOVE: "the gyro over the moves",
+    STAGE: "the stage's own report",
+}
+"""The responses in words: the reading and its witnesses."""
 SCALE_UNIT_DEG = 60.0
 """Elevation enters the base in units of this, so that all its columns are of order 1."""
 FEWEST_POSES = 8
@@ -63,7 +71,7 @@ class Responses:
         known: (n, J) False where a response does not exist (the gyro's before the first move).
         base: (n, J, p) columns of bias and scale, and of the first pose of each run.
         base_names: of the p columns, such as `reading.bias`, `gyro_move.gain`, `reading.first`.
-        kappa: (n,) share of a gyro scale error times the move that the paper's filter still shows.
+        kappa: (n,) share of a gyro scale error times the move that the filter still shows.
         rounding: (J,) what arithmetic alone may leave of each response: below it there is nothing to judge.
     """
 
@@ -167,7 +175,7 @@ def responses_of(runs: Sequence[Sequence[Pose]]) -> Responses:
         known=np.stack(table.known, axis=1),
         base=table.base(),
         base_names=tuple(name for name, _, _ in table.base_columns),
-        kappa=filter_share(column_of(poses, "settle_s"), len(poses)),
+        kappa=filter_share(poses),
         rounding=len(poses) * float(np.finfo(np.float64).eps) * np.array(table.sizes),
         warnings=(*warnings, *said),
     )
@@ -266,18 +274,3 @@ def _left_by_line(x: FloatArray, y: FloatArray) -> bool:
         return bool(np.ptp(y) > 0.0)
     left = y - np.polyval(np.polyfit(x, y, 1), x)
     return bool(np.abs(left).max() > 1e-9 * max(float(np.abs(x).max()), 1.0))
-
-
-def filter_share(settle_s: FloatArray | None, n: int, dwell_s: float = 2.0) -> FloatArray:
-    """(n,) mean over the dwell of what is left of a unit error of angle at arrival, by the paper's filter.
-
-    The steady filter follows ë + k₁ė + k₂e = 0 in continuous time, k₁ = 3.95 /s and k₂ = 4.47 /s² for the
-    constants of CONTRACT section 4 at 200 Hz; e(0) = 1 with the bias still right.
-    """
-    k1, k2 = 3.95, 4.47
-    roots = np.roots([1.0, k1, k2]).astype(complex)
-    settle = np.full(n, 1.0) if settle_s is None else settle_s
-    t = settle[:, None] + np.linspace(0.0, dwell_s, 41)
-    a = (-k1 - roots[1]) / (roots[0] - roots[1])
-    left = a * np.exp(roots[0] * t) + (1 - a) * np.exp(roots[1] * t)
-    return np.asarray(left.real.mean(axis=1), dtype=np.float64)
