@@ -4,7 +4,7 @@ import { ApiError, get, post } from "./api.js";
 import { Chart } from "./charts.js";
 import { errorLine, fill, h } from "./dom.js";
 import { effectCard } from "./effect.js";
-import { candidateWords, effectTitle } from "./effects.js";
+import { candidateWords, effectTitle, knowEffects } from "./effects.js";
 import { followUpBox } from "./followup.js";
 import { plural, significant } from "./format.js";
 import { Together } from "./together.js";
@@ -42,7 +42,12 @@ export class DiagnosisPanel {
     this.element.hidden = !run.result;
     this.together.show(run);
     this.#ready();
-    if (run.diagnosis && run.diagnosis !== this.shown) this.#draw(run.diagnosis);
+    if (run.diagnosis && run.diagnosis !== this.shown) {
+      this.#draw(run.diagnosis).catch((error) => {
+        if (!(error instanceof ApiError)) throw error;
+        this.error.say(error);
+      });
+    }
   }
 
   #ready() {
@@ -62,7 +67,7 @@ export class DiagnosisPanel {
     try {
       const diagnosis = await post(`${this.path}/diagnosis`, { runs: [...this.together.chosen] });
       this.run = { ...this.run, diagnosis };
-      this.#draw(diagnosis);
+      await this.#draw(diagnosis);
     } catch (error) {
       if (!(error instanceof ApiError)) throw error;
       this.error.say(error);
@@ -73,8 +78,10 @@ export class DiagnosisPanel {
     }
   }
 
-  #draw(diagnosis) {
+  async #draw(diagnosis) {
     this.shown = diagnosis;
+    await knowEffects();
+    if (this.shown !== diagnosis || this.signal.aborted) return;
     this.drawn?.abort();
     this.drawn = new AbortController();
     const signal = AbortSignal.any([this.signal, this.drawn.signal]);

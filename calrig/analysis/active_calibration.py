@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from calrig.analysis.errors import Conflict
 from calrig.analysis.results import effects_in_force, fitted
-from calrig.calibration.correction import ApplyError
+from calrig.calibration.effect import ApplyError
 from calrig.calibration.fit import Line
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import (

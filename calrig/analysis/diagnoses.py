@@ -8,14 +8,10 @@ from typing import Any
 from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.analysis.results import refitted
 from calrig.calibration.diagnosis import Diagnosis, diagnose, trace
+from calrig.calibration.effects import EFFECTS
 from calrig.calibration.pose import Pose
 from calrig.calibration.responses import DiagnosisError
 from calrig.store import AcceptedEffect, Run, Store
-
-OF_THE_UNIT = ("sensor", "mounting")
-OF_THE_RIG = ("stage",)
-OF_ONE_RUN = ("mount_slip", "time_drift")
-"""What happened once, or at one instant, says nothing about the next run."""
 
 
 class Diagnoses:
@@ -63,7 +59,7 @@ class Diagnoses:
         return found
 
     def suspects(self, run_id: str) -> tuple[list[Run], Diagnosis]:
-        """A run with those it follows on, and their diagnosis, quickly: without errors on unseen poses."""
+        """A run with those it follows on, and their diagnosis, quickly: without errors on held-out poses."""
         runs = self._of_one_unit(run_id, ())
         try:
             return runs, diagnose([self._poses(run) for run in runs], cross_fit=False)
@@ -152,15 +148,18 @@ def _accepted(run: Run, effect: dict[str, Any]) -> AcceptedEffect:
     name, origin = effect["name"], effect["origin"]
     if effect["verdict"] != "named":
         raise Conflict(f"{name} is {effect['verdict']}, not named: separate it from its look-alikes first")
-    if name in OF_ONE_RUN or origin not in (*OF_THE_UNIT, *OF_THE_RIG):
+    if name not in EFFECTS:
+        raise Conflict(f"{name} is not in the catalogue of this version of calrig: diagnose the run again")
+    scope = EFFECTS[name].scope
+    if scope == "run":
         raise Conflict(f"{name} ({origin}) cannot correct later runs: {effect['remedy']}")
-    if origin in OF_THE_RIG and run.rig is None:
+    if scope == "rig" and run.rig is None:
         raise Conflict(f"{name} belongs to the stage, and run {run.id} names no rig")
     parameters = {key: value and value["value"] for key, value in effect["parameters"].items()}
     return AcceptedEffect(
         run_id=run.id,
-        unit=run.unit if origin in OF_THE_UNIT else None,
-        rig=run.rig if origin in OF_THE_RIG else None,
+        unit=run.unit if scope == "unit" else None,
+        rig=run.rig if scope == "rig" else None,
         name=name,
         origin=origin,
         parameters=parameters,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from calrig.analysis.errors import Conflict, Unknown
+from calrig.export.c_header import c_header
 from calrig.export.calibration_json import calibration_document
 from calrig.store import Run, Store
 
@@ -36,3 +37,16 @@ def document_of(store: Store, run: Run) -> dict[str, Any]:
         raise Conflict(f"run {run.id} is {what}: it gives no calibration")
     poses = [stored.pose for stored in store.poses(run.id, include_excluded=False)]
     return calibration_document(run, poses, store.effects_in_force(run.unit, run.rig))
+
+
+def header_of(store: Store, run: Run) -> str:
+    """The same as `calibration.h`.
+
+    Raises:
+        Conflict: as for `document_of`, or an effect in force cannot be taken out in flight.
+    """
+    document = document_of(store, run)
+    try:
+        return c_header(document)
+    except ValueError as error:
+        raise Conflict(f"the calibration of run {run.id} cannot be put into C: {error}") from error

@@ -244,6 +244,7 @@ class NamedEffect(Answer):
 
     name: str
     parameters: dict[str, float | None]
+    formula: str
 
 
 class CalibrationGyro(Answer):

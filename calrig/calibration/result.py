@@ -9,12 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.correction import (
-    ApplyError,
-    Circumstances,
-    effects_on_reading_deg,
-    fit_line_with_effects,
-)
+from calrig.calibration.correction import effects_on_reading_deg, fit_line_with_effects
+from calrig.calibration.effect import ApplyError, Circumstances
 from calrig.calibration.filter_share import filter_share
 from calrig.calibration.fit import Line, fit_line, residuals_deg, rms
 from calrig.calibration.pose import Pose

@@ -54,8 +54,7 @@ def export(
     """Print a calibration, as JSON or as calibration.h, or the poses it rests on."""
     import json
 
-    from calrig.api.calibrations import document_of, run_in_force
-    from calrig.export.c_header import c_header
+    from calrig.api.calibrations import document_of, header_of, run_in_force
     from calrig.export.poses_csv import write_poses
     from calrig.settings import store_url
     from calrig.store import Store
@@ -70,7 +69,7 @@ def export(
             counted = [stored.pose for stored in store.poses(found.id, include_excluded=False)]
             sys.stdout.write(write_poses(counted))
         elif format_ is Format.c_header:
-            sys.stdout.write(c_header(document_of(store, found)))
+            sys.stdout.write(header_of(store, found))
         else:
             typer.echo(json.dumps(document_of(store, found), indent=2, ensure_ascii=False, allow_nan=False))
 

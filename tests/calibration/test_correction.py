@@ -11,14 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calrig.calibration.correction import (
-    ApplyError,
-    Circumstances,
     calibrated_elevation_deg,
     effect_on_reading_deg,
     effects_on_reading_deg,
     fit_line_with_effects,
     numbers_of,
 )
+from calrig.calibration.effect import ApplyError, Circumstances
 from calrig.calibration.effects import CATALOGUE
 from calrig.calibration.pose import Pose
 from calrig.calibration.responses import responses_of

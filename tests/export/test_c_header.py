@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from calrig.calibration.correction import (
-    ApplyError,
-    Circumstances,
     calibrated_elevation_deg,
     effects_on_reading_deg,
 )
+from calrig.calibration.effect import ApplyError, Circumstances
 from calrig.export.c_header import c_header
 
 COMPILER = shutil.which("gcc") or shutil.which("clang")
@@ -85,6 +84,7 @@ def applied(program, reading_deg, temperature_c):
         ([OFFSET, MISMATCH, CUBIC, WARM, CURVED, STEEPER, SLIPPED], {}),
         ([OFFSET, STEEPER], {"scale": -0.98, "range_deg": [-90.0, 90.0], "temperature_c": None}),
         ([WARM], {"bias_deg": 179.6}),
+        ([("temperature_scale", {"per_c": 0.014, "reference_c": 24.3})], {}),
     ],
 )
 def test_the_compiled_header_gives_pythons_elevation_to_a_ten_thousandth_of_a_degree(
@@ -164,6 +164,11 @@ def test_parameters_with_their_standard_errors_are_taken_too():
             {"effects": [("nonlinearity", {"deg_per_deg2": 0.02})]},
             ApplyError,
             "not a small correction",
+        ),
+        (
+            {"effects": [("temperature_scale", {"per_c": 0.3, "reference_c": 24.3})]},
+            ApplyError,
+            "take them back",
         ),
         (
             {"effects": [("temperature_bias", {"deg_per_c": 1.0})]},
