@@ -21,7 +21,6 @@ one that hears it at the wrong baud rate:
 from __future__ import annotations
 
 import errno
-import time
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
@@ -185,8 +184,8 @@ def _converse(port: Port) -> tuple[Sign | None, int | None, str]:
 
 def _listen(port: Port, heard: bytes, listen_s: float, *, to_the_end: bool = False) -> bytes:
     """What was heard and what comes, until time is up or it tells who sent it."""
-    deadline_s = time.monotonic() + listen_s
-    while time.monotonic() < deadline_s:
+    deadline_s = port.clock.now_s() + listen_s
+    while port.clock.now_s() < deadline_s:
         data = port.read_some()
         heard = (heard + data)[-MOST_HEARD:]
         if data and not to_the_end and recognise(heard):
