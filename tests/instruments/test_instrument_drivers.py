@@ -59,10 +59,6 @@ def blocks(page, kind):
     return re.findall(rf"```{kind}\n(.*?)```", page, flags=re.DOTALL)
 
 
-def test_the_authors_page_names_every_built_in_stage(page):
-    assert set(drivers.STAGES) == set(re.findall(r"^\| `(\w+)` \|", page, flags=re.MULTILINE))
-
-
 def test_the_driver_on_the_authors_page_runs_from_the_transcript_beside_it(page, tmp_path, monkeypatch):
     (tmp_path / "our_turntable.py").write_text(blocks(page, "python")[0])
     (tmp_path / "turntable.txt").write_text(blocks(page, "text")[0])
