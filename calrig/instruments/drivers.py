@@ -79,7 +79,7 @@ def known_devices() -> list[AnyDevice]:
             except InstrumentError as error:
                 log.warning("not looked for in a scan: %s", error)
                 continue
-            if isinstance(offered, StageDevice | BoardDevice):
+            if isinstance(offered, StageDevice | BoardDevice) and offered not in devices:
                 devices.append(offered)
     return devices
 

@@ -52,8 +52,9 @@ def _stage(stage: Found, all_found: Iterable[Found]) -> str:
 
 
 def _imu(board: Found, all_found: Iterable[Found]) -> str:
-    usual = BOARDS[board.driver].baudrate if board.driver in BOARDS else None
-    rate = "" if board.baudrate in (None, usual) else f", baudrate = {board.baudrate}"
+    device = BOARDS.get(board.driver or "")
+    usual = (None, device and device.baudrate)
+    rate = "" if board.baudrate in usual else f", baudrate = {board.baudrate}"
     return f"imu = {{ {_device(board, all_found)}{rate} }}"
 
 
