@@ -7,6 +7,7 @@ import itertools
 from collections import Counter
 from typing import Self
 
+from calrig.instruments.boards.calrig import DEVICE
 from calrig.instruments.boards.calrig.identity import read_identity
 from calrig.instruments.boards.calrig.mark import Mark
 from calrig.instruments.boards.calrig.packets import (
@@ -22,7 +23,6 @@ from calrig.instruments.errors import BoardError, InstrumentError, PortError
 from calrig.instruments.ports import Port, open_port
 from calrig.instruments.types import BoardIdentity, Samples
 
-BAUDRATE = 115200
 READ_EVERY_S = 0.04
 READ_TIMEOUT_S = 0.002
 """All bytes there are, 25 times a second: waking for each sample would cost several times as much."""
@@ -79,7 +79,7 @@ class CalrigBoard:
     @classmethod
     def open(cls, url: str, *, baudrate: int | None = None) -> Self:
         """Opens the port (PortError), which resets most boards."""
-        return cls(open_port(url, baudrate=baudrate or BAUDRATE, timeout_s=READ_TIMEOUT_S))
+        return cls(open_port(url, baudrate=baudrate or DEVICE.baudrate, timeout_s=READ_TIMEOUT_S))
 
     def identify(self) -> BoardIdentity:
         """Asks twice a second until the board answers; faults are counted from here on.

@@ -3,7 +3,7 @@
 Its replies are bare numbers that do not say what they answer. So after every query a fence is sent, `VE?` or
 `1ID?` in turn, whose text was learned when the controller was first asked: replies come in order, so exactly
 one number before the fence is the answer, and none or two are damage, after which the query is asked again.
-A digit that was damaged looks like any other: what matters is believed when it was said twice (`belief`).
+A digit that was damaged looks like any other: what matters is believed when it was said twice (`readback`).
 
 Nothing tells whether the stage was homed since power came on. It counts as not referenced until this driver
 has homed it, in the way that the stage itself is set up for (`OM`).
@@ -20,11 +20,11 @@ from typing import Self
 from calrig.instruments import readback
 from calrig.instruments.errors import StageError
 from calrig.instruments.ports import Port, open_port
+from calrig.instruments.stages.esp301 import DEVICE
 from calrig.instruments.stages.esp301.words import error_words
 from calrig.instruments.stages.lines import LineWire, plain
 from calrig.instruments.types import StageIdentity, StageStatus
 
-BAUDRATE = 19200
 REPLY_TIMEOUT_S = 0.5
 ATTEMPTS = 4
 MOST_ERRORS = 11
@@ -67,7 +67,7 @@ class Esp301:
     @classmethod
     def open(cls, url: str, *, axis: int = 1, baudrate: int | None = None) -> Self:
         """Opens the port (PortError); asks nothing yet."""
-        return cls(open_port(url, baudrate=baudrate or BAUDRATE, timeout_s=0.02), axis)
+        return cls(open_port(url, baudrate=baudrate or DEVICE.baudrate, timeout_s=0.02), axis)
 
     def identify(self) -> StageIdentity:
         """Asks who it is and what it allows (StageError if it does not answer)."""

@@ -19,10 +19,10 @@ from calrig.instruments import readback
 from calrig.instruments.errors import Halted, InstrumentError, PortError, StageError
 from calrig.instruments.ports import Port, open_port
 from calrig.instruments.stages.lines import LineWire
+from calrig.instruments.stages.zaber import DEVICE
 from calrig.instruments.stages.zaber.words import UNREFERENCED, flag_words
 from calrig.instruments.types import StageIdentity, StageStatus
 
-BAUDRATE = 115200
 REPLY_TIMEOUT_S = 0.5
 ATTEMPTS = 4
 LISTEN_S = 0.2
@@ -71,7 +71,7 @@ class Zaber:
             InstrumentError: the maker's library is not installed; says how to.
         """
         _library()
-        return cls(open_port(url, baudrate=baudrate or BAUDRATE, timeout_s=0.02), axis)
+        return cls(open_port(url, baudrate=baudrate or DEVICE.baudrate, timeout_s=0.02), axis)
 
     def identify(self) -> StageIdentity:
         """Asks who it is and what it allows, and clears flags of long ago.

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from typing import Self
 
-from calrig.instruments.boards.sketches.catalogue import Sketch
-from calrig.instruments.boards.sketches.lines import Record, SketchReader
-from calrig.instruments.boards.sketches.samples import SketchSamples
+from calrig.instruments.boards.sketch import Sketch
+from calrig.instruments.boards.sketch_lines import Record, SketchReader
+from calrig.instruments.boards.sketch_samples import SketchSamples
+from calrig.instruments.device import recognise
+from calrig.instruments.drivers import known_devices
 from calrig.instruments.errors import BoardError, InstrumentError, PortError
 from calrig.instruments.ports import Port, open_port
 from calrig.instruments.types import BoardIdentity, Samples
@@ -24,6 +26,8 @@ SILENCE_S = 4.0
 QUIET_S = 2.0
 USELESS_S = 2.0
 TICK_S = 1e-6
+ANOTHERS_LINES = 3
+"""So many lines of another device tell it."""
 NO_SENSOR = "all its values are 0: no sensor answers the board; check the wires between them"
 FROZEN = "its values do not change: the sensor's bus hangs; switch the board off and on"
 
@@ -71,7 +75,7 @@ class SketchBoard:
             self._identified, self._seen_s = False, []
             deadline_s = self._clock.now_s() + self._sketch.starts_in_s + MEASURE_S
             while not self._measured:
-                if self._clock.now_s() > deadline_s or self._reader.looks_like:
+                if self._clock.now_s() > deadline_s or self._looks_like:
                     raise BoardError(f"{self._name} sent no record that can be read: {self._why_none()}")
                 if self._sketch.wake and not self._seen_s:
                     self._port.write(self._sketch.wake)
@@ -139,6 +143,18 @@ class SketchBoard:
         self._closing.set()
         self._thread.join()
         self._port.close()
+
+    @property
+    def _looks_like(self) -> str | None:
+        """The driver of the device whose lines come instead."""
+        if len(self._reader.strange) < ANOTHERS_LINES:
+            return None
+        devices = known_devices()
+        told = [recognise(f"{line}\n".encode("latin-1"), devices) for line in self._reader.strange]
+        votes = Counter(sender.device.driver for sender in told if sender)
+        del votes[self._sketch.driver]
+        driver, count = max(votes.items(), key=lambda vote: vote[1], default=("", 0))
+        return driver if count >= ANOTHERS_LINES else None
 
     @property
     def _measured(self) -> bool:
@@ -226,8 +242,8 @@ class SketchBoard:
         if self._clock.now_s() - self._heard_s > QUIET_S or not reader.n_strange:
             mute = f" ({sketch.mute})" if sketch.mute else ""
             return f"it is silent: is it powered, and on this port?{mute}{said}"
-        if other := reader.looks_like:
-            return f"its lines are another sketch's; it looks like driver {other!r}"
+        if other := self._looks_like:
+            return f"its lines are another device's; it looks like driver {other!r}"
         if reader.garbled:
             return f"what comes is no text: wrong baud rate? As published it sends at {sketch.baudrate} baud"
         return (
