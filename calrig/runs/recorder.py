@@ -7,11 +7,11 @@ import time
 from collections.abc import Mapping
 from typing import Any, Unpack
 
-from calrig.analysis.states import AT_REST, check_transition
 from calrig.calibration.pose import Pose
 from calrig.runs.bus import Bus
 from calrig.runs.meter import RunMeter
-from calrig.store import Progress, RunChanges, SampleBlock, Status, Store
+from calrig.runs.states import check_transition
+from calrig.store import AT_REST, Progress, RunChanges, SampleBlock, Status, Store
 
 log = logging.getLogger(__name__)
 
