@@ -3,7 +3,7 @@
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
 from datetime import datetime
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Query
 from fastapi.responses import Response

@@ -11,7 +11,7 @@ from calrig.analysis.errors import Invalid
 from calrig.analysis.noise_studies import filters_of_run, noise_of_run
 from calrig.api.context import Context, KnownRun
 from calrig.api.errors import problems
-from calrig.api.limits import Turn, name_of
+from calrig.api.limits import UPLOAD_BYTES, Turn, name_of
 from calrig.api.models import Answer
 from calrig.api.models import Figure as FigureAnswer
 from calrig.export.cells import CsvError
@@ -161,6 +161,7 @@ def run_filters(run: KnownRun, context: Context, _turn: Turn) -> dict[str, Any]:
 
 @router.post(
     "/api/noise",
+    max_body_size=UPLOAD_BYTES,
     response_model=NoiseAnswer,
     responses=problems(408, 413, 422, 503),
     summary="The noise in a log from anybody's sensor",
@@ -183,6 +184,7 @@ def log_noise(
 
 @router.post(
     "/api/filters",
+    max_body_size=UPLOAD_BYTES,
     response_model=FiltersAnswer,
     responses=problems(408, 413, 422, 503),
     summary="The filters side by side on a log from anybody's sensor",

@@ -46,8 +46,8 @@ class RunService:
     def __init__(self, store: Store, rigs: Sequence[RigSettings], record: Path | None = None) -> None:
         self.store = store
         self.bus = Bus()
-        self.meter = Meter()
         self._rigs = {rig.name: rig for rig in rigs}
+        self.meter = Meter(self._rigs)
         self._lock = threading.Lock()
         self._workers: dict[str, Worker] = {}
         self._busy: dict[str, str] = {}  # rigs by name, each with its run
