@@ -1,7 +1,7 @@
 """How slowly a body may come, and how many uploads are in hand at once. How large it may be, FastAPI counts.
 
-FastAPI's limits (`max_body_size` of the paths) know no time and have one answer, in plain text. Here what comes
-too slowly is 408, one upload too many 503, and a body that FastAPI has found too large is told so in JSON.
+FastAPI's limits (`max_body_size` of the paths) know no time and have one answer, in plain text. Here what
+comes too slowly is 408, one upload too many 503, and a body that FastAPI found too large is told so in JSON.
 """
 
 from __future__ import annotations

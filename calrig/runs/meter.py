@@ -19,22 +19,20 @@ class Meter:
     """
 
     def __init__(self, rigs: Iterable[str] = ()) -> None:
-        self.registry = CollectorRegistry()
+        registry = self.registry = CollectorRegistry()
         self.samples = Counter(
-            "calrig_samples", "Valid samples taken from boards.", ["rig"], registry=self.registry
+            "calrig_samples", "Valid samples taken from boards.", ["rig"], registry=registry
         )
-        self.poses = Counter("calrig_poses", "Poses measured and stored.", ["rig"], registry=self.registry)
+        self.poses = Counter("calrig_poses", "Poses measured and stored.", ["rig"], registry=registry)
         self.faults = Counter(
             "calrig_faults",
             "Faults seen on the wires and in samples.",
             ["rig", "kind"],
-            registry=self.registry,
+            registry=registry,
         )
-        self.ended = Counter(
-            "calrig_runs_ended", "Runs that ended.", ["rig", "status"], registry=self.registry
-        )
+        self.ended = Counter("calrig_runs_ended", "Runs that ended.", ["rig", "status"], registry=registry)
         began_s = time.monotonic()
-        uptime = Gauge("calrig_uptime_seconds", "Time since the service began.", registry=self.registry)
+        uptime = Gauge("calrig_uptime_seconds", "Time since the service began.", registry=registry)
         uptime.set_function(lambda: time.monotonic() - began_s)
         for rig in rigs:
             self.samples.labels(rig)
