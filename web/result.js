@@ -2,11 +2,14 @@
 
 import { h } from "./dom.js";
 import { NOT_KNOWN, isKnown, plusMinus, range, significant } from "./format.js";
-import { verdict } from "./verdict.js";
+
+const COLOURS = { noise: "good", more_than_noise: "poor" };
 
 /** The card's content for a run that has a result. */
 export function resultCard(run) {
-  const { grade, headline, sentences } = verdict(run);
+  const counts = run.status === "completed" && !run.voided;
+  const colour = (counts && COLOURS[run.verdict.left]) || "unknown";
+  const [headline, ...sentences] = [...reservation(run), ...run.verdict.says];
   return [
     h("h2", {}, "Result"),
     h(
@@ -19,13 +22,19 @@ export function resultCard(run) {
       ),
       h(
         "div",
-        { class: `verdict ${grade}`, "data-testid": "verdict" },
+        { class: `verdict ${colour}`, "data-testid": "verdict" },
         h("h3", {}, "Is this good?"),
         h("p", { class: "headline" }, headline),
         sentences.map((sentence) => h("p", {}, sentence)),
       ),
     ),
   ];
+}
+
+/** What stands before the verdict of a run that does not count, or not yet. */
+function reservation(run) {
+  if (run.voided) return ["Voided: not to be used."];
+  return run.status === "completed" ? [] : ["Not finished: figures of the poses so far."];
 }
 
 function figures(result) {

@@ -1,10 +1,11 @@
-"""The page's files: of the right type, compressed, kept for ever under their digest, and nothing beside them."""
+"""The page's files: of the right type, compressed, kept under their digest, and nothing beside them."""
 
 from __future__ import annotations
 
 import gzip
 import hashlib
 import re
+
 import pytest
 
 from calrig.settings import packed
