@@ -43,14 +43,14 @@ function figures(result) {
   const rows = [
     ["Bias", besideStage(result.bias_deg, result.bias_std_deg, result.reference?.bias_std_deg, "°")],
     ["Scale", besideStage(result.scale, result.scale_std, result.reference?.scale_std)],
-    ["RMS raw", significant(result.rms_raw_deg, 3, "°")],
-    ["RMS calibrated", significant(result.rms_calibrated_deg, 3, "°")],
-    ["Noise of a reading", significant(result.noise_deg, 2, "°")],
+    ["RMS error, raw", significant(result.rms_raw_deg, 3, "°")],
+    ["RMS error, calibrated", significant(result.rms_calibrated_deg, 3, "°")],
+    ["Standard error of a reading", significant(result.noise_deg, 2, "°")],
     ["Poses", result.n_poses.toLocaleString()],
     ["Temperature", range(temperature?.min, temperature?.max, 1, "°C")],
   ];
   if (isKnown(result.rms_with_effects_deg))
-    rows.push(["RMS with effects", significant(result.rms_with_effects_deg, 3, "°")]);
+    rows.push(["RMS error, with effects", significant(result.rms_with_effects_deg, 3, "°")]);
   if (![gyro?.scale, ...(gyro?.bias_dps ?? [])].some(isKnown)) return [...rows, ["Gyro", NOT_KNOWN]];
   const bias = ["x", "y", "z"].map((axis, k) => [
     `Gyro bias ${axis}`,
@@ -65,8 +65,8 @@ function besideStage(value, std, ofStage, unit) {
   if (!isKnown(value) || !isKnown(ofStage)) return own;
   return [
     h("span", {}, own),
-    isKnown(std) && h("small", {}, " (noise)"),
+    isKnown(std) && h("small", {}, " (type A, noise)"),
     " ",
-    h("small", {}, `± ${significant(ofStage, 2, unit)} (stage)`),
+    h("small", {}, `± ${significant(ofStage, 2, unit)} (type B, stage)`),
   ];
 }
