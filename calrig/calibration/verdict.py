@@ -56,7 +56,7 @@ def verdict(result: Document, diagnosis: Document | None = None, *, verification
     if ratio is not None and bound is not None:
         left = "noise" if ratio <= bound else "more_than_noise"
     says = [
-        _answer(left, ratio, bound, freedom),
+        *_answer(left, ratio, bound, freedom),
         _before_and_after(result, verification=verification),
         *_of_the_stage(result, freedom, left),
         *_diagnosed(diagnosis, left),
@@ -101,13 +101,14 @@ def _ratio(result: Document, freedom: int, also_deg: float = 0.0) -> float | Non
     return float(left_deg / expected_deg)
 
 
-def _answer(left: str | None, ratio: float | None, bound: float | None, freedom: int) -> str:
+def _answer(left: str | None, ratio: float | None, bound: float | None, freedom: int) -> list[str]:
     if ratio is None or bound is None:
-        return "Not judged: the noise of a reading is not known, or too few poses are left to judge by."
-    limits = f"noise alone stays under {bound:.2f} in 99 % of runs, {freedom} degrees of freedom"
-    if left == "noise":
-        return f"Good, only noise is left: {ratio:.2f} times what the noise predicts ({limits})."
-    return f"More than noise is left: {ratio:.2f} times what the noise predicts ({limits})."
+        return ["Not judged: the noise of a reading is not known, or there are too few poses."]
+    return [
+        "Good: only noise is left." if left == "noise" else "More than noise is left.",
+        f"The residual RMS is {ratio:.2f} times what noise alone predicts; noise alone stays under {bound:.2f} "
+        f"in {100 * CONFIDENCE:.0f} % of runs ({freedom} degrees of freedom).",
+    ]
 
 
 def _before_and_after(result: Document, *, verification: bool) -> str:

@@ -71,7 +71,7 @@ def test_what_is_left_is_judged_after_everything_accepted():
     assert "The diagnosis names backlash, which has not been accepted." in open_one.says
     accepted = verdict(result(52, effects, backlash_deg=0.2), found("backlash", "named", accepted_at="now"))
     assert accepted.left == "noise"
-    assert accepted.says[0].startswith("Good, only noise is left")
+    assert accepted.says[0] == "Good: only noise is left."
 
 
 def test_an_effect_fitted_to_these_very_poses_takes_its_degree_of_freedom():
