@@ -106,8 +106,8 @@ def _answer(left: str | None, ratio: float | None, bound: float | None, freedom:
         return ["Not judged: the noise of a reading is not known, or there are too few poses."]
     return [
         "Good: only noise is left." if left == "noise" else "More than noise is left.",
-        f"The residual RMS is {ratio:.2f} times what noise alone predicts; noise alone stays under {bound:.2f} "
-        f"in {100 * CONFIDENCE:.0f} % of runs ({freedom} degrees of freedom).",
+        f"The residual RMS is {ratio:.2f} times what noise alone predicts; noise alone stays under "
+        f"{bound:.2f} in {100 * CONFIDENCE:.0f} % of runs ({freedom} degrees of freedom).",
     ]
 
 
