@@ -1,8 +1,8 @@
 """Overlapping Allan deviation of sampled values, with confidence limits.
 
 The Allan variance at τ = m·τ₀ is half the mean square of the difference between neighbouring averages of m
-samples, taken at every place where the two fit (NIST SP 1065, equation 11; IEEE Std 952-1997, annex C). With the
-phase x, the running sum of the N samples from x₀ = 0,
+samples, taken at every place where the two fit (NIST SP 1065, equation 11; IEEE Std 952-1997, annex C). With
+the phase x, the running sum of the N samples from x₀ = 0,
 
     σ²(m·τ₀) = 1/(2·m²·(N + 1 − 2m)) · Σ (x[i+2m] − 2·x[i+m] + x[i])²     i = 0 … N − 2m
 
