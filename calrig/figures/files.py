@@ -30,7 +30,7 @@ Plotly.newPlot("figure", data, layout, {displaylogo: false, responsive: true});
 
 
 def writer_of(file: Path) -> Callable[[Figure], None]:
-    """What will write a figure to the file, by the name's ending: `.html` (the charts' script inside) or `.png`.
+    """What will write a figure to the file, by the name's ending: `.html` (stands by itself) or `.png`.
 
     Raises:
         InputError: another ending, no such folder, or PNG without the exporter. What is returned raises
