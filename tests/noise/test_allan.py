@@ -124,6 +124,7 @@ def test_a_constant_has_no_slope():
     assert np.isnan(curve.local_slopes).all()
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize("kind", ["white", "random walk"])
 def test_the_limits_hold_the_true_deviation_as_often_as_they_say(kind):
     """500 logs, at every octave from 8 samples to a sixteenth of the log, on average over the octaves."""
