@@ -57,7 +57,10 @@ def writer_of(file: Path) -> Callable[[Figure], None]:
 
 def _html(figure: Figure) -> bytes:
     """One file with the charts' script inside, so that it opens anywhere without a service."""
-    script = (packed("web") / "vendor" / "plotly-basic.min.js").read_text(encoding="utf-8")
+    try:
+        script = (packed("web") / "vendor" / "plotly-partial.min.js").read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        raise WorkError(f"{error.filename}: is made when calrig is installed: pip install it") from error
     # A name with `</script>` in it would end the element that holds the figure.
     drawn = json.dumps(figure, allow_nan=False).replace("<", "\\u003c")
     return (_PAGE % {"figure": drawn, "script": script}).encode()
