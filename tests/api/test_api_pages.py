@@ -98,8 +98,9 @@ def test_the_charts_script_is_the_makers_core_and_says_whose_it_is(shared_client
     script = shared_client.get(folder + PLOTLY).text
     assert "plotly.js v" in script[:200]
     assert "MIT license" in script[:400]
-    assert '"scatter"' in script and '"bar"' in script
-    assert "maplibre" not in script  # half of the whole script, and nothing here is drawn on a map
+    assert 'name:"scatter"' in script
+    assert 'name:"bar"' in script
+    assert 'name:"scattermap"' not in script  # maps are half of the whole script, and none is drawn here
 
 
 @pytest.mark.parametrize(
