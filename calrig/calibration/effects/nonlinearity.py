@@ -1,4 +1,4 @@
-"""An a_y that is not linear: it is wrong by cos θ times a polynomial of θ."""
+"""An a_y that is not linear, so that the angle is wrong by a polynomial of θ: a_y by that over cos θ."""
 
 from __future__ import annotations
 
