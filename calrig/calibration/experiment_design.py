@@ -72,7 +72,7 @@ class FollowUp:
 
 
 def ambiguous_of(findings: Findings) -> Found | None:
-    """The first effect that could not be told from its rivals."""
+    """The first effect that is indistinguishable from its rivals."""
     return next((f for f in findings.found if f.verdict == "ambiguous"), None)
 
 
@@ -146,7 +146,7 @@ class _Trial:
         return fit(r, columns).beta[-suspect.columns.shape[2] :]
 
     def separation(self, elevations_deg: Sequence[float], wait_s: float = 0.0) -> float:
-        """Expected −2 log likelihood between the closest two suspects that can be told apart at all."""
+        """Expected −2 log likelihood between the closest two suspects that are distinguishable at all."""
         distances = self._distances(elevations_deg, wait_s)
         return min((distances[pair] for pair in self.pairs), default=0.0)
 

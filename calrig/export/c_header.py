@@ -32,7 +32,7 @@ def c_header(document: Mapping[str, Any]) -> str:
 
     It defines `static inline float calrig_elevation_deg(float reading_deg, float temperature_c)`. Where an
     effect depends on the elevation, that solves reading = bias + scale·θ + effects(θ) by Newton's iteration,
-    in a number of rounds that is fixed here. Effects that are not flown, such as a rig's, are left out.
+    in a number of rounds that is fixed here. Effects that are not applied in flight are left out.
 
     Raises:
         ApplyError: an effect has no formula or lacks a parameter, or they are too large to be taken out.

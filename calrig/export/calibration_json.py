@@ -28,7 +28,7 @@ def calibration_document(
         run: as `Store.latest_calibration_run` gives it.
         poses: those the result rests on (none excluded): range and uncertainty follow from them.
         accepted: effects in force for the unit and its rig: bias and scale are those beside all of them, and
-            the unit's own are flown.
+            the unit's own are applied in flight.
 
     Raises:
         ValueError: the run has no result, no scale, no poses, or has not finished.
