@@ -178,6 +178,7 @@ def circumstances(poses: Sequence[Pose]) -> Circumstances:
         temperature_c=column([pose.temperature_c for pose in poses]),
         time_s=column([pose.time_s for pose in poses]),
         move_deg=np.diff(theta, prepend=np.nan),
+        velocity_dps=column([pose.covariates.get("velocity_dps") for pose in poses]),
         kappa=filter_share(poses),
     )
 

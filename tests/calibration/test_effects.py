@@ -20,7 +20,7 @@ from calrig.api.app import api
 from calrig.calibration.candidates import candidates_of, documented_forms, rebuilt
 from calrig.calibration.correction import calibrated_elevation_deg, effect_on_reading_deg, numbers_of
 from calrig.calibration.diagnosis import diagnose
-from calrig.calibration.effect import EffectError, NotFlown
+from calrig.calibration.effect import Circumstances, EffectError, NotFlown
 from calrig.calibration.effects import CATALOGUE, EFFECTS
 from calrig.calibration.noise_model import fit
 from calrig.calibration.pose import Pose
@@ -151,12 +151,6 @@ def measured(name, seed):
     ]
 
 
-def given_of(poses):
-    """Circumstances, with the velocity that poses carry as a further column."""
-    velocity = [pose.covariates.get("velocity_dps", 0.0) for pose in poses]
-    return dataclasses.replace(circumstances(poses), velocity_dps=np.array(velocity))
-
-
 def beside_a_line(theta_deg, values):
     """What bias and scale do not take up of some values."""
     return values - np.polyval(np.polyfit(theta_deg, values, 1), theta_deg)
@@ -200,7 +194,7 @@ def test_an_effect_is_found_rebuilt_applied_compiled_and_shown(effect, shown, tm
         forms = documented_forms(r, effect.name, stated["covariate"], values)
         assert effect.name in {form.name for form in forms}
         assert set().union(*(form.shape.stated for form in forms)) == set(values)
-        added = effect_on_reading_deg(effect.name, values, r.theta_deg, given_of(these))[1:]
+        added = effect_on_reading_deg(effect.name, values, r.theta_deg, circumstances(these))[1:]
         whole = fitted_part_deg(min(forms, key=lambda f: fit(r, model_columns(r, [f])).criterion), r)[1:]
         size = np.ptp(beside_a_line(r.theta_deg[1:], whole))
         left = beside_a_line(r.theta_deg[1:], added - whole)
@@ -236,7 +230,7 @@ def flown(effect, values, folder):
     if COMPILER is None:
         pytest.skip("no C compiler (gcc or clang) is installed")
     theta, celsius = (axis.ravel() for axis in np.meshgrid(np.linspace(-60, 60, 25), [20.0, 25.0, 30.0]))
-    there = dataclasses.replace(given_of([]), temperature_c=celsius, time_s=None)
+    there = Circumstances(temperature_c=celsius)
     added = effect_on_reading_deg(effect.name, values, theta, there)
     reading = calibration["bias_deg"] + calibration["scale"] * theta + added
     in_c = applied_in_c(compiled(header, folder), reading, celsius)
