@@ -12,11 +12,11 @@ from serial.tools.list_ports_common import ListPortInfo
 from simulated_devices import Counterpart, Uart, in_their_own_time
 
 from calrig.instruments import scan as scanning
-from calrig.instruments.device import Identity, Look, StageDevice
+from calrig.instruments.device import Identity, Probe, StageDevice
 from calrig.instruments.drivers import known_devices
 from calrig.instruments.errors import PortError
 from calrig.instruments.ports import open_port
-from calrig.instruments.scan import converse, looks, scan
+from calrig.instruments.scan import converse, probes, scan
 
 
 @pytest.fixture(autouse=True)
@@ -72,16 +72,16 @@ def told_of(monkeypatch):
 def test_a_port_where_nothing_answers_says_so_after_all_that_is_to_be_tried(told_of):
     port = Parrot()
     assert told_of(port) == (None, 19200, "nothing answers: is the device switched on?")
-    assert port.now_s == pytest.approx(sum(look.listen_s for look in looks(known_devices())), abs=0.3)
+    assert port.now_s == pytest.approx(sum(probe.listen_s for probe in probes(known_devices())), abs=0.3)
     asked = [event for _, event in port.events if isinstance(event, bytes)]
-    assert asked == [look.question for look in looks(known_devices()) if look.question]
+    assert asked == [probe.query for probe in probes(known_devices()) if probe.query]
 
 
 def test_nothing_is_asked_while_it_is_listened(told_of):
     port = Parrot()
     told_of(port)
-    first_question_s = next(at_s for at_s, event in port.events if isinstance(event, bytes))
-    assert first_question_s >= sum(look.listen_s for look in looks(known_devices()) if not look.question)
+    first_query_s = next(at_s for at_s, event in port.events if isinstance(event, bytes))
+    assert first_query_s >= sum(probe.listen_s for probe in probes(known_devices()) if not probe.query)
 
 
 def test_garbage_is_nobody(told_of):
@@ -122,16 +122,16 @@ def test_the_reset_of_a_slow_board_is_waited_for():
         title="our table",
         baudrate=300,
         opens=lambda url, *, axis, baudrate: None,
-        looks=(Look(300, 0.3), Look(9600, 0.1)),
-        says=lambda line: line == "TABLE 1",
+        probes=(Probe(300, 0.3), Probe(9600, 0.1)),
+        matches=lambda line: line == "TABLE 1",
         identity=lambda lines: Identity("one"),
-        then=b"",
+        version_query=b"",
     )
-    assert [(look.baudrate, look.listen_s) for look in looks([device])] == [(300, 2.3), (9600, 0.1)]
+    assert [(probe.baudrate, probe.listen_s) for probe in probes([device])] == [(300, 2.3), (9600, 0.1)]
 
 
 def test_devices_that_want_the_same_tried_have_it_tried_once():
-    per_look = [(look.baudrate, look.question) for look in looks(known_devices())]
+    per_look = [(probe.baudrate, probe.query) for probe in probes(known_devices())]
     assert len(set(per_look)) == len(per_look)
 
 
