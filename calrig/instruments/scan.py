@@ -6,7 +6,6 @@ Each port is opened once, which resets most Arduinos, and listened to before any
 from __future__ import annotations
 
 import errno
-import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
@@ -179,18 +178,13 @@ def converse(port: Port, devices: Sequence[AnyDevice]) -> tuple[Recognised | Non
 
 def _listen(port: Port, heard: bytes, listen_s: float, enough: Callable[[bytes], bool]) -> bytes:
     """What was heard and what comes, until time is up or that is enough."""
-    end_s = _now_s(port) + listen_s
-    while _now_s(port) < end_s:
+    end_s = port.clock.now_s() + listen_s
+    while port.clock.now_s() < end_s:
         data = port.read_some()
         heard = (heard + data)[-MOST_HEARD:]
         if data and enough(heard):
             break
     return heard
-
-
-def _now_s(_: Port) -> float:
-    """The time that passes on a port: here alone a scan reads a clock."""
-    return time.monotonic()
 
 
 def _is_text(line: str) -> bool:

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from simulated_devices import Counterpart, Uart, as_heard, in_their_own_time
+from simulated_devices import Counterpart, Uart, as_heard
 
 from calrig.instruments import boards, drivers, stages
 from calrig.instruments.device import BoardDevice, Probe, StageDevice, recognise
@@ -42,9 +42,8 @@ at_each_rate = pytest.mark.parametrize("own_baud", OTHER_RATES)
 
 
 @each_device
-def test_a_device_is_recognised_by_what_its_counterpart_says_at_its_own_rate_alone(driver, monkeypatch):
+def test_a_device_is_recognised_by_what_its_counterpart_says_at_its_own_rate_alone(driver):
     """The rates are a UART's, so that all others hear is noise; a stage that is not homed does not move."""
-    in_their_own_time(monkeypatch)
     far = Counterpart(driver)
     before_deg = far.table_deg()
     found, baudrate, words = converse(Uart(far, PROBES[0].baudrate), list(DEVICES.values()))

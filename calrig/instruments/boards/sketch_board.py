@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-import time
 from collections import Counter
 from typing import Self
 
@@ -48,16 +46,17 @@ class SketchBoard:
         self._sketch = sketch
         self._name = f"board {sketch.driver} on {port.name}"
         self._reader = SketchReader(sketch, self.faults)
-        self._news = threading.Condition()
-        self._closing = threading.Event()
+        self._clock = port.clock
+        self._news = self._clock.condition()
+        self._closing = self._clock.event()
         self._failure: InstrumentError | None = None
         self._identified = False
         self._samples: SketchSamples | None = None
         self._blocks: list[Samples] = []
         self._seen_s: list[float] = []  # arrivals without a break, from which the rate is measured
         self._behind = False
-        self._arrived_s = self._started_s = self._heard_s = time.monotonic()
-        self._thread = threading.Thread(target=self._listen, name=f"reader of {self._name}", daemon=True)
+        self._arrived_s = self._started_s = self._heard_s = self._clock.now_s()
+        self._thread = self._clock.thread(self._listen, f"reader of {self._name}")
         self._thread.start()
 
     @classmethod
@@ -74,9 +73,9 @@ class SketchBoard:
         """
         with self._news:
             self._identified, self._seen_s = False, []
-            deadline_s = time.monotonic() + self._sketch.starts_in_s + MEASURE_S
+            deadline_s = self._clock.now_s() + self._sketch.starts_in_s + MEASURE_S
             while not self._measured:
-                if time.monotonic() > deadline_s or self._looks_like:
+                if self._clock.now_s() > deadline_s or self._looks_like:
                     raise BoardError(f"{self._name} sent no record that can be read: {self._why_none()}")
                 if self._sketch.wake and not self._seen_s:
                     self._port.write(self._sketch.wake)
@@ -108,7 +107,7 @@ class SketchBoard:
                 raise BoardError(f"{self._name} must be identified before it is started")
             self._blocks.clear()
             self._samples = SketchSamples(self._sketch, self.faults)
-            self._started_s = self._arrived_s = time.monotonic()
+            self._started_s = self._arrived_s = self._clock.now_s()
 
     def take(self, timeout_s: float) -> Samples:
         """The valid samples since the last call, waiting up to timeout_s for the first one.
@@ -168,7 +167,7 @@ class SketchBoard:
                 data = self._port.read(65536)
                 if data:
                     with self._news:
-                        self._digest(data, max(time.monotonic(), self._arrived_s + TICK_S))
+                        self._digest(data, max(self._clock.now_s(), self._arrived_s + TICK_S))
                         self._news.notify_all()
             except InstrumentError as error:
                 with self._news:
@@ -227,7 +226,7 @@ class SketchBoard:
     def _check_health(self) -> None:
         if self._samples is None:
             return
-        silent_s = time.monotonic() - self._arrived_s
+        silent_s = self._clock.now_s() - self._arrived_s
         frozen_s = self._samples.frozen_s
         if frozen_s > max(USELESS_S, self._sketch.frozen_after_s):
             useless_s, why = frozen_s, NO_SENSOR if self._samples.reads_zero else FROZEN
@@ -240,7 +239,7 @@ class SketchBoard:
     def _why_none(self) -> str:
         sketch, reader = self._sketch, self._reader
         said = f"; its last words were {reader.last_words!r}" if reader.last_words else ""
-        if time.monotonic() - self._heard_s > QUIET_S or not reader.n_strange:
+        if self._clock.now_s() - self._heard_s > QUIET_S or not reader.n_strange:
             mute = f" ({sketch.mute})" if sketch.mute else ""
             return f"it is silent: is it powered, and on this port?{mute}{said}"
         if other := self._looks_like:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import re
 import threading
-import time
 from collections import Counter
 from itertools import cycle
 from typing import Self
@@ -52,6 +51,7 @@ class Esp301:
         self._axis = axis
         self._name = f"stage esp301, axis {axis}, on {port.name}"
         self._lines = LineWire(port, self.faults)
+        self._now_s = port.clock.now_s
         self._asking = threading.RLock()
         self._fences: dict[str, str] = {}
         self._next_fence = cycle([""])
@@ -259,7 +259,7 @@ class Esp301:
 
     def _listen(self, most: int, *sent: str) -> list[str]:
         """Lines in reply, echoes left out, until `most` came, or a fence's text, or time is up."""
-        deadline_s = time.monotonic() + REPLY_TIMEOUT_S
+        deadline_s = self._now_s() + REPLY_TIMEOUT_S
         came: list[str] = []
         while len(came) < most and (line := self._lines.line(deadline_s)) is not None:
             if line in sent:
@@ -274,7 +274,7 @@ class Esp301:
         """Drops what has come, and after an answer that never came, what is still on its way."""
         late = self._lines.old_lines()
         if self._in_doubt:
-            deadline_s = time.monotonic() + REPLY_TIMEOUT_S
+            deadline_s = self._now_s() + REPLY_TIMEOUT_S
             while (line := self._lines.line(deadline_s)) is not None:
                 late.append(line)
             self._in_doubt = False

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import time
 from collections import Counter
 from typing import Self
 
@@ -51,6 +50,7 @@ class Grbl:
         self._letter = "XYZABC"[self._index]
         self._name = f"stage grbl, axis {self._letter}, on {port.name}"
         self._wire = GrblWire(port, self.faults)
+        self._now_s = port.clock.now_s
         self._count = Count(self._index, self._name, port.name)
         self._asking = threading.RLock()
         self._settings: dict[int, float] = {}
@@ -224,8 +224,8 @@ class Grbl:
         for reset in (False, True):
             if reset:
                 self._wire.restart()
-            deadline_s = time.monotonic() + WAKE_TIMEOUT_S
-            while time.monotonic() < deadline_s:
+            deadline_s = self._now_s() + WAKE_TIMEOUT_S
+            while self._now_s() < deadline_s:
                 if report := self._wire.look(attempts=1):
                     return report
         return None

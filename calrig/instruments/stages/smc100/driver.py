@@ -7,7 +7,6 @@ answers agree, and after a move was sent the controller is asked back what targe
 from __future__ import annotations
 
 import re
-import time
 from collections import Counter
 from typing import Self
 
@@ -39,6 +38,7 @@ class Smc100:
         self.faults: Counter[str] = Counter()
         self._name = f"stage smc100 at address {axis} on {port.name}"
         self._wire = Smc100Wire(port, axis, self.faults)
+        self._now_s = port.clock.now_s
         self._tells_target: bool | None = None  # not known before it was asked
         self._mover = readback.Mover(
             self._name, self.faults, self.position_deg, self._moves, self.halt, self._target_deg
@@ -134,9 +134,9 @@ class Smc100:
     def _enable(self) -> None:
         self._wire.nul_seen = False
         self._command("MM1")
-        deadline = time.monotonic() + ENABLE_TIMEOUT_S
+        deadline = self._now_s() + ENABLE_TIMEOUT_S
         while (status := self.status()).state == "disabled":
-            if time.monotonic() > deadline:
+            if self._now_s() > deadline:
                 raise StageError(
                     f"{self._name} stays in {status.words}: is motor power on, and the stage free to turn?"
                 )

@@ -12,7 +12,6 @@ from __future__ import annotations
 import importlib
 import re
 import threading
-import time
 from collections import Counter
 from typing import Any, Self
 
@@ -50,6 +49,7 @@ class Zaber:
         self._address = axis
         self._name = f"stage zaber at address {axis} on {port.name}"
         self._lines = LineWire(port, self.faults)
+        self._now_s = port.clock.now_s
         self._maker = _library()
         self._asking = threading.RLock()
         self._per_deg: float | None = None
@@ -230,7 +230,7 @@ class Zaber:
         errors = self._maker.exceptions
         while not self._closing:
             try:
-                line = self._lines.line(time.monotonic() + LISTEN_S)
+                line = self._lines.line(self._now_s() + LISTEN_S)
                 if line is not None and self._is_sound(line):
                     self._transport.write(line)
             except PortError as error:
