@@ -7,12 +7,12 @@ import math
 from collections.abc import Mapping
 from typing import Any, Unpack
 
-from calrig.analysis.states import AT_REST, check_transition
 from calrig.calibration.pose import Pose
 from calrig.instruments.clock import Clock
 from calrig.runs.bus import Bus
 from calrig.runs.meter import RunMeter
-from calrig.store import Progress, RunChanges, SampleBlock, Status, Store
+from calrig.runs.states import check_transition
+from calrig.store import AT_REST, Progress, RunChanges, SampleBlock, Status, Store
 
 log = logging.getLogger(__name__)
 
