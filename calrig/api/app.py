@@ -8,6 +8,7 @@ from pathlib import Path
 
 from fastapi import FastAPI
 from starlette.concurrency import run_in_threadpool
+from starlette.middleware.gzip import GZipMiddleware
 from starlette.types import Lifespan
 
 import calrig
@@ -57,6 +58,7 @@ def create_app(service: RunService, *, web: Path | None = None, access: Access =
     app = api(lifespan)
     app.state.context = ApiContext(service, service.store)
     app.state.authentication = Authentication(access)
+    app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=6)  # event streams never
     app.add_middleware(OriginCheck, app.state.authentication)
     app.add_middleware(RequestLog)  # the last one added is the first to look
     pages.install(app, packed("web") if web is None else web)

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from calrig.calibration.verdict import Verdict
 from calrig.plan import Plan
 
 Status = Literal["queued", "running", "paused", "completed", "failed", "aborted", "interrupted"]
@@ -131,6 +132,7 @@ class RunAnswer(Answer):
     unit: str
     rig: str | None
     status: Status
+    verdict: Verdict | None
     plan: Plan | None
     progress: ProgressAnswer
     result: ResultAnswer | None

@@ -19,7 +19,7 @@ from calrig.api.access import Access, address_in, is_loopback
 from calrig.api.authentication import Authentication, address_of
 
 OPEN = frozenset({"/", "/api/health", "/api/login"})
-OPEN_FOLDERS = ("/web/", "/vendor/")
+OPEN_FOLDERS = ("/web/",)
 """The page itself holds nothing secret: it must come before anybody can log in on it."""
 HARMLESS = frozenset({"GET", "HEAD", "OPTIONS"})
 OF_THE_PAGE = frozenset({"same-origin", "none"})

@@ -118,6 +118,9 @@ def print_result(run: Run) -> None:
     for row in _rows(run.result):
         table.add_row(*row)
     console.print(table)
+    if run.verdict is not None:
+        for sentence in run.verdict.says:
+            console.print(_text(sentence))
 
 
 def _rows(result: dict[str, Any]) -> Iterable[tuple[str, ...]]:

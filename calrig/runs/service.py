@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -277,9 +276,9 @@ class RunService:
             self._closing = True
         for worker in workers:
             worker.control.end(end)
-        deadline_s = time.monotonic() + CLOSE_S
-        for worker in workers:
-            worker.join(max(0.0, deadline_s - time.monotonic()))
+        deadlines_s = [worker.clock.now_s() + CLOSE_S for worker in workers]
+        for worker, deadline_s in zip(workers, deadlines_s, strict=True):
+            worker.join(max(0.0, deadline_s - worker.clock.now_s()))
             worker.give_up(self.store, end)
 
     def ports(self) -> list[str]:

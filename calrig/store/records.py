@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from calrig.calibration.pose import Pose
 from calrig.calibration.uncertainty import Reference
+from calrig.calibration.verdict import Verdict, verdict
 
 FloatArray = npt.NDArray[np.float64]
 Document = dict[str, Any]
@@ -66,6 +67,14 @@ class Run:
     started_at: datetime | None
     finished_at: datetime | None
     error: str | None
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """Whether its result is good, after everything accepted; None while there is no result."""
+        if self.result is None:
+            return None
+        verification = (self.plan or {}).get("kind") == "verification"
+        return verdict(self.result, self.diagnosis, verification=verification)
 
 
 def reference_of(provenance: Document) -> Reference | None:

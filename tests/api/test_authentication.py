@@ -58,7 +58,9 @@ def test_without_a_token_everything_is_401_and_says_who_is_meant_and_how_to_come
     assert "Authorization: Bearer" in detail
 
 
-@pytest.mark.parametrize("path", ["/", "/web/main.js", "/vendor/plotly.min.js", "/api/health", "/api/login"])
+@pytest.mark.parametrize(
+    "path", ["/", "/web/main.js", "/web/vendor/plotly-partial.min.js", "/api/health", "/api/login"]
+)
 def test_the_page_its_login_and_the_health_are_open(asking, path):
     assert asking.get(path).status_code == 200
 

@@ -273,7 +273,11 @@ def test_serve_says_where_and_what_and_a_run_goes_through(served):
     run_id = served.client.post("/api/runs", json={"unit": "A", "plan": QUICK}).json()["id"]
     assert ended(served.client, run_id)["status"] == "completed"
     assert served.client.get("/").headers["content-type"].startswith("text/html")
-    assert served.client.get("/vendor/plotly.min.js").headers["content-type"].startswith("text/javascript")
+    assert (
+        served.client.get("/web/vendor/plotly-partial.min.js")
+        .headers["content-type"]
+        .startswith("text/javascript")
+    )
 
 
 @pytest.mark.parametrize("sign", [signal.SIGTERM, signal.SIGINT])
