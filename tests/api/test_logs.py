@@ -6,14 +6,11 @@ import io
 import json
 import logging
 import re
-import signal
-import subprocess
 from collections.abc import Iterator
 
 import httpx
 import pytest
 from support import QUICK, ended, wait_for
-from test_cli import CALRIG, CONFIG, reason
 
 from calrig import logs
 
@@ -115,25 +112,3 @@ def test_requests_that_change_something_or_fail_are_said_and_no_token_is(client:
     ]
     assert {(r["run_id"], r["rig"], r["unit"]) for r in of_the_run} == {(begun["id"], "bench-1", "AS-1")}
     assert "sesame" not in written
-
-
-def test_serve_logs_json_on_standard_error_from_beginning_to_end(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("CALRIG_DB", str(tmp_path / "calrig.db"))
-    monkeypatch.setenv("CALRIG_LOG", "json")
-    (tmp_path / "calrig.toml").write_text(CONFIG)
-    command = [*CALRIG, "serve", "--port", "0"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        (url,) = re.findall(r"http://[^, ]+", process.stdout.readline())
-        httpx.post(
-            f"{url}/api/runs", json={"unit": "A", "plan": {"sweeps": 50}}, timeout=20
-        ).raise_for_status()
-        process.send_signal(signal.SIGTERM)
-        _, err = process.communicate(timeout=10)
-    said = [json.loads(line) for line in err.splitlines()]
-    assert [line["run_id"] for line in said if "interrupted" in line["message"]] == ["1"]
-
-
-def test_an_unknown_form_is_2(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert "there is no form 'xml'" in reason("serve", "--log-format", "xml", status=2)

@@ -80,7 +80,7 @@ def test_on_a_terminal_a_run_shows_how_far_it_is_and_ends_in_a_table(bench):
 
 def test_ctrl_c_aborts_the_run_and_keeps_its_poses(bench):
     with on_a_terminal("run", "--unit", "A", "--plan", "long.json", "--json") as (process, terminal):
-        shown_until(r"[1-9]\d*/600", terminal)
+        shown_until(r"[1-9]\d*/900", terminal)
         process.send_signal(signal.SIGINT)
         shown = shown_until(None, terminal)
         run = json.loads(process.stdout.read())
@@ -91,11 +91,14 @@ def test_ctrl_c_aborts_the_run_and_keeps_its_poses(bench):
 
 
 def test_sigterm_ends_any_command_as_ctrl_c_does(folder):
-    os.mkfifo("endless.csv")
-    with subprocess.Popen([*CALRIG, "noise", "endless.csv"], stderr=subprocess.PIPE, text=True) as process:
-        with open("endless.csv", "wb"):  # once this is open, the command reads
-            process.terminate()
-            _, said = process.communicate()
+    endless = folder / "endless.csv"
+    os.mkfifo(endless)
+    with (
+        subprocess.Popen([*CALRIG, "noise", endless], stderr=subprocess.PIPE, text=True) as process,
+        endless.open("wb"),  # once this is open, the command reads
+    ):
+        process.terminate()
+        _, said = process.communicate()
     assert (process.returncode, said) == (1, "calrig: interrupted\n")
 
 

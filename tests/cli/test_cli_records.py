@@ -1,4 +1,4 @@
-"""`calrig import`, `export` and `backup`: what goes into the store comes out again; refusals touch nothing."""
+"""`calrig import`, `export`, `backup`: what goes into the store comes out; a refusal touches nothing."""
 
 from __future__ import annotations
 

@@ -1,14 +1,13 @@
-"""`calrig rigs --scan`, as a person uses it who wants to write a configuration."""
+"""`calrig rigs`: what is configured, and with --scan a stanza to paste into the configuration."""
 
 from __future__ import annotations
 
 import tomllib
 from dataclasses import replace
 
+from command_line import calrig
 from serial.tools import list_ports
-from typer.testing import CliRunner
 
-from calrig.cli.main import app
 from calrig.instruments import scan
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.rig import SimulatedRig
@@ -25,8 +24,15 @@ simulated = {{ preset = "demo" }}
 """
 
 
+def test_what_is_configured_is_listed_with_its_ports(folder):
+    shown = calrig("rigs").stdout
+    assert "bench-1" in shown
+    assert "smc100 on /dev/ttyABSENT0" in shown
+    (folder / "calrig.toml").unlink()
+    assert "simulated" in calrig("rigs").stdout
+
+
 def test_what_answers_on_the_configured_ports_is_shown_with_a_rig_to_paste(tmp_path, monkeypatch):
-    """In this process, so that the ports this machine really has are left alone."""
     monkeypatch.setattr(list_ports, "comports", list)
     monkeypatch.setattr(scan, "LOOKS", [replace(look, listen_s=look.listen_s / 5) for look in scan.LOOKS])
     monkeypatch.setenv("COLUMNS", "200")
@@ -34,7 +40,7 @@ def test_what_answers_on_the_configured_ports_is_shown_with_a_rig_to_paste(tmp_p
     with SimulatedRig(SimulatorSettings.from_options(options)) as rig:
         config = tmp_path / "calrig.toml"
         config.write_text(CONFIG.format(stage=rig.stage_port, imu=rig.imu_port))
-        done = CliRunner().invoke(app, ["rigs", "--scan", "--config", str(config)], catch_exceptions=False)
+        done = calrig("rigs", "--scan", "--config", config)
     assert "unit AS-7" in done.stdout
     (found,) = tomllib.loads(done.stdout[done.stdout.index("[[rig]]") :])["rig"]
     assert found["name"] == "bench-2"
