@@ -8,6 +8,13 @@ from typer.testing import CliRunner, Result
 
 from calrig.cli.main import app
 
+RIG = """
+[[rig]]
+name = "bench-1"
+stage = { driver = "smc100", port = "/dev/ttyABSENT0" }
+imu = { driver = "calrig", port = "/dev/ttyABSENT1" }
+"""
+"""A rig that is not plugged in."""
 POSES = "target_deg,reading_deg\n-30,-29.5\n0,0.4\n30,30.6\n"
 
 

@@ -3,14 +3,7 @@ from __future__ import annotations
 import logging
 
 import pytest
-from command_line import POSES
-
-RIG = """
-[[rig]]
-name = "bench-1"
-stage = { driver = "smc100", port = "/dev/ttyABSENT0" }
-imu = { driver = "calrig", port = "/dev/ttyABSENT1" }
-"""
+from command_line import POSES, RIG
 
 
 @pytest.fixture
