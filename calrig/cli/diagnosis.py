@@ -1,4 +1,4 @@
-"""`diagnose` and `gravity`: what the residual of a calibration is traced to."""
+"""`diagnose` and `gravity`: tracing the residual of a calibration to its physical causes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def diagnose(
     as_json: Json = False,
     db: Db = None,
 ) -> None:
-    """Trace what bias and scale leave of the poses to the effect the model lacks."""
+    """Trace the residual after bias and scale to the physical effects behind it."""
     from calrig.calibration.responses import DiagnosisError
     from calrig.cli import output
 
@@ -42,7 +42,7 @@ def gravity(
     as_json: Json = False,
     accel_range: AccelRange = None,
 ) -> None:
-    """Calibrate the accelerometer against |g| = 1 where there is no stage, and trace what is left."""
+    """Calibrate the accelerometer against |a| = 1 g, without a stage, and trace the residual."""
     from calrig.calibration.gravity import calibrate_by_gravity, gravity_document
     from calrig.calibration.static_detector import GravityError
     from calrig.cli import output

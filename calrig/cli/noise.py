@@ -26,7 +26,7 @@ def noise(
     as_json: Json = False,
     plot: Plot = None,
 ) -> None:
-    """Say what the noise of a sensor that lies still is: Allan deviation, spectrum, distribution."""
+    """Characterise the noise of a sensor at rest: Allan deviation, spectrum, distribution."""
     from calrig.cli import output
     from calrig.cli.progress import late_bar
     from calrig.figures.files import writer_of
@@ -44,9 +44,9 @@ def noise(
             raise InputError(f"{file}: {error}") from error
     document = said_first(log.warnings, noise_document(found))
     if write is not None:
-        from calrig.figures.noise import noise_sheet
+        from calrig.figures.noise import noise_figures
 
-        write(noise_sheet(file.name, found))
+        write(file.name, noise_figures(found))
     if as_json:
         output.print_json(document)
     else:
@@ -55,7 +55,7 @@ def noise(
 
 def filters(
     source: Annotated[
-        str, typer.Argument(metavar="FILE.csv|RUN_ID", help="A log with rests and moves, or a run's id.")
+        str, typer.Argument(metavar="FILE.csv|RUN_ID", help="A log with rest and motion, or a run's id.")
     ],
     as_json: Json = False,
     accel_range: AccelRange = None,
@@ -64,7 +64,7 @@ def filters(
     plot: Plot = None,
     db: Db = None,
 ) -> None:
-    """Put the filters side by side on one log: the paper's, and the one tuned from the unit's noise."""
+    """Compare filters on one log by jitter and lag, with a Kalman filter tuned to the unit's noise."""
     from calrig.cli import output
     from calrig.figures.files import writer_of
     from calrig.noise.filters import filters_document
@@ -77,9 +77,9 @@ def filters(
         found, warnings = _filters_of_run(source, db), ()
     document = said_first(warnings, filters_document(found))
     if write is not None:
-        from calrig.figures.filters import filters_sheet
+        from calrig.figures.filters import filters_figures
 
-        write(filters_sheet(source, found))
+        write(source, filters_figures(found))
     if as_json:
         output.print_json(document)
     else:

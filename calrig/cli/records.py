@@ -28,7 +28,7 @@ def import_(
     rig: Rig = None,
     db: Db = None,
 ) -> None:
-    """Make a run of a CSV of poses and print its id."""
+    """Import a CSV of poses as a run and print its id."""
     from calrig.analysis.amendments import Records
     from calrig.settings import store_url
     from calrig.store import Store
@@ -42,10 +42,12 @@ def import_(
 def export(
     run_id: Annotated[str | None, typer.Argument(metavar="RUN_ID", help="The run to export.")] = None,
     unit: Annotated[str | None, typer.Option(metavar="SERIAL", help="The unit, by its run in force.")] = None,
-    format_: Annotated[Format, typer.Option("--format", help="The poses, or calibration.h.")] = Format.json,
+    format_: Annotated[
+        Format, typer.Option("--format", help="The calibration, or its poses (csv).")
+    ] = Format.json,
     db: Db = None,
 ) -> None:
-    """Print a calibration, as JSON or as calibration.h, or the poses it rests on."""
+    """Print a calibration as JSON or as a C header, or its poses as CSV."""
     from calrig.api.calibrations import document_of, run_in_force
     from calrig.cli.output import print_json
     from calrig.export.c_header import c_header
@@ -72,7 +74,7 @@ def backup(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="The copy to make; never overwritten.")],
     db: Db = None,
 ) -> None:
-    """Keep a copy of the whole store, also while a service writes to it; the copy is a store itself."""
+    """Copy the whole store, also while a service writes to it; the copy is a store itself."""
     from calrig.settings import store_url
     from calrig.store import back_up
 

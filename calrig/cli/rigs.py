@@ -11,11 +11,15 @@ from calrig.cli.options import Config
 
 def rigs(
     scan: Annotated[
-        bool, typer.Option("--scan", help="Also look who answers on every port; boards are reset by it.")
+        bool,
+        typer.Option(
+            "--scan",
+            help="Also list the devices that answer on the ports; opening a port resets most boards.",
+        ),
     ] = False,
     config: Config = None,
 ) -> None:
-    """List the rigs that are configured and, with --scan, what answers on the ports; nothing is moved."""
+    """List the configured rigs and, with --scan, the devices that answer; nothing is moved."""
     from calrig.cli import output
     from calrig.settings import load_settings
 

@@ -24,14 +24,15 @@ def serve(
     port: Annotated[int, typer.Option(metavar="N", min=0, max=65535, help="Port; 0: any free one.")] = 8000,
     record: Record = None,
     log_format: Annotated[
-        str | None, typer.Option(metavar="text|json", help="Form of the log on standard error [CALRIG_LOG].")
+        str | None,
+        typer.Option(metavar="text|json", help="Format of the log on standard error [CALRIG_LOG]."),
     ] = None,
     db: Db = None,
     config: Config = None,
 ) -> None:
     """Serve the web page and the API, with a simulated rig when none is configured.
 
-    CALRIG_TOKEN is the token that whoever comes in has to show; without one, only this machine may.
+    CALRIG_TOKEN is the token that clients have to send; without one, only this machine is served.
     """
     from calrig.api.access import access_here
     from calrig.api.address import address_of, listen

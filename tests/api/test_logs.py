@@ -19,7 +19,7 @@ FORGED = "0042\n2026-01-01T00:00:00.000Z info calrig: all is well\x1b[2K\u2028\r
 
 @pytest.fixture
 def lines() -> Iterator[io.StringIO]:
-    """The log of this process, in whatever form the test configures; put back afterwards."""
+    """The log of this process, in whatever format the test configures; put back afterwards."""
     root, ours = logging.getLogger(), logging.getLogger("calrig")
     before = root.handlers, root.level, ours.level
     yield io.StringIO()
@@ -57,9 +57,9 @@ def test_json_is_one_document_a_line(lines):
     }
 
 
-@pytest.mark.parametrize("form", logs.FORMATS)
-def test_what_a_device_says_cannot_forge_a_line(lines, form):
-    logs.configure(form, lines)
+@pytest.mark.parametrize("format_", logs.FORMATS)
+def test_what_a_device_says_cannot_forge_a_line(lines, format_):
+    logs.configure(format_, lines)
     log = logging.getLogger("calrig.instruments")
     with logs.about(unit=FORGED):
         log.warning("the board says %s", FORGED)
@@ -69,7 +69,7 @@ def test_what_a_device_says_cannot_forge_a_line(lines, form):
             log.exception("it failed")
     written = lines.getvalue()
     assert not set(written) & set("\x1b\r\u2028")
-    if form == "json":
+    if format_ == "json":
         parsed = [json.loads(line) for line in written.splitlines()]
         assert [line["message"] for line in parsed] == [f"the board says {FORGED}", "it failed"]
         assert FORGED in parsed[1]["traceback"]

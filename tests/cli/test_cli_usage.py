@@ -61,5 +61,5 @@ def test_a_port_in_use_is_1_and_says_which_and_what_to_do(folder):
     assert "--port" in said
 
 
-def test_an_unknown_form_of_the_log_is_2(folder):
-    assert "there is no form 'xml'" in reason("serve", "--log-format", "xml", status=2)
+def test_an_unknown_log_format_is_2(folder):
+    assert "there is no log format 'xml'" in reason("serve", "--log-format", "xml", status=2)
