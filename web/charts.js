@@ -7,7 +7,7 @@ const CONFIG = { responsive: true, displayModeBar: false, doubleClick: "reset" }
 const TOUCH = window.matchMedia("(pointer: coarse)");
 const DARK = window.matchMedia("(prefers-color-scheme: dark)");
 
-const SCRIPT = new URL("./vendor/plotly-basic.min.js", import.meta.url);
+const SCRIPT = new URL("./vendor/plotly-partial.min.js", import.meta.url);
 
 let library;
 

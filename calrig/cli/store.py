@@ -54,7 +54,7 @@ def export(
     """Print a calibration, as JSON or as calibration.h, or the poses it rests on."""
     import json
 
-    from calrig.api.calibrations import document_of, run_in_force
+    from calrig.analysis.active_calibration import document_of, run_in_force
     from calrig.export.c_header import c_header
     from calrig.export.poses_csv import write_poses
     from calrig.settings import store_url

@@ -14,14 +14,13 @@ from rich.table import Table
 from rich.text import Text
 
 from calrig.analysis.errors import Conflict
-from calrig.analysis.states import AT_REST
 from calrig.errors import printable
 
 if TYPE_CHECKING:
     from calrig.instruments.scan import Found
     from calrig.runs.service import RunService
     from calrig.settings import RigSettings
-    from calrig.store import Event, Run
+    from calrig.store import AT_REST, Event, Run
 
 LOOK_S = 0.1
 """How often a run is looked at when nothing is heard of it, and how soon a Ctrl-C is seen."""

@@ -25,6 +25,9 @@ UNFINISHED: tuple[Status, ...] = ("queued", "running", "paused")
 TERMINAL: tuple[Status, ...] = ("completed", "failed", "aborted")
 """Nothing more happens to the run; its finished_at is set."""
 
+AT_REST: tuple[Status, ...] = (*TERMINAL, "interrupted")
+"""Nobody carries the run out: it has ended for good, or was interrupted and can be resumed."""
+
 
 class Progress(TypedDict):
     """How far a run is; `remaining_s` is null where it is not known."""

@@ -274,7 +274,7 @@ def test_serve_says_where_and_what_and_a_run_goes_through(served):
     assert ended(served.client, run_id)["status"] == "completed"
     assert served.client.get("/").headers["content-type"].startswith("text/html")
     assert (
-        served.client.get("/web/vendor/plotly-basic.min.js")
+        served.client.get("/web/vendor/plotly-partial.min.js")
         .headers["content-type"]
         .startswith("text/javascript")
     )
