@@ -30,9 +30,10 @@ POSES = b"target_deg,reading_deg"
 WIDE = POSES + b"".join(b",c%d" % k for k in range(198)) + b"\n"
 LOG = b"time_s,accel_x_g,accel_y_g\n"
 
-pytestmark = pytest.mark.skipif(
-    not Path("/proc/self/clear_refs").exists(), reason="Linux tells the peak in /proc"
-)
+pytestmark = [
+    pytest.mark.memory,
+    pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="Linux tells the peak in /proc"),
+]
 
 
 @dataclass

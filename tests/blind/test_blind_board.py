@@ -1,8 +1,8 @@
 """The blind board: what the diagnosis says of runs whose causes only the board knows.
 
-Each time three runs are judged. `-m statistical` judges a few seeds of every cell, pooled, so that a rate that
-falls from 98 to 90 % fails it and chance does not; `-m slow` measures each cell's rate, and `python -m tests.blind`
-makes the full table.
+Each time three runs are judged. `-m statistical` judges a few seeds of every cell, pooled, so that a rate
+that falls from 98 to 90 % fails it and chance does not; `-m slow` measures each cell's rate, and `python -m
+tests.blind` makes the full table.
 """
 
 from __future__ import annotations
