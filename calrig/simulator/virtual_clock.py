@@ -132,6 +132,20 @@ class VirtualClock:
         finally:
             self.leave(me)
 
+    @contextmanager
+    def standing_aside(self) -> Iterator[None]:
+        """The calling member is a visitor meanwhile: for what waits for members in ways of its own."""
+        me = threading.get_ident()
+        with self.lock:
+            times = self._members.pop(me)
+            self._turn = None
+            self._dispatch()
+        try:
+            yield
+        finally:
+            self.take_part()
+            self._members[me] = times
+
     def take_part(self, announce: Callable[[], None] = lambda: None) -> int:
         """As `taking_part`; `leave`, called with what this returns, ends it. Tells when it is in line."""
         me = threading.get_ident()
