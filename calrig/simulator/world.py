@@ -113,12 +113,12 @@ class SimWire:
         self._emit()
 
     def say(self, data: bytes) -> None:
-        """Sends bytes on their way to the user."""
-        if data:
+        """Sends bytes on their way to the user; without one they go nowhere."""
+        if data and self._user is not None:
             self.clock.at(self.clock.now_s() + ON_ITS_WAY_S, lambda: self._come(data))
 
     def _come(self, data: bytes) -> None:
-        """Bytes for the user; without one they go nowhere, as do those that nobody reads for too long."""
+        """Bytes for the user; what nobody reads for too long is lost."""
         if self._user is None or len(self._came) + len(data) > self._most_bytes:
             return
         self._came += data

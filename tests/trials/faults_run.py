@@ -39,7 +39,6 @@ PLAN: dict[str, Any] = {"elevations_deg": [-35, -5, 30], "sweeps": 2, "settle_s"
 IN_REAL_TIME: dict[str, Any] = {**PLAN, "settle_s": 1.5, "dwell_s": 2.0, "sweeps": 1}
 """Longer than a busy machine keeps the simulated text board from printing."""
 RIG: dict[str, Any] = {
-    "time_scale": 20.0,
     "mount": {"offset_deg": 0.8},
     "imu": {"gyro_bias_dps": [1.4, -0.6, 0.3]},
 }
@@ -70,6 +69,7 @@ class Case:
     seed: int
     sketch: str | None = None
     sweeps: int = 2
+    time_scale: float = 20.0
 
     def __str__(self) -> str:
         fault = self.fault
@@ -126,7 +126,7 @@ def try_case(case: Case, store: Store, folder: Path, virtual: VirtualClock | Non
     """Carries out one run over the damaged wire and judges it: over terminals, or in virtual time."""
     outcome = Outcome(case)
     clock = WALL if virtual is None else virtual
-    scale = 1.0 if case.sketch else RIG["time_scale"]
+    scale = 1.0 if case.sketch else case.time_scale
     options = {
         **RIG,
         "seed": case.seed,
