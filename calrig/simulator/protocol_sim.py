@@ -54,14 +54,14 @@ class Serial(SerialBase):
     @property
     def in_waiting(self) -> int:
         """Bytes that can be read at once."""
-        return self._wire.waiting
+        return self._wire.waiting(self)
 
     def read(self, size: int = 1) -> bytes:
         """Up to size bytes, as a port with the same time-out gives them."""
-        return self._wire.read(size, self.timeout)
+        return self._wire.read(self, size, self.timeout)
 
     def write(self, data: Buffer, /) -> int:
         """Hands bytes to the device."""
         sent = bytes(data)
-        self._wire.write(sent)
+        self._wire.write(self, sent)
         return len(sent)

@@ -23,6 +23,8 @@ from typing import TypeVar
 BEGINNING_S = 1000.0
 """Not 0: nobody may think that long ago is now."""
 SHORTEST_REST_S = 0.002
+LOOK_S = 0.02
+"""How often `until` looks where nothing happens but motion."""
 T = TypeVar("T")
 
 
@@ -112,15 +114,14 @@ class VirtualClock:
         Called by a member, or within `taking_part`, it leaves time standing there.
 
         Raises:
-            AssertionError: nothing was seen within that time, or nobody waits for anything any more.
+            AssertionError: nothing was seen within that time.
         """
         give_up_s = self._now_s + within_s
         with self.taking_part():
             while not (found := look()):
                 if self._now_s > give_up_s:
                     raise AssertionError(f"no {what} within {within_s:g} s")
-                if not self._next_instant():
-                    raise AssertionError(f"no {what}, and nothing more will happen")
+                self._next_instant()
         return found
 
     @contextmanager
@@ -131,6 +132,20 @@ class VirtualClock:
             yield
         finally:
             self.leave(me)
+
+    @contextmanager
+    def standing_aside(self) -> Iterator[None]:
+        """The calling member is a visitor meanwhile: for what waits for members in ways of its own."""
+        me = threading.get_ident()
+        with self.lock:
+            times = self._members.pop(me)
+            self._turn = None
+            self._dispatch()
+        try:
+            yield
+        finally:
+            self.take_part()
+            self._members[me] = times
 
     def take_part(self, announce: Callable[[], None] = lambda: None) -> int:
         """As `taking_part`; `leave`, called with what this returns, ends it. Tells when it is in line."""
@@ -202,12 +217,12 @@ class VirtualClock:
         else:
             wait.go_on()
 
-    def _next_instant(self) -> bool:
-        """Waits until all members have done what the next instant has for them; False if there is none."""
+    def _next_instant(self) -> None:
+        """Waits until all members have done what the next instant has for them; it is not far off."""
         with self.lock:
-            wait = self._begin_wait(None)
+            wait = self._begin_wait(LOOK_S)
             self._watchers.append((self._n_instants, wait))
-        return self.rest(wait)
+        self.rest(wait)
 
     def _dispatch(self) -> None:
         """Gives the turn to whoever is ready, moving time on until somebody is. The lock is held."""
@@ -223,9 +238,7 @@ class VirtualClock:
                 elif self._watchers and self._watchers[0][0] < self._n_instants:
                     self._end(self._watchers.popleft()[1])
                 elif not self._advance():
-                    if not self._watchers:
-                        break
-                    self._end(self._watchers.popleft()[1], timed_out=True)
+                    break
         finally:
             self._dispatching = False
 

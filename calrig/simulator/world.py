@@ -17,6 +17,8 @@ from calrig.simulator.wire import MOST_WAITING_BYTES, Device
 
 serial.protocol_handler_packages.append("calrig.simulator")  # for `sim://NAME`
 SCHEME = "sim://"
+ON_ITS_WAY_S = 0.001
+"""Between what a device says and its coming: so nobody can ask for ever without time going on."""
 SYSTEM_BYTES = 4095
 """What a terminal holds for who does not read, beside what waits in the device."""
 
@@ -59,7 +61,7 @@ class SimWire:
     def stop(self) -> None:
         """Pulls it out; may be called twice, and before `start`."""
         with self.clock.lock:
-            self._is_up = False
+            self._is_up, self._user = False, None
             self.plugged.pop(self.url, None)
             self.clock.end(self._readers)
 
@@ -78,19 +80,18 @@ class SimWire:
                 self._user = None
                 self.clock.end(self._readers)
 
-    @property
-    def waiting(self) -> int:
+    def waiting(self, user: object) -> int:
         """Bytes that can be read at once (OSError where the device is gone)."""
-        self._require_up()
+        self._require_up(user)
         return len(self._came)
 
-    def read(self, size: int, timeout_s: float | None) -> bytes:
+    def read(self, user: object, size: int, timeout_s: float | None) -> bytes:
         """Up to `size` bytes, waiting for them at most so long (OSError where the device is gone)."""
         clock = self.clock
         deadline_s = None if timeout_s is None else clock.now_s() + timeout_s
         while True:
             with clock.lock:
-                self._require_up()
+                self._require_up(user)
                 left_s = None if deadline_s is None else deadline_s - clock.now_s()
                 if len(self._came) >= size or (left_s is not None and left_s <= 0):
                     data = bytes(self._came[:size])
@@ -100,10 +101,10 @@ class SimWire:
                 wait = clock.register(self._readers, left_s)
             clock.rest(wait)
 
-    def write(self, data: bytes) -> None:
+    def write(self, user: object, data: bytes) -> None:
         """Hands bytes to the device, which hears them now (OSError where it is gone)."""
         with self.clock.lock:
-            self._require_up()
+            self._require_up(user)
             self.hear(data)
 
     def hear(self, data: bytes) -> None:
@@ -112,7 +113,12 @@ class SimWire:
         self._emit()
 
     def say(self, data: bytes) -> None:
-        """Bytes for the user; without one they go nowhere, as do those that nobody reads for too long."""
+        """Sends bytes on their way to the user; without one they go nowhere."""
+        if data and self._user is not None:
+            self.clock.at(self.clock.now_s() + ON_ITS_WAY_S, lambda: self._come(data))
+
+    def _come(self, data: bytes) -> None:
+        """Bytes for the user; what nobody reads for too long is lost."""
         if self._user is None or len(self._came) + len(data) > self._most_bytes:
             return
         self._came += data
@@ -130,6 +136,6 @@ class SimWire:
         self._is_due = False
         self._emit()
 
-    def _require_up(self) -> None:
-        if not self._is_up:
+    def _require_up(self, user: object) -> None:
+        if not self._is_up or self._user is not user:
             raise OSError(errno.EIO, "the simulated device is gone")

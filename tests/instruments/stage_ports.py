@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from calrig.instruments.clock import WALL
 from calrig.simulator.bench import Bench
 from calrig.simulator.clock import ScaledClock
 from calrig.simulator.config import SimulatorSettings
@@ -18,6 +19,7 @@ class InProcessPort:
 
     def __init__(self, device, name: str = "test-port"):
         self.name = name
+        self.clock = WALL
         self.device = device
         self.sent = b""
         self.damages: list[str] = []

@@ -54,10 +54,13 @@ class ScriptedStage:
 
 class Clock:
     def __init__(self):
-        self.now_s = 1000.0
+        self.at_s = 1000.0
 
-    def __call__(self):
-        return self.now_s
+    def now_s(self):
+        return self.at_s
+
+    def sleep(self, duration_s):
+        self.at_s += duration_s
 
 
 @pytest.fixture
@@ -129,9 +132,9 @@ def test_a_move_to_where_it_already_is_is_over_at_once(axis, stage):
 def test_a_move_that_has_not_begun_yet_gets_a_moment(axis, stage, clock):
     axis.begin_move(20.0)
     assert axis.poll().moving
-    clock.now_s += 0.9
+    clock.at_s += 0.9
     assert axis.poll().moving
-    clock.now_s += 0.2
+    clock.at_s += 0.2
     with pytest.raises(StageError, match=r"move to 20° did not succeed: the stage stands at 0.000°.*READY"):
         axis.poll()
 
@@ -139,11 +142,11 @@ def test_a_move_that_has_not_begun_yet_gets_a_moment(axis, stage, clock):
 def test_a_move_that_ends_elsewhere_fails(axis, stage, clock):
     axis.begin_move(20.0)
     stage.state, stage.at_deg = "moving", 10.0
-    clock.now_s += 1.0
+    clock.at_s += 1.0
     axis.poll()
     stage.state, stage.at_deg = "ready", 19.6
     assert axis.poll().moving
-    clock.now_s += 1.1
+    clock.at_s += 1.1
     with pytest.raises(StageError, match=r"stands at 19\.600°"):
         axis.poll()
 
@@ -181,10 +184,10 @@ def test_a_stage_that_leaves_its_target_later_fails(axis, stage, clock):
     axis.begin_move(20.0)
     stage.at_deg = 20.0
     assert not axis.poll().moving
-    clock.now_s += 3600
+    clock.at_s += 3600
     stage.at_deg = 21.0
     axis.poll()
-    clock.now_s += 1.1
+    clock.at_s += 1.1
     with pytest.raises(StageError, match=r"stands at 21\.000°"):
         axis.poll()
 
@@ -203,11 +206,11 @@ def test_a_stage_that_says_moving_and_does_not_turn_is_stalled(axis, stage, cloc
     axis.begin_move(20.0)
     stage.state = "moving"
     for stage.at_deg in (1.0, 2.0):
-        clock.now_s += 2.9
+        clock.at_s += 2.9
         axis.poll()
-    clock.now_s += 2.9
+    clock.at_s += 2.9
     axis.poll()
-    clock.now_s += 0.2
+    clock.at_s += 0.2
     with pytest.raises(StageError, match=r"stalled at 2\.000°: the stage says MOVING"):
         axis.poll()
 
@@ -215,13 +218,13 @@ def test_a_stage_that_says_moving_and_does_not_turn_is_stalled(axis, stage, cloc
 def test_a_move_takes_no_longer_than_twice_its_time_and_five_seconds(axis, stage, clock):
     axis.begin_move(20.0)  # 10 deg/s, 40 deg/s²: 2.25 s
     stage.state = "moving"
-    began_s = clock.now_s
+    began_s = clock.at_s
     with pytest.raises(StageError, match="took too long"):
         while True:
-            clock.now_s += 0.1
+            clock.at_s += 0.1
             stage.at_deg += 0.1
             axis.poll()
-    assert clock.now_s - began_s == pytest.approx(2 * 2.25 + 5, abs=0.15)
+    assert clock.at_s - began_s == pytest.approx(2 * 2.25 + 5, abs=0.15)
 
 
 @given(distance=st.floats(1e-3, 360), velocity=st.floats(0.1, 100), acceleration=st.floats(0.1, 1000))
@@ -260,7 +263,7 @@ def test_homing_that_ends_without_a_reference_fails(axis, stage, clock):
     stage.state = "not_referenced"
     axis.begin_home()
     axis.poll()
-    clock.now_s += 1.1
+    clock.at_s += 1.1
     with pytest.raises(StageError, match=r"homing did not succeed.*NOT_REFERENCED"):
         axis.poll()
 
@@ -268,9 +271,9 @@ def test_homing_that_ends_without_a_reference_fails(axis, stage, clock):
 def test_homing_ends_after_two_minutes_at_most(axis, stage, clock):
     axis.begin_home()
     stage.state = "homing"
-    clock.now_s += 119
+    clock.at_s += 119
     axis.poll()
-    clock.now_s += 2
+    clock.at_s += 2
     with pytest.raises(StageError, match=r"homing (took too long|stalled)"):
         axis.poll()
 
@@ -323,7 +326,7 @@ def test_a_stage_that_does_not_stop_is_to_be_cut_from_power(axis, stage, clock):
 
     def halt_as_time_goes_by():
         halt()
-        clock.now_s += 0.6
+        clock.at_s += 0.6
 
     stage.halt = halt_as_time_goes_by
     with pytest.raises(StageError, match=r"it says MOVING.*cut its motor power"):
@@ -353,7 +356,7 @@ def test_a_move_the_controller_never_heard_of_fails(controller, clock):
     controller.state = "33"
     axis.begin_move(30.0)
     axis.poll()
-    clock.now_s += 1.1
+    clock.at_s += 1.1
     with pytest.raises(StageError, match=r"move to 30° did not succeed: the stage stands at 0.000°"):
         axis.poll()
     axis.close()

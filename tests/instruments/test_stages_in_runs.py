@@ -1,26 +1,39 @@
-"""Stages other than the SMC100 in whole runs: simulated on their wire, known to the service by its driver."""
+"""Whole runs over the system's own ports: what only a terminal, and the wall's clock, can show."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import pytest
-from support import FAST, LONG, QUICK, running_service, wait_for
+from support import LONG, QUICK, fast, known_as, running_service, wait_for
 
 from calrig.plan import Plan
-from calrig.settings import BoardSettings, RigSettings, StageSettings
-from calrig.simulator.config import SimulatorSettings
+from calrig.runs.service import RunService
+from calrig.settings import RigSettings
 from calrig.simulator.grbl import State
 from calrig.simulator.rig import SimulatedRig
+from calrig.simulator.virtual_clock import VirtualClock
 
 OFFSET_DEG = 0.8
 """The mount's, in `support.FAST`."""
+PATIENCE_S = 120.0
+"""A busy machine is no failure."""
 
 
-@pytest.mark.parametrize("driver", ["grbl", "esp301"])
-def test_it_calibrates_a_unit(driver, launch_rig, store_path):
-    rig = launch_rig(f"bench-{driver}", stage={"driver": driver})
-    rig = rig.model_copy(update={"stage": rig.stage.model_copy(update={"driver": driver})})
-    with running_service(store_path, rig) as service:
-        run = service.wait(service.start(unit="AS-1", rig=rig.name, plan=Plan.model_validate(QUICK)).id, 60)
+@contextmanager
+def on_terminals(store_path, **options) -> Iterator[tuple[SimulatedRig, RigSettings, RunService]]:
+    with SimulatedRig(fast(options)) as simulated:
+        rig = known_as("bench-1", simulated)
+        with running_service(store_path, rig) as service:
+            yield simulated, rig, service
+
+
+@pytest.mark.parametrize("driver", ["smc100", "grbl", "esp301"])
+def test_it_calibrates_a_unit(driver, store_path):
+    with on_terminals(store_path, stage={"driver": driver}) as (_, rig, service):
+        assert rig.stage.port.startswith("/dev/")
+        run = service.wait(service.start(unit="AS-1", plan=Plan.model_validate(QUICK)).id, PATIENCE_S)
         assert run.status == "completed", run.error
         assert run.result["n_poses"] == 6
         assert run.result["bias_deg"] == pytest.approx(OFFSET_DEG, abs=0.1)
@@ -28,20 +41,33 @@ def test_it_calibrates_a_unit(driver, launch_rig, store_path):
         assert run.provenance["stage"]["driver"] == driver
 
 
+@pytest.mark.parametrize("device", ["stage", "board"])
+def test_a_cable_pulled_in_the_midst_of_a_run(device, store_path):
+    with on_terminals(store_path) as (simulated, _, service):
+        run = service.start(unit="AS-1", plan=Plan.model_validate(LONG))
+        wait_for(lambda: service.store.poses(run.id) or None, "first pose", PATIENCE_S)
+        wire = getattr(simulated, f"{device}_wire")
+        wire.stop()
+        ended = service.wait(run.id, PATIENCE_S)
+    assert ended.status == "failed"
+    assert f"port {wire.url} went away" in ended.error
+    if device == "stage":
+        assert "cut its motor power" in ended.error
+
+
 @pytest.mark.parametrize("homing", [True, False], ids=["with a switch", "without"])
 def test_a_stepper_that_is_reset_on_the_way_fails_the_run_and_gives_no_angle(homing, store_path):
-    options = {**FAST, "stage": {**FAST["stage"], "driver": "grbl", "homing": homing}}
-    with SimulatedRig(SimulatorSettings.from_options(options)) as simulated:
-        rig = RigSettings(
-            name="bench-1",
-            stage=StageSettings(driver="grbl", port=simulated.stage_port),
-            imu=BoardSettings(driver="calrig", port=simulated.imu_port),
-        )
-        with running_service(store_path, rig) as service:
-            run = service.start(unit="AS-1", rig=rig.name, plan=Plan.model_validate(LONG))
-            wait_for(lambda: service.store.poses(run.id) or None, "first pose")
-            wait_for(lambda: simulated.stage.state == State.RUN or None, "move")
-            simulated.stage.reset()
-            ended = service.wait(run.id, 20)
+    clock = VirtualClock()
+    options = {"stage": {"driver": "grbl", "homing": homing}}
+    with (
+        SimulatedRig(fast(options), clock) as simulated,
+        clock.taking_part(),
+        running_service(store_path, known_as("bench-1", simulated)) as service,
+    ):
+        run = service.start(unit="AS-1", plan=Plan.model_validate(LONG))
+        clock.until(lambda: service.store.poses(run.id), "first pose")
+        clock.until(lambda: simulated.stage.state == State.RUN, "move")
+        simulated.stage.reset()
+        ended = service.wait(run.id, 20)
     assert ended.status == "failed"
     assert "has lost its angle: it was reset, and its count with it" in ended.error

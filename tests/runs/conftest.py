@@ -7,10 +7,17 @@ from contextlib import ExitStack
 from typing import Any
 
 import pytest
-from run_rigs import TruthRig
+from run_rigs import CLOCK, TruthRig
 
 from calrig.runs.service import RunService
 from calrig.store import Store
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _time_stands() -> Iterator[None]:
+    """Until a test waits for something: so it acts at the very instant that it waited for."""
+    with CLOCK.taking_part():
+        yield
 
 
 @pytest.fixture(scope="session")

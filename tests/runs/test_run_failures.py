@@ -238,7 +238,7 @@ def test_a_cable_pulled_in_the_midst_of_a_run(make_rig: Any, serve: Any, store: 
     service = serve(bench)
     run = service.start(unit="AS-1", plan=plan(elevations_deg=[0, 5, 80], velocity_dps=4.0))
     on_third_move(store, run, bench)
-    wire = bench.simulated._wires[device == "board"]
+    wire = getattr(bench.simulated, f"{device}_wire")
     wire.stop()
     ended = service.wait(run.id, 20)
     assert ended.status == "failed"

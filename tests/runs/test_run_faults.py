@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from run_rigs import TruthRig, plan, until
+from run_rigs import TruthRig, pass_time, plan, until
 
 from calrig.estimation.angles import elevation_deg
 from calrig.runs.service import RunService
@@ -14,12 +14,6 @@ from calrig.store import Store
 
 SIX_SIGMA_DEG = 6 * np.degrees(0.004)
 """Of one sample's elevation at 200 Hz, with the data sheet's 400 µg/√Hz."""
-
-
-def pass_time(bench: TruthRig, duration_s: float) -> None:
-    """Lets simulated time go on, in the midst of a dwell."""
-    began_s = bench.now_s
-    until(lambda: bench.now_s > began_s + duration_s, "simulated time", 5)
 
 
 @pytest.mark.parametrize(("fault", "counted"), [("corrupt", "crc"), ("gaps", "sequence_gap")])

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from itertools import pairwise
 from typing import Any
 
 import pytest
-from run_rigs import TruthRig, events, plan, states
+from run_rigs import CLOCK, TruthRig, events, plan, states
 
 from calrig.runs.service import RunService
 from calrig.store import AT_REST, Event, Run, Store
@@ -15,13 +14,13 @@ from calrig.store import AT_REST, Event, Run, Store
 
 @pytest.fixture(scope="module")
 def logged(store: Store) -> tuple[Run, list[Event], float]:
-    """A completed run, its log and the wall seconds it took."""
+    """A completed run, its log and the seconds it took."""
     rig = TruthRig()
     with rig.simulated:
         service = RunService(store, [rig.settings])
-        began = time.monotonic()
-        run = service.wait(service.start(unit="AS-1", plan=plan(sweeps=2)).id, 30)
-        took_s = time.monotonic() - began
+        began = CLOCK.now_s()
+        run = service.wait(service.start(unit="AS-1", plan=plan(sweeps=2, velocity_dps=20.0)).id, 30)
+        took_s = CLOCK.now_s() - began
         service.close()
     assert run.status == "completed", run.error
     return run, events(store, run), took_s

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 
 import pytest
 from run_rigs import (
+    CLOCK,
     ENDLESS,
     STOPPED_S,
     TruthRig,
@@ -15,6 +15,7 @@ from run_rigs import (
     events,
     homing,
     moving,
+    pass_time,
     paused,
     plan,
     states,
@@ -42,7 +43,7 @@ def test_pause_finishes_the_pose_and_holds_and_resume_goes_on(
     assert len(done) == 1
     assert bench.table_deg(held_s) == pytest.approx(done[0].pose.target_deg, abs=1e-3)
     assert service.rigs()[0].state == "busy"
-    until(lambda: bench.now_s > held_s + 15, "simulated time", 5)
+    pass_time(bench, 15)
     assert bench.table_dps(held_s, bench.now_s).any() == False  # noqa: E712 (a NumPy bool)
     assert store.poses(run.id) == done
 
@@ -66,8 +67,7 @@ def test_the_account_of_a_move_after_a_pause_is_as_good_as_any(
 ) -> None:
     run = begin(service, plan(elevations_deg=[-40, 40]))
     paused(bench, service, run)
-    held_s = bench.now_s
-    until(lambda: bench.now_s > held_s + 30, "simulated time", 5)
+    pass_time(bench, 30)
     service.resume(run.id)
     assert service.wait(run.id, 30).status == "completed"
     assert [p.pose.gyro_move_deg for p in store.poses(run.id)] == pytest.approx([-40, 80], abs=0.1)
@@ -78,8 +78,8 @@ def test_the_time_left_is_reckoned_without_the_pause(
 ) -> None:
     run = begin(service, plan(elevations_deg=[-10, 10], sweeps=4))
     paused(bench, service, run)
-    done, held_s = len(store.poses(run.id)), bench.now_s
-    until(lambda: bench.now_s > held_s + 30, "simulated time", 10)
+    done = len(store.poses(run.id))
+    pass_time(bench, 30)
     service.resume(run.id)
     assert service.wait(run.id, 30).status == "completed"
     left_s = [event.data["remaining_s"] for event in events(store, run, "progress")]
@@ -132,10 +132,9 @@ def test_a_stage_that_hears_again_is_stopped_by_the_abort_it_missed(
     run = begin(service, plan(elevations_deg=[-80, 80], velocity_dps=2))
     until(lambda: bench.table_deg(bench.now_s) < -10, "move", 20)
     bench.simulated.stage.fault = "hang"
-    asked_s = bench.now_s
-    asked = threading.Thread(target=service.abort, args=[run.id])
+    asked = CLOCK.thread(lambda: service.abort(run.id), "abort")
     asked.start()
-    until(lambda: bench.now_s > asked_s + 6, "simulated time", 5)
+    pass_time(bench, 6)
     assert bench.moves()
     bench.simulated.stage.fault = None
     heard_s = bench.now_s

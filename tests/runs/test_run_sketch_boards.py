@@ -1,10 +1,10 @@
-"""Boards that people have flashed, end to end: they have no clock, so these runs take the time they take."""
+"""Boards that people have flashed, end to end: they have no clock, so their rigs are no faster than life."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from run_rigs import plan, until
+from run_rigs import CLOCK, plan
 
 from calrig.export.samples_csv import sample_columns
 from calrig.runs.service import RunService
@@ -18,7 +18,7 @@ STAGE = {"velocity_dps": 60.0, "acceleration_dps2": 240.0, "homing_velocity_dps"
 
 @pytest.fixture
 def calibrate(store):
-    """Runs a plan on a rig in real time; gives the run and the service's store."""
+    """Runs a plan on a rig that is no faster than life; gives the run."""
 
     def run(sketch, chosen, stage="smc100", driver=None, **board):
         options = {
@@ -27,7 +27,7 @@ def calibrate(store):
             "mount": {"offset_deg": OFFSET_DEG},
             "board": {"sketch": sketch, **board},
         }
-        with SimulatedRig(SimulatorSettings.from_options(options)) as rig:
+        with SimulatedRig(SimulatorSettings.from_options(options), CLOCK) as rig:
             settings = RigSettings(
                 name=f"{stage}-{sketch}",
                 stage=StageSettings(driver=stage, port=rig.stage_port),
@@ -37,8 +37,7 @@ def calibrate(store):
             service = RunService(store, [settings])
             try:
                 asked = service.start(unit=f"AS-{sketch}", plan=chosen, rig=settings.name)
-                until(lambda: service.run(asked.id).finished_at, "end of the run", 60)
-                return service.run(asked.id)
+                return service.wait(asked.id, 120)
             finally:
                 service.close()
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import time
-from contextlib import ExitStack, closing
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from calrig.estimation.angles import wrap_deg
+from calrig.instruments.clock import WALL, Clock
 from calrig.plan import Plan
 from calrig.runs.service import RunService
 from calrig.settings import BoardSettings, ReferenceSettings, RigSettings, StageSettings
@@ -19,10 +21,12 @@ from calrig.simulator.bench import Bench
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.rig import SimulatedRig
 from calrig.simulator.sketch_board import SketchBoard
+from calrig.simulator.virtual_clock import VirtualClock
 from calrig.store import RawSamples, Run, Store, StoredPose
 
 from .proxy import Proxy
 from .proxy_damage import TO_HOST, Damage, Fault
+from .proxy_virtual import VirtualProxy
 
 LIMITS_DEG = (-60.0, 60.0)
 HUNG_S = 90.0
@@ -35,7 +39,6 @@ PLAN: dict[str, Any] = {"elevations_deg": [-35, -5, 30], "sweeps": 2, "settle_s"
 IN_REAL_TIME: dict[str, Any] = {**PLAN, "settle_s": 1.5, "dwell_s": 2.0, "sweeps": 1}
 """Longer than a busy machine keeps the simulated text board from printing."""
 RIG: dict[str, Any] = {
-    "time_scale": 20.0,
     "mount": {"offset_deg": 0.8},
     "imu": {"gyro_bias_dps": [1.4, -0.6, 0.3]},
 }
@@ -66,6 +69,7 @@ class Case:
     seed: int
     sketch: str | None = None
     sweeps: int = 2
+    time_scale: float = 20.0
 
     def __str__(self) -> str:
         fault = self.fault
@@ -118,10 +122,11 @@ class Sensed:
         return [self._at_s.get(row.tobytes()) for row in rows]
 
 
-def try_case(case: Case, store: Store, folder: Path) -> Outcome:
-    """Carries out one run over the damaged wire and judges it."""
+def try_case(case: Case, store: Store, folder: Path, virtual: VirtualClock | None = None) -> Outcome:
+    """Carries out one run over the damaged wire and judges it: over terminals, or in virtual time."""
     outcome = Outcome(case)
-    scale = 1.0 if case.sketch else RIG["time_scale"]
+    clock = WALL if virtual is None else virtual
+    scale = 1.0 if case.sketch else case.time_scale
     options = {
         **RIG,
         "seed": case.seed,
@@ -130,14 +135,11 @@ def try_case(case: Case, store: Store, folder: Path) -> Outcome:
         "board": {"sketch": case.sketch},
     }
     with ExitStack() as stack:
-        rig = stack.enter_context(SimulatedRig(SimulatorSettings.from_options(options)))
+        rig = SimulatedRig(SimulatorSettings.from_options(options), virtual)
         sensed = Sensed(rig.bench)
         proxies = {
-            wire: Proxy(url, folder / f"{case.name}-{wire}", _damage(case, wire, rig), case.seed)
-            for wire, url in (("stage", rig.stage_port), ("board", rig.imu_port))
+            wire: stack.enter_context(_proxy(case, wire, rig, folder, virtual)) for wire in ("stage", "board")
         }
-        for proxy in proxies.values():
-            stack.callback(proxy.stop)
         settings = RigSettings(
             name="bench-1",
             limits_deg=LIMITS_DEG,
@@ -148,15 +150,44 @@ def try_case(case: Case, store: Store, folder: Path) -> Outcome:
             reference=ReferenceSettings(std_deg=0.29),
         )
         service = stack.enter_context(closing(RunService(store, [settings])))
-        began_s = time.monotonic()
+        began_s = clock.now_s()
         chosen = Plan.model_validate({**PLAN, "sweeps": case.sweeps} if case.sketch is None else IN_REAL_TIME)
         run = service.wait(service.start(unit="AS-1", plan=chosen).id, HUNG_S)
-        outcome.lasted_s = time.monotonic() - began_s
+        outcome.lasted_s = clock.now_s() - began_s
+        _settle(proxies["stage"], clock)
         _judge(outcome, run, rig, proxies, store, sensed)
     return outcome
 
 
-def _damage(case: Case, wire: str, rig: SimulatedRig) -> Damage:
+@contextmanager
+def _proxy(
+    case: Case, wire: str, rig: SimulatedRig, folder: Path, virtual: VirtualClock | None
+) -> Iterator[Proxy | VirtualProxy]:
+    """A rig's wire with the proxy in it."""
+    damage = _damage(case, wire, rig, time.monotonic if virtual is None else virtual.now_s)
+    proxy: Proxy | VirtualProxy
+    with ExitStack() as stack:
+        if virtual is None:
+            straight = rig.stage_wire if wire == "stage" else rig.board_wire
+            straight.start()
+            stack.callback(straight.stop)
+            proxy = Proxy(straight.url, folder / f"{case.name}-{wire}", damage, case.seed)
+        else:
+            device = rig.stage if wire == "stage" else rig.board
+            proxy = VirtualProxy(device, wire, virtual, damage, case.seed)
+            proxy.start()
+        stack.callback(proxy.stop)
+        yield proxy
+
+
+def _settle(proxy: Proxy | VirtualProxy, clock: Clock) -> None:
+    """Until nothing is on its way to the stage any more."""
+    give_up_s = clock.now_s() + 10.0
+    while not proxy.quiet and clock.now_s() < give_up_s:
+        clock.sleep(0.01)
+
+
+def _damage(case: Case, wire: str, rig: SimulatedRig, now_s: Callable[[], float]) -> Damage:
     device = rig.stage if wire == "stage" else rig.board
 
     def happens(what: str) -> None:
@@ -166,14 +197,14 @@ def _damage(case: Case, wire: str, rig: SimulatedRig) -> Damage:
             device.fault = {"reset": "reset", "freeze": "frozen", "thaw": None}[what]
 
     packets = wire == "board" and case.sketch is None
-    return Damage(case.fault if wire == case.wire else None, packets=packets, device=happens)
+    return Damage(case.fault if wire == case.wire else None, packets=packets, device=happens, now_s=now_s)
 
 
 def _judge(
     outcome: Outcome,
     run: Run,
     rig: SimulatedRig,
-    proxies: dict[str, Proxy],
+    proxies: dict[str, Proxy | VirtualProxy],
     store: Store,
     sensed: Sensed,
 ) -> None:
@@ -240,11 +271,8 @@ def _judge_by_stage(outcome: Outcome, name: str, stored: StoredPose) -> None:
         outcome.wrong.append(f"{name}: reading off by {off_deg:.3f}°, standard error {stderr_deg:.3f}°")
 
 
-def _judge_stop(outcome: Outcome, rig: SimulatedRig, proxy: Proxy) -> None:
+def _judge_stop(outcome: Outcome, rig: SimulatedRig, proxy: Proxy | VirtualProxy) -> None:
     """After the end nothing moves, nor will: nothing is on its way to the stage that would make it."""
-    give_up_s = time.monotonic() + 10.0
-    while not proxy.quiet and time.monotonic() < give_up_s:
-        time.sleep(0.01)
     with rig.bench.lock:
         now_s = rig.clock()
         turns = np.abs(rig.bench.mechanics.table(np.arange(now_s, now_s + 200.0, 0.05)).rate_dps)
@@ -259,7 +287,7 @@ def _judge_stop(outcome: Outcome, rig: SimulatedRig, proxy: Proxy) -> None:
         outcome.left_moving.append("it was not told to stop after its last motion")
 
 
-def _judge_commands(outcome: Outcome, proxy: Proxy) -> None:
+def _judge_commands(outcome: Outcome, proxy: Proxy | VirtualProxy) -> None:
     written = b"".join(data for _, data in proxy.sent)
     for found in MOTION[outcome.case.stage].finditer(written):
         if found[1] is None:

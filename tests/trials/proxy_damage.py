@@ -57,19 +57,28 @@ class Damage:
         fault: which; None leaves the line as it is.
         packets: whether the device sends packets ended by a zero byte, not lines.
         device: for the kinds that happen to the device: makes it reset (`reset`), hold its values (`freeze`).
+        now_s: the line's clock.
     """
 
-    def __init__(self, fault: Fault | None, *, packets: bool, device: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        fault: Fault | None,
+        *,
+        packets: bool,
+        device: Callable[[str], None],
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._fault = fault
         self._pieces = {TO_DEVICE: LINES, TO_HOST: PACKETS if packets else LINES}
         self._device = device
+        self._now_s = now_s
         self._begins_s: float | None = None
         self._ends_s = 0.0
         self._stalls_until_s = 0.0
 
     def piece(self, line: Line, direction: str, data: bytes, chance: random.Random) -> None:
         """Passes on what came in one direction, damaged or not."""
-        fault, now_s = self._fault, time.monotonic()
+        fault, now_s = self._fault, self._now_s()
         if fault is None:
             line.deliver(direction, data)
             return
