@@ -121,7 +121,7 @@ function summary(diagnosis, run) {
     {},
     h("div", { class: `verdict ${grade(diagnosis)}`, "data-testid": "diagnosis-verdict" }, [
       h("p", { class: "headline" }, headline(diagnosis)),
-      h("p", { class: "judged" }, judged(diagnosis)),
+      judged(diagnosis) && h("p", {}, judged(diagnosis)),
       fresh && h("p", { id: "confirmed" }, confirmation(fresh, run)),
     ]),
     h(
