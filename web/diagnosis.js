@@ -106,7 +106,7 @@ function outdated({ diagnosis, result }) {
 }
 
 function summary(diagnosis, run) {
-  const { base, final, noise, held_out: unseen, confirmed_by: fresh } = diagnosis;
+  const { base, final, noise, held_out: heldOut, confirmed_by: fresh } = diagnosis;
   const rows = [
     ["Held-out RMS, bias and scale only", significant(base.held_out_rms_deg, 3, "°")],
     ["Held-out RMS, with effects", significant(final.held_out_rms_deg, 3, "°")],
@@ -121,7 +121,7 @@ function summary(diagnosis, run) {
     {},
     h("div", { class: `verdict ${grade(diagnosis)}`, "data-testid": "diagnosis-verdict" }, [
       h("p", { class: "headline" }, headline(diagnosis)),
-      h("p", { class: "judged" }, judged(diagnosis)),
+      judged(diagnosis) && h("p", {}, judged(diagnosis)),
       fresh && h("p", { id: "confirmed" }, confirmation(fresh, run)),
     ]),
     h(
@@ -132,9 +132,9 @@ function summary(diagnosis, run) {
     h(
       "p",
       { class: "muted" },
-      `Cross-validation over ${plural(unseen.n_poses, "pose")} of `,
+      `Cross-validation over ${plural(heldOut.n_poses, "pose")} of `,
       `${diagnosis.runs.length > 1 ? "runs" : "run"} ${diagnosis.runs.join(", ")}: search and fit were repeated `,
-      `without the poses they predict (${unseen.how}).`,
+      `without the poses they predict (${heldOut.how}).`,
     ),
     h("p", { class: "model" }, diagnosis.final.model),
   );

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support import wait_for
 
 CHROMIUM = Path("/usr/bin/chromium")
 ARGUMENTS = [
@@ -40,24 +41,38 @@ def forgiven() -> list[str]:
     return []
 
 
+@pytest.fixture(scope="module")
+def context(browser: Any) -> Iterator[Any]:
+    """A profile for the tests of a file: what the browser keeps of the page's files, it asks for once."""
+    context = browser.new_context(accept_downloads=True)
+    yield context
+    context.close()
+
+
 @pytest.fixture
-def fresh_page(browser: Any, forgiven: list[str]) -> Iterator[Any]:
+def fresh_page(context: Any, forgiven: list[str]) -> Iterator[Any]:
     """A page of its own; the test fails on any console error, warning or uncaught exception on it."""
     problems: list[str] = []
-    context = browser.new_context(viewport={"width": 1280, "height": 900}, accept_downloads=True)
     page = context.new_page()
+    page.set_viewport_size({"width": 1280, "height": 900})
     page.set_default_timeout(20_000)
     page.on("console", lambda m: problems.append(m.text) if m.type in {"error", "warning"} else None)
     page.on("pageerror", lambda error: problems.append(f"{error}\n{error.stack}"))
     yield page
-    context.close()
+    page.close()
+    context.clear_cookies()
     assert [p for p in problems if not any(re.search(pattern, p) for pattern in forgiven)] == []
 
 
 @pytest.fixture
-def page(client: Any, fresh_page: Any) -> Any:
-    """A page that is closed before the service is: it watches whether the service is there."""
-    return fresh_page
+def page(client: Any, fresh_page: Any) -> Iterator[Any]:
+    """A page that is left before the service goes, which it watches; no rig is busy when the test is over."""
+    yield fresh_page
+    fresh_page.goto("about:blank")
+    for rig in client.get("/api/rigs").json():
+        if rig["state"] == "busy":
+            client.post(f"/api/rigs/{rig['name']}/stop").raise_for_status()
+    wait_for(lambda: all(rig["state"] != "busy" for rig in client.get("/api/rigs").json()), "rigs at rest")
 
 
 @pytest.fixture

@@ -8,6 +8,13 @@ from support import LONG, wait_for
 
 pytestmark = pytest.mark.browser
 
+
+@pytest.fixture(scope="module")
+def client(shared_client):
+    """One service for all of this file: each test has a unit of its own."""
+    return shared_client
+
+
 REFUSED_422 = r"status of 422"
 
 
@@ -116,7 +123,7 @@ def test_a_plan_beyond_the_limits_is_refused_beside_the_button_and_nothing_start
 ):
     forgiven.append(REFUSED_422)
     go("#/")
-    page.fill("#unit", "MPU-1")
+    page.fill("#unit", "REFUSED")
     page.fill("#stop_deg", "120")
     page.click("#start")
     expect(page.locator("#start-error")).to_contain_text("soft limits")
@@ -125,7 +132,7 @@ def test_a_plan_beyond_the_limits_is_refused_beside_the_button_and_nothing_start
     page.click("#start")
     expect(page.locator("#start-error")).to_contain_text("plan.sweeps")
     expect(page.locator("#sweeps")).to_have_attribute("aria-invalid", "true")
-    assert client.get("/api/runs").json()["items"] == []
+    assert client.get("/api/runs?unit=REFUSED").json()["items"] == []
 
 
 def test_with_the_keyboard_alone_a_run_is_started(page, client, go, expect):

@@ -31,8 +31,8 @@ def poses_with_backlash():
 def unsettled_poses():
     """Unequal moves, of each of which two percent are still missing from the reading."""
     rng = np.random.default_rng(1)
-    theta = rng.uniform(-60, 60, 60).round(2)
-    reading = 0.8 + theta - 0.02 * np.diff(theta, prepend=theta[0]) + rng.normal(0, NOISE_DEG, 60)
+    theta = rng.uniform(-60, 60, 24).round(2)
+    reading = 0.8 + theta - 0.02 * np.diff(theta, prepend=theta[0]) + rng.normal(0, NOISE_DEG, 24)
     return ["target_deg,reading_deg", *(f"{x},{y:.4f}" for x, y in zip(theta, reading, strict=True))]
 
 

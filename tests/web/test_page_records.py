@@ -11,19 +11,26 @@ from support import DATA
 
 pytestmark = pytest.mark.browser
 
+
+@pytest.fixture(scope="module")
+def client(shared_client):
+    """One service for all of this file: each test has a unit of its own."""
+    return shared_client
+
+
 WARMUP = DATA / "mpu6050_warmup_poses.csv"
 REFUSED_422 = r"status of 422"
 
 
 def test_units_are_compared_with_their_errors(page, client, go, expect):
-    first, second = imported(client, "A/1", bias_deg=0.5), imported(client, "B", bias_deg=-0.3)
-    imported(client, "B", bias_deg=-0.31)
+    first, second = imported(client, "C/1", bias_deg=0.5), imported(client, "D-2", bias_deg=-0.3)
+    imported(client, "D-2", bias_deg=-0.31)
     go("#/compare")
-    page.get_by_label("A/1", exact=True).check()
-    page.get_by_label("B", exact=True).check()
+    page.get_by_label("C/1", exact=True).check()
+    page.get_by_label("D-2", exact=True).check()
     page.get_by_role("button", name="Compare").click()
-    page.wait_for_url("**/#/compare?unit=A%2F1&unit=B")
-    row = page.locator("#compare-table tbody tr").filter(has_text="A/1")
+    page.wait_for_url("**/#/compare?unit=C%2F1&unit=D-2")
+    row = page.locator("#compare-table tbody tr").filter(has_text="C/1")
     std = first["result"]["bias_std_deg"]
     decimals = 1 - int(f"{std:e}".split("e")[1])
     expect(row).to_contain_text(f"{first['result']['bias_deg']:.{decimals}f} ± {std:.{decimals}f}°")
@@ -31,11 +38,11 @@ def test_units_are_compared_with_their_errors(page, client, go, expect):
     expect(page.get_by_test_id("spread")).to_contain_text("between units")
     for chart in ("residuals", "bias", "scale", "rms"):
         expect(page.get_by_test_id(f"compare-{chart}").locator(".plot-container")).to_be_visible()
-    assert second["unit"] == "B"
+    assert second["unit"] == "D-2"
 
 
 def test_a_run_is_voided_with_a_reason_and_stays_struck_through(page, client, go, expect):
-    run = imported(client, "A")
+    run = imported(client, "VOIDED")
     go(f"#/runs/{run['id']}")
     page.click("#void")
     page.get_by_test_id("confirm").click()  # no reason yet: the browser asks for one
@@ -46,13 +53,13 @@ def test_a_run_is_voided_with_a_reason_and_stays_struck_through(page, client, go
     expect(page.locator("h1")).to_have_css("text-decoration-line", "line-through")
     assert client.get(f"/api/runs/{run['id']}").json()["voided"]["reason"] == "the cable caught"
     go("#/")
-    expect(page.locator("#runs-table tr.voided")).to_contain_text("A")
-    go("#/compare?unit=A")
+    expect(page.locator("#runs-table tr.voided")).to_contain_text("VOIDED")
+    go("#/compare?unit=VOIDED")
     expect(page.locator("#compare-table")).to_contain_text("no completed run that counts")
 
 
 def test_an_excluded_pose_changes_the_result_and_dates_the_diagnosis(page, client, go, expect):
-    run = imported(client, "A", poses=24)
+    run = imported(client, "EXCLUDING", poses=24)
     client.post(f"/api/runs/{run['id']}/diagnosis", json={}).raise_for_status()
     go(f"#/runs/{run['id']}")
     page.get_by_role("button", name="Exclude pose 7").click()
@@ -86,11 +93,11 @@ def test_a_bad_file_is_refused_with_line_and_column_and_nothing_is_stored(page, 
     go("#/import")
     content = b"target_deg,reading_deg\n0,0.1\n10,ten\n"
     page.set_input_files("#file", {"name": "bad.csv", "mimeType": "text/csv", "buffer": content})
-    page.fill("#unit", "A")
+    page.fill("#unit", "BAD")
     page.click("#import")
     expect(page.locator("#import-error")).to_contain_text("line 3")
     expect(page.locator("#import-error")).to_contain_text("reading_deg")
-    assert client.get("/api/units").json() == []
+    assert client.get("/api/runs?unit=BAD").json()["items"] == []
 
 
 def test_a_serial_number_is_text_wherever_it_is_shown_and_leads_to_its_unit(page, client, go, expect):
@@ -110,13 +117,13 @@ def test_a_serial_number_is_text_wherever_it_is_shown_and_leads_to_its_unit(page
 
 
 def test_runs_are_found_by_unit_rig_and_status(page, client, go, expect):
-    imported(client, "A")
-    imported(client, "B")
-    imported(client, "B", rig="bench-1")
+    imported(client, "FOUND")
+    imported(client, "ANOTHER")
+    imported(client, "FOUND", rig="bench-1")
     go("#/")
     rows = page.locator("#runs-table tbody tr")
-    expect(rows).to_have_count(3)
-    page.fill("#filter-unit", "B")
+    expect(rows.filter(has_text="ANOTHER")).to_have_count(1)
+    page.fill("#filter-unit", "FOUND")
     expect(rows).to_have_count(2)
     page.select_option("#filter-rig", "bench-1")
     expect(rows).to_have_count(1)
