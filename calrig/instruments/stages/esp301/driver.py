@@ -22,7 +22,7 @@ from calrig.instruments.errors import StageError
 from calrig.instruments.ports import Port, open_port
 from calrig.instruments.stages.esp301 import DEVICE
 from calrig.instruments.stages.esp301.words import error_words
-from calrig.instruments.stages.lines import LineWire, plain
+from calrig.instruments.stages.lines import LineWire, plain, unanswered
 from calrig.instruments.types import StageIdentity, StageStatus
 
 REPLY_TIMEOUT_S = 0.5
@@ -221,11 +221,8 @@ class Esp301:
     def _must(self, query: str, form: re.Pattern[str]) -> str:
         reply = self._ask(query, form)
         if reply is None:
-            counted = ", ".join(f"{count} {kind}" for kind, count in self.faults.items())
-            raise StageError(
-                f"{self._name} does not answer {query} (faults so far: {counted or 'nothing'}): "
-                "check power, cable, axis and baud rate"
-            )
+            check = "power, cable, axis and baud rate"
+            raise StageError(unanswered(self._name, query, self.faults, check))
         return reply
 
     def _ask(self, query: str, form: re.Pattern[str]) -> str | None:

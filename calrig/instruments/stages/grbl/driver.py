@@ -25,7 +25,7 @@ from calrig.instruments.stages.grbl.words import (
     alarm_words,
     error_words,
 )
-from calrig.instruments.stages.lines import plain
+from calrig.instruments.stages.lines import plain, unanswered
 from calrig.instruments.types import StageIdentity, StageStatus
 
 WAKE_TIMEOUT_S = 3.0  # a boot loader listens for two before GRBL does
@@ -207,11 +207,7 @@ class Grbl:
         report = self._wire.look() if self._settings else self._wake()
         if report is None:
             self._settings = {}  # they are read again when it answers again
-            counted = ", ".join(f"{count} {kind}" for kind, count in self.faults.items())
-            raise StageError(
-                f"{self._name} does not answer ? (faults so far: {counted or 'nothing'}): "
-                "check power, cable and baud rate"
-            )
+            raise StageError(unanswered(self._name, "?", self.faults, "power, cable and baud rate"))
         self._heed()
         self._count.hear_offset(report)
         if not self._settings and report.state in ("Idle", "Alarm") and not self._homing:
