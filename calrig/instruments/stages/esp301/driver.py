@@ -20,8 +20,7 @@ from typing import Self
 from calrig.instruments import readback
 from calrig.instruments.errors import StageError
 from calrig.instruments.ports import Port, open_port
-from calrig.instruments.stages.esp301 import DEVICE
-from calrig.instruments.stages.esp301.words import error_words
+from calrig.instruments.stages.esp301.words import BAUDRATE, error_words
 from calrig.instruments.stages.lines import LineWire, plain, unanswered
 from calrig.instruments.types import StageIdentity, StageStatus
 
@@ -67,7 +66,7 @@ class Esp301:
     @classmethod
     def open(cls, url: str, *, axis: int = 1, baudrate: int | None = None) -> Self:
         """Opens the port (PortError); asks nothing yet."""
-        return cls(open_port(url, baudrate=baudrate or DEVICE.baudrate, timeout_s=0.02), axis)
+        return cls(open_port(url, baudrate=baudrate or BAUDRATE, timeout_s=0.02), axis)
 
     def identify(self) -> StageIdentity:
         """Asks who it is and what it allows (StageError if it does not answer)."""

@@ -15,10 +15,10 @@ from typing import Self
 from calrig.instruments import readback
 from calrig.instruments.errors import InstrumentError, StageError
 from calrig.instruments.ports import Port, open_port
-from calrig.instruments.stages.grbl import DEVICE
 from calrig.instruments.stages.grbl.count import Count
 from calrig.instruments.stages.grbl.wire import RESET, STOP, GrblWire
 from calrig.instruments.stages.grbl.words import (
+    BAUDRATE,
     LOCKED_UNTIL_RESET,
     SOFT_LIMIT,
     Report,
@@ -61,7 +61,7 @@ class Grbl:
     @classmethod
     def open(cls, url: str, *, axis: int = 1, baudrate: int | None = None) -> Self:
         """Opens the port (PortError); asks nothing yet."""
-        return cls(open_port(url, baudrate=baudrate or DEVICE.baudrate, timeout_s=0.02), axis)
+        return cls(open_port(url, baudrate=baudrate or BAUDRATE, timeout_s=0.02), axis)
 
     def identify(self) -> StageIdentity:
         """Waits for it to wake, and reads its settings (StageError if it does not answer, or is busy).

@@ -19,8 +19,7 @@ from calrig.instruments import readback
 from calrig.instruments.errors import Halted, InstrumentError, PortError, StageError
 from calrig.instruments.ports import Port, open_port
 from calrig.instruments.stages.lines import LineWire, unanswered
-from calrig.instruments.stages.zaber import DEVICE
-from calrig.instruments.stages.zaber.words import UNREFERENCED, flag_words
+from calrig.instruments.stages.zaber.words import BAUDRATE, UNREFERENCED, flag_words
 from calrig.instruments.types import StageIdentity, StageStatus
 
 REPLY_TIMEOUT_S = 0.5
@@ -71,7 +70,7 @@ class Zaber:
             InstrumentError: the maker's library is not installed; says how to.
         """
         _library()
-        return cls(open_port(url, baudrate=baudrate or DEVICE.baudrate, timeout_s=0.02), axis)
+        return cls(open_port(url, baudrate=baudrate or BAUDRATE, timeout_s=0.02), axis)
 
     def identify(self) -> StageIdentity:
         """Asks who it is and what it allows, and clears flags of long ago.
