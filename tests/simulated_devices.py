@@ -23,7 +23,7 @@ READ_S = 0.02
 class Counterpart:
     """A device and the bench it stands on; its time is what the test makes of it."""
 
-    def __init__(self, driver: str, serial: str = "AS-0042", **stage):
+    def __init__(self, driver: str, serial: str = "AS-0042", sketch: str = "", **stage):
         self.driver = driver
         self.now_s = 0.0
         if driver in STAGES:
@@ -31,7 +31,7 @@ class Counterpart:
         elif driver == "calrig":
             options = {"board": {"serial": serial}}
         else:
-            options = {"board": {"sketch": driver}}
+            options = {"board": {"sketch": sketch or driver}}
         settings = SimulatorSettings.from_options({"preset": "ideal", "time_scale": 1, **options})
         self.bench = Bench(settings)
         if driver in STAGES:

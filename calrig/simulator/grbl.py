@@ -137,7 +137,7 @@ class Grbl:
             if self._locked:
                 return
             try:
-                self._execute(line.replace(" ", "").upper())
+                self._execute(re.sub("[ /]", "", line).upper())  # it has no block delete: a slash is dropped
             except _Refused as refusal:
                 self._say(f"error:{refusal.number}")
 

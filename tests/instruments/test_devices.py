@@ -41,15 +41,19 @@ each_stage = pytest.mark.parametrize("driver", STAGES)
 at_each_rate = pytest.mark.parametrize("own_baud", OTHER_RATES)
 
 
-@each_device
-def test_a_device_is_recognised_by_what_its_counterpart_says_at_its_own_rate_alone(driver):
+@pytest.mark.parametrize(
+    ("driver", "options"),
+    [*((driver, {}) for driver in DEVICES), ("i2cdev-raw", {"sketch": "i2cdev-raw-fast"})],
+)
+def test_a_device_is_recognised_by_what_its_counterpart_says_at_its_own_rate_alone(driver, options):
     """The rates are a UART's, so that all others hear is noise; a stage that is not homed does not move."""
-    far = Counterpart(driver)
+    far = Counterpart(driver, **options)
     before_deg = far.table_deg()
     found, baudrate, words = converse(Uart(far, PROBES[0].baudrate), list(DEVICES.values()))
     assert found is not None, words
     assert (found.device.driver, baudrate) == (driver, DEVICES[driver].baudrate)
-    assert IDENTITIES.get(driver, DEVICES[driver].title) in found.identity.words
+    assert found.identity.words
+    assert IDENTITIES.get(driver, "") in found.identity.words
     assert np.array_equal(far.table_deg(), before_deg)
 
 
@@ -76,10 +80,10 @@ def test_the_uart_is_right_at_its_own_rate_and_at_half_of_it():
 
 
 @at_each_rate
-def test_no_query_is_a_real_time_command_of_grbl_at_any_rate(own_baud):
+def test_no_query_is_a_real_time_command_of_grbl_or_in_a_motion_of_thorlabs_at_any_rate(own_baud):
     heard = b"".join(as_heard(probe.query, probe.baudrate, own_baud) for probe in QUERIES)
-    resume_reset_door_jog_cancel = b"~\x18\x84\x85"
-    assert not set(heard) & set(resume_reset_door_jog_cancel)
+    resume_reset_door_jog_cancel, in_thorlabs_motion = b"~\x18\x84\x85", b"\x04"
+    assert not set(heard) & set(resume_reset_door_jog_cancel + in_thorlabs_motion)
 
 
 @at_each_rate

@@ -132,3 +132,16 @@ def plain(value: float) -> str:
     """A number without exponent, to a millionth, as short as it can be written."""
     text = f"{value:.6f}".rstrip("0").rstrip(".")
     return "0" if text == "-0" else text
+
+
+def unanswered(name: str, query: str, faults: Counter[str], check: str) -> str:
+    """What is said where nothing answers a query.
+
+    Args:
+        name: the stage's.
+        query: what was asked.
+        faults: counts by kind up to now.
+        check: what a person is to look at.
+    """
+    counted = ", ".join(f"{count} {kind}" for kind, count in faults.items())
+    return f"{name} does not answer {query} (faults so far: {counted or 'nothing'}): check {check}"

@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from calrig.instruments.boards.calrig.packets import IDENTITY, PacketDecoder
+from calrig.instruments.boards.calrig.packets import BAUDRATE, IDENTITY, PacketDecoder
 from calrig.instruments.device import BoardDevice, Identity, Probe
 
 if TYPE_CHECKING:
@@ -46,11 +46,11 @@ def _identity(texts: Sequence[str]) -> Identity:
 DEVICE = BoardDevice(
     driver="calrig",
     title="calrig's own sketch, or anything that speaks its packets",
-    baudrate=115200,
+    baudrate=BAUDRATE,
     opens=_open,
     probes=(
         Probe(
-            115200,
+            BAUDRATE,
             0.5,
             b"ID\nID\n",
             harmless="asks who it is, the second time with nothing before it; to GRBL it is a letter without "

@@ -7,10 +7,9 @@ import itertools
 from collections import Counter
 from typing import Self
 
-from calrig.instruments.boards.calrig import DEVICE
 from calrig.instruments.boards.calrig.identity import read_identity
 from calrig.instruments.boards.calrig.mark import Mark
-from calrig.instruments.boards.calrig.packets import ACKNOWLEDGE, IDENTITY, SAMPLES, PacketDecoder
+from calrig.instruments.boards.calrig.packets import ACKNOWLEDGE, BAUDRATE, IDENTITY, SAMPLES, PacketDecoder
 from calrig.instruments.boards.calrig.sample_stream import SampleStream
 from calrig.instruments.boards.calrig.words import USELESS, why_none, why_useless
 from calrig.instruments.errors import BoardError, InstrumentError, PortError
@@ -73,7 +72,7 @@ class CalrigBoard:
     @classmethod
     def open(cls, url: str, *, baudrate: int | None = None) -> Self:
         """Opens the port (PortError), which resets most boards."""
-        return cls(open_port(url, baudrate=baudrate or DEVICE.baudrate, timeout_s=READ_TIMEOUT_S))
+        return cls(open_port(url, baudrate=baudrate or BAUDRATE, timeout_s=READ_TIMEOUT_S))
 
     def identify(self) -> BoardIdentity:
         """Asks twice a second until the board answers; faults are counted from here on.

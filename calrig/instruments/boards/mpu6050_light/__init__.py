@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 
-from calrig.instruments.boards.sketch import Sketch, board_device, line_forms
+from calrig.instruments.boards.sketch import Sketch, line_forms
+from calrig.instruments.boards.sketch_device import board_device
 
 SKETCH = Sketch(
     driver="mpu6050-light",

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from calrig.instruments.device import Identity, Probe, StageDevice
+from calrig.instruments.stages.esp301.words import BAUDRATE
 
 if TYPE_CHECKING:
     from calrig.instruments.stages.esp301.driver import Esp301
@@ -31,11 +32,11 @@ def _identity(lines: Sequence[str]) -> Identity:
 DEVICE = StageDevice(
     driver="esp301",
     title="Newport ESP301",
-    baudrate=19200,
+    baudrate=BAUDRATE,
     opens=_open,
     probes=(
         Probe(
-            19200,
+            BAUDRATE,
             0.5,
             b"VE?\rVE?\r",
             harmless="asks for its version, the second time with nothing before it; others know no VE?",

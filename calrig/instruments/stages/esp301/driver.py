@@ -20,9 +20,8 @@ from typing import Self
 from calrig.instruments import readback
 from calrig.instruments.errors import StageError
 from calrig.instruments.ports import Port, open_port
-from calrig.instruments.stages.esp301 import DEVICE
-from calrig.instruments.stages.esp301.words import error_words
-from calrig.instruments.stages.lines import LineWire, plain
+from calrig.instruments.stages.esp301.words import BAUDRATE, error_words
+from calrig.instruments.stages.lines import LineWire, plain, unanswered
 from calrig.instruments.types import StageIdentity, StageStatus
 
 REPLY_TIMEOUT_S = 0.5
@@ -67,7 +66,7 @@ class Esp301:
     @classmethod
     def open(cls, url: str, *, axis: int = 1, baudrate: int | None = None) -> Self:
         """Opens the port (PortError); asks nothing yet."""
-        return cls(open_port(url, baudrate=baudrate or DEVICE.baudrate, timeout_s=0.02), axis)
+        return cls(open_port(url, baudrate=baudrate or BAUDRATE, timeout_s=0.02), axis)
 
     def identify(self) -> StageIdentity:
         """Asks who it is and what it allows (StageError if it does not answer)."""
@@ -221,11 +220,8 @@ class Esp301:
     def _must(self, query: str, form: re.Pattern[str]) -> str:
         reply = self._ask(query, form)
         if reply is None:
-            counted = ", ".join(f"{count} {kind}" for kind, count in self.faults.items())
-            raise StageError(
-                f"{self._name} does not answer {query} (faults so far: {counted or 'nothing'}): "
-                "check power, cable, axis and baud rate"
-            )
+            check = "power, cable, axis and baud rate"
+            raise StageError(unanswered(self._name, query, self.faults, check))
         return reply
 
     def _ask(self, query: str, form: re.Pattern[str]) -> str | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+BAUDRATE = 19200
+
 ERRORS = {
     1: "PCI communication time-out",
     4: "emergency stop",

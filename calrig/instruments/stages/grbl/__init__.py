@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from calrig.instruments.device import Identity, Probe, StageDevice
-from calrig.instruments.stages.grbl.words import BANNER, parse_report
+from calrig.instruments.stages.grbl.words import BANNER, BAUDRATE, parse_report
 
 if TYPE_CHECKING:
     from calrig.instruments.stages.grbl.driver import Grbl
@@ -35,11 +35,11 @@ def _identity(lines: Sequence[str]) -> Identity:
 DEVICE = StageDevice(
     driver="grbl",
     title="an Arduino with a stepper shield and GRBL 1.1, a rotary table on one of its axes",
-    baudrate=115200,
+    baudrate=BAUDRATE,
     opens=_open,
     probes=(
         Probe(
-            115200,
+            BAUDRATE,
             0.4,
             b"?",
             harmless="asks for its status, told even while it moves; to all others it is no command",

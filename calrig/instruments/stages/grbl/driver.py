@@ -15,17 +15,17 @@ from typing import Self
 from calrig.instruments import readback
 from calrig.instruments.errors import InstrumentError, StageError
 from calrig.instruments.ports import Port, open_port
-from calrig.instruments.stages.grbl import DEVICE
 from calrig.instruments.stages.grbl.count import Count
 from calrig.instruments.stages.grbl.wire import RESET, STOP, GrblWire
 from calrig.instruments.stages.grbl.words import (
+    BAUDRATE,
     LOCKED_UNTIL_RESET,
     SOFT_LIMIT,
     Report,
     alarm_words,
     error_words,
 )
-from calrig.instruments.stages.lines import plain
+from calrig.instruments.stages.lines import plain, unanswered
 from calrig.instruments.types import StageIdentity, StageStatus
 
 WAKE_TIMEOUT_S = 3.0  # a boot loader listens for two before GRBL does
@@ -61,7 +61,7 @@ class Grbl:
     @classmethod
     def open(cls, url: str, *, axis: int = 1, baudrate: int | None = None) -> Self:
         """Opens the port (PortError); asks nothing yet."""
-        return cls(open_port(url, baudrate=baudrate or DEVICE.baudrate, timeout_s=0.02), axis)
+        return cls(open_port(url, baudrate=baudrate or BAUDRATE, timeout_s=0.02), axis)
 
     def identify(self) -> StageIdentity:
         """Waits for it to wake, and reads its settings (StageError if it does not answer, or is busy).
@@ -207,11 +207,7 @@ class Grbl:
         report = self._wire.look() if self._settings else self._wake()
         if report is None:
             self._settings = {}  # they are read again when it answers again
-            counted = ", ".join(f"{count} {kind}" for kind, count in self.faults.items())
-            raise StageError(
-                f"{self._name} does not answer ? (faults so far: {counted or 'nothing'}): "
-                "check power, cable and baud rate"
-            )
+            raise StageError(unanswered(self._name, "?", self.faults, "power, cable and baud rate"))
         self._heed()
         self._count.hear_offset(report)
         if not self._settings and report.state in ("Idle", "Alarm") and not self._homing:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+BAUDRATE = 115200
+
 _NUMBERS = r"-?\d+\.\d+(?:,-?\d+\.\d+){0,5}"
 _REPORT = re.compile(
     r"<(Idle|Run|Hold|Jog|Alarm|Door|Check|Home|Sleep)(?::(\d))?"

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from calrig.instruments.device import Identity, Probe, StageDevice
+from calrig.instruments.stages.smc100.words import BAUDRATE
 
 if TYPE_CHECKING:
     from calrig.instruments.stages.smc100.driver import Smc100
@@ -33,11 +34,11 @@ def _identity(lines: Sequence[str]) -> Identity:
 DEVICE = StageDevice(
     driver="smc100",
     title="Newport SMC100",
-    baudrate=57600,
+    baudrate=BAUDRATE,
     opens=_open,
     probes=(
         Probe(
-            57600,
+            BAUDRATE,
             0.5,
             b"1SL?\r\n1SL?\r\n",
             harmless="asks for its lower limit, the second time with nothing before it; others know no SL",

@@ -13,10 +13,9 @@ from typing import Self
 from calrig.instruments import readback
 from calrig.instruments.errors import StageError
 from calrig.instruments.ports import Port, open_port
-from calrig.instruments.stages.lines import plain
-from calrig.instruments.stages.smc100 import DEVICE
+from calrig.instruments.stages.lines import plain, unanswered
 from calrig.instruments.stages.smc100.wire import TEXT_FORM, Smc100Wire
-from calrig.instruments.stages.smc100.words import ERROR_BITS, ERRORS, STATES
+from calrig.instruments.stages.smc100.words import BAUDRATE, ERROR_BITS, ERRORS, STATES
 from calrig.instruments.types import StageIdentity, StageStatus
 
 FEW_ATTEMPTS = 2
@@ -47,7 +46,7 @@ class Smc100:
     @classmethod
     def open(cls, url: str, *, axis: int = 1, baudrate: int | None = None) -> Self:
         """Opens the port (PortError); asks nothing yet."""
-        return cls(open_port(url, baudrate=baudrate or DEVICE.baudrate, timeout_s=0.02), axis)
+        return cls(open_port(url, baudrate=baudrate or BAUDRATE, timeout_s=0.02), axis)
 
     def identify(self) -> StageIdentity:
         """Asks who it is and what it allows, and switches the motor on if it is off (which moves nothing).
@@ -178,9 +177,6 @@ class Smc100:
     def _must(self, query: str, form: re.Pattern[str]) -> re.Match[str]:
         reply = self._wire.ask(query, form)
         if reply is None:
-            counted = ", ".join(f"{count} {kind}" for kind, count in self.faults.items())
-            raise StageError(
-                f"{self._name} does not answer {query} (faults so far: {counted or 'nothing'}): "
-                "check power, cable, address and baud rate"
-            )
+            check = "power, cable, address and baud rate"
+            raise StageError(unanswered(self._name, query, self.faults, check))
         return reply

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+BAUDRATE = 57600
+
 STATES = {
     "0A": ("not_referenced", "NOT REFERENCED from reset"),
     "0B": ("not_referenced", "NOT REFERENCED from HOMING"),

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from calrig.instruments.device import Identity, Probe, StageDevice
+from calrig.instruments.stages.zaber.words import BAUDRATE
 
 if TYPE_CHECKING:
     from calrig.instruments.stages.zaber.driver import Zaber
@@ -38,11 +39,11 @@ def _identity(lines: Sequence[str]) -> Identity:
 DEVICE = StageDevice(
     driver="zaber",
     title="Zaber rotary stages, through the maker's library: `pip install 'calrig[zaber]'`",
-    baudrate=115200,
+    baudrate=BAUDRATE,
     opens=_open,
     probes=(
         Probe(
-            115200,
+            BAUDRATE,
             0.3,
             b"ID\n/\n",
             harmless="asks every device whether it is there, after a line that ends what was half sent; "

@@ -18,9 +18,8 @@ from typing import Any, Self
 from calrig.instruments import readback
 from calrig.instruments.errors import Halted, InstrumentError, PortError, StageError
 from calrig.instruments.ports import Port, open_port
-from calrig.instruments.stages.lines import LineWire
-from calrig.instruments.stages.zaber import DEVICE
-from calrig.instruments.stages.zaber.words import UNREFERENCED, flag_words
+from calrig.instruments.stages.lines import LineWire, unanswered
+from calrig.instruments.stages.zaber.words import BAUDRATE, UNREFERENCED, flag_words
 from calrig.instruments.types import StageIdentity, StageStatus
 
 REPLY_TIMEOUT_S = 0.5
@@ -71,7 +70,7 @@ class Zaber:
             InstrumentError: the maker's library is not installed; says how to.
         """
         _library()
-        return cls(open_port(url, baudrate=baudrate or DEVICE.baudrate, timeout_s=0.02), axis)
+        return cls(open_port(url, baudrate=baudrate or BAUDRATE, timeout_s=0.02), axis)
 
     def identify(self) -> StageIdentity:
         """Asks who it is and what it allows, and clears flags of long ago.
@@ -200,11 +199,8 @@ class Zaber:
             raise StageError(f"{self._name} {refusal}")
         if motion:
             self._lines.refuse_if_halted(command, self._name)
-        counted = ", ".join(f"{count} {kind}" for kind, count in self.faults.items())
-        raise NoAnswer(
-            f"{self._name} does not answer {command or 'at all'} (faults so far: {counted or 'nothing'}): "
-            "check power, cable, address and baud rate"
-        )
+        check = "power, cable, address and baud rate"
+        raise NoAnswer(unanswered(self._name, command or "at all", self.faults, check))
 
     def _speak(self) -> None:
         """From the library to the port, until the connection is closed."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+BAUDRATE = 115200
+
 UNREFERENCED = ("WR", "WH")
 FLAGS = {
     "FF": "critical system error",
