@@ -1,4 +1,4 @@
-"""The Kalman filter at uniform dt: transient gains, the steady-state gain, and the linear filter of that gain.
+"""The Kalman filter at uniform dt: transient gains, the steady-state gain, and the linear filter it becomes.
 
 They depend on the noise assumed and on dt, not on the data: firmware that cannot run the covariance's
 recursion may take the transient gains from a table, and go on with the steady-state gain after the last.
