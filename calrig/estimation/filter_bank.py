@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from calrig.estimation.angles import FloatArray
+from calrig.estimation.gains import filter_uniform
 from calrig.estimation.kalman import KalmanFilter, KalmanNoise
 from calrig.estimation.smoothers import (
     MOVING_AVERAGE_WINDOW,
@@ -17,7 +18,6 @@ from calrig.estimation.smoothers import (
     moving_average,
     savitzky_golay,
 )
-from calrig.estimation.steady import filter_uniform
 from calrig.estimation.tuning import midpoint_rate_dps
 
 EVEN = 0.01
@@ -27,7 +27,7 @@ NOT_TUNED = "the noise of this unit's gyro and elevation is not known, from whic
 
 Smoother = Callable[[FloatArray], FloatArray]
 Run = Callable[[FloatArray, FloatArray, FloatArray | None], FloatArray]
-"""Time, elevation and rate (or None) of one unbroken stretch to the filtered angle."""
+"""Time, elevation and rate (or None) of one segment without a gap to the filtered angle."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class Filter:
             `_centred` at the end where it looks ahead.
         label: for people.
         causal: whether a controller can run it.
-        run: what it does to a stretch; None where it cannot be run on this log.
+        run: what it does to a segment; None where it cannot be run on this log.
         reason: why not.
     """
 
@@ -110,7 +110,7 @@ def _kalman(
 def kalman_filtered(
     time_s: FloatArray, elevation_deg: FloatArray, rate_dps: FloatArray, noise: KalmanNoise
 ) -> FloatArray:
-    """The filtered angle of one stretch, by the fast path where its intervals are `EVEN`."""
+    """The filtered angle of one segment, by the fast path where its intervals are `EVEN`."""
     steps = np.diff(time_s)
     if len(steps) and np.ptp(steps) <= EVEN * steps.mean():
         return filter_uniform(elevation_deg, rate_dps, float(steps.mean()), noise)

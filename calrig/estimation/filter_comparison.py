@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from calrig.estimation.angles import FloatArray
 from calrig.estimation.filter_bank import Filter, Run, filter_bank
+from calrig.estimation.intervals import SETTLE_S, Intervals, find_intervals, segments_of
 from calrig.estimation.jitter import Jitter, jitter
 from calrig.estimation.kalman import KalmanNoise
-from calrig.estimation.stretches import SETTLE_S, Activity, activity, unbroken
-from calrig.estimation.transient import MoveReference, Transient, move_reference, transient
+from calrig.estimation.transient_response import MoveReference, Transient, move_reference, transient
 
 NO_REST = (
     f"it does not stand long enough (over {SETTLE_S:g} s) or is not sampled fast enough (30 Hz) for jitter"
@@ -64,16 +64,16 @@ class FilterComparison:
         rows: one a filter, `raw` first.
         reference: what the moves are compared with, in words; empty without a move.
         moves: the moves and where the sensor was in them; their `judged` are indices into `time_s`.
-        still: the stretches at rest in which jitter is taken, likewise.
+        static: the intervals at rest in which jitter is taken, likewise.
         dropped: samples left out because something in them is not finite.
         time_s: (n,) of the samples left.
-        filtered_deg: by name, (n,) each, continuous within a stretch; NaN where a filter has no value.
+        filtered_deg: by name, (n,) each, continuous within a segment; NaN where a filter has no value.
     """
 
     rows: tuple[FilterRow, ...]
     reference: str
     moves: tuple[MoveReference, ...]
-    still: tuple[slice, ...]
+    static: tuple[slice, ...]
     dropped: int
     time_s: FloatArray
     filtered_deg: dict[str, FloatArray]
@@ -81,13 +81,13 @@ class FilterComparison:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Log:
-    """Finite samples, the elevation unwrapped within every stretch between gaps."""
+    """Finite samples, the elevation unwrapped within every segment between gaps."""
 
     time_s: FloatArray
     elevation_deg: FloatArray
     rate_dps: FloatArray | None
     true_deg: FloatArray | None
-    stretches: list[slice]
+    segments: list[slice]
 
 
 def compare_filters(
@@ -101,7 +101,7 @@ def compare_filters(
 ) -> FilterComparison:
     """Runs every filter over a log and measures each on the same samples.
 
-    Every stretch between gaps is filtered by itself, and counts from `SETTLE_S` after its beginning. Jitter
+    Every segment between gaps is filtered by itself, and counts from `SETTLE_S` after its beginning. Jitter
     is taken where the sensor stands, lag and offset where it is turned, against `move_reference`.
 
     Args:
@@ -116,12 +116,12 @@ def compare_filters(
         ValueError: shapes that differ, time that does not go forward, no finite sample.
     """
     log, dropped = _finite(time_s, elevation_deg, rate_dps, true_deg)
-    seen = [activity(log.time_s, log.elevation_deg, log.rate_dps, stretch) for stretch in log.stretches]
-    still = tuple(one for happens in seen for one in happens.still)
+    seen = [find_intervals(log.time_s, log.elevation_deg, log.rate_dps, segment) for segment in log.segments]
+    static = tuple(one for intervals in seen for one in intervals.static)
     moves = tuple(
         move
-        for stretch, happens in zip(log.stretches, seen, strict=True)
-        for move in _references(log, stretch, happens)
+        for segment, intervals in zip(log.segments, seen, strict=True)
+        for move in _references(log, segment, intervals)
     )
     rows, filtered = [], {}
     for one in filter_bank(with_gyro=log.rate_dps is not None, tuned=tuned, gyro_scale=gyro_scale):
@@ -129,12 +129,12 @@ def compare_filters(
             rows.append(FilterRow(one.name, one.label, one.causal, reasons=(one.reason,)))
             continue
         filtered[one.name] = angle = _filtered(one.run, log)
-        rows.append(_row(one, log.time_s, angle, still, moves))
+        rows.append(_row(one, log.time_s, angle, static, moves))
     return FilterComparison(
         rows=tuple(rows),
         reference=_reference_words(log) if moves else "",
         moves=moves,
-        still=still,
+        static=static,
         dropped=dropped,
         time_s=log.time_s,
         filtered_deg=filtered,
@@ -166,22 +166,22 @@ def _finite(
             f"time must go forward: {time[back[0]]:g} s is followed by {time[back[0] + 1]:g} s. Bring the "
             "log to even time first"
         )
-    stretches = unbroken(time)
-    for stretch in stretches:
-        elevation[stretch] = np.unwrap(elevation[stretch], period=360.0)
+    segments = segments_of(time)
+    for segment in segments:
+        elevation[segment] = np.unwrap(elevation[segment], period=360.0)
     rate = None if rate is None else rate[kept]
     true = None if true is None else true[kept]
-    return _Log(time, elevation, rate, true, stretches), int(np.count_nonzero(~kept))
+    return _Log(time, elevation, rate, true, segments), int(np.count_nonzero(~kept))
 
 
-def _references(log: _Log, stretch: slice, happens: Activity) -> list[MoveReference]:
-    """The references of a stretch's moves that begin late enough for the filters to have settled."""
-    begins = [stretch.start, *(one.stop for one in happens.disturbed)]
-    ends = [*(one.start for one in happens.disturbed), stretch.stop]
+def _references(log: _Log, segment: slice, intervals: Intervals) -> list[MoveReference]:
+    """The references of a segment's moves that begin late enough for the filters to have settled."""
+    begins = [segment.start, *(one.stop for one in intervals.dynamic)]
+    ends = [*(one.start for one in intervals.dynamic), segment.stop]
     references = []
-    for index, disturbed in enumerate(happens.disturbed):
-        settled = log.time_s[disturbed.start] >= log.time_s[stretch.start] + SETTLE_S
-        if not (settled and disturbed in happens.moves):
+    for index, disturbed in enumerate(intervals.dynamic):
+        settled = log.time_s[disturbed.start] >= log.time_s[segment.start] + SETTLE_S
+        if not (settled and disturbed in intervals.moves):
             continue
         room = slice(begins[index], ends[index + 1])
         move = move_reference(log.time_s, log.elevation_deg, log.rate_dps, disturbed, room)
@@ -196,7 +196,7 @@ def _references(log: _Log, stretch: slice, happens: Activity) -> list[MoveRefere
 def _filtered(run: Run, log: _Log) -> FloatArray:
     rate = log.rate_dps
     return np.concatenate(
-        [run(log.time_s[s], log.elevation_deg[s], None if rate is None else rate[s]) for s in log.stretches]
+        [run(log.time_s[s], log.elevation_deg[s], None if rate is None else rate[s]) for s in log.segments]
     )
 
 
@@ -204,10 +204,10 @@ def _row(
     one: Filter,
     time_s: FloatArray,
     angle_deg: FloatArray,
-    still: Sequence[slice],
+    static: Sequence[slice],
     moves: Sequence[MoveReference],
 ) -> FilterRow:
-    trembles, follows = jitter(time_s, angle_deg, still), transient(time_s, angle_deg, moves)
+    trembles, follows = jitter(time_s, angle_deg, static), transient(time_s, angle_deg, moves)
     reasons = (NO_REST,) * (trembles is None) + (NO_MOVE,) * (follows is None)
     return FilterRow(one.name, one.label, one.causal, trembles, follows, reasons)
 
@@ -218,3 +218,30 @@ def _reference_words(log: _Log) -> str:
     if log.rate_dps is not None:
         return "the gyro's rate integrated over each move, fitted to the accelerometer at rest around it"
     return "the accelerometer's elevation through a low-pass at 5 Hz, forward and backward"
+
+
+def tuned_against_paper(comparison: FilterComparison) -> str | None:
+    """Whether the tuned filter beats the paper's constants on jitter and on lag, and if not, what it trades.
+
+    Returns:
+        None where one of the two was not run or stood nowhere.
+    """
+    rows = {row.name: row for row in comparison.rows}
+    paper, tuned = rows["kalman_paper"], rows["kalman_tuned"]
+    if paper.jitter is None or tuned.jitter is None:
+        return None
+    calmer = tuned.jitter.std_deg < paper.jitter.std_deg
+    jitters = f"jitter ({tuned.jitter.std_deg:.2g}° against {paper.jitter.std_deg:.2g}° in 100 ms)"
+    if paper.transient is None or tuned.transient is None:
+        verb = "beats" if calmer else "does not beat"
+        return f"The tuned filter {verb} the paper's constants on {jitters}; no move shows their lag."
+    lag_ms, paper_ms = tuned.transient.lag_ms, paper.transient.lag_ms
+    prompter = abs(lag_ms) < abs(paper_ms)
+    lags = f"lag ({lag_ms:+.1f} ms against {paper_ms:+.1f} ms)"
+    if calmer and prompter:
+        return f"The tuned filter beats the paper's constants on {jitters} and on {lags} at once."
+    if not (calmer or prompter):
+        return f"The tuned filter beats the paper's constants on neither {jitters} nor {lags}."
+    gained, given = (jitters, lags) if calmer else (lags, jitters)
+    why = "; it trusts the gyro more, and with it the gyro's error of scale: calibrate that" if calmer else ""
+    return f"The tuned filter is better than the paper's constants on {gained} and worse on {given}{why}."

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calrig.estimation.angles import FloatArray
-from calrig.estimation.spectrum import MIN_SAMPLES, fit_spectrum
+from calrig.estimation.autoregressive import MIN_SAMPLES, fit_autoregression
 
 MIN_TURN_DEG = 1.0
 """Shorter moves say more about noise and backlash than about scale."""
@@ -42,7 +42,7 @@ def dwell_bias(gyro_dps: FloatArray) -> GyroBias:
     n = len(gyro_dps)
     means = [float(np.mean(axis)) if n else math.nan for axis in gyro_dps.T]
     errors = [
-        math.sqrt(float(fit_spectrum(axis).density(np.zeros(1))[0]) / n)
+        math.sqrt(float(fit_autoregression(axis).density(np.zeros(1))[0]) / n)
         if n >= MIN_SAMPLES and np.isfinite(axis).all()
         else math.nan
         for axis in gyro_dps.T

@@ -1,4 +1,4 @@
-"""Does the filter's noise fit the data? Its innovation tells, over a stretch in which the sensor stands.
+"""Does the filter's noise fit the data? Its innovation tells, over a segment in which the sensor stands.
 
 Where what the filter assumes is so, the innovations y = z − predicted are white with the variance S that the
 filter itself states: y²/S is chi-square distributed (Bar-Shalom, Li & Kirubarajan, Estimation with
@@ -19,9 +19,8 @@ from typing import Literal
 import numpy as np
 
 from calrig.estimation.angles import FloatArray, wrap_deg
+from calrig.estimation.gains import filter_uniform, gain_schedule
 from calrig.estimation.kalman import KalmanNoise
-from calrig.estimation.start import gain_schedule
-from calrig.estimation.steady import filter_uniform
 
 Verdict = Literal["consistent", "low_passed", "varies_more", "varies_less", "correlated", "too_short"]
 
@@ -94,7 +93,7 @@ class InnovationCheck:
 def innovation_check(
     elevation_deg: FloatArray, rate_dps: FloatArray, dt_s: float, noise: KalmanNoise | None = None
 ) -> InnovationCheck:
-    """Runs the filter over a still stretch and tests its innovations, per sample and over 100 ms.
+    """Runs the filter over a static interval and tests its innovations, per sample and over 100 ms.
 
     Args:
         elevation_deg: (n,) elevation of the accelerometer while nothing turns, evenly sampled.

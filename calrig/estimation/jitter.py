@@ -36,9 +36,9 @@ class Jitter:
 
 
 def jitter(
-    time_s: FloatArray, angle_deg: FloatArray, still: Sequence[slice], bin_s: float = BIN_S
+    time_s: FloatArray, angle_deg: FloatArray, static: Sequence[slice], bin_s: float = BIN_S
 ) -> Jitter | None:
-    """The jitter of an angle over the stretches in which the sensor stands.
+    """The jitter of an angle over the segments in which the sensor stands.
 
     Nirmal et al., Proc. SPIE 9912 (2016), give 0.330° before and 0.143° after fusion "per 100 ms" and no
     formula; taken here is the one for which the raw figure is the noise of a single sample. Mean and slow
@@ -47,15 +47,15 @@ def jitter(
     Args:
         time_s: (n,) increasing.
         angle_deg: (n,) continuous; samples without a value (NaN) are passed over.
-        still: stretches of the log, each cut into bins from its own beginning.
+        static: intervals of the log, each cut into bins from its own beginning.
         bin_s: length of a bin.
 
     Returns:
-        None where no bin is full: stretches too short, or fewer than `MIN_BIN_SAMPLES` samples a bin.
+        None where no bin is full: segments too short, or fewer than `MIN_BIN_SAMPLES` samples a bin.
     """
     variances, ranges, steps = [], [], []
-    for stretch in still:
-        mean, variance, extent = _bins(time_s[stretch], angle_deg[stretch], bin_s)
+    for segment in static:
+        mean, variance, extent = _bins(time_s[segment], angle_deg[segment], bin_s)
         full = np.isfinite(mean)
         variances.append(variance[full])
         ranges.append(extent[full])

@@ -7,7 +7,7 @@ accelerometer's elevation z as measurement. With dt from the board's clock:
     predict   a ← a + dt·(u − b),  P ← F·P·Fᵀ + diag(q_angle, q_bias)·dt,  F = [[1, −dt], [0, 1]]
     update    y = z − a wrapped to (−180, 180],  K = P·Hᵀ/(H·P·Hᵀ + R),  x ← x + K·y,  P ← (I − K·H)·P
 
-The gain depends on dt alone and not on the data; what follows from that is in `calrig.estimation.steady`.
+The gain depends on dt alone and not on the data; what follows from that is in `calrig.estimation.gains`.
 """
 
 from __future__ import annotations

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from calrig.estimation.angles import FloatArray, wrap_deg
+from calrig.estimation.autoregressive import MIN_SAMPLES, fit_autoregression
+from calrig.estimation.gains import SteadyStateGain, steady_state_gain
 from calrig.estimation.kalman import KalmanNoise
-from calrig.estimation.spectrum import MIN_SAMPLES, fit_spectrum
-from calrig.estimation.steady import SteadyGain, steady_gain
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,17 +93,17 @@ def reading_stderr_deg(
     if n < MIN_SAMPLES:
         return None
     if rate_dps is None:
-        return math.sqrt(float(fit_spectrum(filtered_deg).density(np.zeros(1))[0]) / n)
-    gain = steady_gain(noise or KalmanNoise(), float(np.median(np.diff(time_s))))
+        return math.sqrt(float(fit_autoregression(filtered_deg).density(np.zeros(1))[0]) / n)
+    gain = steady_state_gain(noise or KalmanNoise(), float(np.median(np.diff(time_s))))
     omega, weight = _frequencies(n, gain)
     to_elevation, to_rate = gain.response(omega)
     about_the_filter = wrap_deg(elevation_deg - filtered_deg) + filtered_deg
-    density = np.abs(to_elevation) ** 2 * fit_spectrum(about_the_filter).density(omega)
-    density += np.abs(to_rate) ** 2 * fit_spectrum(rate_dps).density(omega)
+    density = np.abs(to_elevation) ** 2 * fit_autoregression(about_the_filter).density(omega)
+    density += np.abs(to_rate) ** 2 * fit_autoregression(rate_dps).density(omega)
     return math.sqrt(float(weight @ density))
 
 
-def _frequencies(n: int, gain: SteadyGain) -> tuple[FloatArray, FloatArray]:
+def _frequencies(n: int, gain: SteadyStateGain) -> tuple[FloatArray, FloatArray]:
     """ω at the midpoints of a grid fine enough for dwell and filter, and |D|²·dω/2π, both signs of ω.
 
     The midpoint rule on N points is exact for what has died out within N samples: the dwell on either side

@@ -4,7 +4,7 @@ Nirmal et al., Proc. SPIE 9912 (2016), doi:10.1117/12.2234255, section 4: a movi
 Savitzky-Golay filters of 11 samples with orders 1, 2, 4 and 6. *Causal* is the value at the newest sample of
 the window, which is what a controller has; *centred* is that in its middle, which only a record allows.
 
-Samples are taken as evenly spaced, as firmware takes them: give one stretch without a gap at a time. Where
+Samples are taken as evenly spaced, as firmware takes them: give one segment without a gap at a time. Where
 the window is not full there is no value (NaN).
 """
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from calrig.estimation.angles import FloatArray
 from calrig.estimation.filter_comparison import FilterComparison
-from calrig.estimation.transient import MoveReference
+from calrig.estimation.transient_response import MoveReference
 from calrig.figures.parts import GREY, Figure, colour_of, layout_of, line_of
 from calrig.noise.filters import FilterStudy
 
@@ -56,9 +56,9 @@ def on_a_move(comparison: FilterComparison, names: Sequence[str]) -> Figure:
 def at_rest(comparison: FilterComparison) -> Figure:
     """The beginning of the longest rest, each filter minus its mean there, with its jitter by its name."""
     layout = layout_of("time (s)", "elevation − mean (°)")
-    if not comparison.still:
+    if not comparison.static:
         return {"data": [], "layout": layout}
-    longest = max(comparison.still, key=lambda one: one.stop - one.start)
+    longest = max(comparison.static, key=lambda one: one.stop - one.start)
     begin_s = float(comparison.time_s[longest.start])
     end = min(int(np.searchsorted(comparison.time_s, begin_s + REST_S)), longest.stop)
     names = ("moving_average", *KALMAN)

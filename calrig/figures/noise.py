@@ -10,8 +10,8 @@ import numpy as np
 
 from calrig.estimation.angles import FloatArray
 from calrig.figures.parts import PALETTE, Figure, as_text, colour_of, layout_of, line_of
+from calrig.noise.allan_theory import KINDS, variance_of
 from calrig.noise.analysis import ChannelNoise, Noise
-from calrig.noise.curve_theory import KINDS, variance_of
 
 SPECTRUM_POINTS = 600
 """Uniformly spaced in log frequency; below, where the spectrum has fewer, every one of its own."""

@@ -12,8 +12,8 @@ from calrig.noise.allan import AllanCurve, allan_curve
 from calrig.noise.coefficients import Coefficients, coefficients
 from calrig.noise.colour import Colour, colour_of
 from calrig.noise.distribution import Distribution, distribution_of
-from calrig.noise.lines import Line, find_lines
 from calrig.noise.resampling import EvenLog, even
+from calrig.noise.spectral_lines import Line, find_lines
 from calrig.noise.spectrum import Psd, PsdSlope, psd_of, psd_slope
 from calrig.noise.temperature import Temperature, temperature_of
 from calrig.noise.units import unit_of
@@ -98,7 +98,7 @@ def analyse(
     analysed: dict[str, ChannelNoise] = {}
     for done, name in enumerate(names, start=1):
         if y_and_z is not None and name == ELEVATION:
-            with_it = {**log.channels, ELEVATION: still_elevation_deg(*y_and_z)}
+            with_it = {**log.channels, ELEVATION: static_elevation_deg(*y_and_z)}
             log = replace(log, channels=with_it)
         analysed[name] = _channel(log, name)
         if progress is not None:
@@ -139,7 +139,7 @@ def _elevation_axes(log: EvenLog) -> tuple[FloatArray, FloatArray] | None:
     return None
 
 
-def still_elevation_deg(accel_y: FloatArray, accel_z: FloatArray) -> FloatArray:
+def static_elevation_deg(accel_y: FloatArray, accel_z: FloatArray) -> FloatArray:
     """(N,) elevation atan2(y, z) in degrees of a sensor that lies still, without a jump at ±180°."""
     middle_deg = float(np.degrees(np.arctan2(accel_y.mean(), accel_z.mean())))
     elevation_deg = np.arctan2(accel_y, accel_z)

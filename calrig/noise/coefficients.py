@@ -14,8 +14,8 @@ import numpy as np
 
 from calrig.estimation.angles import FloatArray
 from calrig.noise.allan import AllanCurve, IntArray
-from calrig.noise.curve_fit import RAMP, CurveData, CurveFits, fit_curve
-from calrig.noise.curve_theory import KINDS, theory_of
+from calrig.noise.allan_fit import RAMP, CurveData, CurveFits, fit_curve
+from calrig.noise.allan_theory import KINDS, theory_of
 
 TERMS = (*KINDS, "ramp")
 UNITS = ("·s", "·√s", "", "/√s", "/s")

@@ -8,9 +8,9 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from calrig.noise.allan import AllanCurve
+from calrig.noise.allan_theory import KINDS, variance_of
 from calrig.noise.coefficients import Coefficients
-from calrig.noise.curve_theory import KINDS, variance_of
-from calrig.noise.lines import Line
+from calrig.noise.spectral_lines import Line
 
 Colour: TypeAlias = Literal["white", "pink", "brown", "quantisation-limited", "lines", "mixed"]
 

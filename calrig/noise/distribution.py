@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from calrig.estimation.angles import FloatArray
-from calrig.noise.independence import independent_samples
+from calrig.noise.effective_sample_size import effective_sample_sizes
 from calrig.noise.outliers import count_outliers
 
 SIGNIFICANCE = 0.01
@@ -118,7 +118,7 @@ def _verdict(
         return None, "All values are the same."
     if step > COARSEST * std:
         return None, f"Steps of {step:.3g} are too coarse for a standard deviation of {std:.3g}."
-    third, fourth = independent_samples(centred)
+    third, fourth = effective_sample_sizes(centred)
     if fourth < FEWEST_INDEPENDENT or third < FEWEST_INDEPENDENT:
         return (
             None,

@@ -10,13 +10,11 @@ from typing import Any
 import numpy as np
 
 from calrig.estimation.angles import FloatArray
-from calrig.estimation.filter_comparison import FilterComparison, compare_filters
-from calrig.estimation.filter_verdict import tuned_against_paper
+from calrig.estimation.filter_comparison import FilterComparison, compare_filters, tuned_against_paper
+from calrig.estimation.gains import gain_schedule, samples_to_steady_state, steady_state_gain
 from calrig.estimation.innovation import InnovationCheck, innovation_check
+from calrig.estimation.intervals import find_intervals
 from calrig.estimation.kalman import KalmanNoise
-from calrig.estimation.start import gain_schedule, samples_to_steady
-from calrig.estimation.steady import steady_gain
-from calrig.estimation.stretches import activity
 from calrig.estimation.tuning import midpoint_rate_dps, tuned_noise
 from calrig.noise.allan import allan_curve
 from calrig.noise.coefficients import coefficients
@@ -59,7 +57,7 @@ def study_filters(
 ) -> FilterStudy:
     """Runs every filter over a log of a sensor that stands and is turned about its x axis.
 
-    The tuned filter's noise is that of the log's own still stretches (`tuned_noise`).
+    The tuned filter's noise is that of the log's own static intervals (`tuned_noise`).
 
     Args:
         channels: (N,) each, by name with its unit (CONTRACT section 4): `accel_y_*`, `accel_z_*` of one unit,
@@ -134,14 +132,14 @@ def _times(log: EvenLog) -> FloatArray:
 
 
 def _at_rest(log: EvenLog) -> EvenLog:
-    """The log's still stretches as its segments."""
+    """The log's static intervals as its segments."""
     times, rate = _times(log), log.channels.get(GYRO)
-    still = tuple(
-        stretch
+    static = tuple(
+        interval
         for segment in log.segments
-        for stretch in activity(times, log.channels[ELEVATION], rate, segment).still
+        for interval in find_intervals(times, log.channels[ELEVATION], rate, segment).static
     )
-    return replace(log, segments=still, start_s=tuple(float(times[one.start]) for one in still))
+    return replace(log, segments=static, start_s=tuple(float(times[one.start]) for one in static))
 
 
 def _tuned(at_rest: EvenLog, notes: list[str]) -> KalmanNoise | None:
@@ -160,7 +158,7 @@ def _tuned(at_rest: EvenLog, notes: list[str]) -> KalmanNoise | None:
 
 
 def _check(at_rest: EvenLog, tuned: KalmanNoise, gyro_scale: float) -> InnovationCheck:
-    """Of the longest still stretch."""
+    """Of the longest static interval."""
     longest = max(at_rest.segments, key=lambda one: one.stop - one.start)
     elevation, rate = (at_rest.channels[name][longest] for name in (ELEVATION, GYRO))
     return innovation_check(elevation, gyro_scale * midpoint_rate_dps(rate), 1.0 / at_rest.rate_hz, tuned)
@@ -171,16 +169,16 @@ def _tuned_document(study: FilterStudy) -> dict[str, Any] | None:
     if study.tuned is None:
         return None
     dt_s = 1.0 / study.rate_hz
-    steady = steady_gain(study.tuned, dt_s)
-    until = samples_to_steady(study.tuned, dt_s, at_most_s=LONGEST_START_S)
+    steady = steady_state_gain(study.tuned, dt_s)
+    until = samples_to_steady_state(study.tuned, dt_s, at_most_s=LONGEST_START_S)
     octaves = math.log2(until or study.rate_hz * LONGEST_START_S)
     sample = np.unique(np.rint(2.0 ** (np.arange(octaves * STARTS_AN_OCTAVE) / STARTS_AN_OCTAVE))).astype(int)
     k_angle, k_bias = (gain[sample - 1] for gain in gain_schedule(study.tuned, dt_s, int(sample[-1])))
     return {
         **asdict(study.tuned),
-        "steady_gain": {"angle": steady.k_angle, "bias_per_s": steady.k_bias},
+        "steady_state_gain": {"angle": steady.k_angle, "bias_per_s": steady.k_bias},
         "start_gain": {"sample": sample.tolist(), "angle": k_angle.tolist(), "bias_per_s": k_bias.tolist()},
-        "samples_to_steady": until,
+        "samples_to_steady_state": until,
         "innovation": None if study.check is None else asdict(study.check),
     }
 
@@ -194,7 +192,7 @@ def _sentences(study: FilterStudy) -> Iterator[str]:
     for reason in reasons:
         yield f"{reason[0].upper()}{reason[1:]}."
     if study.tuned is not None:
-        steady = steady_gain(study.tuned, 1.0 / study.rate_hz)
+        steady = steady_state_gain(study.tuned, 1.0 / study.rate_hz)
         yield (
             f"Tuned from the noise at rest: Q_angle {study.tuned.q_angle:.3g} deg²/s, Q_bias "
             f"{study.tuned.q_bias:.3g} (deg/s)²/s, R {study.tuned.r_deg2:.3g} deg²; the gain settles at "

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calrig.estimation.angles import FloatArray
-from calrig.noise.gridded import Gridded
 from calrig.noise.peaks import LOWEST, candidates, excess
+from calrig.noise.periodogram import Gridded
 
 SIGNIFICANCE = 0.001
 """Corrected p-value that a line has to fall below: one log in a thousand shows one by chance."""

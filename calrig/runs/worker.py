@@ -13,7 +13,7 @@ from typing import Any
 from calrig import logs
 from calrig.analysis.errors import NotTheSame
 from calrig.analysis.results import fitted
-from calrig.estimation.spectrum import MIN_SAMPLES
+from calrig.estimation.autoregressive import MIN_SAMPLES
 from calrig.instruments.clock import WALL
 from calrig.instruments.errors import BoardError, InstrumentError, LimitError
 from calrig.instruments.ports import clock_of

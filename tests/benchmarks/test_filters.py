@@ -11,9 +11,9 @@ import filterpy.kalman
 import numpy as np
 import pytest
 
+from calrig.estimation.gains import filter_uniform
 from calrig.estimation.kalman import KalmanFilter
 from calrig.estimation.reading import reading_stderr_deg
-from calrig.estimation.steady import filter_uniform
 
 RNG = np.random.default_rng(0)
 N = 1_000_000

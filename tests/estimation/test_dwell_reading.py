@@ -9,10 +9,10 @@ import pytest
 from scipy.signal import butter, lfilter
 from scipy.stats import chi2
 
+from calrig.estimation.autoregressive import fit_autoregression
+from calrig.estimation.gains import filter_uniform
 from calrig.estimation.kalman import KalmanFilter
 from calrig.estimation.reading import dwell_reading, reading_stderr_deg
-from calrig.estimation.spectrum import fit_spectrum
-from calrig.estimation.steady import filter_uniform
 
 SETTLE_S = 5.0
 SEEDS = 250
@@ -153,14 +153,14 @@ def test_the_spectrum_of_a_known_process_is_found(phi):
     rng = np.random.default_rng(7)
     x = lfilter([1.0], [1.0, -phi], rng.normal(size=20_000))[1000:]
 
-    long_run = fit_spectrum(x).density(np.zeros(1))[0]
+    long_run = fit_autoregression(x).density(np.zeros(1))[0]
 
     assert math.sqrt(long_run) == pytest.approx(1.0 / (1.0 - phi), rel=0.08)
 
 
 def test_a_perfectly_predictable_channel_does_not_break_the_spectrum():
     square = np.tile([0.01, -0.01], 200)
-    assert fit_spectrum(square).density(np.zeros(1))[0] < 1e-6
+    assert fit_autoregression(square).density(np.zeros(1))[0] < 1e-6
 
 
 @pytest.mark.statistical

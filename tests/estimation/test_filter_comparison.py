@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from simulated_moves import RATE_HZ, WHITE_ELEVATION, WHITE_GYRO, moves_log
 
-from calrig.estimation.filter_comparison import compare_filters
-from calrig.estimation.filter_verdict import tuned_against_paper
+from calrig.estimation.filter_comparison import compare_filters, tuned_against_paper
 from calrig.estimation.tuning import tuned_noise
 
 NAMES = [

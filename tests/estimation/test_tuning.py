@@ -10,9 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
+from calrig.estimation.gains import filter_uniform, gain_schedule, samples_to_steady_state, steady_state_gain
 from calrig.estimation.kalman import KalmanFilter, KalmanNoise
-from calrig.estimation.start import gain_schedule, samples_to_steady
-from calrig.estimation.steady import filter_uniform, steady_gain
 from calrig.estimation.tuning import BIAS_HORIZON_S, midpoint_rate_dps, tuned_noise
 
 RATE_HZ, N = 200.0, 200_000
@@ -51,7 +50,7 @@ def test_the_filter_states_its_own_error(low_pass):
 
     errors = [rms_error_deg(noise, *sensor(seed, low_pass)) for seed in range(4)]
 
-    stated = math.sqrt(float(steady_gain(noise, 1.0 / RATE_HZ).covariance[0, 0]))
+    stated = math.sqrt(float(steady_state_gain(noise, 1.0 / RATE_HZ).covariance[0, 0]))
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(stated, rel=0.05)
 
 
@@ -157,9 +156,9 @@ def test_the_schedule_turns_the_filter_into_two_lines_of_firmware(q_angle, q_bia
 
 @pytest.mark.parametrize("noise", [KalmanNoise(), tuned_noise(**WHITE)])
 def test_the_start_is_over_when_both_gains_stay_within_a_hundredth(noise):
-    samples = samples_to_steady(noise, 0.005)
+    samples = samples_to_steady_state(noise, 0.005)
 
-    steady = steady_gain(noise, 0.005)
+    steady = steady_state_gain(noise, 0.005)
     gains = gain_schedule(noise, 0.005, 3 * samples)
     off = np.maximum(np.abs(gains[0] / steady.k_angle - 1.0), np.abs(gains[1] / steady.k_bias - 1.0))
     assert off[samples - 1] > 0.01
@@ -167,5 +166,5 @@ def test_the_start_is_over_when_both_gains_stay_within_a_hundredth(noise):
 
 
 def test_a_start_that_never_ends_has_no_length():
-    assert samples_to_steady(KalmanNoise(q_bias=0.0), 0.005) is None
-    assert samples_to_steady(tuned_noise(**WHITE), 0.005, at_most_s=5.0) is None
+    assert samples_to_steady_state(KalmanNoise(q_bias=0.0), 0.005) is None
+    assert samples_to_steady_state(tuned_noise(**WHITE), 0.005, at_most_s=5.0) is None

@@ -9,8 +9,8 @@ from test_coefficients import RATE_HZ, TIME_S, flicker, quantisation, ramp, rand
 from calrig.noise.allan import allan_curve
 from calrig.noise.coefficients import coefficients
 from calrig.noise.colour import colour_of
-from calrig.noise.lines import Line
 from calrig.noise.resampling import even
+from calrig.noise.spectral_lines import Line
 from calrig.noise.spectrum import psd_of, psd_slope
 
 

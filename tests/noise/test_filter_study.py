@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
+from calrig.estimation.gains import gain_schedule
 from calrig.estimation.kalman import KalmanNoise
-from calrig.estimation.start import gain_schedule
 from calrig.figures.filters import KALMAN, SMOOTHERS, at_rest, filters_figures, on_a_move
 from calrig.noise.filters import filters_document, study_filters
 from calrig.simulator.bench import Bench
@@ -62,7 +62,7 @@ def test_the_document_gives_flight_code_its_start_and_its_steady_gain(study):
     assert start["sample"][0] == 1
     assert start["angle"] == k_angle[at].tolist()
     assert start["bias_per_s"] == k_bias[at].tolist()
-    assert start["angle"][-1] == pytest.approx(tuned["steady_gain"]["angle"], rel=0.05)
+    assert start["angle"][-1] == pytest.approx(tuned["steady_state_gain"]["angle"], rel=0.05)
 
 
 def test_a_clock_that_wraps_makes_no_difference(log, study):

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from calrig.noise.analysis import analyse, still_elevation_deg
+from calrig.noise.analysis import analyse, static_elevation_deg
 from calrig.noise.report import noise_document, report
 from calrig.noise.units import bias_instability, white_density, white_random_walk
 
@@ -91,7 +91,7 @@ def test_units_are_those_of_data_sheets(words, says):
 
 def test_upside_down_the_elevation_does_not_jump():
     log = still_log(2000, down=True)
-    elevation_deg = still_elevation_deg(log["accel_y_g"], log["accel_z_g"])
+    elevation_deg = static_elevation_deg(log["accel_y_g"], log["accel_z_g"])
     assert np.ptp(elevation_deg) < 2.0
     np.testing.assert_allclose(
         np.cos(np.radians(elevation_deg)), log["accel_z_g"] / np.hypot(log["accel_y_g"], log["accel_z_g"])

@@ -1,6 +1,6 @@
-"""What short stretches of coloured noise do at low frequency: an autoregressive spectrum.
+"""What short segments of coloured noise do at low frequency: an autoregressive spectrum.
 
-A mean feels the noise at frequencies that a short stretch has hardly seen. The autocorrelation of its
+A mean feels the noise at frequencies that a short segment has hardly seen. The autocorrelation of its
 samples, cut off at some lag, is biased low there; an autoregressive model carries what the short lags say on
 to long ones (VARHAC: den Haan & Levin, NBER technical working paper 197, 1996).
 """
@@ -20,7 +20,7 @@ _MAX_ORDER = 20
 
 
 @dataclass(frozen=True, slots=True)
-class Spectrum:
+class AutoregressiveSpectrum:
     """Power spectral density σ²/|a₀ + a₁·e^(−iω) + …|², two-sided, per unit of ω/2π.
 
     Attributes:
@@ -37,7 +37,7 @@ class Spectrum:
         return np.asarray(self.variance / np.abs(transfer) ** 2, dtype=np.float64)
 
 
-def fit_spectrum(x: FloatArray) -> Spectrum:
+def fit_autoregression(x: FloatArray) -> AutoregressiveSpectrum:
     """The spectrum of the noise about the straight line through `x`.
 
     Burg's method (Burg 1975; Kay, Modern Spectral Estimation, 1988, section 7.6), which is always stable,
@@ -56,12 +56,12 @@ def fit_spectrum(x: FloatArray) -> Spectrum:
     x = x - t * (t @ x) / (t @ t)
     power = float(x @ x) / n
     if power == 0.0:
-        return Spectrum(np.ones(1), 0.0)
+        return AutoregressiveSpectrum(np.ones(1), 0.0)
     coefficients, variance = _burg(x, power, min(_MAX_ORDER, n // 4))
     independent = n * power * float(coefficients.sum()) ** 2 / variance
     independent = min(max(independent, 4.0), float(n))
     dof = n - 1 - len(coefficients)
-    return Spectrum(coefficients, variance * n / dof * independent / (independent - 2.0))
+    return AutoregressiveSpectrum(coefficients, variance * n / dof * independent / (independent - 2.0))
 
 
 def _burg(x: FloatArray, power: float, max_order: int) -> tuple[FloatArray, float]:

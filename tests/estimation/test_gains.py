@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_are
 
+from calrig.estimation.gains import filter_uniform, steady_state_gain
 from calrig.estimation.kalman import KalmanFilter, KalmanNoise
-from calrig.estimation.steady import filter_uniform, steady_gain
 
 
 def sequential(elevation_deg, rate_dps, dt_s, noise=None):
@@ -26,7 +26,7 @@ def sequential(elevation_deg, rate_dps, dt_s, noise=None):
     dt_s=st.floats(1e-3, 0.5),
 )
 def test_closed_form_gain_solves_the_riccati_equation(q_angle, q_bias, r_deg2, dt_s):
-    gain = steady_gain(KalmanNoise(q_angle, q_bias, r_deg2), dt_s)
+    gain = steady_state_gain(KalmanNoise(q_angle, q_bias, r_deg2), dt_s)
 
     transition = np.array([[1.0, -dt_s], [0.0, 1.0]])
     prior = solve_discrete_are(
@@ -39,7 +39,7 @@ def test_closed_form_gain_solves_the_riccati_equation(q_angle, q_bias, r_deg2, d
 
 def test_gain_without_bias_noise_is_that_of_a_random_walk():
     """With q_bias 0 the bias is learnt once and for all, and the angle's gain solves k²/(1 − k) = q·dt/R."""
-    gain = steady_gain(KalmanNoise(q_bias=0.0), 0.005)
+    gain = steady_state_gain(KalmanNoise(q_bias=0.0), 0.005)
 
     assert gain.k_bias == 0.0
     assert gain.k_angle**2 / (1.0 - gain.k_angle) == pytest.approx(0.001 * 0.005 / 0.03, rel=1e-12)
@@ -103,7 +103,7 @@ def test_an_interval_that_is_none_is_refused(dt_s):
 
 
 def test_frequency_response_is_what_the_running_filter_does_to_a_sine():
-    gain = steady_gain(KalmanNoise(), 0.005)
+    gain = steady_state_gain(KalmanNoise(), 0.005)
     omega = np.array([2.0 * np.pi * 0.5 * 0.005])
     n = np.arange(12_000)
     sine = np.exp(1j * omega[0] * n)

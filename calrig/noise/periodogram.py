@@ -113,7 +113,7 @@ class Gridded:
 def lay_out(x: FloatArray, rate_hz: float, segments: Sequence[slice], start_s: Sequence[float]) -> Gridded:
     """Puts a log on its grid.
 
-    Of a log with gaps that would make the grid sparse and large, the stretch with most samples is taken.
+    Of a log with gaps that would make the grid sparse and large, the segment with most samples is taken.
 
     Args:
         x: (N,) finite.
@@ -123,7 +123,7 @@ def lay_out(x: FloatArray, rate_hz: float, segments: Sequence[slice], start_s: S
     """
     lengths = np.array([part.stop - part.start for part in segments], dtype=np.int64)
     starts = np.rint((np.asarray(start_s) - start_s[0]) * rate_hz).astype(np.int64)
-    chosen = _dense_stretch(starts, lengths)
+    chosen = _dense_segment(starts, lengths)
     starts = starts[chosen] - starts[chosen][0]
     parts = tuple(slice(int(a), int(a + n)) for a, n in zip(starts, lengths[chosen], strict=True))
     count = parts[-1].stop
@@ -146,7 +146,7 @@ def lay_out(x: FloatArray, rate_hz: float, segments: Sequence[slice], start_s: S
     return Gridded(y, taper, weight, parts, next_fast_len(count, real=True), rate_hz, scale)
 
 
-def _dense_stretch(starts: IntArray, lengths: IntArray) -> slice:
+def _dense_segment(starts: IntArray, lengths: IntArray) -> slice:
     """The segments that hold most samples within a grid of bearable size; all of them, where they fit."""
     most = max(LARGEST_SPARSE, SPARSEST * int(lengths.sum()))
     ends = starts + lengths

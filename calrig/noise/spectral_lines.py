@@ -21,8 +21,8 @@ import numpy as np
 from scipy.special import gammainccinv
 
 from calrig.estimation.angles import FloatArray
-from calrig.noise.gridded import Gridded, lay_out
 from calrig.noise.peaks import LOWEST, excess, rough_background
+from calrig.noise.periodogram import Gridded, lay_out
 from calrig.noise.sinusoids import ROUNDING, SIGNIFICANCE, take_out_steady
 
 MIN_SAMPLES = 256

@@ -16,7 +16,7 @@ from itertools import combinations
 import numpy as np
 
 from calrig.estimation.angles import FloatArray
-from calrig.noise.curve_theory import KINDS, CurveTheory
+from calrig.noise.allan_theory import KINDS, CurveTheory
 
 RAMP = len(KINDS)
 """The ramp's index, after those of `KINDS`."""

@@ -13,7 +13,7 @@ _PIECE = 2**14
 _PIECES = 24
 
 
-def independent_samples(centred: FloatArray) -> tuple[float, float]:
+def effective_sample_sizes(centred: FloatArray) -> tuple[float, float]:
     """What the samples are worth for their third and fourth moment: n/Σρ(j)³ and n/Σρ(j)⁴ over all lags.
 
     Args:

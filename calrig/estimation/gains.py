@@ -1,4 +1,8 @@
-"""The Kalman filter at uniform dt: its gain converges, and from there on it is a linear filter."""
+"""The Kalman filter at uniform dt: transient gains, the steady-state gain, and the linear filter it becomes.
+
+They depend on the noise assumed and on dt, not on the data: firmware that cannot run the covariance's
+recursion may take the transient gains from a table, and go on with the steady-state gain after the last.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +18,12 @@ from calrig.estimation.kalman import KalmanFilter, KalmanNoise
 _CONVERGED = 1e-12
 """Relative; the recursion's own rounding leaves 2e-14 at 1 Hz and 1e-13 at 8 kHz."""
 _CHUNK = 512
+_SCHEDULE_CONVERGED = 1e-9
+_SCHEDULE_CHUNK = 1024
 
 
 @dataclass(frozen=True, slots=True)
-class SteadyGain:
+class SteadyStateGain:
     """What the filter becomes at one dt: y(n) = w(n) − w(n−1) − a₁·y(n−1) − a₂·y(n−2), w = Δz − dt·u.
 
     That is the recursion of `KalmanFilter` with its gain constant and the state eliminated: y the
@@ -54,7 +60,7 @@ class SteadyGain:
         return elevation, rate
 
 
-def steady_gain(noise: KalmanNoise, dt_s: float) -> SteadyGain:
+def steady_state_gain(noise: KalmanNoise, dt_s: float) -> SteadyStateGain:
     """The gain to which the filter converges at uniform dt, in closed form.
 
     Setting the covariance after an update equal to that before the next prediction, and s = √(1 − k_angle),
@@ -76,7 +82,60 @@ def steady_gain(noise: KalmanNoise, dt_s: float) -> SteadyGain:
     innovation_variance = noise.r_deg2 / (s * s)
     p01 = k_bias * noise.r_deg2
     p11 = -k_bias * k_angle * innovation_variance / dt_s
-    return SteadyGain(dt_s, k_angle, k_bias, np.array([[k_angle * noise.r_deg2, p01], [p01, p11]]))
+    return SteadyStateGain(dt_s, k_angle, k_bias, np.array([[k_angle * noise.r_deg2, p01], [p01, p11]]))
+
+
+def gain_schedule(noise: KalmanNoise, dt_s: float, n: int) -> tuple[FloatArray, FloatArray]:
+    """The gains of the first `n` samples at uniform dt: of the angle (1) and of the bias (1/s), (n,) each.
+
+    The first sample starts the filter: gains 1 and 0, P = diag(R, `INITIAL_BIAS_VARIANCE`). From there on
+    they are those of the recursion of `KalmanFilter`, and the steady ones once it has converged.
+
+    Raises:
+        ValueError: an interval not above 0.
+    """
+    steady = steady_state_gain(noise, dt_s)
+    kalman = KalmanFilter(noise)
+    gains = np.empty((n, 2))
+    for begin in range(0, n, _SCHEDULE_CHUNK):
+        end = min(begin + _SCHEDULE_CHUNK, n)
+        for index in range(begin, end):
+            kalman.update(0.0, 0.0, dt_s)
+            gains[index] = kalman.covariance[0]  # (k_angle, k_bias)·R
+        if np.allclose(kalman.covariance, steady.covariance, rtol=_SCHEDULE_CONVERGED, atol=0.0):
+            gains[end:] = steady.covariance[0]
+            break
+    gains /= noise.r_deg2
+    return gains[:, 0], gains[:, 1]
+
+
+def samples_to_steady_state(
+    noise: KalmanNoise, dt_s: float, within: float = 0.01, at_most_s: float = 600.0
+) -> int | None:
+    """After how many samples both gains are, and stay, within a share of the steady ones.
+
+    Args:
+        noise: what the filter assumes.
+        dt_s: the sampling interval.
+        within: the share.
+        at_most_s: how far to look.
+
+    Returns:
+        None where it takes longer than `at_most_s`, or for ever: with q_bias 0 the bias is learnt once and
+        for all, by a gain that goes on falling.
+    """
+    if noise.q_bias == 0.0:
+        return None
+    steady = steady_state_gain(noise, dt_s)
+    n = max(2, round(at_most_s / dt_s))
+    outside = _off_steady(gain_schedule(noise, dt_s, n), steady) > within
+    samples = n - int(np.argmax(outside[::-1]))
+    return samples if samples < n else None
+
+
+def _off_steady(gains: tuple[FloatArray, FloatArray], steady: SteadyStateGain) -> npt.NDArray[np.float64]:
+    off_angle = np.abs(gains[0] / steady.k_angle - 1.0)
+    return np.maximum(off_angle, np.abs(gains[1] / steady.k_bias - 1.0))
 
 
 def filter_uniform(
@@ -104,7 +163,7 @@ def filter_uniform(
     u = np.asarray(rate_dps, dtype=np.float64)
     if z.shape != u.shape or z.ndim != 1:
         raise ValueError(f"elevation {z.shape} and rate {u.shape} must be equally long and flat")
-    gain = steady_gain(noise, dt_s)
+    gain = steady_state_gain(noise, dt_s)
     kalman = KalmanFilter(noise)
     filtered = np.empty(len(z))
     done, chunk = 0, _CHUNK
@@ -122,7 +181,9 @@ def filter_uniform(
     return filtered
 
 
-def _filter_steady(z: FloatArray, u: FloatArray, gain: SteadyGain, kalman: KalmanFilter) -> FloatArray | None:
+def _filter_steady(
+    z: FloatArray, u: FloatArray, gain: SteadyStateGain, kalman: KalmanFilter
+) -> FloatArray | None:
     """The linear filter from the state of `kalman` on; None where an innovation reaches half a turn."""
     from scipy.signal import lfilter
 

@@ -1,4 +1,4 @@
-"""Where a log is unbroken, where the sensor stands in it and where it is turned."""
+"""Segments of a log without a gap, and the static and dynamic intervals in them."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ _MARGIN_WITHOUT_GYRO_S = 0.15
 
 
 @dataclass(frozen=True, slots=True)
-class Activity:
-    """What happens in one unbroken stretch; slices of indices into the log.
+class Intervals:
+    """Intervals of one segment without a gap; slices of indices into the log.
 
     Attributes:
-        disturbed: wherever it turns or is knocked, in order, with a margin on either side.
-        moves: those of `disturbed` after which it stands elsewhere, by `MIN_TURN_DEG` or more.
-        still: what lies between, each from `SETTLE_S` after the disturbance or the start on.
+        dynamic: wherever it turns or is knocked, in order, with a margin on either side.
+        moves: those of `dynamic` after which it stands elsewhere, by `MIN_TURN_DEG` or more.
+        static: what lies between, each from `SETTLE_S` after the disturbance or the start on.
     """
 
-    disturbed: tuple[slice, ...]
+    dynamic: tuple[slice, ...]
     moves: tuple[slice, ...]
-    still: tuple[slice, ...]
+    static: tuple[slice, ...]
 
 
-def unbroken(time_s: FloatArray) -> list[slice]:
+def segments_of(time_s: FloatArray) -> list[slice]:
     """The longest runs of samples without a gap, in order.
 
     Args:
@@ -54,10 +54,10 @@ def unbroken(time_s: FloatArray) -> list[slice]:
     return [slice(a, b) for a, b in pairwise(ends)]
 
 
-def activity(
+def find_intervals(
     time_s: FloatArray, elevation_deg: FloatArray, rate_dps: FloatArray | None, within: slice
-) -> Activity:
-    """Finds the moves in an unbroken stretch of a log that stands for most of it.
+) -> Intervals:
+    """Finds the moves in a segment without a gap of a log that stands for most of it.
 
     It turns where the rate, smoothed over 50 ms, departs from its median by `_MIN_RATE_DPS` and by six times
     its robust spread; without a gyro, the slope of the elevation over 0.1 s is the rate, and slow moves drown
@@ -67,11 +67,11 @@ def activity(
         time_s: (n,) strictly increasing.
         elevation_deg: (n,) continuous elevation of the accelerometer, finite.
         rate_dps: (n,) rate about the axis of elevation, finite; None where there is no gyro.
-        within: the stretch.
+        within: the segment.
     """
     time, elevation = time_s[within], elevation_deg[within]
     if len(time) < 2:
-        return Activity((), (), ())
+        return Intervals((), (), ())
     interval_s = float(np.median(np.diff(time)))
     rate = _slope(elevation, interval_s) if rate_dps is None else _smooth(rate_dps[within], interval_s)
     speed = np.abs(rate - np.median(rate))
@@ -79,9 +79,9 @@ def activity(
     margin_s = _MARGIN_S if rate_dps is not None else _MARGIN_WITHOUT_GYRO_S
     runs = _runs(speed > threshold, round(_JOIN_S / interval_s), round(margin_s / interval_s))
     first = within.start
-    disturbed = tuple(slice(first + a, first + b) for a, b in runs)
+    dynamic = tuple(slice(first + a, first + b) for a, b in runs)
     moves = tuple(slice(first + a, first + b) for a, b in runs if _turned(elevation, a, b, interval_s))
-    return Activity(disturbed, moves, _still(disturbed, within, round(SETTLE_S / interval_s)))
+    return Intervals(dynamic, moves, _static(dynamic, within, round(SETTLE_S / interval_s)))
 
 
 def _smooth(x: FloatArray, interval_s: float) -> FloatArray:
@@ -113,11 +113,11 @@ def _turned(elevation: FloatArray, begin: int, end: int, interval_s: float) -> b
     samples = max(1, round(0.1 / interval_s))
     before, after = elevation[max(begin - samples, 0) : begin], elevation[end : end + samples]
     if not len(before) or not len(after):
-        return False  # under way where the stretch begins or ends
+        return False  # under way where the segment begins or ends
     return bool(abs(after.mean() - before.mean()) >= MIN_TURN_DEG)
 
 
-def _still(disturbed: tuple[slice, ...], within: slice, settle: int) -> tuple[slice, ...]:
-    begins = [within.start, *(one.stop for one in disturbed)]
-    ends = [*(one.start for one in disturbed), within.stop]
+def _static(dynamic: tuple[slice, ...], within: slice, settle: int) -> tuple[slice, ...]:
+    begins = [within.start, *(one.stop for one in dynamic)]
+    ends = [*(one.start for one in dynamic), within.stop]
     return tuple(slice(a + settle, b) for a, b in zip(begins, ends, strict=True) if a + settle < b)

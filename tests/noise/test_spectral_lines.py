@@ -8,8 +8,8 @@ from scipy.signal import lfilter
 from support import DATA
 
 from calrig.export.static_csv import read_static
-from calrig.noise.lines import Line, find_lines
 from calrig.noise.resampling import even
+from calrig.noise.spectral_lines import Line, find_lines
 
 RATE_HZ, TEN_MINUTES_S = 100.0, 600.0
 N = int(RATE_HZ * TEN_MINUTES_S)

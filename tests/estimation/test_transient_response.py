@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from simulated_moves import moves_log
 
-from calrig.estimation.stretches import activity, unbroken
-from calrig.estimation.transient import MoveReference, move_reference, transient
+from calrig.estimation.intervals import find_intervals, segments_of
+from calrig.estimation.transient_response import MoveReference, move_reference, transient
 
 TARGETS_DEG = (10, 30, 28, -5)
 
@@ -18,7 +18,7 @@ def whole(log):
 
 def references(log, with_gyro=True):
     rate_dps = log.rate_dps if with_gyro else None
-    moves = activity(log.time_s, log.elevation_deg, rate_dps, whole(log)).moves
+    moves = find_intervals(log.time_s, log.elevation_deg, rate_dps, whole(log)).moves
     edges = [0, *(one.stop for one in moves)], [*(one.start for one in moves), len(log.time_s)]
     return [
         move_reference(
@@ -32,12 +32,12 @@ def references(log, with_gyro=True):
 def test_moves_of_the_stage_are_found_and_the_rest_between_them(with_gyro):
     log = moves_log(TARGETS_DEG, imu={"gyro_bias_dps": [3.0, 0, 0]})
 
-    seen = activity(log.time_s, log.elevation_deg, log.rate_dps if with_gyro else None, whole(log))
+    seen = find_intervals(log.time_s, log.elevation_deg, log.rate_dps if with_gyro else None, whole(log))
 
     found_s = np.array([(log.time_s[one.start], log.time_s[one.stop]) for one in seen.moves])
     np.testing.assert_allclose(found_s, log.moves_s, atol=0.12)
-    assert len(seen.still) == 5
-    for still in seen.still:
+    assert len(seen.static) == 5
+    for still in seen.static:
         assert np.ptp(log.true_deg[still]) < (1e-6 if with_gyro else 0.02)
 
 
@@ -45,32 +45,32 @@ def test_moves_of_the_stage_are_found_and_the_rest_between_them(with_gyro):
 def test_nothing_moves_in_a_log_at_rest(seed):
     log = moves_log((), seed=seed)
 
-    seen = activity(log.time_s, log.elevation_deg, log.rate_dps, whole(log))
+    seen = find_intervals(log.time_s, log.elevation_deg, log.rate_dps, whole(log))
 
-    assert seen.disturbed == ()
-    assert seen.still == (slice(200, len(log.time_s)),)
-    assert activity(log.time_s, log.elevation_deg, None, whole(log)).moves == ()
+    assert seen.dynamic == ()
+    assert seen.static == (slice(200, len(log.time_s)),)
+    assert find_intervals(log.time_s, log.elevation_deg, None, whole(log)).moves == ()
 
 
 def test_a_knock_is_no_move_but_no_rest_either():
     log = moves_log(())
     log.rate_dps[400:410] += 30.0
 
-    seen = activity(log.time_s, log.elevation_deg, log.rate_dps, whole(log))
+    seen = find_intervals(log.time_s, log.elevation_deg, log.rate_dps, whole(log))
 
     assert seen.moves == ()
-    (knock,) = seen.disturbed
+    (knock,) = seen.dynamic
     assert knock.start < 400
     assert knock.stop > 410
-    assert seen.still == (slice(200, knock.start), slice(knock.stop + 200, len(log.time_s)))
+    assert seen.static == (slice(200, knock.start), slice(knock.stop + 200, len(log.time_s)))
 
 
 def test_gaps_break_a_log_and_a_lost_sample_does_not():
     time_s = np.delete(np.arange(100) * 0.01, [20, 50, 51, 52])
 
-    assert unbroken(time_s) == [slice(0, 49), slice(49, 96)]
-    assert unbroken(time_s[:1]) == [slice(0, 1)]
-    assert unbroken(time_s[:0]) == []
+    assert segments_of(time_s) == [slice(0, 49), slice(49, 96)]
+    assert segments_of(time_s[:1]) == [slice(0, 1)]
+    assert segments_of(time_s[:0]) == []
 
 
 @pytest.mark.parametrize(("with_gyro", "within_deg"), [(True, 0.01), (False, 0.15)])
@@ -92,7 +92,7 @@ def test_reference_is_where_the_sensor_was_whatever_the_gyros_bias_and_scale(wit
 
 def test_without_rest_before_it_or_with_a_gyro_that_turns_otherwise_there_is_no_reference():
     log = moves_log((10,))
-    (move,) = activity(log.time_s, log.elevation_deg, log.rate_dps, whole(log)).moves
+    (move,) = find_intervals(log.time_s, log.elevation_deg, log.rate_dps, whole(log)).moves
     series = log.time_s, log.elevation_deg
 
     assert move_reference(*series, log.rate_dps, move, slice(move.start - 20, len(log.time_s))) is None

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calrig.estimation.angles import FloatArray
-from calrig.estimation.stretches import SETTLE_S
+from calrig.estimation.intervals import SETTLE_S
 
 _PIN_S = 2.0
 _MIN_PIN_S = 0.4
