@@ -34,24 +34,24 @@ def about(**fields: Any) -> Iterator[None]:
 
 
 def configure_log(named: str | None) -> None:
-    """Sends the log to standard error in the form named, else in CALRIG_LOG's, else as text.
+    """Sends the log to standard error in the format named, else in CALRIG_LOG's, else as text.
 
     Raises:
-        InputError: there is no such form.
+        InputError: there is no such format.
     """
     wanted = named or os.environ.get("CALRIG_LOG") or "text"
-    for form in FORMATS:
-        if form == wanted:
-            configure(form)
+    for known in FORMATS:
+        if known == wanted:
+            configure(known)
             return
-    raise InputError(f"--log-format or CALRIG_LOG: there is no form {wanted!r} of the log: text or json")
+    raise InputError(f"--log-format or CALRIG_LOG: there is no log format {wanted!r}: text or json")
 
 
-def configure(form: Format, stream: TextIO | None = None) -> None:
-    """Sends every log of the process to a stream, standard error where none is named, in one form."""
+def configure(format_: Format, stream: TextIO | None = None) -> None:
+    """Sends every log of the process to a stream, standard error where none is named, in one format."""
     handler = logging.StreamHandler(stream or sys.stderr)
     handler.addFilter(_note_what_it_is_about)
-    handler.setFormatter(JsonLines() if form == "json" else TextLines())
+    handler.setFormatter(JsonLines() if format_ == "json" else TextLines())
     root = logging.getLogger()
     root.handlers = [handler]
     root.setLevel(logging.WARNING)

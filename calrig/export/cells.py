@@ -18,7 +18,7 @@ _UNKNOWN = frozenset({"", "nan", "na", "n/a", "null", "none"})
 
 
 def for_spreadsheet(text: str) -> str:
-    """A text for a cell; one that a spreadsheet would reckon as a formula gets a quote before it."""
+    """A text for a cell; one that a spreadsheet would evaluate as a formula gets a quote before it."""
     return f"'{text}" if _FORMULA.match(text) else text
 
 

@@ -11,7 +11,6 @@ from calrig.estimation.angles import FloatArray
 from calrig.estimation.filter_comparison import FilterComparison
 from calrig.estimation.transient import MoveReference
 from calrig.figures.parts import GREY, Figure, colour_of, layout_of, line_of
-from calrig.figures.sheet import sheet_of
 from calrig.noise.filters import FilterStudy
 
 RAW = "raw"
@@ -23,32 +22,27 @@ REST_S = 5.0
 """Of rest, drawn of the longest."""
 
 
-def filters_sheet(title: str, study: FilterStudy) -> Figure:
-    """The figures of a comparison on one sheet."""
-    return sheet_of(title, filters_figures(study))
-
-
 def filters_figures(study: FilterStudy) -> list[list[tuple[str, Figure]]]:
     """The figures of a comparison with their captions, in rows; without a move only that of the rest."""
     comparison = study.comparison
     rows = [[("At rest", at_rest(comparison))]]
     if comparison.moves:
         moves = [
-            ("Smoothing filters on a move", on_a_move(comparison, SMOOTHERS)),
-            ("Kalman filters on a move", on_a_move(comparison, KALMAN)),
+            ("Smoothing filters during a move", on_a_move(comparison, SMOOTHERS)),
+            ("Kalman filters during a move", on_a_move(comparison, KALMAN)),
         ]
         rows.insert(0, moves)
     return rows
 
 
 def on_a_move(comparison: FilterComparison, names: Sequence[str]) -> Figure:
-    """The largest move: the accelerometer's elevation behind, where the sensor was, and the filters over it.
+    """The largest move: the accelerometer's elevation, the reference trajectory, and the filters over them.
 
     Args:
         comparison: with a move or more; without, the figure is empty.
         names: filters that are drawn, where they were run.
     """
-    layout = layout_of("time since the move began (s)", "elevation (°)")
+    layout = layout_of("time since start of move (s)", "elevation (°)")
     if not comparison.moves:
         return {"data": [], "layout": layout}
     move = max(comparison.moves, key=lambda one: float(np.ptp(one.angle_deg)))
@@ -60,8 +54,8 @@ def on_a_move(comparison: FilterComparison, names: Sequence[str]) -> Figure:
 
 
 def at_rest(comparison: FilterComparison) -> Figure:
-    """The beginning of the longest rest, each filter less its own mean there, with its jitter by its name."""
-    layout = layout_of("time (s)", "elevation less its mean (°)")
+    """The beginning of the longest rest, each filter minus its mean there, with its jitter by its name."""
+    layout = layout_of("time (s)", "elevation − mean (°)")
     if not comparison.still:
         return {"data": [], "layout": layout}
     longest = max(comparison.still, key=lambda one: one.stop - one.start)
@@ -104,7 +98,7 @@ def _traces(
 def _true(move: MoveReference, begin_s: float, end_s: float) -> dict[str, Any]:
     within = (move.time_s >= begin_s - BEFORE_S) & (move.time_s <= end_s)
     time_s, angle = move.time_s[within] - begin_s, move.angle_deg[within]
-    trace = line_of("where the sensor was", time_s.tolist(), angle.tolist(), GREY, "%{x:.3f} s: %{y:.3f}°")
+    trace = line_of("reference", time_s.tolist(), angle.tolist(), GREY, "%{x:.3f} s: %{y:.3f}°")
     trace["line"].update(dash="dash", width=2)
     return trace
 

@@ -15,7 +15,7 @@ _DATES = {"type": "date", "nticks": 4, "tickangle": 0}  # few and level: they mu
 _QUANTITIES = {
     "bias": ("bias_deg", "bias_std_deg", "bias (°)"),
     "scale": ("scale", "scale_std", "scale (1)"),
-    "rms": ("rms_calibrated_deg", None, "RMS calibrated (°)"),
+    "rms": ("rms_calibrated_deg", None, "calibrated RMS (°)"),
 }
 
 

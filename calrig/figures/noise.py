@@ -10,18 +10,12 @@ import numpy as np
 
 from calrig.estimation.angles import FloatArray
 from calrig.figures.parts import PALETTE, Figure, as_text, colour_of, layout_of, line_of
-from calrig.figures.sheet import sheet_of
 from calrig.noise.analysis import ChannelNoise, Noise
 from calrig.noise.curve_theory import KINDS, variance_of
 
 SPECTRUM_POINTS = 600
-"""Evenly spaced in log frequency; below, where the spectrum has fewer, every one of its own."""
+"""Uniformly spaced in log frequency; below, where the spectrum has fewer, every one of its own."""
 SENSORS = {"accel": "accelerometer", "gyro": "gyro", "elevation": "elevation"}
-
-
-def noise_sheet(title: str, noise: Noise) -> Figure:
-    """All figures of a unit's noise on one sheet."""
-    return sheet_of(title, noise_figures(noise))
 
 
 def noise_figures(noise: Noise) -> list[list[tuple[str, Figure]]]:
@@ -33,7 +27,7 @@ def noise_figures(noise: Noise) -> list[list[tuple[str, Figure]]]:
     groups = {words: group for words, group in groups.items() if group}
     rows = [
         [(f"Allan deviation, {words}", allan_deviation(group)) for words, group in groups.items()],
-        [(f"Spectrum, {words}", spectrum(group)) for words, group in groups.items()],
+        [(f"Power spectral density, {words}", spectrum(group)) for words, group in groups.items()],
     ]
     rows += [[("Distribution", distribution(one)) for one in group] for group in groups.values()]
     return [row for row in rows if row]
@@ -62,15 +56,13 @@ def allan_deviation(channels: Sequence[ChannelNoise]) -> Figure:
 
 
 def spectrum(channels: Sequence[ChannelNoise]) -> Figure:
-    """One-sided power spectral density, thinned evenly in log frequency, with the lines that were found.
+    """One-sided power spectral density, thinned uniformly in log frequency, with the lines that were found.
 
     Args:
         channels: of one unit.
     """
     unit = _unit(channels)
-    layout = _double_log(
-        "frequency (Hz)", f"density (({unit})²/Hz)" if "/" in unit else f"density ({unit}²/Hz)"
-    )
+    layout = _double_log("frequency (Hz)", f"PSD (({unit})²/Hz)" if "/" in unit else f"PSD ({unit}²/Hz)")
     data: list[dict[str, Any]] = []
     for k, channel in enumerate(channels):
         frequency_hz, density = _thinned(channel.psd.frequency_hz, channel.psd.density)

@@ -84,3 +84,17 @@ def test_what_is_no_transcript_is_said_to_be_none(tmp_path, text, reason):
         file.write_text(text)
     with pytest.raises(PortError, match=reason):
         open_port(f"replay://{file}", baudrate=9600, timeout_s=0.1)
+
+
+@pytest.mark.parametrize(
+    "port", ["../../evil", "/dev/ttyUSB0", "socket://h:1/..\\x", "a\n0.5 > 00", "x" * 500, "\x00"]
+)
+def test_a_transcript_lies_in_its_folder_whatever_the_port_is_called(tmp_path, port):
+    with taped(tmp_path / "record") as tapes:
+        tape = tapes.of(port)
+        tape.note(">", b"1TS\r\n")
+    (file,) = (tmp_path / "record").iterdir()
+    assert file.is_file()
+    (piece,) = read_transcript(file.read_text().splitlines())
+    assert piece.data == b"1TS\r\n"
+    assert len(read_transcript(tape.last_minute().splitlines())) == 1

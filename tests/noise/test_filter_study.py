@@ -9,7 +9,7 @@ import pytest
 
 from calrig.estimation.kalman import KalmanNoise
 from calrig.estimation.start import gain_schedule
-from calrig.figures.filters import KALMAN, SMOOTHERS, at_rest, filters_sheet, on_a_move
+from calrig.figures.filters import KALMAN, SMOOTHERS, at_rest, filters_figures, on_a_move
 from calrig.noise.filters import filters_document, study_filters
 from calrig.simulator.bench import Bench
 from calrig.simulator.config import SimulatorSettings
@@ -97,4 +97,4 @@ def test_figures_show_each_filter_over_the_accelerometer_and_where_the_sensor_wa
     true, tuned = kalman["data"][-1], kalman["data"][2]
     np.testing.assert_allclose(tuned["y"], np.interp(tuned["x"], true["x"], true["y"]), atol=0.1)
     assert all(abs(np.mean(trace["y"])) < 1e-9 for trace in at_rest(comparison)["data"])
-    json.dumps(filters_sheet("log.csv", study), allow_nan=False)
+    json.dumps(filters_figures(study), allow_nan=False)

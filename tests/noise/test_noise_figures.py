@@ -10,7 +10,8 @@ import plotly.graph_objects as go
 import pytest
 from scipy.integrate import trapezoid
 
-from calrig.figures.noise import allan_deviation, distribution, noise_sheet, spectrum
+from calrig.figures.files import sheet_of
+from calrig.figures.noise import allan_deviation, distribution, noise_figures, spectrum
 from calrig.noise.analysis import analyse
 
 
@@ -27,7 +28,7 @@ def noise():
 
 
 def test_plotly_itself_takes_every_property_and_no_number_is_nan(noise):
-    sheet = noise_sheet("log.csv", noise)
+    sheet = sheet_of("log.csv", noise_figures(noise))
     go.Figure(sheet)  # raises on any property that plotly does not know
     json.dumps(sheet, allow_nan=False)
 

@@ -6,14 +6,11 @@ import io
 import json
 import logging
 import re
-import signal
-import subprocess
 from collections.abc import Iterator
 
 import httpx
 import pytest
 from support import QUICK, ended, wait_for
-from test_cli import CALRIG, CONFIG, reason
 
 from calrig import logs
 
@@ -22,7 +19,7 @@ FORGED = "0042\n2026-01-01T00:00:00.000Z info calrig: all is well\x1b[2K\u2028\r
 
 @pytest.fixture
 def lines() -> Iterator[io.StringIO]:
-    """The log of this process, in whatever form the test configures; put back afterwards."""
+    """The log of this process, in whatever format the test configures; put back afterwards."""
     root, ours = logging.getLogger(), logging.getLogger("calrig")
     before = root.handlers, root.level, ours.level
     yield io.StringIO()
@@ -60,9 +57,9 @@ def test_json_is_one_document_a_line(lines):
     }
 
 
-@pytest.mark.parametrize("form", logs.FORMATS)
-def test_what_a_device_says_cannot_forge_a_line(lines, form):
-    logs.configure(form, lines)
+@pytest.mark.parametrize("format_", logs.FORMATS)
+def test_what_a_device_says_cannot_forge_a_line(lines, format_):
+    logs.configure(format_, lines)
     log = logging.getLogger("calrig.instruments")
     with logs.about(unit=FORGED):
         log.warning("the board says %s", FORGED)
@@ -72,7 +69,7 @@ def test_what_a_device_says_cannot_forge_a_line(lines, form):
             log.exception("it failed")
     written = lines.getvalue()
     assert not set(written) & set("\x1b\r\u2028")
-    if form == "json":
+    if format_ == "json":
         parsed = [json.loads(line) for line in written.splitlines()]
         assert [line["message"] for line in parsed] == [f"the board says {FORGED}", "it failed"]
         assert FORGED in parsed[1]["traceback"]
@@ -115,25 +112,3 @@ def test_requests_that_change_something_or_fail_are_said_and_no_token_is(client:
     ]
     assert {(r["run_id"], r["rig"], r["unit"]) for r in of_the_run} == {(begun["id"], "bench-1", "AS-1")}
     assert "sesame" not in written
-
-
-def test_serve_logs_json_on_standard_error_from_beginning_to_end(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("CALRIG_DB", str(tmp_path / "calrig.db"))
-    monkeypatch.setenv("CALRIG_LOG", "json")
-    (tmp_path / "calrig.toml").write_text(CONFIG)
-    command = [*CALRIG, "serve", "--port", "0"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        (url,) = re.findall(r"http://[^, ]+", process.stdout.readline())
-        httpx.post(
-            f"{url}/api/runs", json={"unit": "A", "plan": {"sweeps": 50}}, timeout=20
-        ).raise_for_status()
-        process.send_signal(signal.SIGTERM)
-        _, err = process.communicate(timeout=10)
-    said = [json.loads(line) for line in err.splitlines()]
-    assert [line["run_id"] for line in said if "interrupted" in line["message"]] == ["1"]
-
-
-def test_an_unknown_form_is_2(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert "there is no form 'xml'" in reason("serve", "--log-format", "xml", status=2)

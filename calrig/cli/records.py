@@ -1,4 +1,4 @@
-"""The commands that put runs into a store, take them out, or keep a copy of all of it."""
+"""`import`, `export` and `backup`: runs into a store, out of it, or a copy of all of it."""
 
 from __future__ import annotations
 
@@ -9,13 +9,9 @@ from typing import Annotated
 
 import typer
 
-from calrig.cli.analysis import Db, read_bytes
+from calrig.cli.input_files import read_bytes
+from calrig.cli.options import Db, Rig, UnitSerial
 from calrig.errors import InputError, WorkError
-
-app = typer.Typer(rich_markup_mode=None)
-
-Rig = Annotated[str | None, typer.Option(metavar="NAME", help="Rig; without it the first one configured.")]
-UnitSerial = Annotated[str, typer.Option("--unit", metavar="SERIAL", help="Serial number of the unit.")]
 
 
 class Format(StrEnum):
@@ -26,14 +22,13 @@ class Format(StrEnum):
     c_header = "c-header"
 
 
-@app.command("import")
 def import_(
     file: Annotated[Path, typer.Argument(metavar="FILE.csv", help="Poses, one row each.")],
     unit: UnitSerial,
     rig: Rig = None,
     db: Db = None,
 ) -> None:
-    """Make a run of a CSV of poses and print its id."""
+    """Import a CSV of poses as a run and print its id."""
     from calrig.analysis.amendments import Records
     from calrig.settings import store_url
     from calrig.store import Store
@@ -44,18 +39,17 @@ def import_(
     typer.echo(made.id)
 
 
-@app.command()
 def export(
     run_id: Annotated[str | None, typer.Argument(metavar="RUN_ID", help="The run to export.")] = None,
     unit: Annotated[str | None, typer.Option(metavar="SERIAL", help="The unit, by its run in force.")] = None,
-    format_: Annotated[Format, typer.Option("--format", help="The poses, or calibration.h.")] = Format.json,
+    format_: Annotated[
+        Format, typer.Option("--format", help="The calibration, or its poses (csv).")
+    ] = Format.json,
     db: Db = None,
 ) -> None:
-    """Print a calibration, as JSON or as calibration.h, or the poses it rests on."""
-    import json
-
-    from calrig.analysis.active_calibration import document_of, run_in_force
-    from calrig.export.c_header import c_header
+    """Print a calibration as JSON or as a C header, or its poses as CSV."""
+    from calrig.analysis.active_calibration import document_of, header_of, run_in_force
+    from calrig.cli.output import print_json
     from calrig.export.poses_csv import write_poses
     from calrig.settings import store_url
     from calrig.store import Store
@@ -70,17 +64,16 @@ def export(
             counted = [stored.pose for stored in store.poses(found.id, include_excluded=False)]
             sys.stdout.write(write_poses(counted))
         elif format_ is Format.c_header:
-            sys.stdout.write(c_header(document_of(store, found)))
+            sys.stdout.write(header_of(store, found))
         else:
-            typer.echo(json.dumps(document_of(store, found), indent=2, ensure_ascii=False, allow_nan=False))
+            print_json(document_of(store, found))
 
 
-@app.command()
 def backup(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="The copy to make; never overwritten.")],
     db: Db = None,
 ) -> None:
-    """Keep a copy of the whole store, also while a service writes to it; the copy is a store itself."""
+    """Copy the whole store, also while a service writes to it; the copy is a store itself."""
     from calrig.settings import store_url
     from calrig.store import back_up
 

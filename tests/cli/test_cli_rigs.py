@@ -1,14 +1,12 @@
-"""`calrig rigs --scan`, as a person uses it who wants to write a configuration."""
+"""`calrig rigs`: what is configured, and with --scan a stanza to paste into the configuration."""
 
 from __future__ import annotations
 
 import tomllib
 
+from command_line import calrig
 from serial.tools import list_ports
 from simulated_devices import plug
-from typer.testing import CliRunner
-
-from calrig.cli.main import app
 
 CONFIG = """
 [[rig]]
@@ -22,13 +20,21 @@ simulated = { preset = "demo" }
 """
 
 
+def test_what_is_configured_is_listed_with_its_ports(folder):
+    shown = calrig("rigs").stdout
+    assert "bench-1" in shown
+    assert "smc100 on /dev/ttyABSENT0" in shown
+    (folder / "calrig.toml").unlink()
+    assert "simulated" in calrig("rigs").stdout
+
+
 def test_what_answers_on_the_configured_ports_is_shown_with_a_rig_to_paste(tmp_path, monkeypatch):
     plug(monkeypatch, ttyUSB0="zaber", ttyUSB1="calrig")
     monkeypatch.setattr(list_ports, "comports", list)  # what is configured is looked at, listed or not
     monkeypatch.setenv("COLUMNS", "200")
     config = tmp_path / "calrig.toml"
     config.write_text(CONFIG)
-    done = CliRunner().invoke(app, ["rigs", "--scan", "--config", str(config)], catch_exceptions=False)
+    done = calrig("rigs", "--scan", "--config", config)
     assert "unit AS-0042" in done.stdout
     (found,) = tomllib.loads(done.stdout[done.stdout.index("[[rig]]") :])["rig"]
     assert found["name"] == "bench-2"

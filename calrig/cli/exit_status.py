@@ -1,0 +1,51 @@
+"""How a command ends: 0 done; 1 the work failed; 2 wrong usage or unreadable input; one line says why."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any, NoReturn
+
+import typer
+from typer.core import TyperGroup
+
+from calrig.errors import printable
+
+STATUS = {
+    "calrig.errors.WorkError": 1,
+    "calrig.errors.InputError": 2,
+    "calrig.plan_file.PlanFileError": 2,
+    "calrig.settings.SettingsError": 2,
+    "calrig.store.errors.StoreError": 1,
+    "calrig.analysis.errors.RunsError": 1,
+    "calrig.analysis.errors.Invalid": 2,
+    "calrig.api.address.AddressError": 1,
+    "calrig.api.access.AccessError": 2,
+}
+"""Exit status by kind of error; by name, for importing them all would take a second to say one line."""
+
+
+class Commands(TyperGroup):
+    """The commands: what a user can cause ends in one line on standard error, never in a traceback."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Carries a command out."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            _leave("interrupted", 1)
+        except Exception as error:
+            status = _exit_status(error)
+            if status is None:
+                raise
+            _leave(str(error), status)
+
+
+def _leave(reason: str, status: int) -> NoReturn:
+    typer.echo(f"calrig: {printable(' '.join(reason.split()))}", err=True)
+    sys.exit(status)
+
+
+def _exit_status(error: Exception) -> int | None:
+    """The exit status that an error a user can cause stands for; None for a defect of calrig's own."""
+    names = (f"{kind.__module__}.{kind.__name__}" for kind in type(error).__mro__)
+    return next((STATUS[name] for name in names if name in STATUS), None)

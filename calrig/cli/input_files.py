@@ -1,0 +1,68 @@
+"""Files that commands read: bounded, and refused in one line that names file, line and column."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from calrig.errors import InputError
+
+if TYPE_CHECKING:
+    from calrig.calibration.pose import Pose
+    from calrig.export.static_csv import StaticLog
+
+LARGEST_LOG = 1_500_000_000
+"""Bytes; more than a day at 200 Hz."""
+LARGEST_POSES = 50_000_000
+
+
+def names_a_file(source: str) -> bool:
+    """A run's id is a number; anything else is taken for a file, so that a wrong name is said to be one."""
+    return not source.isascii() or not source.isdigit() or Path(source).is_file()
+
+
+def read_bytes(file: Path, limit: int = LARGEST_POSES) -> bytes:
+    """The file's content, or InputError that says why not; a file that says its size is not read in vain."""
+    try:
+        with file.open("rb") as opened:
+            is_larger = os.fstat(opened.fileno()).st_size > limit
+            content = b"" if is_larger else opened.read(limit + 1)
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read ({error.strerror})") from error
+    if is_larger or len(content) > limit:
+        raise InputError(f"{file}: has more than {limit} bytes, and no more are read")
+    return content
+
+
+def read_poses_file(file: Path) -> tuple[list[Pose], list[str]]:
+    """Poses of one unit, and what is to be said of them."""
+    from calrig.export.poses_csv import CsvError, read_poses
+
+    try:
+        imported = read_poses(read_bytes(file))
+    except CsvError as error:
+        raise InputError(f"{file}: {error}") from error
+    return imported.poses, imported.warnings
+
+
+def read_log_file(
+    file: Path,
+    accel_range_g: int | None,
+    gyro_range_dps: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> StaticLog:
+    """A log of samples; `progress` is told the share that is read, 0 to 1."""
+    from calrig.export.cells import CsvError
+    from calrig.export.static_csv import read_static
+
+    try:
+        return read_static(
+            read_bytes(file, LARGEST_LOG),
+            accel_range_g=accel_range_g,
+            gyro_range_dps=gyro_range_dps,
+            progress=progress,
+        )
+    except CsvError as error:
+        raise InputError(f"{file}: {error}") from error

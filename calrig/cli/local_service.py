@@ -1,0 +1,77 @@
+"""The run service in this process, with its store and the ports of its rigs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from calrig.errors import InputError, WorkError
+
+if TYPE_CHECKING:
+    from calrig.runs.service import RunService
+    from calrig.settings import RigSettings, Settings
+
+
+@contextmanager
+def local_service(
+    url: str, command: str, rigs: Sequence[RigSettings], settings: Settings, record: Path | None
+) -> Iterator[RunService]:
+    """The run service over the store; its simulated rigs start beside, for a process takes its time.
+
+    Stages that a dead program may have left moving, of whichever rig is configured, are told to stop first.
+
+    Args:
+        url: of the store.
+        command: the command that holds the store meanwhile; whoever else wants to write is told of it.
+        rigs: those that runs may be started on.
+        settings: all that is configured.
+        record: folder that takes what passes on the wires; None keeps the last minute only.
+    """
+    with ExitStack() as stack:
+        with ThreadPoolExecutor(1) as beside:
+            starting = beside.submit(lambda: [stack.enter_context(_with_ports(rig)) for rig in rigs])
+            from calrig.runs.recovery import mark_interrupted, stop_stages
+            from calrig.runs.service import RunService
+            from calrig.store import Store
+
+            configured, troubles = {rig.name: rig for rig in settings.rig}, dict[str, str]()
+
+            def stop(rig_names: Sequence[str]) -> None:
+                troubles.update(stop_stages(rig_names, configured))
+
+            store = stack.enter_context(Store.open(url, writer=command, left_by_the_dead=stop))
+            mark_interrupted(store, troubles)
+            powered = starting.result()
+        service = RunService(store, powered, record)
+        stack.callback(service.close)
+        yield service
+
+
+@contextmanager
+def _with_ports(rig: RigSettings) -> Iterator[RigSettings]:
+    """The rig; a simulated one runs in a process of its own meanwhile, and has that one's ports."""
+    if rig.simulated is None:
+        yield rig
+        return
+    from calrig.settings import BoardSettings, StageSettings
+    from calrig.simulator.launch import LaunchError, launch
+
+    try:
+        process = launch(rig.simulated)
+    except ValueError as error:
+        raise InputError(f"rig {rig.name!r}, simulated: {error}") from error
+    except LaunchError as error:
+        raise WorkError(f"rig {rig.name!r}: {error}") from error
+    with process:
+        speaks = (rig.simulated.get("stage") or {}).get("driver", "smc100")
+        stage = rig.stage or StageSettings(driver=speaks, port="")
+        prints = (rig.simulated.get("board") or {}).get("sketch") or "calrig"
+        imu = rig.imu or BoardSettings(driver=prints.removesuffix("-fast"), port="")
+        ports = {
+            "stage": stage.model_copy(update={"port": process.stage_port}),
+            "imu": imu.model_copy(update={"port": process.imu_port}),
+        }
+        yield rig.model_copy(update=ports)

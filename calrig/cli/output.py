@@ -1,0 +1,219 @@
+"""What commands print on standard output: one JSON document for programs, tables for people."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from calrig.errors import printable
+
+if TYPE_CHECKING:
+    from calrig.instruments.scan import Found
+    from calrig.settings import RigSettings
+    from calrig.store import Run
+
+
+def print_json(document: dict[str, Any]) -> None:
+    """Prints a document; what is not known is null in it, never NaN."""
+    typer.echo(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
+
+
+def print_result(run: Run) -> None:
+    """Prints a run's result, where it has one."""
+    if run.result is not None:
+        headings = ("", "value", "u, type A (noise)", "u, type B (stage)")
+        _print_table(headings, _rows_of(run.result), title=f"run {run.id}: unit {run.unit} on {run.rig}")
+    if run.verdict is not None:
+        _print_sentences(run.verdict.says)
+
+
+def _rows_of(result: dict[str, Any]) -> Iterable[tuple[str, ...]]:
+    gyro = result["gyro"]
+    temperature = result["temperature_c"] or {"min": None, "max": None}
+    stage = result["reference"] or {"bias_std_deg": None, "scale_std": None}
+    bias = result["bias_deg"], result["bias_std_deg"], stage["bias_std_deg"]
+    scale = result["scale"], result["scale_std"], stage["scale_std"]
+    yield "bias", *(_number(value, "°") for value in bias)
+    yield "scale", *(_number(value, "", 6) for value in scale)
+    yield "RMS raw", _number(result["rms_raw_deg"], "°")
+    yield "RMS calibrated", _number(result["rms_calibrated_deg"], "°")
+    yield "noise of one reading", _number(result["noise_deg"], "°")
+    yield "poses", str(result["n_poses"])
+    lowest, highest = (_number(temperature[end], " °C", 1) for end in ("min", "max"))
+    yield "temperature", f"{lowest} to {highest}"
+    for axis, bias, std in zip("xyz", gyro["bias_dps"], gyro["bias_std_dps"], strict=True):
+        yield f"gyro bias {axis}", _number(bias, " °/s"), _number(std, " °/s")
+    yield "gyro scale", _number(gyro["scale"], "", 6), _number(gyro["scale_std"], "", 6)
+
+
+def print_rigs(rigs: Iterable[RigSettings]) -> None:
+    """Prints the rigs that are configured."""
+    rows = (
+        (
+            rig.name,
+            f"{rig.limits_deg[0]:g}° to {rig.limits_deg[1]:g}°",
+            *(
+                "simulated" if rig.simulated is not None or part is None else f"{part.driver} on {part.port}"
+                for part in (rig.stage, rig.imu)
+            ),
+        )
+        for rig in rigs
+    )
+    _print_table(("rig", "elevation", "stage", "imu"), rows, justify="left")
+
+
+def print_ports(found: Sequence[Found], stanza: str) -> None:
+    """Prints who answers on which port, and what can be pasted into the configuration."""
+    if not found:
+        _print("there is no serial port: is the USB cable plugged in?")
+        return
+    rows = (
+        tuple(
+            cell or "" for cell in (one.port, one.kind, one.driver, one.identity, one.usb_id, one.usb_serial)
+        )
+        for one in found
+    )
+    _print_table(("port", "what", "driver", "who", "USB", "serial number"), rows, justify="left")
+    if stanza:
+        _print(f"for calrig.toml:\n\n{stanza.rstrip()}")
+
+
+def print_diagnosis(found: dict[str, Any]) -> None:
+    """Prints a diagnosis: verdict, each effect with parameters and evidence, the error before and after."""
+    _print(f"{found['verdict']}: {found['final']['model']}", style="bold")
+    for effect in found["effects"]:
+        rivals = f", or {', '.join(effect['confusable_with'])}" if effect["confusable_with"] else ""
+        _print(f"\n{effect['name']}{rivals} ({effect['verdict']}; {effect['origin']})")
+        _print_parameters(effect)
+        for sentence in (*effect["evidence"], effect["remedy"]):
+            _print(f"  · {sentence}")
+    _print("")
+    rows = [
+        (name, _number(found["base"][key], "°"), _number(found["final"][key], "°"))
+        for name, key in (("fit", "fit_rms_deg"), ("held-out poses", "held_out_rms_deg"))
+    ]
+    rows.append(("noise floor", "", _number(found["noise"]["floor_deg"], "°")))
+    _print_table(("RMS", "before", "after"), rows)
+    _print_warnings(found["warnings"])
+    if found["follow_up"] is not None:
+        sigmas = f"{found['follow_up']['separation_sigma']:.1f} standard errors"
+        names = " from ".join(found["follow_up"]["separates"])
+        _print(f"a follow-up run would separate {names} by {sigmas}: POST /api/runs/ID/follow-up")
+
+
+def print_gravity(found: dict[str, Any]) -> None:
+    """Prints a calibration against gravity: what was found, and |a| less 1 g before and after."""
+    names = [effect["name"] for effect in found["effects"]]
+    _print(f"{found['verdict']}: {', '.join(['bias', 'scale', *names])}", style="bold")
+    for effect in found["effects"]:
+        _print_parameters(effect)
+    rows = (
+        (name, _number(found["base"][key], " mg", 2), _number(found["final"][key], " mg", 2))
+        for name, key in (("fit", "fit_rms_mg"), ("held-out poses", "held_out_rms_mg"))
+    )
+    _print_table((f"RMS of |a| − 1 g, {found['n_poses']} poses", "before", "after"), rows)
+    _print_warnings(found["warnings"])
+
+
+def print_noise(found: dict[str, Any]) -> None:
+    """Prints CONTRACT section 7's noise document: the paper's Table 2 for this unit, then the summary."""
+    from calrig.noise.units import bias_instability, level, white_density
+
+    rows = (
+        (
+            name,
+            _signed(channel["adf_slope"]),
+            _signed(channel["psd_slope"]),
+            _level(name, channel["std"], level),
+            _level(name, _value(channel["coefficients"]["white"]), white_density),
+            _level(name, _value(channel["coefficients"]["flicker"]), bias_instability),
+            channel["colour"] or "",
+        )
+        for name, channel in found["channels"].items()
+    )
+    headings = ("channel", "ADEV slope", "PSD slope", "std", "white noise", "flicker", "colour")
+    _print_table(headings, rows, caption="white noise alone has slopes of −0.5 and 0")
+    _print_sentences(found["summary"])
+
+
+def print_filters(found: dict[str, Any]) -> None:
+    """Prints a comparison of filters: one row each, then what it says."""
+    rows = (
+        (
+            row["label"],
+            _number(row["jitter_deg"], "°"),
+            _signed(row["lag_ms"], " ms", 1),
+            _number(row["largest_offset_deg"], "°", 3),
+            "yes" if row["causal"] else "no",
+        )
+        for row in found["filters"]
+    )
+    headings = ("filter", "jitter in 100 ms", "lag", "largest offset", "causal")
+    _print_table(headings, rows, caption="Nirmal et al. (2016): jitter 0.330° → 0.143°")
+    _print_sentences(found["summary"])
+
+
+def _print(text: str, style: str = "") -> None:
+    """Prints text as it is: no markup, no escape sequences."""
+    Console(soft_wrap=True, highlight=False).print(Text(printable(text), style))
+
+
+def _print_table(
+    headings: Iterable[str],
+    rows: Iterable[Iterable[str]],
+    *,
+    title: str | None = None,
+    caption: str | None = None,
+    justify: Any = "right",
+) -> None:
+    """Prints a table: names to the left in the first column, the others as told."""
+    table = Table(
+        title=None if title is None else Text(printable(title)),
+        title_justify="left",
+        caption=None if caption is None else Text(caption),
+        caption_justify="left",
+    )
+    for place, heading in enumerate(headings):
+        table.add_column(heading, justify=justify if place else "left", no_wrap=not place)
+    for row in rows:
+        table.add_row(*(Text(printable(cell)) for cell in row))
+    Console(soft_wrap=True, highlight=False).print(table)
+
+
+def _print_parameters(effect: dict[str, Any]) -> None:
+    for name, parameter in effect["parameters"].items():
+        if parameter is not None:
+            std = "" if parameter["std"] is None else f" ± {parameter['std']:.2g}"
+            _print(f"  {name} = {parameter['value']:.4g}{std}")
+
+
+def _print_sentences(sentences: Iterable[str]) -> None:
+    for sentence in sentences:
+        _print(f"· {sentence}")
+
+
+def _print_warnings(warnings: Iterable[str]) -> None:
+    for warning in warnings:
+        _print(f"warning: {warning}")
+
+
+def _number(value: float | None, unit: str, decimals: int = 4) -> str:
+    return "not known" if value is None else f"{value:.{decimals}f}{unit}"
+
+
+def _signed(value: float | None, unit: str = "", decimals: int = 2) -> str:
+    return "not known" if value is None else f"{value:+z.{decimals}f}{unit}".replace("-", "−")
+
+
+def _level(name: str, value: float | None, words: Callable[[str, float], str]) -> str:
+    return "not known" if value is None else words(name, value)
+
+
+def _value(coefficient: dict[str, Any] | None) -> float | None:
+    return None if coefficient is None else coefficient["value"]

@@ -1,0 +1,72 @@
+"""`serve`: the web page and the API until a signal ends them."""
+
+from __future__ import annotations
+
+from contextlib import closing, suppress
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+import calrig
+from calrig.cli.options import Config, Db, Record
+
+if TYPE_CHECKING:
+    import socket
+
+    from calrig.api.access import Access
+    from calrig.settings import Settings
+
+
+def serve(
+    host: Annotated[str, typer.Option(metavar="H", help="Address to listen on.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(metavar="N", min=0, max=65535, help="Port; 0: any free one.")] = 8000,
+    record: Record = None,
+    log_format: Annotated[
+        str | None,
+        typer.Option(metavar="text|json", help="Format of the log on standard error [CALRIG_LOG]."),
+    ] = None,
+    db: Db = None,
+    config: Config = None,
+) -> None:
+    """Serve the web page and the API, with a simulated rig when none is configured.
+
+    CALRIG_TOKEN is the token that clients have to send; without one, only this machine is served.
+    """
+    from calrig.api.access import access_here
+    from calrig.api.address import address_of, listen
+    from calrig.logs import configure_log
+    from calrig.settings import load_settings, store_url
+
+    settings = load_settings(config)
+    configure_log(log_format)
+    access = access_here(host, address_of(host, port), settings.hosts)
+    with closing(listen(host, port)) as listener:
+        _serve_on(listener, access, settings, store_url(db), record)
+
+
+def _serve_on(
+    listener: socket.socket, access: Access, settings: Settings, url: str, record: Path | None
+) -> None:
+    from calrig.api.access import TOKEN
+    from calrig.api.app import create_app
+    from calrig.api.server import Server
+    from calrig.cli.local_service import local_service
+
+    with (
+        local_service(url, "serve", settings.rig, settings, record) as service,
+        suppress(KeyboardInterrupt),
+    ):
+        if settings.keep_samples_days is not None:
+            service.store.prune_samples(datetime.now(UTC) - timedelta(days=settings.keep_samples_days))
+
+        def say_ready() -> None:
+            rigs = ", ".join(f"{r.name} (simulated)" if r.simulated else r.name for r in service.rigs())
+            host, port = listener.getsockname()[:2]
+            where = f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+            asks = "" if access.token is None else f"; it asks for the token of {TOKEN}"
+            typer.echo(f"calrig {calrig.__version__} at {where}, store {url}, rigs: {rigs}{asks}")
+
+        # On SIGINT and SIGTERM uvicorn stops in order, then raises what it was told by.
+        Server(create_app(service, access=access), say_ready).run(sockets=[listener])

@@ -1,0 +1,34 @@
+"""The command line as a person or script uses it, in this process."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from typer.testing import CliRunner, Result
+
+from calrig.cli.main import app
+
+RIG = """
+[[rig]]
+name = "bench-1"
+stage = { driver = "smc100", port = "/dev/ttyABSENT0" }
+imu = { driver = "calrig", port = "/dev/ttyABSENT1" }
+"""
+"""A rig that is not plugged in."""
+POSES = "target_deg,reading_deg\n-30,-29.5\n0,0.4\n30,30.6\n"
+
+
+def calrig(*arguments: Any, status: int = 0) -> Result:
+    """Runs a command to its end; whatever a user does, there is an exit status and never a traceback."""
+    done = CliRunner().invoke(app, [str(argument) for argument in arguments], catch_exceptions=False)
+    assert done.exit_code == status, done.output
+    return done
+
+
+def reason(*arguments: Any, status: int) -> str:
+    """The one line on standard error with which a command fails."""
+    done = calrig(*arguments, status=status)
+    assert done.stdout == ""
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("calrig: ")
+    return line

@@ -1,0 +1,27 @@
+from __future__ import annotations
+
+import logging
+
+import pytest
+from command_line import POSES, RIG
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Where commands are run: with poses, and a configuration whose rig is not plugged in."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("CALRIG_DB", str(tmp_path / "calrig.db"))
+    monkeypatch.setenv("COLUMNS", "200")
+    (tmp_path / "calrig.toml").write_text(RIG)
+    (tmp_path / "poses.csv").write_text(POSES)
+    return tmp_path
+
+
+@pytest.fixture(autouse=True)
+def log_put_back():
+    """`serve` sends the log of its whole process elsewhere."""
+    root, ours = logging.getLogger(), logging.getLogger("calrig")
+    before = root.handlers, root.level, ours.level
+    yield
+    root.handlers, root.level, ours.level = before
+    logging.captureWarnings(False)

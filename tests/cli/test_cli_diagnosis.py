@@ -1,0 +1,77 @@
+"""`calrig diagnose` and `calrig gravity`: a document for programs, the verdict first for people."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import numpy as np
+import pytest
+from command_line import calrig, reason
+
+
+@pytest.fixture
+def warming(folder):
+    """Poses of a unit whose reading drifts with temperature, which comes and goes."""
+    rng = np.random.default_rng(3)
+    target_deg = rng.permutation(np.linspace(-60.0, 60.0, 24))
+    temperature_c = 25.0 + 3.0 * np.sin(np.arange(24) / 3.0)
+    reading_deg = 0.4 + target_deg + 0.05 * (temperature_c - 25.0) + rng.normal(0.0, 0.01, 24)
+    rows = (
+        ",".join(f"{value:.5f}" for value in row)
+        for row in zip(target_deg, reading_deg, temperature_c, strict=True)
+    )
+    (folder / "warming.csv").write_text("\n".join(["target_deg,reading_deg,temperature_c", *rows]))
+    return "warming.csv"
+
+
+def test_a_file_is_diagnosed_and_a_run_made_of_it_likewise(warming):
+    of_file = json.loads(calrig("diagnose", warming, "--json").stdout)
+    assert [effect["name"] for effect in of_file["effects"]] == ["temperature_bias"]
+    calrig("import", warming, "--unit", "A")
+    of_run = json.loads(calrig("diagnose", "1", "--json").stdout)
+    assert (of_file["runs"], of_run["runs"]) == ([warming], ["1"])
+    assert of_run["effects"] == of_file["effects"]
+
+
+def test_a_person_reads_the_verdict_first(warming):
+    shown = calrig("diagnose", warming).stdout
+    assert shown.startswith("named: reading = bias + scale·θ + temperature_bias")
+    before, after = map(float, re.search(r"held-out poses │ +([\d.]+)° │ +([\d.]+)°", shown).groups())
+    assert after < 0.02 < before
+
+
+def test_gravity_finds_that_the_axes_are_not_square(folder):
+    rng = np.random.default_rng(4)
+    true_g = rng.normal(size=(30, 3))
+    true_g /= np.linalg.norm(true_g, axis=1, keepdims=True)
+    skewed = true_g + 0.02 * true_g[:, [1, 2, 0]] * [1.0, 1.0, 0.0]
+    samples_g = np.repeat(skewed, 300, axis=0) + rng.normal(0.0, 0.001, (30 * 300, 3))
+    table = np.column_stack([np.arange(len(samples_g)) / 100.0, samples_g])
+    header = "time_s,accel_x_g,accel_y_g,accel_z_g"
+    np.savetxt("log.csv", table, fmt="%.6f", delimiter=",", header=header, comments="")
+    found = json.loads(calrig("gravity", "log.csv", "--json").stdout)
+    assert [effect["name"] for effect in found["effects"]] == ["misalignment"]
+    shown = calrig("gravity", "log.csv").stdout
+    assert shown.startswith("named: bias, scale, misalignment\n  xy_mrad = ")
+    assert f"{found['final']['held_out_rms_mg']:.2f} mg" in shown
+
+
+@pytest.mark.parametrize(
+    ("command", "content", "words"),
+    [
+        ("diagnose", "target_deg,reading_deg\n0,0.1\n10,x\n", r"bad.csv: .*line 3, column reading_deg"),
+        ("diagnose", "target_deg,reading_deg\n0,0.1\n10,10.1\n", r"2 poses are too few"),
+        ("gravity", "accel_x_g,accel_y_g,accel_z_g\n0,0,one\n", r"bad.csv: .*line 2, column accel_z_g"),
+        ("gravity", "accel_x_g,accel_y_g\n0,0\n", r"bad.csv: .*accel_z"),
+        ("gravity", "accel_x_g,accel_y_g,accel_z_g\n0,0,1\n", r"bad.csv: .*"),
+    ],
+)
+def test_a_bad_file_is_one_line_and_status_2(folder, command, content, words):
+    (folder / "bad.csv").write_text(content, encoding="utf-8")
+    assert re.search(words, reason(command, "bad.csv", status=2))
+
+
+def test_files_and_runs_are_not_mixed(folder):
+    said = reason("diagnose", "poses.csv", "17", status=2)
+    assert said == "calrig: diagnose: name files or run ids, not both"

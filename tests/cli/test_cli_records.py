@@ -1,0 +1,91 @@
+"""`calrig import`, `export`, `backup`: what goes into the store comes out; a refusal touches nothing."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import pytest
+from command_line import POSES, calrig, reason
+from support import LONG, wait_for
+
+from calrig.store import Store
+
+
+def test_import_prints_the_run_id_and_export_gives_the_calibration_and_its_poses(folder):
+    imported = calrig("import", "poses.csv", "--unit", "A/1")
+    assert (imported.stdout, imported.stderr) == ("1\n", "")
+    by_run = json.loads(calrig("export", "1").stdout)
+    assert by_run == json.loads(calrig("export", "--unit", "A/1").stdout)
+    assert (by_run["schema"], by_run["unit"], by_run["run_id"]) == ("calrig.calibration/1", "A/1", "1")
+    assert "A/1" in calrig("export", "1", "--format", "c-header").stdout
+    text = calrig("export", "--unit", "A/1", "--format", "csv").stdout
+    assert text == calrig("export", "1", "--format", "csv").stdout
+    (folder / "again.csv").write_text(text)
+    calrig("import", "again.csv", "--unit", "B")
+    assert json.loads(calrig("export", "--unit", "B").stdout)["bias_deg"] == by_run["bias_deg"]
+
+
+def test_a_bad_file_is_2_with_line_and_column_and_a_missing_one_too(folder):
+    (folder / "poses.csv").write_text(POSES.replace("30.6", "thirty"))
+    said = reason("import", "poses.csv", "--unit", "A", status=2)
+    assert all(word in said for word in ("poses.csv", "line 4", "reading_deg"))
+    assert "absent.csv" in reason("import", "absent.csv", "--unit", "A", status=2)
+
+
+def test_what_there_is_not_to_export_is_1(folder):
+    calrig("import", "poses.csv", "--unit", "A")
+    assert "99" in reason("export", "99", status=1)
+    assert "nope" in reason("export", "--unit", "nope", status=1)
+    both_or_neither = "calrig: export: name either a RUN_ID or --unit SERIAL"
+    assert reason("export", status=2) == reason("export", "1", "--unit", "A", status=2) == both_or_neither
+
+
+def test_a_store_that_is_none_is_1(folder):
+    (folder / "calrig.db").write_text("this is not a database at all, and it is longer than its header")
+    assert "calrig.db" in reason("import", "poses.csv", "--unit", "A", status=1)
+    assert "elsewhere.db" in reason("export", "1", "--db", "elsewhere.db", status=1)
+    assert "calrig.db" in reason("backup", "copy.db", status=1)
+    assert list(folder.glob("copy.db*")) == []
+
+
+def test_a_backup_of_an_idle_store_is_the_store(folder):
+    calrig("import", "poses.csv", "--unit", "A")
+    assert calrig("backup", "copy.db").stdout.startswith("copy.db: 1 runs, 3 poses, ")
+    copied = calrig("export", "1", "--db", "copy.db").stdout
+    assert json.loads(copied) == json.loads(calrig("export", "1").stdout)
+
+
+def test_a_backup_in_the_middle_of_a_run_is_one_file_with_every_pose_announced_before(
+    client, store_path, tmp_path
+):
+    run_id = client.post("/api/runs", json={"unit": "AS-1", "plan": LONG}).raise_for_status().json()["id"]
+
+    def poses():
+        return client.get(f"/api/runs/{run_id}/poses").raise_for_status().json()
+
+    wait_for(lambda: len(poses()) >= 4, "four poses")
+    announced = poses()
+    said = calrig("backup", tmp_path / "copy.db", "--db", store_path).stdout
+    assert client.get(f"/api/runs/{run_id}").json()["status"] == "running", "the run goes on"
+    assert re.search(r"copy\.db: 1 runs, \d+ poses, \d+\.\d MB\n$", said)
+    assert [p.name for p in tmp_path.glob("copy.db*")] == ["copy.db"], "one self-contained file"
+    client.post(f"/api/runs/{run_id}/abort").raise_for_status()
+
+    with Store.open(f"sqlite:///{tmp_path / 'copy.db'}", writer=None) as copy:
+        kept = [stored.pose.reading_deg for stored in copy.poses(run_id)]
+    assert kept[: len(announced)] == [pose["reading_deg"] for pose in announced]
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("copy.db", "copy.db: exists and is not overwritten"),
+        (".", "is a folder"),
+        ("nowhere/copy.db", "not there"),
+    ],
+)
+def test_a_file_that_a_backup_would_spoil_or_cannot_make_is_2(folder, name, words):
+    (folder / "copy.db").write_text("precious")
+    assert words in reason("backup", name, status=2)
+    assert (folder / "copy.db").read_text() == "precious"

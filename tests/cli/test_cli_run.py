@@ -1,0 +1,58 @@
+"""`calrig run` where it cannot begin: plan, configuration, serial number, ports."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from command_line import calrig, reason
+
+
+@pytest.mark.parametrize(
+    ("plan", "words"),
+    [
+        pytest.param('{\n  "sweeps": 4,\n  "step_deg" 5\n}', "plan.json, line 3, column 14", id="no JSON"),
+        pytest.param(
+            '{\n  "sweeps": 4,\n  "stepp": 5\n}', "plan.json, line 3, column 3: stepp", id="unknown"
+        ),
+        pytest.param('{"sweeps": "many"}', "plan.json, line 1, column 2: sweeps", id="wrong value"),
+        pytest.param('{"sweeps": 9999}', "plan.json: the plan has", id="too many poses"),
+        pytest.param('{"elevations_deg": [120]}', "120", id="beyond the limits"),
+        pytest.param("[]", "plan.json", id="no object"),
+        pytest.param("[" * 100_000, "plan.json: is nested too deeply", id="too deep"),
+        pytest.param("{} " + " " * 1_000_000, "plan.json: has more than 1000000 bytes", id="too large"),
+    ],
+)
+def test_a_plan_at_fault_is_2_and_says_where(folder, plan, words):
+    (folder / "plan.json").write_text(plan)
+    assert words in reason("run", "--unit", "A", "--plan", "plan.json", status=2)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        pytest.param(["--plan", "absent.json"], "absent.json", id="no plan"),
+        pytest.param(["--rig", "bench-9"], "bench-9", id="unknown rig"),
+        pytest.param(["--config", "absent.toml"], "absent.toml", id="no configuration"),
+        pytest.param(["--unit", ""], "serial", id="empty serial"),
+    ],
+)
+def test_wrong_input_of_a_run_is_2(folder, arguments, words):
+    unit = [] if "--unit" in arguments else ["--unit", "A"]
+    assert words in reason("run", *unit, *arguments, status=2)
+
+
+def test_an_option_that_the_simulator_does_not_have_is_2_and_named(folder):
+    (folder / "calrig.toml").write_text('[[rig]]\nname = "x"\nsimulated = { presset = "demo" }')
+    said = reason("run", "--unit", "A", status=2)
+    assert "rig 'x'" in said
+    assert "presset" in said
+
+
+def test_a_failed_run_is_1_and_json_still_says_what_happened(folder):
+    done = calrig("run", "--unit", "A", "--json", status=1)
+    run = json.loads(done.stdout)
+    assert run["status"] == "failed"
+    assert "/dev/ttyABSENT0" in run["error"]
+    (line,) = done.stderr.splitlines()
+    assert line == f"calrig: run 1 failed: {run['error']}"
