@@ -60,7 +60,7 @@ def known_as(name: str, rig: SimulatedRig) -> RigSettings:
     )
 
 
-def wait_for(look: Callable[[], T | None], what: str, deadline_s: float = 20.0) -> T:
+def wait_for(look: Callable[[], T | None], what: str, deadline_s: float = 60.0) -> T:
     """Looks again and again until there is something; fails, saying what was awaited, at the deadline."""
     give_up_s = time.monotonic() + deadline_s
     while time.monotonic() < give_up_s:
@@ -70,14 +70,12 @@ def wait_for(look: Callable[[], T | None], what: str, deadline_s: float = 20.0) 
     raise AssertionError(f"no {what} within {deadline_s:g} s")
 
 
-def ended(client: httpx.Client, run_id: str, deadline_s: float = 20.0) -> dict[str, Any]:
-    """The run once it has ended."""
-
-    def look() -> dict[str, Any] | None:
-        run = client.get(f"/api/runs/{run_id}").raise_for_status().json()
-        return run if run["status"] not in {"queued", "running", "paused"} else None
-
-    return wait_for(look, f"end of run {run_id}", deadline_s)
+def ended(client: httpx.Client, run_id: str, deadline_s: float = 60.0) -> dict[str, Any]:
+    """The run once it has ended, which its event stream tells by its own end."""
+    with client.stream("GET", f"/api/runs/{run_id}/events", timeout=deadline_s) as events:
+        for _ in events.raise_for_status().iter_raw():
+            pass
+    return client.get(f"/api/runs/{run_id}").raise_for_status().json()
 
 
 POSES = "target_deg,reading_deg\n-40,-39.1\n-10,-9.3\n10,10.9\n40,40.8\n"
@@ -92,7 +90,7 @@ def imported(client: httpx.Client, unit: str, poses: str = POSES) -> dict[str, A
 
 def declared(client: httpx.Client, path: str, kind: str, n_bytes: int) -> tuple[int, str]:
     """Status and detail of the answer to a body that is said to have n_bytes and of which none is sent."""
-    with closing(HTTPConnection(client.base_url.host, client.base_url.port, timeout=20)) as connection:
+    with closing(HTTPConnection(client.base_url.host, client.base_url.port, timeout=60)) as connection:
         connection.putrequest("POST", path)
         connection.putheader("Content-Type", kind)
         connection.putheader("Content-Length", str(n_bytes))
@@ -147,10 +145,10 @@ def serving(service: Any, **options: Any) -> Iterator[httpx.Client]:
     thread = threading.Thread(target=server.run, kwargs={"sockets": [socket]}, name="server")
     thread.start()
     try:
-        assert ready.wait(10), "the server did not start"
-        with httpx.Client(base_url=url, timeout=20) as client:
+        assert ready.wait(60), "the server did not start"
+        with httpx.Client(base_url=url, timeout=60) as client:
             yield client
     finally:
         server.should_exit = True
-        thread.join(10)
+        thread.join(60)
         assert not thread.is_alive(), "the server did not stop"

@@ -13,7 +13,7 @@ from calrig.store import Store
 
 log = logging.getLogger(__name__)
 
-DIED = "the program that carried it out ended before the run did; resume takes the run up again"
+DIED = "the program that carried it out ended before the run did; the run can be resumed"
 STAGES_AT_ONCE = 8
 
 

@@ -33,7 +33,7 @@ def connected(client, *, small_window=False):
     with socket.socket() as one:
         if small_window:  # so that an answer does not vanish into the system's buffers
             one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        one.settimeout(20)
+        one.settimeout(60)
         one.connect((client.base_url.host, client.base_url.port))
         yield one
 
@@ -67,7 +67,7 @@ def dribble(one, text):
         except TimeoutError:
             continue
         finally:
-            one.settimeout(20)
+            one.settimeout(60)
 
 
 def test_a_head_that_comes_a_byte_at_a_time_is_408(hurried):
@@ -166,7 +166,7 @@ def test_beyond_the_most_connections_one_that_asks_for_nothing_makes_room(hurrie
     with ExitStack() as stack:
         idle = [stack.enter_context(connected(hurried)) for _ in range(60)]
         # Not by the shared client: its connection, idle since the last test, may be the one to make room.
-        assert httpx.get(hurried.base_url.join("/api/health"), timeout=20).status_code == 200
+        assert httpx.get(hurried.base_url.join("/api/health"), timeout=60).status_code == 200
         assert wait_for(lambda: everything(idle[0]) == b"", "end of the first one")
 
 
