@@ -1,4 +1,4 @@
-"""Rigs and services as tests use them: simulated devices behind real ports, a real store, real HTTP."""
+"""Rigs and services as tests use them: simulated devices in virtual time, a real store, real HTTP."""
 
 from __future__ import annotations
 
@@ -9,33 +9,31 @@ from typing import Any
 
 import httpx
 import pytest
-from support import FAST, QUICK, running_service, serving
+from support import QUICK, fast, known_as, running_service, serving
 
 from calrig.plan import Plan
-from calrig.settings import BoardSettings, ReferenceSettings, RigSettings, StageSettings
+from calrig.settings import RigSettings
+from calrig.simulator.rig import SimulatedRig
+from calrig.simulator.virtual_clock import VirtualClock
 
 LaunchRig = Callable[..., RigSettings]
+MOST_SPEED = 10.0
+"""Of rigs that people watch: a run that nobody waits for leaves the processor to the test."""
 
 
 @pytest.fixture(scope="session")
 def launch_rig() -> Iterator[LaunchRig]:
-    """Starts simulated rigs: `launch_rig("bench-2", stage={"fault": "garbage"})`, over the FAST options."""
-    from calrig.simulator.launch import launch
+    """Simulated rigs in virtual time: `launch_rig("bench-2", stage={"fault": "garbage"})`, over FAST.
 
-    with ExitStack() as processes:
+    Their ports (`sim://…`) are there for this process alone.
+    """
+    clock = VirtualClock(MOST_SPEED)
+    with ExitStack() as rigs:
+        rigs.callback(clock.stop)
 
         def start(name: str = "bench-1", **options: Any) -> RigSettings:
-            merged = dict(FAST)
-            for key, value in options.items():
-                merged[key] = {**merged.get(key, {}), **value} if isinstance(value, dict) else value
-            process = processes.enter_context(launch(merged))
-            return RigSettings(
-                name=name,
-                stage=StageSettings(driver="smc100", port=process.stage_port),
-                imu=BoardSettings(driver="calrig", port=process.imu_port),
-                reference=ReferenceSettings(std_deg=0.29),
-                simulated={},
-            )
+            simulated = rigs.enter_context(SimulatedRig(fast(options), clock))
+            return known_as(name, simulated).model_copy(update={"simulated": {}})
 
         yield start
 
@@ -48,7 +46,7 @@ def rig(launch_rig: LaunchRig) -> RigSettings:
 
 @pytest.fixture
 def quick_plan() -> Plan:
-    """Six poses, done in about a second on the fast rig."""
+    """Six poses, done in less than a second on the fast rig."""
     return Plan.model_validate(QUICK)
 
 

@@ -12,7 +12,9 @@ from typing import Any, TypeVar
 
 import httpx
 
-from calrig.settings import RigSettings
+from calrig.settings import BoardSettings, ReferenceSettings, RigSettings, StageSettings
+from calrig.simulator.config import SimulatorSettings
+from calrig.simulator.rig import SimulatedRig
 
 DATA = Path(os.environ.get("CALRIG_DATA", Path(__file__).parents[2] / "shared" / "data"))
 """The measured logs; tests that need them skip, saying so, where they are not."""
@@ -33,6 +35,25 @@ LONG: dict[str, Any] = {**QUICK, "sweeps": 300}
 """A plan that no test waits for the end of."""
 
 T = TypeVar("T")
+
+
+def fast(options: dict[str, Any]) -> SimulatorSettings:
+    """The simulator's options over those of `FAST`."""
+    merged: dict[str, Any] = dict(FAST)
+    for key, value in options.items():
+        merged[key] = {**merged.get(key, {}), **value} if isinstance(value, dict) else value
+    return SimulatorSettings.from_options(merged)
+
+
+def known_as(name: str, rig: SimulatedRig) -> RigSettings:
+    """The settings that a service knows a simulated rig by."""
+    options = rig.settings
+    return RigSettings(
+        name=name,
+        stage=StageSettings(driver=options.stage.driver, port=rig.stage_port),
+        imu=BoardSettings(driver=(options.board.sketch or "calrig").removesuffix("-fast"), port=rig.imu_port),
+        reference=ReferenceSettings(std_deg=0.29),
+    )
 
 
 def wait_for(look: Callable[[], T | None], what: str, deadline_s: float = 20.0) -> T:

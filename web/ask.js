@@ -1,4 +1,5 @@
 // Questions before something that stays: a reason for what is voided or excluded, a yes for what is accepted.
+// "calrig:done" tells whoever shows what was asked about that it has changed.
 
 import { errorLine, h } from "./dom.js";
 
@@ -53,6 +54,7 @@ function ask({ title, text, action, fields, kind }, act) {
       try {
         await act();
         done = true;
+        window.dispatchEvent(new Event("calrig:done"));
         dialog.close();
       } catch (problem) {
         error.say(problem);

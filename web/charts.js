@@ -7,17 +7,19 @@ const CONFIG = { responsive: true, displayModeBar: false, doubleClick: "reset" }
 const TOUCH = window.matchMedia("(pointer: coarse)");
 const DARK = window.matchMedia("(prefers-color-scheme: dark)");
 
+const SCRIPT = new URL("./vendor/plotly-partial.min.js", import.meta.url);
+
 let library;
 
-/** Plotly's own script, loaded with the first chart: most of a visit needs none of its megabytes. */
+/** Plotly's own script, asked for with the first chart, while that chart's data are still under way. */
 function plotly() {
   library ??= new Promise((resolve, reject) => {
-    const script = h("script", { src: "/vendor/plotly.min.js" });
+    const script = h("script", { src: SCRIPT.href });
     script.addEventListener("load", () => resolve(window.Plotly));
     script.addEventListener("error", () => {
       library = undefined;
       script.remove();
-      reject(new ApiError("The charts' script /vendor/plotly.min.js could not be loaded.", 0));
+      reject(new ApiError(`The charts' script ${SCRIPT.pathname} could not be loaded.`, 0));
     });
     document.head.append(script);
   });
@@ -42,7 +44,8 @@ export class Chart {
 
   async load(path) {
     try {
-      await this.draw(await get(path, this.signal));
+      const [figure] = await Promise.all([get(path, this.signal), plotly()]);
+      await this.draw(figure);
     } catch (error) {
       this.#say(error);
     }

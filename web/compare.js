@@ -10,7 +10,7 @@ const CHARTS = [
   ["residuals", "Calibrated residual of each unit's latest run"],
   ["bias", "Bias over time"],
   ["scale", "Scale over time"],
-  ["rms", "RMS calibrated over time"],
+  ["rms", "RMS error, calibrated, over time"],
 ];
 
 export async function compareView({ root, query, signal }) {
@@ -102,7 +102,7 @@ function summary({ units, spread }) {
   );
 }
 
-const FIGURES = ["Finished", "#Bias", "#Scale", "#RMS raw", "#RMS calibrated", "#Temperature"];
+const FIGURES = ["Finished", "#Bias", "#Scale", "#RMS error, raw", "#RMS error, calibrated", "#Temperature"];
 
 function figureCells(run) {
   const number = (text) => h("td", { class: "number" }, text);
@@ -120,27 +120,27 @@ function spreadOf(name, { between_units_std: between, within_unit_std: within },
   return h(
     "div",
     {},
-    h("h3", {}, `${name}: units against repeats`),
+    h("h3", {}, `${name}: spread of the units and repeatability`),
     h(
       "p",
       {},
       `Standard deviation between units ${significant(between, 2, unit)}, `,
-      `within one unit ${significant(within, 2, unit)}.`,
+      `repeatability within one unit ${significant(within, 2, unit)}.`,
     ),
     h("p", { class: "muted" }, inWords(between, within, repeats)),
   );
 }
 
 function inWords(between, within, repeats) {
-  if (!isKnown(between)) return "Two units or more are needed to tell how far units differ.";
-  if (!isKnown(within)) return "A unit needs two runs or more to tell how well it repeats.";
-  if (repeats < FEW_REPEATS) return "There are too few repeats yet to say how much of it is the units' own.";
+  if (!isKnown(between)) return "Two units or more are needed for the spread between units.";
+  if (!isKnown(within)) return "A unit needs two runs or more for its repeatability.";
+  if (repeats < FEW_REPEATS) return "There are too few repeated runs yet to compare the two.";
   if (within > 0 && between > 3 * within) {
     const times = fixed(between / within, 0);
-    return `Units differ ${times} times more than one repeats itself: each needs its own calibration.`;
+    return `The spread between units is ${times} times the repeatability: each unit needs its own calibration.`;
   }
-  if (between > within) return "Units differ somewhat more than one repeats itself.";
-  return "Units differ no more than one repeats itself.";
+  if (between > within) return "The spread between units is somewhat larger than the repeatability.";
+  return "The spread between units is no larger than the repeatability.";
 }
 
 function everyRun(units) {

@@ -1,4 +1,4 @@
-// Tracing what bias and scale leave of a run: the button, what was found, and what to do about it.
+// The diagnosis of what bias and scale leave of a run: the button, what was found, what to do about it.
 
 import { ApiError, get, post } from "./api.js";
 import { Chart } from "./charts.js";
@@ -9,14 +9,13 @@ import { followUpBox } from "./followup.js";
 import { plural, significant } from "./format.js";
 import { Together } from "./together.js";
 
-const AS_NOISE = 1.5;
-
-/** Below a run's result. `show(run)` whenever the run has changed. */
+/** Below a run's result. `show(run)` whenever the run has changed; `reread()` is called when it has here. */
 export class DiagnosisPanel {
-  constructor(path, signal) {
+  constructor(path, signal, reread) {
     this.path = path;
     this.signal = signal;
-    this.button = h("button", { id: "diagnose", type: "button", on: { click: () => this.#trace() } });
+    this.reread = reread;
+    this.button = h("button", { id: "diagnose", type: "button", on: { click: () => this.#diagnose() } });
     this.state = h("p", { id: "diagnosis-state", class: "muted", role: "status", "aria-live": "polite" });
     this.together = new Together(signal);
     this.error = errorLine("diagnosis-error");
@@ -27,7 +26,7 @@ export class DiagnosisPanel {
       h(
         "div",
         { class: "diagnosis-head" },
-        h("h2", { id: "diagnosis-title" }, "Trace the residual"),
+        h("h2", { id: "diagnosis-title" }, "Diagnosis"),
         this.button,
       ),
       this.state,
@@ -42,27 +41,29 @@ export class DiagnosisPanel {
     this.element.hidden = !run.result;
     this.together.show(run);
     this.#ready();
-    if (run.diagnosis && run.diagnosis !== this.shown) this.#draw(run.diagnosis);
+    const found = JSON.stringify(run.diagnosis);
+    if (!run.diagnosis || found === this.shown) return;
+    this.shown = found;
+    this.#draw(run.diagnosis);
   }
 
   #ready() {
-    this.button.textContent = this.run.diagnosis ? "Trace again" : "Trace the residual";
+    this.button.textContent = this.run.diagnosis ? "Diagnose again" : "Diagnose";
     this.button.classList.toggle("primary", !this.run.diagnosis);
     this.state.textContent = this.run.diagnosis
       ? outdated(this.run)
-      : "Looks for what bias and scale do not explain in a catalogue of physical effects, and measures the " +
-        "error before and after on poses that the search had not seen. Takes a few seconds.";
+      : "Searches a catalogue of physical effects for what bias and scale leave unexplained, and gives the " +
+        "error before and after on held-out poses (cross-validation). Takes a few seconds.";
   }
 
-  async #trace() {
+  async #diagnose() {
     this.error.say(null);
     this.button.disabled = true;
     this.element.setAttribute("aria-busy", "true");
-    this.state.textContent = "Tracing: the whole search, then once more for each fold of unseen poses…";
+    this.state.textContent = "Diagnosing: the search over all poses, then once for each fold of the cross-validation…";
     try {
-      const diagnosis = await post(`${this.path}/diagnosis`, { runs: [...this.together.chosen] });
-      this.run = { ...this.run, diagnosis };
-      this.#draw(diagnosis);
+      await post(`${this.path}/diagnosis`, { runs: [...this.together.chosen] });
+      await this.reread(); // its verdict has changed with it
     } catch (error) {
       if (!(error instanceof ApiError)) throw error;
       this.error.say(error);
@@ -74,11 +75,10 @@ export class DiagnosisPanel {
   }
 
   #draw(diagnosis) {
-    this.shown = diagnosis;
     this.drawn?.abort();
     this.drawn = new AbortController();
     const signal = AbortSignal.any([this.signal, this.drawn.signal]);
-    const bars = new Chart("before-after", "Error on poses not seen", { low: true, signal });
+    const bars = new Chart("before-after", "RMS error on held-out poses", { low: true, signal });
     const effects = diagnosis.effects.map((effect, k) => effectCard(effect, k, this, signal));
     fill(
       this.found,
@@ -95,27 +95,27 @@ export class DiagnosisPanel {
 
 function outdated({ diagnosis, result }) {
   return diagnosis.runs.length === 1 && diagnosis.n_poses > result.n_poses
-    ? `Poses were excluded since: this is of ${diagnosis.n_poses}, ${result.n_poses} count now. Trace again.`
+    ? `Poses were excluded since: this is of ${diagnosis.n_poses}, ${result.n_poses} count now. Diagnose again.`
     : "";
 }
 
 function summary(diagnosis, run) {
   const { base, final, noise, held_out: unseen, confirmed_by: fresh } = diagnosis;
   const rows = [
-    ["Before, bias and scale", significant(base.held_out_rms_deg, 3, "°")],
-    ["After", significant(final.held_out_rms_deg, 3, "°")],
+    ["Held-out RMS, bias and scale only", significant(base.held_out_rms_deg, 3, "°")],
+    ["Held-out RMS, with effects", significant(final.held_out_rms_deg, 3, "°")],
     ["Noise floor", significant(noise.floor_deg, 3, "°")],
   ];
   if (fresh) {
-    rows.push(["Fresh run, before", significant(fresh.before_rms_deg, 3, "°")]);
-    rows.push(["Fresh run, after", significant(fresh.after_rms_deg, 3, "°")]);
+    rows.push(["Confirmation, before", significant(fresh.before_rms_deg, 3, "°")]);
+    rows.push(["Confirmation, after", significant(fresh.after_rms_deg, 3, "°")]);
   }
   return h(
     "div",
     {},
     h("div", { class: `verdict ${grade(diagnosis)}`, "data-testid": "diagnosis-verdict" }, [
       h("p", { class: "headline" }, headline(diagnosis)),
-      h("p", {}, judged(diagnosis)),
+      h("p", { class: "judged" }, judged(diagnosis)),
       fresh && h("p", { id: "confirmed" }, confirmation(fresh, run)),
     ]),
     h(
@@ -126,9 +126,9 @@ function summary(diagnosis, run) {
     h(
       "p",
       { class: "muted" },
-      `RMS over ${plural(unseen.n_poses, "pose")} of ${diagnosis.runs.length > 1 ? "runs" : "run"} `,
-      `${diagnosis.runs.join(", ")}, each predicted once by a search and a fit that never saw it `,
-      `(${unseen.how}).`,
+      `Cross-validation over ${plural(unseen.n_poses, "pose")} of `,
+      `${diagnosis.runs.length > 1 ? "runs" : "run"} ${diagnosis.runs.join(", ")}: search and fit were repeated `,
+      `without the poses they predict (${unseen.how}).`,
     ),
     h("p", { class: "model" }, diagnosis.final.model),
   );
@@ -139,12 +139,12 @@ function confirmation({ run_id: id, before_rms_deg: before, after_rms_deg: after
   const poses = decided ? ` (${plural(decided, "pose")} decided)` : "";
   const figures = `${significant(before, 3, "°")} before and ${significant(after, 3, "°")} after`;
   return (
-    `${after < before ? "Confirmed" : "Not confirmed"} by poses of run ${id} that did not serve to ` +
-    `decide${poses}: ${figures}.`
+    `${after < before ? "Confirmed" : "Not confirmed"} on poses of run ${id} that were not used for the ` +
+    `decision${poses}: RMS ${figures}.`
   );
 }
 
-/** A name is good news only where the error on poses not seen has fallen with it. */
+/** A name is good news only where the error on held-out poses has fallen with it. */
 function grade({ verdict, base, final, confirmed_by: fresh }) {
   if (verdict === "nothing") return "unknown";
   const fell = final.held_out_rms_deg === null || final.held_out_rms_deg < base.held_out_rms_deg;
@@ -153,17 +153,17 @@ function grade({ verdict, base, final, confirmed_by: fresh }) {
 }
 
 function headline({ verdict, effects }) {
-  if (verdict === "nothing") return "Nothing found: what is left looks like noise";
+  if (verdict === "nothing") return "No effect found: the residual is consistent with noise";
   const named = titles(effects, "named");
-  if (verdict === "named") return `Traced to: ${named}`;
-  const besides = named && `. Named beside it: ${named}`;
+  if (verdict === "named") return `Identified: ${named}`;
+  const besides = named && `. Identified: ${named}`;
   const unnamed = titles(effects, "unnamed");
-  if (verdict === "unnamed") return `Found, without a name: ${unnamed}${besides}`;
-  const also = unnamed && `. Without a name: ${unnamed}`;
+  if (verdict === "unnamed") return `Not in the catalogue: ${unnamed}${besides}`;
+  const also = unnamed && `. Not in the catalogue: ${unnamed}`;
   const suspects = effects
     .filter((effect) => effect.verdict === "ambiguous")
     .map(({ name, confusable_with: others }) => [name, ...others].map(candidateWords).join(" or "));
-  return `Something is there, and these poses cannot tell what: ${suspects.join("; ")}${also}${besides}`;
+  return `Indistinguishable by these poses: ${suspects.join("; ")}${also}${besides}`;
 }
 
 function titles(effects, verdict) {
@@ -171,28 +171,22 @@ function titles(effects, verdict) {
   return chosen.map((title) => title[0].toLowerCase() + title.slice(1)).join(", ");
 }
 
-/** "After" against the noise floor, in words. */
-function judged({ base, final, noise, effects }) {
-  const [before, after, floor] = [base.held_out_rms_deg, final.held_out_rms_deg, noise.floor_deg];
-  if (after === null) return "The error on unseen poses was not measured.";
-  if (effects.length && after >= before)
-    return (
-      "The error on poses not seen has not fallen: with so few poses the search does not find the same in " +
-      "every fold."
-    );
-  const figure = effects.length ? after : before;
-  if (!floor) return "How much of what is left is noise is not known: these poses carry no standard errors.";
-  const ratio = figure / floor;
-  const times = `${significant(ratio, 2)} times a reading's own standard error`;
-  if (ratio <= AS_NOISE) return `What is left is ${times}: about what noise leaves.`;
-  return `What is left is ${times}: more than noise within the dwells, and nothing more that could be traced.`;
+/** Whether naming effects has helped, by the error on held-out poses. */
+function judged({ base, final, effects }) {
+  const [before, after] = [base.held_out_rms_deg, final.held_out_rms_deg];
+  if (after === null) return "Without cross-validation: the error on held-out poses is not known.";
+  if (!effects.length || after < before) return null;
+  return (
+    "The error on held-out poses has not decreased: with so few poses the search does not find the same " +
+    "effects in every fold."
+  );
 }
 
 function warnings(sentences) {
   return h(
     "div",
     { class: "cautions", "data-testid": "diagnosis-warnings" },
-    h("h3", {}, "To be kept in mind"),
+    h("h3", {}, "Warnings"),
     h(
       "ul",
       {},
@@ -207,7 +201,7 @@ function commonError(rig, signal) {
   const folded = h(
     "details",
     { "data-testid": "error-map-details" },
-    h("summary", {}, `What every unit on rig ${rig} has in common`),
+    h("summary", {}, `Error map of rig ${rig}`),
     body,
   );
   folded.addEventListener("toggle", () => folded.open && !body.hasChildNodes() && show(), { signal });
@@ -218,9 +212,9 @@ function commonError(rig, signal) {
     try {
       const map = await get(`${path}/error-map`, signal);
       if (!map.stage_deg.length) return fill(body, h("p", { class: "muted" }, tooFew(map.units)));
-      const title = `Common error of ${plural(map.units, "unit")}`;
+      const title = `Mean residual of ${plural(map.units, "unit")}`;
       const chart = new Chart("error-map-chart", title, { low: true, signal });
-      fill(body, chart.element, h("p", { class: "muted" }, `Mind that ${map.caveat}.`));
+      fill(body, chart.element, h("p", { class: "muted" }, `Note that ${map.caveat}.`));
       await chart.load(`${path}/figures/error-map`);
     } catch (error) {
       if (signal.aborted) return;
@@ -232,7 +226,7 @@ function commonError(rig, signal) {
 
 function tooFew(units) {
   return (
-    `Not known yet: it takes calibrations of three units on this rig over the same elevations, and there ` +
+    `Not known yet: the map needs calibrations of three units on this rig over the same elevations; there ` +
     `${units === 1 ? "is one" : `are ${units}`}.`
   );
 }

@@ -10,8 +10,8 @@ export function followUpBox({ follow_up: planned }, path) {
     return h(
       "div",
       { class: "follow-up", id: "no-follow-up" },
-      h("h3", {}, "No run on this rig would tell them apart"),
-      h("p", {}, "What a person would have to do is said below."),
+      h("h3", {}, "No run on this rig would distinguish them"),
+      h("p", {}, "See “What to do” of each effect below."),
     );
   }
   const error = errorLine("follow-up-error");
@@ -19,7 +19,7 @@ export function followUpBox({ follow_up: planned }, path) {
   const button = h(
     "button",
     { id: "follow-up", type: "button", class: "primary" },
-    "Run the separating experiment",
+    "Start the follow-up run",
   );
   button.addEventListener("click", async () => {
     button.disabled = true;
@@ -38,7 +38,7 @@ export function followUpBox({ follow_up: planned }, path) {
   return h(
     "div",
     { class: "follow-up" },
-    h("h3", {}, `One more run would separate ${planned.separates.map(candidateWords).join(" from ")}`),
+    h("h3", {}, `A follow-up run would distinguish ${planned.separates.map(candidateWords).join(" from ")}`),
     h("p", {}, expectation(planned)),
     error.element,
     h("div", { class: "buttons" }, button, state),
@@ -51,10 +51,10 @@ function expectation({ separation_sigma: sigma, separation, deciding_poses: deci
   const waits =
     plan.wait_s > 0 ? `, waiting ${duration(plan.wait_s)} before each of ${plan.sweeps} sweeps` : "";
   const confirming = (sweep - deciding) * plan.sweeps;
-  const rest = confirming > 0 ? `${confirming} of them only confirm what the others decide. ` : "";
+  const rest = confirming > 0 ? `${confirming} of them are held out to confirm the decision. ` : "";
   return (
-    `${poses}${waits}, chosen so that the suspects are expected to lie ${significant(sigma, 2)} standard ` +
-    `deviations apart (${significant(separation, 3)} in −2 log likelihood). ${rest}` +
-    "It stops deciding as soon as one of them leads clearly."
+    `${poses}${waits}, designed for an expected separation of ${significant(sigma, 2)} standard ` +
+    `deviations (${significant(separation, 3)} in −2 log likelihood). ${rest}` +
+    "The test is sequential: it ends as soon as one of them is decided for."
   );
 }

@@ -66,11 +66,11 @@ function help() {
   return h(
     "section",
     { class: "card", id: "import-help" },
-    h("h2", {}, "What the file holds"),
+    h("h2", {}, "File format"),
     h(
       "p",
       {},
-      "One row a pose, commas, a header row, a point in decimals. ",
+      "One row per pose, comma-separated, with a header row and decimal points. ",
       code("target_deg"),
       " and ",
       code("reading_deg"),
@@ -79,7 +79,7 @@ function help() {
     h(
       "p",
       {},
-      "Also understood: ",
+      "Optional: ",
       [
         "pass",
         "approach",
@@ -96,7 +96,7 @@ function help() {
     h(
       "p",
       { class: "muted" },
-      "A file with a mistake in it is refused whole, with the line and column; nothing of it is stored.",
+      "A file with an error is rejected as a whole, naming line and column; nothing of it is stored.",
     ),
   );
 }

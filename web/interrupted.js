@@ -3,13 +3,13 @@
 import { h } from "./dom.js";
 import { fixed, moment, plural } from "./format.js";
 
-/** A line for each time the run was taken up again. */
+/** A line for each time the run was resumed. */
 export function interruptions(run) {
   return (run.provenance.interruptions ?? []).map((told) =>
     h(
       "p",
       { class: "interruption" },
-      `Interrupted after ${plural(told.after_poses, "pose")}, taken up again `,
+      `Interrupted after ${plural(told.after_poses, "pose")}, resumed `,
       moment(told.taken_up_at),
       told.measured_again && `; ${measuredAgain(told.measured_again)}`,
     ),
@@ -19,7 +19,7 @@ export function interruptions(run) {
 function measuredAgain({ target_deg, before_deg, after_deg, difference_std_deg }) {
   const chance = difference_std_deg === null ? "" : ` (± ${fixed(difference_std_deg, 3, "°")})`;
   const turned_deg = ((after_deg - before_deg + 540) % 360) - 180;
-  return `at ${fixed(target_deg, 1, "°")} the unit then read ${fixed(turned_deg, 3, "°")} more${chance}`;
+  return `repeated pose at ${fixed(target_deg, 1, "°")}: difference ${fixed(turned_deg, 3, "°")}${chance}`;
 }
 
 /** Buttons for a run that lies interrupted; `ask(verb)` posts resume or abort. */
@@ -32,14 +32,14 @@ export function wayOn(run, ask) {
     h(
       "p",
       {},
-      "Every pose that was announced is kept. Leave unit and stage as they are, and take the run up again: " +
-        "the last pose is measured once more to see that nothing moved.",
+      "Every measured pose is kept. Leave unit and stage as they are and resume the run: the last pose is " +
+        "measured again to check that nothing has moved.",
     ),
     h(
       "div",
       { class: "buttons" },
-      button("take-up", "resume", "Take it up again"),
-      button("leave", "abort", "Leave it at that"),
+      button("resume-interrupted", "resume", "Resume the run"),
+      button("end-interrupted", "abort", "End the run"),
     ),
   );
 }

@@ -6,7 +6,7 @@ import { errorLine, field, fill, h, headings, runHref, tableBox } from "./dom.js
 import { NOT_KNOWN, fixed, isKnown, significant } from "./format.js";
 
 
-/** Without a run: a form for a file, and one that keeps a log on a rig. With one: what its samples say. */
+/** Without a run: a form for a file, and one that records a log on a rig. With one: what its samples say. */
 export async function noiseView({ root, parts: [id], signal }) {
   if (id !== undefined) return ofRun(root, id, signal);
   const rigs = await get("/api/rigs", signal);
@@ -25,7 +25,7 @@ async function ofRun(root, id, signal) {
   const shown = h("div", { id: "noise-result", class: "run" });
   const still = run.plan?.kind === "static";
   const heading = still ? `Noise of unit ${run.unit}` : `Filters on unit ${run.unit}`;
-  const busy = h("p", { class: "muted" }, "Reckoning…");
+  const busy = h("p", { class: "muted" }, "Computing…");
   fill(root, h("h1", {}, heading), h("p", {}, h("a", { href: runHref(id) }, `Run ${id}`)), busy, shown);
   if (still) show(shown, await get(`${path}/noise`, signal), noiseTable, signal);
   else show(shown, await get(`${path}/filters`, signal), filterTable, signal);
@@ -37,8 +37,8 @@ function fileForm(shown, signal) {
   const what = h(
     "select",
     { id: "what" },
-    h("option", { value: "noise" }, "noise: it lay still"),
-    h("option", { value: "filters" }, "filters: it lay still and was turned"),
+    h("option", { value: "noise" }, "noise (static log)"),
+    h("option", { value: "filters" }, "filters (log with rest and rotation)"),
   );
   const number = (id) => h("input", { id, type: "number", min: "0", step: "any", inputmode: "decimal" });
   const [rate, accel, gyro] = ["rate", "accel-range", "gyro-range"].map(number);
@@ -47,15 +47,15 @@ function fileForm(shown, signal) {
   const form = h(
     "form",
     { class: "card start", "aria-labelledby": "file-title" },
-    h("h2", { id: "file-title" }, "A log of your own"),
-    field("log", "CSV, one row a sample", file),
+    h("h2", { id: "file-title" }, "Analyse a log file"),
+    field("log", "CSV file, one row per sample", file),
     h(
       "div",
       { class: "fields two" },
-      field("what", "Look at", what),
-      field("rate", "Samples a second (if the log has no time_s)", rate),
-      field("accel-range", "Range of raw accelerometer counts (g)", accel),
-      field("gyro-range", "Range of raw gyro counts (°/s)", gyro),
+      field("what", "Analysis", what),
+      field("rate", "Sample rate, Hz (if there is no time_s)", rate),
+      field("accel-range", "Accelerometer full scale, g (raw counts)", accel),
+      field("gyro-range", "Gyro full scale, °/s (raw counts)", gyro),
     ),
     error.element,
     h("div", { class: "buttons" }, submit),
@@ -64,7 +64,7 @@ function fileForm(shown, signal) {
     event.preventDefault();
     submit.disabled = true;
     error.say(null);
-    fill(shown, h("p", { class: "muted" }, "Reckoning…"));
+    fill(shown, h("p", { class: "muted" }, "Computing…"));
     const body = new FormData();
     body.set("file", file.files[0]);
     const given = { rate_hz: rate, accel_range_g: accel, gyro_range_dps: gyro };
@@ -105,18 +105,18 @@ function rigForm(rigs) {
     required: true,
   });
   const error = errorLine("static-error");
-  const start = h("button", { id: "keep-log", type: "submit", class: "primary" }, "Keep a log");
+  const start = h("button", { id: "keep-log", type: "submit", class: "primary" }, "Record the log");
   const form = h(
     "form",
     { class: "card start", "aria-labelledby": "rig-title" },
-    h("h2", { id: "rig-title" }, "A log from a rig"),
-    h("p", { class: "muted" }, "The stage stands still; nothing moves."),
+    h("h2", { id: "rig-title" }, "Record a static log"),
+    h("p", { class: "muted" }, "The stage does not move while the log is recorded."),
     field("unit", "Unit's serial number", unit),
     h(
       "div",
       { class: "fields two" },
       field("rig", "Rig", rig),
-      field("minutes", "For how long (min)", minutes),
+      field("minutes", "Duration, min", minutes),
     ),
     error.element,
     h("div", { class: "buttons" }, start),
@@ -148,7 +148,7 @@ function show(place, { report, figures }, table, signal) {
     h(
       "section",
       { class: "card", id: "summary", "aria-label": "Summary" },
-      h("h2", {}, "In words"),
+      h("h2", {}, "Summary"),
       h(
         "ul",
         {},
@@ -182,7 +182,16 @@ function noiseTable({ channels }) {
       cell(told(channel.colour, String)),
     ),
   );
-  const names = ["Channel", "#Slope of ADF", "#Slope of PSD", "#Std", "#White", "#Flicker", "#Lines", "#Colour"];
+  const names = [
+    "Channel",
+    "#Slope of Allan deviation",
+    "#Slope of PSD",
+    "#Standard deviation",
+    "#White noise",
+    "#Flicker noise",
+    "#Spectral lines",
+    "#Noise colour",
+  ];
   return tableBox("Noise by channel", h("table", { id: "noise" }, headings(...names), h("tbody", {}, rows)));
 }
 

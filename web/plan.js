@@ -14,14 +14,14 @@ const RANGE = [
 ];
 const USUAL = [
   field("sweeps", "Sweeps", "", 4, { whole: true }),
-  field("settle_s", "Settle", "s", 1),
-  field("dwell_s", "Dwell", "s", 2),
+  field("settle_s", "Settling time", "s", 1),
+  field("dwell_s", "Dwell time", "s", 2),
 ];
 const ADVANCED = [
   field("jitter_deg", "Jitter of each elevation, ±", "°", 0),
   field("rate_hz", "Sample rate", "Hz", 200, { whole: true }),
   field("target_std_deg", "Dwell until standard error", "°", null, { hint: "fixed dwell" }),
-  field("velocity_dps", "Stage velocity", "°/s", null, { hint: "as the stage has it" }),
+  field("velocity_dps", "Stage velocity", "°/s", null, { hint: "stage default" }),
   field("wait_s", "Wait before each sweep", "s", 0),
   field("wait_temperature_c", "Wait for temperature", "°C", null, { hint: "do not wait" }),
   field("seed", "Seed", "", 0, { whole: true }),
@@ -58,7 +58,7 @@ export function planForm() {
   const given = h(
     "div",
     { class: "field", hidden: true },
-    h("label", { for: "elevations_deg" }, "Elevations, ° (in any order)"),
+    h("label", { for: "elevations_deg" }, "Elevations, °, in any order"),
     list,
   );
   const advanced = h(

@@ -6,11 +6,11 @@ import { errorLine, fill, h, headings, tableBox } from "./dom.js";
 export function portsLook() {
   const error = errorLine("ports-error");
   const shown = h("div", { "data-testid": "ports", "aria-live": "polite" });
-  const look = h("button", { type: "button", id: "look-at-ports" }, "Look at the ports");
+  const look = h("button", { type: "button", id: "look-at-ports" }, "Scan serial ports");
   look.addEventListener("click", async () => {
     look.disabled = true;
     error.say(null);
-    fill(shown, h("p", { class: "muted" }, "Listening on every port: some seven seconds."));
+    fill(shown, h("p", { class: "muted" }, "Scanning every port, about seven seconds…"));
     try {
       show(shown, await post("/api/rigs/scan"));
     } catch (problem) {
@@ -24,7 +24,7 @@ export function portsLook() {
     "div",
     {},
     h("div", { class: "buttons" }, look),
-    h("p", { class: "muted" }, "Nothing moves; boards that are not in a run are reset by it."),
+    h("p", { class: "muted" }, "Nothing moves; the scan resets boards that are not in a run."),
     error.element,
     shown,
   );
@@ -38,7 +38,7 @@ function show(place, { found, stanza }) {
   const table = h(
     "table",
     {},
-    headings("Port", "What", "Who", "USB adapter"),
+    headings("Port", "Device", "Identity", "USB adapter"),
     h("tbody", {}, found.map(row)),
   );
   fill(

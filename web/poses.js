@@ -17,12 +17,12 @@ export class PoseTable {
       "#Target",
       "#Stage",
       "#Reading",
-      "#Residual raw",
-      "#Calibrated",
-      "From",
+      "#Raw error",
+      "#Residual",
+      "Approach",
       "#Temperature",
       "#Samples",
-      "#Settled",
+      "#Settling",
       "",
     ];
     this.element = h("table", { id: "poses-table" }, headings(...names), this.body);

@@ -2,11 +2,14 @@
 
 import { h } from "./dom.js";
 import { NOT_KNOWN, isKnown, plusMinus, range, significant } from "./format.js";
-import { verdict } from "./verdict.js";
+
+const COLOURS = { noise: "good", more_than_noise: "poor" };
 
 /** The card's content for a run that has a result. */
 export function resultCard(run) {
-  const { grade, headline, sentences } = verdict(run);
+  const counts = run.status === "completed" && !run.voided;
+  const colour = (counts && COLOURS[run.verdict.left]) || "unknown";
+  const [headline, ...sentences] = [...reservation(run), ...run.verdict.says];
   return [
     h("h2", {}, "Result"),
     h(
@@ -19,7 +22,7 @@ export function resultCard(run) {
       ),
       h(
         "div",
-        { class: `verdict ${grade}`, "data-testid": "verdict" },
+        { class: `verdict ${colour}`, "data-testid": "verdict" },
         h("h3", {}, "Is this good?"),
         h("p", { class: "headline" }, headline),
         sentences.map((sentence) => h("p", {}, sentence)),
@@ -28,20 +31,26 @@ export function resultCard(run) {
   ];
 }
 
+/** What stands before the verdict of a run that does not count, or not yet. */
+function reservation(run) {
+  if (run.voided) return ["Voided: not to be used."];
+  return run.status === "completed" ? [] : ["Not finished: figures of the poses so far."];
+}
+
 function figures(result) {
   const gyro = result.gyro;
   const temperature = result.temperature_c;
   const rows = [
     ["Bias", besideStage(result.bias_deg, result.bias_std_deg, result.reference?.bias_std_deg, "°")],
     ["Scale", besideStage(result.scale, result.scale_std, result.reference?.scale_std)],
-    ["RMS raw", significant(result.rms_raw_deg, 3, "°")],
-    ["RMS calibrated", significant(result.rms_calibrated_deg, 3, "°")],
-    ["Noise of a reading", significant(result.noise_deg, 2, "°")],
+    ["RMS error, raw", significant(result.rms_raw_deg, 3, "°")],
+    ["RMS error, calibrated", significant(result.rms_calibrated_deg, 3, "°")],
+    ["Standard error of a reading", significant(result.noise_deg, 2, "°")],
     ["Poses", result.n_poses.toLocaleString()],
     ["Temperature", range(temperature?.min, temperature?.max, 1, "°C")],
   ];
   if (isKnown(result.rms_with_effects_deg))
-    rows.push(["RMS with effects", significant(result.rms_with_effects_deg, 3, "°")]);
+    rows.push(["RMS error, with effects", significant(result.rms_with_effects_deg, 3, "°")]);
   if (![gyro?.scale, ...(gyro?.bias_dps ?? [])].some(isKnown)) return [...rows, ["Gyro", NOT_KNOWN]];
   const bias = ["x", "y", "z"].map((axis, k) => [
     `Gyro bias ${axis}`,
@@ -56,8 +65,8 @@ function besideStage(value, std, ofStage, unit) {
   if (!isKnown(value) || !isKnown(ofStage)) return own;
   return [
     h("span", {}, own),
-    isKnown(std) && h("small", {}, " (noise)"),
+    isKnown(std) && h("small", {}, " (type A, noise)"),
     " ",
-    h("small", {}, `± ${significant(ofStage, 2, unit)} (stage)`),
+    h("small", {}, `± ${significant(ofStage, 2, unit)} (type B, stage)`),
   ];
 }

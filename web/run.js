@@ -34,7 +34,7 @@ class RunPage {
     const announce = (text) => (this.spoken.textContent = text);
     this.live = new LivePanel((verb) => this.#ask(verb), announce);
     this.result = h("section", { id: "result", class: "card", hidden: true });
-    this.diagnosis = new DiagnosisPanel(path, signal);
+    this.diagnosis = new DiagnosisPanel(path, signal, () => this.#reread());
     this.timelineChart = new Chart("timeline", "Stage and reading against time", { signal });
     this.residualChart = new Chart("residual", "Residual of each pose", { tall: true, signal });
     this.poses = new PoseTable((pose) => this.#exclude(pose));
@@ -66,6 +66,7 @@ class RunPage {
     );
     signal.addEventListener("abort", () => clearTimeout(this.timer));
     window.addEventListener("keydown", (event) => this.#escape(event), { signal });
+    window.addEventListener("calrig:done", () => this.#amended(), { signal });
     this.#show(run);
     preferRig(run.rig);
   }
@@ -80,7 +81,7 @@ class RunPage {
         state: async ({ status, error }) => {
           this.#show({ ...this.run, status, error });
           if (!TERMINAL.has(status)) return;
-          if (status !== "interrupted") stream.stop(); // an interrupted run may have been taken up again
+          if (status !== "interrupted") stream.stop(); // an interrupted run may have been resumed
           await this.#caughtUp(stream, timeline);
         },
         progress: (progress) => this.live.progress(progress),
@@ -102,7 +103,7 @@ class RunPage {
   /** After an end, or after the service was away: what the run is now, and no stream where it has ended. */
   async #caughtUp(stream, timeline) {
     try {
-      this.#show(await get(this.path, this.signal));
+      await this.#reread();
       this.error.say(null);
       if (!this.ended) return;
       stream.stop();
@@ -185,7 +186,7 @@ class RunPage {
     }
   }
 
-  /** Takes an interrupted run up again, and follows it; or leaves it as it is. */
+  /** Resumes an interrupted run and follows it; or ends it. */
   async #goOn(verb) {
     this.error.say(null);
     try {
@@ -217,10 +218,10 @@ class RunPage {
       askReason(
         {
           title: `Void run ${this.run.id}?`,
-          text: "The run stays, struck through, out of every comparison. This cannot be taken back.",
+          text: "The run is kept, struck through, and left out of every comparison. This cannot be undone.",
           action: "Void the run",
         },
-        async (reason) => this.#amended(await post(`${this.path}/void`, { reason })),
+        (reason) => post(`${this.path}/void`, { reason }),
       ),
     );
     return button;
@@ -230,20 +231,29 @@ class RunPage {
     askReason(
       {
         title: `Exclude pose ${pose.index}?`,
-        text: "The pose stays, struck through; the result is reckoned without it. This cannot be taken back.",
+        text: "The pose is kept, struck through; the result is computed without it. This cannot be undone.",
         action: "Exclude the pose",
       },
-      async (reason) => this.#amended(await post(`${this.path}/poses/${pose.index}/exclude`, { reason })),
+      (reason) => post(`${this.path}/poses/${pose.index}/exclude`, { reason }),
     );
   }
 
-  async #amended(run) {
-    this.#show(run);
-    await this.#showMeasured();
+  /** After something was accepted, excluded or voided. */
+  async #amended() {
+    try {
+      await this.#reread();
+      await this.#showMeasured();
+    } catch (error) {
+      this.#say(error);
+    }
+  }
+
+  async #reread() {
+    this.#show(await get(this.path, this.signal));
   }
 }
 
 function studyLink(run) {
-  const text = run.plan.kind === "static" ? "The noise in this log" : "The filters side by side on this run";
+  const text = run.plan.kind === "static" ? "Noise analysis of this log" : "Filter comparison on this run";
   return h("a", { id: "study", href: `#/noise/${encodeURIComponent(run.id)}` }, text);
 }

@@ -1,4 +1,4 @@
-// What a run is called, how it stands, and what can be taken home from it.
+// What a run is called, its status, and its downloads.
 
 import { h, runHref, statusPill, unitHref, unitLink } from "./dom.js";
 import { moment } from "./format.js";
@@ -14,7 +14,7 @@ export function heading(run) {
       { class: "facts" },
       statusPill(run.status, { id: "status" }),
       run.follows &&
-        h("span", { id: "follows" }, "follows ", h("a", { href: runHref(run.follows) }, `run ${run.follows}`)),
+        h("span", { id: "follows" }, "follow-up of ", h("a", { href: runHref(run.follows) }, `run ${run.follows}`)),
       h("span", {}, run.rig ? `rig ${run.rig}` : "no rig"),
       run.operator && h("span", {}, `by ${run.operator}`),
       h("span", {}, run.finished_at ? "finished " : "created ", moment(run.finished_at ?? run.created_at)),
@@ -47,11 +47,11 @@ export function downloads(run, path) {
 
 export function faultLine(faults) {
   const counted = Object.entries(faults).filter(([, count]) => count > 0);
-  if (!counted.length) return h("p", { class: "muted" }, "No faults on the wire.");
+  if (!counted.length) return h("p", { class: "muted" }, "No data faults.");
   return h(
     "p",
     {},
-    h("strong", {}, "Faults, kept out of the readings: "),
+    h("strong", {}, "Data faults, excluded from the readings: "),
     counted.map(
       ([kind, count], k) => `${k ? ", " : ""}${count.toLocaleString()} × ${kind.replaceAll("_", " ")}`,
     ),

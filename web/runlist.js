@@ -39,8 +39,8 @@ export function runHeadings({ withUnit = true } = {}) {
     "When",
     "#Bias",
     "#Scale",
-    "#RMS raw",
-    "#RMS calibrated",
+    "#RMS error, raw",
+    "#RMS error, calibrated",
   ];
   return headings(...names.filter(Boolean));
 }

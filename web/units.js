@@ -38,7 +38,7 @@ export async function unitView({ root, parts: [serial], signal }) {
   const path = `/api/units/${encodeURIComponent(serial)}`;
   const unit = await get(path, signal);
   const current = inForce(unit.runs);
-  const chart = new Chart("history", "Bias, scale and RMS over time", { tall: true, signal });
+  const chart = new Chart("history", "Bias, scale and RMS error over time", { tall: true, signal });
   const body = h(
     "tbody",
     {},
@@ -82,7 +82,7 @@ function inForce(runs) {
 }
 
 function calibration(run, path) {
-  if (!run) return h("p", { class: "muted" }, "None: no completed run that counts knows the scale.");
+  if (!run) return h("p", { class: "muted" }, "None: no completed run that counts determines the scale.");
   const {
     bias_deg: bias,
     bias_std_deg: biasStd,
@@ -93,7 +93,7 @@ function calibration(run, path) {
   const figures = [
     ["Bias", plusMinus(bias, biasStd, "°")],
     ["Scale", plusMinus(scale, scaleStd)],
-    ["RMS calibrated", significant(rms, 3, "°")],
+    ["RMS error, calibrated", significant(rms, 3, "°")],
     ["From run", h("a", { href: `#/runs/${encodeURIComponent(run.id)}` }, run.id)],
   ];
   return [

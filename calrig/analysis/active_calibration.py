@@ -1,12 +1,13 @@
-"""What is in force for a unit on a rig: accepted effects, and the calibration that a verification applies."""
+"""A unit's calibration: the run it is from, the exported document, and as a verification applies it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from calrig.analysis.errors import Conflict
+from calrig.analysis.errors import Conflict, Unknown
 from calrig.analysis.results import effects_in_force, fitted
+from calrig.analysis.stored_runs import counted_poses
 from calrig.calibration.correction import ApplyError
 from calrig.calibration.fit import Line
 from calrig.calibration.pose import Pose
@@ -17,7 +18,37 @@ from calrig.calibration.result import (
     Result,
     apply_calibration,
 )
-from calrig.store import Store
+from calrig.export.calibration_json import calibration_document
+from calrig.store import Run, Store
+from calrig.store.records import Document
+
+
+def run_in_force(store: Store, serial: str) -> Run:
+    """The run that a unit's calibration is from.
+
+    Raises:
+        Unknown: the unit is not known, or has no completed, not voided calibration whose scale is known.
+    """
+    if store.unit(serial) is None:
+        raise Unknown(f"there is no unit {serial!r}")
+    run = store.latest_calibration_run(serial)
+    if run is None:
+        raise Unknown(f"unit {serial!r} has no completed calibration that counts and whose scale is known")
+    return run
+
+
+def document_of(store: Store, run: Run) -> Document:
+    """CONTRACT section 6 for one run, whether or not a later one is in force.
+
+    Raises:
+        Conflict: the run has none: it is voided, did not complete, or does not know its scale.
+    """
+    if run.voided is not None:
+        raise Conflict(f"run {run.id} is voided ({run.voided['reason']}): it gives no calibration")
+    if run.status != "completed" or run.result is None or run.result["scale"] is None:
+        what = run.status if run.status != "completed" else "completed, but its scale is not known"
+        raise Conflict(f"run {run.id} is {what}: it gives no calibration")
+    return calibration_document(run, counted_poses(store, run.id), store.effects_in_force(run.unit, run.rig))
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +89,7 @@ def as_applied(store: Store, run_id: str, rig: str | None) -> ActiveCalibration:
     run = store.run(run_id)
     if run is None:
         raise Conflict(f"there is no run {run_id} whose calibration could be applied")
-    poses = [stored.pose for stored in store.poses(run.id, include_excluded=False)]
+    poses = counted_poses(store, run.id)
     built = fitted(store, unit=run.unit, rig=rig, provenance=run.provenance, poses=poses)
     line = built.line_with_effects or built.line
     return ActiveCalibration(run.id, line, effects_in_force(store, run.unit, rig), built.reference)

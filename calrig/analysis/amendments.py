@@ -5,23 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 from calrig.analysis.errors import Conflict, Invalid, Unknown
-from calrig.analysis.provenance import provenance
+from calrig.analysis.origin import check_serial, provenance
 from calrig.analysis.results import fitted, refitted
-from calrig.analysis.states import AT_REST
+from calrig.analysis.stored_runs import stored_run
 from calrig.export.poses_csv import CsvError, read_poses
-from calrig.store import Run, Store
+from calrig.store import AT_REST, Run, Store
 
-LONGEST_SERIAL = 100
 LONGEST_REASON = 1000
-
-
-def check_serial(serial: str) -> str:
-    """The serial number, or Invalid: 1 to 100 printable characters without blanks at its ends."""
-    if not serial or serial != serial.strip() or not serial.isprintable():
-        raise Invalid("a unit's serial number is made of printable characters, without blanks at its ends")
-    if len(serial) > LONGEST_SERIAL:
-        raise Invalid(f"a unit's serial number has at most {LONGEST_SERIAL} characters, not {len(serial)}")
-    return serial
 
 
 class Records:
@@ -67,7 +57,7 @@ class Records:
         return self._store.void_run(run_id, _checked_reason(reason))
 
     def exclude_pose(self, run_id: str, index: int, reason: str) -> Run:
-        """Takes one pose out of an ended run's result, which is reckoned again; the pose stays."""
+        """Takes one pose out of an ended run's result, which is computed again; the pose stays."""
         run = self._ended(run_id)
         poses = self._store.poses(run_id)
         if index not in {stored.index for stored in poses}:
@@ -86,9 +76,7 @@ class Records:
         return self._store.exclude_pose(run_id, index, _checked_reason(reason), result=result)
 
     def _ended(self, run_id: str) -> Run:
-        run = self._store.run(run_id)
-        if run is None:
-            raise Unknown(f"there is no run {run_id}")
+        run = stored_run(self._store, run_id)
         if run.status not in AT_REST:
             raise Conflict(f"run {run_id} is {run.status}: end it first")
         return run

@@ -1,4 +1,4 @@
-"""Diagnoses of stored runs, and the effects that people accept from them."""
+"""Diagnoses of stored runs: made, kept, drawn, and the effects that people accept from them."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from typing import Any
 
 from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.analysis.results import refitted
-from calrig.calibration.diagnosis import Diagnosis, diagnose, trace
-from calrig.calibration.pose import Pose
+from calrig.analysis.stored_runs import counted_poses, runs_together, stored_run
+from calrig.calibration.diagnosis import trace
+from calrig.calibration.partial_residuals import Traced, partial_residuals
 from calrig.calibration.responses import DiagnosisError
 from calrig.store import AcceptedEffect, Run, Store
 
@@ -30,7 +31,7 @@ class Diagnoses:
         Raises: as `traced`.
         """
         found = self.traced(run_id, more)
-        _keep_accepted(self._run(run_id).diagnosis, found)
+        _keep_accepted(stored_run(self._store, run_id).diagnosis, found)
         self._store.update_run(run_id, diagnosis=found)
         return found
 
@@ -42,14 +43,14 @@ class Diagnoses:
             Conflict: a run is of another unit, or has not ended.
             Invalid: the poses cannot be diagnosed; says why.
         """
-        runs = self._of_one_unit(run_id, more)
+        runs = runs_together(self._store, run_id, more)
         latest = runs[-1]
         try:
             return trace(
-                [self._poses(run) for run in runs],
+                [counted_poses(self._store, run.id) for run in runs],
                 [run.id for run in runs],
                 plan=latest.plan,
-                limits_deg=limits_of(latest),
+                limits_deg=_limits_of(latest),
                 deciding=self._deciding(latest) if len(runs) > 1 else None,
             )
         except DiagnosisError as error:
@@ -57,16 +58,25 @@ class Diagnoses:
 
     def last(self, run_id: str) -> dict[str, Any]:
         """The last diagnosis of a run (Unknown where it has none)."""
-        found = self._run(run_id).diagnosis
+        found = stored_run(self._store, run_id).diagnosis
         if found is None:
             raise Unknown(f"run {run_id} has not been diagnosed")
         return found
 
-    def suspects(self, run_id: str) -> tuple[list[Run], Diagnosis]:
-        """A run with those it follows on, and their diagnosis, quickly: without errors on unseen poses."""
-        runs = self._of_one_unit(run_id, ())
+    def partial_residuals(self, run_id: str) -> list[Traced]:
+        """Each effect of a run's last diagnosis in the poses it rests on, those of them that still count.
+
+        Raises:
+            Unknown: there is no such run, or it has not been diagnosed.
+            Conflict: what counts now cannot show an effect any more; says what to do.
+        """
+        run, found = stored_run(self._store, run_id), self.last(run_id)
+        runs = [counted_poses(self._store, earlier) for earlier in found["runs"][:-1]]
+        decided_on = _decided_on(run) if runs else None
+        latest = self._store.poses(run_id, include_excluded=False)
+        runs.append([s.pose for s in latest if decided_on is None or s.index in decided_on])
         try:
-            return runs, diagnose([self._poses(run) for run in runs], cross_fit=False)
+            return partial_residuals(runs, found["effects"])
         except DiagnosisError as error:
             raise Conflict(f"run {run_id}: {error}") from error
 
@@ -77,7 +87,7 @@ class Diagnoses:
             Unknown: no such run, or it has not been diagnosed.
             Conflict: an effect is not in the diagnosis, or is none that later runs could be corrected for.
         """
-        run, found = self._run(run_id), self.last(run_id)
+        run, found = stored_run(self._store, run_id), self.last(run_id)
         known = {effect["name"]: effect for effect in found["effects"]}
         accepted = []
         for name in names:
@@ -88,45 +98,21 @@ class Diagnoses:
         self._store.accept_effects(run_id, accepted)
         if run.result is None or (run.plan or {}).get("kind") == "verification":
             return run
-        return self._store.set_result(run_id, refitted(self._store, run, self._poses(run)))
-
-    def poses(self, run_id: str) -> list[Pose]:
-        """The poses of a run that count."""
-        return self._poses(self._run(run_id))
-
-    def _of_one_unit(self, run_id: str, more: Sequence[str]) -> list[Run]:
-        """The runs in the order measured: those it follows on, those asked for, itself."""
-        run = self._run(run_id)
-        wanted = {other: self._run(other) for other in more if other != run_id}
-        follows = run.follows
-        while follows is not None:
-            wanted[follows] = self._run(follows)
-            follows = wanted[follows].follows
-        for other in wanted.values():
-            if other.unit != run.unit:
-                raise Conflict(f"run {other.id} is of unit {other.unit!r}, run {run_id} of unit {run.unit!r}")
-        runs = [*sorted(wanted.values(), key=lambda r: r.created_at), run]
-        for one in runs:
-            if one.status not in ("completed", "failed", "aborted", "interrupted"):
-                raise Conflict(f"run {one.id} is {one.status}: wait until it has ended")
-        return runs
+        poses = counted_poses(self._store, run_id)
+        return self._store.set_result(run_id, refitted(self._store, run, poses))
 
     def _deciding(self, run: Run) -> list[int] | None:
         """Places, among the poses of a follow-up that count, of those that served to decide."""
-        decided_on = deciding_poses(run)
+        decided_on = _decided_on(run)
         if decided_on is None:
             return None
         counting = self._store.poses(run.id, include_excluded=False)
         return [place for place, stored in enumerate(counting) if stored.index in decided_on]
 
-    def _poses(self, run: Run) -> list[Pose]:
-        return [stored.pose for stored in self._store.poses(run.id, include_excluded=False)]
 
-    def _run(self, run_id: str) -> Run:
-        run = self._store.run(run_id)
-        if run is None:
-            raise Unknown(f"there is no run {run_id}")
-        return run
+def _decided_on(run: Run) -> list[int] | None:
+    """Indices of the poses of a follow-up that served to decide; None for any other run."""
+    return (run.provenance.get("follow_up") or {}).get("decided_on")
 
 
 def _keep_accepted(before: dict[str, Any] | None, found: dict[str, Any]) -> None:
@@ -137,15 +123,10 @@ def _keep_accepted(before: dict[str, Any] | None, found: dict[str, Any]) -> None
                 effect["accepted_at"] = earlier.get("accepted_at")
 
 
-def limits_of(run: Run) -> tuple[float, float] | None:
+def _limits_of(run: Run) -> tuple[float, float] | None:
     """The soft limits a run was made under; None for an imported one."""
     limits = (run.provenance.get("rig") or {}).get("limits_deg")
     return None if limits is None else (float(limits[0]), float(limits[1]))
-
-
-def deciding_poses(run: Run) -> list[int] | None:
-    """Indices of the poses of a follow-up that served to decide; None for any other run."""
-    return (run.provenance.get("follow_up") or {}).get("decided_on")
 
 
 def _accepted(run: Run, effect: dict[str, Any]) -> AcceptedEffect:

@@ -6,6 +6,7 @@ import math
 from collections import defaultdict
 from dataclasses import dataclass
 
+from calrig.analysis.stored_runs import counted_poses
 from calrig.calibration.result import residuals
 from calrig.store import Store
 
@@ -53,7 +54,7 @@ def error_map(store: Store, rig: str) -> ErrorMap:
 
 def _by_place(store: Store, run_id: str) -> dict[tuple[float, int], list[float]]:
     run = store.run(run_id)
-    poses = [stored.pose for stored in store.poses(run_id, include_excluded=False)]
+    poses = counted_poses(store, run_id)
     places: dict[tuple[float, int], list[float]] = defaultdict(list)
     if run is None or run.result is None:
         return places

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from calrig.analysis.errors import Conflict, Invalid, Unknown
+from calrig.analysis.errors import Conflict, Invalid
+from calrig.analysis.stored_runs import stored_run
 from calrig.estimation.angles import FloatArray
 from calrig.export.samples_csv import sample_columns
 from calrig.noise.analysis import Noise, analyse
 from calrig.noise.filters import FilterStudy, study_filters
-from calrig.store import Run, Store
+from calrig.store import Store
 
 
 def noise_of_run(store: Store, run_id: str) -> Noise:
@@ -18,7 +19,7 @@ def noise_of_run(store: Store, run_id: str) -> Noise:
         Conflict: it is not a static one, or its samples are gone.
         Invalid: its log is too short.
     """
-    run = _run(store, run_id)
+    run = stored_run(store, run_id)
     if (run.plan or {}).get("kind") != "static":
         raise Conflict(
             f"run {run_id} moved its unit: start a run with a static plan, and its log tells the noise"
@@ -39,20 +40,13 @@ def filters_of_run(store: Store, run_id: str) -> FilterStudy:
         Conflict: its samples are gone.
         Invalid: no filter can be run over them.
     """
-    scale = ((_run(store, run_id).result or {}).get("gyro") or {}).get("scale")
+    scale = ((stored_run(store, run_id).result or {}).get("gyro") or {}).get("scale")
     columns = _columns(store, run_id)
     time_s = columns.pop("time_s")
     try:
         return study_filters(columns, time_s, gyro_scale=1.0 if scale is None else scale)
     except ValueError as error:
         raise Invalid(f"run {run_id}: {error}") from error
-
-
-def _run(store: Store, run_id: str) -> Run:
-    run = store.run(run_id)
-    if run is None:
-        raise Unknown(f"there is no run {run_id}")
-    return run
 
 
 def _columns(store: Store, run_id: str) -> dict[str, FloatArray]:

@@ -39,7 +39,7 @@ def fitted(
 
 
 def refitted(store: Store, run: Run, poses: Sequence[Pose]) -> Document:
-    """The result of a run that has one, reckoned again from some of its poses.
+    """The result of a run that has one, computed again from some of its poses.
 
     What it says of the gyro stays: that is from samples, which may have been pruned.
     """

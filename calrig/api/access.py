@@ -13,7 +13,6 @@ TOKEN = "CALRIG_TOKEN"  # noqa: S105 (the variable's name)
 LEAST_TOKEN = 16
 MAKE_ONE = "python3 -c 'import secrets; print(secrets.token_urlsafe(24))'"
 _TOKEN_FORM = re.compile(r"[\x21-\x7e]+")
-_HOST_FORM = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[^\s:/@\[\]]+)(:[0-9]{1,5})?")
 
 
 class AccessError(Exception):
@@ -71,36 +70,12 @@ def access_here(host: str, bound_to: str, hosts: Iterable[str]) -> Access:
 
 def is_loopback(address: str) -> bool:
     """Whether only this machine can reach the address."""
-    found = _address(address)
+    found = address_in(address)
     return found is not None and found.is_loopback
 
 
-def knows(access: Access, host: str, server: str | None) -> bool:
-    """Whether a Host header names the service.
-
-    A page elsewhere can have any name of its own lead here, but the browser sends that very name: DNS
-    rebinding ends at this check. Ports are not looked at: no name becomes somebody else's by its port, and
-    `ssh -L` changes them.
-
-    Args:
-        access: the names the service has.
-        host: the header, `name`, `name:port` or `[address]:port`.
-        server: the address at which the connection came in; None where it has none.
-    """
-    form = _HOST_FORM.fullmatch(host)
-    if form is None:
-        return False
-    name = form[1].strip("[]").lower()
-    if name in access.names:
-        return True
-    if server is None:
-        return False
-    if is_loopback(server):
-        return name == "localhost" or is_loopback(name)
-    return name == server.lower() or (_address(name) == _address(server) is not None)
-
-
-def _address(text: str) -> IPv4Address | IPv6Address | None:
+def address_in(text: str) -> IPv4Address | IPv6Address | None:
+    """The address that a text is; None where it is a name."""
     try:
         found = ip_address(text)
     except ValueError:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from fastapi import FastAPI
 from starlette.concurrency import run_in_threadpool
+from starlette.middleware.gzip import GZipMiddleware
 from starlette.types import Lifespan
 
 import calrig
@@ -27,10 +28,10 @@ from calrig.api import (
     units,
 )
 from calrig.api.access import Access
-from calrig.api.authentication import Door
+from calrig.api.authentication import Authentication
 from calrig.api.context import ApiContext
-from calrig.api.limits import BodyLimit
-from calrig.api.origin_check import Guard
+from calrig.api.limits import JSON_BYTES, BodyPatience
+from calrig.api.origin_check import OriginCheck
 from calrig.api.request_log import RequestLog
 from calrig.runs.service import RunService
 from calrig.settings import packed
@@ -56,8 +57,9 @@ def create_app(service: RunService, *, web: Path | None = None, access: Access =
 
     app = api(lifespan)
     app.state.context = ApiContext(service, service.store)
-    app.state.door = Door(access)
-    app.add_middleware(Guard, app.state.door)
+    app.state.authentication = Authentication(access)
+    app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=6)  # event streams never
+    app.add_middleware(OriginCheck, app.state.authentication)
     app.add_middleware(RequestLog)  # the last one added is the first to look
     pages.install(app, packed("web") if web is None else web)
     return app
@@ -75,8 +77,8 @@ def api(lifespan: Lifespan[FastAPI] | None = None) -> FastAPI:
         docs_url=None,  # its pages load their scripts from another host
         redoc_url=None,
     )
-    app.add_middleware(BodyLimit)
+    app.add_middleware(BodyPatience)
     errors.install(app)
     for part in PARTS:
-        app.include_router(part.router)
+        app.include_router(part.router, max_body_size=JSON_BYTES)
     return app

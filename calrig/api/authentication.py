@@ -1,4 +1,4 @@
-"""Telling who may come in: the token of a program, the session of a person, and patience with wrong ones."""
+"""Who may come in: a program by its token, a person by the session that was begun with it."""
 
 from __future__ import annotations
 
@@ -6,23 +6,64 @@ import asyncio
 import hashlib
 import hmac
 import logging
+import secrets
+import time
 from collections import Counter
+from collections.abc import Callable
 
 from starlette.exceptions import HTTPException
 from starlette.requests import HTTPConnection
 from starlette.responses import Response
 
 from calrig.api.access import Access
-from calrig.api.sessions import LASTS_S, Sessions
 
 WAITING_EACH = 4
 WAITING_ALL = 64
+"""Wrong tokens that wait for their answer, from one address and from all."""
+SESSION_S = 12 * 3600.0
+MOST_SESSIONS = 100
 SCHEME = "bearer "
 
 log = logging.getLogger(__name__)
 
 
-class Door:
+class Sessions:
+    """People who have logged in: a random value each, kept in memory and no longer than a day's work.
+
+    The oldest session gives way to one too many; all end with the service.
+
+    Args:
+        clock: seconds that only go forward.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        # By digest: how long a look-up takes then says nothing about the values that are kept.
+        self._ends_s: dict[bytes, float] = {}
+
+    def begin(self) -> str:
+        """A new session's value."""
+        now_s = self._clock()
+        self._ends_s = {kept: end_s for kept, end_s in self._ends_s.items() if end_s > now_s}
+        while len(self._ends_s) >= MOST_SESSIONS:
+            del self._ends_s[next(iter(self._ends_s))]
+        value = secrets.token_urlsafe(32)
+        self._ends_s[_digest(value)] = now_s + SESSION_S
+        return value
+
+    def holds(self, value: str) -> bool:
+        """Whether the value is that of a session which has not ended."""
+        return self._ends_s.get(_digest(value), 0.0) > self._clock()
+
+    def end(self, value: str) -> None:
+        """Ends a session; one that has ended already stays so."""
+        self._ends_s.pop(_digest(value), None)
+
+    def __len__(self) -> int:
+        return len(self._ends_s)
+
+
+class Authentication:
     """Lets in who shows the token or a session that was begun with it.
 
     A wrong token is answered late, and while a few wrong ones from an address wait for their answers, no
@@ -85,7 +126,7 @@ class Door:
         answer.set_cookie(
             self.cookie(asked),
             self.sessions.begin(),
-            max_age=int(LASTS_S),
+            max_age=int(SESSION_S),
             secure=asked.scope["scheme"] == "https",
             httponly=True,
             samesite="strict",
@@ -123,5 +164,5 @@ def _who(asked: HTTPConnection) -> str:
     return f"{asked.scope['method']} {asked.scope['path'][:200]!a} from {address_of(asked)}"
 
 
-def _digest(token: str) -> bytes:
-    return hashlib.sha256(token.encode()).digest()
+def _digest(value: str) -> bytes:
+    return hashlib.sha256(value.encode()).digest()

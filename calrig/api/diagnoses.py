@@ -1,17 +1,141 @@
 """Diagnoses: tracing what calibration left, accepting what was found, the run that separates suspects."""
 
-from typing import Any
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+
+from datetime import datetime
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter
+from pydantic import ConfigDict, Field
 
 from calrig.analysis.error_map import error_map
 from calrig.api.context import Context, KnownRun
-from calrig.api.diagnosis_models import Accept, Diagnose, DiagnosisAnswer, ErrorMapAnswer
 from calrig.api.errors import problems
-from calrig.api.models import RunAnswer
+from calrig.api.models import Answer, Body, RunAnswer
 from calrig.store import Run
 
 router = APIRouter(tags=["diagnoses"])
+
+
+class Diagnose(Body):
+    """What to diagnose together with a run: more runs of its unit."""
+
+    runs: list[str] = Field(default=[], max_length=100)
+
+
+class Accept(Body):
+    """Names of effects of a diagnosis."""
+
+    effects: Annotated[list[str], Field(min_length=1, max_length=100)]
+
+
+class ParameterAnswer(Answer):
+    """A parameter with its standard error, null where it was found by scanning."""
+
+    value: float
+    std: float | None
+
+
+class ConsideredAnswer(Answer):
+    """A candidate, and how far it is behind the best in −2 log likelihood with penalties."""
+
+    name: str
+    behind: float
+
+
+class EffectAnswer(Answer):
+    """An effect that was found; `accepted_at` is null until a person has put it in force."""
+
+    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
+
+    name: str
+    verdict: Literal["named", "ambiguous", "unnamed"]
+    origin: Literal["sensor", "stage", "mounting", "process", "environment", "unknown"]
+    covariate: str
+    parameters: dict[str, ParameterAnswer | None]
+    p_value: float
+    confusable_with: list[str]
+    evidence: list[str]
+    remedy: str
+    considered: list[ConsideredAnswer]
+    accepted_at: datetime | None = None  # of diagnoses stored before it was kept: null
+
+
+class HeldOutAnswer(Answer):
+    """How the errors on held-out poses were measured."""
+
+    how: str
+    n_poses: int
+
+
+class ReadingNoiseAnswer(Answer):
+    """Noise of the reading; `floor_deg` is its standard error from within the dwells."""
+
+    std_deg: float
+    lag1_correlation: float
+    floor_deg: float | None
+
+
+class BaseAnswer(Answer):
+    """Bias and scale alone."""
+
+    bias_deg: float
+    scale: float | None
+    fit_rms_deg: float
+    held_out_rms_deg: float | None
+
+
+class FinalAnswer(Answer):
+    """With the effects found."""
+
+    held_out_rms_deg: float | None
+    fit_rms_deg: float
+    model: str
+
+
+class FollowUpAnswer(Answer):
+    """A run that is expected to separate the suspects; `separation` in −2 log likelihood."""
+
+    separates: list[str]
+    separation_sigma: float
+    separation: float
+    deciding_poses: int
+    plan: dict[str, Any]
+
+
+class ConfirmedAnswer(Answer):
+    """RMS before and after on poses of the fresh run that did not serve to decide."""
+
+    run_id: str
+    before_rms_deg: float
+    after_rms_deg: float
+
+
+class DiagnosisAnswer(Answer):
+    """CONTRACT section 5."""
+
+    runs: list[str]
+    n_poses: int
+    held_out: HeldOutAnswer
+    noise: ReadingNoiseAnswer
+    base: BaseAnswer
+    verdict: Literal["named", "ambiguous", "unnamed", "nothing"]
+    effects: list[EffectAnswer]
+    final: FinalAnswer
+    follow_up: FollowUpAnswer | None
+    confirmed_by: ConfirmedAnswer | None
+    warnings: list[str]
+
+
+class ErrorMapAnswer(Answer):
+    """What every unit on a rig has in common, by elevation and approach."""
+
+    stage_deg: list[float]
+    approach: list[int]
+    error_deg: list[float]
+    std_deg: list[float]
+    units: int
+    caveat: str
 
 
 @router.post(

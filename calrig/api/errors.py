@@ -67,7 +67,7 @@ async def _store_error(_request: Request, error: Exception) -> JSONResponse:
 
 
 async def _defect(_request: Request, _error: Exception) -> JSONResponse:
-    # This answer is given outside of every middleware, the guard too.
+    # This answer is given outside of every middleware, the origin check too.
     return JSONResponse({"detail": "calrig failed inside; the service's log says where"}, 500, HEADERS)
 
 

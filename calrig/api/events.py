@@ -10,10 +10,9 @@ from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 
-from calrig.analysis.states import AT_REST
 from calrig.api.context import ApiContext, Context, KnownRun
 from calrig.api.errors import problems_in_json
-from calrig.store import Event
+from calrig.store import AT_REST, Event
 
 BATCH = 500
 """Events read at once: a long run's log is replayed in pieces, not held in memory whole."""

@@ -6,10 +6,10 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Path
 
 from calrig import figures
+from calrig.analysis.comparison import compared_runs
 from calrig.analysis.error_map import error_map
 from calrig.analysis.errors import Unknown
-from calrig.analysis.partial_residuals import traced_effects
-from calrig.api.compare import Units, compared_runs
+from calrig.api.compare import Units
 from calrig.api.context import ApiContext, Context, KnownRun, KnownUnit
 from calrig.api.errors import problems
 from calrig.api.models import Figure
@@ -45,7 +45,7 @@ def run_figure(run: KnownRun, name: RunFigure, context: Context) -> figures.Figu
 
 
 def _effect(context: ApiContext, run: Run, place: int) -> figures.Figure:
-    traced = traced_effects(context.store, run)
+    traced = context.diagnoses.partial_residuals(run.id)
     if place >= len(traced):
         raise Unknown(f"the diagnosis of run {run.id} has {len(traced)} effects, counted from 0")
     return figures.traced(traced[place])
@@ -101,7 +101,7 @@ def rig_error_map(name: str, context: Context) -> figures.Figure:
 )
 def unit_history(unit: KnownUnit, context: Context) -> figures.Figure:
     """Bias, scale and RMS of its runs over time."""
-    return figures.history(compared_runs(context, [unit.serial])[unit.serial])
+    return figures.history(compared_runs(context.store, [unit.serial])[unit.serial])
 
 
 @router.get(
@@ -114,7 +114,7 @@ def compare_figure(
     name: Literal["bias", "scale", "rms", "residuals"], context: Context, unit: Units = None
 ) -> figures.Figure:
     """`bias`, `scale`, `rms` over time; `residuals`: of each unit's latest run, laid over each other."""
-    units = compared_runs(context, unit)
+    units = compared_runs(context.store, unit)
     if name != "residuals":
         return figures.compare(name, units)
     curves = [_curve(context, serial, runs[-1]) for serial, runs in units.items() if runs]

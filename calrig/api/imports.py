@@ -6,7 +6,7 @@ from fastapi import APIRouter, File, Form, UploadFile
 
 from calrig.api.context import Context
 from calrig.api.errors import problems
-from calrig.api.limits import Turn, name_of
+from calrig.api.limits import UPLOAD_BYTES, Turn, name_of
 from calrig.api.models import RunAnswer
 from calrig.store import Run
 
@@ -15,6 +15,7 @@ router = APIRouter(tags=["runs"])
 
 @router.post(
     "/api/imports",
+    max_body_size=UPLOAD_BYTES,
     status_code=201,
     response_model=RunAnswer,
     responses=problems(408, 413, 422, 503),

@@ -1,6 +1,7 @@
-"""How large a request's body may be, how slowly it may come, and how many uploads are in hand at once.
+"""How slowly a body may come, and how many uploads are in hand at once. How large it may be, FastAPI counts.
 
-What is too large is answered by 413, what comes too slowly by 408, before it is parsed or kept.
+FastAPI's limits (`max_body_size` of the paths) know no time and have one answer, in plain text. Here what
+comes too slowly is 408, one upload too many 503, and a body that FastAPI found too large is told so in JSON.
 """
 
 from __future__ import annotations
@@ -28,37 +29,31 @@ REST_S = 10.0
 LONGEST_NAME = 200
 
 
-class BodyLimit:
-    """ASGI middleware that refuses bodies beyond the limit of their path.
-
-    A body that says its length is refused at once; one that does not is refused where it passes the limit.
-    """
+class BodyPatience:
+    """ASGI middleware that gives up bodies that dawdle, and uploads beyond those it can hold."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
         self._uploads: set[_Body] = set()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Passes the request on with a `receive` that counts."""
+        """Passes the request on with a `receive` that looks at the clock."""
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
         is_upload = scope["path"] in UPLOAD_PATHS
-        body = _Body(scope, receive, UPLOAD_BYTES if is_upload else JSON_BYTES)
-        if _content_length(scope) > body.limit:
-            await body.let_it_end()
-            await JSONResponse({"detail": body.too_large}, status_code=413)(scope, receive, send)
-        elif is_upload and not self._has_room():
+        body = _Body(scope, receive)
+        if is_upload and not self._has_room():
             await body.let_it_end()
             reason = f"{MOST_UPLOADS} uploads are in hand: try again later"
             await JSONResponse({"detail": reason}, 503, {"Retry-After": "5"})(scope, receive, send)
-        else:
-            if is_upload:
-                self._uploads.add(body)
-            try:
-                await self.app(scope, body.receive, body.noting(send))
-            finally:
-                self._uploads.discard(body)
+            return
+        if is_upload:
+            self._uploads.add(body)
+        try:
+            await self.app(scope, body.receive, body.answering(scope, send))
+        finally:
+            self._uploads.discard(body)
 
     def _has_room(self) -> bool:
         """Whether one more upload is taken: among too many, the one that comes most slowly gives way."""
@@ -71,11 +66,9 @@ class BodyLimit:
 
 
 class _Body:
-    """The body of one request as it comes."""
+    """The body of one request as it comes, and the beginning of its answer."""
 
-    def __init__(self, scope: Scope, receive: Receive, limit: int) -> None:
-        self.limit = limit
-        self.too_large = f"the body is larger than the {limit // 1_000_000} MB this path takes"
+    def __init__(self, scope: Scope, receive: Receive) -> None:
         self._receive = receive
         self._n_bytes = 0
         self._waited_s = 0.0
@@ -84,12 +77,21 @@ class _Body:
         self._is_answered = False
         self._closes = (b"connection", b"close") in scope["headers"]
 
-    def noting(self, send: Send) -> Send:
-        """A `send` from which it is known whether an answer has begun."""
+    def answering(self, scope: Scope, send: Send) -> Send:
+        """A `send` that notes that an answer has begun, and puts FastAPI's 413 into the contract's form."""
+        too_large = False
 
         async def noted(message: Message) -> None:
+            nonlocal too_large
             self._is_answered = True
-            await send(message)
+            if message["type"] == "http.response.start" and message["status"] == 413:
+                too_large = True
+                await self.let_it_end()
+                most = UPLOAD_BYTES if scope["path"] in UPLOAD_PATHS else JSON_BYTES
+                reason = f"the body is larger than the {most // 1_000_000} MB this path takes"
+                await JSONResponse({"detail": reason}, 413)(scope, self._receive, send)
+            elif not too_large:
+                await send(message)
 
         return noted
 
@@ -97,7 +99,7 @@ class _Body:
         """The next piece.
 
         Raises:
-            HTTPException: the body is too large, or comes too slowly.
+            HTTPException: the body comes too slowly.
         """
         if self._has_ended:  # what comes then is the end of the connection, and may take its time
             return await self._receive()
@@ -116,9 +118,6 @@ class _Body:
             self._waited_s += loop.time() - began_s
         self._n_bytes += len(message.get("body", b""))
         self._has_ended = not message.get("more_body", False)
-        if self._n_bytes > self.limit:
-            await self.let_it_end()
-            raise HTTPException(413, self.too_large)
         return message
 
     @property
@@ -142,7 +141,7 @@ class _Body:
         The client would see a connection reset under its hands in the place of the answer. Where it stays
         open, the server reads and drops the rest by itself.
         """
-        if not self._closes:
+        if not self._closes or self._has_ended:
             return
         try:
             async with asyncio.timeout(REST_S):
@@ -150,13 +149,6 @@ class _Body:
                     pass
         except TimeoutError:
             pass
-
-
-def _content_length(scope: Scope) -> int:
-    for name, value in scope["headers"]:
-        if name == b"content-length" and value.isdigit():
-            return int(value)
-    return 0
 
 
 def name_of(file: UploadFile) -> str:

@@ -5,7 +5,7 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Request, Response
 from pydantic import Field
 
-from calrig.api.authentication import Door
+from calrig.api.authentication import Authentication
 from calrig.api.errors import problems
 from calrig.api.models import Answer, Body
 
@@ -25,32 +25,32 @@ class LoginAnswer(Answer):
     logged_in: bool
 
 
-def _door(request: Request) -> Door:
-    door: Door = request.app.state.door
-    return door
+def _authentication(request: Request) -> Authentication:
+    authentication: Authentication = request.app.state.authentication
+    return authentication
 
 
-TheDoor = Annotated[Door, Depends(_door)]
+Auth = Annotated[Authentication, Depends(_authentication)]
 
 
 @router.get("/api/login", summary="Whether to log in")
-async def login_state(request: Request, door: TheDoor) -> LoginAnswer:
+async def login_state(request: Request, auth: Auth) -> LoginAnswer:
     """Open to everybody, so that the page knows what to show."""
-    return LoginAnswer(needed=door.access.token is not None, logged_in=door.has_session(request))
+    return LoginAnswer(needed=auth.access.token is not None, logged_in=auth.has_session(request))
 
 
 @router.post("/api/login", responses=problems(413, 422), summary="Log in on the page")
-async def log_in(body: Login, request: Request, response: Response, door: TheDoor) -> LoginAnswer:
+async def log_in(body: Login, request: Request, response: Response, auth: Auth) -> LoginAnswer:
     """Sets a cookie that lasts twelve hours. A wrong token is 401, a second later."""
-    if door.access.token is None:
+    if auth.access.token is None:
         return LoginAnswer(needed=False, logged_in=False)
-    await door.check_token(request, body.token)
-    door.set_cookie(request, response)
+    await auth.check_token(request, body.token)
+    auth.set_cookie(request, response)
     return LoginAnswer(needed=True, logged_in=True)
 
 
 @router.post("/api/logout", summary="Log out on the page")
-async def log_out(request: Request, response: Response, door: TheDoor) -> LoginAnswer:
+async def log_out(request: Request, response: Response, auth: Auth) -> LoginAnswer:
     """Ends the session whose cookie came along."""
-    door.drop_cookie(request, response)
-    return LoginAnswer(needed=door.access.token is not None, logged_in=False)
+    auth.drop_cookie(request, response)
+    return LoginAnswer(needed=auth.access.token is not None, logged_in=False)

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from calrig.calibration.verdict import Verdict
 from calrig.plan import Plan
 
 Status = Literal["queued", "running", "paused", "completed", "failed", "aborted", "interrupted"]
@@ -114,7 +115,7 @@ class ResultAnswer(Answer):
     noise_deg: float | None
     temperature_c: Extremes | None
     gyro: GyroAnswer
-    reference: ReferenceAnswer | None = None  # of runs stored before it was reckoned: null
+    reference: ReferenceAnswer | None = None  # of runs stored before it was computed: null
 
 
 class VoidedAnswer(Answer):
@@ -131,6 +132,7 @@ class RunAnswer(Answer):
     unit: str
     rig: str | None
     status: Status
+    verdict: Verdict | None
     plan: Plan | None
     progress: ProgressAnswer
     result: ResultAnswer | None
@@ -192,100 +194,6 @@ class UnitWithRuns(UnitAnswer):
     """A sensor and all its runs, newest first."""
 
     runs: list[RunAnswer]
-
-
-class ComparedRun(Answer):
-    """The figures of one completed, not voided calibration."""
-
-    run_id: str
-    finished_at: datetime
-    bias_deg: float
-    bias_std_deg: float | None
-    scale: float | None
-    scale_std: float | None
-    rms_raw_deg: float
-    rms_calibrated_deg: float | None
-    rms_with_effects_deg: float | None
-    temperature_c: Extremes
-    effects: list[dict[str, Any]]
-
-
-class ComparedUnit(Answer):
-    """A unit's calibrations, the oldest first, and how its bias drifts over them."""
-
-    unit: str
-    runs: list[ComparedRun]
-    drift_deg_per_day: float | None
-
-
-class SpreadAnswer(Answer):
-    """Standard deviation between units, and of one unit's runs about their mean (repeatability)."""
-
-    between_units_std: float | None
-    within_unit_std: float | None
-
-
-class Spreads(Answer):
-    """How far units differ, against how well one repeats itself."""
-
-    bias_deg: SpreadAnswer
-    scale: SpreadAnswer
-
-
-class Comparison(Answer):
-    """Units side by side."""
-
-    units: list[ComparedUnit]
-    spread: Spreads
-
-
-class NamedEffect(Answer):
-    """An accepted effect of the unit itself."""
-
-    name: str
-    parameters: dict[str, float | None]
-
-
-class CalibrationGyro(Answer):
-    """The gyro's part of a calibration."""
-
-    bias_dps: list[float | None] = Field(min_length=3, max_length=3)
-    scale: float | None
-
-
-class UncertaintyAnswer(Answer):
-    """Standard uncertainties of a calibrated elevation; the expanded one contains them all."""
-
-    type_a_deg: float | None
-    type_b_deg: float | None
-    reference_deg: float | None
-    reference_bias_deg: float | None
-    reference_scale: float | None
-
-
-class CalibrationAnswer(Answer):
-    """A unit's calibration (CONTRACT section 6)."""
-
-    schema_: Literal["calrig.calibration/1"] = Field(alias="schema")
-    unit: str
-    run_id: str
-    calibrated_at: datetime
-    rig: str | None
-    range_deg: list[float] = Field(min_length=2, max_length=2)
-    model: str
-    bias_deg: float
-    scale: float
-    covariance: list[list[float]] | None
-    effects: list[NamedEffect]
-    gyro: CalibrationGyro | None
-    rms_raw_deg: float
-    rms_calibrated_deg: float | None
-    rms_with_effects_deg: float | None
-    expanded_uncertainty_deg: float | None
-    coverage_factor: float
-    uncertainty: UncertaintyAnswer
-    temperature_c: Extremes | None
-    provenance: dict[str, Any]
 
 
 class Figure(Answer):

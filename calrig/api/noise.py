@@ -1,7 +1,9 @@
 """Noise and filters: of a run's samples, or of a log that somebody brings."""
 
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+
 from collections.abc import Sequence
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, File, Form, UploadFile
 
@@ -9,8 +11,9 @@ from calrig.analysis.errors import Invalid
 from calrig.analysis.noise_studies import filters_of_run, noise_of_run
 from calrig.api.context import Context, KnownRun
 from calrig.api.errors import problems
-from calrig.api.limits import Turn, name_of
-from calrig.api.noise_models import FiltersAnswer, NoiseAnswer
+from calrig.api.limits import UPLOAD_BYTES, Turn, name_of
+from calrig.api.models import Answer
+from calrig.api.models import Figure as FigureAnswer
 from calrig.export.cells import CsvError
 from calrig.export.static_csv import StaticLog, read_static
 from calrig.figures.filters import filters_figures
@@ -27,6 +30,111 @@ MOST_SAMPLES = 2_000_000
 LogFile = Annotated[UploadFile, File(description="CONTRACT section 4's static log")]
 Rate = Annotated[float | None, Form(gt=0, le=1e6, description="Samples a second; wins over time_s.")]
 Range = Annotated[float | None, Form(gt=0, le=1e5, description="Full scale of raw counts.")]
+
+
+class Dropped(Answer):
+    """What could not be used of a log."""
+
+    gaps: int
+    not_finite: int
+
+
+class AllanAnswer(Answer):
+    """Overlapping Allan deviation with its confidence limits."""
+
+    tau_s: list[float]
+    deviation: list[float]
+    low: list[float]
+    high: list[float]
+
+
+class CoefficientAnswer(Answer):
+    """One kind of noise, in the unit given."""
+
+    value: float
+    std: float
+    unit: str
+
+
+class CoefficientsAnswer(Answer):
+    """The kinds of noise that the log asks for; null for the others."""
+
+    quantisation: CoefficientAnswer | None
+    white: CoefficientAnswer | None
+    flicker: CoefficientAnswer | None
+    random_walk: CoefficientAnswer | None
+    ramp: CoefficientAnswer | None
+
+
+class LineAnswer(Answer):
+    """A spectral line."""
+
+    frequency_hz: float
+    amplitude: float
+    p_value: float
+
+
+class DistributionAnswer(Answer):
+    """Whether the samples are Gaussian; null where quantisation hides it."""
+
+    gaussian: bool | None
+    p_value: float | None
+    skewness: float | None
+    kurtosis: float | None
+    outliers: int
+
+
+class TemperatureAnswer(Answer):
+    """Dependence on temperature, per °C."""
+
+    per_c: float
+    std: float
+
+
+class ChannelAnswer(Answer):
+    """The noise of one channel, in its unit."""
+
+    mean: float
+    std: float
+    adf_slope: float | None
+    psd_slope: float | None
+    colour: Literal["white", "pink", "brown", "quantisation-limited", "lines", "mixed"] | None
+    allan: AllanAnswer
+    coefficients: CoefficientsAnswer
+    lines: list[LineAnswer]
+    distribution: DistributionAnswer
+    temperature: TemperatureAnswer | None
+
+
+class NoiseReport(Answer):
+    """CONTRACT section 7."""
+
+    rate_hz: float
+    duration_s: float
+    dropped: Dropped
+    channels: dict[str, ChannelAnswer]
+    summary: list[str]
+
+
+class CaptionedFigure(Answer):
+    """A picture and what it shows."""
+
+    caption: str
+    figure: FigureAnswer
+
+
+class NoiseAnswer(Answer):
+    """The report of a static log, and its pictures."""
+
+    report: NoiseReport
+    figures: list[CaptionedFigure]
+
+
+class FiltersAnswer(Answer):
+    """What `calrig filters --json` prints, and its pictures."""
+
+    report: dict[str, Any]
+    figures: list[CaptionedFigure]
 
 
 @router.get(
@@ -53,6 +161,7 @@ def run_filters(run: KnownRun, context: Context, _turn: Turn) -> dict[str, Any]:
 
 @router.post(
     "/api/noise",
+    max_body_size=UPLOAD_BYTES,
     response_model=NoiseAnswer,
     responses=problems(408, 413, 422, 503),
     summary="The noise in a log from anybody's sensor",
@@ -75,6 +184,7 @@ def log_noise(
 
 @router.post(
     "/api/filters",
+    max_body_size=UPLOAD_BYTES,
     response_model=FiltersAnswer,
     responses=problems(408, 413, 422, 503),
     summary="The filters side by side on a log from anybody's sensor",

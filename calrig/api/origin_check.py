@@ -7,21 +7,25 @@ nothing of the kind and are known by the token alone.
 
 from __future__ import annotations
 
+import re
+
 from starlette.datastructures import MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.requests import HTTPConnection
 from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from calrig.api.access import knows
-from calrig.api.authentication import Door, address_of
+from calrig.api.access import Access, address_in, is_loopback
+from calrig.api.authentication import Authentication, address_of
 
 OPEN = frozenset({"/", "/api/health", "/api/login"})
-OPEN_FOLDERS = ("/web/", "/vendor/")
+OPEN_FOLDERS = ("/web/",)
 """The page itself holds nothing secret: it must come before anybody can log in on it."""
 HARMLESS = frozenset({"GET", "HEAD", "OPTIONS"})
 OF_THE_PAGE = frozenset({"same-origin", "none"})
 """`Sec-Fetch-Site` of what this service's own page, or a person at the address bar, asks for."""
+
+_HOST_FORM = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[^\s:/@\[\]]+)(:[0-9]{1,5})?")
 
 CONTENT_SECURITY_POLICY = "; ".join(
     [
@@ -44,12 +48,12 @@ HEADERS = {
 }
 
 
-class Guard:
+class OriginCheck:
     """ASGI middleware that refuses what must not come in; the rest passes with every answer's headers set."""
 
-    def __init__(self, app: ASGIApp, door: Door) -> None:
+    def __init__(self, app: ASGIApp, authentication: Authentication) -> None:
         self.app = app
-        self.door = door
+        self.authentication = authentication
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Refuses a request with 401, 403 or 429, or passes it on."""
@@ -57,7 +61,7 @@ class Guard:
             await self.app(scope, receive, send)
             return
 
-        async def guarded(message: Message) -> None:
+        async def with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
                 MutableHeaders(scope=message).update(HEADERS)
             await send(message)
@@ -67,17 +71,17 @@ class Guard:
             self._check_name(asked)
             _check_origin(asked)
             if not (scope["path"] in OPEN or scope["path"].startswith(OPEN_FOLDERS)):
-                await self.door.check(asked)
+                await self.authentication.check(asked)
         except HTTPException as error:
             refused = JSONResponse({"detail": error.detail}, error.status_code, error.headers)
-            await refused(scope, receive, guarded)
+            await refused(scope, receive, with_headers)
             return
-        await self.app(scope, receive, guarded)
+        await self.app(scope, receive, with_headers)
 
     def _check_name(self, asked: HTTPConnection) -> None:
         hosts = asked.headers.getlist("host")
         server = asked.scope.get("server")
-        if len(hosts) == 1 and knows(self.door.access, hosts[0], server[0] if server else None):
+        if len(hosts) == 1 and knows(self.authentication.access, hosts[0], server[0] if server else None):
             return
         named = " and ".join(_shown(host) for host in hosts) or "no name"
         raise HTTPException(
@@ -85,6 +89,31 @@ class Guard:
             f"a request to {named} from {address_of(asked)}: this service is not known by that name; where "
             "that is one of its names, write it into `hosts = [...]` at the top of calrig.toml",
         )
+
+
+def knows(access: Access, host: str, server: str | None) -> bool:
+    """Whether a Host header names the service.
+
+    A page elsewhere can have any name of its own lead here, but the browser sends that very name: DNS
+    rebinding ends at this check. Ports are not looked at: no name becomes somebody else's by its port, and
+    `ssh -L` changes them.
+
+    Args:
+        access: the names the service has.
+        host: the header, `name`, `name:port` or `[address]:port`.
+        server: the address at which the connection came in; None where it has none.
+    """
+    form = _HOST_FORM.fullmatch(host)
+    if form is None:
+        return False
+    name = form[1].strip("[]").lower()
+    if name in access.names:
+        return True
+    if server is None:
+        return False
+    if is_loopback(server):
+        return name == "localhost" or is_loopback(name)
+    return name == server.lower() or (address_in(name) == address_in(server) is not None)
 
 
 def _check_origin(asked: HTTPConnection) -> None:

@@ -1,62 +1,88 @@
-"""The page and what it needs: its own files, and plotly's JavaScript out of plotly's wheel."""
+"""The page and what it needs, under addresses that name what they hold: a browser asks for each file once.
+
+`/web/<digest>/main.js` is kept for ever, where the digest is that of all files of the page; only `/`, which
+names the digest, is asked about each time. Modules import each other by relative paths and so stay within
+one digest. `/web/main.js`, and a digest of before, answer what there is now, to be asked about again.
+"""
 
 # No `from __future__ import annotations`: FastAPI reads the annotations of functions in here.
 
-from importlib.metadata import version
-from importlib.util import find_spec
+import hashlib
+import re
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 from fastapi import APIRouter, FastAPI, Request
-from starlette.responses import Response
-from starlette.staticfiles import StaticFiles
+from starlette.responses import HTMLResponse, Response
+from starlette.staticfiles import NotModifiedResponse, StaticFiles
 from starlette.types import Scope
 
 REVALIDATE = {"Cache-Control": "no-cache"}
 KEEP = {"Cache-Control": "public, max-age=31536000, immutable"}
+DIGITS = 16
+_DIGEST = re.compile(rf"^([0-9a-f]{{{DIGITS}}})/")
 
 
 class _PageFiles(StaticFiles):
-    """The page's files, which a browser may keep but asks about each time: an update shows at once."""
+    """The page's files, with or without a digest before their names."""
+
+    def __init__(self, web: Path) -> None:
+        super().__init__(directory=web, check_dir=False)
+        self.web = web
 
     async def get_response(self, path: str, scope: Scope) -> Response:
-        response = await super().get_response(path, scope)
-        response.headers.update(REVALIDATE)
+        named = _DIGEST.match(path)
+        response = await super().get_response(path[named.end() :] if named else path, scope)
+        current = named is not None and named[1] == _digest(_files(self.web))
+        response.headers.update(KEEP if current else REVALIDATE)
+        return response
+
+    def index(self, request: Request) -> Response:
+        """`index.html` with today's addresses, all modules among them: no import waits for another."""
+        files = _files(self.web)
+        digest = _digest(files)
+        html = (self.web / "index.html").read_text(encoding="utf-8")
+        modules = [file.name for file, *_ in files if file.parent == self.web and file.suffix == ".js"]
+        preloads = [f'<link rel="modulepreload" href="/web/{name}">' for name in modules]
+        html = html.replace("</head>", "\n    ".join([" ", *preloads]) + "\n  </head>")
+        headers = {**REVALIDATE, "ETag": f'"{digest}"'}
+        response = HTMLResponse(html.replace('"/web/', f'"/web/{digest}/'), headers=headers)
+        if self.is_not_modified(response.headers, request.headers):
+            return NotModifiedResponse(response.headers)
         return response
 
 
 def install(app: FastAPI, web: Path) -> None:
-    """Serves `/`, `/web/…` and `/vendor/plotly.min.js`.
+    """Serves `/` and `/web/…`.
 
     Args:
         app: where to add the paths; the API's own must be there already.
         web: the folder of the page, with `index.html`.
     """
     router = APIRouter(include_in_schema=False)
-    plotly = _plotly_javascript()
-    plotly_version = version("plotly")
+    files = _PageFiles(web)
 
     @router.get("/")
     def index(request: Request) -> Response:
-        return _file(web / "index.html", request, REVALIDATE)
-
-    @router.get("/vendor/plotly.min.js")
-    def plotly_js(request: Request, v: str | None = None) -> Response:
-        """For ever where the address names the version that is installed, else checked each time."""
-        return _file(plotly, request, KEEP if v == plotly_version else REVALIDATE)
+        return files.index(request)
 
     app.include_router(router)
-    app.mount("/web", _PageFiles(directory=web, check_dir=False), name="web")
+    app.mount("/web", files, name="web")
 
 
-def _file(path: Path, request: Request, headers: dict[str, str]) -> Response:
-    """The file, or 304 where the browser has it as it is."""
-    response = StaticFiles(directory=path.parent).file_response(path, path.stat(), request.scope)
-    response.headers.update(headers)
-    return response
+_Files = tuple[tuple[Path, int, int], ...]
+"""Each file with its time of change and its size: while these stay, so does the digest."""
 
 
-def _plotly_javascript() -> Path:
-    """Where the wheel keeps its script; importing plotly to ask would cost a second of start-up."""
-    spec: Any = find_spec("plotly")
-    return Path(spec.submodule_search_locations[0]) / "package_data" / "plotly.min.js"
+def _files(web: Path) -> _Files:
+    found = sorted(path for path in web.rglob("*") if path.is_file())
+    return tuple((path, (stat := path.stat()).st_mtime_ns, stat.st_size) for path in found)
+
+
+@lru_cache(maxsize=4)
+def _digest(files: _Files) -> str:
+    """The first digits of the SHA-256 of all files' names and contents."""
+    whole = hashlib.sha256()
+    for path, *_ in files:
+        whole.update(hashlib.sha256(path.name.encode()).digest() + hashlib.sha256(path.read_bytes()).digest())
+    return whole.hexdigest()[:DIGITS]

@@ -1,20 +1,44 @@
 """Health, rigs, and runs: starting them, looking at them, asking something of them."""
 
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+
 from typing import Annotated
 
 from fastapi import APIRouter, Path, Query
+from pydantic import Field
 
 import calrig
 from calrig.analysis.errors import Invalid
 from calrig.api.context import Context, KnownRun
 from calrig.api.errors import problems
-from calrig.api.models import Health, Reason, RigAnswer, RunAnswer, RunList, StartRun, Status
-from calrig.api.scan_models import ScanAnswer
+from calrig.api.models import Answer, Health, Reason, RigAnswer, RunAnswer, RunList, StartRun, Status
 from calrig.instruments import scan as ports
+from calrig.instruments.scan import Kind
 from calrig.instruments.scan_stanza import stanza
 from calrig.store import Run
 
 router = APIRouter(tags=["runs"])
+
+
+class FoundAnswer(Answer):
+    """A port and who answers there; `busy` and `no permission` are ports that did not open."""
+
+    port: str
+    kind: Kind
+    driver: str | None
+    identity: str
+    axis: int | None
+    baudrate: int | None
+    usb_id: str | None
+    usb_serial: str | None
+    description: str
+
+
+class ScanAnswer(Answer):
+    """Every port there is, by name."""
+
+    found: list[FoundAnswer]
+    stanza: str = Field(description="For calrig.toml; empty where no stage was found.")
 
 
 @router.get("/api/health", summary="Whether the service answers")
@@ -144,5 +168,5 @@ def void_run(run: KnownRun, body: Reason, context: Context) -> Run:
 def exclude_pose(
     run: KnownRun, index: Annotated[int, Path(ge=0, lt=2**31)], body: Reason, context: Context
 ) -> Run:
-    """The result is reckoned again from the poses that are left."""
+    """The result is computed again from the poses that are left."""
     return context.records.exclude_pose(run.id, index, body.reason)

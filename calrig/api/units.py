@@ -1,15 +1,19 @@
 """Units: who they are, their runs, their calibration in force. A serial number may contain `/`."""
 
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+
 from dataclasses import asdict
-from typing import Annotated, Literal
+from datetime import datetime
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query
 from fastapi.responses import PlainTextResponse
+from pydantic import Field
 
-from calrig.api.calibrations import document_of, run_in_force
+from calrig.analysis.active_calibration import document_of, run_in_force
 from calrig.api.context import Context, KnownUnit
 from calrig.api.errors import problems
-from calrig.api.models import CalibrationAnswer, UnitAnswer, UnitWithRuns
+from calrig.api.models import Answer, Extremes, UnitAnswer, UnitWithRuns
 from calrig.export.c_header import c_header
 
 EVERY_RUN = 2**31
@@ -17,6 +21,55 @@ EVERY_RUN = 2**31
 CalibrationFormat = Literal["json", "c-header"]
 
 router = APIRouter(tags=["units"])
+
+
+class NamedEffect(Answer):
+    """An accepted effect of the unit itself."""
+
+    name: str
+    parameters: dict[str, float | None]
+
+
+class CalibrationGyro(Answer):
+    """The gyro's part of a calibration."""
+
+    bias_dps: list[float | None] = Field(min_length=3, max_length=3)
+    scale: float | None
+
+
+class UncertaintyAnswer(Answer):
+    """Standard uncertainties of a calibrated elevation; the expanded one contains them all."""
+
+    type_a_deg: float | None
+    type_b_deg: float | None
+    reference_deg: float | None
+    reference_bias_deg: float | None
+    reference_scale: float | None
+
+
+class CalibrationAnswer(Answer):
+    """A unit's calibration (CONTRACT section 6)."""
+
+    schema_: Literal["calrig.calibration/1"] = Field(alias="schema")
+    unit: str
+    run_id: str
+    calibrated_at: datetime
+    rig: str | None
+    range_deg: list[float] = Field(min_length=2, max_length=2)
+    model: str
+    bias_deg: float
+    scale: float
+    covariance: list[list[float]] | None
+    effects: list[NamedEffect]
+    gyro: CalibrationGyro | None
+    rms_raw_deg: float
+    rms_calibrated_deg: float | None
+    rms_with_effects_deg: float | None
+    expanded_uncertainty_deg: float | None
+    coverage_factor: float
+    uncertainty: UncertaintyAnswer
+    temperature_c: Extremes | None
+    provenance: dict[str, Any]
 
 
 @router.get("/api/units", response_model=list[UnitAnswer], summary="Every unit, by serial number")

@@ -48,7 +48,7 @@ def export(
     db: Db = None,
 ) -> None:
     """Print a calibration as JSON or as a C header, or its poses as CSV."""
-    from calrig.api.calibrations import document_of, run_in_force
+    from calrig.analysis.active_calibration import document_of, run_in_force
     from calrig.cli.output import print_json
     from calrig.export.c_header import c_header
     from calrig.export.poses_csv import write_poses

@@ -98,7 +98,7 @@ def _stop_request() -> Iterator[_StopRequest]:
 def _until_ended(service: RunService, run_id: str, asked: _StopRequest, show: Callable[[Event], None]) -> Run:
     """Shows the run's events until it has ended, aborting it once that is asked for; the run as it ended."""
     from calrig.analysis.errors import Conflict
-    from calrig.analysis.states import AT_REST
+    from calrig.store import AT_REST
 
     news = threading.Event()
     unsubscribe = service.bus.subscribe(run_id, news.set)

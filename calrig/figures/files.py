@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 from calrig.errors import InputError, WorkError
 from calrig.figures.parts import Figure
+from calrig.settings import packed
 
 Rows = Sequence[Sequence[tuple[str, Figure]]]
 """Rows of cells, each a caption and a figure of one pair of axes."""
@@ -23,10 +25,25 @@ _BETWEEN_PX = 90
 """Between columns, for the axis title."""
 _MARGINS = {"l": 90, "r": 10, "t": 100, "b": 10}
 TEXT = "#24292f"
+_PAGE = """<!doctype html>
+<html lang="en">
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width">
+<title>calrig</title>
+<body>
+<div id="figure"></div>
+<script type="application/json" id="drawn">%(figure)s</script>
+<script>%(script)s</script>
+<script>
+const {data, layout} = JSON.parse(document.getElementById("drawn").textContent);
+Plotly.newPlot("figure", data, layout, {displaylogo: false, responsive: true});
+</script>
+</html>
+"""
 
 
 def writer_of(file: Path) -> Callable[[str, Rows], None]:
-    """What will write figures under a title to the file, by its ending: `.html` (plotly inside) or `.png`.
+    """What will write figures under a title to the file, by its ending: `.html` (stands by itself) or `.png`.
 
     Raises:
         InputError: another ending, no such folder, or PNG without the exporter. What is returned raises
@@ -37,8 +54,8 @@ def writer_of(file: Path) -> Callable[[str, Rows], None]:
         raise InputError(f"{file}: name it .html or .png")
     if not file.absolute().parent.is_dir():
         raise InputError(f"{file}: there is no folder {file.parent}")
-    if kind == ".png" and find_spec("kaleido") is None:
-        raise InputError(f"{file}: PNG needs the package kaleido (pip install 'calrig[png]'), HTML does not")
+    if kind == ".png" and not (find_spec("kaleido") and find_spec("plotly")):
+        raise InputError(f"{file}: PNG needs pip install 'calrig[png]', HTML does not")
     to_bytes = _html if kind == ".html" else _png
 
     def write(title: str, rows: Rows) -> None:
@@ -52,13 +69,18 @@ def writer_of(file: Path) -> Callable[[str, Rows], None]:
 
 
 def _html(figure: Figure) -> bytes:
-    from plotly.io import to_html  # type: ignore[import-untyped]
-
-    return str(to_html(figure, include_plotlyjs=True, config={"displaylogo": False})).encode()
+    """One file with the charts' script inside, so that it opens anywhere without a service."""
+    try:
+        script = (packed("web") / "vendor" / "plotly-partial.min.js").read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        raise WorkError(f"{error.filename}: is made when calrig is installed: pip install it") from error
+    # A name with `</script>` in it would end the element that holds the figure.
+    drawn = json.dumps(figure, allow_nan=False).replace("<", "\\u003c")
+    return (_PAGE % {"figure": drawn, "script": script}).encode()
 
 
 def _png(figure: Figure) -> bytes:
-    from plotly.io import to_image
+    from plotly.io import to_image  # type: ignore[import-untyped]
 
     try:
         return bytes(to_image(figure, format="png", scale=PNG_SCALE))

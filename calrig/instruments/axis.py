@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import math
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from calrig.instruments.axis_goal import Goal, travel_time_s
+from calrig.instruments.clock import WALL, Clock
 from calrig.instruments.errors import Halted, InstrumentError, LimitError, StageError
 from calrig.instruments.types import Stage, StageIdentity, StageStatus
 
@@ -42,7 +41,7 @@ class Axis:
         ratio: stage degrees per degree of elevation.
         limits_deg: soft limits of elevation, lower then upper.
         tolerance_deg: how far from its target, in elevation, a move may end.
-        clock: monotonic seconds.
+        clock: of the stage's port.
     """
 
     def __init__(
@@ -54,7 +53,7 @@ class Axis:
         ratio: float = 1.0,
         limits_deg: tuple[float, float] = (-90.0, 90.0),
         tolerance_deg: float = 0.3,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Clock = WALL,
     ) -> None:
         self.stage = stage
         self.limits_deg = limits_deg
@@ -105,7 +104,7 @@ class Axis:
         if self.stage.status().state != "homing":
             self.has_moved, self._rests_deg = True, None
             self.stage.home()
-        now = self._clock()
+        now = self._clock.now_s()
         self._goal = Goal(None, now + HOME_TIMEOUT_S, HOME_TIMEOUT_S, now, math.inf)
 
     def begin_move(self, elevation_deg: float) -> None:
@@ -128,7 +127,7 @@ class Axis:
         velocity = self._velocity_dps or ASSUMED_VELOCITY_DPS
         acceleration = self._acceleration_dps2 or velocity
         travel_s = travel_time_s(abs(self._gain * (elevation_deg - here)), velocity, acceleration)
-        now = self._clock()
+        now = self._clock.now_s()
         self._goal = Goal(
             target_deg=elevation_deg,
             deadline_s=now + 2 * travel_s + MOVE_MARGIN_S,
@@ -205,7 +204,7 @@ class Axis:
             StageError: it still moves, or does not answer, after timeout_s: only cutting its power is left.
             PortError: the port is gone.
         """
-        deadline = self._clock() + timeout_s
+        deadline = self._clock.now_s() + timeout_s
         while True:
             self.halt()
             failure: StageError | None = None
@@ -216,13 +215,13 @@ class Axis:
             else:
                 if words.state not in IN_MOTION:
                     return
-            if self._clock() > deadline:
+            if self._clock.now_s() > deadline:
                 said = failure or f"it says {words.words}"
                 raise StageError(
                     f"the stage is not known to stand {timeout_s:g} s after it was told to stop ({said}): "
                     "cut its motor power"
                 ) from failure
-            time.sleep(0.02)
+            self._clock.sleep(0.02)
 
     def close(self) -> None:
         """Restores the velocity found and closes the port; never raises."""
@@ -259,7 +258,7 @@ class Axis:
             )
 
     def _check_progress(self, elevation_deg: float, status: StageStatus) -> None:
-        goal, now = self._goal, self._clock()
+        goal, now = self._goal, self._clock.now_s()
         if goal is None:
             return  # somebody else's motion: a keypad's, or that of a process before this one
         goal.off_since_s = None
@@ -276,7 +275,7 @@ class Axis:
             )
 
     def _is_in_place(self, elevation_deg: float, status: StageStatus) -> bool:
-        goal, now = self._goal, self._clock()
+        goal, now = self._goal, self._clock.now_s()
         if goal is None:
             return True
         if status.state == "ready":

@@ -1,51 +1,48 @@
-"""Drivers by name: the built-in ones, and those that other packages offer as entry points.
+"""Devices by name: the built-in ones, and those that other packages offer as entry points.
 
-A package adds a stage with the entry-point group `calrig.stages`, a board with `calrig.boards`; the entry
-point's name is the driver's, its object a callable like the ones below.
+Each folder under `stages` and `boards` that is a package declares its `DEVICE`; nothing else lists them. A
+package of somebody else's adds a stage with the entry-point group `calrig.stages`, a board with
+`calrig.boards`. The entry point's name is the driver's; its object is a `StageDevice` or `BoardDevice`, which
+takes part in scans, or just what opens one.
 """
 
 from __future__ import annotations
 
+import logging
+import pkgutil
 from collections.abc import Mapping
-from functools import partial
-from importlib.metadata import entry_points
-from typing import Protocol, TypeVar, cast
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+from types import ModuleType
+from typing import TYPE_CHECKING, TypeVar, cast
 
-from calrig.instruments.boards.calrig.driver import CalrigBoard
-from calrig.instruments.boards.sketches.catalogue import SKETCHES
-from calrig.instruments.boards.sketches.driver import SketchBoard
+from calrig.instruments import boards, stages
+from calrig.instruments.device import AnyDevice, BoardDevice, OpenBoard, OpenStage, StageDevice
 from calrig.instruments.errors import InstrumentError
-from calrig.instruments.stages.esp301.driver import Esp301
-from calrig.instruments.stages.grbl.driver import Grbl
-from calrig.instruments.stages.smc100.driver import Smc100
-from calrig.instruments.stages.zaber.driver import Zaber
-from calrig.instruments.types import Board, Stage
+
+if TYPE_CHECKING:
+    from calrig.instruments.types import Board, Stage
+
+T = TypeVar("T", StageDevice, BoardDevice)
+log = logging.getLogger(__name__)
 
 
-class OpenStage(Protocol):
-    """Opens a stage's port; moves nothing. Without a baudrate the driver's own is used."""
+def _built_in(folder: ModuleType, kind: type[T]) -> dict[str, T]:
+    devices = {}
+    for found in pkgutil.iter_modules(folder.__path__, f"{folder.__name__}."):
+        if not found.ispkg:
+            continue  # what several devices share
+        device = getattr(import_module(found.name), "DEVICE", None)
+        if not isinstance(device, kind):
+            raise TypeError(f"{found.name} declares no DEVICE that is a {kind.__name__}")
+        if device.driver.replace("-", "_") != found.name.rpartition(".")[2]:
+            raise TypeError(f"{found.name} declares driver {device.driver!r}, whose folder has another name")
+        devices[device.driver] = device
+    return devices
 
-    def __call__(self, url: str, *, axis: int, baudrate: int | None) -> Stage: ...  # noqa: D102
 
-
-class OpenBoard(Protocol):
-    """Opens a board's port. Without a baudrate the driver's own is used."""
-
-    def __call__(self, url: str, *, baudrate: int | None) -> Board: ...  # noqa: D102
-
-
-STAGES: Mapping[str, OpenStage] = {
-    "smc100": Smc100.open,
-    "grbl": Grbl.open,
-    "esp301": Esp301.open,
-    "zaber": Zaber.open,
-}
-BOARDS: Mapping[str, OpenBoard] = {
-    "calrig": CalrigBoard.open,
-    **{sketch.driver: partial(SketchBoard.open, sketch=sketch) for sketch in SKETCHES},
-}
-
-T = TypeVar("T")
+STAGES: Mapping[str, StageDevice] = _built_in(stages, StageDevice)
+BOARDS: Mapping[str, BoardDevice] = _built_in(boards, BoardDevice)
 
 
 def open_stage(driver: str, port: str, *, axis: int = 1, baudrate: int | None = None) -> Stage:
@@ -55,7 +52,8 @@ def open_stage(driver: str, port: str, *, axis: int = 1, baudrate: int | None = 
         InstrumentError: no driver of that name; names those there are.
         PortError: the port cannot be opened.
     """
-    return _find(STAGES, "stage", driver)(port, axis=axis, baudrate=baudrate)
+    opens = STAGES[driver].opens if driver in STAGES else _offered("stage", driver, STAGES)
+    return cast("OpenStage", opens)(port, axis=axis, baudrate=baudrate)
 
 
 def open_board(driver: str, port: str, *, baudrate: int | None = None) -> Board:
@@ -65,19 +63,41 @@ def open_board(driver: str, port: str, *, baudrate: int | None = None) -> Board:
         InstrumentError: no driver of that name; names those there are.
         PortError: the port cannot be opened.
     """
-    return _find(BOARDS, "board", driver)(port, baudrate=baudrate)
+    opens = BOARDS[driver].opens if driver in BOARDS else _offered("board", driver, BOARDS)
+    return cast("OpenBoard", opens)(port, baudrate=baudrate)
 
 
-def _find(built_in: Mapping[str, T], kind: str, driver: str) -> T:
-    if driver in built_in:
-        return built_in[driver]
+def known_devices() -> list[AnyDevice]:
+    """All that a scan can recognise: the built-in devices, and what is offered as a device."""
+    devices: list[AnyDevice] = [*STAGES.values(), *BOARDS.values()]
+    for kind, built_in in (("stage", STAGES), ("board", BOARDS)):
+        for entry in entry_points(group=f"calrig.{kind}s"):
+            if entry.name in built_in:
+                continue
+            try:
+                offered = _load(kind, entry)
+            except InstrumentError as error:
+                log.warning("not looked for in a scan: %s", error)
+                continue
+            if isinstance(offered, StageDevice | BoardDevice) and offered not in devices:
+                devices.append(offered)
+    return devices
+
+
+def _offered(kind: str, driver: str, built_in: Mapping[str, AnyDevice]) -> object:
+    """What opens a device that another package offers."""
     offered = entry_points(group=f"calrig.{kind}s")
     if driver not in offered.names:
         known = ", ".join(sorted({*built_in, *offered.names}))
         raise InstrumentError(f"no {kind} driver is called {driver!r}; there are: {known}")
+    loaded = _load(kind, offered[driver])
+    return loaded.opens if isinstance(loaded, StageDevice | BoardDevice) else loaded
+
+
+def _load(kind: str, entry: EntryPoint) -> object:
     try:
-        return cast("T", offered[driver].load())
-    except (ImportError, AttributeError) as error:
+        return entry.load()
+    except (ImportError, AttributeError, TypeError, ValueError) as error:
         raise InstrumentError(
-            f"{kind} driver {driver!r} is installed but cannot be loaded: {error}"
+            f"{kind} driver {entry.name!r} is installed but cannot be loaded: {error}"
         ) from error

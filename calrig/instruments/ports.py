@@ -8,6 +8,7 @@ import socket
 import serial
 from serial.tools import list_ports
 
+from calrig.instruments.clock import WALL, Clock
 from calrig.instruments.errors import PortError
 from calrig.instruments.transcript import Tape, tape_of
 
@@ -36,10 +37,15 @@ class Port:
     """An open port. Whatever fails on it is a PortError that names it.
 
     One thread may read while another writes; two threads that write need a lock of their own.
+
+    Attributes:
+        name: as it was asked for.
+        clock: the time that what hangs on it lives in.
     """
 
     def __init__(self, name: str, wire: serial.Serial, tape: Tape | None = None) -> None:
         self.name = name
+        self.clock = _clock_of(wire)
         self._wire = wire
         self._tape = tape
 
@@ -121,7 +127,22 @@ def open_port(url: str, *, baudrate: int, timeout_s: float) -> Port:
             _send_small_writes_at_once(wire)
     except (OSError, ValueError) as error:
         raise PortError(f"port {url} {_reason(error)}") from error
-    return Port(url, wire, tape_of(url))
+    return Port(url, wire, tape_of(url, _clock_of(wire)))
+
+
+def clock_of(url: str) -> Clock:
+    """The time that a port lives in, whether it can be opened or not."""
+    if "://" not in url:
+        return WALL
+    try:
+        return _clock_of(serial.serial_for_url(url, do_not_open=True))
+    except (OSError, ValueError):
+        return WALL  # opening it says why
+
+
+def _clock_of(wire: serial.Serial) -> Clock:
+    clock: Clock = getattr(wire, "clock", WALL)
+    return clock
 
 
 def device_of(url: str) -> str:

@@ -1,42 +1,29 @@
-"""Who answers on which port: found out without a byte that could move anything.
+"""Who answers on which port: found out without a byte that could move anything (the rules: `device`).
 
-Each port is opened once, which resets most Arduinos, and listened to before anything is asked. What is asked
-(`LOOKS`) is harmless to the device it is meant for, to every other one that may hang there instead, and to
-one that hears it at the wrong baud rate:
-
-- `?` asks a GRBL for its status, which it tells even while it moves. To all others it is no command.
-- `ID` LF asks a calrig board who it is. To GRBL it is a letter without its number: error:2, nothing is done.
-- `/` LF asks every Zaber device whether it is there. GRBL drops the `/`, and an empty line is none.
-- `1SL?` CR LF asks an SMC100 for its lower limit, `VE?` CR an ESP301 for its version.
-- What is sent twice is so because the first one ends what the device has heard of the questions before, and
-  may be refused. None begins with a line end, which would complete a motion command that somebody else has
-  left half sent; the letters that come first make a wrong command of it.
-- Every motion command of Thorlabs' binary frames has the byte 0x04; no question has it.
-- No sketch heeds what it hears, but that `dmp-ypr` starts to measure.
-- A device that hears a question at another baud rate hears other bytes. The tests reckon out which: no
-  command of any stage's, and none of GRBL's real-time ones, such as the 0x18 (reset) that `1VE` at 57600 baud
-  holds for a GRBL. Therefore more is asked (`THEN`) only of a device that is known.
+Each port is opened once, which resets most Arduinos, and listened to before anything is asked.
 """
 
 from __future__ import annotations
 
 import errno
-import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
+from calrig.instruments.device import AnyDevice, Look, Recognised, lines_of, recognise
+from calrig.instruments.drivers import known_devices
 from calrig.instruments.errors import PortError
 from calrig.instruments.ports import Port, device_of, open_port
-from calrig.instruments.scan_signs import Sign, lines_of, recognise
 
 READ_TIMEOUT_S = 0.02
+RESET_S = 2.0
+"""So long most boards are silent once their port was opened."""
 REST_S = 0.15
 """What a device that is known by now has still to say."""
 MOST_HEARD = 8192
@@ -49,30 +36,6 @@ NOT_OPENED: dict[int, Kind] = {
     errno.EACCES: "no permission",
     errno.EPERM: "no permission",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Look:
-    """A question, nothing to listen only, and how long its answer is waited for."""
-
-    baudrate: int
-    question: bytes
-    listen_s: float
-
-
-LOOKS = (
-    Look(9600, b"", 2.6),  # a reset's silence, and the banners of sketches that then measure for long
-    Look(38400, b"", 0.5),
-    Look(115200, b"", 1.0),
-    Look(115200, b"?", 0.4),
-    Look(115200, b"ID\nID\n", 0.5),
-    Look(115200, b"/\n", 0.3),
-    Look(57600, b"1SL?\r\n1SL?\r\n", 0.5),
-    Look(19200, b"VE?\rVE?\r", 0.5),
-)
-"""Who speaks unasked comes first: who waits to be asked still does so later."""
-THEN = {"grbl": b"$I\n", "zaber": b"/get version\n", "smc100": b"1VE\r\n"}
-"""What is asked of a device that is known by now: version numbers, which are only read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,8 +84,30 @@ def scan(ports: Iterable[str] = (), *, ours: Iterable[str] = ()) -> list[Found]:
     kept = set(filter(None, map(_name_of, ours)))
     if not names:
         return []
+    devices = known_devices()
     with ThreadPoolExecutor(len(names)) as beside:
-        return list(beside.map(lambda name: _look_at(name, listed.get(name), ours=name in kept), names))
+        return list(
+            beside.map(lambda name: _look_at(name, listed.get(name), devices, ours=name in kept), names)
+        )
+
+
+def looks(devices: Iterable[AnyDevice]) -> list[Look]:
+    """What is tried on a port, in order: each rate is listened at before anything is asked.
+
+    Who speaks unasked comes first, for who waits to be asked still does so later; slow boards before fast
+    ones, for they tell who they are after a reset and then measure for long. Questions begin at the rate
+    listened at last, the quickest to answer first.
+    """
+    wanted: dict[tuple[int, bytes], Look] = {}
+    for look in (look for device in devices for look in device.looks):
+        key = (look.baudrate, look.question)
+        if key not in wanted or wanted[key].listen_s < look.listen_s:
+            wanted[key] = look
+    listens = sorted((look for look in wanted.values() if not look.question), key=lambda look: look.baudrate)
+    asks = [look for look in wanted.values() if look.question]
+    if listens:
+        listens[0] = replace(listens[0], listen_s=RESET_S + listens[0].listen_s)
+    return listens + sorted(asks, key=lambda look: (-look.baudrate, look.listen_s, look.question))
 
 
 def _name_of(port: str) -> str | None:
@@ -133,63 +118,75 @@ def _name_of(port: str) -> str | None:
     return str(Path(device).resolve()) if Path(device).is_symlink() else device
 
 
-def _look_at(name: str, info: ListPortInfo | None, *, ours: bool) -> Found:
-    sign: Sign | None = None
+def _look_at(name: str, info: ListPortInfo | None, devices: Sequence[AnyDevice], *, ours: bool) -> Found:
+    found: Recognised | None = None
     rate: int | None = None
     kind: Kind = "unknown"
     try:
         if ours:
             kind, words = "busy", "a rig of this service: left alone, so that it can be stopped at any moment"
         else:
-            with closing(open_port(name, baudrate=LOOKS[0].baudrate, timeout_s=READ_TIMEOUT_S)) as port:
-                sign, rate, words = _converse(port)
+            rate = looks(devices)[0].baudrate
+            with closing(open_port(name, baudrate=rate, timeout_s=READ_TIMEOUT_S)) as port:
+                found, rate, words = converse(port, devices)
     except PortError as error:
         words = str(error)
         kind = NOT_OPENED.get(getattr(error.__cause__, "errno", None) or 0, "unknown")
     has_usb = info is not None and info.vid is not None
     return Found(
         port=name,
-        kind=sign.kind if sign else kind,
-        driver=sign.driver if sign else None,
-        identity=sign.identity if sign else words,
-        axis=sign.axis if sign else None,
-        baudrate=rate if info else None,
+        kind=found.device.kind if found else kind,
+        driver=found.device.driver if found else None,
+        identity=found.identity.words if found else words,
+        axis=found.identity.axis if found else None,
+        baudrate=rate if info and found else None,
         usb_id=f"{info.vid:04x}:{info.pid:04x}" if info and has_usb else None,
         usb_serial=(info.serial_number or None) if info else None,
         description=info.description if info else "",
     )
 
 
-def _converse(port: Port) -> tuple[Sign | None, int | None, str]:
-    """Who it is and at which baud rate, or what was heard instead, in words."""
-    heard, rate = b"", LOOKS[0].baudrate
+def converse(port: Port, devices: Sequence[AnyDevice]) -> tuple[Recognised | None, int, str]:
+    """Who it is and at which baud rate, or what was heard instead, in words.
+
+    Args:
+        port: open at the rate of the first of `looks`.
+        devices: whom it may be.
+
+    Raises:
+        PortError: the port went away.
+    """
+    tries = looks(devices)
+    heard, rate = b"", tries[0].baudrate
     anything, last_words = False, ""
-    for look in LOOKS:
+    for look in tries:
         if look.baudrate != rate:
             port.change_baudrate(look.baudrate)
             heard, rate = b"", look.baudrate
         if look.question:
             port.write(look.question)
-        heard = _listen(port, heard, look.listen_s)
-        if sign := recognise(heard):
-            port.write(THEN.get(sign.driver, b""))
-            return recognise(_listen(port, heard, REST_S, to_the_end=True)) or sign, rate, ""
+        heard = _listen(port, heard, look.listen_s, lambda heard: bool(recognise(heard, devices)))
+        if found := recognise(heard, devices):
+            if found.device.then:
+                port.write(found.device.then)
+            heard = _listen(port, heard, REST_S, lambda _: False)
+            return recognise(heard, devices) or found, rate, ""
         anything |= bool(heard)
         last_words = next(filter(_is_text, reversed(lines_of(heard))), last_words)
     if last_words:
-        return None, None, f"says {last_words[:60]!r}, which no driver knows"
+        return None, rate, f"says {last_words[:60]!r}, which no driver knows"
     if anything:
-        return None, None, "what it sends is no text at any baud rate tried"
-    return None, None, "nothing answers: is the device switched on?"
+        return None, rate, "what it sends is no text at any baud rate tried"
+    return None, rate, "nothing answers: is the device switched on?"
 
 
-def _listen(port: Port, heard: bytes, listen_s: float, *, to_the_end: bool = False) -> bytes:
-    """What was heard and what comes, until time is up or it tells who sent it."""
-    deadline_s = time.monotonic() + listen_s
-    while time.monotonic() < deadline_s:
+def _listen(port: Port, heard: bytes, listen_s: float, enough: Callable[[bytes], bool]) -> bytes:
+    """What was heard and what comes, until time is up or that is enough."""
+    end_s = port.clock.now_s() + listen_s
+    while port.clock.now_s() < end_s:
         data = port.read_some()
         heard = (heard + data)[-MOST_HEARD:]
-        if data and not to_the_end and recognise(heard):
+        if data and enough(heard):
             break
     return heard
 

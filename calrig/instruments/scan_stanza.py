@@ -6,13 +6,12 @@ import json
 from collections.abc import Container, Iterable, Sequence
 from itertools import count
 
-from calrig.instruments.boards.sketches.catalogue import SKETCHES
+from calrig.instruments.drivers import BOARDS
 from calrig.instruments.ports import USB
 from calrig.instruments.scan import Found
 
 CHECK = "# before the first run: check limits_deg, and on the stage itself zero_deg and sign"
 NO_BOARD = '# imu = { driver = "calrig", port = "…" }   # no board was found'
-PUBLISHED_AT = {sketch.driver: sketch.baudrate for sketch in SKETCHES}
 
 
 def stanza(found: Sequence[Found], taken: Container[str] = ()) -> str:
@@ -53,8 +52,9 @@ def _stage(stage: Found, all_found: Iterable[Found]) -> str:
 
 
 def _imu(board: Found, all_found: Iterable[Found]) -> str:
-    usual = PUBLISHED_AT.get(board.driver or "", board.baudrate)
-    rate = "" if board.baudrate in (None, usual) else f", baudrate = {board.baudrate}"
+    device = BOARDS.get(board.driver or "")
+    usual = (None, device and device.baudrate)
+    rate = "" if board.baudrate in usual else f", baudrate = {board.baudrate}"
     return f"imu = {{ {_device(board, all_found)}{rate} }}"
 
 

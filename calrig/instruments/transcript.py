@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TextIO
 
+from calrig.instruments.clock import Clock
 from calrig.instruments.errors import PortError
 
 KEPT_S = 60.0
@@ -51,10 +52,11 @@ def _heading(port: str) -> str:
 class Tape:
     """The transcript of one port; reader and writer may note at the same time."""
 
-    def __init__(self, port: str, file: TextIO | None = None) -> None:
+    def __init__(self, port: str, clock: Clock, file: TextIO | None = None) -> None:
         self.port = port
         self._file = file
-        self._opened_s = time.monotonic()
+        self._now_s = clock.now_s
+        self._opened_s = clock.now_s()
         self._lock = threading.Lock()
         self._kept: deque[Piece] = deque()
         self._n_bytes = 0
@@ -63,7 +65,7 @@ class Tape:
 
     def note(self, direction: Direction, data: bytes) -> None:
         """Takes what was sent or received just now."""
-        piece = Piece(time.monotonic() - self._opened_s, direction, data)
+        piece = Piece(self._now_s() - self._opened_s, direction, data)
         with self._lock:
             self._kept.append(piece)
             self._n_bytes += len(data)
@@ -87,14 +89,14 @@ class Tapes:
     all: list[Tape]
     _files: ExitStack
 
-    def of(self, port: str) -> Tape:
+    def of(self, port: str, clock: Clock) -> Tape:
         """A new tape."""
         file = None
         if self.folder is not None:
             name = "".join(c if c.isalnum() else "-" for c in port).strip("-")[:80]
             path = self.folder / f"{time.strftime('%Y%m%dT%H%M%S')}-{len(self.all)}-{name}.txt"
             file = self._files.enter_context(path.open("x", encoding="ascii", errors="replace"))
-        tape = Tape(port, file)
+        tape = Tape(port, clock, file)
         self.all.append(tape)
         return tape
 
@@ -123,10 +125,10 @@ def taped(folder: Path | None = None) -> Iterator[Tapes]:
             _current.reset(token)
 
 
-def tape_of(port: str) -> Tape | None:
+def tape_of(port: str, clock: Clock) -> Tape | None:
     """A tape for a port that is being opened, where somebody wants one."""
     tapes = _current.get()
-    return None if tapes is None else tapes.of(port)
+    return None if tapes is None else tapes.of(port, clock)
 
 
 def read_transcript(lines: Iterable[str]) -> list[Piece]:

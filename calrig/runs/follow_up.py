@@ -6,29 +6,30 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from calrig.analysis.errors import Conflict
+from calrig.analysis.unresolved import Unresolved
 from calrig.calibration.diagnosis import trace
+from calrig.calibration.experiment_design import design
 from calrig.calibration.pose import Pose
 from calrig.calibration.responses import DiagnosisError
-from calrig.calibration.search import Findings
 from calrig.calibration.sprt import SequentialTest
 from calrig.plan import Plan, PlannedPose
 
 
 @dataclass
 class FollowUpRun:
-    """What a follow-up knows of the runs it follows on.
+    """A follow-up and the runs it follows on.
 
     Attributes:
-        run_ids, runs: the earlier runs and their poses.
-        findings: of their diagnosis, which left something ambiguous.
+        earlier: the runs, whose diagnosis left something ambiguous.
         separates: names of the suspects.
         deciding: how many poses of a sweep, its first, are there to decide; the others confirm.
+        plan: of the follow-up.
+        limits_deg: soft limits of the rig.
         decided_on: indices of the measured poses that served to decide.
     """
 
-    run_ids: Sequence[str]
-    runs: Sequence[Sequence[Pose]]
-    findings: Findings
+    earlier: Unresolved
     separates: Sequence[str]
     deciding: int
     plan: Plan
@@ -37,8 +38,22 @@ class FollowUpRun:
     _decided: bool = False
 
     def __post_init__(self) -> None:
-        self._test = SequentialTest(self.runs, self.findings)
+        self._test = SequentialTest(self.earlier.poses, self.earlier.findings)
         self._of_a_sweep = len(self.plan.elevations())
+
+    @classmethod
+    def designed(cls, earlier: Unresolved, limits_deg: tuple[float, float]) -> FollowUpRun:
+        """The follow-up that best separates the suspects on a rig.
+
+        Raises:
+            Conflict: no run within these limits would, and why.
+        """
+        last = earlier.runs[-1]
+        found = design(earlier.poses, earlier.findings, limits_deg)
+        if isinstance(found, str):
+            raise Conflict(f"run {last.id}: {found}")
+        plan = Plan.model_validate(found.document(last.plan or {})["plan"])
+        return cls(earlier, found.separates, found.deciding, plan, limits_deg)
 
     def skips(self, planned: PlannedPose, measured: Sequence[Pose]) -> bool:
         """Whether a planned pose need not be measured: it was to decide, and that has been done."""
@@ -63,8 +78,8 @@ class FollowUpRun:
         """The diagnosis of all runs together, confirmed on the poses that did not serve to decide."""
         try:
             return trace(
-                [*self.runs, measured],
-                [*self.run_ids, run_id],
+                [*self.earlier.poses, measured],
+                [*(run.id for run in self.earlier.runs), run_id],
                 plan=self.plan.model_dump(mode="json"),
                 limits_deg=self.limits_deg,
                 deciding=self.decided_on,

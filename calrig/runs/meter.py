@@ -2,74 +2,69 @@
 
 from __future__ import annotations
 
-import threading
 import time
-from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
 
-
-@dataclass(frozen=True, slots=True)
-class Counts:
-    """What was counted: by rig, by rig and kind of fault, by rig and the status that runs ended with."""
-
-    samples: Counter[str] = field(default_factory=Counter)
-    poses: Counter[str] = field(default_factory=Counter)
-    faults: Counter[tuple[str, str]] = field(default_factory=Counter)
-    ended: Counter[tuple[str, str]] = field(default_factory=Counter)
+from prometheus_client import CollectorRegistry, Counter, Gauge
 
 
 class Meter:
-    """The counts of a service; each run counts through a `RunMeter` of its rig."""
+    """The counters of a service, in a registry of its own; each run counts through a `RunMeter` of its rig.
 
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._counts = Counts()
-        self._began_s = time.monotonic()
+    Args:
+        rigs: their names. What is counted by rig begins with 0, for a rate needs a beginning.
 
-    @property
-    def uptime_s(self) -> float:
-        """How long there has been something to count."""
-        return time.monotonic() - self._began_s
+    Attributes:
+        registry: what the service's metrics are written out from.
+    """
 
-    def counts(self) -> Counts:
-        """What was counted so far: a copy, of one instant."""
-        with self._lock:
-            now = self._counts
-            return Counts(now.samples.copy(), now.poses.copy(), now.faults.copy(), now.ended.copy())
+    def __init__(self, rigs: Iterable[str] = ()) -> None:
+        registry = self.registry = CollectorRegistry()
+        self.samples = Counter(
+            "calrig_samples", "Valid samples taken from boards.", ["rig"], registry=registry
+        )
+        self.poses = Counter("calrig_poses", "Poses measured and stored.", ["rig"], registry=registry)
+        self.faults = Counter(
+            "calrig_faults",
+            "Faults seen on the wires and in samples.",
+            ["rig", "kind"],
+            registry=registry,
+        )
+        self.ended = Counter("calrig_runs_ended", "Runs that ended.", ["rig", "status"], registry=registry)
+        began_s = time.monotonic()
+        uptime = Gauge("calrig_uptime_seconds", "Time since the service began.", registry=registry)
+        uptime.set_function(lambda: time.monotonic() - began_s)
+        for rig in rigs:
+            self.samples.labels(rig)
+            self.poses.labels(rig)
 
     def of_run(self, rig: str, faults_before: Mapping[str, int] | None = None) -> RunMeter:
-        """A meter for one run on a rig; of one taken up again, `faults_before` were counted then."""
-        return RunMeter(self._lock, self._counts, rig, Counter(faults_before))
+        """A meter for one run on a rig; of a resumed one, `faults_before` were counted before."""
+        return RunMeter(self, rig, faults_before or {})
 
 
-@dataclass
 class RunMeter:
-    """What one run counts. A run's faults come as totals: the difference to the last ones is new."""
+    """What one run counts. Used by the run's own thread only."""
 
-    _lock: threading.Lock
-    _counts: Counts
-    _rig: str
-    _faults: Counter[str]
+    def __init__(self, meter: Meter, rig: str, faults_before: Mapping[str, int]) -> None:
+        self._meter = meter
+        self._rig = rig
+        self._faults = dict(faults_before)
 
     def samples(self, number: int) -> None:
         """Samples came."""
-        with self._lock:
-            self._counts.samples[self._rig] += number
+        self._meter.samples.labels(self._rig).inc(number)
 
     def pose(self) -> None:
         """A pose was stored."""
-        with self._lock:
-            self._counts.poses[self._rig] += 1
+        self._meter.poses.labels(self._rig).inc()
 
     def faults(self, totals: Mapping[str, int]) -> None:
-        """The run's faults so far, by kind."""
-        with self._lock:
-            for kind, total in totals.items():
-                self._counts.faults[self._rig, kind] += max(0, total - self._faults[kind])
-                self._faults[kind] = total
+        """The run's faults so far, by kind: the difference to the last totals is new."""
+        for kind, total in totals.items():
+            self._meter.faults.labels(self._rig, kind).inc(max(0, total - self._faults.get(kind, 0)))
+            self._faults[kind] = total
 
     def ended(self, status: str) -> None:
         """The run ended."""
-        with self._lock:
-            self._counts.ended[self._rig, status] += 1
+        self._meter.ended.labels(self._rig, status).inc()

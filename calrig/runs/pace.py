@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field
 
 from calrig.estimation.kalman import KalmanFilter, KalmanNoise
@@ -75,19 +74,19 @@ class Pace:
 
     def _stands(self, elevation_deg: float) -> None:
         self.stage_deg = self._stood_deg = elevation_deg
-        self._watched_s = time.monotonic()
+        self._watched_s = self.rig.clock.now_s()
 
     def see_that_it_stands(self) -> None:
         """Looks where the stage stands; StageError where it has left its place without being told to."""
         if self._stood_deg is not None:
             self.stage_deg = self.rig.axis.see_that_it_stands(self._stood_deg)
-            self._watched_s = time.monotonic()
+            self._watched_s = self.rig.clock.now_s()
 
     def look(self) -> None:
         """Takes samples for a moment, tells what is seen, and unwinds where an end was asked for."""
         self.stream.pump(LOOK_S)
         self.control.check()
-        if time.monotonic() - self._watched_s > WATCH_S:
+        if self.rig.clock.now_s() - self._watched_s > WATCH_S:
             self.see_that_it_stands()
         self.recorder.reading(
             self.stream.clock_s, self.stage_deg, self.stream.reading_deg, self.stream.temperature_c

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import logging
-import time
+import math
 from collections.abc import Mapping
 from typing import Any, Unpack
 
-from calrig.analysis.states import AT_REST, check_transition
 from calrig.calibration.pose import Pose
+from calrig.instruments.clock import Clock
 from calrig.runs.bus import Bus
 from calrig.runs.meter import RunMeter
-from calrig.store import Progress, RunChanges, SampleBlock, Status, Store
+from calrig.runs.states import check_transition
+from calrig.store import AT_REST, Progress, RunChanges, SampleBlock, Status, Store
 
 log = logging.getLogger(__name__)
 
@@ -30,9 +31,11 @@ class Recorder:
         bus: Bus,
         run_id: str,
         meter: RunMeter,
+        clock: Clock,
         poses_total: int,
         poses_before: int = 0,
     ) -> None:
+        self._now_s = clock.now_s
         self._store = store
         self._bus = bus
         self.run_id = run_id
@@ -40,11 +43,10 @@ class Recorder:
         self._status: Status = "queued"
         self._poses_total = poses_total
         self._poses_done = self._poses_before = poses_before
-        self._first_pose_began_s = time.monotonic()
+        self._first_pose_began_s = self._now_s()
         self._paused_s = 0.0
         self._readings: list[tuple[str, dict[str, Any]]] = []
-        self._last_reading_s = 0.0
-        self._last_flush_s = 0.0
+        self._last_reading_s = self._last_flush_s = -math.inf
 
     @property
     def status(self) -> Status:
@@ -59,9 +61,9 @@ class Recorder:
         self._store.update_run(self.run_id, **told)
         self._tell_watchers(status, told)
         if status == "paused":
-            self._paused_s = time.monotonic()
+            self._paused_s = self._now_s()
         elif self._status == "paused":  # a pause says nothing of how long poses take
-            self._first_pose_began_s += time.monotonic() - self._paused_s
+            self._first_pose_began_s += self._now_s() - self._paused_s
         self._status = status
         self._bus.wake(self.run_id)
 
@@ -75,7 +77,7 @@ class Recorder:
 
     def poses_begin(self) -> None:
         """The first pose begins: the time left is reckoned from here."""
-        self._first_pose_began_s = time.monotonic()
+        self._first_pose_began_s = self._now_s()
 
     def update(self, **changes: Unpack[RunChanges]) -> None:
         """Stores what nobody is told of."""
@@ -115,7 +117,7 @@ class Recorder:
         self, time_s: float, stage_deg: float | None, reading_deg: float | None, temperature_c: float | None
     ) -> None:
         """Tells what is seen now, unless something was told less than a twentieth of a second ago."""
-        now_s = time.monotonic()
+        now_s = self._now_s()
         if now_s - self._last_reading_s < READING_INTERVAL_S:
             return
         self._last_reading_s = now_s
@@ -131,14 +133,14 @@ class Recorder:
 
     def flush(self) -> None:
         """Writes the readings that wait."""
-        self._last_flush_s = time.monotonic()
+        self._last_flush_s = self._now_s()
         if self._readings:
             self._store.append_events(self.run_id, self._readings)
             self._readings = []
             self._bus.wake(self.run_id)
 
     def _progress(self) -> Progress:
-        a_pose_s = (time.monotonic() - self._first_pose_began_s) / (self._poses_done - self._poses_before)
+        a_pose_s = (self._now_s() - self._first_pose_began_s) / (self._poses_done - self._poses_before)
         return {
             "poses_done": self._poses_done,
             "poses_total": self._poses_total,

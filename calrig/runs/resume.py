@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from calrig.analysis.active_calibration import as_applied
-from calrig.analysis.diagnoses import Diagnoses
 from calrig.analysis.errors import Conflict, NotTheSame
+from calrig.analysis.unresolved import unresolved
 from calrig.calibration.pose import Pose
 from calrig.estimation.gyro import GyroBias, dwell_bias
 from calrig.plan import Plan, PlanError
@@ -129,17 +129,8 @@ def _biases(store: Store, run: Run, poses: list[Pose]) -> list[GyroBias]:
 def _follow_up(store: Store, run: Run, plan: Plan, settings: RigSettings) -> FollowUpRun:
     """As it began: its decisions rest on poses that are stored, so they come out alike."""
     assert run.follows is not None  # noqa: S101 (the caller looked)
-    diagnoses = Diagnoses(store)
-    earlier, diagnosis = diagnoses.suspects(run.follows)
     known = run.provenance.get("follow_up") or {}
     if "deciding" not in known:
         raise Conflict(f"run {run.id} follows {run.follows} and was begun by an older calrig: start it anew")
-    return FollowUpRun(
-        run_ids=[one.id for one in earlier],
-        runs=[diagnoses.poses(one.id) for one in earlier],
-        findings=diagnosis.findings,
-        separates=known["separates"],
-        deciding=known["deciding"],
-        plan=plan,
-        limits_deg=settings.limits_deg,
-    )
+    earlier = unresolved(store, run.follows)
+    return FollowUpRun(earlier, known["separates"], known["deciding"], plan, settings.limits_deg)

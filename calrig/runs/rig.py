@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import logging
-import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass
 
 from calrig.instruments.axis import Axis
+from calrig.instruments.clock import Clock
 from calrig.instruments.drivers import open_board, open_stage
 from calrig.instruments.errors import InstrumentError, PortError
+from calrig.instruments.ports import clock_of
 from calrig.instruments.types import Board, BoardIdentity, Stage, StageIdentity
 from calrig.settings import RigSettings, StageSettings
 
@@ -28,10 +29,11 @@ AGAIN_S = 0.1
 class Rig:
     """An open rig: who its instruments say they are, and the two of them.
 
-    `faults_before` are those of a run before it was interrupted.
+    `clock` is the time that both live in; `faults_before` are those of a run before it was interrupted.
     """
 
     settings: RigSettings
+    clock: Clock
     axis: Axis
     stage: Stage
     board: Board
@@ -75,19 +77,20 @@ def open_rig(
     """
     if settings.stage is None or settings.imu is None:
         raise InstrumentError(f"rig {settings.name!r} has no ports: its simulated devices are not running")
+    clock = clock_of(settings.stage.port)
     axis = _open_axis(settings, settings.stage)
     arm(axis.halt)
     board: Board | None = None
     try:
         board = open_board(settings.imu.driver, settings.imu.port, baudrate=settings.imu.baudrate)
-        yield Rig(settings, axis, axis.stage, board, axis.identify(), board.identify(), faults_before)
+        yield Rig(settings, clock, axis, axis.stage, board, axis.identify(), board.identify(), faults_before)
     finally:
         out_of_reach = axis.has_moved and not _told_to_stop(axis, warn)
         if board is not None:
             board.close()
         axis.close()
         if out_of_reach:
-            _stop_when_back(settings, warn)
+            _stop_when_back(settings, clock, warn)
 
 
 def stop_stage(settings: RigSettings) -> None:
@@ -110,6 +113,7 @@ def _open_axis(settings: RigSettings, stage: StageSettings) -> Axis:
         ratio=stage.ratio,
         limits_deg=settings.limits_deg,
         tolerance_deg=stage.tolerance_deg,
+        clock=clock_of(stage.port),
     )
 
 
@@ -126,17 +130,17 @@ def _told_to_stop(axis: Axis, warn: Callable[[str], None]) -> bool:
     return True
 
 
-def _stop_when_back(settings: RigSettings, warn: Callable[[str], None]) -> None:
+def _stop_when_back(settings: RigSettings, clock: Clock, warn: Callable[[str], None]) -> None:
     """Stops a stage whose port went away, should it come back in time; under another name where `usb:`."""
-    give_up_s = time.monotonic() + COME_BACK_S
+    give_up_s = clock.now_s() + COME_BACK_S
     while True:
         try:
             return stop_stage(settings)
         except PortError as error:
-            if time.monotonic() > give_up_s:
+            if clock.now_s() > give_up_s:
                 log.warning("the stage's port did not come back: %s", error)
                 return warn("the stage could not be told to stop: cut its motor power")
         except InstrumentError as error:
             log.warning("could not see the stage stopped: %s", error)
             return warn(str(error))
-        time.sleep(AGAIN_S)
+        clock.sleep(AGAIN_S)

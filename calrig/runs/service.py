@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from calrig.analysis.active_calibration import active_calibration
-from calrig.analysis.amendments import check_serial
-from calrig.analysis.diagnoses import Diagnoses
 from calrig.analysis.errors import Conflict, Invalid, Unknown
-from calrig.analysis.provenance import provenance
-from calrig.analysis.states import check_transition
-from calrig.calibration.experiment_design import design
+from calrig.analysis.origin import check_serial, provenance
+from calrig.analysis.stored_runs import stored_run
+from calrig.analysis.unresolved import unresolved
 from calrig.instruments.errors import InstrumentError
 from calrig.plan import Plan, PlanError
 from calrig.runs.bus import Bus
@@ -24,6 +21,7 @@ from calrig.runs.meter import Meter
 from calrig.runs.resume import resumed_task
 from calrig.runs.rig import stop_stage
 from calrig.runs.rig_states import RigState, state_of
+from calrig.runs.states import check_transition
 from calrig.runs.task import Task
 from calrig.runs.worker import Worker
 from calrig.settings import RigSettings
@@ -47,10 +45,9 @@ class RunService:
     def __init__(self, store: Store, rigs: Sequence[RigSettings], record: Path | None = None) -> None:
         self.store = store
         self.bus = Bus()
-        self.meter = Meter()
         self._rigs = {rig.name: rig for rig in rigs}
+        self.meter = Meter(self._rigs)
         self._lock = threading.Lock()
-        self._diagnoses = Diagnoses(store)
         self._workers: dict[str, Worker] = {}
         self._busy: dict[str, str] = {}  # rigs by name, each with its run
         self._unreachable: set[str] = set()
@@ -93,27 +90,13 @@ class RunService:
             Unknown: there is no such run.
             Conflict: nothing can be separated on this rig, and why; or the rig is busy.
         """
-        earlier, diagnosis = self._diagnoses.suspects(run_id)
-        last = earlier[-1]
-        if last.rig is None:
+        run = stored_run(self.store, run_id)
+        if run.rig is None:
             raise Conflict(f"run {run_id} was imported: no rig is known to follow it up on")
-        settings = self._rig(last.rig)
-        poses = [self._diagnoses.poses(run.id) for run in earlier]
-        designed = design(poses, diagnosis.findings, settings.limits_deg)
-        if isinstance(designed, str):
-            raise Conflict(f"run {run_id}: {designed}")
-        plan = Plan.model_validate(designed.document(last.plan or {})["plan"])
-        follow_up = FollowUpRun(
-            run_ids=[run.id for run in earlier],
-            runs=poses,
-            findings=diagnosis.findings,
-            separates=designed.separates,
-            deciding=designed.deciding,
-            plan=plan,
-            limits_deg=settings.limits_deg,
-        )
+        settings = self._rig(run.rig)
+        follow_up = FollowUpRun.designed(unresolved(self.store, run_id), settings.limits_deg)
         return self._begin(
-            settings, last.unit, plan, operator=last.operator, follows=last.id, follow_up=follow_up
+            settings, run.unit, follow_up.plan, operator=run.operator, follows=run_id, follow_up=follow_up
         )
 
     def _begin(
@@ -192,15 +175,13 @@ class RunService:
         """The run, or Unknown. One whose end the store could not be told of yet is as it ended."""
         worker = self._workers.get(run_id)  # before the store is asked: it is let go once that is told
         untold = None if worker is None else worker.untold
-        run = self.store.run(run_id)
-        if run is None:
-            raise Unknown(f"there is no run {run_id}")
+        run = stored_run(self.store, run_id)
         return run if untold is None else replace(run, **untold)
 
     def abort(self, run_id: str) -> Run:
         """Stops the stage now and ends the run; returns once it has ended, or after two seconds.
 
-        An interrupted run, which nobody carries out, is not to be taken up again.
+        An interrupted run, which nobody carries out, will not be resumed.
         """
         with self._lock:
             run = self.run(run_id)
@@ -244,7 +225,7 @@ class RunService:
         return self.run(run_id)
 
     def resume(self, run_id: str) -> Run:
-        """Has a paused run go on, or takes the wish for a pause back; takes an interrupted run up again.
+        """Has a paused run go on, or takes the wish for a pause back; resumes an interrupted run.
 
         Raises:
             Unknown: there is no such run.
@@ -253,14 +234,14 @@ class RunService:
         """
         run = self.run(run_id)
         if run.status == "interrupted":
-            return self._take_up(run)
+            return self._resume_interrupted(run)
         worker = self._worker(run_id, "resumed")
         if not worker.control.holding:
             raise Conflict(f"run {run_id} is not paused")
         worker.control.resume()
         return self.run(run_id)
 
-    def _take_up(self, run: Run) -> Run:
+    def _resume_interrupted(self, run: Run) -> Run:
         settings = self._rigs.get(run.rig or "")
         if settings is None:
             raise Conflict(f"run {run.id} was on rig {run.rig!r}, which is not configured any more")
@@ -295,9 +276,9 @@ class RunService:
             self._closing = True
         for worker in workers:
             worker.control.end(end)
-        deadline_s = time.monotonic() + CLOSE_S
-        for worker in workers:
-            worker.join(max(0.0, deadline_s - time.monotonic()))
+        deadlines_s = [worker.clock.now_s() + CLOSE_S for worker in workers]
+        for worker, deadline_s in zip(workers, deadlines_s, strict=True):
+            worker.join(max(0.0, deadline_s - worker.clock.now_s()))
             worker.give_up(self.store, end)
 
     def ports(self) -> list[str]:

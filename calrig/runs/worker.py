@@ -14,7 +14,9 @@ from calrig import logs
 from calrig.analysis.errors import NotTheSame
 from calrig.analysis.results import fitted
 from calrig.estimation.spectrum import MIN_SAMPLES
+from calrig.instruments.clock import WALL
 from calrig.instruments.errors import BoardError, InstrumentError, LimitError
+from calrig.instruments.ports import clock_of
 from calrig.instruments.transcript import Tape, taped
 from calrig.runs.bus import Bus
 from calrig.runs.control import Control, End, Ended
@@ -34,12 +36,11 @@ TRY_AGAIN_S = 1.0
 """How often a store that refuses a run's end is asked again: a disk does not stay full for ever."""
 
 
-class Worker(threading.Thread):
-    """Carries one run out. `control` takes requests; `reached_rig` tells whether both devices answered.
+class Worker:
+    """Carries one run out, in a daemon thread: a device that keeps it from ending keeps no program from it.
 
+    `control` takes requests; `reached_rig` tells whether both devices answered; `clock` is the rig's;
     `untold` is how the run ended, while the store cannot be told of it.
-
-    A daemon: a device that keeps it from ending must not keep the program from ending.
     """
 
     def __init__(
@@ -52,9 +53,10 @@ class Worker(threading.Thread):
         ended: Callable[[Worker], None],
         record: Path | None = None,
     ) -> None:
-        super().__init__(name=f"run-{task.run.id}", daemon=True)
         self.run_id = task.run.id
         self.rig = task.rig
+        self.clock = WALL if task.rig.stage is None else clock_of(task.rig.stage.port)
+        self._thread = self.clock.thread(self._carry_through, f"run-{task.run.id}")
         self.control = Control()
         self.reached_rig = False
         self._task = task
@@ -63,6 +65,7 @@ class Worker(threading.Thread):
             bus,
             task.run.id,
             meter.of_run(task.rig.name, task.earlier.faults),
+            self.clock,
             len(task.planned),
             len(task.earlier.poses),
         )
@@ -76,10 +79,18 @@ class Worker(threading.Thread):
         self._under_way = task.taken_up is None
         self._concluding = threading.Lock()
         self._concluded = False
-        self._given_up = threading.Event()
+        self._given_up = self.clock.event()
         self.untold: RunChanges | None = None
 
-    def run(self) -> None:
+    def start(self) -> None:
+        """Begins to carry the run out."""
+        self._thread.start()
+
+    def join(self, timeout_s: float | None = None) -> None:
+        """Waits until it has ended, or for so many seconds of its rig's time."""
+        self._thread.join(timeout_s)
+
+    def _carry_through(self) -> None:
         """Carries the run out; what is logged meanwhile says which run it is about."""
         with logs.about(run_id=self.run_id, rig=self.rig.name, unit=self._task.run.unit):
             self._run()

@@ -193,6 +193,9 @@ class Grbl:
                 raise _Refused(8)
             for number, value in self._settings().items():
                 self._say(f"${number}={value}")
+        elif line == "$I":
+            self._say(f"[VER:{self._firmware}.20190830:]")
+            self._say("[OPT:V,15,128]")
         elif line == "$X":
             if self._state == State.ALARM:
                 self._state = State.IDLE

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from types import TracebackType
 from typing import Self
 
@@ -14,7 +15,9 @@ from calrig.simulator.grbl import Grbl
 from calrig.simulator.ports import open_port
 from calrig.simulator.sketch_board import SketchBoard
 from calrig.simulator.smc100 import Smc100
-from calrig.simulator.wire import Wire
+from calrig.simulator.virtual_clock import VirtualClock
+from calrig.simulator.wire import MOST_WAITING_BYTES, Device, Wire
+from calrig.simulator.world import SimWire
 from calrig.simulator.zaber import Zaber
 
 Stage = Smc100 | Grbl | Esp301 | Zaber
@@ -29,12 +32,18 @@ class SimulatedRig:
         clock: simulated time in seconds since it was made, when called.
         bench: its physics; take `bench.lock` while the rig is running.
         stage, board: its devices; their `fault` may be set at any time.
+        stage_wire, board_wire: each can be pulled out by its `stop`.
         stage_port, imu_port: what `serial.serial_for_url` opens.
+
+    Args:
+        settings: what it is made of.
+        virtual: time for a rig whose ports are in this process (`sim://`); without it they are the system's,
+            and time is the wall's.
     """
 
-    def __init__(self, settings: SimulatorSettings) -> None:
+    def __init__(self, settings: SimulatorSettings, virtual: VirtualClock | None = None) -> None:
         self.settings = settings
-        self.clock = ScaledClock(settings.time_scale)
+        self.clock = ScaledClock(settings.time_scale, time.monotonic if virtual is None else virtual.now_s)
         self.bench = Bench(settings)
         self.stage: Stage = DIALECTS[settings.stage.driver](settings.stage, self.bench, self.clock)
         self.board: Board | SketchBoard
@@ -42,21 +51,18 @@ class SimulatedRig:
             self.board = Board(settings.board, settings.imu, self.bench, self.clock)
         else:
             self.board = SketchBoard(settings.board, settings.imu, self.bench, self.clock)
-        stage_wire = Wire(self.stage, open_port(settings.ports), "simulated stage")
-        board_wire = Wire(
-            self.board, open_port(settings.ports), "simulated board", self.board.most_waiting_bytes
-        )
-        self._wires = (stage_wire, board_wire)
-        self.stage_port, self.imu_port = stage_wire.url, board_wire.url
+        self.stage_wire = _plugged(self.stage, "stage", settings, virtual)
+        self.board_wire = _plugged(self.board, "board", settings, virtual, self.board.most_waiting_bytes)
+        self.stage_port, self.imu_port = self.stage_wire.url, self.board_wire.url
 
     def start(self) -> None:
         """Switches both devices on."""
-        for wire in self._wires:
+        for wire in (self.stage_wire, self.board_wire):
             wire.start()
 
     def stop(self) -> None:
         """Switches them off and closes the ports."""
-        for wire in self._wires:
+        for wire in (self.stage_wire, self.board_wire):
             wire.stop()
 
     def __enter__(self) -> Self:
@@ -67,3 +73,15 @@ class SimulatedRig:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.stop()
+
+
+def _plugged(
+    device: Device,
+    name: str,
+    settings: SimulatorSettings,
+    virtual: VirtualClock | None,
+    most_waiting_bytes: int = MOST_WAITING_BYTES,
+) -> Wire | SimWire:
+    if virtual is not None:
+        return SimWire(device, name, virtual, most_waiting_bytes)
+    return Wire(device, open_port(settings.ports), f"simulated {name}", most_waiting_bytes)

@@ -13,7 +13,7 @@ RETRY_S = 0.005
 
 
 class Device(Protocol):
-    """Speaks a dialect. Called by one thread only."""
+    """Speaks a dialect. Called by one thread at a time."""
 
     @property
     def interval_s(self) -> float | None:

@@ -4,6 +4,7 @@ from calrig.store.backup import BackedUp, back_up
 from calrig.store.errors import NotFound, StoreDamagedError, StoreError, StoreUnavailableError
 from calrig.store.event_log import Announced
 from calrig.store.records import (
+    AT_REST,
     AcceptedEffect,
     ComparisonRow,
     Event,
@@ -20,6 +21,7 @@ from calrig.store.records import (
 from calrig.store.store import Store
 
 __all__ = [
+    "AT_REST",
     "AcceptedEffect",
     "Announced",
     "BackedUp",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import io
+import re
 import zipfile
 import zlib
 from collections.abc import Iterable
@@ -11,10 +12,11 @@ from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
+from sqlmodel import Session
 
 from calrig.calibration.pose import Pose
 from calrig.store import checksums
-from calrig.store.errors import Unreadable
+from calrig.store.errors import NotFound, Unreadable
 from calrig.store.records import Progress, RawSamples, Run, SampleBlock, Status, StoredPose, Voided
 from calrig.store.tables import CalibrationTable, PoseTable, RunTable
 
@@ -35,6 +37,23 @@ FIGURES = (
 _ARRAYS = ("time_s", "accel_g", "gyro_dps", "temperature_c")
 _ANGLE = "angle_deg"
 """Packed only where the board sends it."""
+
+
+def run_number(run_id: str) -> int | None:
+    """The row that an id stands for; None where no run could ever have it."""
+    return int(run_id) if re.fullmatch(r"[1-9][0-9]{0,17}", run_id, re.ASCII) else None
+
+
+def run_row(session: Session, run_id: str) -> RunTable:
+    """The row of a run that must be there.
+
+    Raises:
+        NotFound: it is not.
+    """
+    row = session.get(RunTable, run_number(run_id) or 0)
+    if row is None:
+        raise NotFound(f"there is no run {run_id}")
+    return row
 
 
 def run_of(row: RunTable) -> Run:

@@ -202,6 +202,13 @@ class Database:
             self._lock = None
 
 
+class Part:
+    """A part of `calrig.store.Store`: the methods about one subject, each of them one transaction."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+
 def _begin(connection: Connection) -> None:
     # A transaction that will write says so at once: turning a read into a write can fail midway.
     connection.exec_driver_sql(connection.get_execution_options().get("calrig_begin", "BEGIN"))

@@ -1,23 +1,78 @@
-"""The event log of a run, inside a transaction that somebody else has begun."""
+"""What happened during a run, as it was announced, and what went over its wires before it failed."""
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
 from sqlmodel import Session, col, func, insert, select
 
+from calrig.store.convert import run_row
+from calrig.store.database import Part
 from calrig.store.errors import Unreadable
 from calrig.store.records import Event
-from calrig.store.tables import EventTable, RunTable
+from calrig.store.tables import EventTable, RunTable, TranscriptTable
 
 Announced = tuple[str, Mapping[str, Any]]
 """An event's type and data."""
 
 
+class EventLog(Part):
+    """Events and transcripts of runs."""
+
+    def append_events(self, run_id: str, events: Sequence[Announced]) -> list[int]:
+        """Appends events to a run's log.
+
+        Returns:
+            Their numbers within the run, from 1 and without gaps.
+        """
+        with self._database.writing() as session:
+            return append(session, run_row(session, run_id), events)
+
+    def events_after(self, run_id: str, seq: int = 0, limit: int = 1000) -> list[Event]:
+        """At most `limit` events that follow number `seq`, in order."""
+        with self._database.reading() as session:
+            run = run_row(session, run_id)
+            wanted = (
+                select(EventTable)
+                .where(EventTable.run_id == run.id, EventTable.seq > seq)
+                .order_by(col(EventTable.seq))
+                .limit(limit)
+            )
+            found = [Event(seq=row.seq, type=row.type, data=row.data) for row in session.exec(wanted)]
+            for expected, event in enumerate(found, start=seq + 1):
+                if event.seq != expected:
+                    raise Unreadable(f"event {expected} of run {run.id} is missing")
+            return found
+
+    def keep_transcripts(self, run_id: str, texts: Mapping[str, str]) -> None:
+        """Keeps what went over each port of a run."""
+        with self._database.writing() as session:
+            run = run_row(session, run_id)
+            session.add_all(
+                TranscriptTable(run_id=run.id, port=port, data=zlib.compress(text.encode()))
+                for port, text in texts.items()
+            )
+
+    def transcripts(self, run_id: str) -> dict[str, str]:
+        """What went over each port in the last minute before the run failed; empty where it did not."""
+        with self._database.reading() as session:
+            run = run_row(session, run_id)
+            wanted = (
+                select(TranscriptTable)
+                .where(TranscriptTable.run_id == run.id)
+                .order_by(col(TranscriptTable.id))
+            )
+            try:
+                return {row.port: zlib.decompress(row.data).decode() for row in session.exec(wanted)}
+            except (zlib.error, UnicodeDecodeError) as error:
+                raise Unreadable(f"a transcript cannot be unpacked any more: {error}") from error
+
+
 def append(session: Session, run: RunTable, events: Sequence[Announced]) -> list[int]:
-    """Appends events under the next numbers."""
+    """Appends events under the next numbers, inside a transaction that somebody else has begun."""
     if not events:
         return []
     last = session.exec(select(func.max(EventTable.seq)).where(EventTable.run_id == run.id)).one() or 0
@@ -33,18 +88,3 @@ def append(session: Session, run: RunTable, events: Sequence[Announced]) -> list
 def state(run: RunTable) -> Announced:
     """The event that announces a run's state."""
     return "state", {"status": run.status, "error": run.error}
-
-
-def after(session: Session, run: RunTable, seq: int, limit: int) -> list[Event]:
-    """The events that follow number `seq`, in order."""
-    wanted = (
-        select(EventTable)
-        .where(EventTable.run_id == run.id, EventTable.seq > seq)
-        .order_by(col(EventTable.seq))
-        .limit(limit)
-    )
-    found = [Event(seq=row.seq, type=row.type, data=row.data) for row in session.exec(wanted)]
-    for expected, event in enumerate(found, start=seq + 1):
-        if event.seq != expected:
-            raise Unreadable(f"event {expected} of run {run.id} is missing")
-    return found

@@ -16,6 +16,9 @@ from calrig.store.file_system import on_a_network_drive
 class WriterLock:
     """Holds `<database>.lock` until closed. The kernel lets it go when the process dies, however it dies.
 
+    Not `filelock`: it empties the file before it tries the lock, so that whoever finds the store taken would
+    wipe out who holds it. What it does beside that is the one call of `flock`.
+
     Args:
         database: the database's file.
         what: what the writer does, for whoever finds the lock taken: `serve`, `run`, `import`.

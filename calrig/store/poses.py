@@ -1,69 +1,173 @@
-"""Poses and their raw samples, inside a transaction that the store has begun."""
+"""Poses and the raw samples they rest on."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
+from typing import Unpack
 
 from sqlmodel import Session, col, delete, func, insert, select
 
 from calrig.calibration.pose import Pose
-from calrig.store import convert, runs
+from calrig.store.convert import (
+    joined_arrays,
+    packed_arrays,
+    pose_of,
+    pose_values,
+    run_number,
+    run_of,
+    run_row,
+    unpacked_block,
+)
+from calrig.store.database import Part
 from calrig.store.errors import NotFound, Unreadable
-from calrig.store.records import UNFINISHED, Document, Run, SampleBlock, StoredPose
+from calrig.store.event_log import Announced
+from calrig.store.records import UNFINISHED, Document, RawSamples, Run, RunChanges, SampleBlock, StoredPose
+from calrig.store.runs import change, replace_result
 from calrig.store.tables import PoseTable, RunTable, SampleBlockTable
 
+SAMPLES_AT_ONCE = 1_000
+"""Read from the file together where they are asked for some at a time."""
 VARIABLES = 500
 """In one statement; SQLite takes a thousand."""
 
 
-def add(session: Session, run: RunTable, index: int, pose: Pose, blocks: Sequence[SampleBlockTable]) -> None:
-    """Adds a pose and the raw samples it rests on."""
-    session.execute(insert(PoseTable), [convert.pose_values(run.id, index, pose)])
-    session.add_all(blocks)
+class Poses(Part):
+    """What runs measured."""
+
+    def add_pose(
+        self,
+        run_id: str,
+        index: int,
+        pose: Pose,
+        samples: Sequence[SampleBlock] = (),
+        events: Sequence[Announced] = (),
+        **changes: Unpack[RunChanges],
+    ) -> list[int]:
+        """Stores a pose, its samples, its events and what it changes of the run (progress, faults) together.
+
+        So what was announced is in the database.
+
+        Returns:
+            The events' numbers, as `append_events`.
+        """
+        blocks = [_row_of(run_id, block) for block in samples]
+        with self._database.writing() as session:
+            run = run_row(session, run_id)
+            session.execute(insert(PoseTable), [pose_values(run.id, index, pose)])
+            session.add_all(blocks)
+            return change(session, run, events, changes)
+
+    def add_samples(
+        self,
+        run_id: str,
+        samples: Sequence[SampleBlock],
+        events: Sequence[Announced] = (),
+        **changes: Unpack[RunChanges],
+    ) -> list[int]:
+        """Stores samples of no pose, as a static log has them, with events and changes as `add_pose`."""
+        blocks = [_row_of(run_id, block) for block in samples]
+        with self._database.writing() as session:
+            run = run_row(session, run_id)
+            session.add_all(blocks)
+            return change(session, run, events, changes)
+
+    def poses(self, run_id: str, *, include_excluded: bool = True) -> list[StoredPose]:
+        """The poses of a run by index."""
+        with self._database.reading() as session:
+            run = run_row(session, run_id)
+            wanted = select(PoseTable).where(PoseTable.run_id == run.id).order_by(col(PoseTable.pose_index))
+            found = [pose_of(pose) for pose in session.exec(wanted)]
+            missing = run.progress.get("poses_done", 0) - len(found)
+            if missing > 0:  # their number is stored with them, in the same transaction
+                raise Unreadable(f"{missing} poses of run {run_id} are missing")
+            return [pose for pose in found if include_excluded or pose.excluded is None]
+
+    def exclude_pose(self, run_id: str, index: int, reason: str, *, result: Document | None) -> Run:
+        """Marks a pose as not counting and replaces the run's result; the pose is kept.
+
+        Args:
+            run_id: the run.
+            index: the pose.
+            reason: why it does not count; a second one replaces the first.
+            result: what the poses that are left give.
+
+        Raises:
+            NotFound: the run has no such pose.
+        """
+        with self._database.writing() as session:
+            run = run_row(session, run_id)
+            row = session.get(PoseTable, (run.id, index)) if 0 <= index < 2**63 else None
+            if row is None:
+                raise NotFound(f"run {run_id} has no pose {index}")
+            row.excluded_reason, row.excluded_at = reason, datetime.now(UTC)
+            replace_result(session, run, result)
+            return run_of(run)
+
+    def samples(self, run_id: str, pose: int | None = None) -> RawSamples:
+        """The raw samples of a run in the order taken, or those of one pose's dwell; none once pruned.
+
+        Raises:
+            NotFound: the run has no such pose.
+        """
+        with self._database.reading() as session:
+            numbers = [number for number, _ in _block_numbers(session, run_id, pose)]
+            return joined_arrays(_packed_blocks(session, numbers))
+
+    def sample_blocks(self, run_id: str, pose: int | None = None) -> Iterator[RawSamples]:
+        """The same, some at a time as they are asked for: a day of them does not fit into memory.
+
+        Raises:
+            NotFound: at once where the run has no such pose; later where the samples were pruned meanwhile.
+        """
+        with self._database.reading() as session:
+            numbers = _block_numbers(session, run_id, pose)
+        return self._unpacked(numbers)
+
+    def _unpacked(self, numbers: Sequence[tuple[int, int]]) -> Iterator[RawSamples]:
+        together: list[int] = []
+        n_samples = 0
+        for place, (number, n) in enumerate(numbers, start=1):
+            together.append(number)
+            n_samples += n
+            if n_samples >= SAMPLES_AT_ONCE or place == len(numbers):
+                with self._database.reading() as session:
+                    unpacked = [unpacked_block(block) for block in _packed_blocks(session, together)]
+                yield from unpacked
+                together, n_samples = [], 0
+
+    def prune_samples(self, before: datetime) -> int:
+        """Deletes the raw samples of runs made before then and no longer going on, and nothing else.
+
+        Args:
+            before: an aware time.
+
+        Returns:
+            How many samples were deleted.
+        """
+        old = select(RunTable.id).where(RunTable.created_at < before, col(RunTable.status).not_in(UNFINISHED))
+        of_old_runs = col(SampleBlockTable.run_id).in_(old)
+        with self._database.writing() as session:
+            count = session.exec(select(func.sum(SampleBlockTable.n_samples)).where(of_old_runs)).one()
+            session.execute(delete(SampleBlockTable).where(of_old_runs))
+        self._database.give_back_space()
+        return int(count or 0)
 
 
-def row_of(run_id: str, block: SampleBlock) -> SampleBlockTable:
+def _row_of(run_id: str, block: SampleBlock) -> SampleBlockTable:
     """A block as a row; compresses, hence not for inside a transaction."""
     return SampleBlockTable(
-        run_id=runs.number(run_id) or 0,
+        run_id=run_number(run_id) or 0,
         pose_index=block.pose_index,
         phase=block.phase,
         n_samples=len(block.time_s),
-        data=convert.packed_arrays(block),
+        data=packed_arrays(block),
     )
 
 
-def of_run(session: Session, run_id: str, *, include_excluded: bool) -> list[StoredPose]:
-    """As `Store.poses`."""
-    row = runs.row_of(session, run_id)
-    wanted = select(PoseTable).where(PoseTable.run_id == row.id).order_by(col(PoseTable.pose_index))
-    found = [convert.pose_of(pose) for pose in session.exec(wanted)]
-    missing = row.progress.get("poses_done", 0) - len(found)
-    if missing > 0:  # their number is stored with them, in the same transaction
-        raise Unreadable(f"{missing} poses of run {run_id} are missing")
-    return [pose for pose in found if include_excluded or pose.excluded is None]
-
-
-def exclude(session: Session, run_id: str, index: int, reason: str, result: Document | None) -> Run:
-    """As `Store.exclude_pose`."""
-    run = runs.row_of(session, run_id)
-    row = session.get(PoseTable, (run.id, index)) if 0 <= index < 2**63 else None
-    if row is None:
-        raise NotFound(f"run {run_id} has no pose {index}")
-    row.excluded_reason, row.excluded_at = reason, datetime.now(UTC)
-    runs.set_result(session, run, result)
-    return convert.run_of(run)
-
-
-def packed_samples(session: Session, run_id: str, pose: int | None) -> list[bytes]:
-    """The packed blocks of a run in the order stored, or those of one pose's dwell."""
-    return packed_blocks(session, [number for number, _ in block_numbers(session, run_id, pose)])
-
-
-def block_numbers(session: Session, run_id: str, pose: int | None) -> list[tuple[int, int]]:
-    """The rows of those blocks, each with how many samples it holds."""
-    run = runs.row_of(session, run_id)
+def _block_numbers(session: Session, run_id: str, pose: int | None) -> list[tuple[int, int]]:
+    """Rows of a run's blocks in the order stored, or of one pose's dwell, each with its number of samples."""
+    run = run_row(session, run_id)
     wanted = (
         select(SampleBlockTable.id, SampleBlockTable.n_samples)
         .where(SampleBlockTable.run_id == run.id)
@@ -77,7 +181,7 @@ def block_numbers(session: Session, run_id: str, pose: int | None) -> list[tuple
     return [(number or 0, n_samples) for number, n_samples in session.exec(wanted)]
 
 
-def packed_blocks(session: Session, numbers: Sequence[int]) -> list[bytes]:
+def _packed_blocks(session: Session, numbers: Sequence[int]) -> list[bytes]:
     """The packed blocks of these rows, one after the other."""
     packed: list[bytes] = []
     for first in range(0, len(numbers), VARIABLES):
@@ -86,12 +190,3 @@ def packed_blocks(session: Session, numbers: Sequence[int]) -> list[bytes]:
     if len(packed) < len(numbers):
         raise NotFound("raw samples were deleted while they were read")
     return packed
-
-
-def prune_samples(session: Session, before: datetime) -> int:
-    """As `Store.prune_samples`."""
-    old = select(RunTable.id).where(RunTable.created_at < before, col(RunTable.status).not_in(UNFINISHED))
-    of_old_runs = col(SampleBlockTable.run_id).in_(old)
-    count = session.exec(select(func.sum(SampleBlockTable.n_samples)).where(of_old_runs)).one()
-    session.execute(delete(SampleBlockTable).where(of_old_runs))
-    return int(count or 0)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from calrig.calibration.pose import Pose
 from calrig.calibration.uncertainty import Reference
+from calrig.calibration.verdict import Verdict, verdict
 
 FloatArray = npt.NDArray[np.float64]
 Document = dict[str, Any]
@@ -23,6 +24,9 @@ UNFINISHED: tuple[Status, ...] = ("queued", "running", "paused")
 
 TERMINAL: tuple[Status, ...] = ("completed", "failed", "aborted")
 """Nothing more happens to the run; its finished_at is set."""
+
+AT_REST: tuple[Status, ...] = (*TERMINAL, "interrupted")
+"""Nobody carries the run out: it has ended for good, or was interrupted and can be resumed."""
 
 
 class Progress(TypedDict):
@@ -63,6 +67,14 @@ class Run:
     started_at: datetime | None
     finished_at: datetime | None
     error: str | None
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """Whether its result is good, after everything accepted; None while there is no result."""
+        if self.result is None:
+            return None
+        verification = (self.plan or {}).get("kind") == "verification"
+        return verdict(self.result, self.diagnosis, verification=verification)
 
 
 def reference_of(provenance: Document) -> Reference | None:

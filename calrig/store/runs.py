@@ -1,16 +1,18 @@
-"""Making, finding and changing runs, inside a transaction that the store has begun."""
+"""Runs: making, finding and changing them."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from typing import Unpack, get_args
 
-from sqlmodel import Session, col, insert, select
+from sqlmodel import Session, col, func, insert, select
 
 from calrig.calibration.pose import Pose
-from calrig.store import convert, event_log
-from calrig.store.errors import NotFound
+from calrig.store import event_log
+from calrig.store.convert import figures_of, pose_values, run_number, run_of, run_row
+from calrig.store.database import Part
+from calrig.store.event_log import Announced
 from calrig.store.records import TERMINAL, UNFINISHED, Document, Run, RunChanges, Status
 from calrig.store.tables import CalibrationTable, PoseTable, RunTable, UnitTable
 
@@ -18,112 +20,142 @@ POSES_AT_ONCE = 1000
 """Handed to SQLite together: an import has a hundred thousand."""
 
 
-def number(run_id: str) -> int | None:
-    """The row that an id stands for; None where no run could ever have it."""
-    return int(run_id) if re.fullmatch(r"[1-9][0-9]{0,17}", run_id, re.ASCII) else None
+class Runs(Part):
+    """The runs there are."""
+
+    def create_run(
+        self,
+        *,
+        unit: str,
+        rig: str | None,
+        plan: Document | None,
+        status: Status,
+        provenance: Document,
+        operator: str | None = None,
+        note: str | None = None,
+        follows: str | None = None,
+        poses_total: int = 0,
+        poses: Sequence[Pose] = (),
+        result: Document | None = None,
+    ) -> Run:
+        """Makes a run and, where it is the first of its unit, the unit; announces the run's state.
+
+        An import gives `poses`, `result` and the status `completed` at once: all is stored or nothing.
+        """
+        now = datetime.now(UTC)
+        total = max(poses_total, len(poses))
+        with self._database.writing() as session:
+            if session.get(UnitTable, unit) is None:
+                session.add(UnitTable(serial=unit, created_at=now))
+                session.flush()
+            row = RunTable(
+                unit=unit,
+                rig=rig,
+                kind=(plan or {}).get("kind", "calibration"),
+                status=status,
+                plan=plan,
+                progress={
+                    "poses_done": len(poses),
+                    "poses_total": total,
+                    "fraction": len(poses) / total if total else 0.0,
+                    "remaining_s": 0.0 if status in TERMINAL else None,
+                },
+                faults={},
+                follows=None if follows is None else run_row(session, follows).id,
+                provenance=provenance,
+                operator=operator,
+                note=note,
+                created_at=now,
+            )
+            _stamp(row, now)
+            session.add(row)
+            session.flush()
+            for first in range(0, len(poses), POSES_AT_ONCE):
+                some = enumerate(poses[first : first + POSES_AT_ONCE], start=first)
+                session.execute(insert(PoseTable), [pose_values(row.id, index, pose) for index, pose in some])
+            replace_result(session, row, result)
+            event_log.append(session, row, [event_log.state(row)])
+            return run_of(row)
+
+    def run(self, run_id: str) -> Run | None:
+        """The run, or None."""
+        with self._database.reading() as session:
+            row = session.get(RunTable, run_number(run_id) or 0)
+            return None if row is None else run_of(row)
+
+    def runs(
+        self,
+        *,
+        unit: str | None = None,
+        rig: str | None = None,
+        status: str | None = None,
+        limit: int = 50,
+        cursor: str | None = None,
+    ) -> tuple[list[Run], str | None]:
+        """A page of runs, the newest first, and the cursor of the next page (None after the last).
+
+        A cursor stays good while runs are added: no run is shown twice or left out.
+
+        Raises:
+            ValueError: the cursor is not one that this method gave, or the limit is below 1.
+        """
+        if limit < 1:
+            raise ValueError(f"limit is {limit}; a page holds at least 1 run")
+        wanted = select(RunTable).order_by(col(RunTable.id).desc()).limit(limit + 1)
+        for column, value in ((RunTable.unit, unit), (RunTable.rig, rig), (RunTable.status, status)):
+            if value is not None:
+                wanted = wanted.where(column == value)
+        if cursor is not None:
+            before = run_number(cursor)
+            if before is None:
+                raise ValueError(f"cursor {cursor!r} is not one that this list gave")
+            wanted = wanted.where(col(RunTable.id) < before)
+        with self._database.reading() as session:
+            found = [run_of(row) for row in session.exec(wanted)]
+        return found[:limit], found[limit - 1].id if len(found) > limit else None
+
+    def update_run(
+        self, run_id: str, *, events: Sequence[Announced] = (), **changes: Unpack[RunChanges]
+    ) -> Run:
+        """Changes a run and announces `events`, then, where a status was given, the new state.
+
+        `started_at` is set by the first `running`, `finished_at` by a terminal status; a run that is resumed
+        after an interruption loses `finished_at`. `error` stays unless given: clear it when a run is resumed.
+        """
+        with self._database.writing() as session:
+            row = run_row(session, run_id)
+            change(session, row, events, changes)
+            return run_of(row)
+
+    def set_result(self, run_id: str, result: Document | None) -> Run:
+        """Replaces a run's result, and with it what comparisons show."""
+        return self.update_run(run_id, result=result)
+
+    def void_run(self, run_id: str, reason: str) -> Run:
+        """Takes a run out of every comparison; it is kept. A second reason replaces the first."""
+        with self._database.writing() as session:
+            row = run_row(session, run_id)
+            row.voided_reason, row.voided_at = reason, datetime.now(UTC)
+            return run_of(row)
+
+    def unfinished(self) -> list[Run]:
+        """The runs that are queued, running or paused, the oldest first."""
+        wanted = select(RunTable).where(col(RunTable.status).in_(UNFINISHED)).order_by(col(RunTable.id))
+        with self._database.reading() as session:
+            return [run_of(row) for row in session.exec(wanted)]
+
+    def count_runs(self) -> dict[str, int]:
+        """How many runs there are of each status, those without any as well."""
+        wanted = select(RunTable.status, func.count()).group_by(col(RunTable.status))
+        with self._database.reading() as session:
+            return {**dict.fromkeys(get_args(Status), 0), **dict(session.exec(wanted).all())}
 
 
-def find(session: Session, run_id: str) -> Run | None:
-    """As `Store.run`."""
-    row = session.get(RunTable, number(run_id) or 0)
-    return None if row is None else convert.run_of(row)
+def change(session: Session, row: RunTable, events: Sequence[Announced], changes: RunChanges) -> list[int]:
+    """Makes the changes, announces `events` and then, where a status was given, the new state.
 
-
-def row_of(session: Session, run_id: str) -> RunTable:
-    """The row of a run that must be there."""
-    row = session.get(RunTable, number(run_id) or 0)
-    if row is None:
-        raise NotFound(f"there is no run {run_id}")
-    return row
-
-
-def create(
-    session: Session,
-    *,
-    unit: str,
-    rig: str | None,
-    plan: Document | None,
-    status: Status,
-    provenance: Document,
-    operator: str | None,
-    note: str | None,
-    follows: str | None,
-    poses_total: int,
-    poses: Sequence[Pose],
-    result: Document | None,
-) -> Run:
-    """As `Store.create_run`."""
-    now = datetime.now(UTC)
-    total = max(poses_total, len(poses))
-    if session.get(UnitTable, unit) is None:
-        session.add(UnitTable(serial=unit, created_at=now))
-        session.flush()
-    row = RunTable(
-        unit=unit,
-        rig=rig,
-        kind=(plan or {}).get("kind", "calibration"),
-        status=status,
-        plan=plan,
-        progress={
-            "poses_done": len(poses),
-            "poses_total": total,
-            "fraction": len(poses) / total if total else 0.0,
-            "remaining_s": 0.0 if status in TERMINAL else None,
-        },
-        faults={},
-        follows=None if follows is None else row_of(session, follows).id,
-        provenance=provenance,
-        operator=operator,
-        note=note,
-        created_at=now,
-    )
-    _stamp(row, now)
-    session.add(row)
-    session.flush()
-    for first in range(0, len(poses), POSES_AT_ONCE):
-        some = enumerate(poses[first : first + POSES_AT_ONCE], start=first)
-        session.execute(insert(PoseTable), [convert.pose_values(row.id, index, pose) for index, pose in some])
-    set_result(session, row, result)
-    event_log.append(session, row, [event_log.state(row)])
-    return convert.run_of(row)
-
-
-def page(
-    session: Session,
-    *,
-    unit: str | None,
-    rig: str | None,
-    status: str | None,
-    limit: int,
-    cursor: str | None,
-) -> tuple[list[Run], str | None]:
-    """As `Store.runs`."""
-    if limit < 1:
-        raise ValueError(f"limit is {limit}; a page holds at least 1 run")
-    wanted = select(RunTable).order_by(col(RunTable.id).desc()).limit(limit + 1)
-    for column, value in ((RunTable.unit, unit), (RunTable.rig, rig), (RunTable.status, status)):
-        if value is not None:
-            wanted = wanted.where(column == value)
-    if cursor is not None:
-        before = number(cursor)
-        if before is None:
-            raise ValueError(f"cursor {cursor!r} is not one that this list gave")
-        wanted = wanted.where(col(RunTable.id) < before)
-    found = [convert.run_of(row) for row in session.exec(wanted)]
-    return found[:limit], found[limit - 1].id if len(found) > limit else None
-
-
-def update(session: Session, run_id: str, events: Sequence[event_log.Announced], changes: RunChanges) -> Run:
-    """As `Store.update_run`."""
-    row = row_of(session, run_id)
-    change(session, row, events, changes)
-    return convert.run_of(row)
-
-
-def change(
-    session: Session, row: RunTable, events: Sequence[event_log.Announced], changes: RunChanges
-) -> list[int]:
-    """Makes the changes, announces `events` and then, where a status was given, the new state."""
+    Inside a transaction that somebody else has begun; returns the events' numbers.
+    """
     unknown = changes.keys() - RunChanges.__annotations__.keys()
     if unknown:
         raise TypeError(f"a run has no {', '.join(sorted(unknown))} to change")
@@ -131,7 +163,7 @@ def change(
         if name != "result":
             setattr(row, name, value)
     if "result" in changes:
-        set_result(session, row, changes["result"])
+        replace_result(session, row, changes["result"])
     state = []
     if "status" in changes:
         _stamp(row, datetime.now(UTC))
@@ -139,31 +171,18 @@ def change(
     return event_log.append(session, row, [*events, *state])
 
 
-def unfinished(session: Session) -> list[Run]:
-    """As `Store.unfinished`."""
-    wanted = select(RunTable).where(col(RunTable.status).in_(UNFINISHED)).order_by(col(RunTable.id))
-    return [convert.run_of(row) for row in session.exec(wanted)]
-
-
-def void(session: Session, run_id: str, reason: str) -> Run:
-    """As `Store.void_run`."""
-    row = row_of(session, run_id)
-    row.voided_reason, row.voided_at = reason, datetime.now(UTC)
-    return convert.run_of(row)
-
-
-def _stamp(row: RunTable, now: datetime) -> None:
-    if row.status in {"running", "completed"} and row.started_at is None:
-        row.started_at = now
-    row.finished_at = now if row.status in TERMINAL else None
-
-
-def set_result(session: Session, row: RunTable, result: Document | None) -> None:
-    """Gives a run its result and the figures that stand for it in comparisons."""
+def replace_result(session: Session, row: RunTable, result: Document | None) -> None:
+    """Gives a run its result and the figures that stand for it in comparisons, likewise."""
     row.result = result
     figures = session.get(CalibrationTable, row.id)
     if figures is not None:
         session.delete(figures)
         session.flush()
     if result is not None:
-        session.add(convert.figures_of(row.id, result))
+        session.add(figures_of(row.id, result))
+
+
+def _stamp(row: RunTable, now: datetime) -> None:
+    if row.status in {"running", "completed"} and row.started_at is None:
+        row.started_at = now
+    row.finished_at = now if row.status in TERMINAL else None

@@ -10,8 +10,8 @@ import pytest
 from support import running_service, serving
 
 from calrig.api.access import Access
+from calrig.api.authentication import MOST_SESSIONS, SESSION_S, Sessions
 from calrig.api.openapi import document
-from calrig.api.sessions import AT_MOST, LASTS_S, Sessions
 
 TOKEN = "the-benches-of-building-4"
 BEARER = {"Authorization": f"Bearer {TOKEN}"}
@@ -20,9 +20,9 @@ EVERYTHING = [(method, path) for path, item in document()["paths"].items() for m
 
 
 @pytest.fixture(scope="module")
-def guarded(rig, tmp_path_factory):
+def asking(rig, tmp_path_factory):
     """A client of a service with a token; it does not show it by itself and keeps no cookies."""
-    path = tmp_path_factory.mktemp("guarded") / "calrig.db"
+    path = tmp_path_factory.mktemp("asking") / "calrig.db"
     with (
         running_service(path, rig) as service,
         serving(service, access=Access(TOKEN, patience_s=0.3)) as client,
@@ -31,9 +31,9 @@ def guarded(rig, tmp_path_factory):
 
 
 @pytest.fixture
-def person(guarded):
+def person(asking):
     """A browser, as far as cookies go."""
-    with httpx.Client(base_url=guarded.base_url) as client:
+    with httpx.Client(base_url=asking.base_url) as client:
         yield client
 
 
@@ -46,8 +46,8 @@ def person(guarded):
         ("get", "/nope"),
     ],
 )
-def test_without_a_token_everything_is_401_and_says_who_is_meant_and_how_to_come_in(guarded, method, path):
-    answer = guarded.request(method, re.sub(r"{.*?}", "1", path))
+def test_without_a_token_everything_is_401_and_says_who_is_meant_and_how_to_come_in(asking, method, path):
+    answer = asking.request(method, re.sub(r"{.*?}", "1", path))
     assert answer.status_code == 401
     assert answer.headers["www-authenticate"] == "Bearer"
     detail = answer.json()["detail"]
@@ -56,36 +56,38 @@ def test_without_a_token_everything_is_401_and_says_who_is_meant_and_how_to_come
     assert "Authorization: Bearer" in detail
 
 
-@pytest.mark.parametrize("path", ["/", "/web/main.js", "/vendor/plotly.min.js", "/api/health", "/api/login"])
-def test_the_page_its_login_and_the_health_are_open(guarded, path):
-    assert guarded.get(path).status_code == 200
+@pytest.mark.parametrize(
+    "path", ["/", "/web/main.js", "/web/vendor/plotly-partial.min.js", "/api/health", "/api/login"]
+)
+def test_the_page_its_login_and_the_health_are_open(asking, path):
+    assert asking.get(path).status_code == 200
 
 
-def test_a_program_sends_the_token_with_each_request(guarded):
-    assert guarded.get("/api/rigs", headers=BEARER).json()[0]["name"] == "bench-1"
-    assert guarded.post("/api/rigs/bench-1/stop", headers=BEARER).status_code == 200
+def test_a_program_sends_the_token_with_each_request(asking):
+    assert asking.get("/api/rigs", headers=BEARER).json()[0]["name"] == "bench-1"
+    assert asking.post("/api/rigs/bench-1/stop", headers=BEARER).status_code == 200
 
 
 @pytest.mark.parametrize(
     "shown", ["Bearer the-wrong-one-entirely", "Bearer", f"Basic {TOKEN}", TOKEN, "Bearer ü"]
 )
-def test_anything_else_in_its_place_is_401(guarded, shown):
-    answer = guarded.get("/api/rigs", headers={"Authorization": shown.encode()})
+def test_anything_else_in_its_place_is_401(asking, shown):
+    answer = asking.get("/api/rigs", headers={"Authorization": shown.encode()})
     assert answer.status_code == 401
     assert TOKEN not in answer.text
 
 
-def test_a_wrong_token_is_logged_without_being_written_down(guarded, caplog):
-    guarded.post("/api/login", json={"token": "my-other-password-1"})
+def test_a_wrong_token_is_logged_without_being_written_down(asking, caplog):
+    asking.post("/api/login", json={"token": "my-other-password-1"})
     assert "wrong token from 127.0.0.1" in caplog.text
     assert "my-other-password-1" not in caplog.text
 
 
-def test_many_wrong_tokens_at_once_are_not_even_looked_at_and_a_session_is_not_kept_waiting(guarded, person):
+def test_many_wrong_tokens_at_once_are_not_even_looked_at_and_a_session_is_not_kept_waiting(asking, person):
     person.post("/api/login", json={"token": TOKEN}).raise_for_status()
 
     def guess(k):
-        return httpx.post(guarded.base_url.join("/api/login"), json={"token": f"guess number {k}"})
+        return httpx.post(asking.base_url.join("/api/login"), json={"token": f"guess number {k}"})
 
     with ThreadPoolExecutor(12) as crowd:
         guesses = [crowd.submit(guess, k) for k in range(12)]
@@ -94,33 +96,33 @@ def test_many_wrong_tokens_at_once_are_not_even_looked_at_and_a_session_is_not_k
     assert {answer.status_code for answer in answers} == {401, 429}
     assert all(a.headers["retry-after"] == "1" for a in answers if a.status_code == 429)
     assert during.status_code == 200
-    assert guarded.get("/api/rigs", headers=BEARER).status_code == 200
+    assert asking.get("/api/rigs", headers=BEARER).status_code == 200
 
 
-def test_a_person_logs_in_and_gets_a_cookie_that_is_not_the_token_and_no_script_reads(guarded, person):
+def test_a_person_logs_in_and_gets_a_cookie_that_is_not_the_token_and_no_script_reads(asking, person):
     assert person.get("/api/login").json() == {"needed": True, "logged_in": False}
     answer = person.post("/api/login", json={"token": TOKEN})
     cookie = answer.headers["set-cookie"]
     assert TOKEN not in cookie
-    for flag in ("HttpOnly", "SameSite=strict", "Path=/", f"Max-Age={LASTS_S:.0f}"):
+    for flag in ("HttpOnly", "SameSite=strict", "Path=/", f"Max-Age={SESSION_S:.0f}"):
         assert flag in cookie
     assert "Secure" not in cookie
     assert person.get("/api/login").json() == {"needed": True, "logged_in": True}
     assert person.get("/api/rigs").status_code == 200
 
 
-def test_behind_a_proxy_with_tls_the_cookie_is_for_https_alone(guarded):
+def test_behind_a_proxy_with_tls_the_cookie_is_for_https_alone(asking):
     by_proxy = {"X-Forwarded-Proto": "https"}
-    answer = httpx.post(guarded.base_url.join("/api/login"), json={"token": TOKEN}, headers=by_proxy)
+    answer = httpx.post(asking.base_url.join("/api/login"), json={"token": TOKEN}, headers=by_proxy)
     assert "Secure" in answer.headers["set-cookie"]
 
 
-def test_logging_out_ends_the_session_also_for_a_copy_of_its_cookie(guarded, person):
+def test_logging_out_ends_the_session_also_for_a_copy_of_its_cookie(asking, person):
     person.post("/api/login", json={"token": TOKEN}).raise_for_status()
     copied = dict(person.cookies)
     assert person.post("/api/logout").json() == {"needed": True, "logged_in": False}
     assert not person.cookies
-    again = httpx.get(guarded.base_url.join("/api/rigs"), cookies=copied)
+    again = httpx.get(asking.base_url.join("/api/rigs"), cookies=copied)
     assert again.status_code == 401
     assert "the session has ended" in again.json()["detail"]
 
@@ -129,7 +131,7 @@ def test_a_session_ends_after_a_days_work():
     now_s = 1000.0
     sessions = Sessions(clock=lambda: now_s)
     value = sessions.begin()
-    now_s += LASTS_S - 1
+    now_s += SESSION_S - 1
     assert sessions.holds(value)
     now_s += 2
     assert not sessions.holds(value)
@@ -137,10 +139,10 @@ def test_a_session_ends_after_a_days_work():
 
 def test_the_oldest_session_gives_way_to_one_too_many():
     sessions = Sessions()
-    first, *others = [sessions.begin() for _ in range(AT_MOST + 1)]
+    first, *others = [sessions.begin() for _ in range(MOST_SESSIONS + 1)]
     assert not sessions.holds(first)
     assert all(sessions.holds(other) for other in others)
-    assert len(sessions) == AT_MOST
+    assert len(sessions) == MOST_SESSIONS
 
 
 def test_a_service_without_a_token_asks_nobody_to_log_in(shared_client):

@@ -58,8 +58,8 @@ def test_faults_are_counted_by_kind_as_the_run_has_them(launch_rig, store_path):
     assert counted == run["faults"]
 
 
-def test_a_run_taken_up_again_counts_only_its_new_faults(client: httpx.Client, service):
-    meter = service.meter.of_run("bench-1", {"crc": 2})  # of a run taken up again that had seen two
+def test_a_resumed_run_counts_only_its_new_faults(client: httpx.Client, service):
+    meter = service.meter.of_run("bench-1", {"crc": 2})  # of a resumed run that had seen two
     for totals in ({"crc": 2}, {"crc": 5, "late_reply": 1}, {"crc": 5, "late_reply": 1}):
         meter.faults(totals)
     after = values(client)

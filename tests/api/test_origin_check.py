@@ -8,9 +8,9 @@ import httpx
 import pytest
 from support import running_service
 
-from calrig.api.access import Access, knows
+from calrig.api.access import Access
 from calrig.api.app import create_app
-from calrig.api.origin_check import HEADERS
+from calrig.api.origin_check import HEADERS, knows
 
 OWN = "http://127.0.0.1:{port}"
 STOP = "/api/rigs/bench-1/stop"

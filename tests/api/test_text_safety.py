@@ -22,7 +22,7 @@ PATHS = (
     "/api/runs/{}/diagnosis", "/api/runs/{}/transcript", "/api/runs/{}/figures/residual",
     "/api/runs/1/figures/{}", "/api/runs/1/samples?pose={}",
     "/api/rigs/{}/error-map", "/api/rigs/{}/figures/error-map", "/api/units/{}", "/api/units/{}/calibration",
-    "/api/compare?unit={}", "/api/compare/figures/{}", "/web/{}", "/vendor/{}", "/{}",
+    "/api/compare?unit={}", "/api/compare/figures/{}", "/web/{}", "/web/vendor/{}", "/{}",
 )  # fmt: skip
 
 

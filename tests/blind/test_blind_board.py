@@ -1,7 +1,8 @@
 """The blind board: what the diagnosis says of runs whose causes only the board knows.
 
-The quick part judges the same few seeds each time, pooled, so that a rate that falls from 98 to 90 % fails it
-and chance does not; the slow part measures each cell's rate. `python -m tests.blind` makes the full table.
+Each time three runs are judged. `-m statistical` judges a few seeds of every cell, pooled, so that a rate
+that falls from 98 to 90 % fails it and chance does not; `-m slow` measures each cell's rate, and `python -m
+tests.blind` makes the full table.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from .board import Judgement, judge, rate
 from .cells import CELLS
 from .physics import Noise
 
-QUICK_RUNS, QUICK_NULLS, QUICK_BOOTSTRAPS = 4, 8, 299
+SHARE_RUNS, SHARE_NULLS, SHARE_BOOTSTRAPS = 4, 8, 299
 SLOW_RUNS, SLOW_NULLS, SLOW_BOOTSTRAPS = 40, 200, 499
 
 ONE = (
@@ -35,14 +36,14 @@ Judge = Callable[[str], list[Judgement]]
 
 
 @pytest.fixture(scope="module")
-def quick() -> Judge:
+def share() -> Judge:
     """The first few seeds of a cell, judged once for all tests here."""
     judged: dict[str, list[Judgement]] = {}
 
     def of(name: str) -> list[Judgement]:
         if name not in judged:
-            runs = QUICK_NULLS if CELLS[name].kind == "null" else QUICK_RUNS
-            judged[name] = _judged(name, runs, QUICK_BOOTSTRAPS)
+            runs = SHARE_NULLS if CELLS[name].kind == "null" else SHARE_RUNS
+            judged[name] = _judged(name, runs, SHARE_BOOTSTRAPS)
         return judged[name]
 
     return of
@@ -50,7 +51,7 @@ def quick() -> Judge:
 
 @pytest.fixture(scope="module")
 def slow() -> Judge:
-    """As `quick`, of many seeds that the quick part has not seen."""
+    """As `share`, of many seeds that the share has not seen."""
     judged: dict[str, list[Judgement]] = {}
 
     def of(name: str) -> list[Judgement]:
@@ -89,34 +90,56 @@ def test_noise_is_what_it_is_said_to_be(kind: str, rho: float) -> None:
     assert np.corrcoef(drawn.T)[0, 1] == pytest.approx(max(Noise.ANGLE_CORRELATION, least), abs=0.12)
 
 
-def test_noise_alone_is_left_alone(quick: Judge) -> None:
-    spoke = rate([j for name in NULLS for j in quick(name)], "found")
+@pytest.mark.parametrize("name", ["backlash 0.08°", "temperature 0.02 °/°C"])
+def test_an_effect_is_found_under_its_name(name: str) -> None:
+    (judged,) = _judged(name, 1, SHARE_BOOTSTRAPS)
+    assert judged.found
+    assert judged.held
+
+
+def test_a_run_without_an_effect_has_none() -> None:
+    (judged,) = _judged("null white", 1, SHARE_BOOTSTRAPS)
+    assert not judged.found
+
+
+@pytest.mark.statistical
+@pytest.mark.timeout(600)
+def test_noise_alone_is_left_alone(share: Judge) -> None:
+    spoke = rate([j for name in NULLS for j in share(name)], "found")
     assert spoke.hits <= 2, spoke  # of 32 at about 1 %; a search without a gate speaks in 6 or more
 
 
-def test_effects_are_found_and_their_names_held(quick: Judge) -> None:
-    every = [j for name in ONE for j in quick(name)]
+@pytest.mark.statistical
+@pytest.mark.timeout(600)
+def test_effects_are_found_and_their_names_held(share: Judge) -> None:
+    every = [j for name in ONE for j in share(name)]
     assert rate(every, "found").hits >= len(every) - 2
     assert rate(every, "held").hits >= len(every) - 3
 
 
-def test_names_are_right_alone_and_parameters_within_their_errors(quick: Judge) -> None:
-    plain = [j for name in ONE if name not in ALONE for j in quick(name)]
+@pytest.mark.statistical
+@pytest.mark.timeout(600)
+def test_names_are_right_alone_and_parameters_within_their_errors(share: Judge) -> None:
+    plain = [j for name in ONE if name not in ALONE for j in share(name)]
     assert rate(plain, "alone").hits >= len(plain) - 4
-    every = [j for name in ONE for j in quick(name)]
+    every = [j for name in ONE for j in share(name)]
     parameters = rate(every, "parameters")
     assert parameters.hits >= parameters.of - 2
     assert rate(every, "wrong_name").hits <= 2
 
 
-def test_two_effects_are_both_found(quick: Judge) -> None:
-    both = quick("backlash and temperature") + quick("backlash and periodic")
+@pytest.mark.statistical
+@pytest.mark.timeout(600)
+def test_two_effects_are_both_found(share: Judge) -> None:
+    both = share("backlash and temperature") + share("backlash and periodic")
     assert rate(both, "both").hits >= len(both) - 2
     assert rate(both, "nothing_else").hits >= len(both) - 2
 
 
-def test_what_nobody_declared_is_traced_to_its_column(quick: Judge) -> None:
-    judged = quick("supply 0.25 °/V")
+@pytest.mark.statistical
+@pytest.mark.timeout(600)
+def test_what_nobody_declared_is_traced_to_its_column(share: Judge) -> None:
+    judged = share("supply 0.25 °/V")
     assert rate(judged, "covariate").hits >= len(judged) - 1
     assert rate(judged, "no_name").hits >= len(judged) - 1
 

@@ -40,6 +40,23 @@ def dwells(rate_hz, dwell_s, lowpass_hz=None, order=1, seeds=SEEDS):
         yield dwell_reading(time_s, elevation_deg[-dwell:], rate_dps[-dwell:], filtered_deg[-dwell:])
 
 
+def judge_scatter(rate_hz, dwell_s, lowpass_hz, order, scatter, seeds):
+    readings = list(dwells(rate_hz, dwell_s, lowpass_hz, order, seeds))
+    stated_deg = np.array([reading.reading_stderr_deg for reading in readings])
+    off_deg = np.array([reading.reading_deg for reading in readings]) - 30.0
+
+    in_stated_variances = float(off_deg @ off_deg) / np.mean(stated_deg**2)
+
+    low, high = chi2.ppf([1e-3, 1.0 - 1e-3], seeds)
+    assert low < in_stated_variances < high
+    assert stated_deg.std() / stated_deg.mean() < scatter
+
+
+def test_readings_scatter_by_their_stated_standard_error():
+    judge_scatter(50, 1.0, None, 1, 0.20, seeds=60)
+
+
+@pytest.mark.statistical
 @pytest.mark.parametrize(
     ("rate_hz", "dwell_s", "lowpass_hz", "order", "scatter"),
     [
@@ -54,27 +71,19 @@ def dwells(rate_hz, dwell_s, lowpass_hz=None, order=1, seeds=SEEDS):
         (1000, 2.0, 44.0, 2, 0.20),
     ],
 )
-def test_readings_scatter_by_their_stated_standard_error(rate_hz, dwell_s, lowpass_hz, order, scatter):
-    seeds = SEEDS if rate_hz < 1000 else SEEDS // 3
-    readings = list(dwells(rate_hz, dwell_s, lowpass_hz, order, seeds))
-    stated_deg = np.array([reading.reading_stderr_deg for reading in readings])
-    off_deg = np.array([reading.reading_deg for reading in readings]) - 30.0
-
-    in_stated_variances = float(off_deg @ off_deg) / np.mean(stated_deg**2)
-
-    low, high = chi2.ppf([1e-3, 1.0 - 1e-3], seeds)
-    assert low < in_stated_variances < high
-    assert stated_deg.std() / stated_deg.mean() < scatter
+def test_they_do_at_every_rate_and_through_every_low_pass(rate_hz, dwell_s, lowpass_hz, order, scatter):
+    judge_scatter(rate_hz, dwell_s, lowpass_hz, order, scatter, seeds=SEEDS if rate_hz < 1000 else SEEDS // 3)
 
 
 def test_the_naive_standard_error_would_be_many_times_too_small():
-    readings = list(dwells(200, 1.0, seeds=50))
+    readings = list(dwells(200, 1.0, seeds=10))
 
     naive = [reading.reading_std_deg / math.sqrt(reading.n_samples) for reading in readings]
 
     assert np.mean([reading.reading_stderr_deg for reading in readings]) > 8.0 * np.mean(naive)
 
 
+@pytest.mark.statistical
 def test_a_dwell_that_ends_at_its_target_still_scatters_by_no_more_than_it_says():
     """Looking five times a second and stopping at the first error that is small enough picks lucky ones."""
     rate_hz, target_deg, seeds, ended = 100, 0.015, 150, []
@@ -154,6 +163,7 @@ def test_a_perfectly_predictable_channel_does_not_break_the_spectrum():
     assert fit_spectrum(square).density(np.zeros(1))[0] < 1e-6
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize("filter_s", [0.02, 0.1])
 def test_an_angle_filtered_on_the_board_scatters_by_its_stated_standard_error(filter_s):
     """Its filter is short against the dwell of 4 s; of a slow one the dwell cannot tell."""

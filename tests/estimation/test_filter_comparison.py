@@ -64,7 +64,11 @@ def won_both(paper, tuned):
     return (tuned < paper)[:, :2].all(axis=1).mean()
 
 
-SEEDS = [range(6), pytest.param(range(50), marks=pytest.mark.slow)]
+SEEDS = [
+    range(2),
+    pytest.param(range(6), marks=pytest.mark.statistical),
+    pytest.param(range(50), marks=pytest.mark.slow),
+]
 
 
 @pytest.mark.parametrize("seeds", SEEDS, ids=len)

@@ -46,6 +46,7 @@ def test_innovations_are_those_of_an_independent_filter_from_the_start_on():
     np.testing.assert_allclose(normalised_innovations(z, u, DT_S, NOISE), expected, atol=1e-6)
 
 
+@pytest.mark.statistical
 def test_p_values_are_uniform_where_the_filter_fits():
     checks = [innovation_check(*as_assumed(seed, n=4000), DT_S, NOISE) for seed in range(150)]
 
@@ -56,12 +57,19 @@ def test_p_values_are_uniform_where_the_filter_fits():
 
 
 def test_the_simulated_chip_at_rest_is_what_the_tuned_filter_assumes():
+    log = moves_log((), imu={"gyro_bias_dps": [1.4, 0, 0]})
+
+    assert innovation_check(log.elevation_deg, log.rate_dps, DT_S, NOISE).verdict == "consistent"
+
+
+@pytest.mark.statistical
+def test_the_simulated_chip_is_seldom_found_wanting():
     verdicts = []
     for seed in range(30):
         log = moves_log((), seed=seed, imu={"gyro_bias_dps": [1.4, 0, 0]})
         verdicts.append(innovation_check(log.elevation_deg, log.rate_dps, DT_S, NOISE).verdict)
 
-    assert verdicts.count("consistent") >= 28  # 1 % are expected to be found wanting
+    assert verdicts.count("consistent") >= 28  # 1 % are expected
 
 
 def test_the_papers_constants_are_not_this_chips():

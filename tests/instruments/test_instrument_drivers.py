@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from importlib.metadata import EntryPoint, EntryPoints
 from importlib.resources import files
 
@@ -8,7 +9,9 @@ import pytest
 
 from calrig.instruments import drivers
 from calrig.instruments.axis import Axis
+from calrig.instruments.device import recognise
 from calrig.instruments.errors import Halted, InstrumentError, StageError
+from calrig.instruments.scan import looks
 
 
 def make_stage(url, *, axis, baudrate):
@@ -59,14 +62,18 @@ def blocks(page, kind):
     return re.findall(rf"```{kind}\n(.*?)```", page, flags=re.DOTALL)
 
 
-def test_the_authors_page_names_every_built_in_stage(page):
-    assert set(drivers.STAGES) == set(re.findall(r"^\| `(\w+)` \|", page, flags=re.MULTILINE))
-
-
-def test_the_driver_on_the_authors_page_runs_from_the_transcript_beside_it(page, tmp_path, monkeypatch):
-    (tmp_path / "our_turntable.py").write_text(blocks(page, "python")[0])
-    (tmp_path / "turntable.txt").write_text(blocks(page, "text")[0])
+@pytest.fixture
+def our_turntable(page, tmp_path, monkeypatch):
+    """The module on the authors' page, as another package holds it."""
+    (tmp_path / "our_turntable.py").write_text("".join(blocks(page, "python")))
     monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "our_turntable", raising=False)
+
+
+def test_the_driver_on_the_authors_page_runs_from_the_transcript_beside_it(
+    page, our_turntable, tmp_path, monkeypatch
+):
+    (tmp_path / "turntable.txt").write_text(blocks(page, "text")[0])
     offer(monkeypatch, turntable="our_turntable:Turntable.open")
     stage = drivers.open_stage("turntable", f"replay://{tmp_path / 'turntable.txt'}")
     axis = Axis(stage)
@@ -78,3 +85,28 @@ def test_the_driver_on_the_authors_page_runs_from_the_transcript_beside_it(page,
     with pytest.raises(Halted, match="G=6 was not sent"):
         axis.begin_move(6)
     axis.close()
+
+
+def test_the_device_on_the_authors_page_is_opened_and_takes_part_in_a_scan(
+    our_turntable, tmp_path, monkeypatch
+):
+    offer(monkeypatch, turntable="our_turntable:DEVICE")
+    (tmp_path / "silent.txt").write_text("# calrig transcript of a port where nothing is said\n")
+    drivers.open_stage("turntable", f"replay://{tmp_path / 'silent.txt'}").close()
+    devices = drivers.known_devices()
+    assert (9600, b"S?\nS?\n") in [(look.baudrate, look.question) for look in looks(devices)]
+    found = recognise(b"S=STANDING\r\n", devices)
+    assert (found.device.driver, found.identity.words) == ("turntable", "a turntable, standing")
+
+
+def test_a_package_that_cannot_be_loaded_is_said_in_the_log_and_a_scan_goes_on(monkeypatch, caplog):
+    offer(monkeypatch, broken="no_such_module:DEVICE")
+    assert {device.driver for device in drivers.known_devices()} == {*drivers.STAGES, *drivers.BOARDS}
+    assert "driver 'broken' is installed but cannot be loaded: No module" in caplog.text
+
+
+def test_a_name_of_calrigs_own_is_not_taken_by_another_package(monkeypatch):
+    offer(monkeypatch, grbl="no_such_module:DEVICE")
+    assert [device for device in drivers.known_devices() if device.driver == "grbl"] == [
+        drivers.STAGES["grbl"]
+    ]

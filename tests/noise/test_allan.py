@@ -44,21 +44,42 @@ def test_the_published_deviations(published, tau_s, deviation):
     assert curve.deviation[at] == pytest.approx(deviation, rel=1e-6)
 
 
-@pytest.mark.parametrize("level", [0.0, 16384.0])
-def test_allantools_agrees(level):
-    values = level + np.cumsum(np.random.default_rng(1).standard_normal(5000))
+def white(rng, count):
+    return rng.standard_normal(count)
+
+
+def flicker(rng, count):
+    """Noise of density 1/f, made in the frequency domain."""
+    spectrum = np.fft.rfft(rng.standard_normal(2 * count))
+    spectrum[1:] /= np.sqrt(np.arange(1, len(spectrum)))
+    return np.fft.irfft(spectrum)[:count]
+
+
+def walk(rng, count):
+    return rng.standard_normal(count).cumsum()
+
+
+@pytest.mark.parametrize("kind", [white, flicker, walk])
+@pytest.mark.parametrize(("level", "count"), [(0.0, 5000), (16384.0, 100_003)])
+def test_allantools_agrees(kind, level, count):
+    values = level + kind(np.random.default_rng(1), count)
     curve = curve_of(values, rate_hz=200.0)
     _, deviation, _, _ = allantools.oadev(values, rate=200.0, data_type="freq", taus=curve.tau_s)
-    np.testing.assert_allclose(curve.deviation, deviation, rtol=1e-6)
+    np.testing.assert_allclose(curve.deviation, deviation, rtol=1e-9)
 
 
-def test_summing_over_segments_is_the_same_thing_as_allantools():
-    """A segment too short for any difference sends a log of one through the sums that gaps need."""
-    values = np.random.default_rng(2).standard_normal(3000)
-    whole = curve_of(values)
-    summed = allan_curve(in_pieces(np.append(values, [9.0, 9.0]), [3000, 2]), "x")
-    shared = whole.factors > 1  # the two samples make one difference of their own there
-    np.testing.assert_allclose(summed.deviation[shared], whole.deviation[shared], rtol=1e-9)
+@pytest.mark.parametrize("kind", [white, flicker, walk])
+def test_allantools_agrees_over_gaps_segment_by_segment(kind):
+    values, lengths = kind(np.random.default_rng(2), 3000), [1700, 3, 800, 497]
+    curve = allan_curve(in_pieces(values, lengths), "x")
+    squares, counts = np.zeros(len(curve.factors)), np.zeros(len(curve.factors))
+    for piece in np.split(values, np.cumsum(lengths)[:-1]):
+        for at in np.flatnonzero(2 * curve.factors <= len(piece)):
+            _, deviation, _, _ = allantools.oadev(piece, rate=1.0, data_type="freq", taus=[curve.factors[at]])
+            count = len(piece) + 1 - 2 * curve.factors[at]
+            squares[at] += deviation[0] ** 2 * count
+            counts[at] += count
+    np.testing.assert_allclose(curve.deviation, np.sqrt(squares / counts), rtol=1e-9)
 
 
 def test_over_gaps_only_differences_within_a_segment_count():
@@ -103,6 +124,7 @@ def test_a_constant_has_no_slope():
     assert np.isnan(curve.local_slopes).all()
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize("kind", ["white", "random walk"])
 def test_the_limits_hold_the_true_deviation_as_often_as_they_say(kind):
     """500 logs, at every octave from 8 samples to a sixteenth of the log, on average over the octaves."""
@@ -117,13 +139,16 @@ def test_the_limits_hold_the_true_deviation_as_often_as_they_say(kind):
     assert np.mean(hits) == pytest.approx(CONFIDENCE, abs=0.04)
 
 
-def test_the_limits_are_those_of_allantools_degrees_of_freedom():
-    curve = curve_of(np.random.default_rng(7).standard_normal(4000))
-    for at in np.flatnonzero(np.isin(curve.factors, [1, 8, 64, 512])):
-        m, deviation = int(curve.factors[at]), curve.deviation[at]
-        edf = allantools.edf_greenhall(0, 2, m, 4001, overlapping=True, modified=False)
-        low, high = allantools.confidence_interval(deviation, edf, ci=CONFIDENCE)
-        assert (curve.low[at], curve.high[at]) == pytest.approx((low, high), rel=0.03)
+@pytest.mark.parametrize(
+    ("kind", "alpha"), [(lambda rng, n: np.diff(white(rng, n)), 2), (white, 0), (flicker, -1), (walk, -2)]
+)
+def test_the_limits_are_those_of_allantools_degrees_of_freedom(kind, alpha):
+    values = kind(np.random.default_rng(7), 60_000)
+    curve = curve_of(values)
+    for at in np.flatnonzero(np.isin(curve.factors, [8, 32, 64])):
+        edf = allantools.edf_simple(len(values) + 1, int(curve.factors[at]), alpha)
+        low, high = allantools.confidence_interval(curve.deviation[at], edf, ci=CONFIDENCE)
+        assert (curve.low[at], curve.high[at]) == pytest.approx((low, high), rel=1e-9)
 
 
 def test_the_slope_of_the_log_is_the_least_squares_one():

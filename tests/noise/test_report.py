@@ -124,5 +124,5 @@ def test_it_says_how_far_it_is_and_what_was_left_out():
 
 
 def test_the_document_is_that_of_the_analysis():
-    log = still_log(1000)
+    log = {name: channel for name, channel in still_log(1000).items() if name.startswith("gyro_x")}
     assert noise_document(analyse(log, rate_hz=RATE_HZ)) == report(log, rate_hz=RATE_HZ)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from support import running_service
 
+from calrig.analysis.active_calibration import document_of
 from calrig.analysis.diagnoses import Diagnoses
 from calrig.analysis.errors import Conflict
-from calrig.api.calibrations import document_of
 from calrig.plan import Plan
 
 PLAN = Plan(settle_s=0.5, dwell_s=0.5)

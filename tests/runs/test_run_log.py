@@ -9,9 +9,8 @@ from typing import Any
 import pytest
 from run_rigs import TruthRig, events, plan, states
 
-from calrig.analysis.states import AT_REST
 from calrig.runs.service import RunService
-from calrig.store import Event, Run, Store
+from calrig.store import AT_REST, Event, Run, Store
 
 
 @pytest.fixture(scope="module")

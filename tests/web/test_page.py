@@ -39,7 +39,8 @@ def test_start_is_pressed_and_the_run_watched_to_its_result(page, client, go, ex
     decimals = 1 - int(f"{run['result']['bias_std_deg']:e}".split("e")[1])
     of_stage = run["result"]["reference"]["bias_std_deg"]
     bias = f"{run['result']['bias_deg']:.{decimals}f} ± {run['result']['bias_std_deg']:.{decimals}f}°"
-    expect(page.locator("#result")).to_contain_text(f"{bias} (noise) ± {of_stage:#.2g}° (stage)")
+    expect(page.locator("#result")).to_contain_text(f"{bias} (type A, noise)")
+    expect(page.locator("#result")).to_contain_text(f"± {of_stage:#.2g}° (type B, stage)")
     expect(page.get_by_test_id("verdict")).to_contain_text("Is this good?")
     expect(page.locator("#poses-table tbody tr")).to_have_count(6)
     page.wait_for_function("document.querySelector('[data-testid=residual]').layout?.yaxis2")

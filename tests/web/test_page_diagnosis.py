@@ -99,8 +99,9 @@ def test_a_run_is_traced_to_backlash_and_the_effect_put_in_force(page, client, s
     expect(shown).to_contain_text("belongs to the error map of rig bench-1")  # kept with the run
     expect(shown.locator("time")).to_have_attribute("datetime", kept["accepted_at"])
     expect(page.locator("#accept-backlash")).to_have_count(0)
-    page.get_by_test_id("considered-backlash").locator("summary").click()
-    expect(page.get_by_role("row", name="settling")).to_contain_text("worse")
+    considered = page.get_by_test_id("considered-backlash")
+    considered.locator("summary").click()
+    expect(considered.get_by_role("row", name="settling")).to_contain_text("worse")
 
 
 def test_further_runs_of_the_unit_are_chosen_and_diagnosed_together(page, client, go, expect):
@@ -126,7 +127,7 @@ def test_further_runs_of_the_unit_are_chosen_and_diagnosed_together(page, client
     expect(box).to_be_checked()
     box.uncheck()
     page.click("#diagnose")
-    expect(page.locator("#diagnosis-found")).to_contain_text(f"run {shown['id']}, each predicted")
+    expect(page.locator("#diagnosis-found")).to_contain_text(f"poses of run {shown['id']}:")
     assert client.get(f"/api/runs/{shown['id']}/diagnosis").json()["runs"] == [shown["id"]]
 
 
@@ -141,7 +142,7 @@ def test_what_is_ambiguous_leads_to_the_run_that_separates_it(page, client, go, 
     run = imported(client, ambiguous_poses(), rig="bench-1")
     go(f"#/runs/{run['id']}")
     page.click("#diagnose")
-    expect(page.get_by_test_id("diagnosis-verdict")).to_contain_text("cannot tell what")
+    expect(page.get_by_test_id("diagnosis-verdict")).to_contain_text("Indistinguishable")
     found = client.get(f"/api/runs/{run['id']}/diagnosis").json()
     planned = found["follow_up"]
     box = page.locator(".follow-up")
@@ -153,7 +154,7 @@ def test_what_is_ambiguous_leads_to_the_run_that_separates_it(page, client, go, 
 
     page.click("#follow-up")
     page.wait_for_url(lambda url: not url.endswith(f"/runs/{run['id']}"))
-    expect(page.locator("#follows")).to_have_text(f"follows run {run['id']}")
+    expect(page.locator("#follows")).to_have_text(f"follow-up of run {run['id']}")
     expect(page.locator("#status")).to_have_text("completed")
     expect(page.locator("[data-effect=backlash]")).to_contain_text("named")
     page.locator("#together summary").click()
@@ -202,7 +203,7 @@ def test_noise_alone_is_accused_of_nothing_and_an_error_map_needs_three_units(pa
     runs = [imported(client, noise_alone(k), unit=f"U{k}", rig="bench-1") for k in range(2)]
     go(f"#/runs/{runs[0]['id']}")
     page.click("#diagnose")
-    expect(page.get_by_test_id("diagnosis-verdict")).to_contain_text("Nothing found")
+    expect(page.get_by_test_id("diagnosis-verdict")).to_contain_text("No effect found")
     summary = page.get_by_test_id("error-map-details").locator("summary")
     summary.click()
     expect(page.locator("#error-map")).to_contain_text("three units")
@@ -230,4 +231,4 @@ def test_excluding_a_pose_says_that_the_diagnosis_is_of_before(page, client, go,
     page.get_by_role("button", name="Exclude pose 7").click()
     page.fill("#reason", "bumped")
     page.get_by_test_id("confirm").click()
-    expect(page.locator("#diagnosis-state")).to_contain_text("Trace again")
+    expect(page.locator("#diagnosis-state")).to_contain_text("Diagnose again")

@@ -36,14 +36,14 @@ def test_an_interrupted_run_is_taken_up_on_the_page(
 ) -> None:
     page.goto(f"{client.base_url}/#/runs/{interrupted}")
     expect(page.locator("#status")).to_have_text("interrupted")
-    page.locator("#take-up").click()
+    page.locator("#resume-interrupted").click()
     expect(page.locator("#status")).to_have_text("completed", timeout=30_000)
     told = page.locator(".interruption")
     expect(told).to_contain_text("Interrupted after")
-    expect(told).to_contain_text("taken up again")
-    expect(told).to_contain_text("the unit then read")
+    expect(told).to_contain_text("resumed")
+    expect(told).to_contain_text("repeated pose at")
     expect(page.locator("#result")).to_be_visible()
-    expect(page.locator("#take-up")).to_have_count(0)
+    expect(page.locator("#resume-interrupted")).to_have_count(0)
 
 
 def test_an_interrupted_run_whose_rig_is_busy_says_so(
@@ -52,8 +52,8 @@ def test_an_interrupted_run_whose_rig_is_busy_says_so(
     forgiven.append("409")
     other = client.post("/api/runs", json={"unit": "AS-2", "plan": LONG}).raise_for_status().json()["id"]
     page.goto(f"{client.base_url}/#/runs/{interrupted}")
-    page.locator("#take-up").click()
+    page.locator("#resume-interrupted").click()
     expect(page.locator("#run-error")).to_contain_text(f"busy with run {other}")
     expect(page.locator("#status")).to_have_text("interrupted")
-    page.locator("#leave").click()
+    page.locator("#end-interrupted").click()
     expect(page.locator("#status")).to_have_text("aborted")

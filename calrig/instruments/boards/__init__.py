@@ -1,1 +1,1 @@
-"""Boards: a folder a device with its driver and its words."""
+"""Boards: a folder a device, found by its `DEVICE`, and beside them what several share."""

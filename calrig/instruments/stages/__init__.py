@@ -1,1 +1,1 @@
-"""Stage controllers: a folder a device with its driver and its words."""
+"""Stage controllers: a folder a device, found by its `DEVICE`, and beside them what several share."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
 import threading
-import time
 from collections import Counter
 
 from calrig.instruments.errors import Halted
@@ -32,9 +32,10 @@ class LineWire:
         self.nul_seen = False
         self.halted = False
         self._port = port
+        self._now_s = port.clock.now_s
         self._faults = faults
         self._tail = b""
-        self._came_s = 0.0
+        self._came_s = -math.inf
         self._sending = threading.Lock()
 
     def send(self, data: bytes) -> None:
@@ -60,9 +61,9 @@ class LineWire:
             self._port.write(data)
 
     def line(self, deadline_s: float) -> str | None:
-        """The next whole line, waiting until `deadline_s` (monotonic); then half a line is dropped."""
+        """The next whole line, waiting until `deadline_s` (port's clock); then half a line is dropped."""
         while (line := self._next()) is None:
-            if time.monotonic() >= deadline_s and not self._is_coming:
+            if self._now_s() >= deadline_s and not self._is_coming:
                 self._drop_tail()
                 return None
             self._read()
@@ -70,12 +71,12 @@ class LineWire:
 
     @property
     def _is_coming(self) -> bool:
-        return bool(self._tail) and time.monotonic() - self._came_s < COMING_S
+        return bool(self._tail) and self._now_s() - self._came_s < COMING_S
 
     def old_lines(self) -> list[str]:
         """What came before anything was asked, half a line dropped."""
-        deadline_s = time.monotonic() + DRAIN_S
-        while self._port.waiting() and time.monotonic() < deadline_s:
+        deadline_s = self._now_s() + DRAIN_S
+        while self._port.waiting() and self._now_s() < deadline_s:
             self._read()
         lines = []
         while (line := self._next()) is not None:
@@ -93,7 +94,7 @@ class LineWire:
         self.nul_seen |= b"\0" in data
         self._tail += data
         if data:
-            self._came_s = time.monotonic()
+            self._came_s = self._now_s()
 
     def _next(self) -> str | None:
         while end := LINE_END.search(self._tail):

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import threading
-import time
 from collections import Counter
 from typing import Self
 
+from calrig.instruments.boards.calrig import DEVICE
 from calrig.instruments.boards.calrig.identity import read_identity
 from calrig.instruments.boards.calrig.mark import Mark
 from calrig.instruments.boards.calrig.packets import (
@@ -24,7 +23,6 @@ from calrig.instruments.errors import BoardError, InstrumentError, PortError
 from calrig.instruments.ports import Port, open_port
 from calrig.instruments.types import BoardIdentity, Samples
 
-BAUDRATE = 115200
 READ_EVERY_S = 0.04
 READ_TIMEOUT_S = 0.002
 """All bytes there are, 25 times a second: waking for each sample would cost several times as much."""
@@ -56,8 +54,9 @@ class CalrigBoard:
         self._port = port
         self._name = f"board calrig on {port.name}"
         self._decoder = PacketDecoder(self.faults)
-        self._news = threading.Condition()
-        self._closing = threading.Event()
+        self._clock = port.clock
+        self._news = self._clock.condition()
+        self._closing = self._clock.event()
         self._failure: InstrumentError | None = None
         self._identity: BoardIdentity | None = None
         self._stream: SampleStream | None = None
@@ -69,18 +68,18 @@ class CalrigBoard:
         self._last_words = ""
         self._blocks: list[Samples] = []
         self._n_bytes = 0
-        self._heard_at = self._valid_at = self._asked_at = self._restarted_at = time.monotonic()
-        self._mark = Mark(lambda: self._send("ID"))
+        self._heard_at = self._valid_at = self._asked_at = self._restarted_at = self._clock.now_s()
+        self._mark = Mark(lambda: self._send("ID"), self._clock.now_s)
         self._may_be_late = False  # whether samples were ever held up on their way since `start`
         self._is_reset = self._awaits_start = False
         self._faults_then: Counter[str] = Counter()
-        self._reader = threading.Thread(target=self._listen, name=f"reader of {self._name}", daemon=True)
+        self._reader = self._clock.thread(self._listen, f"reader of {self._name}")
         self._reader.start()
 
     @classmethod
     def open(cls, url: str, *, baudrate: int | None = None) -> Self:
         """Opens the port (PortError), which resets most boards."""
-        return cls(open_port(url, baudrate=baudrate or BAUDRATE, timeout_s=READ_TIMEOUT_S))
+        return cls(open_port(url, baudrate=baudrate or DEVICE.baudrate, timeout_s=READ_TIMEOUT_S))
 
     def identify(self) -> BoardIdentity:
         """Asks twice a second until the board answers; faults are counted from here on.
@@ -92,8 +91,8 @@ class CalrigBoard:
         with self._news:
             self._identity = None
             self._send("STOP")  # a process before this one may have left it streaming
-            deadline = time.monotonic() + IDENTIFY_S
-            while self._identity is None and time.monotonic() < deadline:
+            deadline = self._clock.now_s() + IDENTIFY_S
+            while self._identity is None and self._clock.now_s() < deadline:
                 self._send("ID")
                 self._news.wait_for(lambda: self._identity or self._failure, ASK_AGAIN_S)
                 self._raise_failure()
@@ -120,9 +119,9 @@ class CalrigBoard:
             self._blocks.clear()
             self._stream = SampleStream(identity, rate_hz, self.faults)
             self._period_s = 1 / rate_hz
-            asked_s = time.monotonic()
+            asked_s = self._clock.now_s()
             self._command(f"START {rate_hz}")
-            self._may_be_late = time.monotonic() - asked_s > LATE_S
+            self._may_be_late = self._clock.now_s() - asked_s > LATE_S
 
     def take(self, timeout_s: float) -> Samples:
         """The valid samples since the last call, waiting up to timeout_s for the first one.
@@ -210,7 +209,7 @@ class CalrigBoard:
     def _digest(self, data: bytes) -> None:
         with self._news:
             packets = self._decoder.feed(data)
-            now = time.monotonic()
+            now = self._clock.now_s()
             if now - self._heard_at > max(LATE_S, 3 * self._period_s) or len(data) > BACKLOG_BYTES:
                 self._may_be_late |= self._streaming
             self._heard_at = now
@@ -282,7 +281,7 @@ class CalrigBoard:
         self.faults["board_reset" if self._is_reset else "restarted"] += 1
         self._streaming &= not self._is_reset  # what is only late is still to be taken
         self._is_reset, self._awaits_start = False, True
-        self._restarted_at = time.monotonic()
+        self._restarted_at = self._clock.now_s()
         self._send(str(self._start_line))
 
     def _raise_failure(self) -> None:
@@ -292,7 +291,7 @@ class CalrigBoard:
     def _check_health(self) -> None:
         if self._start_line is None or self._stream is None:
             return
-        now = time.monotonic()
+        now = self._clock.now_s()
         silent_s = now - (self._restarted_at if self._awaits_start else self._heard_at)
         if silent_s > max(ASK_AGAIN_S if self._is_reset else RESTART_S, 3 * self._period_s):
             self._start_again()

@@ -7,7 +7,7 @@ run faster. Answers do not say which asking they answer, so as many have to come
 
 from __future__ import annotations
 
-import time
+import math
 from collections.abc import Callable
 
 ASK_AGAIN_S = 0.5
@@ -21,18 +21,20 @@ class Mark:
 
     Args:
         ask: asks for one.
+        now_s: the port's clock.
     """
 
-    def __init__(self, ask: Callable[[], None]) -> None:
+    def __init__(self, ask: Callable[[], None], now_s: Callable[[], float]) -> None:
         self._ask_board = ask
+        self._now_s = now_s
         self._asked = self._heard = self._wanted = 0
         self._tries = 0
-        self._asked_s = 0.0
+        self._asked_s = -math.inf
         self._gives_none = False
 
     def begin(self) -> None:
         """Asks for a sign."""
-        if time.monotonic() - self._asked_s > LOST_S:
+        if self._now_s() - self._asked_s > LOST_S:
             self._heard = self._asked
         self._wanted, self._tries = self._asked + 1, 0
         self._ask()
@@ -41,7 +43,7 @@ class Mark:
         """Whether it has come; where not, it is asked for again. A board that never gave one is given up."""
         if self._gives_none or self._heard >= self._wanted:
             return True
-        if time.monotonic() - self._asked_s > ASK_AGAIN_S:
+        if self._now_s() - self._asked_s > ASK_AGAIN_S:
             if self._tries >= ATTEMPTS and self._heard == 0:
                 self._gives_none = True
             else:
@@ -59,5 +61,5 @@ class Mark:
         if not self._gives_none:
             self._asked += 1
             self._tries += 1
-            self._asked_s = time.monotonic()
+            self._asked_s = self._now_s()
             self._ask_board()

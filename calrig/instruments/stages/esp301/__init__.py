@@ -1,1 +1,47 @@
 """Newport ESP301."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from calrig.instruments.device import Identity, Look, StageDevice
+
+if TYPE_CHECKING:
+    from calrig.instruments.stages.esp301.driver import Esp301
+
+VERSION = re.compile(r"ESP30\d\b.*")
+
+
+def _open(url: str, *, axis: int, baudrate: int | None) -> Esp301:
+    from calrig.instruments.stages.esp301.driver import Esp301
+
+    return Esp301.open(url, axis=axis, baudrate=baudrate)
+
+
+def _says(line: str) -> bool:
+    return VERSION.fullmatch(line) is not None
+
+
+def _identity(lines: Sequence[str]) -> Identity:
+    return Identity(lines[0].strip())
+
+
+DEVICE = StageDevice(
+    driver="esp301",
+    title="Newport ESP301",
+    baudrate=19200,
+    opens=_open,
+    looks=(
+        Look(
+            19200,
+            0.5,
+            b"VE?\rVE?\r",
+            harmless="asks for its version, the second time with nothing before it; others know no VE?",
+        ),
+    ),
+    says=_says,
+    identity=_identity,
+    then=b"",
+)

@@ -3,7 +3,7 @@
 Its replies are bare numbers that do not say what they answer. So after every query a fence is sent, `VE?` or
 `1ID?` in turn, whose text was learned when the controller was first asked: replies come in order, so exactly
 one number before the fence is the answer, and none or two are damage, after which the query is asked again.
-A digit that was damaged looks like any other: what matters is believed when it was said twice (`belief`).
+A digit that was damaged looks like any other: what matters is believed when it was said twice (`readback`).
 
 Nothing tells whether the stage was homed since power came on. It counts as not referenced until this driver
 has homed it, in the way that the stage itself is set up for (`OM`).
@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import re
 import threading
-import time
 from collections import Counter
 from itertools import cycle
 from typing import Self
@@ -21,11 +20,11 @@ from typing import Self
 from calrig.instruments import readback
 from calrig.instruments.errors import StageError
 from calrig.instruments.ports import Port, open_port
+from calrig.instruments.stages.esp301 import DEVICE
 from calrig.instruments.stages.esp301.words import error_words
 from calrig.instruments.stages.lines import LineWire, plain
 from calrig.instruments.types import StageIdentity, StageStatus
 
-BAUDRATE = 19200
 REPLY_TIMEOUT_S = 0.5
 ATTEMPTS = 4
 MOST_ERRORS = 11
@@ -52,6 +51,7 @@ class Esp301:
         self._axis = axis
         self._name = f"stage esp301, axis {axis}, on {port.name}"
         self._lines = LineWire(port, self.faults)
+        self._now_s = port.clock.now_s
         self._asking = threading.RLock()
         self._fences: dict[str, str] = {}
         self._next_fence = cycle([""])
@@ -67,7 +67,7 @@ class Esp301:
     @classmethod
     def open(cls, url: str, *, axis: int = 1, baudrate: int | None = None) -> Self:
         """Opens the port (PortError); asks nothing yet."""
-        return cls(open_port(url, baudrate=baudrate or BAUDRATE, timeout_s=0.02), axis)
+        return cls(open_port(url, baudrate=baudrate or DEVICE.baudrate, timeout_s=0.02), axis)
 
     def identify(self) -> StageIdentity:
         """Asks who it is and what it allows (StageError if it does not answer)."""
@@ -259,7 +259,7 @@ class Esp301:
 
     def _listen(self, most: int, *sent: str) -> list[str]:
         """Lines in reply, echoes left out, until `most` came, or a fence's text, or time is up."""
-        deadline_s = time.monotonic() + REPLY_TIMEOUT_S
+        deadline_s = self._now_s() + REPLY_TIMEOUT_S
         came: list[str] = []
         while len(came) < most and (line := self._lines.line(deadline_s)) is not None:
             if line in sent:
@@ -274,7 +274,7 @@ class Esp301:
         """Drops what has come, and after an answer that never came, what is still on its way."""
         late = self._lines.old_lines()
         if self._in_doubt:
-            deadline_s = time.monotonic() + REPLY_TIMEOUT_S
+            deadline_s = self._now_s() + REPLY_TIMEOUT_S
             while (line := self._lines.line(deadline_s)) is not None:
                 late.append(line)
             self._in_doubt = False

@@ -1,1 +1,51 @@
 """GRBL 1.1."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from calrig.instruments.device import Identity, Look, StageDevice
+from calrig.instruments.stages.grbl.words import BANNER, parse_report
+
+if TYPE_CHECKING:
+    from calrig.instruments.stages.grbl.driver import Grbl
+
+VERSION = re.compile(r"\[VER:([^:\]]+).*\]")
+
+
+def _open(url: str, *, axis: int, baudrate: int | None) -> Grbl:
+    from calrig.instruments.stages.grbl.driver import Grbl
+
+    return Grbl.open(url, axis=axis, baudrate=baudrate)
+
+
+def _says(line: str) -> bool:
+    return bool(BANNER.fullmatch(line) or VERSION.fullmatch(line) or parse_report(line))
+
+
+def _identity(lines: Sequence[str]) -> Identity:
+    names = [banner[1] for line in lines if (banner := BANNER.fullmatch(line))]
+    names += [f"Grbl {version[1]}" for line in lines if (version := VERSION.fullmatch(line))]
+    states = [f", in {report.state}" for line in lines if (report := parse_report(line))]
+    return Identity((names or ["Grbl"])[0] + (states or [""])[-1])
+
+
+DEVICE = StageDevice(
+    driver="grbl",
+    title="an Arduino with a stepper shield and GRBL 1.1, a rotary table on one of its axes",
+    baudrate=115200,
+    opens=_open,
+    looks=(
+        Look(
+            115200,
+            0.4,
+            b"?",
+            harmless="asks for its status, told even while it moves; to all others it is no command",
+        ),
+    ),
+    says=_says,
+    identity=_identity,
+    then=b"$I\n",
+)

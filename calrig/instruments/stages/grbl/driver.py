@@ -1,7 +1,7 @@
 """GRBL 1.1 (driver `grbl`): an Arduino with a stepper shield turning the stage, one unit a degree.
 
 `axis` 1 is X, 2 Y, 3 Z. Angles are work coordinates: an offset that an operator has stored (`G54`) is kept.
-Where its count is no longer the stage's angle (`grbl_count`), `move` refuses and `position_deg` raises until
+Where its count is no longer the stage's angle (`count`), `move` refuses and `position_deg` raises until
 it has been homed. `$X` is sent in one case alone: after a soft limit alarm, when no step was lost.
 """
 
@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import time
 from collections import Counter
 from typing import Self
 
 from calrig.instruments import readback
 from calrig.instruments.errors import InstrumentError, StageError
 from calrig.instruments.ports import Port, open_port
+from calrig.instruments.stages.grbl import DEVICE
 from calrig.instruments.stages.grbl.count import Count
 from calrig.instruments.stages.grbl.wire import RESET, STOP, GrblWire
 from calrig.instruments.stages.grbl.words import (
@@ -28,7 +28,6 @@ from calrig.instruments.stages.grbl.words import (
 from calrig.instruments.stages.lines import plain
 from calrig.instruments.types import StageIdentity, StageStatus
 
-BAUDRATE = 115200
 WAKE_TIMEOUT_S = 3.0  # a boot loader listens for two before GRBL does
 MOST_LISTINGS = 6
 LOOKS_FOR_OFFSET = 24  # idle, GRBL adds its offset to every tenth report
@@ -51,6 +50,7 @@ class Grbl:
         self._letter = "XYZABC"[self._index]
         self._name = f"stage grbl, axis {self._letter}, on {port.name}"
         self._wire = GrblWire(port, self.faults)
+        self._now_s = port.clock.now_s
         self._count = Count(self._index, self._name, port.name)
         self._asking = threading.RLock()
         self._settings: dict[int, float] = {}
@@ -62,7 +62,7 @@ class Grbl:
     @classmethod
     def open(cls, url: str, *, axis: int = 1, baudrate: int | None = None) -> Self:
         """Opens the port (PortError); asks nothing yet."""
-        return cls(open_port(url, baudrate=baudrate or BAUDRATE, timeout_s=0.02), axis)
+        return cls(open_port(url, baudrate=baudrate or DEVICE.baudrate, timeout_s=0.02), axis)
 
     def identify(self) -> StageIdentity:
         """Waits for it to wake, and reads its settings (StageError if it does not answer, or is busy).
@@ -224,8 +224,8 @@ class Grbl:
         for reset in (False, True):
             if reset:
                 self._wire.restart()
-            deadline_s = time.monotonic() + WAKE_TIMEOUT_S
-            while time.monotonic() < deadline_s:
+            deadline_s = self._now_s() + WAKE_TIMEOUT_S
+            while self._now_s() < deadline_s:
                 if report := self._wire.look(attempts=1):
                     return report
         return None

@@ -7,7 +7,6 @@ before the listing is the command's own, and an earlier one, late or doubled, is
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from collections.abc import Callable
 
@@ -43,6 +42,7 @@ class GrblWire:
 
     def __init__(self, port: Port, faults: Counter[str]) -> None:
         self.lines = LineWire(port, faults)
+        self._now_s = port.clock.now_s
         self.firmware: str | None = None
         self.resets = 0
         self.alarm: int | None = None
@@ -129,7 +129,7 @@ class GrblWire:
 
     def listen(self, until: Callable[[], bool], timeout_s: float | None = None) -> bool:
         """Takes in lines until something holds or time is up; whether it holds."""
-        deadline_s = time.monotonic() + (REPLY_TIMEOUT_S if timeout_s is None else timeout_s)
+        deadline_s = self._now_s() + (REPLY_TIMEOUT_S if timeout_s is None else timeout_s)
         while not until():
             line = self.lines.line(deadline_s)
             if line is None:

@@ -1,1 +1,49 @@
 """Newport SMC100."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from calrig.instruments.device import Identity, Look, StageDevice
+
+if TYPE_CHECKING:
+    from calrig.instruments.stages.smc100.driver import Smc100
+
+LIMIT = re.compile(r"1SL\s*[-+]?\d+(?:\.\d*)?(?:[Ee][-+]?\d{1,2})?")
+VERSION = re.compile(r"1VE\s*(\S.*)")
+
+
+def _open(url: str, *, axis: int, baudrate: int | None) -> Smc100:
+    from calrig.instruments.stages.smc100.driver import Smc100
+
+    return Smc100.open(url, axis=axis, baudrate=baudrate)
+
+
+def _says(line: str) -> bool:
+    return bool(LIMIT.fullmatch(line) or VERSION.fullmatch(line))
+
+
+def _identity(lines: Sequence[str]) -> Identity:
+    versions = [reply[1].strip() for line in lines if (reply := VERSION.fullmatch(line))]
+    return Identity(versions[0] if versions else "at address 1", 1)
+
+
+DEVICE = StageDevice(
+    driver="smc100",
+    title="Newport SMC100",
+    baudrate=57600,
+    opens=_open,
+    looks=(
+        Look(
+            57600,
+            0.5,
+            b"1SL?\r\n1SL?\r\n",
+            harmless="asks for its lower limit, the second time with nothing before it; others know no SL",
+        ),
+    ),
+    says=_says,
+    identity=_identity,
+    then=b"1VE\r\n",
+)

@@ -7,7 +7,6 @@ answers agree, and after a move was sent the controller is asked back what targe
 from __future__ import annotations
 
 import re
-import time
 from collections import Counter
 from typing import Self
 
@@ -15,11 +14,11 @@ from calrig.instruments import readback
 from calrig.instruments.errors import StageError
 from calrig.instruments.ports import Port, open_port
 from calrig.instruments.stages.lines import plain
+from calrig.instruments.stages.smc100 import DEVICE
 from calrig.instruments.stages.smc100.wire import TEXT_FORM, Smc100Wire
 from calrig.instruments.stages.smc100.words import ERROR_BITS, ERRORS, STATES
 from calrig.instruments.types import StageIdentity, StageStatus
 
-BAUDRATE = 57600
 FEW_ATTEMPTS = 2
 """For what not every controller knows."""
 NO_ERROR = "@"
@@ -39,6 +38,7 @@ class Smc100:
         self.faults: Counter[str] = Counter()
         self._name = f"stage smc100 at address {axis} on {port.name}"
         self._wire = Smc100Wire(port, axis, self.faults)
+        self._now_s = port.clock.now_s
         self._tells_target: bool | None = None  # not known before it was asked
         self._mover = readback.Mover(
             self._name, self.faults, self.position_deg, self._moves, self.halt, self._target_deg
@@ -47,7 +47,7 @@ class Smc100:
     @classmethod
     def open(cls, url: str, *, axis: int = 1, baudrate: int | None = None) -> Self:
         """Opens the port (PortError); asks nothing yet."""
-        return cls(open_port(url, baudrate=baudrate or BAUDRATE, timeout_s=0.02), axis)
+        return cls(open_port(url, baudrate=baudrate or DEVICE.baudrate, timeout_s=0.02), axis)
 
     def identify(self) -> StageIdentity:
         """Asks who it is and what it allows, and switches the motor on if it is off (which moves nothing).
@@ -134,9 +134,9 @@ class Smc100:
     def _enable(self) -> None:
         self._wire.nul_seen = False
         self._command("MM1")
-        deadline = time.monotonic() + ENABLE_TIMEOUT_S
+        deadline = self._now_s() + ENABLE_TIMEOUT_S
         while (status := self.status()).state == "disabled":
-            if time.monotonic() > deadline:
+            if self._now_s() > deadline:
                 raise StageError(
                     f"{self._name} stays in {status.words}: is motor power on, and the stage free to turn?"
                 )

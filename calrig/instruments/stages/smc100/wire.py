@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 import threading
-import time
 from collections import Counter
 
 from calrig.instruments.errors import Halted
@@ -37,6 +36,7 @@ class Smc100Wire:
     def __init__(self, port: Port, axis: int, faults: Counter[str]) -> None:
         self.nul_seen = False
         self._port = port
+        self._now_s = port.clock.now_s
         self._axis = axis
         self._faults = faults
         self._tail = b""
@@ -87,15 +87,15 @@ class Smc100Wire:
         return True
 
     def _ask_once(self, query: str, form: re.Pattern[str]) -> re.Match[str] | None:
-        deadline = time.monotonic() + REPLY_TIMEOUT_S
-        while self._port.waiting() and time.monotonic() < deadline:
+        deadline = self._now_s() + REPLY_TIMEOUT_S
+        while self._port.waiting() and self._now_s() < deadline:
             self._read()
         while (early := self._next_line()) is not None:
             self._drop(early)
         self.send(query)
-        deadline = time.monotonic() + REPLY_TIMEOUT_S
+        deadline = self._now_s() + REPLY_TIMEOUT_S
         prefix = f"{self._axis}{query[:2]}"
-        while time.monotonic() < deadline:
+        while self._now_s() < deadline:
             self._read()
             while (line := self._next_line()) is not None:
                 reply = form.fullmatch(line, len(prefix)) if line.startswith(prefix) else None

@@ -1,1 +1,55 @@
 """Zaber rotary stages."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from calrig.instruments.device import Identity, Look, StageDevice
+
+if TYPE_CHECKING:
+    from calrig.instruments.stages.zaber.driver import Zaber
+
+REPLY = re.compile(r"@(\d{2}) 0 OK (?:IDLE|BUSY) (?:--|[A-Z]{2}) (\d+(?:\.\d+)*)(?::[0-9A-F]{2})?")
+
+
+def _open(url: str, *, axis: int, baudrate: int | None) -> Zaber:
+    from calrig.instruments.stages.zaber.driver import Zaber
+
+    return Zaber.open(url, axis=axis, baudrate=baudrate)
+
+
+def _says(line: str) -> bool:
+    return REPLY.fullmatch(line) is not None
+
+
+def _identity(lines: Sequence[str]) -> Identity:
+    replies = [reply for line in lines if (reply := REPLY.fullmatch(line))]
+    first = int(replies[0][1])
+    versions = [reply[2] for reply in replies if int(reply[1]) == first and "." in reply[2]]
+    others = sorted({int(reply[1]) for reply in replies} - {first})
+    words = [f"firmware {versions[0]}"] if versions else []
+    if others:
+        words.append(f"and behind it addresses {', '.join(map(str, others))}")
+    return Identity(", ".join([f"at address {first}", *words]), first)
+
+
+DEVICE = StageDevice(
+    driver="zaber",
+    title="Zaber rotary stages, through the maker's library: `pip install 'calrig[zaber]'`",
+    baudrate=115200,
+    opens=_open,
+    looks=(
+        Look(
+            115200,
+            0.3,
+            b"ID\n/\n",
+            harmless="asks every device whether it is there, after a line that ends what was half sent; "
+            "GRBL drops the `/`, and an empty line is none",
+        ),
+    ),
+    says=_says,
+    identity=_identity,
+    then=b"/get version\n",
+)

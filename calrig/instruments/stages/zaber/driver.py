@@ -12,7 +12,6 @@ from __future__ import annotations
 import importlib
 import re
 import threading
-import time
 from collections import Counter
 from typing import Any, Self
 
@@ -20,10 +19,10 @@ from calrig.instruments import readback
 from calrig.instruments.errors import Halted, InstrumentError, PortError, StageError
 from calrig.instruments.ports import Port, open_port
 from calrig.instruments.stages.lines import LineWire
+from calrig.instruments.stages.zaber import DEVICE
 from calrig.instruments.stages.zaber.words import UNREFERENCED, flag_words
 from calrig.instruments.types import StageIdentity, StageStatus
 
-BAUDRATE = 115200
 REPLY_TIMEOUT_S = 0.5
 ATTEMPTS = 4
 LISTEN_S = 0.2
@@ -50,6 +49,7 @@ class Zaber:
         self._address = axis
         self._name = f"stage zaber at address {axis} on {port.name}"
         self._lines = LineWire(port, self.faults)
+        self._now_s = port.clock.now_s
         self._maker = _library()
         self._asking = threading.RLock()
         self._per_deg: float | None = None
@@ -71,7 +71,7 @@ class Zaber:
             InstrumentError: the maker's library is not installed; says how to.
         """
         _library()
-        return cls(open_port(url, baudrate=baudrate or BAUDRATE, timeout_s=0.02), axis)
+        return cls(open_port(url, baudrate=baudrate or DEVICE.baudrate, timeout_s=0.02), axis)
 
     def identify(self) -> StageIdentity:
         """Asks who it is and what it allows, and clears flags of long ago.
@@ -230,7 +230,7 @@ class Zaber:
         errors = self._maker.exceptions
         while not self._closing:
             try:
-                line = self._lines.line(time.monotonic() + LISTEN_S)
+                line = self._lines.line(self._now_s() + LISTEN_S)
                 if line is not None and self._is_sound(line):
                     self._transport.write(line)
             except PortError as error:

@@ -6,8 +6,8 @@ from collections import Counter
 
 import numpy as np
 
-from calrig.instruments.boards.sketches.catalogue import Sketch
-from calrig.instruments.boards.sketches.lines import Record
+from calrig.instruments.boards.sketch import Sketch
+from calrig.instruments.boards.sketch_lines import Record
 from calrig.instruments.types import FloatArray, Samples
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import threading
-import time
 from collections import Counter
 from typing import Self
 
-from calrig.instruments.boards.sketches.catalogue import Sketch
-from calrig.instruments.boards.sketches.lines import Record, SketchReader
-from calrig.instruments.boards.sketches.samples import SketchSamples
+from calrig.instruments.boards.sketch import Sketch
+from calrig.instruments.boards.sketch_lines import Record, SketchReader
+from calrig.instruments.boards.sketch_samples import SketchSamples
+from calrig.instruments.device import recognise
+from calrig.instruments.drivers import known_devices
 from calrig.instruments.errors import BoardError, InstrumentError, PortError
 from calrig.instruments.ports import Port, open_port
 from calrig.instruments.types import BoardIdentity, Samples
@@ -26,6 +26,8 @@ SILENCE_S = 4.0
 QUIET_S = 2.0
 USELESS_S = 2.0
 TICK_S = 1e-6
+ANOTHERS_LINES = 3
+"""So many lines of another device tell it."""
 NO_SENSOR = "all its values are 0: no sensor answers the board; check the wires between them"
 FROZEN = "its values do not change: the sensor's bus hangs; switch the board off and on"
 
@@ -44,16 +46,17 @@ class SketchBoard:
         self._sketch = sketch
         self._name = f"board {sketch.driver} on {port.name}"
         self._reader = SketchReader(sketch, self.faults)
-        self._news = threading.Condition()
-        self._closing = threading.Event()
+        self._clock = port.clock
+        self._news = self._clock.condition()
+        self._closing = self._clock.event()
         self._failure: InstrumentError | None = None
         self._identified = False
         self._samples: SketchSamples | None = None
         self._blocks: list[Samples] = []
         self._seen_s: list[float] = []  # arrivals without a break, from which the rate is measured
         self._behind = False
-        self._arrived_s = self._started_s = self._heard_s = time.monotonic()
-        self._thread = threading.Thread(target=self._listen, name=f"reader of {self._name}", daemon=True)
+        self._arrived_s = self._started_s = self._heard_s = self._clock.now_s()
+        self._thread = self._clock.thread(self._listen, f"reader of {self._name}")
         self._thread.start()
 
     @classmethod
@@ -70,9 +73,9 @@ class SketchBoard:
         """
         with self._news:
             self._identified, self._seen_s = False, []
-            deadline_s = time.monotonic() + self._sketch.starts_in_s + MEASURE_S
+            deadline_s = self._clock.now_s() + self._sketch.starts_in_s + MEASURE_S
             while not self._measured:
-                if time.monotonic() > deadline_s or self._reader.looks_like:
+                if self._clock.now_s() > deadline_s or self._looks_like:
                     raise BoardError(f"{self._name} sent no record that can be read: {self._why_none()}")
                 if self._sketch.wake and not self._seen_s:
                     self._port.write(self._sketch.wake)
@@ -104,7 +107,7 @@ class SketchBoard:
                 raise BoardError(f"{self._name} must be identified before it is started")
             self._blocks.clear()
             self._samples = SketchSamples(self._sketch, self.faults)
-            self._started_s = self._arrived_s = time.monotonic()
+            self._started_s = self._arrived_s = self._clock.now_s()
 
     def take(self, timeout_s: float) -> Samples:
         """The valid samples since the last call, waiting up to timeout_s for the first one.
@@ -142,6 +145,18 @@ class SketchBoard:
         self._port.close()
 
     @property
+    def _looks_like(self) -> str | None:
+        """The driver of the device whose lines come instead."""
+        if len(self._reader.strange) < ANOTHERS_LINES:
+            return None
+        devices = known_devices()
+        told = [recognise(f"{line}\n".encode("latin-1"), devices) for line in self._reader.strange]
+        votes = Counter(sender.device.driver for sender in told if sender)
+        del votes[self._sketch.driver]
+        driver, count = max(votes.items(), key=lambda vote: vote[1], default=("", 0))
+        return driver if count >= ANOTHERS_LINES else None
+
+    @property
     def _measured(self) -> bool:
         seen_s = self._seen_s
         return len(seen_s) >= MEASURE_RECORDS and seen_s[-1] - seen_s[0] >= MEASURE_S
@@ -152,7 +167,7 @@ class SketchBoard:
                 data = self._port.read(65536)
                 if data:
                     with self._news:
-                        self._digest(data, max(time.monotonic(), self._arrived_s + TICK_S))
+                        self._digest(data, max(self._clock.now_s(), self._arrived_s + TICK_S))
                         self._news.notify_all()
             except InstrumentError as error:
                 with self._news:
@@ -211,7 +226,7 @@ class SketchBoard:
     def _check_health(self) -> None:
         if self._samples is None:
             return
-        silent_s = time.monotonic() - self._arrived_s
+        silent_s = self._clock.now_s() - self._arrived_s
         frozen_s = self._samples.frozen_s
         if frozen_s > max(USELESS_S, self._sketch.frozen_after_s):
             useless_s, why = frozen_s, NO_SENSOR if self._samples.reads_zero else FROZEN
@@ -224,11 +239,11 @@ class SketchBoard:
     def _why_none(self) -> str:
         sketch, reader = self._sketch, self._reader
         said = f"; its last words were {reader.last_words!r}" if reader.last_words else ""
-        if time.monotonic() - self._heard_s > QUIET_S or not reader.n_strange:
+        if self._clock.now_s() - self._heard_s > QUIET_S or not reader.n_strange:
             mute = f" ({sketch.mute})" if sketch.mute else ""
             return f"it is silent: is it powered, and on this port?{mute}{said}"
-        if other := reader.looks_like:
-            return f"its lines are another sketch's; it looks like driver {other!r}"
+        if other := self._looks_like:
+            return f"its lines are another device's; it looks like driver {other!r}"
         if reader.garbled:
             return f"what comes is no text: wrong baud rate? As published it sends at {sketch.baudrate} baud"
         return (

@@ -1,12 +1,9 @@
-"""The states of a run and the moves between them that are allowed."""
+"""The moves between the states of a run that are allowed."""
 
 from __future__ import annotations
 
 from calrig.analysis.errors import Conflict
 from calrig.store.records import TERMINAL
-
-AT_REST = frozenset({*TERMINAL, "interrupted"})
-"""Nobody carries the run out: it has ended for good, or was interrupted and can be taken up again."""
 
 ALLOWED: dict[str, frozenset[str]] = {
     "queued": frozenset({"running", "failed", "aborted", "interrupted"}),

@@ -5,13 +5,11 @@ from __future__ import annotations
 import re
 from collections import Counter, deque
 
-from calrig.instruments.boards.sketches.catalogue import SKETCHES, Sketch
+from calrig.instruments.boards.sketch import Sketch
 from calrig.instruments.errors import BoardError
 
 LONGEST_LINE = 256
 STRANGE_KEPT = 20
-ANOTHERS_LINES = 3
-"""So many lines of another sketch tell it."""
 Record = tuple[float, ...]
 
 
@@ -29,6 +27,7 @@ class SketchReader:
 
     Attributes:
         last_words: what it last said of trouble.
+        strange: the last lines since a record that are none of the sketch's.
     """
 
     def __init__(self, sketch: Sketch, faults: Counter[str]) -> None:
@@ -39,7 +38,7 @@ class SketchReader:
         self._numbers: list[float] = []
         self._place = 0  # of the line awaited in its record
         self._in_stream = False
-        self._strange: deque[str] = deque(maxlen=STRANGE_KEPT)
+        self.strange: deque[str] = deque(maxlen=STRANGE_KEPT)
         self._since_record = Counter[str]()
 
     def feed(self, data: bytes) -> list[Record | None]:
@@ -70,19 +69,6 @@ class SketchReader:
         """Whether what came since the last record is no text."""
         return self._since_record["no text"] * 10 > self._since_record["bytes"]
 
-    @property
-    def looks_like(self) -> str | None:
-        """The driver of the sketch whose lines come instead."""
-        votes = Counter(
-            other.driver
-            for line in self._strange
-            for other in SKETCHES
-            if other is not self._sketch
-            and any(form.pattern and form.fullmatch(line) for form in other.lines)
-        )
-        driver, count = max(votes.items(), key=lambda vote: vote[1], default=("", 0))
-        return driver if count >= ANOTHERS_LINES else None
-
     def _take(self, line: str, found: list[Record | None]) -> None:
         text = line.removesuffix("\r")
         whole = text != line
@@ -92,7 +78,7 @@ class SketchReader:
                 found.append(tuple(self._numbers))
                 self._begin_record()
                 self._in_stream = True
-                self._strange.clear()
+                self.strange.clear()
                 self._since_record.clear()
         elif _says(self._sketch.banner, text):
             if self._in_stream:
@@ -123,7 +109,7 @@ class SketchReader:
     def _drop(self, text: str) -> None:
         self._begin_record()
         if text:
-            self._strange.append(text)
+            self.strange.append(text)
         if self._in_stream:
             self._faults["unparsed"] += 1
 

@@ -1,0 +1,69 @@
+"""Units side by side: their runs, how each unit drifts, and what sets units apart from repeatability."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from calrig.analysis.errors import Unknown
+from calrig.calibration.compare import components, drift
+from calrig.store import ComparisonRow, Store
+
+Row = dict[str, Any]
+
+
+def compared_runs(store: Store, serials: Sequence[str] | None) -> dict[str, list[Row]]:
+    """The completed, not voided calibrations of each unit, the oldest first.
+
+    Args:
+        store: where they are.
+        serials: units in the order wanted; None for all.
+
+    Raises:
+        Unknown: there is no such unit.
+    """
+    known = dict.fromkeys(unit.serial for unit in store.units())
+    for serial in serials or ():
+        if serial not in known:
+            raise Unknown(f"there is no unit {serial!r}")
+    units: dict[str, list[Row]] = {serial: [] for serial in serials or known}
+    effects = store.effect_names()
+    for row in store.comparison(serials or None):
+        units[row.unit].append(_row(row, effects))
+    return units
+
+
+def comparison(units: Mapping[str, Sequence[Row]]) -> Row:
+    """CONTRACT section 2's comparison of what `compared_runs` gives."""
+    drifting = [
+        {"unit": serial, "runs": runs, "drift_deg_per_day": _drift(runs)} for serial, runs in units.items()
+    ]
+    spread = {figure: _spread(list(units.values()), figure) for figure in ("bias_deg", "scale")}
+    return {"units": drifting, "spread": spread}
+
+
+def _row(row: ComparisonRow, effects: Mapping[str, list[str]]) -> Row:
+    return {
+        "run_id": row.run_id,
+        "finished_at": row.finished_at,
+        "bias_deg": row.bias_deg,
+        "bias_std_deg": row.bias_std_deg,
+        "scale": row.scale,
+        "scale_std": row.scale_std,
+        "rms_raw_deg": row.rms_raw_deg,
+        "rms_calibrated_deg": row.rms_calibrated_deg,
+        "rms_with_effects_deg": row.rms_with_effects_deg,
+        "temperature_c": {"min": row.temperature_min_c, "max": row.temperature_max_c},
+        "effects": [] if row.rms_with_effects_deg is None else effects.get(row.unit, []),
+    }
+
+
+def _drift(runs: Sequence[Row]) -> float | None:
+    found = drift([run["finished_at"] for run in runs], [run["bias_deg"] for run in runs])
+    return found.deg_per_day if found else None
+
+
+def _spread(units: Sequence[Sequence[Row]], figure: str) -> Row:
+    known = [(k, run[figure]) for k, runs in enumerate(units) for run in runs if run[figure] is not None]
+    found = components([k for k, _ in known], [value for _, value in known])
+    return {"between_units_std": found.between, "within_unit_std": found.within}

@@ -1,0 +1,49 @@
+"""What every analysis begins with: stored runs, those that belong together, and the poses that count."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from calrig.analysis.errors import Conflict, Unknown
+from calrig.calibration.pose import Pose
+from calrig.store import AT_REST, Run, Store
+
+
+def stored_run(store: Store, run_id: str) -> Run:
+    """The run.
+
+    Raises:
+        Unknown: there is none.
+    """
+    run = store.run(run_id)
+    if run is None:
+        raise Unknown(f"there is no run {run_id}")
+    return run
+
+
+def counted_poses(store: Store, run_id: str) -> list[Pose]:
+    """The poses of a run that nobody has excluded."""
+    return [stored.pose for stored in store.poses(run_id, include_excluded=False)]
+
+
+def runs_together(store: Store, run_id: str, more: Sequence[str] = ()) -> list[Run]:
+    """A run with those it follows on and further ones of its unit, in the order measured, itself last.
+
+    Raises:
+        Unknown: there is no such run.
+        Conflict: a run is of another unit, or has not ended.
+    """
+    run = stored_run(store, run_id)
+    wanted = {other: stored_run(store, other) for other in more if other != run_id}
+    follows = run.follows
+    while follows is not None:
+        wanted[follows] = stored_run(store, follows)
+        follows = wanted[follows].follows
+    for other in wanted.values():
+        if other.unit != run.unit:
+            raise Conflict(f"run {other.id} is of unit {other.unit!r}, run {run_id} of unit {run.unit!r}")
+    runs = [*sorted(wanted.values(), key=lambda r: r.created_at), run]
+    for one in runs:
+        if one.status not in AT_REST:
+            raise Conflict(f"run {one.id} is {one.status}: wait until it has ended")
+    return runs

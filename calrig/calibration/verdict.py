@@ -1,0 +1,185 @@
+"""Whether a result is good: what is left after everything accepted, against what noise alone would leave."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+CONFIDENCE = 0.99
+"""Noise alone is accused of leaving more than noise in one run of a hundred, as by the diagnosis' gate."""
+FEW_POSES = 6
+WORTH_APPLYING = 3.0
+"""Standard errors by which a scale must differ from 1 before it is worth applying."""
+
+Document = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """CONTRACT section 2, "Verdict".
+
+    Attributes:
+        answer: against the limits that match; there are none yet.
+        left: what is left after everything accepted; None where the noise is not known.
+        ratio: RMS of what is left over what noise alone would leave, 1 at best; None likewise.
+        says: the same in sentences, the answer first.
+        limit: name of the limit that was applied.
+    """
+
+    answer: Literal["no_limits"]
+    left: Literal["noise", "more_than_noise"] | None
+    ratio: float | None
+    says: tuple[str, ...]
+    limit: str | None
+
+
+def verdict(result: Document, diagnosis: Document | None = None, *, verification: bool = False) -> Verdict:
+    """Judges a run's result.
+
+    With s the standard error of one reading (`noise_deg`, pooled from within the dwells), n poses and p
+    fitted parameters, noise alone leaves residuals r with Σr²/s² distributed as χ² with ν = n − p degrees of
+    freedom (Draper & Smith, Applied Regression Analysis, 1998, section 2.1, lack of fit with σ known). So
+    ratio = √(Σr²/(ν·s²)), and noise alone keeps it under √(χ²(0.99; ν)/ν): 1.34 of 26 poses, 1.08 of 500.
+
+    Args:
+        result: CONTRACT section 2's, bias and scale (and accepted effects) with what they leave.
+        diagnosis: the run's last one, CONTRACT section 5; None before.
+        verification: a calibration made earlier was applied; nothing was fitted to these poses.
+    """
+    fitted = 0 if verification else _fitted_parameters(result, diagnosis)
+    freedom = result["n_poses"] - fitted
+    ratio = _ratio(result, freedom)
+    bound = None if ratio is None else upper_limit(freedom)
+    left: Literal["noise", "more_than_noise"] | None = None
+    if ratio is not None and bound is not None:
+        left = "noise" if ratio <= bound else "more_than_noise"
+    says = [
+        *_answer(left, ratio, bound, freedom),
+        _before_and_after(result, verification=verification),
+        *_of_the_stage(result, freedom, left),
+        *_diagnosed(diagnosis, left),
+        *([] if verification else _scale(result)),
+    ]
+    if result["n_poses"] < FEW_POSES:
+        says.append(f"It rests on only {_poses(result['n_poses'])}.")
+    return Verdict(answer="no_limits", left=left, ratio=ratio, says=tuple(says), limit=None)
+
+
+def upper_limit(freedom: int) -> float:
+    """The ratio that noise alone stays under with probability `CONFIDENCE`, by its degrees of freedom."""
+    from scipy.special import chdtri
+
+    return math.sqrt(float(chdtri(freedom, 1.0 - CONFIDENCE)) / freedom)
+
+
+def _fitted_parameters(result: Document, diagnosis: Document | None) -> int:
+    """Bias, scale, and what was fitted to these poses of the effects accepted from their diagnosis."""
+    line = 1 if result["scale"] is None else 2
+    if diagnosis is None or result["rms_with_effects_deg"] is None:
+        return line
+    accepted = [effect for effect in diagnosis["effects"] if effect.get("accepted_at") is not None]
+    values = [value for effect in accepted for value in effect["parameters"].values()]
+    return line + sum(value is not None and value["std"] is not None for value in values)
+
+
+def _left_deg(result: Document) -> float | None:
+    """RMS that is left of a reading, degrees, after everything accepted."""
+    with_effects: float | None = result["rms_with_effects_deg"]
+    calibrated: float | None = result["rms_calibrated_deg"] if with_effects is None else with_effects
+    scale = result["scale"]
+    return None if calibrated is None else calibrated * (1.0 if scale is None else abs(scale))
+
+
+def _ratio(result: Document, freedom: int, also_deg: float = 0.0) -> float | None:
+    """What is left over what noise (and a further error of each pose) would leave."""
+    left_deg, noise_deg = _left_deg(result), result["noise_deg"]
+    if left_deg is None or not noise_deg or freedom < 1:
+        return None
+    expected_deg = math.hypot(noise_deg, also_deg) * math.sqrt(freedom / result["n_poses"])
+    return float(left_deg / expected_deg)
+
+
+def _answer(left: str | None, ratio: float | None, bound: float | None, freedom: int) -> list[str]:
+    if ratio is None or bound is None:
+        return ["Not judged: the noise of a reading is not known, or there are too few poses."]
+    return [
+        "Good: only noise is left." if left == "noise" else "More than noise is left.",
+        f"The residual RMS is {ratio:.2f} times what noise alone predicts; noise alone stays under "
+        f"{bound:.2f} in {100 * CONFIDENCE:.0f} % of runs ({freedom} degrees of freedom).",
+    ]
+
+
+def _before_and_after(result: Document, *, verification: bool) -> str:
+    raw, calibrated, both = (
+        result[key] for key in ("rms_raw_deg", "rms_calibrated_deg", "rms_with_effects_deg")
+    )
+    if calibrated is None:
+        return f"RMS error {_deg(raw)} raw; the reading does not follow the stage and cannot be calibrated."
+    done = "with the calibration in force" if verification else "calibrated"
+    words = f"RMS error {_deg(raw)} raw, {_deg(calibrated)} {done}"
+    if both is not None:
+        words += f", {_deg(both)} with accepted effects"
+    if result["noise_deg"] is not None:
+        words += f"; standard error of one reading {_deg(result['noise_deg'])}"
+    return f"{words}."
+
+
+def _of_the_stage(result: Document, freedom: int, left: str | None) -> list[str]:
+    """That a stage which sets each pose anew explains what is left, where it does."""
+    reference = result.get("reference")
+    if left != "more_than_noise" or reference is None or reference["kind"] != "setting":
+        return []
+    ratio = _ratio(result, freedom, reference["std_deg"])
+    if ratio is None or ratio > upper_limit(freedom):
+        return []
+    return [f"The stage's own setting uncertainty of {_deg(reference['std_deg'])} accounts for it."]
+
+
+def _diagnosed(diagnosis: Document | None, left: str | None) -> list[str]:
+    """What is known of the cause of what is left."""
+    if diagnosis is None:
+        return (
+            ["Its cause is not known: the run has not been diagnosed."] if left == "more_than_noise" else []
+        )
+    open_ones = [effect for effect in diagnosis["effects"] if effect.get("accepted_at") is None]
+    if not open_ones and left == "more_than_noise":
+        return ["The diagnosis names no further effect."]
+    return [_found(effect) for effect in open_ones]
+
+
+def _found(effect: Document) -> str:
+    if effect["verdict"] == "unnamed":
+        return "The diagnosis finds an effect that is not in its catalogue."
+    names = [name.replace("_", " ") for name in (effect["name"], *effect["confusable_with"])]
+    if effect["verdict"] == "named":
+        return f"The diagnosis names {names[0]}, which has not been accepted."
+    return f"The diagnosis cannot distinguish {' from '.join(names)}."
+
+
+def _scale(result: Document) -> list[str]:
+    scale, std = result["scale"], result["scale_std"]
+    if scale is None:
+        return ["All poses stand at one elevation: the scale is not known and counts as 1."]
+    if not std:
+        return []
+    distance = abs(scale - 1.0)
+    if distance <= WORTH_APPLYING * std:
+        return ["The scale does not differ significantly from 1."]
+    words = f"The scale differs from 1 by {distance / std:.0f} standard errors"
+    of_stage = (result.get("reference") or {}).get("scale_std") or 0.0
+    if distance > WORTH_APPLYING * math.hypot(std, of_stage):
+        return [f"{words}."]
+    return [f"{words}, but no more than the stage's own uncertainty allows."]
+
+
+def _deg(value: float) -> str:
+    """Two significant digits, without an exponent where it stays readable."""
+    if value == 0.0 or not 1e-6 <= abs(value) < 1e6:
+        return f"{value:.2g}°"
+    return f"{value:.{max(0, 1 - math.floor(math.log10(abs(value))))}f}°"
+
+
+def _poses(count: int) -> str:
+    return f"{count} pose" if count == 1 else f"{count} poses"

@@ -1,0 +1,112 @@
+"""Boards that already run somebody's sketch and print text: what calrig has to know of one, in a record.
+
+The facts are the sketches' own sources (repository and path in `source`). Serial.print gives a float two
+decimals, so a line's form is known to the character; println ends it CR LF. The folders beside this file have
+a record each; `sketch_board` is the driver of all of them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from calrig.instruments.device import BoardDevice, Identity, Look
+
+if TYPE_CHECKING:
+    from calrig.instruments.boards.sketch_board import SketchBoard
+
+STANDARD_GRAVITY_MPS2 = 9.80665
+I16 = r"(0|-?[1-9]\d{0,4})"
+FLOAT = r"(-?(?:0|[1-9]\d{0,4})\.\d\d)"
+FROZEN_AFTER_S = 3.0
+"""Two decimals repeat honestly, but not all of a line's numbers for so long."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sketch:
+    """One sketch. Numbers of a record count from 0, through all of its lines.
+
+    Attributes:
+        driver: its name in `calrig.toml`.
+        source: where it is published.
+        baudrate: what it sends at as published.
+        pace: how fast it is, in words.
+        lines: the lines of one record, each to match wholly, without its CR LF.
+        bounds: of each number, how large it can be either way; a larger one shows damage.
+        accel, gyro: number of the x axis (y and z follow) and what one unit is in g, in degrees per second.
+        temperature: number of the die temperature in °C.
+        angle: number of the elevation about x in degrees, filtered on the board.
+        ranges: full scale it sets, ±g and ±°/s.
+        banner: what its setup prints, found anywhere in a line: the board was reset.
+        stops: what it says and then sends nothing, also without an end of line.
+        remarks: what it says and goes on.
+        mute: why it may send nothing at all.
+        checks_chip: it goes on only with the WHO_AM_I of an MPU-6050.
+        frozen_after_s: how long equal records may be honest; 0 where two in a row never are.
+        zeroes_at_reset: it takes a zero anew when it starts, so that what it sends before and after a reset
+            does not belong together.
+        wake: what it waits for before it starts.
+        starts_in_s: from reset to its first record at the latest.
+        heard_within_s: how soon a scan that listens has a line of it.
+    """
+
+    driver: str
+    source: str
+    baudrate: int
+    pace: str
+    lines: tuple[re.Pattern[str], ...]
+    bounds: tuple[float, ...]
+    accel: tuple[int, float] | None = None
+    gyro: tuple[int, float] | None = None
+    temperature: int | None = None
+    angle: int | None = None
+    ranges: tuple[int, int] = (2, 250)
+    banner: re.Pattern[str] | None = None
+    stops: re.Pattern[str] | None = None
+    remarks: re.Pattern[str] | None = None
+    mute: str = ""
+    checks_chip: bool = False
+    frozen_after_s: float = FROZEN_AFTER_S
+    zeroes_at_reset: bool = False
+    wake: bytes = b""
+    starts_in_s: float = 6.0
+    heard_within_s: float = 0.5
+
+    def prints(self, line: str) -> bool:
+        """Whether a line is one of its record, or has words that its setup prints."""
+        if any(form.fullmatch(line) for form in self.lines):
+            return True
+        has_words = any(character.isalpha() for character in line)  # anybody may draw a line of `=`
+        return has_words and self.banner is not None and self.banner.search(line) is not None
+
+
+def line_forms(*lines: str) -> tuple[re.Pattern[str], ...]:
+    """Patterns of lines in which `#` stands for an i16 and `%` for a float."""
+    return tuple(
+        re.compile(re.escape(line).replace(r"\#", I16).replace("%", FLOAT), re.ASCII) for line in lines
+    )
+
+
+def board_device(sketch: Sketch) -> BoardDevice:
+    """The device that a board with this sketch is. It speaks unasked, and is asked nothing."""
+
+    def opens(url: str, *, baudrate: int | None) -> SketchBoard:
+        from calrig.instruments.boards.sketch_board import SketchBoard
+
+        return SketchBoard.open(url, sketch=sketch, baudrate=baudrate)
+
+    def identity(_: Sequence[str]) -> Identity:
+        return Identity(sketch.source)
+
+    return BoardDevice(
+        driver=sketch.driver,
+        title=sketch.source,
+        baudrate=sketch.baudrate,
+        opens=opens,
+        looks=(Look(sketch.baudrate, sketch.heard_within_s),),
+        says=sketch.prints,
+        identity=identity,
+        then=b"",
+    )

@@ -1,1 +1,0 @@
-"""Boards that already run somebody's sketch and print text."""

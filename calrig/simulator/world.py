@@ -1,0 +1,135 @@
+"""Simulated devices in this process, in time of their own: `sim://NAME` is the port of each.
+
+pyserial opens it through `protocol_sim`. Nothing here knows whether the port's user lives by the same clock;
+`calrig` does, since it takes the time that its port brings along.
+"""
+
+from __future__ import annotations
+
+import errno
+from itertools import count
+from typing import ClassVar
+
+import serial
+
+from calrig.simulator.virtual_clock import VirtualClock, Waits
+from calrig.simulator.wire import MOST_WAITING_BYTES, Device
+
+serial.protocol_handler_packages.append("calrig.simulator")  # for `sim://NAME`
+SCHEME = "sim://"
+SYSTEM_BYTES = 4095
+"""What a terminal holds for who does not read, beside what waits in the device."""
+
+
+class SimWire:
+    """A device and its port, from `start` until `stop`; one user at a time.
+
+    Attributes:
+        url: what a client opens.
+        clock: the time that both ends live in.
+    """
+
+    plugged: ClassVar[dict[str, SimWire]] = {}
+    _numbers = count(1)
+
+    def __init__(
+        self,
+        device: Device,
+        name: str,
+        clock: VirtualClock,
+        most_waiting_bytes: int = MOST_WAITING_BYTES,
+    ) -> None:
+        self.clock = clock
+        self.url = f"{SCHEME}{name}-{next(self._numbers)}"
+        self._device = device
+        self._most_bytes = most_waiting_bytes + SYSTEM_BYTES
+        self._came = bytearray()
+        self._readers: Waits = []
+        self._wanted = 1
+        self._user: object | None = None
+        self._is_up = self._is_due = False
+
+    def start(self) -> None:
+        """Switches the device on."""
+        with self.clock.lock:
+            self.plugged[self.url] = self
+            self._is_up = True
+            self._emit()
+
+    def stop(self) -> None:
+        """Pulls it out; may be called twice, and before `start`."""
+        with self.clock.lock:
+            self._is_up = False
+            self.plugged.pop(self.url, None)
+            self.clock.end(self._readers)
+
+    def open(self, user: object) -> None:
+        """Takes the port for one user (OSError where somebody else has it)."""
+        with self.clock.lock:
+            if self._user is not None:
+                raise OSError(errno.EBUSY, "in use")
+            self._user = user
+            self._came.clear()
+
+    def close(self, user: object) -> None:
+        """Gives it back."""
+        with self.clock.lock:
+            if self._user is user:
+                self._user = None
+                self.clock.end(self._readers)
+
+    @property
+    def waiting(self) -> int:
+        """Bytes that can be read at once (OSError where the device is gone)."""
+        self._require_up()
+        return len(self._came)
+
+    def read(self, size: int, timeout_s: float | None) -> bytes:
+        """Up to `size` bytes, waiting for them at most so long (OSError where the device is gone)."""
+        clock = self.clock
+        deadline_s = None if timeout_s is None else clock.now_s() + timeout_s
+        while True:
+            with clock.lock:
+                self._require_up()
+                left_s = None if deadline_s is None else deadline_s - clock.now_s()
+                if len(self._came) >= size or (left_s is not None and left_s <= 0):
+                    data = bytes(self._came[:size])
+                    del self._came[:size]
+                    return data
+                self._wanted = size
+                wait = clock.register(self._readers, left_s)
+            clock.rest(wait)
+
+    def write(self, data: bytes) -> None:
+        """Hands bytes to the device, which hears them now (OSError where it is gone)."""
+        with self.clock.lock:
+            self._require_up()
+            self.hear(data)
+
+    def hear(self, data: bytes) -> None:
+        """The device takes what came, and says what it has to."""
+        self.say(self._device.receive(data))
+        self._emit()
+
+    def say(self, data: bytes) -> None:
+        """Bytes for the user; without one they go nowhere, as do those that nobody reads for too long."""
+        if self._user is None or len(self._came) + len(data) > self._most_bytes:
+            return
+        self._came += data
+        if len(self._came) >= self._wanted:
+            self.clock.end(self._readers)
+
+    def _emit(self) -> None:
+        if self._is_up:
+            self.say(self._device.emit())
+            if self._device.interval_s is not None and not self._is_due:
+                self._is_due = True
+                self.clock.at(self.clock.now_s() + self._device.interval_s, self._due)
+
+    def _due(self) -> None:
+        self._is_due = False
+        self._emit()
+
+    def _require_up(self) -> None:
+        if not self._is_up:
+            raise OSError(errno.EIO, "the simulated device is gone")

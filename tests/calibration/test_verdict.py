@@ -1,0 +1,138 @@
+"""Whether a result is good: noise alone is called noise, whatever the number of poses; nothing else is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from calrig.calibration.pose import Pose
+from calrig.calibration.result import build_result
+from calrig.calibration.uncertainty import Reference
+from calrig.calibration.verdict import upper_limit, verdict
+
+NOISE_DEG = 0.02
+
+
+def poses(n, *, seed=0, backlash_deg=0.0, scale=1.002, stderr_deg=NOISE_DEG):
+    """Sweeps up and down, with noise that is as large as the poses say."""
+    rng = np.random.default_rng(seed)
+    theta = np.tile([*range(-60, 61, 10), *range(60, -61, -10)], n // 26 + 1)[:n]
+    approach = np.tile([1] * 13 + [-1] * 13, n // 26 + 1)[:n]
+    reading = 0.8 + scale * theta + backlash_deg / 2 * approach + rng.normal(0, NOISE_DEG, n)
+    return [
+        Pose(target_deg=float(t), reading_deg=float(r), approach=int(a), reading_stderr_deg=stderr_deg)
+        for t, r, a in zip(theta, reading, approach, strict=True)
+    ]
+
+
+def result(n, effects=(), reference=None, **options):
+    return build_result(poses(n, **options), None, effects, reference).to_dict()
+
+
+def found(name, kind, *, accepted_at=None, rivals=()):
+    """A diagnosis with one effect of one parameter."""
+    parameters = {f"{name}_deg": {"value": 0.1, "std": 0.01}, "reference_c": {"value": 25.0, "std": None}}
+    effect = {"name": name, "verdict": kind, "confusable_with": list(rivals), "parameters": parameters}
+    return {"effects": [{**effect, "accepted_at": accepted_at}]}
+
+
+@pytest.mark.parametrize("freedom", [1, 24, 498, 100_000])
+def test_the_limit_is_what_noise_alone_stays_under_in_ninety_nine_of_a_hundred_runs(freedom):
+    assert stats.chi2.sf(upper_limit(freedom) ** 2 * freedom, freedom) == pytest.approx(0.01, rel=1e-6)
+
+
+@pytest.mark.parametrize("n", [4, 26, 104])
+def test_noise_alone_is_called_more_than_noise_in_one_run_of_a_hundred(n):
+    runs = 1000
+    accused = sum(verdict(result(n, seed=seed)).left == "more_than_noise" for seed in range(runs))
+    assert stats.binomtest(accused, runs, 0.01).pvalue > 1e-3
+
+
+def test_the_same_ratio_is_noise_of_few_poses_and_more_than_noise_of_many():
+    few, many = (result(n) for n in (26, 520))
+    for one in (few, many):
+        left = verdict(one)
+        assert left.left == "noise"
+        one["rms_calibrated_deg"] *= 1.2 / left.ratio
+    assert (verdict(few).left, verdict(many).left) == ("noise", "more_than_noise")
+    assert verdict(few).ratio == pytest.approx(verdict(many).ratio)
+
+
+def test_a_scale_of_the_sensors_changes_nothing():
+    assert verdict(result(52, scale=0.5)).ratio == pytest.approx(verdict(result(52, scale=2.0)).ratio)
+
+
+def test_what_is_left_is_judged_after_everything_accepted():
+    effects = [("backlash", {"backlash_deg": 0.2})]
+    open_one = verdict(result(52, backlash_deg=0.2), found("backlash", "named"))
+    assert open_one.left == "more_than_noise"
+    assert open_one.ratio > 4
+    assert "The diagnosis names backlash, which has not been accepted." in open_one.says
+    accepted = verdict(result(52, effects, backlash_deg=0.2), found("backlash", "named", accepted_at="now"))
+    assert accepted.left == "noise"
+    assert accepted.says[0] == "Good: only noise is left."
+
+
+def test_an_effect_fitted_to_these_very_poses_takes_its_degree_of_freedom():
+    one = result(26, [("backlash", {"backlash_deg": 0.0})])
+    elsewhere, here = verdict(one), verdict(one, found("backlash", "named", accepted_at="now"))
+    assert here.ratio / elsewhere.ratio == pytest.approx(
+        (24 / 23) ** 0.5
+    )  # reference_c was chosen, not fitted
+
+
+def test_a_verification_fits_nothing():
+    one = result(26)
+    assert verdict(one, verification=True).ratio / verdict(one).ratio == pytest.approx((24 / 26) ** 0.5)
+
+
+@pytest.mark.parametrize(
+    ("diagnosis", "sentence"),
+    [
+        (None, "Its cause is not known: the run has not been diagnosed."),
+        ({"effects": []}, "The diagnosis names no further effect."),
+        (found("unnamed", "unnamed"), "The diagnosis finds an effect that is not in its catalogue."),
+        (
+            found("backlash", "ambiguous", rivals=["settling"]),
+            "The diagnosis cannot distinguish backlash from settling.",
+        ),
+    ],
+)
+def test_it_says_what_is_known_of_the_cause(diagnosis, sentence):
+    assert sentence in verdict(result(52, backlash_deg=0.2), diagnosis).says
+
+
+@pytest.mark.parametrize(("std_deg", "explains"), [(0.1, True), (0.02, False)])
+def test_a_stage_that_sets_each_pose_anew_may_account_for_it(std_deg, explains):
+    one = result(52, reference=Reference(std_deg, "setting"), backlash_deg=0.2)
+    judged = verdict(one)
+    assert judged.left == "more_than_noise"
+    assert any("setting uncertainty" in sentence for sentence in judged.says) == explains
+
+
+@pytest.mark.parametrize(("n", "stderr_deg"), [(26, None), (2, NOISE_DEG), (1, NOISE_DEG)])
+def test_without_the_noise_or_poses_to_spare_nothing_is_judged(n, stderr_deg):
+    judged = verdict(result(n, stderr_deg=stderr_deg))
+    assert (judged.left, judged.ratio, judged.answer, judged.limit) == (None, None, "no_limits", None)
+    assert judged.says[0].startswith("Not judged")
+
+
+@pytest.mark.parametrize(
+    ("scale", "reference", "sentence"),
+    [
+        (1.0, None, "The scale does not differ significantly from 1."),
+        (1.01, None, "standard errors."),
+        (1.01, Reference(2.0), "no more than the stage's own uncertainty allows."),
+    ],
+)
+def test_it_says_whether_the_scale_differs_from_one(scale, reference, sentence):
+    judged = verdict(result(52, scale=scale, reference=reference))
+    assert any(said.endswith(sentence) for said in judged.says)
+
+
+def test_poses_of_one_elevation_have_no_scale():
+    one = build_result([Pose(target_deg=0.0, reading_deg=0.1 * k) for k in range(4)]).to_dict()
+    judged = verdict(one)
+    assert "All poses stand at one elevation: the scale is not known and counts as 1." in judged.says
+    assert "It rests on only 4 poses." in judged.says
