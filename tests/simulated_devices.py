@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
@@ -33,13 +35,10 @@ class Counterpart:
         settings = SimulatorSettings.from_options({"preset": "ideal", "time_scale": 1, **options})
         self.bench = Bench(settings)
         if driver in STAGES:
-            self.device = DIALECTS[driver](settings.stage, self.bench, self.clock)
+            self.device = DIALECTS[driver](settings.stage, self.bench, lambda: self.now_s)
         else:
             kind = SketchBoard if settings.board.sketch else Board
-            self.device = kind(settings.board, settings.imu, self.bench, self.clock)
-
-    def clock(self) -> float:
-        return self.now_s
+            self.device = kind(settings.board, settings.imu, self.bench, lambda: self.now_s)
 
     @property
     def baudrate(self) -> int:
@@ -52,25 +51,23 @@ class Counterpart:
 
 
 class Uart:
-    """A port of the host's with the counterpart at its other end; each sends and hears at its own rate."""
+    """A port of the host's with the counterpart at its other end; each sends and hears at its own rate.
+
+    Its clock goes on as it is read.
+    """
 
     name = "test-port"
 
     def __init__(self, far: Counterpart, baudrate: int = 9600):
         self.far = far
-        self.asked: list[bytes] = []
+        self.clock = SimpleNamespace(now_s=lambda: far.now_s)
         self._baudrate = baudrate
         self._arrived = b""
-
-    @property
-    def now_s(self) -> float:
-        return self.far.now_s
 
     def change_baudrate(self, baudrate: int) -> None:
         self._baudrate = baudrate
 
     def write(self, data: bytes) -> None:
-        self.asked.append(data)
         self._arrive(self.far.device.receive(as_heard(data, self._baudrate, self.far.baudrate)))
 
     def read_some(self) -> bytes:
@@ -86,15 +83,9 @@ class Uart:
         self._arrived += as_heard(sent, self.far.baudrate, self._baudrate)
 
 
-def in_their_own_time(monkeypatch):
-    """A scan lives in the time of its ports, which passes as they are read."""
-    monkeypatch.setattr(scan, "_now_s", lambda port: port.now_s)
-
-
 def plug(monkeypatch, **drivers: str) -> dict[str, Counterpart]:
     """Counterparts on the ports that the system lists: `plug(monkeypatch, ttyUSB0="grbl")`."""
     far = {port: Counterpart(driver) for port, driver in drivers.items()}
-    in_their_own_time(monkeypatch)
     monkeypatch.setattr(list_ports, "comports", lambda: [ListPortInfo(port) for port in far])
     monkeypatch.setattr(scan, "open_port", lambda name, baudrate, timeout_s: Uart(far[name], baudrate))
     return far

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import os
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from functools import cache
+from http.client import HTTPConnection
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
 import httpx
@@ -76,12 +80,49 @@ def ended(client: httpx.Client, run_id: str, deadline_s: float = 20.0) -> dict[s
     return wait_for(look, f"end of run {run_id}", deadline_s)
 
 
+POSES = "target_deg,reading_deg\n-40,-39.1\n-10,-9.3\n10,10.9\n40,40.8\n"
+"""Four poses of somebody's own, as a file to import."""
+
+
+def imported(client: httpx.Client, unit: str, poses: str = POSES) -> dict[str, Any]:
+    """A completed run of a unit, made of a file: for tests that are not about how it was measured."""
+    file = {"file": ("poses.csv", poses)}
+    return client.post("/api/imports", files=file, data={"unit": unit}).raise_for_status().json()
+
+
+def declared(client: httpx.Client, path: str, kind: str, n_bytes: int) -> tuple[int, str]:
+    """Status and detail of the answer to a body that is said to have n_bytes and of which none is sent."""
+    with closing(HTTPConnection(client.base_url.host, client.base_url.port, timeout=20)) as connection:
+        connection.putrequest("POST", path)
+        connection.putheader("Content-Type", kind)
+        connection.putheader("Content-Length", str(n_bytes))
+        connection.endheaders()
+        answer = connection.getresponse()
+        return answer.status, json.loads(answer.read())["detail"]
+
+
+@cache
+def _empty_store() -> bytes:
+    from calrig.store import Store
+
+    with TemporaryDirectory() as folder:
+        Store.open(f"sqlite:///{folder}/calrig.db", writer="tests").close()
+        return Path(folder, "calrig.db").read_bytes()
+
+
+def lay_empty_store(path: Path) -> None:
+    """Lays an empty store where there is none: a copy of one that its migrations have made once."""
+    if not path.exists():
+        path.write_bytes(_empty_store())
+
+
 @contextmanager
 def running_service(store_path: Path, *rigs: RigSettings) -> Iterator[Any]:
     """A run service over the store at the path."""
     from calrig.runs.service import RunService
     from calrig.store import Store
 
+    lay_empty_store(store_path)
     with (
         Store.open(f"sqlite:///{store_path}", writer="tests") as store,
         closing(RunService(store, rigs)) as service,

@@ -4,7 +4,7 @@ import { ApiError, get, post } from "./api.js";
 import { Chart } from "./charts.js";
 import { errorLine, fill, h } from "./dom.js";
 import { effectCard } from "./effect.js";
-import { candidateWords, effectTitle } from "./effects.js";
+import { candidateWords, effectTitle, knowEffects } from "./effects.js";
 import { followUpBox } from "./followup.js";
 import { plural, significant } from "./format.js";
 import { Together } from "./together.js";
@@ -44,7 +44,10 @@ export class DiagnosisPanel {
     const found = JSON.stringify(run.diagnosis);
     if (!run.diagnosis || found === this.shown) return;
     this.shown = found;
-    this.#draw(run.diagnosis);
+    this.#draw(run.diagnosis).catch((error) => {
+      if (!(error instanceof ApiError)) throw error;
+      this.error.say(error);
+    });
   }
 
   #ready() {
@@ -74,7 +77,10 @@ export class DiagnosisPanel {
     }
   }
 
-  #draw(diagnosis) {
+  async #draw(diagnosis) {
+    const shown = this.shown;
+    await knowEffects();
+    if (this.shown !== shown || this.signal.aborted) return;
     this.drawn?.abort();
     this.drawn = new AbortController();
     const signal = AbortSignal.any([this.signal, this.drawn.signal]);

@@ -9,8 +9,10 @@ import {
   covariateWords,
   effectTitle,
   evidenceWords,
+  formulaOf,
   originWords,
   parameterRows,
+  scopeOf,
 } from "./effects.js";
 import { moment, significant } from "./format.js";
 
@@ -52,20 +54,21 @@ export function effectCard(effect, k, { path, run }, signal) {
 function figures(effect) {
   const rows = [
     ...parameterRows(effect),
+    ["Added to the reading", formulaOf(effect)],
     ["Comes from", originWords(effect.origin)],
-    ["p of the whole search", effect.p_value <= LEAST_P ? `≤ ${LEAST_P}` : significant(effect.p_value, 2)],
+    ["Family-wise p-value", effect.p_value <= LEAST_P ? `≤ ${LEAST_P}` : significant(effect.p_value, 2)],
   ];
   return h(
     "dl",
     { class: "figures" },
-    rows.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))),
+    rows.filter(([, value]) => value !== undefined).map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))),
   );
 }
 
 function suspects({ verdict, name, confusable_with: others }) {
   if (verdict !== "ambiguous" || !others.length) return null;
   const listed = [name, ...others].map(candidateWords).join(", ");
-  return h("p", { class: "suspects" }, h("strong", {}, "Not to be told apart by these poses: "), listed, ".");
+  return h("p", { class: "suspects" }, h("strong", {}, "Indistinguishable by these poses: "), listed, ".");
 }
 
 function considered(effect) {
@@ -99,7 +102,7 @@ function fate(effect, label, behind) {
   const own = effect.name === "unnamed" ? `unnamed ${effect.covariate}` : effect.name;
   if (label === own)
     return effect.verdict === "ambiguous" ? "the best, not claimed" : "explains these poses best";
-  if (effect.confusable_with.includes(label)) return "cannot be told from it by these poses";
+  if (effect.confusable_with.includes(label)) return "indistinguishable from it by these poses";
   if (behind < TOO_CLOSE && label.startsWith("unnamed"))
     return "fits as well, but a cause with a name goes first";
   return behind > BEYOND
@@ -112,8 +115,8 @@ function fate(effect, label, behind) {
  * cannot be accepted the service says.
  */
 function acceptance(effect, title, path, run) {
-  const ofStage = effect.origin === "stage";
-  const keeper = ofStage ? `the error map of rig ${run.rig}` : `the calibration of unit ${run.unit}`;
+  const ofRig = scopeOf(effect) === "rig";
+  const keeper = ofRig ? `the error map of rig ${run.rig}` : `the calibration of unit ${run.unit}`;
   const done = h("p", { class: "accepted", role: "status" });
   const say = (at) => fill(done, "Accepted ", moment(at), `: from then on it belongs to ${keeper}.`);
   if (effect.accepted_at) {
@@ -129,7 +132,7 @@ function acceptance(effect, title, path, run) {
         title: `Accept “${title}”?`,
         text:
           `From now on it belongs to ${keeper}` +
-          (ofStage ? "; a stage's error is never flown." : ", as it is exported and flown."),
+          (ofRig ? "; a rig's error is never applied in flight." : ", as it is exported and applied in flight."),
         action: "Accept it",
       },
       async () => (accepted = await post(`${path}/diagnosis/accept`, { effects: [effect.name] })),

@@ -1,77 +1,26 @@
-// The catalogue's names in plain words: effects, where they come from, their parameters with units.
+// Effects in plain words, all of them the service's own: `GET /api/effects`, read once.
 
+import { get } from "./api.js";
 import { plusMinus, significant } from "./format.js";
 
-const EFFECTS = {
-  backlash: "Backlash of the stage",
-  stage_eccentricity: "Eccentricity of the stage",
-  stage_periodic: "Periodic error of the stage",
-  accelerometer_offset: "Offset of the accelerometer",
-  axis_mismatch: "Mismatch of the accelerometer's axes",
-  nonlinearity: "Nonlinearity of the accelerometer",
-  temperature_bias: "Bias that follows temperature",
-  temperature_curvature: "Bias that follows temperature squared",
-  temperature_scale: "Scale that follows temperature",
-  time_drift: "Drift in time",
-  mount_slip: "Slip of the mount",
-  settling: "Incomplete settling",
-  gyro_scale: "Scale error of the gyro",
-  latency: "Readings that come late",
-};
+let reading;
+let catalogue = new Map();
 
-const COVARIATES = {
-  approach: "the sense of the last move",
-  target_deg: "elevation",
-  temperature_c: "temperature",
-  time_s: "time",
-  move_deg: "the last move",
-  velocity: "velocity",
-};
+/** Resolves once the catalogue is here; what the other functions say rests on it. */
+export async function knowEffects() {
+  reading ??= get("/api/effects");
+  try {
+    catalogue = new Map((await reading).map((effect) => [effect.name, effect]));
+  } catch (error) {
+    reading = undefined; // to be asked for again
+    throw error;
+  }
+}
 
-const ORIGINS = {
-  sensor: "the sensor",
-  stage: "the stage",
-  mounting: "the mounting",
-  process: "the procedure",
-  environment: "the surroundings",
-  unknown: "not known",
-};
-
-const PARAMETERS = {
-  backlash_deg: ["Upward less downward", "°"],
-  amplitude_deg: ["Amplitude", "°"],
-  phase_deg: ["Phase", "°"],
-  period_deg: ["Period", "°"],
-  y_mg: ["Offset of y", "mg"],
-  z_mg: ["Offset of z", "mg"],
-  gain_pct: ["Gain error", "%"],
-  skew_deg: ["Skew", "°"],
-  deg_per_deg2: ["Of elevation²", "°/°²"],
-  deg_per_deg3: ["Of elevation³", "°/°³"],
-  deg_per_c: ["Coefficient", "°/°C"],
-  deg_per_c2: ["Coefficient", "°/°C²"],
-  per_c: ["Coefficient", "1/°C"],
-  reference_c: ["Reference", "°C"],
-  deg_per_s: ["Rate", "°/s"],
-  step_deg: ["Step, after less before", "°"],
-  at_s: ["At", "s"],
-  fraction: ["Share of the move missing", ""],
-  delay_s: ["Delay", "s"],
-  size_deg: ["Size, peak to peak", "°"],
-};
-
-const SAID_IN_WORDS = new Set(["of_axis_y"]);
-
-const CHANNELS = {
-  accel_angle: "the accelerometer's angle",
-  accel_norm: "|accelerometer|",
-  gyro_move: "the gyro over the moves",
-};
-
-/** An effect's name for a heading; one that the page has no words for is shown as the service has it. */
+/** An effect's name for a heading; one that the service does not know any more is shown as it was stored. */
 export function effectTitle({ name, covariate }) {
   if (name === "unnamed") return `Something that follows ${covariateWords(covariate)}`;
-  return EFFECTS[name] ?? words(name);
+  return catalogue.get(name)?.title ?? words(name);
 }
 
 /** A candidate's name, such as `unnamed time_s`, inside a sentence or a table. */
@@ -81,33 +30,43 @@ export function candidateWords(label) {
 }
 
 export function covariateWords(covariate) {
-  return COVARIATES[covariate] ?? covariate;
+  return following(covariate)?.covariate_title ?? covariate;
 }
 
 export function originWords(origin) {
-  return ORIGINS[origin] ?? origin;
+  return [...catalogue.values()].find((effect) => effect.origin === origin)?.origin_title ?? origin;
+}
+
+/** What is added to the reading, in symbols; nothing where the service does not know. */
+export function formulaOf({ name }) {
+  return catalogue.get(name)?.formula;
+}
+
+/** `unit`, `rig` or `run`: what the effect stays with. */
+export function scopeOf({ name }) {
+  return catalogue.get(name)?.scope;
 }
 
 /** [name, value ± standard error with unit] of each parameter that is known and not said in the evidence. */
-export function parameterRows({ parameters, covariate }) {
+export function parameterRows({ name, parameters, covariate }) {
+  const known = new Map((catalogue.get(name)?.parameters ?? []).map((one) => [one.name, one]));
   return Object.entries(parameters)
-    .filter(([key, found]) => found !== null && !SAID_IN_WORDS.has(key))
+    .filter(([key, found]) => found !== null && !known.get(key)?.flag)
     .map(([key, { value, std }]) => {
-      const [name, unit] = PARAMETERS[key] ?? placed(key, covariate);
-      return [name, std === null ? significant(value, 4, unit) : plusMinus(value, std, unit)];
+      const { title, unit } = known.get(key) ?? { title: words(key), unit: "" };
+      const shown = unit ?? following(covariate)?.covariate_unit ?? "";
+      return [title, std === null ? significant(value, 4, shown) : plusMinus(value, std, shown)];
     });
 }
 
-/** Channels of the search in words; everything else of an evidence sentence as it came, as a sentence. */
+/** An evidence sentence as a sentence. */
 export function evidenceWords(sentence) {
-  const said = sentence.replace(/\b(accel_angle|accel_norm|gyro_move)\b/g, (name) => CHANNELS[name]);
-  return `${said[0].toUpperCase()}${said.slice(1)}${/[.!?]$/.test(said) ? "" : "."}`;
+  return `${sentence[0].toUpperCase()}${sentence.slice(1)}${/[.!?]$/.test(sentence) ? "" : "."}`;
 }
 
-/** `period` and `at` are in the covariate's own unit. */
-function placed(key, covariate) {
-  const unit = { _s: "s", _deg: "°", _c: "°C", _v: "V" }[/_[a-z]+$/.exec(covariate)?.[0]] ?? "";
-  return [{ period: "Period", at: "At" }[key] ?? words(key), key === "period" || key === "at" ? unit : ""];
+/** An effect that follows the covariate. */
+function following(covariate) {
+  return [...catalogue.values()].find((effect) => effect.covariate === covariate);
 }
 
 function words(name) {

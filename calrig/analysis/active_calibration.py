@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from calrig.analysis.errors import Conflict, Unknown
 from calrig.analysis.results import effects_in_force, fitted
 from calrig.analysis.stored_runs import counted_poses
-from calrig.calibration.correction import ApplyError
+from calrig.calibration.effect import ApplyError
 from calrig.calibration.fit import Line
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import (
@@ -18,6 +18,7 @@ from calrig.calibration.result import (
     Result,
     apply_calibration,
 )
+from calrig.export.c_header import c_header
 from calrig.export.calibration_json import calibration_document
 from calrig.store import Run, Store
 from calrig.store.records import Document
@@ -49,6 +50,19 @@ def document_of(store: Store, run: Run) -> Document:
         what = run.status if run.status != "completed" else "completed, but its scale is not known"
         raise Conflict(f"run {run.id} is {what}: it gives no calibration")
     return calibration_document(run, counted_poses(store, run.id), store.effects_in_force(run.unit, run.rig))
+
+
+def header_of(store: Store, run: Run) -> str:
+    """The same as `calibration.h`.
+
+    Raises:
+        Conflict: as for `document_of`, or an effect in force cannot be taken out in flight.
+    """
+    document = document_of(store, run)
+    try:
+        return c_header(document)
+    except ValueError as error:
+        raise Conflict(f"the calibration of run {run.id} cannot be put into C: {error}") from error
 
 
 @dataclass(frozen=True, slots=True)

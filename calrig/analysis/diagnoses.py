@@ -9,14 +9,10 @@ from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.analysis.results import refitted
 from calrig.analysis.stored_runs import counted_poses, runs_together, stored_run
 from calrig.calibration.diagnosis import trace
+from calrig.calibration.effects import EFFECTS
 from calrig.calibration.partial_residuals import Traced, partial_residuals
 from calrig.calibration.responses import DiagnosisError
 from calrig.store import AcceptedEffect, Run, Store
-
-OF_THE_UNIT = ("sensor", "mounting")
-OF_THE_RIG = ("stage",)
-OF_ONE_RUN = ("mount_slip", "time_drift")
-"""What happened once, or at one instant, says nothing about the next run."""
 
 
 class Diagnoses:
@@ -133,15 +129,18 @@ def _accepted(run: Run, effect: dict[str, Any]) -> AcceptedEffect:
     name, origin = effect["name"], effect["origin"]
     if effect["verdict"] != "named":
         raise Conflict(f"{name} is {effect['verdict']}, not named: separate it from its look-alikes first")
-    if name in OF_ONE_RUN or origin not in (*OF_THE_UNIT, *OF_THE_RIG):
+    if name not in EFFECTS:
+        raise Conflict(f"{name} is not in the catalogue of this version of calrig: diagnose the run again")
+    scope = EFFECTS[name].scope
+    if scope == "run":
         raise Conflict(f"{name} ({origin}) cannot correct later runs: {effect['remedy']}")
-    if origin in OF_THE_RIG and run.rig is None:
+    if scope == "rig" and run.rig is None:
         raise Conflict(f"{name} belongs to the stage, and run {run.id} names no rig")
     parameters = {key: value and value["value"] for key, value in effect["parameters"].items()}
     return AcceptedEffect(
         run_id=run.id,
-        unit=run.unit if origin in OF_THE_UNIT else None,
-        rig=run.rig if origin in OF_THE_RIG else None,
+        unit=run.unit if scope == "unit" else None,
+        rig=run.rig if scope == "rig" else None,
         name=name,
         origin=origin,
         parameters=parameters,

@@ -1,4 +1,4 @@
-"""What every unit on a rig has in common: the rig's own error, as far as units can tell."""
+"""The rig error map: what its units have in common, as far as units can tell."""
 
 from __future__ import annotations
 

@@ -15,6 +15,7 @@ import calrig
 from calrig.api import (
     compare,
     diagnoses,
+    effects,
     errors,
     events,
     figures,
@@ -36,7 +37,20 @@ from calrig.api.request_log import RequestLog
 from calrig.runs.service import RunService
 from calrig.settings import packed
 
-PARTS = (runs, diagnoses, events, measurements, noise, figures, units, compare, imports, login, metrics)
+PARTS = (
+    runs,
+    diagnoses,
+    effects,
+    events,
+    measurements,
+    noise,
+    figures,
+    units,
+    compare,
+    imports,
+    login,
+    metrics,
+)
 """Figures before units: `/api/units/{serial:path}` would take their paths for serial numbers."""
 EVERYBODY = Access()
 

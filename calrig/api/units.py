@@ -10,11 +10,10 @@ from fastapi import APIRouter, Query
 from fastapi.responses import PlainTextResponse
 from pydantic import Field
 
-from calrig.analysis.active_calibration import document_of, run_in_force
+from calrig.analysis.active_calibration import document_of, header_of, run_in_force
 from calrig.api.context import Context, KnownUnit
 from calrig.api.errors import problems
 from calrig.api.models import Answer, Extremes, UnitAnswer, UnitWithRuns
-from calrig.export.c_header import c_header
 
 EVERY_RUN = 2**31
 
@@ -28,6 +27,7 @@ class NamedEffect(Answer):
 
     name: str
     parameters: dict[str, float | None]
+    formula: str
 
 
 class CalibrationGyro(Answer):
@@ -82,15 +82,17 @@ def list_units(context: Context) -> object:
 @router.get(
     "/api/units/{serial:path}/calibration",
     response_model=CalibrationAnswer,
-    responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}, **problems(404)},
+    responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}, **problems(404, 409)},
     summary="The calibration in force",
 )
 def show_calibration(
     serial: str, context: Context, format_: Annotated[CalibrationFormat, Query(alias="format")] = "json"
 ) -> object:
     """From the latest completed, not voided calibration whose scale is known; `c-header` for flight code."""
-    document = document_of(context.store, run_in_force(context.store, serial))
-    return PlainTextResponse(c_header(document)) if format_ == "c-header" else document
+    run = run_in_force(context.store, serial)
+    if format_ == "c-header":
+        return PlainTextResponse(header_of(context.store, run))
+    return document_of(context.store, run)
 
 
 @router.get(

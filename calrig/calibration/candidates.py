@@ -1,46 +1,58 @@
-"""Everything a search considers for given poses: each form of each effect, and the shapes without a name."""
+"""Everything a search considers for given poses, and how a found effect is rebuilt in any poses."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from calrig.calibration.effects import CATALOGUE, Effect, Shape
+from calrig.calibration.effect import HIDDEN, Effect, Parameters, Shape
+from calrig.calibration.effects import EFFECTS, UNNAMED, effect_of
 from calrig.calibration.responses import Responses
-from calrig.calibration.shapes import UNNAMED, unnamed_shapes
 from calrig.estimation.angles import FloatArray
-
-SCANNED = ("period_deg", "pose", "period")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """One shape in one set of poses.
+    """One shape of an effect in one set of poses.
 
     Attributes:
-        effect: its catalogue entry, None for a shape without a name.
-        covariate: what it is a function of.
         columns: (n, J, p).
-        family: candidates whose maximum is judged together, so that a scan of a hundred periods does not
-            raise the bar for an effect of one parameter.
     """
 
-    effect: Effect | None
-    covariate: str
+    effect: Effect
     shape: Shape
     columns: FloatArray
-    family: str
 
     @property
     def name(self) -> str:
         """Its name in the catalogue, or `unnamed`."""
-        return UNNAMED if self.effect is None else self.effect.name
+        return self.effect.name
+
+    @property
+    def named(self) -> bool:
+        """Whether it is an effect of the catalogue."""
+        return self.effect.name != UNNAMED
+
+    @property
+    def covariate(self) -> str:
+        """What it is a function of."""
+        return self.shape.covariate or self.effect.covariate.name
 
     @property
     def label(self) -> str:
         """The name, for an unnamed shape with its covariate: what two forms of one thing share."""
-        return self.name if self.effect is not None else f"{UNNAMED} {self.covariate}"
+        return self.name if self.named else f"{UNNAMED} {self.covariate}"
+
+    @property
+    def family(self) -> str:
+        """Candidates whose maximum is judged together.
+
+        So a scan of a hundred periods does not raise the bar for an effect of one parameter.
+        """
+        return self.shape.family or (self.name if self.shape.scanned else "single")
 
     @property
     def parameters(self) -> int:
@@ -49,35 +61,76 @@ class Candidate:
         One of n places costs 2·log n in −2 log likelihood, twice a coefficient's log n (Zhang & Siegmund,
         Biometrics 63, 2007, for change points).
         """
-        scanned = any(key in self.shape.at for key in SCANNED) or self.shape.form.startswith(("kink", "step"))
         taken_over = 1 if self.shape.replaces else 0
-        return int(self.columns.shape[2]) + (2 if scanned else 0) - taken_over
+        return int(self.columns.shape[2]) + (2 if self.shape.scanned else 0) - taken_over
 
     def rows(self, chosen: np.ndarray[tuple[int], np.dtype[np.intp]]) -> Candidate:
         """The same candidate in some of the poses."""
-        return Candidate(self.effect, self.covariate, self.shape, self.columns[chosen], self.family)
+        return Candidate(self.effect, self.shape, self.columns[chosen])
+
+
+def candidate_of(r: Responses, effect: Effect, shape: Shape) -> Candidate:
+    """A shape with its columns."""
+    return Candidate(effect, shape, r.columns(shape.shares))
 
 
 def candidates_of(r: Responses) -> list[Candidate]:
-    """Every candidate that these poses can show."""
-    found = [
-        Candidate(effect, effect.covariate, shape, r.columns(shape.shares), _family(effect.name, shape))
-        for effect in CATALOGUE
-        for shape in effect.shapes(r)
-    ]
-    found += [
-        Candidate(None, covariate, shape, r.columns(shape.shares), f"{UNNAMED} {covariate} {_kind(shape)}")
-        for covariate, shape in unnamed_shapes(r)
-    ]
+    """Every candidate that these poses can show, those without a name last."""
+    effects = sorted(EFFECTS.values(), key=lambda effect: effect.name == UNNAMED)
+    found = [candidate_of(r, effect, shape) for effect in effects for shape in effect.shapes(r)]
     return [candidate for candidate in found if np.ptp(candidate.columns[:, 0, 0]) > 0.0]
 
 
-def _family(name: str, shape: Shape) -> str:
-    return name if any(key in shape.at for key in SCANNED) else "single"
+def rebuilt(candidate: Candidate, r: Responses, form: str | None = None) -> Candidate | None:
+    """The same form of the same effect in other poses; None where they cannot show it.
+
+    Args:
+        candidate: as it was found, elsewhere.
+        r: the poses to rebuild it in.
+        form: another form of it.
+    """
+    wanted = candidate.shape.form if form is None else form
+    forms = [
+        shape
+        for shape in candidate.effect.forms(r, candidate.shape.at)
+        if shape.form == wanted and shape.covariate == candidate.shape.covariate
+    ]
+    nearest = _nearest(forms, candidate.shape.at)
+    return candidate_of(r, candidate.effect, nearest[0]) if nearest else None
 
 
-def _kind(shape: Shape) -> str:
-    return "cycle" if shape.form == "cycle" else ""
+def documented_forms(r: Responses, name: str, covariate: str, parameters: Parameters) -> list[Candidate]:
+    """The forms that an effect of a document may have had: those with all its parameters, at its places.
+
+    Args:
+        r: any poses.
+        name: of the effect.
+        covariate: that the document has it follow.
+        parameters: values of those that are known.
+
+    Returns:
+        None of them where these poses cannot show it.
+    """
+    effect = effect_of(name)
+    shapes = [
+        shape
+        for shape in effect.forms(r, parameters)
+        if (shape.covariate or effect.covariate.name) == covariate and shape.stated <= set(parameters)
+    ]
+    widest = max((len(shape.stated) for shape in shapes), default=0)
+    whole = [shape for shape in shapes if len(shape.stated) == widest]
+    return [candidate_of(r, effect, shape) for shape in _nearest(whole, parameters)]
+
+
+def _nearest(shapes: Sequence[Shape], wanted: Parameters) -> list[Shape]:
+    """Those whose places lie nearest to the wanted ones."""
+
+    def distance(shape: Shape) -> float:
+        given = ((value, wanted.get(name)) for name, value in shape.at.items() if name not in HIDDEN)
+        return math.fsum(abs(value - aim) for value, aim in given if aim is not None)
+
+    least = min(map(distance, shapes), default=0.0)
+    return [shape for shape in shapes if distance(shape) <= least + 1e-9]
 
 
 def base_without(r: Responses, replaced: str | None) -> FloatArray:

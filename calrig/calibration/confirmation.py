@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calrig.calibration.cross_validation import errors_deg
-from calrig.calibration.experiment_design import rebuilt
+from calrig.calibration.experiment_design import predicted
 from calrig.calibration.fit import rms
 from calrig.calibration.noise_model import fit
 from calrig.calibration.pose import Pose
@@ -42,7 +42,7 @@ def confirm(
     r = responses_of([*runs, fresh])
     before = len(r) - len(fresh)
     test = np.array([before + k for k in range(len(fresh)) if k not in set(deciding)], dtype=np.intp)
-    effects = [rebuilt(f.candidate, r) for f in findings.found]
+    effects = [predicted(f.candidate, r) for f in findings.found]
     accepted = [effect for effect in effects if effect is not None]
     if len(test) == 0 or len(accepted) < len(effects) or len(r) != sum(map(len, runs)) + len(fresh):
         return None

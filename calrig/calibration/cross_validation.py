@@ -1,15 +1,14 @@
-"""Error before and after on poses not seen: the whole search is repeated for each fold."""
+"""Cross-validation: error before and after on held-out poses, the whole search repeated for each fold."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from calrig.calibration.candidates import Candidate
-from calrig.calibration.effects.stage import periodic_shape
+from calrig.calibration.candidates import Candidate, rebuilt
 from calrig.calibration.noise_model import fit
 from calrig.calibration.responses import SCALE_UNIT_DEG, Responses
 from calrig.calibration.search import model_columns, search
@@ -21,15 +20,17 @@ BOOTSTRAPS = 199
 
 
 @dataclass(frozen=True, slots=True)
-class HeldOut:
-    """Errors (n,) in degrees of elevation of poses that the search and the fit had not seen."""
+class CrossValidation:
+    """Errors (n,) in degrees of elevation of held-out poses: neither search nor fit had seen them."""
 
     base_deg: FloatArray
     final_deg: FloatArray
     folds: int
 
 
-def held_out(r: Responses, candidates: Sequence[Candidate], rng: np.random.Generator) -> HeldOut:
+def cross_validate(
+    r: Responses, candidates: Sequence[Candidate], rng: np.random.Generator
+) -> CrossValidation:
     """Predicts every pose once, by a search and a fit over the other folds; base on the same folds."""
     fold = folds_of(r)
     base = np.zeros(len(r))
@@ -42,9 +43,10 @@ def held_out(r: Responses, candidates: Sequence[Candidate], rng: np.random.Gener
         if not findings.found:
             final[test] = base[test]
             continue
-        unseen = _whole([f.candidate for f in findings.found], r)
-        final[test] = errors_deg(r, unseen, findings.fitted.beta, test)
-    return HeldOut(base, final, int(fold.max()) + 1)
+        # a fold's model in all poses; a refined period exists in the fold's alone
+        whole = [rebuilt(f.candidate, r) or f.candidate for f in findings.found]
+        final[test] = errors_deg(r, model_columns(r, whole), findings.fitted.beta, test)
+    return CrossValidation(base, final, int(fold.max()) + 1)
 
 
 def folds_of(r: Responses) -> npt.NDArray[np.intp]:
@@ -57,16 +59,6 @@ def folds_of(r: Responses) -> npt.NDArray[np.intp]:
     fold = np.empty(len(r), dtype=np.intp)
     fold[order] = np.arange(len(r)) % FOLDS
     return fold
-
-
-def _whole(found: Sequence[Candidate], r: Responses) -> FloatArray:
-    """The columns of a fold's model in all the poses; a refined period exists in the fold's alone."""
-    everywhere = []
-    for candidate in found:
-        period = candidate.shape.at.get("period_deg")
-        shape = candidate.shape if period is None else periodic_shape(r, period)
-        everywhere.append(replace(candidate, shape=shape, columns=r.columns(shape.shares)))
-    return model_columns(r, everywhere)
 
 
 def errors_deg(r: Responses, columns: FloatArray, beta: FloatArray, test: npt.NDArray[np.intp]) -> FloatArray:

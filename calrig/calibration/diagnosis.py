@@ -11,7 +11,7 @@ import numpy as np
 
 from calrig.calibration.candidates import candidates_of
 from calrig.calibration.confirmation import confirm
-from calrig.calibration.cross_validation import HeldOut, held_out
+from calrig.calibration.cross_validation import CrossValidation, cross_validate
 from calrig.calibration.experiment_design import design
 from calrig.calibration.fit import fit_line, residuals_deg, rms
 from calrig.calibration.outliers import without_outliers
@@ -32,13 +32,13 @@ class Diagnosis:
     Attributes:
         responses: the poses as the search saw them.
         findings: the effects, and the fit of the final model.
-        held_out: errors of poses not seen, before and after; None where they were not asked for.
+        held_out: errors on held-out poses, before and after; None where they were not asked for.
         warnings: what was left out or looked odd.
     """
 
     responses: Responses
     findings: Findings
-    held_out: HeldOut | None
+    held_out: CrossValidation | None
     floor_deg: float | None
     warnings: tuple[str, ...]
 
@@ -56,7 +56,7 @@ def diagnose(
         runs: the poses of one or several runs of a unit, in the order measured, none excluded.
         seed: of the bootstrap: the same poses and seed give the same diagnosis.
         bootstraps: of each step of the search.
-        cross_fit: whether the errors before and after are measured on poses not seen.
+        cross_fit: whether the errors before and after are measured on held-out poses.
 
     Raises:
         DiagnosisError: the poses cannot be diagnosed; the message says why.
@@ -66,10 +66,10 @@ def diagnose(
     candidates = candidates_of(r)
     rng = np.random.default_rng(seed)
     findings = search(r, candidates, rng, bootstraps=bootstraps)
-    unseen = held_out(r, candidates, rng) if cross_fit else None
+    held_out = cross_validate(r, candidates, rng) if cross_fit else None
     errors = [e for run in kept for pose in run if (e := pose.reading_stderr_deg) is not None]
     floor = math.sqrt(sum(e * e for e in errors) / len(errors)) if errors else None
-    return Diagnosis(r, findings, unseen, floor, (*outliers, *r.warnings))
+    return Diagnosis(r, findings, held_out, floor, (*outliers, *r.warnings))
 
 
 def document(diagnosis: Diagnosis, run_ids: Sequence[str]) -> dict[str, Any]:
@@ -80,29 +80,29 @@ def document(diagnosis: Diagnosis, run_ids: Sequence[str]) -> dict[str, Any]:
     after_deg = findings.fitted.residuals[:, 0] / _scale(r, findings)
     effects = effect_documents(r, findings)
     verdicts = [effect["verdict"] for effect in effects]
-    unseen = diagnosis.held_out
+    held_out = diagnosis.held_out
     return {
         "runs": list(run_ids),
         "n_poses": len(r),
         "held_out": {
-            "how": "not measured" if unseen is None else f"{unseen.folds} folds",
-            "n_poses": 0 if unseen is None else len(r),
+            "how": "not measured" if held_out is None else f"{held_out.folds} folds",
+            "n_poses": 0 if held_out is None else len(r),
         },
         "noise": {
             "std_deg": _unbiased_std(findings),
-            "lag1_correlation": _lag1(after_deg),
+            "lag1_correlation": _lag1(after_deg, float(r.rounding[0])),
             "floor_deg": diagnosis.floor_deg,
         },
         "base": {
             "bias_deg": before.bias_deg,
             "scale": before.scale,
             "fit_rms_deg": rms(before_deg),
-            "held_out_rms_deg": None if unseen is None else rms(unseen.base_deg),
+            "held_out_rms_deg": None if held_out is None else rms(held_out.base_deg),
         },
         "verdict": next((v for v in WEAKEST_FIRST if v in verdicts), "nothing"),
         "effects": effects,
         "final": {
-            "held_out_rms_deg": None if unseen is None else rms(unseen.final_deg),
+            "held_out_rms_deg": None if held_out is None else rms(held_out.final_deg),
             "fit_rms_deg": rms(after_deg) if findings.found else rms(before_deg),
             "model": model_words(findings),
         },
@@ -126,9 +126,9 @@ def _unbiased_std(findings: Findings) -> float:
     return math.sqrt(float(residuals @ residuals) / freedom)
 
 
-def _lag1(residual: FloatArray) -> float:
-    power = float(residual @ residual)
-    return float(residual[1:] @ residual[:-1]) / power if power > 0.0 else 0.0
+def _lag1(residual: FloatArray, rounding_deg: float) -> float:
+    power = float(residual @ residual) + len(residual) * rounding_deg**2
+    return float(residual[1:] @ residual[:-1]) / power
 
 
 def trace(

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.candidates import Candidate
+from calrig.calibration.candidates import Candidate, rebuilt
 from calrig.calibration.noise_model import NoiseModel, fit, stacked
 from calrig.calibration.pose import Pose
 from calrig.calibration.responses import Responses, responses_of
-from calrig.calibration.search import Findings, Found, model_columns
+from calrig.calibration.search import SAME, Findings, Found, model_columns
 from calrig.estimation.angles import FloatArray
 
 MOST_POSES = 12
@@ -164,8 +164,8 @@ class _Trial:
     def _distances(self, elevations_deg: Sequence[float], wait_s: float) -> dict[tuple[int, int], float]:
         """Of each pair, with the one true that is the harder to tell."""
         r = responses_of([*self._runs, self._imagined(elevations_deg, wait_s)])
-        others = [c for c in (rebuilt(o, r) for o in self._others) if c is not None]
-        suspects = [rebuilt(s, r) for s in self._suspects]
+        others = [c for c in (predicted(o, r) for o in self._others) if c is not None]
+        suspects = [predicted(s, r) for s in self._suspects]
         found: dict[tuple[int, int], float] = {}
         for k, true in enumerate(suspects):
             if true is None:
@@ -220,7 +220,8 @@ def _greedy(trial: _Trial, limits_deg: tuple[float, float], rng: np.random.Gener
         grid = low + step * np.arange(PLACES) + rng.uniform(-step / 3, step / 3, PLACES)
         places = [round(float(p), 3) for p in np.clip(grid, low, high)]
         gains = [trial.separation([*chosen, place]) for place in places]
-        chosen.append(places[int(np.argmax(gains))])
+        best = max(gains)
+        chosen.append(next(place for place, gain in zip(places, gains, strict=True) if gain >= best - SAME))
     return chosen
 
 
@@ -246,15 +247,6 @@ def _confirming(limits_deg: tuple[float, float], rng: np.random.Generator) -> li
     return [round(float(p), 3) for p in rng.permutation(places)]
 
 
-def rebuilt(candidate: Candidate, r: Responses) -> Candidate | None:
-    """The same form of the same effect in other poses; None where they cannot show it."""
-    if candidate.effect is None:
-        return None
-    for shape in candidate.effect.shapes(r):
-        same_pose = shape.at.get("pose") == candidate.shape.at.get("pose")
-        same_period = shape.at.get("period_deg") == candidate.shape.at.get("period_deg")
-        if shape.form == candidate.shape.form and same_pose and same_period:
-            return Candidate(
-                candidate.effect, candidate.covariate, shape, r.columns(shape.shares), candidate.family
-            )
-    return None
+def predicted(candidate: Candidate, r: Responses) -> Candidate | None:
+    """A candidate in poses that it was not found in; a shape without a name says nothing of others."""
+    return rebuilt(candidate, r) if candidate.named else None

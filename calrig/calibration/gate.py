@@ -59,6 +59,7 @@ class Screen:
         self, r: Responses, model: FloatArray, candidates: Sequence[Candidate], noise: NoiseModel
     ) -> None:
         self._r, self._noise = r, noise
+        self._floor = len(r) * noise.floor(r.rounding)[:, None]
         by_width: dict[int, list[int]] = {}
         for index, candidate in enumerate(candidates):
             by_width.setdefault(candidate.columns.shape[2], []).append(index)
@@ -99,7 +100,7 @@ class Screen:
         null: list[FloatArray] = []
         for level in self._levels:
             white = _beside(level.base, self._noise.innovations(rotated, self._r.starts, level.share))
-            power = np.einsum("jbn,jbn->jb", white, white)
+            power = np.einsum("jbn,jbn->jb", white, white) + self._floor.astype(np.float32)
             null.append(n * np.log(power.astype(np.float64)).sum(axis=0) + level.cost)
             against_first = np.exp((null[-1] - null[0]) / n).astype(np.float32)[:, None]
             lefts = [_share_left(white, power, *of_width) for of_width in level.bases.values()]
@@ -148,7 +149,8 @@ def _share_left(
 ) -> Float32Array:
     """(b, C) product over the channels of what a candidate leaves of the channel's sum of squares.
 
-    Takes (J, b, n) whitened responses, (J, b) their sums of squares, and what `_orthonormal` gives.
+    Takes (J, b, n) whitened responses, (J, b) their sums of squares with what rounding may
+    add, and what `_orthonormal` gives.
     """
     channels, width = columns.shape[:2]
     within = [[values[j] @ columns[j, k].T for k in range(width)] for j in range(channels)]
@@ -203,7 +205,7 @@ def gate(
         nothing = np.empty((1, 0), dtype=np.float32)
         return Verdict(candidates, nothing[0], 1.0, nothing)
     taken = max(1.0, model.shape[2] / len(r.channels))
-    noise = noise_of(fitted.residuals, r.starts, taken, unbiased=True)
+    noise = noise_of(fitted.residuals, r, taken, unbiased=True)
     screen = Screen(r, model, candidates, noise)
     observed = screen.ratios(fitted.residuals[None])[0]
     first = bootstraps // 4
@@ -220,7 +222,7 @@ def _judged(candidates: Sequence[Candidate], observed: Float32Array, null: Float
     best_null, best = np.full(len(null), -np.inf), -np.inf
     for indices in _families(candidates).values():
         of_family = null[:, indices].max(axis=1)
-        named = candidates[indices[0]].effect is not None
+        named = candidates[indices[0]].named
         bar = float(np.quantile(of_family, FAMILY_QUANTILES[named]))
         best_null = np.maximum(best_null, of_family - bar)
         best = max(best, float(observed[indices].max()) - bar)
@@ -244,7 +246,8 @@ def _resampled(
     """
     innovations = noise.whiten(residuals, r.starts)
     innovations = innovations - innovations.mean(axis=0)
-    innovations /= np.sqrt((innovations**2).mean(axis=0))
+    size = np.sqrt((innovations**2).mean(axis=0))
+    innovations = np.divide(innovations, size, out=np.ones_like(innovations), where=size > 0.0)
     drawn = innovations[rng.integers(0, len(r), (count, len(r)))]
     drawn = drawn * rng.choice(np.array([-1.0, 1.0]), (count, len(r), 1))
     return np.asarray(noise.colour(drawn, r.starts) * r.known, dtype=np.float64)

@@ -34,6 +34,8 @@ MARGIN = 6.0
 """In −2 log likelihood, between a name and the next: as in the diagnosis of poses on a stage."""
 LEAST_FREEDOM_OF_A_POSE = 0.05
 SMALLEST = 1e-12
+LEAST_SHARE = 1e-7
+"""Of a column's size, beyond which it is its own: the root of what a number is rounded to, and more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,20 +93,31 @@ def _gate(
     basis, _ = np.linalg.qr(fitted.jacobian)
     leverage = (basis**2).sum(axis=1)
     noise = fitted.residual_g / np.sqrt(np.maximum(1.0 - leverage, LEAST_FREEDOM_OF_A_POSE))
+    rounding_g = n * np.finfo(np.float64).eps * float(np.linalg.norm(problem.raw_g, axis=1).max())
+    if np.sqrt((noise**2).mean()) < rounding_g:  # a log without noise: what is left is rounding
+        noise = np.full(n, rounding_g)
     drawn = noise[rng.integers(0, n, (bootstraps, n))] * rng.choice([-1.0, 1.0], (bootstraps, n))
     values = np.vstack([fitted.residual_g, drawn])
     values = values - (values @ basis) @ basis.T
-    power = (values**2).sum(axis=1)
+    power = (values**2).sum(axis=1) + n * rounding_g**2
     columns = problem.design([*fitted.effects, *candidates])
     _, seen = linearised(problem.raw_g, columns, fitted.beta)
     ratios = np.zeros((bootstraps + 1, len(candidates)))
     for k in range(len(candidates)):
         own = seen[:, taken + WIDTH * k : taken + WIDTH * (k + 1)]
-        more, _ = np.linalg.qr(own - basis @ (basis.T @ own))
+        more = _beside(basis, own)
         left = power - ((values @ more) ** 2).sum(axis=1)
         ratios[:, k] = (n - taken - WIDTH) * np.log(power / np.maximum(left, SMALLEST * power))
     best = ratios.max(axis=1)
     return ratios[0], float((1 + (best[1:] >= best[0]).sum()) / (bootstraps + 1))
+
+
+def _beside(basis: FloatArray, columns: FloatArray) -> FloatArray:
+    """Orthonormal columns for what an orthonormal basis has not; what it has, but for rounding, is none."""
+    left = columns - basis @ (basis.T @ columns)
+    left = left - basis @ (basis.T @ left)  # once more: what the first subtraction left by rounding
+    turned, values, _ = np.linalg.svd(left, full_matrices=False)
+    return np.asarray(turned[:, values > LEAST_SHARE * np.linalg.norm(columns, 2)], dtype=np.float64)
 
 
 def leave_one_out(problem: Problem, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:

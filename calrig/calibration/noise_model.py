@@ -23,6 +23,8 @@ from calrig.estimation.angles import FloatArray
 ITERATIONS = 4
 LARGEST_RHO = 0.95
 SMALLEST_RHO = -0.5
+ALIKE = 1e-12
+"""Added to each channel's own variance, so that two channels of one noise can still be told apart."""
 PRIOR_RHO_STD = 0.2
 """Correlation that a model has to invoke counts against it by (ρ/0.2)²: noise is more often white."""
 
@@ -39,6 +41,16 @@ class NoiseModel:
     def whiten(self, x: FloatArray, starts: BoolArray, share: float = 1.0) -> FloatArray:
         """Innovations of x (…, n, J) in the rotated channels, with `share` of rho undone."""
         return np.moveaxis(self.innovations(self.rotated(x), starts, share), 0, -1)
+
+    def floor(self, rounding: FloatArray) -> FloatArray:
+        """(J,) variance in each rotated channel of errors of rounding (J,) in the responses.
+
+        Residuals of exact readings are what rounding left of them, in an order that the processor's own
+        kernels decide. A sum of n products is right to n·eps times their size (Higham, Accuracy and
+        Stability of Numerical Algorithms, 2002, section 3.1); no variance counts as smaller, under the null
+        or an alternative. Noise that was measured is ten orders of magnitude larger.
+        """
+        return np.asarray(rounding**2 @ self.rotation**2, dtype=np.float64)
 
     def rotated(self, x: FloatArray) -> FloatArray:
         """(J, …, n) independent channels of x (…, n, J), in memory one after the other."""
@@ -91,9 +103,9 @@ def fit(r: Responses, columns: FloatArray) -> Fit:
         r: the responses.
         columns: (n, J, p).
     """
-    n, _, p = columns.shape
-    spread = r.values.std(axis=0)
-    noise = NoiseModel(np.diag(1.0 / np.where(spread > 0.0, spread, 1.0)), np.zeros(len(spread)))
+    _, _, p = columns.shape
+    spread = np.hypot(r.values.std(axis=0), r.rounding)
+    noise = NoiseModel(np.diag(1.0 / spread), np.zeros(len(spread)))
     taken = max(1.0, p / len(spread))
     for _ in range(ITERATIONS):
         design = stacked(noise, r.starts, columns)
@@ -105,9 +117,9 @@ def fit(r: Responses, columns: FloatArray) -> Fit:
         )
         beta = inverse @ (design.T @ target)
         residuals = (r.values - columns @ beta) * r.known
-        noise = noise_of(residuals, r.starts, taken)
+        noise = noise_of(residuals, r, taken)
     innovations = noise.whiten(residuals, r.starts)
-    return Fit(beta, inverse, residuals, noise, _criterion(innovations, noise, r.starts, n))
+    return Fit(beta, inverse, residuals, noise, _criterion(innovations, noise, r))
 
 
 def stacked(noise: NoiseModel, starts: BoolArray, columns: FloatArray, share: float = 1.0) -> FloatArray:
@@ -116,24 +128,22 @@ def stacked(noise: NoiseModel, starts: BoolArray, columns: FloatArray, share: fl
     return white.reshape(len(white), -1).T
 
 
-def noise_of(
-    residuals: FloatArray, starts: BoolArray, parameters: float, *, unbiased: bool = False
-) -> NoiseModel:
+def noise_of(residuals: FloatArray, r: Responses, parameters: float, *, unbiased: bool = False) -> NoiseModel:
     """The noise model of residuals.
 
     Args:
         residuals: (n, J) of a fit.
-        starts: (n,) first poses of their runs.
+        r: the responses; where their runs start, and what rounding leaves of them.
         parameters: how many the fit took per channel.
         unbiased: add what fitting takes off the correlation, about (1 + p + 4ρ)/n (Kendall, 1954), as a
             bootstrap that is to behave like the noise needs it.
     """
     n = len(residuals)
     covariance = residuals.T @ residuals / max(n - parameters, 1.0)
-    floor = 1e-12 * np.diag(np.maximum(np.diag(covariance), 1e-30))
-    root = np.linalg.inv(np.linalg.cholesky(covariance + floor)).T
+    floor = ALIKE * np.diag(covariance) + r.rounding**2
+    root = np.linalg.inv(np.linalg.cholesky(covariance + np.diag(floor))).T
     white = residuals @ root
-    follows = ~starts[1:]
+    follows = ~r.starts[1:]
     lagged = white[1:][follows].T @ white[:-1][follows] / max(int(follows.sum()) - parameters, 1.0)
     rho, turn = np.linalg.eigh((lagged + lagged.T) / 2.0)
     if unbiased:
@@ -141,9 +151,10 @@ def noise_of(
     return NoiseModel(root @ turn, np.clip(rho, SMALLEST_RHO, LARGEST_RHO))
 
 
-def _criterion(innovations: FloatArray, noise: NoiseModel, starts: BoolArray, n: int) -> float:
-    variance = (innovations**2).mean(axis=0)
-    following = int((~starts).sum())
+def _criterion(innovations: FloatArray, noise: NoiseModel, r: Responses) -> float:
+    n = len(r)
+    variance = (innovations**2).mean(axis=0) + noise.floor(r.rounding)
+    following = int((~r.starts).sum())
     minus_2_log_likelihood = (
         n * np.log(variance).sum()
         + following * np.log(1.0 - noise.rho**2).sum()

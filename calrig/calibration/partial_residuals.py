@@ -8,24 +8,22 @@ shows how good a description that effect is, and where it is not.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from calrig.calibration.candidates import Candidate
-from calrig.calibration.effects import CATALOGUE, Effect, Shape
-from calrig.calibration.effects.stage import periodic_shape
+from calrig.calibration.candidates import Candidate, documented_forms
+from calrig.calibration.correction import numbers_of
+from calrig.calibration.effects import EFFECTS
 from calrig.calibration.noise_model import fit
 from calrig.calibration.outliers import without_outliers
 from calrig.calibration.pose import Pose
 from calrig.calibration.responses import DiagnosisError, Responses, responses_of
 from calrig.calibration.search import model_columns
-from calrig.calibration.shapes import UNNAMED, unnamed_shapes
 from calrig.estimation.angles import FloatArray
 
-NOT_A_PLACE = ("period", "pose")
 Document = Mapping[str, Any]
 
 
@@ -89,74 +87,17 @@ def _chosen(r: Responses, forms: Sequence[Sequence[Candidate]]) -> list[Candidat
 
 
 def _forms(r: Responses, document: Document) -> list[Candidate]:
-    """The forms an effect of the document may have had: those with its parameters, at its places."""
-    name, covariate, parameters = document["name"], document["covariate"], document["parameters"]
-    effect = next((e for e in CATALOGUE if e.name == name), None)
-    if effect is not None:
-        shapes = _catalogued(r, effect, parameters)
-    else:
-        shapes = _flexible(r, covariate, parameters) if name == UNNAMED else []
-    if not shapes:
+    name, covariate = document["name"], document["covariate"]
+    known = name in EFFECTS
+    forms = documented_forms(r, name, covariate, numbers_of(document["parameters"])) if known else []
+    if not forms:
         raise DiagnosisError(f"these poses cannot show {name} against {covariate}: diagnose them again")
-    return [Candidate(effect, covariate, shape, r.columns(shape.shares), name) for shape in shapes]
-
-
-def _catalogued(r: Responses, effect: Effect, parameters: Document) -> list[Shape]:
-    if "period_deg" in parameters:
-        return [periodic_shape(r, parameters["period_deg"]["value"])]
-    shapes = [
-        shape
-        for shape in effect.shapes(r)
-        if {*shape.parameters, *shape.at} - set(NOT_A_PLACE) <= set(parameters)
-    ]
-    widest = max(map(_width, shapes), default=0)
-    wanted = {name: given["value"] for name, given in parameters.items() if given is not None}
-    return _nearest([shape for shape in shapes if _width(shape) == widest], wanted)
-
-
-def _width(shape: Shape) -> int:
-    """How many parameters a form has in a document."""
-    return len({*shape.parameters, *shape.at} - set(NOT_A_PLACE))
-
-
-def _flexible(r: Responses, covariate: str, parameters: Document) -> list[Shape]:
-    """Shapes without a name against the covariate: cycles, places, or smooth ones, as the document says."""
-    period, place = (given and given["value"] for given in (parameters["period"], parameters["at"]))
-    shapes = [
-        shape
-        for against, shape in unnamed_shapes(r)
-        if against == covariate
-        and ("period" in shape.at) == (period is not None)
-        and any(_places(shape)) == (place is not None)
-    ]
-    return _nearest(shapes, {"period": period, covariate: place})
-
-
-def _places(shape: Shape) -> Iterator[str]:
-    return (name for name in shape.at if name not in NOT_A_PLACE)
-
-
-def _nearest(shapes: Sequence[Shape], wanted: Mapping[str, float | None]) -> list[Shape]:
-    """Those whose scanned parameters lie nearest to the wanted ones."""
-
-    def distance(shape: Shape) -> float:
-        given = [(value, wanted.get(name)) for name, value in shape.at.items() if name != "pose"]
-        return math.fsum(abs(value - aim) for value, aim in given if aim is not None)
-
-    least = min(map(distance, shapes), default=0.0)
-    return [shape for shape in shapes if distance(shape) <= least + 1e-9]
+    return forms
 
 
 def _column(r: Responses, covariate: str) -> FloatArray:
-    known = {
-        "target_deg": r.theta_deg,
-        "approach": r.approach,
-        "temperature_c": r.temperature_c,
-        "time_s": r.time_s,
-        "move_deg": r.move_deg,
-        "velocity": r.covariates.get("velocity_dps"),
-    }
-    column = known.get(covariate, r.covariates.get(covariate))
+    known = next((e.covariate for e in EFFECTS.values() if e.covariate.name == covariate), None)
+    column = r.covariates.get(covariate) if known is None else known.of(r)
     if column is None:
         raise DiagnosisError(f"these poses have no {covariate}: diagnose them again")
     return column

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from calrig.estimation.kalman import KalmanNoise
+
 REQUIRED = ("target_deg", "reading_deg")
 INTEGER = ("pass", "approach", "n_samples")
 KNOWN = (
@@ -25,6 +27,15 @@ COLUMNS = (*REQUIRED, *KNOWN)
 
 
 @dataclass(frozen=True, slots=True)
+class Filtering:
+    """The filter that poses were read by, its rate, and how long a dwell was; the contract's by default."""
+
+    noise: KalmanNoise = field(default_factory=KalmanNoise)
+    rate_hz: float = 200.0
+    dwell_s: float = 2.0
+
+
+@dataclass(frozen=True, slots=True)
 class Pose:
     """One pose; what is not known is None. Every further numeric column of a file is a covariate.
 
@@ -36,6 +47,7 @@ class Pose:
         reading_stderr_deg: standard error of the reading, allowing for the filter's correlation.
         gyro_move_deg: rate about the stage axis, less its bias, integrated over the move into the pose.
         covariates: further columns by name.
+        filtering: of the run it belongs to, where that is known; no column of a file.
     """
 
     target_deg: float
@@ -54,6 +66,7 @@ class Pose:
     gyro_move_deg: float | None = None
     settle_s: float | None = None
     covariates: dict[str, float | None] = field(default_factory=dict)
+    filtering: Filtering | None = field(default=None, compare=False, repr=False)
 
     @property
     def theta_deg(self) -> float:

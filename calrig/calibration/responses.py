@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from calrig.calibration.filter_share import filter_share
 from calrig.calibration.fit import reading_error_deg
 from calrig.calibration.pose import Pose
 from calrig.calibration.pose_columns import (
@@ -34,13 +35,20 @@ __all__ = [
     "BoolArray",
     "DiagnosisError",
     "Responses",
-    "filter_share",
     "responses_of",
 ]
 
 BoolArray = npt.NDArray[np.bool_]
 
 READING, ANGLE, NORM, MOVE, STAGE = "reading", "accel_angle", "accel_norm", "gyro_move", "stage"
+CHANNELS = {
+    READING: "the reading",
+    ANGLE: "the accelerometer's angle",
+    NORM: "|accelerometer|",
+    MOVE: "the gyro over the moves",
+    STAGE: "the stage's own report",
+}
+"""The responses in words: the reading and its witnesses."""
 SCALE_UNIT_DEG = 60.0
 """Elevation enters the base in units of this, so that all its columns are of order 1."""
 FEWEST_POSES = 8
@@ -63,7 +71,8 @@ class Responses:
         known: (n, J) False where a response does not exist (the gyro's before the first move).
         base: (n, J, p) columns of bias and scale, and of the first pose of each run.
         base_names: of the p columns, such as `reading.bias`, `gyro_move.gain`, `reading.first`.
-        kappa: (n,) share of a gyro scale error times the move that the paper's filter still shows.
+        kappa: (n,) share of a gyro scale error times the move that the filter still shows.
+        rounding: (J,) what arithmetic alone may leave of each response: below it there is nothing to judge.
     """
 
     theta_deg: FloatArray
@@ -79,6 +88,7 @@ class Responses:
     base: FloatArray
     base_names: tuple[str, ...]
     kappa: FloatArray
+    rounding: FloatArray
     warnings: tuple[str, ...] = field(default=())
 
     def __len__(self) -> int:
@@ -147,7 +157,8 @@ def responses_of(runs: Sequence[Sequence[Pose]]) -> Responses:
         warnings.append("some readings are a whole turn away from the stage: they were taken on its turn")
     move = np.where(starts, 0.0, np.diff(theta, prepend=theta[0]))
     table = _Channels(theta, move, starts, run_index)
-    table.add(READING, reading_error_deg(theta, reading), bias_each_run=True, scaled=True)
+    error = reading_error_deg(theta, reading)
+    table.add(READING, error, _turn_size(theta, reading), bias_each_run=True, scaled=True)
     _add_witnesses(table, poses, theta, move, starts)
     table.free_first()
     covariates, said = covariates_of(poses, theta, reading)
@@ -164,7 +175,8 @@ def responses_of(runs: Sequence[Sequence[Pose]]) -> Responses:
         known=np.stack(table.known, axis=1),
         base=table.base(),
         base_names=tuple(name for name, _, _ in table.base_columns),
-        kappa=filter_share(column_of(poses, "settle_s"), len(poses)),
+        kappa=filter_share(poses),
+        rounding=len(poses) * float(np.finfo(np.float64).eps) * np.array(table.sizes),
         warnings=(*warnings, *said),
     )
 
@@ -178,13 +190,15 @@ class _Channels:
         self.names: list[str] = []
         self.values: list[FloatArray] = []
         self.known: list[BoolArray] = []
+        self.sizes: list[float] = []
         self.base_columns: list[tuple[str, str, FloatArray]] = []
         self._theta, self._move, self._starts, self._run_index = theta, move, starts, run_index
         self._runs = int(run_index[-1]) + 1
         self.turns = float(np.ptp(theta)) > ONE_ANGLE_DEG
 
-    def add(self, name: str, values: FloatArray, *, bias_each_run: bool, scaled: bool) -> None:
-        self._begin(name, values, np.ones(len(values), dtype=bool))
+    def add(self, name: str, values: FloatArray, size: float, *, bias_each_run: bool, scaled: bool) -> None:
+        """Takes a response; `size` is that of what was subtracted to get it, in its own unit."""
+        self._begin(name, values, np.ones(len(values), dtype=bool), size)
         groups = range(self._runs) if bias_each_run else [None]
         for run in groups:
             one = np.ones(len(values)) if run is None else (self._run_index == run).astype(float)
@@ -194,7 +208,9 @@ class _Channels:
 
     def add_moves(self, felt_deg: FloatArray) -> None:
         known = np.isfinite(felt_deg) & ~self._starts
-        self._begin(MOVE, np.where(known, felt_deg - self._move, 0.0), known)
+        self._begin(
+            MOVE, np.where(known, felt_deg - self._move, 0.0), known, _turn_size(felt_deg, self._theta)
+        )
         self.base_columns.append((f"{MOVE}.bias", MOVE, known.astype(float)))
         gain = np.where(known, self._move, 0.0) / SCALE_UNIT_DEG
         self.base_columns.append((f"{MOVE}.gain", MOVE, gain))
@@ -212,7 +228,8 @@ class _Channels:
                 if name in self.names:
                     self.base_columns.append((f"{name}.first", name, freed))
 
-    def _begin(self, name: str, values: FloatArray, known: BoolArray) -> None:
+    def _begin(self, name: str, values: FloatArray, known: BoolArray, size: float) -> None:
+        self.sizes.append(size)
         self.names.append(name)
         self.values.append(values)
         self.known.append(known)
@@ -231,10 +248,11 @@ def _add_witnesses(
     if y is not None and z is not None:
         angle = reading_error_deg(theta, np.degrees(np.arctan2(y, z)))
         if not same(angle, table.values[0]) and _left_by_line(theta, angle):
-            table.add(ANGLE, angle, bias_each_run=True, scaled=True)
+            table.add(ANGLE, angle, _turn_size(theta), bias_each_run=True, scaled=True)
         norm = np.sqrt(y**2 + z**2 + (0.0 if x is None else x**2)) - 1.0
-        if np.ptp(norm) > 0.0:
-            table.add(NORM, norm, bias_each_run=True, scaled=False)
+        size_g = 1.0 + float(np.abs(norm).max())
+        if np.ptp(norm) > len(norm) * np.finfo(np.float64).eps * size_g:
+            table.add(NORM, norm, size_g, bias_each_run=True, scaled=False)
     felt = np.array([np.nan if p.gyro_move_deg is None else p.gyro_move_deg for p in poses])
     moves = np.isfinite(felt) & ~starts
     if table.turns and moves.sum() >= 0.8 * (~starts).sum() and _left_by_line(move[moves], felt[moves]):
@@ -242,7 +260,12 @@ def _add_witnesses(
     if all(pose.stage_deg is not None for pose in poses):
         off = theta - np.array([pose.target_deg for pose in poses])
         if np.ptp(off) > ONE_ANGLE_DEG:
-            table.add(STAGE, off, bias_each_run=False, scaled=True)
+            table.add(STAGE, off, _turn_size(theta), bias_each_run=False, scaled=True)
+
+
+def _turn_size(*angles_deg: FloatArray) -> float:
+    """The largest of some angles, a turn at least: differences of angles are taken modulo 360°."""
+    return max(360.0, *(float(np.nanmax(np.abs(angle), initial=0.0)) for angle in angles_deg))
 
 
 def _left_by_line(x: FloatArray, y: FloatArray) -> bool:
@@ -251,18 +274,3 @@ def _left_by_line(x: FloatArray, y: FloatArray) -> bool:
         return bool(np.ptp(y) > 0.0)
     left = y - np.polyval(np.polyfit(x, y, 1), x)
     return bool(np.abs(left).max() > 1e-9 * max(float(np.abs(x).max()), 1.0))
-
-
-def filter_share(settle_s: FloatArray | None, n: int, dwell_s: float = 2.0) -> FloatArray:
-    """(n,) mean over the dwell of what is left of a unit error of angle at arrival, by the paper's filter.
-
-    The steady filter follows ë + k₁ė + k₂e = 0 in continuous time, k₁ = 3.95 /s and k₂ = 4.47 /s² for the
-    constants of CONTRACT section 4 at 200 Hz; e(0) = 1 with the bias still right.
-    """
-    k1, k2 = 3.95, 4.47
-    roots = np.roots([1.0, k1, k2]).astype(complex)
-    settle = np.full(n, 1.0) if settle_s is None else settle_s
-    t = settle[:, None] + np.linspace(0.0, dwell_s, 41)
-    a = (-k1 - roots[1]) / (roots[0] - roots[1])
-    left = a * np.exp(roots[0] * t) + (1 - a) * np.exp(roots[1] * t)
-    return np.asarray(left.real.mean(axis=1), dtype=np.float64)

@@ -9,12 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.correction import (
-    ApplyError,
-    Circumstances,
-    effects_on_reading_deg,
-    fit_line_with_effects,
-)
+from calrig.calibration.correction import effects_on_reading_deg, fit_line_with_effects
+from calrig.calibration.effect import ApplyError, Circumstances
+from calrig.calibration.filter_share import filter_share
 from calrig.calibration.fit import Line, fit_line, residuals_deg, rms
 from calrig.calibration.pose import Pose
 from calrig.calibration.uncertainty import Reference, ReferenceKind, reference_part
@@ -181,7 +178,7 @@ def circumstances(poses: Sequence[Pose]) -> Circumstances:
         temperature_c=column([pose.temperature_c for pose in poses]),
         time_s=column([pose.time_s for pose in poses]),
         move_deg=np.diff(theta, prepend=np.nan),
-        settle_s=column([pose.settle_s for pose in poses]),
+        kappa=filter_share(poses),
     )
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calrig.calibration.candidates import Candidate, base_without, candidates_of
-from calrig.calibration.effects.stage import periodic_shape
+from calrig.calibration.candidates import Candidate, base_without, candidate_of
+from calrig.calibration.effect import Shape
 from calrig.calibration.gate import Screen, Verdict, gate
 from calrig.calibration.noise_model import Fit, fit
 from calrig.calibration.responses import Responses
@@ -27,7 +27,8 @@ MOST_EFFECTS = 5
 SHORTLIST = 16
 LEAST_SHARE = 0.05
 """An effect whose part of the reading is smaller than this share of its noise is not worth a correction."""
-REFINEMENTS = 12
+SAME = 1e-3
+"""Of −2 log likelihood: the screen's single precision decides no more, and the first of equals is taken."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +52,7 @@ class Found:
     @property
     def verdict(self) -> str:
         """`named`, `ambiguous` or `unnamed` (CONTRACT section 5)."""
-        if self.candidate.effect is None:
+        if not self.candidate.named:
             return "unnamed"
         return "ambiguous" if self.rivals else "named"
 
@@ -132,13 +133,13 @@ def _offered(
 ) -> list[Candidate]:
     """The candidates that may enter now: not those that have, nor those that follow on what has not."""
     present = {c.name for c in accepted}
-    once = {c.label for c in accepted if c.effect is not None and not c.shape.at}
+    once = {c.label for c in accepted if c.named and not c.shape.at}
     return [
         c
         for c in candidates
         if c.label not in too_small
         and c.label not in once
-        and (c.effect is None or c.effect.follows is None or c.effect.follows in present)
+        and (c.effect.follows is None or c.effect.follows in present)
     ]
 
 
@@ -153,16 +154,16 @@ def _named(
     ranked = _ranked(r, accepted, offered, ratios)
     best = ranked[0][0]
     near = [c for criterion, c in ranked if criterion - best < MARGIN]
-    named = [c for c in near if c.effect is not None]
+    named = [c for c in near if c.named]
     # A catalogue effect that explains as well outranks the flexible shapes that contain it.
     claimed = (named or near)[0]
-    rivals = () if claimed.effect is None else _rivals(ranked, claimed)
+    rivals = _rivals(ranked, claimed) if claimed.named else ()
     own = min(criterion for criterion, c in ranked if c.label == claimed.label)
-    rest = [criterion for criterion, c in ranked if c.label != claimed.label and c.effect is not None]
+    rest = [criterion for criterion, c in ranked if c.label != claimed.label and c.named]
     lead = min(rest) - own if rest else np.inf
     considered: dict[str, float] = {}
     for criterion, c in ranked:
-        considered.setdefault(c.label, round(criterion - best, 2))
+        considered.setdefault(c.label, round(max(criterion - best, 0.0), 2))
     return Found(claimed, rivals, p_value, float(lead), tuple(considered.items()))
 
 
@@ -171,9 +172,9 @@ def _rivals(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> tu
     best, leader = ranked[0]
     others: dict[str, Candidate] = {}
     for criterion, c in ranked:
-        if c.effect is not None and c.label != claimed.label and criterion - best < MARGIN:
+        if c.named and c.label != claimed.label and criterion - best < MARGIN:
             others.setdefault(c.label, c)
-    if leader.effect is None:
+    if not leader.named:
         others[leader.label] = leader
     return tuple(others.values())
 
@@ -193,7 +194,7 @@ def _pair(
         fitted = fit(r, model_columns(r, [*accepted, *added]))
         return fitted.criterion + bic_penalty * sum(c.parameters for c in added)
 
-    named = [i for i, c in enumerate(offered) if c.effect is not None and c.effect.follows is None]
+    named = [i for i, c in enumerate(offered) if c.named and c.effect.follows is None]
     firsts: dict[str, Candidate] = {}
     for i in sorted(named, key=lambda i: bic_penalty * offered[i].parameters - float(ratios[i])):
         firsts.setdefault(offered[i].label, offered[i])
@@ -206,7 +207,7 @@ def _pair(
             continue
         fitted = fit(r, columns)
         more = Screen(r, columns, rest, fitted.noise).ratios(fitted.residuals[None])[0]
-        second = rest[int(np.argmax(more - bic_penalty * np.array([c.parameters for c in rest])))]
+        second = rest[_first_best(more - bic_penalty * np.array([c.parameters for c in rest]))]
         together = criterion(first, second)
         if together < to_beat:
             to_beat, best = together, (first, second)
@@ -224,37 +225,35 @@ def _ranked(
     best: dict[tuple[str, str], int] = {}
     for index, candidate in enumerate(offered):
         key = candidate.label, candidate.shape.form
-        if key not in best or ratios[index] > ratios[best[key]]:
+        if key not in best or ratios[index] > ratios[best[key]] + SAME:
             best[key] = index
     order = sorted(best.values(), key=lambda i: bic_penalty * offered[i].parameters - float(ratios[i]))
     ranked: list[tuple[float, Candidate]] = []
     for index in order[:SHORTLIST]:
         criterion, candidate = _refined(r, accepted, offered[index], len(ranked) == 0)
         ranked.append((criterion + bic_penalty * candidate.parameters, candidate))
-    return sorted(ranked, key=lambda pair: pair[0])
+    place = {candidate.label: k for k, candidate in reversed(list(enumerate(offered)))}
+    return sorted(ranked, key=lambda pair: (round(pair[0] / SAME), place[pair[1].label]))
+
+
+def _first_best(values: FloatArray) -> int:
+    """The first place whose value is the largest but for rounding."""
+    return int(np.flatnonzero(values >= values.max() - SAME)[0])
 
 
 def _refined(
     r: Responses, accepted: Sequence[Candidate], candidate: Candidate, leads: bool
 ) -> tuple[float, Candidate]:
-    """The criterion of a candidate; of a leading period, at the best place between those scanned."""
+    """The criterion of a candidate; of a leading one, at the best place between those scanned."""
 
-    def criterion(c: Candidate) -> float:
-        return fit(r, model_columns(r, [*accepted, c])).criterion
+    def criterion(shape: Shape) -> float:
+        return fit(r, model_columns(r, [*accepted, candidate_of(r, candidate.effect, shape)])).criterion
 
-    value = criterion(candidate)
-    period = candidate.shape.at.get("period_deg")
-    if period is None or not leads:
-        return value, candidate
-    step = 1.0 / (3.0 * float(np.ptp(r.theta_deg)))
-    for offset in np.linspace(-1.0, 1.0, REFINEMENTS):
-        shape = periodic_shape(r, 1.0 / (1.0 / period + offset * step))
-        finer = replace(candidate, shape=shape, columns=r.columns(shape.shares))
-        at = criterion(finer)
-        if at < value:
-            value, best = at, finer
-            candidate = best
-    return value, candidate
+    refine = candidate.effect.refine
+    if refine is None or not leads:
+        return fit(r, model_columns(r, [*accepted, candidate])).criterion, candidate
+    finer = refine(r, candidate.shape, criterion)
+    return criterion(finer), candidate_of(r, candidate.effect, finer)
 
 
 def _reconsidered(r: Responses, candidates: Sequence[Candidate], found: list[Found]) -> list[Found]:
@@ -279,8 +278,4 @@ def _share_of_reading(r: Responses, accepted: Sequence[Candidate], candidate: Ca
     part = candidate.columns[:, 0, :] @ fitted.beta[-width:]
     line = np.column_stack([np.ones(len(r)), r.theta_deg])
     part = part - line @ np.linalg.lstsq(line, part, rcond=None)[0]
-    noise_deg = float(fitted.residuals[:, 0].std())
-    return float(part.std()) / noise_deg if noise_deg > 0.0 else np.inf
-
-
-__all__ = ["Findings", "Found", "candidates_of", "model_columns", "search"]
+    return float(part.std() / np.hypot(fitted.residuals[:, 0].std(), r.rounding[0]))

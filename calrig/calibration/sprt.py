@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from calrig.calibration.experiment_design import ambiguous_of, rebuilt
+from calrig.calibration.experiment_design import ambiguous_of, predicted
 from calrig.calibration.noise_model import fit
 from calrig.calibration.pose import Pose
 from calrig.calibration.responses import responses_of
@@ -36,10 +36,10 @@ class SequentialTest:
         if len(poses) < FEWEST_POSES or len(self._suspects) < 2:
             return False
         r = responses_of([*self._runs, list(poses)])
-        others = [again for other in self._others if (again := rebuilt(other, r)) is not None]
+        others = [again for other in self._others if (again := predicted(other, r)) is not None]
         criteria = sorted(
             fit(r, model_columns(r, [*others, suspect])).criterion
             for candidate in self._suspects
-            if (suspect := rebuilt(candidate, r)) is not None
+            if (suspect := predicted(candidate, r)) is not None
         )
         return len(criteria) > 1 and criteria[1] - criteria[0] > DECIDED

@@ -30,8 +30,7 @@ def print_result(run: Run) -> None:
         headings = ("", "value", "u, type A (noise)", "u, type B (stage)")
         _print_table(headings, _rows_of(run.result), title=f"run {run.id}: unit {run.unit} on {run.rig}")
     if run.verdict is not None:
-        for sentence in run.verdict.says:
-            _print(sentence)
+        _print_sentences(run.verdict.says)
 
 
 def _rows_of(result: dict[str, Any]) -> Iterable[tuple[str, ...]]:

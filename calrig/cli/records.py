@@ -48,9 +48,8 @@ def export(
     db: Db = None,
 ) -> None:
     """Print a calibration as JSON or as a C header, or its poses as CSV."""
-    from calrig.analysis.active_calibration import document_of, run_in_force
+    from calrig.analysis.active_calibration import document_of, header_of, run_in_force
     from calrig.cli.output import print_json
-    from calrig.export.c_header import c_header
     from calrig.export.poses_csv import write_poses
     from calrig.settings import store_url
     from calrig.store import Store
@@ -65,7 +64,7 @@ def export(
             counted = [stored.pose for stored in store.poses(found.id, include_excluded=False)]
             sys.stdout.write(write_poses(counted))
         elif format_ is Format.c_header:
-            sys.stdout.write(c_header(document_of(store, found)))
+            sys.stdout.write(header_of(store, found))
         else:
             print_json(document_of(store, found))
 

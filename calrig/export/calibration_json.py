@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from calrig.calibration.correction import numbers_of
+from calrig.calibration.effects import effect_of
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import build_result
 from calrig.calibration.uncertainty import COVERAGE_FACTOR, uncertainty
@@ -52,7 +53,7 @@ def calibration_document(
         "scale": line.scale,
         "covariance": None if line.covariance is None else [list(row) for row in line.covariance],
         "effects": [
-            {"name": effect.name, "parameters": effect.parameters}
+            {"name": effect.name, "parameters": effect.parameters, "formula": effect_of(effect.name).formula}
             for effect in accepted
             if effect.unit is not None and built.line_with_effects is not None
         ],

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from calrig.calibration.effects import EFFECTS
 from calrig.calibration.partial_residuals import Traced
 from calrig.estimation.angles import FloatArray
 from calrig.figures.parts import APPROACHES, GREY, PALETTE, Figure, as_text, error_bars, layout_of
@@ -17,18 +18,10 @@ ROOM = 1.2
 """Beside the longest bar, for its figure."""
 ROUGH = 1.0
 """Mean squared step between neighbours over the variance: about this where a cycle has six points."""
-_TITLES = {
-    "target_deg": "elevation (°)",
-    "approach": "approach, spread by elevation",
-    "temperature_c": "temperature (°C)",
-    "time_s": "time (s)",
-    "move_deg": "move into the pose (°)",
-    "velocity": "velocity (°/s)",
-}
 
 
 def before_and_after(diagnosis: Mapping[str, Any]) -> Figure:
-    """Error on unseen poses before and after, with the noise floor under them; what is not known is left out.
+    """Error on held-out poses before and after, with the noise floor; what is not known is left out.
 
     Args:
         diagnosis: a document of CONTRACT section 5.
@@ -64,7 +57,7 @@ def traced(found: Traced) -> Figure:
 
     The effect is a line where it is a function of the covariate, points where it depends on more than that.
     """
-    layout = layout_of(as_text(_TITLES.get(found.covariate, found.covariate)), LEFT)
+    layout = layout_of(as_text(_axis(found.covariate)), LEFT)
     layout["yaxis"]["zeroline"] = True
     at = found.at
     if found.covariate == "approach":
@@ -85,10 +78,18 @@ def traced(found: Traced) -> Figure:
     return {"data": [points, _fitted(found, at)], "layout": layout}
 
 
+def _axis(covariate: str) -> str:
+    """The title of the axis of a covariate, one that calrig has no physics for by its column's name."""
+    known = next((e.covariate for e in EFFECTS.values() if e.covariate.name == covariate), None)
+    if known is None:
+        return covariate
+    return f"{known.title} ({known.unit})" if known.unit else f"{known.title}, spread by elevation"
+
+
 def error_map(
     stage_deg: Sequence[float], approach: Sequence[int], error_deg: Sequence[float], std_deg: Sequence[float]
 ) -> Figure:
-    """What every unit on a rig has in common by elevation, one line an approach, with standard errors."""
+    """The rig error map by elevation, one line an approach, with standard errors."""
     layout = layout_of("elevation (°)", "common residual (°)")
     layout["yaxis"]["zeroline"] = True
     data = []

@@ -3,14 +3,14 @@
 Each folder under `stages` and `boards` declares one as `DEVICE`. A scan opens ports that anything may hang
 on, so all that a device wants asked is held to these rules, here and in the tests:
 
-- No question begins with a line end, which would complete a command that somebody else left half sent. Its
+- No query begins with a line end, which would complete a command that somebody else left half sent. Its
   first letters make a wrong command of that one, so each is safe whichever comes first.
-- No question has a byte that some controller takes for a command of its own, line or no line: GRBL's
+- No query has a byte that some controller takes for a command of its own, line or no line: GRBL's
   real-time bytes (resume, reset, jog cancel, overrides), and the 0x04 that every motion command of Thorlabs'
   binary frames has.
-- A device that hears a question at another baud rate hears other bytes. The tests compute which: no motion
+- A device that hears a query at another baud rate hears other bytes. The tests compute which: no motion
   command of any stage's and none of GRBL's real-time ones, such as the 0x18 (reset) that `1VE` at 57600 baud
-  holds for a GRBL. What would break this is asked only `then`, of a device that is known.
+  holds for a GRBL. What would break this may be a `version_query`: asked of a device that is known.
 """
 
 from __future__ import annotations
@@ -31,29 +31,29 @@ NEVER_SENT = frozenset(b"\x04\x18~!") | frozenset(range(0x80, 0x100))
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class Probe:
     """One attempt of a scan to hear from a device.
 
     Attributes:
         baudrate: at which.
         listen_s: how long is listened: a device that speaks unasked has told who it is by then, counted from
             when it is up; one that is asked has answered.
-        question: what is asked; b"" where it speaks unasked.
-        harmless: why the question changes nothing at the device it is meant for, nor at any other.
+        query: what is asked; b"" where it speaks unasked.
+        harmless: why the query changes nothing at the device it is meant for, nor at any other.
     """
 
     baudrate: int
     listen_s: float
-    question: bytes = b""
+    query: bytes = b""
     harmless: str = ""
 
     def __post_init__(self) -> None:
-        if self.question and not self.harmless:
-            raise ValueError(f"question {self.question!r} does not say why it is harmless")
-        if self.question[:1] in (b"\r", b"\n"):
-            raise ValueError(f"question {self.question!r} begins with a line end")
-        if refused := NEVER_SENT & set(self.question):
-            raise ValueError(f"question {self.question!r} has {bytes(refused)!r}, which may be a command")
+        if self.query and not self.harmless:
+            raise ValueError(f"query {self.query!r} does not say why it is harmless")
+        if self.query[:1] in (b"\r", b"\n"):
+            raise ValueError(f"query {self.query!r} begins with a line end")
+        if refused := NEVER_SENT & set(self.query):
+            raise ValueError(f"query {self.query!r} has {bytes(refused)!r}, which may be a command")
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,24 +90,24 @@ class Device:
         driver: its name in `calrig.toml`.
         title: what it is, in words.
         baudrate: bits per second unless the configuration says otherwise.
-        looks: how a scan hears from it.
-        says: whether a message is this device's to the letter.
+        probes: how a scan hears from it.
+        matches: whether a message is this device's to the letter.
         identity: who it is, from the messages that only it says, in the order heard.
-        then: what is asked once it is known, b"" for nothing: what is only read.
+        version_query: what is asked once it is known, b"" for nothing; it only reads.
         messages: bytes to messages; lines unless it frames them otherwise.
     """
 
     driver: str
     title: str
     baudrate: int
-    looks: tuple[Look, ...]
-    says: Callable[[str], bool]
+    probes: tuple[Probe, ...]
+    matches: Callable[[str], bool]
     identity: Callable[[Sequence[str]], Identity]
-    then: bytes
+    version_query: bytes
     messages: Callable[[bytes], list[str]] = lines_of
 
     def __post_init__(self) -> None:
-        missing = [part for part in ("driver", "title", "baudrate", "looks") if not getattr(self, part)]
+        missing = [part for part in ("driver", "title", "baudrate", "probes") if not getattr(self, part)]
         if missing:
             raise ValueError(f"device {self.driver!r} has no {', no '.join(missing)}")
 
@@ -144,7 +144,7 @@ def recognise(heard: bytes, devices: Iterable[AnyDevice]) -> Recognised | None:
 
     What several could have said tells nothing: sketches share some of what they say at their start.
     """
-    said = [(device, [m for m in device.messages(heard) if device.says(m)]) for device in devices]
+    said = [(device, [m for m in device.messages(heard) if device.matches(m)]) for device in devices]
     senders = Counter(message for _, messages in said for message in set(messages))
     own = [(device, [m for m in messages if senders[m] == 1]) for device, messages in said]
     device, messages = max(own, key=lambda one: len(one[1]), default=(None, []))

@@ -16,7 +16,7 @@ from typing import Literal
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
-from calrig.instruments.device import AnyDevice, Look, Recognised, lines_of, recognise
+from calrig.instruments.device import AnyDevice, Probe, Recognised, lines_of, recognise
 from calrig.instruments.drivers import known_devices
 from calrig.instruments.errors import PortError
 from calrig.instruments.ports import Port, device_of, open_port
@@ -91,23 +91,19 @@ def scan(ports: Iterable[str] = (), *, ours: Iterable[str] = ()) -> list[Found]:
         )
 
 
-def looks(devices: Iterable[AnyDevice]) -> list[Look]:
-    """What is tried on a port, in order: each rate is listened at before anything is asked.
+def probes(devices: Iterable[AnyDevice]) -> list[Probe]:
+    """What is tried on a port, in order: it is listened to at all rates before anything is asked.
 
     Who speaks unasked comes first, for who waits to be asked still does so later; slow boards before fast
-    ones, for they tell who they are after a reset and then measure for long. Questions begin at the rate
+    ones, for they tell who they are after a reset and then measure for long. Queries begin at the rate
     listened at last, the quickest to answer first.
     """
-    wanted: dict[tuple[int, bytes], Look] = {}
-    for look in (look for device in devices for look in device.looks):
-        key = (look.baudrate, look.question)
-        if key not in wanted or wanted[key].listen_s < look.listen_s:
-            wanted[key] = look
-    listens = sorted((look for look in wanted.values() if not look.question), key=lambda look: look.baudrate)
-    asks = [look for look in wanted.values() if look.question]
-    if listens:
-        listens[0] = replace(listens[0], listen_s=RESET_S + listens[0].listen_s)
-    return listens + sorted(asks, key=lambda look: (-look.baudrate, look.listen_s, look.question))
+    wanted = {probe for device in devices for probe in device.probes}
+    longest = {(p.baudrate, p.query): p for p in sorted(wanted, key=lambda p: p.listen_s)}.values()
+    listens = sorted((p for p in longest if not p.query), key=lambda p: p.baudrate)
+    asks = sorted((p for p in longest if p.query), key=lambda p: (-p.baudrate, p.listen_s, p.query))
+    listens[:1] = [replace(first, listen_s=RESET_S + first.listen_s) for first in listens[:1]]
+    return listens + asks
 
 
 def _name_of(port: str) -> str | None:
@@ -126,7 +122,7 @@ def _look_at(name: str, info: ListPortInfo | None, devices: Sequence[AnyDevice],
         if ours:
             kind, words = "busy", "a rig of this service: left alone, so that it can be stopped at any moment"
         else:
-            rate = looks(devices)[0].baudrate
+            rate = probes(devices)[0].baudrate
             with closing(open_port(name, baudrate=rate, timeout_s=READ_TIMEOUT_S)) as port:
                 found, rate, words = converse(port, devices)
     except PortError as error:
@@ -150,25 +146,25 @@ def converse(port: Port, devices: Sequence[AnyDevice]) -> tuple[Recognised | Non
     """Who it is and at which baud rate, or what was heard instead, in words.
 
     Args:
-        port: open at the rate of the first of `looks`.
+        port: open at the rate of the first of `probes`.
         devices: whom it may be.
 
     Raises:
         PortError: the port went away.
     """
-    tries = looks(devices)
+    tries = probes(devices)
     heard, rate = b"", tries[0].baudrate
     anything, last_words = False, ""
-    for look in tries:
-        if look.baudrate != rate:
-            port.change_baudrate(look.baudrate)
-            heard, rate = b"", look.baudrate
-        if look.question:
-            port.write(look.question)
-        heard = _listen(port, heard, look.listen_s, lambda heard: bool(recognise(heard, devices)))
+    for probe in tries:
+        if probe.baudrate != rate:
+            port.change_baudrate(probe.baudrate)
+            heard, rate = b"", probe.baudrate
+        if probe.query:
+            port.write(probe.query)
+        heard = _listen(port, heard, probe.listen_s, lambda heard: bool(recognise(heard, devices)))
         if found := recognise(heard, devices):
-            if found.device.then:
-                port.write(found.device.then)
+            if found.device.version_query:
+                port.write(found.device.version_query)
             heard = _listen(port, heard, REST_S, lambda _: False)
             return recognise(heard, devices) or found, rate, ""
         anything |= bool(heard)

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TextIO
 
-from calrig.instruments.clock import Clock
+from calrig.instruments.clock import WALL, Clock
 from calrig.instruments.errors import PortError
 
 KEPT_S = 60.0
@@ -52,7 +52,7 @@ def _heading(port: str) -> str:
 class Tape:
     """The transcript of one port; reader and writer may note at the same time."""
 
-    def __init__(self, port: str, clock: Clock, file: TextIO | None = None) -> None:
+    def __init__(self, port: str, file: TextIO | None = None, clock: Clock = WALL) -> None:
         self.port = port
         self._file = file
         self._now_s = clock.now_s
@@ -89,14 +89,14 @@ class Tapes:
     all: list[Tape]
     _files: ExitStack
 
-    def of(self, port: str, clock: Clock) -> Tape:
+    def of(self, port: str, clock: Clock = WALL) -> Tape:
         """A new tape."""
         file = None
         if self.folder is not None:
             name = "".join(c if c.isalnum() else "-" for c in port).strip("-")[:80]
             path = self.folder / f"{time.strftime('%Y%m%dT%H%M%S')}-{len(self.all)}-{name}.txt"
             file = self._files.enter_context(path.open("x", encoding="ascii", errors="replace"))
-        tape = Tape(port, clock, file)
+        tape = Tape(port, file, clock)
         self.all.append(tape)
         return tape
 

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from calrig.calibration.pose import Pose
+from calrig.calibration.pose import Filtering, Pose
 from calrig.calibration.result import GyroFigures
 from calrig.estimation.gyro import GyroBias, dwell_bias, gyro_scale, move_angle_deg, run_bias
 from calrig.estimation.kalman import KalmanNoise
@@ -219,6 +219,7 @@ class Execution:
             accel_z_g=_mean(dwell.accel_g[:, 2]),
             gyro_move_deg=gyro_move_deg,
             settle_s=self.plan.settle_s,
+            filtering=Filtering(self._noise, self.pace.rate_hz, self.plan.dwell_s),
         )
         index = len(self.poses)  # of the poses measured: a follow-up skips some that were planned
         self.poses.append(pose)

@@ -194,8 +194,7 @@ class Grbl:
             for number, value in self._settings().items():
                 self._say(f"${number}={value}")
         elif line == "$I":
-            self._say(f"[VER:{self._firmware}.20190830:]")
-            self._say("[OPT:V,15,128]")
+            self._say(f"[VER:{self._firmware}.20190830:]\r\n[OPT:V,15,128]")
         elif line == "$X":
             if self._state == State.ALARM:
                 self._state = State.IDLE

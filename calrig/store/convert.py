@@ -14,13 +14,13 @@ from typing import Any, cast
 import numpy as np
 from sqlmodel import Session
 
-from calrig.calibration.pose import Pose
+from calrig.calibration.pose import Filtering, Pose
 from calrig.store import checksums
 from calrig.store.errors import NotFound, Unreadable
 from calrig.store.records import Progress, RawSamples, Run, SampleBlock, Status, StoredPose, Voided
 from calrig.store.tables import CalibrationTable, PoseTable, RunTable
 
-_POSE_FIELDS = tuple(field.name for field in dataclasses.fields(Pose))
+_POSE_FIELDS = tuple(field.name for field in dataclasses.fields(Pose) if field.name != "filtering")
 _NUMBERS = tuple(name for name in _POSE_FIELDS if name != "covariates")
 FIGURES = (
     "bias_deg",
@@ -109,12 +109,12 @@ def pose_values(run_id: int, index: int, pose: Pose) -> dict[str, Any]:
     return {"run_id": run_id, "pose_index": index, **values, "crc32": crc32}
 
 
-def pose_of(row: PoseTable) -> StoredPose:
-    """The pose of a row."""
+def pose_of(row: PoseTable, filtering: Filtering | None) -> StoredPose:
+    """The pose of a row, read through the run's filter."""
     what = f"pose {row.pose_index} of run {row.run_id}"
     numbers = (getattr(row, name) for name in _NUMBERS)
     checksums.check_numbers(row.crc32, (row.run_id, row.pose_index, *numbers), what)
-    pose = Pose(**{name: getattr(row, name) for name in _POSE_FIELDS})
+    pose = Pose(**{name: getattr(row, name) for name in _POSE_FIELDS}, filtering=filtering)
     return StoredPose(index=row.pose_index, pose=pose, excluded=row.excluded_reason)
 
 

@@ -22,7 +22,16 @@ from calrig.store.convert import (
 from calrig.store.database import Part
 from calrig.store.errors import NotFound, Unreadable
 from calrig.store.event_log import Announced
-from calrig.store.records import UNFINISHED, Document, RawSamples, Run, RunChanges, SampleBlock, StoredPose
+from calrig.store.records import (
+    UNFINISHED,
+    Document,
+    RawSamples,
+    Run,
+    RunChanges,
+    SampleBlock,
+    StoredPose,
+    filtering_of,
+)
 from calrig.store.runs import change, replace_result
 from calrig.store.tables import PoseTable, RunTable, SampleBlockTable
 
@@ -77,7 +86,8 @@ class Poses(Part):
         with self._database.reading() as session:
             run = run_row(session, run_id)
             wanted = select(PoseTable).where(PoseTable.run_id == run.id).order_by(col(PoseTable.pose_index))
-            found = [pose_of(pose) for pose in session.exec(wanted)]
+            filtering = filtering_of(run.provenance, run.plan)
+            found = [pose_of(pose, filtering) for pose in session.exec(wanted)]
             missing = run.progress.get("poses_done", 0) - len(found)
             if missing > 0:  # their number is stored with them, in the same transaction
                 raise Unreadable(f"{missing} poses of run {run_id} are missing")

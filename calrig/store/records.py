@@ -9,9 +9,10 @@ from typing import Any, Literal, NamedTuple, TypedDict
 import numpy as np
 import numpy.typing as npt
 
-from calrig.calibration.pose import Pose
+from calrig.calibration.pose import Filtering, Pose
 from calrig.calibration.uncertainty import Reference
 from calrig.calibration.verdict import Verdict, verdict
+from calrig.estimation.kalman import KalmanNoise
 
 FloatArray = npt.NDArray[np.float64]
 Document = dict[str, Any]
@@ -81,6 +82,16 @@ def reference_of(provenance: Document) -> Reference | None:
     """What the rig said of its stage when a run was made; None where it said nothing, or none was known."""
     stated = (provenance.get("rig") or {}).get("reference")
     return None if stated is None else Reference(stated["std_deg"], stated.get("kind", "harmonic"))
+
+
+def filtering_of(provenance: Document, plan: Document | None) -> Filtering | None:
+    """The filter that a run's readings went through; None where nothing is known of it."""
+    stated, board, planned = provenance.get("filter"), provenance.get("board") or {}, plan or {}
+    if stated is None:
+        return None
+    usual = Filtering()
+    rate_hz = board.get("rate_hz") or planned.get("rate_hz", usual.rate_hz)
+    return Filtering(KalmanNoise(**stated), float(rate_hz), float(planned.get("dwell_s", usual.dwell_s)))
 
 
 class RunChanges(TypedDict, total=False):

@@ -10,7 +10,7 @@ WHITE_MG_SQRT_S = 0.4
 RATE_HZ = 100.0
 
 
-def log_csv(seconds: float = 60.0) -> str:
+def log_csv(seconds: float = 30.0) -> str:
     rng = np.random.default_rng(5)
     n = int(seconds * RATE_HZ)
     std_g = 1e-3 * WHITE_MG_SQRT_S * np.sqrt(RATE_HZ)
@@ -21,7 +21,7 @@ def log_csv(seconds: float = 60.0) -> str:
 
 @pytest.fixture(scope="module")
 def static_run(shared_client):
-    plan = {"kind": "static", "dwell_s": 40.0, "settle_s": 0.5}
+    plan = {"kind": "static", "dwell_s": 20.0, "settle_s": 0.5}
     begun = shared_client.post("/api/runs", json={"unit": "N-1", "plan": plan}).raise_for_status().json()
     run = ended(shared_client, begun["id"])
     assert (run["status"], run["error"]) == ("completed", None)
@@ -32,7 +32,7 @@ def test_a_static_run_tells_the_noise_of_every_channel(shared_client, static_run
     found = shared_client.get(f"/api/runs/{static_run['id']}/noise").raise_for_status().json()
     report = found["report"]
     assert report["rate_hz"] == pytest.approx(200.0, rel=1e-3)
-    assert report["duration_s"] == pytest.approx(40.0, abs=0.1)
+    assert report["duration_s"] == pytest.approx(20.0, abs=0.1)
     gyro = report["channels"]["gyro_x_dps"]
     # The simulated chip has the data sheet's 0.005 °/s/√Hz one-sided: N is 1/√2 of it.
     assert gyro["coefficients"]["white"]["value"] == pytest.approx(0.005 / np.sqrt(2), rel=0.1)

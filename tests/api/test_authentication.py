@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
-from concurrent.futures import ThreadPoolExecutor
 
 import httpx
 import pytest
+from starlette.exceptions import HTTPException
+from starlette.requests import HTTPConnection
 from support import running_service, serving
 
 from calrig.api.access import Access
-from calrig.api.authentication import MOST_SESSIONS, SESSION_S, Sessions
+from calrig.api.authentication import MOST_SESSIONS, SESSION_S, WAITING_EACH, Authentication, Sessions
 from calrig.api.openapi import document
 
 TOKEN = "the-benches-of-building-4"
@@ -83,20 +85,42 @@ def test_a_wrong_token_is_logged_without_being_written_down(asking, caplog):
     assert "my-other-password-1" not in caplog.text
 
 
-def test_many_wrong_tokens_at_once_are_not_even_looked_at_and_a_session_is_not_kept_waiting(asking, person):
-    person.post("/api/login", json={"token": TOKEN}).raise_for_status()
+def test_many_wrong_tokens_at_once_are_not_even_looked_at_and_a_session_is_not_kept_waiting():
+    authentication = Authentication(Access(TOKEN, patience_s=0.05))
+    session = authentication.sessions.begin()
+    outside, inside = asked_for("/api/rigs"), asked_for("/api/rigs", cookie=f"calrig_session_80={session}")
 
-    def guess(k):
-        return httpx.post(asking.base_url.join("/api/login"), json={"token": f"guess number {k}"})
+    async def status_of(check):
+        try:
+            await check
+        except HTTPException as error:
+            return error.status_code, (error.headers or {}).get("Retry-After")
+        return 200, None
 
-    with ThreadPoolExecutor(12) as crowd:
-        guesses = [crowd.submit(guess, k) for k in range(12)]
-        during = person.get("/api/rigs")
-        answers = [guess.result() for guess in guesses]
-    assert {answer.status_code for answer in answers} == {401, 429}
-    assert all(a.headers["retry-after"] == "1" for a in answers if a.status_code == 429)
-    assert during.status_code == 200
-    assert asking.get("/api/rigs", headers=BEARER).status_code == 200
+    async def crowd():
+        guesses = [authentication.check_token(outside, f"guess number {k}") for k in range(12)]
+        right_one = authentication.check_token(outside, TOKEN)
+        return await asyncio.gather(*map(status_of, [*guesses, right_one, authentication.check(inside)]))
+
+    *guesses, right_one, with_session = asyncio.run(crowd())
+    assert guesses == [(401, None)] * WAITING_EACH + [(429, "1")] * (12 - WAITING_EACH)
+    assert right_one == (429, "1"), "so many can be tried in a second and no more"
+    assert with_session == (200, None)
+    assert asyncio.run(status_of(authentication.check_token(outside, TOKEN))) == (200, None)
+
+
+def asked_for(path, cookie=""):
+    """A request from one address, as the server hands it on."""
+    return HTTPConnection(
+        {
+            "type": "http",
+            "method": "GET",
+            "path": path,
+            "headers": [(b"cookie", cookie.encode())],
+            "client": ("192.168.1.9", 40000),
+            "server": ("192.168.1.5", 80),
+        }
+    )
 
 
 def test_a_person_logs_in_and_gets_a_cookie_that_is_not_the_token_and_no_script_reads(asking, person):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import socket
 import threading
-import time
 from contextlib import ExitStack, contextmanager
 
 import httpx
@@ -16,7 +15,6 @@ from calrig.api import connections, limits
 
 CROWD = 200
 PATIENCE_S = 0.4
-POST = "POST {path} HTTP/1.1\r\nHost: {host}\r\nContent-Type: application/json\r\nContent-Length: 100\r\n\r\n"
 
 
 @pytest.fixture(scope="module")
@@ -74,10 +72,8 @@ def dribble(one, text):
 
 def test_a_head_that_comes_a_byte_at_a_time_is_408(hurried):
     with connected(hurried) as one:
-        began_s = time.monotonic()
         dribble(one, b"GET /api/health HTTP/1.1\r\nX-Slow: " + b"x" * 10_000)
         answer = everything(one)
-        assert time.monotonic() - began_s < 5
     assert answer.startswith(b"HTTP/1.1 408 ")
     assert "did not come within" in json.loads(answer.split(b"\r\n\r\n")[1])["detail"]
 
@@ -116,7 +112,7 @@ def has_hung_up(one):
 
 def test_a_client_that_does_not_read_its_answers_is_cut_off(hurried):
     with connected(hurried, small_window=True) as one:
-        one.sendall(head(hurried, "GET /web/vendor/plotly-partial.min.js HTTP/1.1") * 3)
+        one.sendall(head(hurried, "GET /api/openapi.json HTTP/1.1") * 5)
         assert wait_for(lambda: has_hung_up(one), "end of the connection")
 
 
@@ -126,15 +122,20 @@ def test_clients_that_together_leave_too_much_unread_are_cut_off_before_their_ti
     with ExitStack() as stack:
         crowd = [stack.enter_context(connected(hurried, small_window=True)) for _ in range(20)]
         for one in crowd:
-            one.sendall(head(hurried, "GET /web/vendor/plotly-partial.min.js HTTP/1.1") * 3)
+            one.sendall(head(hurried, "GET /api/openapi.json HTTP/1.1") * 5)
         assert wait_for(lambda: has_hung_up(crowd[0]), "end of the first one")
         assert not has_hung_up(crowd[-1])
 
 
-def test_two_hundred_who_dawdle_keep_nobody_waiting(hurried, monkeypatch):
-    """Heads that do not end, bodies that do not come, event streams and files that nobody reads."""
+@pytest.mark.parametrize("crowd_of", [12, pytest.param(CROWD, marks=pytest.mark.memory)])
+def test_a_crowd_who_dawdle_keep_nobody_waiting(hurried, monkeypatch, crowd_of):
+    """Heads that do not end, bodies that do not come, event streams and files that nobody reads.
+
+    The service is patient with them for longer than the client that asks meanwhile is with the service.
+    """
     for module, name in ((connections, "HEAD_S"), (connections, "UNREAD_S"), (limits, "GRACE_S")):
-        monkeypatch.setattr(module, name, 3.0)
+        monkeypatch.setattr(module, name, 100.0)
+    before = threading.active_count()
     began = hurried.post("/api/runs", json={"unit": "A", "plan": LONG}).raise_for_status().json()
     asked = (
         b"GET /api/health HTTP/1.1\r\nX: ",
@@ -145,21 +146,17 @@ def test_two_hundred_who_dawdle_keep_nobody_waiting(hurried, monkeypatch):
             "Content-Length: 9000",
         ),
         head(hurried, f"GET /api/runs/{began['id']}/events HTTP/1.1"),
-        head(hurried, "GET /web/vendor/plotly-partial.min.js HTTP/1.1") * 3,
+        head(hurried, "GET /api/openapi.json HTTP/1.1") * 5,
     )
     with ExitStack() as stack:
-        crowd = [stack.enter_context(connected(hurried, small_window=True)) for _ in range(CROWD)]
+        crowd = [stack.enter_context(connected(hurried, small_window=True)) for _ in range(crowd_of)]
         for place, one in enumerate(crowd):
             one.sendall(asked[place % len(asked)])
-        took_s = []
         for _ in range(20):
-            began_s = time.monotonic()
             assert hurried.get("/api/runs?limit=1").status_code == 200
-            took_s.append(time.monotonic() - began_s)
-        assert sorted(took_s)[len(took_s) // 2] < 1.0
         small = {"file": ("p.csv", b"target_deg,reading_deg\n0,0.1\n10,10.1\n")}
         assert hurried.post("/api/imports", files=small, data={"unit": "B"}).status_code == 201
-        assert threading.active_count() < 80  # 40 for requests, the rig's, the run's
+        assert threading.active_count() < before + 60  # 40 for requests, the run's and its rig's
         assert hurried.post(f"/api/runs/{began['id']}/abort").status_code == 200
 
 

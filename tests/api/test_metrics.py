@@ -9,6 +9,7 @@ from prometheus_client.parser import text_string_to_metric_families as prometheu
 from support import QUICK, ended, running_service, serving, wait_for
 
 import calrig
+from calrig.runs.meter import Meter
 
 Values = dict[tuple[str, tuple[tuple[str, str], ...]], float]
 
@@ -58,13 +59,23 @@ def test_faults_are_counted_by_kind_as_the_run_has_them(launch_rig, store_path):
     assert counted == run["faults"]
 
 
-def test_a_resumed_run_counts_only_its_new_faults(client: httpx.Client, service):
-    meter = service.meter.of_run("bench-1", {"crc": 2})  # of a resumed run that had seen two
+def test_a_resumed_run_counts_only_its_new_faults():
+    meter = Meter(["bench-1"])
+    run = meter.of_run("bench-1", {"crc": 2})  # of a resumed run that had seen two
     for totals in ({"crc": 2}, {"crc": 5, "late_reply": 1}, {"crc": 5, "late_reply": 1}):
-        meter.faults(totals)
-    after = values(client)
-    assert after[of("calrig_faults_total", rig="bench-1", kind="crc")] == 3
-    assert after[of("calrig_faults_total", rig="bench-1", kind="late_reply")] == 1
+        run.faults(totals)
+
+    def counted(kind: str) -> float | None:
+        return meter.registry.get_sample_value("calrig_faults_total", {"rig": "bench-1", "kind": kind})
+
+    assert (counted("crc"), counted("late_reply")) == (3, 1)
+
+
+def test_two_services_count_apart():
+    one, other = Meter(["bench-1"]), Meter(["bench-1"])
+    one.of_run("bench-1").samples(5)
+    assert one.registry.get_sample_value("calrig_samples_total", {"rig": "bench-1"}) == 5
+    assert other.registry.get_sample_value("calrig_samples_total", {"rig": "bench-1"}) == 0
 
 
 def test_event_clients_are_counted_while_they_listen(client: httpx.Client):
@@ -77,19 +88,19 @@ def test_event_clients_are_counted_while_they_listen(client: httpx.Client):
     assert values(client)[of("calrig_runs_ended_total", rig="bench-1", status="aborted")] == 1
 
 
-def test_no_label_grows_with_runs_or_units(client: httpx.Client):
-    labels = {name for _, pairs in values(client) for name, _ in pairs}
+def test_no_label_grows_with_runs_or_units(shared_client: httpx.Client):
+    labels = {name for _, pairs in values(shared_client) for name, _ in pairs}
     assert labels == {"rig", "state", "status", "version"}
 
 
-def test_open_metrics_where_it_is_asked_for(client: httpx.Client):
+def test_open_metrics_where_it_is_asked_for(shared_client: httpx.Client):
     accept = {"Accept": "application/openmetrics-text; version=1.0.0"}
-    answer = client.get("/api/metrics", headers=accept).raise_for_status()
+    answer = shared_client.get("/api/metrics", headers=accept).raise_for_status()
     assert answer.headers["content-type"].startswith("application/openmetrics-text")
     names = [family.name for family in open_metrics(answer.text)]
     assert {"calrig_samples", "calrig_build", "calrig_runs"} <= set(names)
     assert answer.text.endswith("# EOF\n")
-    assert client.get("/api/metrics").headers["content-type"].startswith("text/plain; version=0.0.4")
+    assert shared_client.get("/api/metrics").headers["content-type"].startswith("text/plain; version=0.0.4")
 
 
 @pytest.mark.parametrize(

@@ -11,14 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calrig.calibration.correction import (
-    ApplyError,
-    Circumstances,
     calibrated_elevation_deg,
     effect_on_reading_deg,
     effects_on_reading_deg,
     fit_line_with_effects,
     numbers_of,
 )
+from calrig.calibration.effect import ApplyError, Circumstances
 from calrig.calibration.effects import CATALOGUE
 from calrig.calibration.pose import Pose
 from calrig.calibration.responses import responses_of
@@ -30,7 +29,7 @@ GIVEN = Circumstances(
     time_s=np.array([0.0, 10.0, 20.0, 30.0, 40.0, 50.0]),
     move_deg=np.array([math.nan, 35.0, 25.0, 10.0, 35.0, 15.0]),
     velocity_dps=np.array([0.0, 5.0, -5.0, 5.0, 0.0, 5.0]),
-    settle_s=np.full(6, 1.0),
+    kappa=np.full(6, -0.05),
 )
 
 
@@ -137,9 +136,10 @@ def test_formulas_agree_with_the_columns_that_the_search_fits(effect):
         time_s=r.time_s,
         move_deg=r.move_deg,
         velocity_dps=r.covariates["velocity_dps"],
+        kappa=r.kappa,
     )
     shape = next(iter(effect.shapes(r)))
-    if shape.polar:
+    if "phase_deg" in shape.parameters:
         parameters = {"amplitude_deg": 1.0, "phase_deg": 90.0, **shape.at}
         column = shape.shares["reading"][:, 1]
     else:

@@ -109,9 +109,41 @@ def test_a_reading_that_never_changes_is_refused() -> None:
         diagnose([CONSTANT["reading_deg"](run_of(sweeps()))])
 
 
-def test_readings_without_any_noise_are_diagnosed() -> None:
-    exact = [replace(p, reading_deg=0.5 + p.target_deg) for p in run_of(sweeps())]
-    assert told(exact, cross_fit=True)["verdict"] == "nothing"
+@pytest.mark.parametrize("bias_deg", [0.0, 0.5, -179.3])
+def test_readings_without_any_noise_are_diagnosed(bias_deg: float) -> None:
+    exact = [replace(p, reading_deg=bias_deg + p.target_deg) for p in run_of(sweeps())]
+    said = told(exact, cross_fit=True)
+    assert said["verdict"] == "nothing"
+    assert said["noise"]["lag1_correlation"] == pytest.approx(0.0, abs=0.01)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_rounding_leaves_of_exact_readings_and_witnesses_is_not_judged(seed: int) -> None:
+    """The last bits of every channel, as another processor's kernels might leave them."""
+    rng, targets = np.random.default_rng(seed), sweeps()
+    last_bits = rng.integers(-1, 2, (100, 3)) * np.spacing(60.0)
+    angle = np.radians(targets + last_bits[:, 0])
+    poses = run_of(
+        targets,
+        approach=approaches(targets).tolist(),
+        temperature_c=np.linspace(20.0, 26.0, 100),
+        accel_y_g=np.sin(angle),
+        accel_z_g=np.cos(angle),
+        gyro_move_deg=np.diff(targets, prepend=0.0) + last_bits[:, 1],
+    )
+    exact = [
+        replace(p, reading_deg=1.02 * p.target_deg + b) for p, b in zip(poses, last_bits[:, 2], strict=True)
+    ]
+    assert told(exact)["verdict"] == "nothing"
+
+
+def test_an_effect_in_readings_without_any_noise_is_found() -> None:
+    targets = sweeps()
+    poses = run_of(targets, approach=approaches(targets).tolist())
+    exact = [replace(p, reading_deg=p.target_deg + 0.04 * (p.approach or 0)) for p in poses]
+    (effect,) = told(exact)["effects"]
+    assert effect["name"] == "backlash"
+    assert effect["parameters"]["backlash_deg"]["value"] == pytest.approx(0.08, abs=1e-9)
 
 
 @pytest.mark.parametrize("name", ["temperature_c", "time_s", "approach", "stage_deg", "accel_y_g"])

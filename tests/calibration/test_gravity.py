@@ -133,6 +133,13 @@ def test_nothing_is_claimed_of_units_that_lack_nothing():
     assert claimed <= binom.ppf(0.999, 400, 0.01)
 
 
+def test_still_poses_without_any_noise_lack_nothing():
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        poses = poses_of(directions(rng, 24), rng, noise_g=0.0)
+        assert gravity_document(trace_gravity(poses, bootstraps=199))["verdict"] == "nothing"
+
+
 def test_a_bias_that_moves_with_temperature_is_traced_or_said_to_be_time_or_temperature():
     rng = np.random.default_rng(6)
     gravity = trace_gravity(poses_of(directions(rng, 38), rng, per_c=1e-3))

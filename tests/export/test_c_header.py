@@ -2,34 +2,18 @@
 
 from __future__ import annotations
 
-import shutil
-import subprocess
-
 import numpy as np
 import pytest
+from compiled_header import COMPILER, applied, compiled, document
 
 from calrig.calibration.correction import (
-    ApplyError,
-    Circumstances,
     calibrated_elevation_deg,
     effects_on_reading_deg,
 )
+from calrig.calibration.effect import ApplyError, Circumstances
 from calrig.export.c_header import c_header
 
-COMPILER = shutil.which("gcc") or shutil.which("clang")
 needs_a_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler (gcc or clang) is installed")
-
-PROGRAM = """\
-#include "calibration.h"
-#include <stdio.h>
-int main(void)
-{
-    float reading_deg, temperature_c;
-    while (scanf("%f %f", &reading_deg, &temperature_c) == 2)
-        printf("%.9g\\n", (double)calrig_elevation_deg(reading_deg, temperature_c));
-    return 0;
-}
-"""
 
 OFFSET = ("accelerometer_offset", {"y_mg": 12.0, "z_mg": -25.0})
 MISMATCH = ("axis_mismatch", {"gain_pct": -0.9, "skew_deg": 0.4})
@@ -39,38 +23,6 @@ WARM_Y = ("temperature_bias", {"deg_per_c": -0.05, "reference_c": 24.3, "of_axis
 CURVED = ("temperature_curvature", {"deg_per_c2": -3e-4, "reference_c": 26.0})
 STEEPER = ("temperature_scale", {"per_c": 2e-4, "reference_c": 24.3})
 SLIPPED = ("mount_slip", {"step_deg": -0.12, "at_s": 300.0})
-
-
-def document(effects=(), **changes):
-    return {
-        "unit": "AS-0042",
-        "run_id": "17",
-        "calibrated_at": "2026-11-20T09:03:20Z",
-        "range_deg": [-60.0, 60.0],
-        "bias_deg": 0.2537,
-        "scale": 1.00213,
-        "effects": [{"name": name, "parameters": parameters} for name, parameters in effects],
-        "expanded_uncertainty_deg": 0.58,
-        "coverage_factor": 2,
-        "temperature_c": {"min": 21.5, "max": 29.0},
-        **changes,
-    }
-
-
-def compiled(header, folder):
-    (folder / "calibration.h").write_text(header, encoding="ascii")
-    (folder / "main.c").write_text(PROGRAM, encoding="ascii")
-    strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wdouble-promotion"]
-    subprocess.run([COMPILER, *strict, "main.c", "-o", "apply", "-lm"], cwd=folder, check=True)
-    return folder / "apply"
-
-
-def applied(program, reading_deg, temperature_c):
-    lines = "".join(
-        f"{r!r} {t!r}\n" for r, t in zip(reading_deg.tolist(), temperature_c.tolist(), strict=True)
-    )
-    done = subprocess.run([program], input=lines, capture_output=True, text=True, check=True)
-    return np.array(done.stdout.split(), dtype=np.float64)
 
 
 @needs_a_compiler
@@ -85,6 +37,7 @@ def applied(program, reading_deg, temperature_c):
         ([OFFSET, MISMATCH, CUBIC, WARM, CURVED, STEEPER, SLIPPED], {}),
         ([OFFSET, STEEPER], {"scale": -0.98, "range_deg": [-90.0, 90.0], "temperature_c": None}),
         ([WARM], {"bias_deg": 179.6}),
+        ([("temperature_scale", {"per_c": 0.014, "reference_c": 24.3})], {}),
     ],
 )
 def test_the_compiled_header_gives_pythons_elevation_to_a_ten_thousandth_of_a_degree(
@@ -164,6 +117,11 @@ def test_parameters_with_their_standard_errors_are_taken_too():
             {"effects": [("nonlinearity", {"deg_per_deg2": 0.02})]},
             ApplyError,
             "not a small correction",
+        ),
+        (
+            {"effects": [("temperature_scale", {"per_c": 0.3, "reference_c": 24.3})]},
+            ApplyError,
+            "take them back",
         ),
         (
             {"effects": [("temperature_bias", {"deg_per_c": 1.0})]},

@@ -1,4 +1,4 @@
-"""Every device folder: registered, told by its own bytes and by no other's, its questions harmless to all."""
+"""Every device folder: registered, told by its own bytes and by no other's, its queries harmless to all."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from simulated_devices import Counterpart, Uart, as_heard, in_their_own_time
+from simulated_devices import Counterpart, Uart, as_heard
 
 from calrig.instruments import boards, drivers, stages
-from calrig.instruments.device import BoardDevice, Look, StageDevice, recognise
+from calrig.instruments.device import BoardDevice, Probe, StageDevice, recognise
 from calrig.instruments.drivers import BOARDS, STAGES
-from calrig.instruments.scan import converse, looks
+from calrig.instruments.scan import converse, probes
 
 DEVICES = {**STAGES, **BOARDS}
-LOOKS = looks(DEVICES.values())
-QUESTIONS = [look for look in LOOKS if look.question]
+PROBES = probes(DEVICES.values())
+QUERIES = [probe for probe in PROBES if probe.query]
 OTHER_RATES = (9600, 19200, 38400, 57600, 115200, 230400, 250000)
 HALF_SENT = {"smc100": b"1PA20", "grbl": b"G0X20", "esp301": b"1PA20", "zaber": b"/1 move abs 90000"}
 IDENTITIES = {
@@ -42,12 +42,11 @@ at_each_rate = pytest.mark.parametrize("own_baud", OTHER_RATES)
 
 
 @each_device
-def test_a_device_is_recognised_by_what_its_counterpart_says_at_its_own_rate_alone(driver, monkeypatch):
+def test_a_device_is_recognised_by_what_its_counterpart_says_at_its_own_rate_alone(driver):
     """The rates are a UART's, so that all others hear is noise; a stage that is not homed does not move."""
-    in_their_own_time(monkeypatch)
     far = Counterpart(driver)
     before_deg = far.table_deg()
-    found, baudrate, words = converse(Uart(far, LOOKS[0].baudrate), list(DEVICES.values()))
+    found, baudrate, words = converse(Uart(far, PROBES[0].baudrate), list(DEVICES.values()))
     assert found is not None, words
     assert (found.device.driver, baudrate) == (driver, DEVICES[driver].baudrate)
     assert IDENTITIES.get(driver, DEVICES[driver].title) in found.identity.words
@@ -59,13 +58,13 @@ def test_what_a_device_says_is_no_other_devices(driver):
     """Twelve seconds of it, in which a sketch passes from its banner to its records."""
     far = Counterpart(driver)
     heard = b""
-    for question in [look.question for look in DEVICES[driver].looks] + [DEVICES[driver].then, b"s"]:
-        heard += far.device.receive(question)
+    for query in [probe.query for probe in DEVICES[driver].probes] + [DEVICES[driver].version_query, b"s"]:
+        heard += far.device.receive(query)
     for _ in range(120):
         far.now_s += 0.1
         heard += far.device.emit()
     others = [device for name, device in DEVICES.items() if name != driver]
-    told = {message for other in others for message in other.messages(heard) if other.says(message)}
+    told = {message for other in others for message in other.messages(heard) if other.matches(message)}
     assert told <= SHARED
     assert recognise(heard, DEVICES.values()).device is DEVICES[driver]
 
@@ -77,23 +76,23 @@ def test_the_uart_is_right_at_its_own_rate_and_at_half_of_it():
 
 
 @at_each_rate
-def test_no_question_is_a_real_time_command_of_grbl_at_any_rate(own_baud):
-    heard = b"".join(as_heard(look.question, look.baudrate, own_baud) for look in QUESTIONS)
+def test_no_query_is_a_real_time_command_of_grbl_at_any_rate(own_baud):
+    heard = b"".join(as_heard(probe.query, probe.baudrate, own_baud) for probe in QUERIES)
     resume_reset_door_jog_cancel = b"~\x18\x84\x85"
     assert not set(heard) & set(resume_reset_door_jog_cancel)
 
 
 @at_each_rate
 @each_stage
-def test_no_question_moves_a_stage_whichever_comes_first_and_whatever_was_left_half_sent(driver, own_baud):
+def test_no_query_moves_a_stage_whichever_comes_first_and_whatever_was_left_half_sent(driver, own_baud):
     for half_sent in (b"", HALF_SENT[driver]):
-        for questions in [*([look] for look in QUESTIONS), QUESTIONS]:
+        for queries in [*([probe] for probe in QUERIES), QUERIES]:
             far = Counterpart(driver)
             before_deg = far.table_deg()
             far.device.receive(half_sent)
-            for look in questions:
-                far.device.receive(as_heard(look.question, look.baudrate, own_baud))
-            assert np.array_equal(far.table_deg(), before_deg), (half_sent, questions)
+            for probe in queries:
+                far.device.receive(as_heard(probe.query, probe.baudrate, own_baud))
+            assert np.array_equal(far.table_deg(), before_deg), (half_sent, queries)
 
 
 @each_stage
@@ -106,15 +105,15 @@ def test_the_half_sent_command_of_these_tests_would_move_the_stage_if_it_were_en
 
 
 def test_all_looks_together_take_less_than_eight_seconds():
-    assert sum(look.listen_s for look in LOOKS) < 8
+    assert sum(probe.listen_s for probe in PROBES) < 8
 
 
 def test_a_port_is_listened_to_before_anything_is_asked():
-    assert [bool(look.question) for look in LOOKS] == sorted(bool(look.question) for look in LOOKS)
+    assert [bool(probe.query) for probe in PROBES] == sorted(bool(probe.query) for probe in PROBES)
 
 
 @pytest.mark.parametrize(
-    ("question", "harmless", "words"),
+    ("query", "harmless", "words"),
     [
         (b"ID\n", "", "does not say why it is harmless"),
         (b"\nID\n", "asks", "begins with a line end"),
@@ -122,9 +121,9 @@ def test_a_port_is_listened_to_before_anything_is_asked():
         (b"\x85", "asks", "which may be a command"),
     ],
 )
-def test_a_question_against_the_rules_is_no_question(question, harmless, words):
+def test_a_question_against_the_rules_is_no_query(query, harmless, words):
     with pytest.raises(ValueError, match=words):
-        Look(115200, 0.5, question, harmless)
+        Probe(115200, 0.5, query, harmless)
 
 
 PARTS = {
@@ -132,10 +131,10 @@ PARTS = {
     "title": "our table",
     "baudrate": 9600,
     "opens": print,
-    "looks": (Look(9600, 0.5),),
-    "says": bool,
+    "probes": (Probe(9600, 0.5),),
+    "matches": bool,
     "identity": print,
-    "then": b"",
+    "version_query": b"",
 }
 
 
@@ -146,7 +145,7 @@ def test_a_device_without_one_of_its_parts_cannot_be_declared(missing):
         StageDevice(**{part: value for part, value in PARTS.items() if part != missing})
 
 
-@pytest.mark.parametrize("empty", ["driver", "title", "baudrate", "looks"])
+@pytest.mark.parametrize("empty", ["driver", "title", "baudrate", "probes"])
 def test_a_device_with_an_empty_part_cannot_be_declared(empty):
     with pytest.raises(ValueError, match=f"has no {empty}"):
         StageDevice(**PARTS | {empty: type(PARTS[empty])()})

@@ -11,7 +11,7 @@ from calrig.instruments import drivers
 from calrig.instruments.axis import Axis
 from calrig.instruments.device import recognise
 from calrig.instruments.errors import Halted, InstrumentError, StageError
-from calrig.instruments.scan import looks
+from calrig.instruments.scan import probes
 
 
 def make_stage(url, *, axis, baudrate):
@@ -94,7 +94,7 @@ def test_the_device_on_the_authors_page_is_opened_and_takes_part_in_a_scan(
     (tmp_path / "silent.txt").write_text("# calrig transcript of a port where nothing is said\n")
     drivers.open_stage("turntable", f"replay://{tmp_path / 'silent.txt'}").close()
     devices = drivers.known_devices()
-    assert (9600, b"S?\nS?\n") in [(look.baudrate, look.question) for look in looks(devices)]
+    assert (9600, b"S?\nS?\n") in [(probe.baudrate, probe.query) for probe in probes(devices)]
     found = recognise(b"S=STANDING\r\n", devices)
     assert (found.device.driver, found.identity.words) == ("turntable", "a turntable, standing")
 

@@ -229,7 +229,17 @@ def test_what_arrived_before_a_question_is_not_its_answer(controller, stage):
 
 @pytest.mark.parametrize(
     "damaged",
-    [b"1TP12", b"1TP12\r\n.5\r", b"P12.5\r\n", b"1TP1\x002.5\r\n", b"1TS00", b"x" * 1000, b"\x13", b""],
+    [
+        b"1TP12",
+        b"1TP12\r\n.5\r",
+        b"1TP12\r.5\r\n",
+        b"P12.5\r\n",
+        b"1TP1\x002.5\r\n",
+        b"1TS00",
+        b"x" * 1000,
+        b"\x13",
+        b"",
+    ],
 )
 def test_it_recovers_from_a_damaged_reply_within_one_command(controller, stage, damaged):
     controller.position = "-7.125"

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import errno
 import threading
+from types import SimpleNamespace
 
 import pytest
 from instrument_fakes import FakeBoard, Wire
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
-from simulated_devices import Counterpart, Uart, in_their_own_time
+from simulated_devices import Counterpart, Uart
 
 from calrig.instruments import scan as scanning
-from calrig.instruments.device import Identity, Look, StageDevice
+from calrig.instruments.device import Identity, Probe, StageDevice
 from calrig.instruments.drivers import known_devices
 from calrig.instruments.errors import PortError
 from calrig.instruments.ports import open_port
-from calrig.instruments.scan import converse, looks, scan
+from calrig.instruments.scan import converse, probes, scan
 
 
 @pytest.fixture(autouse=True)
@@ -41,13 +42,14 @@ def adapter(device, serial=None):
 
 
 class Parrot:
-    """A port in its own time, which passes as it is read; it says the same thing again and again."""
+    """A port whose clock goes on as it is read; it says the same thing again and again."""
 
     name = "test-port"
 
     def __init__(self, said: bytes = b"", baudrates: tuple[int, ...] = ()):
         self.said, self.baudrates = said, baudrates
         self.now_s = 0.0
+        self.clock = SimpleNamespace(now_s=lambda: self.now_s)
         self.baudrate = 9600
         self.events: list[tuple[float, object]] = []
 
@@ -63,37 +65,35 @@ class Parrot:
         return self.said if not self.baudrates or self.baudrate in self.baudrates else b""
 
 
-@pytest.fixture
-def told_of(monkeypatch):
-    in_their_own_time(monkeypatch)
-    return lambda port: converse(port, known_devices())
+def told_of(port):
+    return converse(port, known_devices())
 
 
-def test_a_port_where_nothing_answers_says_so_after_all_that_is_to_be_tried(told_of):
+def test_a_port_where_nothing_answers_says_so_after_all_that_is_to_be_tried():
     port = Parrot()
     assert told_of(port) == (None, 19200, "nothing answers: is the device switched on?")
-    assert port.now_s == pytest.approx(sum(look.listen_s for look in looks(known_devices())), abs=0.3)
+    assert port.now_s == pytest.approx(sum(probe.listen_s for probe in probes(known_devices())), abs=0.3)
     asked = [event for _, event in port.events if isinstance(event, bytes)]
-    assert asked == [look.question for look in looks(known_devices()) if look.question]
+    assert asked == [probe.query for probe in probes(known_devices()) if probe.query]
 
 
-def test_nothing_is_asked_while_it_is_listened(told_of):
+def test_nothing_is_asked_while_it_is_listened():
     port = Parrot()
     told_of(port)
-    first_question_s = next(at_s for at_s, event in port.events if isinstance(event, bytes))
-    assert first_question_s >= sum(look.listen_s for look in looks(known_devices()) if not look.question)
+    first_query_s = next(at_s for at_s, event in port.events if isinstance(event, bytes))
+    assert first_query_s >= sum(probe.listen_s for probe in probes(known_devices()) if not probe.query)
 
 
-def test_garbage_is_nobody(told_of):
+def test_garbage_is_nobody():
     assert told_of(Parrot(b"\xf0\x80\xff\r\n\x00"))[2] == "what it sends is no text at any baud rate tried"
 
 
-def test_a_device_that_no_driver_knows_is_quoted(told_of):
+def test_a_device_that_no_driver_knows_is_quoted():
     said = b"Failed to find MPU6050 chip\r\n"
     assert told_of(Parrot(said, (115200,)))[2] == "says 'Failed to find MPU6050 chip', which no driver knows"
 
 
-def test_a_device_that_is_known_is_asked_nothing_more_of_others(told_of):
+def test_a_device_that_is_known_is_asked_nothing_more_of_others():
     port = Parrot(b"ESP301 Version 3.0.1\r\n", (19200,))
     found, baudrate, _ = told_of(port)
     assert (found.device.driver, found.identity.words, baudrate) == ("esp301", "ESP301 Version 3.0.1", 19200)
@@ -103,13 +103,13 @@ def test_a_device_that_is_known_is_asked_nothing_more_of_others(told_of):
     assert not [event for _, event in port.events if isinstance(event, bytes)]
 
 
-def test_what_several_devices_say_alike_tells_none_of_them(told_of):
+def test_what_several_devices_say_alike_tells_none_of_them():
     shared = "MPU6050 connection successful"
     found, _, words = told_of(Parrot(f"{shared}\r\n".encode(), (38400,)))
     assert (found, words) == (None, f"says '{shared}', which no driver knows")
 
 
-def test_a_chain_of_zaber_devices_is_its_first_one_and_names_the_others(told_of):
+def test_a_chain_of_zaber_devices_is_its_first_one_and_names_the_others():
     said = b"@01 0 OK IDLE WR 0\r\n@02 0 OK IDLE -- 0\r\n@04 0 OK BUSY -- 0\r\n@01 0 OK IDLE WR 7.35\r\n"
     found, _, _ = told_of(Parrot(said, (115200,)))
     assert found.identity == Identity("at address 1, firmware 7.35, and behind it addresses 2, 4", 1)
@@ -122,23 +122,23 @@ def test_the_reset_of_a_slow_board_is_waited_for():
         title="our table",
         baudrate=300,
         opens=lambda url, *, axis, baudrate: None,
-        looks=(Look(300, 0.3), Look(9600, 0.1)),
-        says=lambda line: line == "TABLE 1",
+        probes=(Probe(300, 0.3), Probe(9600, 0.1)),
+        matches=lambda line: line == "TABLE 1",
         identity=lambda lines: Identity("one"),
-        then=b"",
+        version_query=b"",
     )
-    assert [(look.baudrate, look.listen_s) for look in looks([device])] == [(300, 2.3), (9600, 0.1)]
+    assert [(probe.baudrate, probe.listen_s) for probe in probes([device])] == [(300, 2.3), (9600, 0.1)]
 
 
 def test_devices_that_want_the_same_tried_have_it_tried_once():
-    per_look = [(look.baudrate, look.question) for look in looks(known_devices())]
+    per_look = [(probe.baudrate, probe.query) for probe in probes(known_devices())]
     assert len(set(per_look)) == len(per_look)
 
 
 @pytest.mark.parametrize(
     ("fault", "words"), [("hang", "nothing answers"), ("garbage", "which no driver knows")]
 )
-def test_a_stage_that_answers_nothing_to_the_letter_is_unknown(told_of, fault, words):
+def test_a_stage_that_answers_nothing_to_the_letter_is_unknown(fault, words):
     far = Counterpart("grbl")
     far.device.fault = fault
     found, _, said = told_of(Uart(far))

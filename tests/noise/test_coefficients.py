@@ -106,36 +106,23 @@ def test_recovery_in_90_and_invention_in_5_of_100_over_all_seeds(truth):
     assert false <= 0.05 * ALL_SEEDS
 
 
-def test_each_coefficient_has_its_unit():
-    rng = np.random.default_rng(1)
-    units = {}
-    for term, make in MAKERS.items():
-        found = named(found_in(make(rng, 1.0)))
-        assert list(found) == [term]
-        units[term] = found[term].unit
-    assert units == {
-        "quantisation": "g·s",
-        "white": "g·√s",
-        "flicker": "g",
-        "random_walk": "g/√s",
-        "ramp": "g/s",
-    }
-
-
-def test_they_are_what_the_curve_is_made_of():
-    """σ = √3·Q/τ, N/√τ, 0.664·B, K·√(τ/3), R·τ/√2, wherever the noise is of one kind."""
-    rng = np.random.default_rng(2)
-    sigma = {
-        "quantisation": lambda tau: math.sqrt(3.0) / tau,
-        "white": lambda tau: 1.0 / math.sqrt(tau),
-        "flicker": lambda tau: 0.664,
-        "random_walk": lambda tau: math.sqrt(tau / 3.0),
-        "ramp": lambda tau: tau / math.sqrt(2.0),
-    }
-    for term, make in MAKERS.items():
-        curve = allan_curve(even({"x": make(rng, 1.0)}, None, RATE_HZ), "x")
-        one = getattr(coefficients(curve, "g"), term)
-        assert curve.deviation[curve.tau_s == 1.0] == pytest.approx(one.value * sigma[term](1.0), rel=0.1)
+@pytest.mark.parametrize(
+    ("term", "unit", "sigma_at_1_s"),
+    [
+        ("quantisation", "g·s", math.sqrt(3.0)),
+        ("white", "g·√s", 1.0),
+        ("flicker", "g", 0.664),
+        ("random_walk", "g/√s", math.sqrt(1.0 / 3.0)),
+        ("ramp", "g/s", math.sqrt(0.5)),
+    ],
+)
+def test_each_has_its_unit_and_is_what_the_curve_is_made_of(term, unit, sigma_at_1_s):
+    """σ = √3·Q/τ, N/√τ, 0.664·B, K·√(τ/3), R·τ/√2, where the noise is of one kind."""
+    curve = allan_curve(even({"x": MAKERS[term](np.random.default_rng(2), 1.0)}, None, RATE_HZ), "x")
+    found = named(coefficients(curve, "g"))
+    assert list(found) == [term]
+    assert found[term].unit == unit
+    assert curve.deviation[curve.tau_s == 1.0] == pytest.approx(found[term].value * sigma_at_1_s, rel=0.1)
 
 
 def test_a_ramp_without_noise_is_exact():

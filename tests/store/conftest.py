@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support import lay_empty_store
 
 from calrig.store import Run, Store
 
@@ -22,7 +23,8 @@ def url(database: Path) -> str:
 
 
 @pytest.fixture
-def store(url: str) -> Iterator[Store]:
+def store(url: str, database: Path) -> Iterator[Store]:
+    lay_empty_store(database)
     with Store.open(url, writer="test") as opened:
         yield opened
 

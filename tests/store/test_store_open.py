@@ -92,7 +92,7 @@ def test_threads_share_a_store(store, new_run):
     written = threading.Event()
 
     def write(run_id: str) -> None:
-        for k in range(25):
+        for k in range(12):
             store.append_events(run_id, [("reading", {"k": k}), ("reading", {"k": k + 0.5})])
 
     def read() -> int:
@@ -114,7 +114,7 @@ def test_threads_share_a_store(store, new_run):
         assert all(job.result() > 0 for job in readers)
 
     for run in runs:
-        assert [event.seq for event in store.events_after(run.id)] == list(range(1, 102))
+        assert [event.seq for event in store.events_after(run.id)] == list(range(1, 50))
 
 
 def test_a_store_opened_for_reading_writes_nothing(store, url):

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support import lay_empty_store
 from test_store_migrations import later_program
 from test_store_open import python
 
@@ -32,6 +33,7 @@ def block(index: int, n: int = 500) -> SampleBlock:
 
 def filled(url: str, result: dict[str, Any] | None = None, poses: int = 20) -> str:
     """A run with poses, samples and events; its id."""
+    lay_empty_store(Path(url.removeprefix("sqlite:///")))
     with Store.open(url, writer="test") as store:
         run = store.create_run(unit="A", rig="r", plan={"step_deg": 5}, status="running", provenance={})
         for k in range(poses):

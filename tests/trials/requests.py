@@ -36,7 +36,7 @@ from tests.trials.counting import Count, Extent, none_of
 
 REQUESTS = 20_000
 A_ROUND = 24
-"""Requests to one path before the next one has its turn."""
+"""Requests to one path before the next one has its turn; fewer, where every path would not have two turns."""
 SELDOM = {"POST /api/rigs/scan": 8, "POST /api/runs/{run_id}/diagnosis": 200}
 """At most so many of all: a scan waits seven seconds for boards to answer, a diagnosis reckons long."""
 ANSWER_S = 60.0
@@ -98,11 +98,12 @@ def _asked(task: tuple[int, int, int]) -> _Asked:
         there = _There(client, random.Random(first_seed))
         schema = schemathesis.openapi.from_url(f"{client.base_url}/api/openapi.json")
         operations = [result.ok() for result in schema.get_all_operations()]
+        a_round = min(A_ROUND, max(n // (2 * len(operations)), 1))
         round_ = 0
         while sum(asked.statuses.values()) < n:
             for operation in operations:
                 mode = (GenerationMode.POSITIVE, GenerationMode.NEGATIVE)[round_ % 2]
-                few = A_ROUND
+                few = a_round
                 if operation.label in SELDOM:
                     left = SELDOM[operation.label] // workers * n * workers // REQUESTS
                     few = min(few, max(left, 1) - asked.seldom[operation.label])

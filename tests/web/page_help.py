@@ -1,26 +1,41 @@
-"""What the tests of the page share: runs measured and imported, and what is drawn of them."""
+"""What the tests of the page share: runs from files, and what is drawn of runs."""
 
 from __future__ import annotations
 
 import json
 
-from support import QUICK, ended
+import numpy as np
+
+BACKLASH_DEG = 0.3
+NOISE_DEG = 0.017
 
 
-def measured(client, unit, **plan):
-    """A run of a unit, measured to its end."""
-    started = client.post("/api/runs", json={"unit": unit, "plan": {**QUICK, **plan}}).raise_for_status()
-    return ended(client, started.json()["id"])
-
-
-def imported(client, unit, bias_deg=0.5, scale=1.01, poses=8):
+def imported(client, unit, bias_deg=0.5, scale=1.01, poses=8, **form):
     """A run of a unit from a file whose readings are bias + scale·θ and a little wobble."""
     lines = ["target_deg,reading_deg,reading_stderr_deg,temperature_c"]
     for k in range(poses):
         target = -40 + 80 * k / (poses - 1)
         lines.append(f"{target},{bias_deg + scale * target + 0.01 * (-1) ** k},0.01,{20 + k}")
+    return imported_lines(client, lines, unit, **form)
+
+
+def imported_lines(client, lines, unit="A", **form):
+    """A run from the lines of a CSV; `rig` and `operator` as in the form of an import."""
     files = {"file": ("poses.csv", "\n".join(lines).encode())}
-    return client.post("/api/imports", data={"unit": unit}, files=files).raise_for_status().json()
+    return client.post("/api/imports", data={"unit": unit, **form}, files=files).raise_for_status().json()
+
+
+def ambiguous_poses():
+    """Even steps up and down, every move as large as the last: backlash and settling are one thing here."""
+    noise = np.random.default_rng(0).normal(0, NOISE_DEG, 24)
+    there, back = range(-40, 61, 20), range(40, -61, -20)
+    targets = [*there, *back, *there, *back]
+    approach = [*[1] * 6, *[-1] * 6] * 2
+    shift = -BACKLASH_DEG / 2
+    poses = [
+        f"{x},{0.8 + x + shift * a + e:.4f},{a}" for x, a, e in zip(targets, approach, noise, strict=True)
+    ]
+    return ["target_deg,reading_deg,approach", "-60,-59.2,0", *poses]
 
 
 def readings(client, run_id):

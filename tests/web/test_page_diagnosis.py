@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from page_help import BACKLASH_DEG, NOISE_DEG, ambiguous_poses
+from page_help import imported_lines as imported
 
 pytestmark = pytest.mark.browser
 
 REFUSED = r"status of (409|422)"
-BACKLASH_DEG = 0.3
-NOISE_DEG = 0.017
 
 
 @pytest.fixture(scope="module")
@@ -18,23 +18,14 @@ def rig(launch_rig):
     return launch_rig(mechanics={"backlash_deg": BACKLASH_DEG})
 
 
-def imported(client, lines, unit="A", **form):
-    """A run from the lines of a CSV."""
-    files = {"file": ("poses.csv", "\n".join(lines).encode())}
-    return client.post("/api/imports", data={"unit": unit, **form}, files=files).raise_for_status().json()
-
-
-def ambiguous_poses():
-    """Even steps up and down, every move as large as the last: backlash and settling are one thing here."""
-    noise = np.random.default_rng(0).normal(0, NOISE_DEG, 24)
-    there, back = range(-40, 61, 20), range(40, -61, -20)
-    targets = [*there, *back, *there, *back]
-    approach = [*[1] * 6, *[-1] * 6] * 2
-    shift = -BACKLASH_DEG / 2
-    poses = [
-        f"{x},{0.8 + x + shift * a + e:.4f},{a}" for x, a, e in zip(targets, approach, noise, strict=True)
-    ]
-    return ["target_deg,reading_deg,approach", "-60,-59.2,0", *poses]
+def poses_with_backlash():
+    """Unequal steps, each as often from above as from below: nothing else looks like backlash here."""
+    rng = np.random.default_rng(2)
+    theta = rng.uniform(-60, 60, 40).round(1)
+    approach = np.sign(np.diff(theta, prepend=-60.0))
+    reading = 0.8 + theta - BACKLASH_DEG / 2 * approach + rng.normal(0, NOISE_DEG, 40)
+    poses = [f"{x},{y:.4f},{NOISE_DEG},{a:.0f}" for x, y, a in zip(theta, reading, approach, strict=True)]
+    return ["target_deg,reading_deg,reading_stderr_deg,approach", *poses]
 
 
 def unsettled_poses():
@@ -59,23 +50,16 @@ def is_drawn(page, chart):
 
 
 def test_a_run_is_traced_to_backlash_and_the_effect_put_in_force(page, client, service, go, expect):
-    go("#/")
-    page.fill("#unit", "MPU-1")
-    page.get_by_label("List", exact=True).check()
-    page.fill("#elevations_deg", "−60, −30, 0, 30, 60")
-    page.fill("#sweeps", "8")  # so that each fold has enough to find it in
-    page.fill("#settle_s", "0.3")
-    page.fill("#dwell_s", "0.6")
-    page.click("#start")
-    page.wait_for_url("**/#/runs/*")
-    expect(page.locator("#diagnosis")).to_be_hidden()
-    expect(page.locator("#status")).to_have_text("completed")
+    run = imported(client, poses_with_backlash(), unit="MPU-1", rig="bench-1")
+    go(f"#/runs/{run['id']}")
+    verdict = page.get_by_test_id("verdict")
+    expect(verdict).to_contain_text("More than noise is left.")
     page.click("#diagnose")
     effect = page.locator("[data-effect=backlash]")
     expect(effect).to_contain_text("Backlash of the stage")
     expect(page.get_by_test_id("diagnosis-verdict")).to_contain_text("backlash of the stage")
+    expect(verdict).to_contain_text("names backlash, which has not been accepted")
 
-    (run,) = client.get("/api/runs").json()["items"]
     found = client.get(f"/api/runs/{run['id']}/diagnosis").json()
     before, after = found["base"]["held_out_rms_deg"], found["final"]["held_out_rms_deg"]
     assert before > 2 * after
@@ -91,6 +75,7 @@ def test_a_run_is_traced_to_backlash_and_the_effect_put_in_force(page, client, s
     page.click("#accept-backlash")
     page.get_by_test_id("confirm").click()
     expect(effect).to_contain_text("belongs to the error map of rig bench-1")
+    expect(verdict).to_contain_text("Good: only noise is left.")
     assert [e.name for e in service.store.effects_in_force("MPU-1", "bench-1")] == ["backlash"]
     shown = effect.locator(".accepted")
     (kept,) = client.get(f"/api/runs/{run['id']}").json()["diagnosis"]["effects"]
@@ -129,13 +114,6 @@ def test_further_runs_of_the_unit_are_chosen_and_diagnosed_together(page, client
     page.click("#diagnose")
     expect(page.locator("#diagnosis-found")).to_contain_text(f"poses of run {shown['id']}:")
     assert client.get(f"/api/runs/{shown['id']}/diagnosis").json()["runs"] == [shown["id"]]
-
-
-def test_a_unit_with_one_run_has_none_to_diagnose_it_with(page, client, go, expect):
-    run = imported(client, noise_alone())
-    go(f"#/runs/{run['id']}")
-    page.locator("#together summary").click()
-    expect(page.locator("#together")).to_contain_text("no other completed run")
 
 
 def test_what_is_ambiguous_leads_to_the_run_that_separates_it(page, client, go, expect):
@@ -188,12 +166,14 @@ def test_an_effect_that_cannot_correct_later_runs_is_refused_saying_why(page, cl
     expect(page.locator("#ask-error")).to_contain_text("cannot correct later runs")
 
 
-def test_poses_too_few_to_diagnose_are_refused_with_the_reason_and_the_page_goes_on(
+def test_a_lone_run_of_too_few_poses_is_refused_with_the_reason_and_the_page_goes_on(
     page, client, go, expect, forgiven
 ):
     forgiven.append(REFUSED)
     run = imported(client, noise_alone()[:6])
     go(f"#/runs/{run['id']}")
+    page.locator("#together summary").click()
+    expect(page.locator("#together")).to_contain_text("no other completed run")
     page.click("#diagnose")
     expect(page.locator("#diagnosis-error")).to_contain_text("too few")
     expect(page.locator("#diagnose")).to_be_enabled()
@@ -212,23 +192,3 @@ def test_noise_alone_is_accused_of_nothing_and_an_error_map_needs_three_units(pa
     summary.click()
     expect(page.get_by_test_id("error-map-chart").locator(".plot-container")).to_be_visible()
     expect(page.locator("#error-map")).to_contain_text("common firmware")
-
-
-def test_a_diagnosis_fits_a_phone(page, client, go, expect):
-    run = imported(client, ambiguous_poses(), rig="bench-1")
-    client.post(f"/api/runs/{run['id']}/diagnosis", json={}).raise_for_status()
-    page.set_viewport_size({"width": 390, "height": 800})
-    go(f"#/runs/{run['id']}")
-    is_drawn(page, "effect-0")
-    page.locator("details").evaluate_all("all => all.forEach(one => (one.open = true))")
-    assert page.evaluate("document.documentElement.scrollWidth") <= 390
-
-
-def test_excluding_a_pose_says_that_the_diagnosis_is_of_before(page, client, go, expect):
-    run = imported(client, noise_alone())
-    client.post(f"/api/runs/{run['id']}/diagnosis", json={}).raise_for_status()
-    go(f"#/runs/{run['id']}")
-    page.get_by_role("button", name="Exclude pose 7").click()
-    page.fill("#reason", "bumped")
-    page.get_by_test_id("confirm").click()
-    expect(page.locator("#diagnosis-state")).to_contain_text("Diagnose again")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import httpx
 import pytest
-from page_help import measured
+from page_help import imported
 from support import LONG, serving
 
 from calrig.api.access import Access
@@ -68,7 +68,7 @@ def test_a_session_that_ends_while_a_run_is_watched_asks_again_and_the_run_is_th
 
 
 def test_what_is_taken_home_comes_with_the_session(page, client, go):
-    run = measured(client, "A")
+    run = imported(client, "A")
     go(f"#/runs/{run['id']}")
     log_in(page)
     with page.expect_download() as download:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from page_help import imported
+from page_help import ambiguous_poses, imported, imported_lines
 from support import LONG, ended, running_service, serving
 
 from calrig.settings import BoardSettings, RigSettings, StageSettings
@@ -26,22 +26,26 @@ DESK, PHONE = {"width": 1280, "height": 900}, {"width": 360, "height": 640}
 
 
 @pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
-def test_it_is_in_view_on_every_page_wherever_that_is_scrolled_to(page, client, go, expect, size):
-    run = imported(client, "A")
+def test_every_view_fits_and_has_it_in_view_wherever_that_is_scrolled_to(page, client, go, expect, size):
+    unit = "A-serial-number-that-is-" + "long-" * 12
+    run = imported_lines(client, ambiguous_poses(), unit, rig="bench-1")
+    client.post(f"/api/runs/{run['id']}/diagnosis", json={}).raise_for_status()
     page.set_viewport_size(size)
-    views = [
-        "#/",
-        f"#/runs/{run['id']}",
-        "#/units",
-        "#/units/A",
-        "#/compare?unit=A",
-        "#/noise",
-        "#/import",
-        "#/none",
-    ]
-    for view in views:
+    charts = {
+        "#/": 0,
+        f"#/runs/{run['id']}": 4,
+        "#/units": 0,
+        f"#/units/{unit}": 1,
+        f"#/compare?unit={unit}": 4,
+        "#/noise": 0,
+        "#/import": 0,
+        "#/none": 0,
+    }
+    for view, drawn in charts.items():
         go(view)
         expect(page.locator("h1")).to_be_visible()
+        expect(page.locator(".plot .plot-container")).to_have_count(drawn)
+        page.locator("details").evaluate_all("all => all.forEach(one => (one.open = true))")
         page.evaluate("scrollTo(0, document.body.scrollHeight)")
         button = page.locator("button.stop")
         expect(button).to_have_text("Stop bench-1")

@@ -1,6 +1,33 @@
-"""The catalogue of physical effects: what each adds to the reading and to every witness of it."""
+"""The catalogue of physical effects: each module is one, and says all there is to say of it."""
 
-from calrig.calibration.effects import process, sensor, stage
-from calrig.calibration.effects.shape import CATALOGUE, Effect, Shape
+from __future__ import annotations
 
-__all__ = ["CATALOGUE", "Effect", "Shape", "process", "sensor", "stage"]
+from importlib import import_module
+from pkgutil import iter_modules
+
+from calrig.calibration.effect import ApplyError, Effect, EffectError
+
+UNNAMED = "unnamed"
+
+
+def _registered(module: str) -> Effect:
+    """The effect that a module of this package binds; EffectError where it binds none of that name."""
+    effect = getattr(import_module(f"{__name__}.{module}"), "EFFECT", None)
+    if not isinstance(effect, Effect):
+        raise EffectError(f"{__name__}.{module} lacks EFFECT, the effect that it is there to describe")
+    if effect.name != module:
+        raise EffectError(f"{__name__}.{module} describes {effect.name!r}: name the module after the effect")
+    return effect
+
+
+EFFECTS: dict[str, Effect] = {found.name: _registered(found.name) for found in iter_modules(__path__)}
+"""Every effect by name, the shapes that have none among them."""
+CATALOGUE: tuple[Effect, ...] = tuple(effect for name, effect in EFFECTS.items() if name != UNNAMED)
+"""Every effect that calrig has physics for."""
+
+
+def effect_of(name: str) -> Effect:
+    """The effect of a name; ApplyError where this version knows none."""
+    if name not in EFFECTS:
+        raise ApplyError(f"the effect {name!r} is not in the catalogue of this version of calrig")
+    return EFFECTS[name]

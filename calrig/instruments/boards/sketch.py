@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from calrig.instruments.device import BoardDevice, Identity, Look
+from calrig.instruments.device import BoardDevice, Identity, Probe
 
 if TYPE_CHECKING:
     from calrig.instruments.boards.sketch_board import SketchBoard
@@ -105,8 +105,8 @@ def board_device(sketch: Sketch) -> BoardDevice:
         title=sketch.source,
         baudrate=sketch.baudrate,
         opens=opens,
-        looks=(Look(sketch.baudrate, sketch.heard_within_s),),
-        says=sketch.prints,
+        probes=(Probe(sketch.baudrate, sketch.heard_within_s),),
+        matches=sketch.prints,
         identity=identity,
-        then=b"",
+        version_query=b"",
     )

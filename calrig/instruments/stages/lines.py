@@ -15,25 +15,33 @@ DRAIN_S = 0.5
 COMING_S = 0.05
 """A line whose last byte came so lately is still coming: on a socket they are read one by one."""
 LINE_END = re.compile(rb"[\r\n]+")
+XOFF = b"\x13"
+XON_XOFF = b"\x11" + XOFF
 
 
 class LineWire:
-    """One controller's lines. A line ends with CR, LF or both; empty ones are nobody's.
+    """One controller's lines; empty ones are nobody's.
 
     One thread asks; any thread may halt. Software flow control is left off: commands are short and go one at
-    a time, and a stray XOFF must never be able to hold back a stop.
+    a time, and a stray XOFF must never be able to hold back a stop; it is counted as `flow_control`.
+
+    Args:
+        port: where the controller hangs.
+        faults: counts by kind.
+        end: what ends a line; without, CR, LF or both.
 
     Attributes:
         nul_seen: a NUL byte came, as when motor power is cut.
         halted: a stop was sent; no motion follows it.
     """
 
-    def __init__(self, port: Port, faults: Counter[str]) -> None:
+    def __init__(self, port: Port, faults: Counter[str], end: re.Pattern[bytes] = LINE_END) -> None:
         self.nul_seen = False
         self.halted = False
         self._port = port
         self._now_s = port.clock.now_s
         self._faults = faults
+        self._end = end
         self._tail = b""
         self._came_s = -math.inf
         self._sending = threading.Lock()
@@ -91,13 +99,16 @@ class LineWire:
 
     def _read(self) -> None:
         data = self._port.read_some()
+        if XOFF in data:
+            self._faults["flow_control"] += data.count(XOFF)
+        data = data.translate(None, XON_XOFF)
         self.nul_seen |= b"\0" in data
         self._tail += data
         if data:
             self._came_s = self._now_s()
 
     def _next(self) -> str | None:
-        while end := LINE_END.search(self._tail):
+        while end := self._end.search(self._tail):
             line, self._tail = self._tail[: end.start()], self._tail[end.end() :]
             if line := self._without_nul(line):
                 return line.decode("ascii", "replace")

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from calrig.instruments.boards.calrig.packets import IDENTITY, PacketDecoder
-from calrig.instruments.device import BoardDevice, Identity, Look
+from calrig.instruments.device import BoardDevice, Identity, Probe
 
 if TYPE_CHECKING:
     from calrig.instruments.boards.calrig.driver import CalrigBoard
@@ -32,7 +32,7 @@ def _document(text: str) -> dict[str, Any] | None:
     return said if isinstance(said, dict) else None
 
 
-def _says(text: str) -> bool:
+def _matches(text: str) -> bool:
     return _document(text) is not None
 
 
@@ -48,8 +48,8 @@ DEVICE = BoardDevice(
     title="calrig's own sketch, or anything that speaks its packets",
     baudrate=115200,
     opens=_open,
-    looks=(
-        Look(
+    probes=(
+        Probe(
             115200,
             0.5,
             b"ID\nID\n",
@@ -57,8 +57,8 @@ DEVICE = BoardDevice(
             "its number (error:2, nothing is done), a sketch heeds nothing or begins to measure",
         ),
     ),
-    says=_says,
+    matches=_matches,
     identity=_identity,
-    then=b"",
+    version_query=b"",
     messages=_identities,
 )

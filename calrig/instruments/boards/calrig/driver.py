@@ -10,15 +10,9 @@ from typing import Self
 from calrig.instruments.boards.calrig import DEVICE
 from calrig.instruments.boards.calrig.identity import read_identity
 from calrig.instruments.boards.calrig.mark import Mark
-from calrig.instruments.boards.calrig.packets import (
-    ACKNOWLEDGE,
-    FILTERED_SAMPLE,
-    IDENTITY,
-    SAMPLE,
-    PacketDecoder,
-)
+from calrig.instruments.boards.calrig.packets import ACKNOWLEDGE, IDENTITY, SAMPLES, PacketDecoder
 from calrig.instruments.boards.calrig.sample_stream import SampleStream
-from calrig.instruments.boards.calrig.words import NO_SENSOR, USELESS, why_none
+from calrig.instruments.boards.calrig.words import USELESS, why_none, why_useless
 from calrig.instruments.errors import BoardError, InstrumentError, PortError
 from calrig.instruments.ports import Port, open_port
 from calrig.instruments.types import BoardIdentity, Samples
@@ -189,9 +183,8 @@ class CalrigBoard:
             raise BoardError(
                 f"{self._name} did not acknowledge {line} in {ATTEMPTS * ANSWER_S:g} s: reset the board"
             )
-        kind, words = answer
-        if kind != ACKNOWLEDGE:
-            raise BoardError(f"{self._name} refused {line}: {words}")
+        if answer[0] != ACKNOWLEDGE:
+            raise BoardError(f"{self._name} refused {line}: {answer[1]}")
 
     def _listen(self) -> None:
         data = b""
@@ -214,7 +207,7 @@ class CalrigBoard:
                 self._may_be_late |= self._streaming
             self._heard_at = now
             self._n_bytes += len(data)
-            for are_samples, group in itertools.groupby(packets, _is_sample):
+            for are_samples, group in itertools.groupby(packets, lambda packet: packet[0] in SAMPLES):
                 if are_samples:
                     self._keep(list(group))
                 else:
@@ -295,21 +288,12 @@ class CalrigBoard:
         silent_s = now - (self._restarted_at if self._awaits_start else self._heard_at)
         if silent_s > max(ASK_AGAIN_S if self._is_reset else RESTART_S, 3 * self._period_s):
             self._start_again()
-        useless_s = now - self._valid_at
         since = self.faults - self._faults_then
-        refused = max(USELESS, key=lambda kind: since[kind])
-        went_on = since[refused] * self._period_s > USELESS_S / 2  # not just the last ones before a reset
-        if went_on and useless_s > max(USELESS_S, 3 * self._period_s):
-            why = NO_SENSOR if self._stream.reads_zero else USELESS[refused]
-        elif useless_s <= max(SILENCE_S, 3 * self._period_s):
+        refused_s = self._period_s * max(since[kind] for kind in USELESS)
+        went_on = refused_s > USELESS_S / 2  # not just the last ones before a reset
+        useless_s = now - self._valid_at
+        if useless_s <= max(USELESS_S if went_on else SILENCE_S, 3 * self._period_s):
             return
-        elif since["crc"] or since["unparsed"]:
-            why = "bytes come, but no packet is whole: check baud rate, cable and ground"
-        else:
-            why = "it is silent: check its power and cable"
+        why = why_useless(since, went_on=went_on, reads_zero=self._stream.reads_zero)
         words = f"; its last words were {self._last_words!r}" if self._last_words else ""
         raise BoardError(f"{self._name} has sent no usable sample for {useless_s:.1f} s: {why}{words}")
-
-
-def _is_sample(packet: bytes) -> bool:
-    return packet[0] in (SAMPLE, FILTERED_SAMPLE)

@@ -8,6 +8,7 @@ from collections import Counter
 from cobs import cobs  # type: ignore[import-untyped]
 
 IDENTITY, SAMPLE, ERROR, ACKNOWLEDGE, FILTERED_SAMPLE = 1, 2, 3, 4, 5
+SAMPLES = (SAMPLE, FILTERED_SAMPLE)
 ANY_LENGTH = 0
 LENGTHS = {
     IDENTITY: ANY_LENGTH,

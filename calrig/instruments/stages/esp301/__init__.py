@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from calrig.instruments.device import Identity, Look, StageDevice
+from calrig.instruments.device import Identity, Probe, StageDevice
 
 if TYPE_CHECKING:
     from calrig.instruments.stages.esp301.driver import Esp301
@@ -20,7 +20,7 @@ def _open(url: str, *, axis: int, baudrate: int | None) -> Esp301:
     return Esp301.open(url, axis=axis, baudrate=baudrate)
 
 
-def _says(line: str) -> bool:
+def _matches(line: str) -> bool:
     return VERSION.fullmatch(line) is not None
 
 
@@ -33,15 +33,15 @@ DEVICE = StageDevice(
     title="Newport ESP301",
     baudrate=19200,
     opens=_open,
-    looks=(
-        Look(
+    probes=(
+        Probe(
             19200,
             0.5,
             b"VE?\rVE?\r",
             harmless="asks for its version, the second time with nothing before it; others know no VE?",
         ),
     ),
-    says=_says,
+    matches=_matches,
     identity=_identity,
-    then=b"",
+    version_query=b"",
 )

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from calrig.instruments.device import Identity, Look, StageDevice
+from calrig.instruments.device import Identity, Probe, StageDevice
 from calrig.instruments.stages.grbl.words import BANNER, parse_report
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ def _open(url: str, *, axis: int, baudrate: int | None) -> Grbl:
     return Grbl.open(url, axis=axis, baudrate=baudrate)
 
 
-def _says(line: str) -> bool:
+def _matches(line: str) -> bool:
     return bool(BANNER.fullmatch(line) or VERSION.fullmatch(line) or parse_report(line))
 
 
@@ -37,15 +37,15 @@ DEVICE = StageDevice(
     title="an Arduino with a stepper shield and GRBL 1.1, a rotary table on one of its axes",
     baudrate=115200,
     opens=_open,
-    looks=(
-        Look(
+    probes=(
+        Probe(
             115200,
             0.4,
             b"?",
             harmless="asks for its status, told even while it moves; to all others it is no command",
         ),
     ),
-    says=_says,
+    matches=_matches,
     identity=_identity,
-    then=b"$I\n",
+    version_query=b"$I\n",
 )

@@ -29,7 +29,6 @@ from calrig.instruments.stages.lines import plain
 from calrig.instruments.types import StageIdentity, StageStatus
 
 WAKE_TIMEOUT_S = 3.0  # a boot loader listens for two before GRBL does
-MOST_LISTINGS = 6
 LOOKS_FOR_OFFSET = 24  # idle, GRBL adds its offset to every tenth report
 HOMING, SOFT_LIMITS, INCHES = 22, 20, 13
 DISABLED = {
@@ -232,38 +231,33 @@ class Grbl:
 
     def _learn(self, report: Report) -> Report:
         """Reads settings and offset, twice alike each, and whether the count can be an angle."""
-        last: dict[int, float] = {}
-        for _ in range(MOST_LISTINGS):
-            before, last = last, dict(self._wire.settings) if self._wire.fence() else {}
-            if last == before and {SOFT_LIMITS, HOMING, 110 + self._index} <= last.keys():
-                break
-        else:
+        settings = self._wire.settings_twice(SOFT_LIMITS, HOMING, 110 + self._index)
+        if not settings:
             raise StageError(f"{self._name} does not list its settings ($$) twice alike: check the cable")
-        if last.get(INCHES):
+        if settings.get(INCHES):
             raise StageError(f"{self._name} reports in inches: set $13=0, so that a unit is a degree")
         for _ in range(LOOKS_FOR_OFFSET):
             if self._count.offset_deg is not None or not report.machine:
                 break
             report = self._wire.look() or report
             self._count.hear_offset(report)
-        self._settings = last
-        if not last.get(HOMING) and not self._count.has_moved and report.state == "Idle":
+        self._settings = settings
+        if not settings.get(HOMING) and not self._count.has_moved and report.state == "Idle":
             self.faults["zero_not_homed"] = int(self._count.trust(report))
         return report
 
     def _heed(self) -> None:
         """Draws the consequences of what came unasked."""
-        wire = self._wire
-        if wire.resets != self._resets:
-            self._resets, self._modes_set, self._homing = wire.resets, False, False
+        if self._wire.resets != self._resets:
+            self._resets, self._modes_set, self._homing = self._wire.resets, False, False
             if self._count.has_moved:
                 self._count.lose("it was reset, and its count with it")
-        if wire.alarm is not None:
+        if self._wire.alarm is not None:
             self._homing = False
-            self._count.lose(alarm_words(wire.alarm))
-        if self._homing and wire.answers and wire.answers[-1] != "ok":
+            self._count.lose(alarm_words(self._wire.alarm))
+        if self._homing and self._wire.answers and self._wire.answers[-1] != "ok":
             self._homing = False
-            self._count.unreferenced = error_words(wire.answers[-1])
+            self._count.unreferenced = error_words(self._wire.answers[-1])
 
     def _status(self, report: Report) -> StageStatus:
         state = report.state

@@ -17,6 +17,7 @@ from calrig.instruments.stages.lines import LineWire
 REPLY_TIMEOUT_S = 0.5
 GLANCE_S = 0.1
 ATTEMPTS = 4
+MOST_LISTINGS = 6
 PERHAPS_DAMAGED = frozenset(
     f"error:{n}" for n in (1, 2, 3, 4, 11, 14, 20, 21, 22, 23, 24, 25, 26, 28, 31, 33, 36)
 )
@@ -120,6 +121,15 @@ class GrblWire:
             self.answers.pop()
         self._in_doubt |= not passed
         return passed
+
+    def settings_twice(self, *needed: int) -> dict[int, float]:
+        """The settings, listed twice alike and with those needed among them; {} where they never are."""
+        last: dict[int, float] = {}
+        for _ in range(MOST_LISTINGS):
+            before, last = last, dict(self.settings) if self.fence() else {}
+            if last == before and last.keys() >= {*needed}:
+                return last
+        return {}
 
     def restart(self) -> bool:
         """Resets the controller, which moves nothing; whether its banner came."""

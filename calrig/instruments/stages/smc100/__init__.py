@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from calrig.instruments.device import Identity, Look, StageDevice
+from calrig.instruments.device import Identity, Probe, StageDevice
 
 if TYPE_CHECKING:
     from calrig.instruments.stages.smc100.driver import Smc100
@@ -21,7 +21,7 @@ def _open(url: str, *, axis: int, baudrate: int | None) -> Smc100:
     return Smc100.open(url, axis=axis, baudrate=baudrate)
 
 
-def _says(line: str) -> bool:
+def _matches(line: str) -> bool:
     return bool(LIMIT.fullmatch(line) or VERSION.fullmatch(line))
 
 
@@ -35,15 +35,15 @@ DEVICE = StageDevice(
     title="Newport SMC100",
     baudrate=57600,
     opens=_open,
-    looks=(
-        Look(
+    probes=(
+        Probe(
             57600,
             0.5,
             b"1SL?\r\n1SL?\r\n",
             harmless="asks for its lower limit, the second time with nothing before it; others know no SL",
         ),
     ),
-    says=_says,
+    matches=_matches,
     identity=_identity,
-    then=b"1VE\r\n",
+    version_query=b"1VE\r\n",
 )

@@ -76,7 +76,7 @@ class Smc100:
         bits, code = self._must("TS", STATUS_FORM).groups()
         state, words = STATES[code.upper()]
         raised = [text for k, text in enumerate(ERROR_BITS) if int(bits, 16) >> k & 1]
-        if state == "disabled" and self._wire.nul_seen:
+        if state == "disabled" and self._wire.lines.nul_seen:
             raised.append("it sent a NUL byte, as it does when motor power is cut")
         return StageStatus(state, f"{words} ({', '.join(raised)})" if raised else words)
 
@@ -132,7 +132,7 @@ class Smc100:
         self._wire.close()
 
     def _enable(self) -> None:
-        self._wire.nul_seen = False
+        self._wire.lines.nul_seen = False
         self._command("MM1")
         deadline = self._now_s() + ENABLE_TIMEOUT_S
         while (status := self.status()).state == "disabled":

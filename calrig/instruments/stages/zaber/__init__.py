@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from calrig.instruments.device import Identity, Look, StageDevice
+from calrig.instruments.device import Identity, Probe, StageDevice
 
 if TYPE_CHECKING:
     from calrig.instruments.stages.zaber.driver import Zaber
@@ -20,7 +20,7 @@ def _open(url: str, *, axis: int, baudrate: int | None) -> Zaber:
     return Zaber.open(url, axis=axis, baudrate=baudrate)
 
 
-def _says(line: str) -> bool:
+def _matches(line: str) -> bool:
     return REPLY.fullmatch(line) is not None
 
 
@@ -40,8 +40,8 @@ DEVICE = StageDevice(
     title="Zaber rotary stages, through the maker's library: `pip install 'calrig[zaber]'`",
     baudrate=115200,
     opens=_open,
-    looks=(
-        Look(
+    probes=(
+        Probe(
             115200,
             0.3,
             b"ID\n/\n",
@@ -49,7 +49,7 @@ DEVICE = StageDevice(
             "GRBL drops the `/`, and an empty line is none",
         ),
     ),
-    says=_says,
+    matches=_matches,
     identity=_identity,
-    then=b"/get version\n",
+    version_query=b"/get version\n",
 )

@@ -1,0 +1,281 @@
+"""What an effect is: all there is to say of one, in the parts that every consumer asks for.
+
+An effect is one module of `calrig.calibration.effects`, which binds `EFFECT = Effect(...)`. Search, report,
+correction, C header, figures, the page and the rule of acceptance know no effect by name.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from calrig.calibration.responses import READING, Responses
+from calrig.estimation.angles import FloatArray
+
+Origin = Literal["sensor", "stage", "mounting", "process", "environment", "unknown"]
+Scope = Literal["unit", "rig", "run"]
+Parameters = Mapping[str, float]
+"""Values by the contract's names."""
+Documents = dict[str, dict[str, float | None] | None]
+"""Parameters of a diagnosis: `{"value": …, "std": …}` by name."""
+
+ORIGINS: dict[Origin, str] = {
+    "sensor": "the sensor",
+    "stage": "the stage",
+    "mounting": "the mounting",
+    "process": "the procedure",
+    "environment": "the surroundings",
+    "unknown": "not known",
+}
+HIDDEN = ("pose",)
+"""Places that serve the search alone and are in no document."""
+
+
+class EffectError(TypeError):
+    """An effect lacks a part; the message names effect and part."""
+
+
+class ApplyError(ValueError):
+    """An effect cannot be applied: unknown, without a parameter or a covariate it needs, or not to invert."""
+
+
+@dataclass(frozen=True, slots=True)
+class Covariate:
+    """What an effect is a function of.
+
+    Attributes:
+        name: as documents have it (CONTRACT section 5).
+        title: in words, as an axis of a figure.
+        unit: empty where it has none.
+        of: (n,) the column in some poses; None where they lack it.
+    """
+
+    name: str
+    title: str
+    unit: str
+    of: Callable[[Responses], FloatArray | None]
+
+
+APPROACH = Covariate("approach", "approach", "", lambda r: r.approach)
+ELEVATION = Covariate("target_deg", "elevation", "°", lambda r: r.theta_deg)
+TEMPERATURE = Covariate("temperature_c", "temperature", "°C", lambda r: r.temperature_c)
+TIME = Covariate("time_s", "time", "s", lambda r: r.time_s)
+LAST_MOVE = Covariate("move_deg", "last move", "°", lambda r: r.move_deg)
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A parameter of an effect; `unit` None is that of the covariate, whatever it is.
+
+    Attributes:
+        flag: 1 or absent, and said in the evidence: nothing to show as a number.
+    """
+
+    name: str
+    title: str
+    unit: str | None
+    flag: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """One form an effect takes in some poses: its columns, linear in the parameters named.
+
+    Attributes:
+        shares: (n,) or (n, p) per channel.
+        parameters: names of the first columns' coefficients; further columns are the witnesses' own.
+        form: which of the effect's forms, where it has several.
+        at: parameters that are not coefficients: found by scanning, or a reference.
+        scanned: whether the search chose the place among many.
+        family: candidates whose maximum is judged together; the effect's own where it is scanned.
+        covariate: where it is not the effect's.
+        replaces: a base column that the effect's own column takes the place of.
+        says: what is to be said of this form beside the effect's name.
+        part_of: the form with all parameters, where this one has some of them.
+    """
+
+    shares: Mapping[str, FloatArray]
+    parameters: tuple[str, ...]
+    form: str = ""
+    at: Parameters = field(default_factory=dict)
+    scanned: bool = False
+    family: str = ""
+    covariate: str = ""
+    replaces: str | None = None
+    says: str = ""
+    part_of: str = ""
+
+    @property
+    def stated(self) -> frozenset[str]:
+        """Names of the parameters that a document has of it."""
+        return frozenset({*self.parameters, *self.at} - set(HIDDEN))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Circumstances:
+    """What effects are functions of, beside the elevation: (n,) each, None where not known.
+
+    Attributes:
+        approach: +1, −1; 0 where unknown, to which backlash adds nothing.
+        move_deg: θ less the pose before's; NaN for a run's first pose, to which a move adds nothing.
+        time_s: without it a slip has happened: the unit stands as it stood last.
+        kappa: share of a gyro scale error times the move that the filter still shows.
+    """
+
+    approach: FloatArray | None = None
+    temperature_c: FloatArray | None = None
+    time_s: FloatArray | None = None
+    move_deg: FloatArray | None = None
+    velocity_dps: FloatArray | None = None
+    kappa: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Applied:
+    """An effect's parameters at n elevations; what it needs and has not is missed by name."""
+
+    effect: str
+    parameters: Parameters
+    theta_deg: FloatArray
+    given: Circumstances
+
+    def value(self, name: str, default: float | None = 0.0) -> float:
+        """A parameter; ApplyError where it is absent and has no default."""
+        found = self.parameters.get(name, default)
+        if found is None:
+            raise ApplyError(f"the effect {self.effect} needs its parameter {name}")
+        return found
+
+    def column(self, name: str) -> FloatArray:
+        """(n,) one of the circumstances; ApplyError where it is not known of every pose."""
+        values: FloatArray | None = getattr(self.given, name)
+        if values is None:
+            raise ApplyError(f"the effect {self.effect} needs {name} of every pose")
+        return values
+
+    def sin_cos(self) -> tuple[FloatArray, FloatArray]:
+        """Sine and cosine of θ."""
+        angle = np.radians(self.theta_deg)
+        return np.sin(angle), np.cos(angle)
+
+    def turn_deg(self, error_y: FloatArray | float, error_z: float) -> FloatArray:
+        """Angle by which errors of a_y and a_z (g) turn the measured vector (0, s + δ, c + ε)."""
+        s, c = self.sin_cos()
+        across, along = error_y * c - error_z * s, 1.0 + error_y * s + error_z * c
+        return np.asarray(np.degrees(np.arctan2(across, along)), dtype=np.float64)
+
+    def warmer_c(self) -> FloatArray:
+        """Temperature less the effect's reference."""
+        return self.column("temperature_c") - self.value("reference_c", None)
+
+    def moved_deg(self) -> FloatArray:
+        """The last move; 0 where it is not known."""
+        return np.asarray(np.nan_to_num(self.column("move_deg"), nan=0.0), dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class NotFlown:
+    """Why an effect has no term in flight software."""
+
+    reason: str
+
+
+def linear(shape: Shape, beta: FloatArray, covariance: FloatArray) -> Documents:
+    """Coefficients as they are, with their standard errors."""
+    return {
+        name: {"value": float(beta[k]), "std": math.sqrt(max(float(covariance[k, k]), 0.0))}
+        for k, name in enumerate(shape.parameters)
+    }
+
+
+def amplitude_and_phase(_shape: Shape, beta: FloatArray, covariance: FloatArray) -> Documents:
+    """A·sin(x + φ) of b₀·sin x + b₁·cos x, with errors by the law of propagation."""
+    amplitude = float(np.hypot(*beta))
+    along = beta / amplitude
+    across = np.array([-along[1], along[0]])
+    return {
+        "amplitude_deg": {"value": amplitude, "std": math.sqrt(float(along @ covariance @ along))},
+        "phase_deg": {
+            "value": math.degrees(math.atan2(beta[1], beta[0])),
+            "std": math.degrees(math.sqrt(float(across @ covariance @ across)) / amplitude),
+        },
+    }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Effect:
+    """One entry of the catalogue.
+
+    Attributes:
+        name, origin, covariate: as CONTRACT section 5 has them.
+        title: for a heading.
+        scope: what it stays with: the unit (flown), the rig (its error map), or no more than one run.
+        parameters: those of its documents, in their order.
+        formula: what is added to the reading, as text.
+        forms: the forms it takes in any poses with some of its parameters given: scanned places and
+            references are taken from there where they are, else from the poses. None where the poses cannot
+            show it. Coefficients among the parameters are ignored: they are fitted.
+        on_reading_deg: (n,) the formula, exact where the forms are linear.
+        in_c: its C expression in degrees of `theta`, its sine and cosine `s` and `c`, and `temperature_c`.
+        apart: what separates it from its look-alikes.
+        remedy: what a person can do about it.
+        scan: the places that the search tries; without it one, of no parameters.
+        refine: the shape at the best place near a leading one's, in the poses given (the leading one may be
+            of more), by a shape's criterion.
+        reported: a document's parameters from coefficients and their covariance.
+        evidence: sentences about a shape in these poses.
+        follows: offered only once this effect is in the model.
+    """
+
+    name: str
+    title: str
+    origin: Origin
+    scope: Scope
+    covariate: Covariate
+    parameters: tuple[Parameter, ...]
+    formula: str
+    forms: Callable[[Responses, Parameters], Iterator[Shape]]
+    on_reading_deg: Callable[[Applied], FloatArray]
+    in_c: Callable[[Parameters], str] | NotFlown
+    apart: str
+    remedy: str
+    scan: Callable[[Responses], Iterator[Parameters]] | None = None
+    refine: Callable[[Responses, Shape, Callable[[Shape], float]], Shape] | None = None
+    reported: Callable[[Shape, FloatArray, FloatArray], Documents] = linear
+    evidence: Callable[[Responses, Shape], list[str]] = lambda _r, _shape: []
+    follows: str | None = None
+
+    def __post_init__(self) -> None:
+        for part in dataclasses.fields(self):
+            required = part.default is dataclasses.MISSING
+            if required and getattr(self, part.name) in ("", (), None):
+                raise EffectError(f"the effect {self.name!r} lacks its {part.name}")
+        if isinstance(self.in_c, NotFlown) and not self.in_c.reason:
+            raise EffectError(f"the effect {self.name!r} lacks the reason why it is not flown")
+
+    def shapes(self, r: Responses) -> Iterator[Shape]:
+        """Every form at every place that the search considers in these poses."""
+        for at in ({},) if self.scan is None else self.scan(r):
+            yield from self.forms(r, at)
+
+    def documented(self, shape: Shape, beta: FloatArray, covariance: FloatArray) -> dict[str, Any]:
+        """A document's `parameters`: what was fitted with its standard error, and what was not without."""
+        found: dict[str, Any] = dict(self.reported(shape, beta, covariance))
+        for name, value in shape.at.items():
+            if name not in HIDDEN:
+                found[name] = {"value": float(value), "std": None}
+        return found
+
+
+def size_deg(shape: Shape, beta: FloatArray, covariance: FloatArray) -> dict[str, float | None]:
+    """Peak to peak of what a shape adds to the reading, over its poses, with its standard error."""
+    columns = shape.shares[READING].reshape(-1, len(beta))
+    fitted = columns @ beta
+    swing = columns[int(np.argmax(fitted))] - columns[int(np.argmin(fitted))]
+    variance = max(float(swing @ covariance @ swing), 0.0)
+    return {"value": float(fitted.max() - fitted.min()), "std": math.sqrt(variance)}

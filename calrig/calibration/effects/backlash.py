@@ -1,0 +1,30 @@
+"""Play between motor and table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from calrig.calibration.effect import APPROACH, Effect, NotFlown, Parameter, Parameters, Shape
+from calrig.calibration.effect_terms import turned
+from calrig.calibration.responses import Responses
+
+
+def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
+    if r.approach is not None and {-1.0, 1.0} <= set(r.approach):
+        yield Shape(turned(r, r.approach / 2.0), ("backlash_deg",))
+
+
+EFFECT = Effect(
+    name="backlash",
+    title="Backlash of the stage",
+    origin="stage",
+    scope="rig",
+    covariate=APPROACH,
+    parameters=(Parameter("backlash_deg", "Hysteresis (up − down)", "°"),),
+    formula="backlash_deg/2·approach",
+    forms=_forms,
+    on_reading_deg=lambda p: p.value("backlash_deg") / 2.0 * p.column("approach"),
+    in_c=NotFlown("it belongs to the rig's stage"),
+    apart="random order tells it from settling, reversals smaller than it from hysteresis of the mount",
+    remedy="approach every elevation from the same side, or take up the play with a spring or a second gear",
+)

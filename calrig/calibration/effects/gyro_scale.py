@@ -1,0 +1,32 @@
+"""The gyro's own scale error, as far as the filter still shows it in the dwell after a move."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calrig.calibration.effect import LAST_MOVE, Effect, NotFlown, Parameter, Parameters, Shape
+from calrig.calibration.responses import MOVE, READING, Responses
+
+
+def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
+    if MOVE in r.channels and np.abs(r.move_deg).max() > 0.0:
+        moved = r.move_deg / 100.0
+        yield Shape({READING: r.kappa * moved, MOVE: moved}, ("gain_pct",), replaces=f"{MOVE}.gain")
+
+
+EFFECT = Effect(
+    name="gyro_scale",
+    title="Scale error of the gyro",
+    origin="sensor",
+    scope="unit",
+    covariate=LAST_MOVE,
+    parameters=(Parameter("gain_pct", "Gain error", "%"),),
+    formula="κ·gain_pct/100·move, κ what the filter still shows of the move's error in the dwell",
+    forms=_forms,
+    on_reading_deg=lambda p: p.column("kappa") * p.value("gain_pct") / 100.0 * p.moved_deg(),
+    in_c=NotFlown("it is seen only after a move: a standing unit needs no correction for it"),
+    apart="the gyro's own integral over the move is wrong by the same factor",
+    remedy="correct the gyro's scale in the filter, or settle longer",
+)

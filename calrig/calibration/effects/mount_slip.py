@@ -1,0 +1,70 @@
+"""A slip of the mount at one instant, between two moves or during one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calrig.calibration.effect import TIME, Applied, Effect, Parameter, Parameters, Shape
+from calrig.calibration.effect_terms import c_literal, tilted, turned
+from calrig.calibration.responses import MOVE, Responses
+from calrig.estimation.angles import FloatArray
+
+EDGE_POSES = 3
+"""A slip needs this many poses on either side: fewer are outliers."""
+MOST_INSTANTS = 150
+"""Beyond so many poses not every gap is tried: a slip is then placed to within a pose or two."""
+
+
+def _scan(r: Responses) -> Iterator[Parameters]:
+    if r.time_s is None:
+        return
+    for k in range(EDGE_POSES, len(r) - EDGE_POSES + 1, 1 + len(r) // MOST_INSTANTS):
+        if not r.starts[k]:
+            yield {"at_s": float((r.time_s[k - 1] + r.time_s[k]) / 2.0), "pose": float(k)}
+
+
+def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
+    order = np.arange(len(r))
+    for k in _first_after(r, at):
+        after = (order >= k).astype(float)
+        here = {"at_s": at["at_s"], "pose": float(k)}
+        yield Shape(tilted(after), ("step_deg",), form="between moves", at=here, scanned=True)
+        if MOVE in r.channels:
+            yield Shape(turned(r, after), ("step_deg",), form="during a move", at=here, scanned=True)
+
+
+def _first_after(r: Responses, at: Parameters) -> list[int]:
+    """The poses before which it happened: of each run that was under way, or of the one known."""
+    if r.time_s is None or "at_s" not in at:
+        return []
+    early, late = r.time_s[:-1] <= at["at_s"], r.time_s[1:] >= at["at_s"]
+    found = [int(k) + 1 for k in np.flatnonzero(early & late & ~r.starts[1:])]
+    if "pose" in at and found:
+        return [min(found, key=lambda k: abs(k - at["pose"]))]
+    return found
+
+
+def _on_reading_deg(p: Applied) -> FloatArray:
+    step = np.full(len(p.theta_deg), p.value("step_deg"))
+    if p.given.time_s is None:
+        return step
+    return np.asarray(step * (p.given.time_s > p.value("at_s", None)), dtype=np.float64)
+
+
+EFFECT = Effect(
+    name="mount_slip",
+    title="Slip of the mount",
+    origin="mounting",
+    scope="run",
+    covariate=TIME,
+    parameters=(Parameter("step_deg", "Step (after − before)", "°"), Parameter("at_s", "At", "s")),
+    formula="step_deg where t > at_s, else 0",
+    forms=_forms,
+    scan=_scan,
+    on_reading_deg=_on_reading_deg,
+    in_c=lambda p: c_literal(p.get("step_deg", 0.0)),  # it has happened: the whole step stays
+    apart="a step at one instant; lost steps of the stage look the same until it is homed again",
+    remedy="tighten the mount and repeat; poses before and after do not belong together",
+)

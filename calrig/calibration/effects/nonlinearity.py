@@ -1,0 +1,48 @@
+"""An a_y that is not linear, so that the angle is wrong by a polynomial of θ: a_y by that over cos θ."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calrig.calibration.effect import ELEVATION, Effect, Parameter, Parameters, Shape
+from calrig.calibration.effect_terms import DEG, c_literal, one_or_both, turns
+from calrig.calibration.responses import Responses
+
+STEEPEST_DEG = 80.0
+"""Beyond it a_y says next to nothing of the angle, and tan θ nothing of a_y."""
+
+
+def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
+    if turns(r):
+        angle = np.stack([r.theta_deg**2, r.theta_deg**3], 1)
+        # an error of a_y that turns the angle by f lengthens the vector by f·tan θ
+        tangent = np.tan(np.radians(np.clip(r.theta_deg, -STEEPEST_DEG, STEEPEST_DEG)))
+        yield from one_or_both(angle, angle / DEG * tangent[:, None], ("deg_per_deg2", "deg_per_deg3"))
+
+
+def _in_c(p: Parameters) -> str:
+    square, cube = (c_literal(p.get(name, 0.0)) for name in ("deg_per_deg2", "deg_per_deg3"))
+    return f"({square} + {cube} * theta) * theta * theta"
+
+
+EFFECT = Effect(
+    name="nonlinearity",
+    title="Nonlinearity of the accelerometer",
+    origin="sensor",
+    scope="unit",
+    covariate=ELEVATION,
+    parameters=(
+        Parameter("deg_per_deg2", "Quadratic coefficient", "°/°²"),
+        Parameter("deg_per_deg3", "Cubic coefficient", "°/°³"),
+    ),
+    formula="deg_per_deg2·θ² + deg_per_deg3·θ³",
+    forms=_forms,
+    on_reading_deg=lambda p: (
+        p.value("deg_per_deg2") * p.theta_deg**2 + p.value("deg_per_deg3") * p.theta_deg**3
+    ),
+    in_c=_in_c,
+    apart="|accelerometer| changes as the error of the angle times tan θ",
+    remedy="correct the angle by the polynomial",
+)

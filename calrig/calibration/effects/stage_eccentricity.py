@@ -1,0 +1,42 @@
+"""A scale or a mount off the stage's axis of rotation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calrig.calibration.effect import (
+    ELEVATION,
+    Effect,
+    NotFlown,
+    Parameter,
+    Parameters,
+    Shape,
+    amplitude_and_phase,
+)
+from calrig.calibration.effect_terms import sin_cos, turned, turns, wave_deg
+from calrig.calibration.responses import Responses
+
+
+def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
+    if turns(r):
+        s, c = sin_cos(r)
+        yield Shape(turned(r, np.stack([s, c], 1)), ("amplitude_deg", "phase_deg"))
+
+
+EFFECT = Effect(
+    name="stage_eccentricity",
+    title="Eccentricity of the stage",
+    origin="stage",
+    scope="rig",
+    covariate=ELEVATION,
+    parameters=(Parameter("amplitude_deg", "Amplitude", "°"), Parameter("phase_deg", "Phase", "°")),
+    formula="amplitude_deg·sin(θ + phase_deg)",
+    forms=_forms,
+    on_reading_deg=lambda p: wave_deg(p, p.theta_deg / 360.0),
+    in_c=NotFlown("it belongs to the rig's stage"),
+    apart="the gyro feels it and |accelerometer| does not; a unit turned by 90° on the stage keeps it",
+    remedy="re-centre the scale or the mount on the axis, or correct by the rig error map",
+    reported=amplitude_and_phase,
+)

@@ -1,0 +1,76 @@
+"""A package that turns with temperature, or an offset of the chip that moves.
+
+Where |accelerometer| shows that it is the y axis's offset (`of_axis_y` is 1), it falls with cos θ.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from calrig.calibration.effect import TEMPERATURE, Applied, Effect, Parameter, Parameters, Shape
+from calrig.calibration.effect_terms import (
+    DEG,
+    c_literal,
+    c_turn,
+    c_warmer,
+    of_temperature,
+    sin_cos,
+    tilted,
+    turns,
+    warmer_c,
+)
+from calrig.calibration.responses import NORM, Responses
+from calrig.estimation.angles import FloatArray
+
+
+def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
+    found = warmer_c(r, at)
+    if found is None:
+        return
+    warmer, reference_c = found
+    yield from of_temperature(r, warmer, "deg_per_c", {"reference_c": reference_c})
+    if NORM in r.channels and turns(r):
+        s, c = sin_cos(r)
+        yield Shape(
+            {**tilted(warmer * c), NORM: warmer * s / DEG},
+            ("deg_per_c",),
+            form="axis_y",
+            at={"reference_c": reference_c, "of_axis_y": 1.0},
+            says="an offset of the accelerometer's y axis moves: what it adds falls with cos θ",
+        )
+
+
+def _on_reading_deg(p: Applied) -> FloatArray:
+    turn_deg = p.value("deg_per_c") * p.warmer_c()
+    return p.turn_deg(np.radians(turn_deg), 0.0) if p.value("of_axis_y") else turn_deg
+
+
+def _in_c(p: Parameters) -> str:
+    deg_per_c = p.get("deg_per_c", 0.0)
+    if not p.get("of_axis_y"):
+        return f"{c_literal(deg_per_c)} * {c_warmer(p)}"
+    y = f"{c_literal(math.radians(deg_per_c))} * {c_warmer(p)}"
+    return c_turn(f"{y} * c", f"{y} * s")
+
+
+EFFECT = Effect(
+    name="temperature_bias",
+    title="Bias that follows temperature",
+    origin="sensor",
+    scope="unit",
+    covariate=TEMPERATURE,
+    parameters=(
+        Parameter("deg_per_c", "Temperature coefficient", "°/°C"),
+        Parameter("reference_c", "Reference temperature", "°C"),
+        Parameter("of_axis_y", "Of the y axis", "", flag=True),
+    ),
+    formula="β = deg_per_c·(T − reference_c); with of_axis_y, atan2(β·cos θ, 1 + β·sin θ), β in radians",
+    forms=_forms,
+    on_reading_deg=_on_reading_deg,
+    in_c=_in_c,
+    apart="a second warm-up, or cooling back, tells temperature from time",
+    remedy="wait until the unit is warm, or correct by its own thermometer",
+)

@@ -1,0 +1,32 @@
+"""A drift in time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calrig.calibration.effect import TIME, Effect, NotFlown, Parameter, Parameters, Shape
+from calrig.calibration.effect_terms import tilted
+from calrig.calibration.responses import Responses
+
+
+def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
+    if r.time_s is not None and np.ptp(r.time_s) > 0.0:
+        yield Shape(tilted(r.time_s - r.time_s.min()), ("deg_per_s",))
+
+
+EFFECT = Effect(
+    name="time_drift",
+    title="Drift in time",
+    origin="environment",
+    scope="run",
+    covariate=TIME,
+    parameters=(Parameter("deg_per_s", "Rate", "°/s"),),
+    formula="deg_per_s·t",
+    forms=_forms,
+    on_reading_deg=lambda p: p.value("deg_per_s") * p.column("time_s"),
+    in_c=NotFlown("it says nothing of a time after its run"),
+    apart="goes on when the temperature does not, and does not come back with it",
+    remedy="measure a reference elevation between sweeps and take the drift out",
+)

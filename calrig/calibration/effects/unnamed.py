@@ -1,0 +1,135 @@
+"""Structure that no catalogue entry explains, against any covariate: smooth, kink, step, cycle in time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from calrig.calibration.effect import (
+    Applied,
+    ApplyError,
+    Covariate,
+    Documents,
+    Effect,
+    NotFlown,
+    Parameter,
+    Parameters,
+    Shape,
+    size_deg,
+)
+from calrig.calibration.effect_terms import tilted, turned, turns
+from calrig.calibration.responses import MOVE, Responses
+from calrig.estimation.angles import FloatArray
+
+KNOTS = (3, 5)
+PLACES = np.linspace(0.06, 0.94, 23)
+FEWEST_VALUES = 8
+MOST_CYCLES = 60.0
+"""A run is searched for cycles in time up to this many, or as many as its poses can show."""
+Shares = Callable[[FloatArray], Mapping[str, FloatArray]]
+
+
+def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
+    """Every covariate's flexible shapes; whoever knows the place of one takes the nearest."""
+    if turns(r):
+        yield from _of_one(r.theta_deg, "target_deg", tilted)
+        if MOVE in r.channels:  # without a gyro to feel it, a stage's shape is the same thing again
+            stage = _of_one(r.theta_deg, "target_deg", lambda f: turned(r, f))
+            yield from (replace(shape, form=f"{shape.form}, of the stage") for shape in stage)
+    if r.temperature_c is not None and np.ptp(r.temperature_c) > 0.0:
+        yield from _of_one(r.temperature_c, "temperature_c", tilted)
+    for name, column in r.covariates.items():
+        yield _shape(tilted((column - column.mean()) / column.std()), name, "linear")
+        yield from _of_one(column, name, tilted)
+    if r.time_s is not None and np.ptp(r.time_s) > 0.0:
+        for count in KNOTS:
+            yield _shape(tilted(natural_spline(r.time_s, count)), "time_s", f"smooth {count}")
+        yield from _cycles(r, r.time_s)
+
+
+def _shape(
+    shares: Mapping[str, FloatArray], covariate: str, form: str, at: Parameters | None = None
+) -> Shape:
+    kind = "cycle" if form == "cycle" else ""
+    return Shape(
+        shares,
+        ("size_deg",),
+        form=form,
+        at=at or {},
+        scanned=at is not None,
+        family=f"unnamed {covariate} {kind}",
+        covariate=covariate,
+    )
+
+
+def _of_one(z: FloatArray, name: str, seen_by: Shares) -> Iterator[Shape]:
+    values = len(np.unique(z))
+    for count in KNOTS:
+        if values > count + 1:
+            yield _shape(seen_by(natural_spline(z, count)), name, f"smooth {count}")
+    if values < FEWEST_VALUES:
+        return
+    for place in np.unique(np.quantile(z, PLACES)):
+        at = {"at": float(place)}
+        yield _shape(seen_by(np.maximum(z - place, 0.0) / np.ptp(z)), name, "kink", at)
+        yield _shape(seen_by((z >= place).astype(float)), name, "step", at)
+
+
+def _cycles(r: Responses, time_s: FloatArray) -> Iterator[Shape]:
+    span = float(np.ptp(time_s))
+    most = min(0.45 * len(r), MOST_CYCLES)
+    for frequency in np.arange(1.0 / span, most / span, 1.0 / (3.0 * span)):
+        phase = 2.0 * np.pi * frequency * time_s
+        waves = np.stack([np.sin(phase), np.cos(phase)], axis=1)
+        yield _shape(tilted(waves), "time_s", "cycle", {"period": float(1.0 / frequency)})
+
+
+def natural_spline(z: FloatArray, count: int) -> FloatArray:
+    """(n, ≤ count) basis of the natural cubic splines with knots at quantiles, the constant left out.
+
+    Hastie, Tibshirani & Friedman, The Elements of Statistical Learning, equations 5.4 and 5.5.
+    """
+    u = (z - z.min()) / np.ptp(z)
+    knots = np.unique(np.quantile(u, np.linspace(0.0, 1.0, count + 1)))
+    if len(knots) < 3:
+        return np.asarray(u[:, None], dtype=np.float64)
+    last = knots[-1]
+
+    def bend(k: int) -> FloatArray:
+        cubes = np.maximum(u - knots[k], 0.0) ** 3 - np.maximum(u - last, 0.0) ** 3
+        return np.asarray(cubes / (last - knots[k]), dtype=np.float64)
+
+    straightened = [bend(k) - bend(len(knots) - 2) for k in range(len(knots) - 2)]
+    return np.asarray(np.column_stack([u, *straightened]), dtype=np.float64)
+
+
+def _reported(shape: Shape, beta: FloatArray, covariance: FloatArray) -> Documents:
+    return {"size_deg": size_deg(shape, beta, covariance), "period": None, "at": None}
+
+
+def _on_reading_deg(p: Applied) -> FloatArray:
+    raise ApplyError(f"the effect {p.effect!r} has no formula of its own that could be applied")
+
+
+EFFECT = Effect(
+    name="unnamed",
+    title="Structure without a name",
+    origin="unknown",
+    scope="run",
+    covariate=Covariate("any column", "any column", "", lambda _r: None),
+    parameters=(
+        Parameter("size_deg", "Size (peak to peak)", "°"),
+        Parameter("period", "Period", None),
+        Parameter("at", "At", None),
+    ),
+    formula="a smooth curve, kink, step or cycle that no effect of the catalogue explains",
+    forms=_forms,
+    on_reading_deg=_on_reading_deg,
+    in_c=NotFlown("it has no formula of its own that a header could hold"),
+    reported=_reported,
+    evidence=lambda _r, shape: [f"shape: {shape.form}; no effect of the catalogue explains it as well"],
+    apart="what the column stands for, once somebody has looked",
+    remedy="look at what changes with this column",
+)

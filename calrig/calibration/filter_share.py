@@ -1,0 +1,79 @@
+"""What the filter still shows, in the dwell, of a gyro scale error over the move before it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from calrig.calibration.pose import Filtering, Pose
+from calrig.estimation.angles import FloatArray
+from calrig.estimation.kalman import KalmanNoise
+from calrig.estimation.steady import steady_gain
+
+SETTLE_S = 1.0
+"""Where a pose does not say how long it settled: the default of a plan."""
+FORGOTTEN = 1e-9
+MOST_SAMPLES = 1_000_000
+SHORTEST_MOVE_S = 1e-3
+
+
+def filter_share(poses: Sequence[Pose]) -> FloatArray:
+    """(n,) κ of each pose: an error of the gyro of 1 % adds κ·1 % of the last move to its reading.
+
+    A gyro that is wrong by g errs by g·rate(t) during the move. With h the steady filter's response from rate
+    to angle (`SteadyGain`), T the move's duration, s and d settling and dwell, and the error spread evenly:
+
+        κ = 1/(T·d) ∫₀ᵀ dτ ∫ₛ^(s+d) dt h(t + τ)
+
+    How long a move took is what lies between two dwells beside settling; without times it is a jump. The
+    constants of the filter, rate and dwell are those that the poses know (`Pose.filtering`), else the
+    contract's.
+    """
+    known = [pose.filtering or Filtering() for pose in poses]
+    settle_s = np.array([SETTLE_S if pose.settle_s is None else pose.settle_s for pose in poses])
+    dwell_s = np.array([_dwell_s(pose, f) for pose, f in zip(poses, known, strict=True)])
+    move_s = _move_s(poses, settle_s, dwell_s)
+    share = np.empty(len(poses))
+    for noise, rate_hz in {(f.noise, f.rate_hz) for f in known}:
+        of_filter = np.array([(f.noise, f.rate_hz) == (noise, rate_hz) for f in known])
+        share[of_filter] = _share(noise, rate_hz, settle_s[of_filter], dwell_s[of_filter], move_s[of_filter])
+    return share
+
+
+def _dwell_s(pose: Pose, filtering: Filtering) -> float:
+    if pose.filtering is not None and pose.n_samples:
+        return pose.n_samples / filtering.rate_hz  # a dwell may end early
+    return filtering.dwell_s
+
+
+def _move_s(poses: Sequence[Pose], settle_s: FloatArray, dwell_s: FloatArray) -> FloatArray:
+    """(n,) how long each move took, no less than `SHORTEST_MOVE_S`."""
+    times = np.array([np.nan if pose.time_s is None else pose.time_s for pose in poses])
+    between = np.diff(times, prepend=np.nan) - settle_s - (dwell_s + np.roll(dwell_s, 1)) / 2.0
+    return np.maximum(np.nan_to_num(between, nan=0.0), SHORTEST_MOVE_S)
+
+
+def _share(
+    noise: KalmanNoise, rate_hz: float, settle_s: FloatArray, dwell_s: FloatArray, move_s: FloatArray
+) -> FloatArray:
+    from scipy.signal import lfilter
+
+    gain = steady_gain(noise, 1.0 / rate_hz)
+    slowest = max(np.abs(np.roots(gain.denominator)))
+    remembered = math.log(FORGOTTEN) / math.log(slowest) if slowest < 1.0 else math.inf
+    longest_s = float((settle_s + dwell_s + move_s).max())
+    samples = int(min(remembered, longest_s * rate_hz, MOST_SAMPLES)) + 2
+    impulse = np.zeros(samples)
+    impulse[0] = 1.0 - gain.k_angle
+    response = lfilter([1.0, -1.0], gain.denominator, impulse)
+    twice = np.cumsum(np.cumsum(response)) / rate_hz**2
+    at = np.arange(1, samples + 1) / rate_hz
+
+    def integral(t: FloatArray) -> FloatArray:
+        return np.asarray(np.interp(t, at, twice, left=0.0), dtype=np.float64)
+
+    end_s = settle_s + dwell_s
+    area = integral(end_s + move_s) - integral(end_s) - integral(settle_s + move_s) + integral(settle_s)
+    return np.asarray(area / (move_s * dwell_s), dtype=np.float64)
