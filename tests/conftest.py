@@ -14,12 +14,17 @@ from typing import Any
 
 import httpx
 import pytest
+from hypothesis import HealthCheck, settings
 from support import QUICK, fast, known_as, running_service, serving
 
 from calrig.plan import Plan
 from calrig.settings import RigSettings
 from calrig.simulator.rig import SimulatedRig
 from calrig.simulator.virtual_clock import VirtualClock
+
+# A busy machine is no failure.
+settings.register_profile("calrig", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("calrig")
 
 LaunchRig = Callable[..., RigSettings]
 MOST_SPEED = 10.0

@@ -13,7 +13,6 @@ from calrig.errors import printable
 STATUS = {
     "calrig.errors.WorkError": 1,
     "calrig.errors.InputError": 2,
-    "calrig.plan_file.PlanFileError": 2,
     "calrig.settings.SettingsError": 2,
     "calrig.store.errors.StoreError": 1,
     "calrig.analysis.errors.RunsError": 1,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -12,10 +13,13 @@ from calrig.errors import InputError
 if TYPE_CHECKING:
     from calrig.calibration.pose import Pose
     from calrig.export.static_csv import StaticLog
+    from calrig.plan import Plan
 
 LARGEST_LOG = 1_500_000_000
 """Bytes; more than a day at 200 Hz."""
 LARGEST_POSES = 50_000_000
+LARGEST_PLAN = 1_000_000
+"""Bytes: ten thousand elevations take a tenth of them."""
 
 
 def names_a_file(source: str) -> bool:
@@ -66,3 +70,36 @@ def read_log_file(
         )
     except CsvError as error:
         raise InputError(f"{file}: {error}") from error
+
+
+def read_plan_file(file: Path) -> Plan:
+    """A plan as JSON; a mistake in it is told by line and column."""
+    from pydantic import ValidationError
+
+    from calrig.plan import Plan
+
+    try:
+        text = read_bytes(file, LARGEST_PLAN).decode("utf-8-sig")
+        return Plan.model_validate(json.loads(text))
+    except UnicodeDecodeError as error:
+        raise InputError(f"{file}: is not UTF-8 text (byte {error.start})") from error
+    except json.JSONDecodeError as error:
+        raise InputError(f"{file}, line {error.lineno}, column {error.colno}: {error.msg}") from error
+    except RecursionError as error:
+        raise InputError(f"{file}: is nested too deeply for a plan") from error
+    except ValidationError as error:
+        problem = error.errors()[0]
+        reason = problem["msg"].removeprefix("Value error, ")
+        if not problem["loc"]:
+            raise InputError(f"{file}: {reason}") from error
+        key = str(problem["loc"][0])
+        raise InputError(f"{file}{_place_of_key(text, key)}: {key}: {reason}") from error
+
+
+def _place_of_key(text: str, key: str) -> str:
+    """`, line 3, column 5` of a key; those of a plan are not nested, so that the first one found is it."""
+    at = text.find(json.dumps(key, ensure_ascii=False))
+    if at < 0:
+        return ""
+    before = text[:at]
+    return f", line {before.count(chr(10)) + 1}, column {at - before.rfind(chr(10))}"

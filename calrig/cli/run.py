@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from calrig.cli.input_files import read_plan_file
 from calrig.cli.options import Config, Db, Json, Record, Rig, UnitSerial
 from calrig.errors import InputError, WorkError
 
@@ -41,10 +42,9 @@ def run(
     from calrig.cli.local_service import local_service
     from calrig.cli.progress import run_bar
     from calrig.plan import Plan
-    from calrig.plan_file import read_plan
     from calrig.settings import load_settings, store_url
 
-    the_plan = read_plan(plan) if plan else Plan()
+    the_plan = read_plan_file(plan) if plan else Plan()
     settings = load_settings(config)
     chosen = _rig_named(settings, rig)
     with local_service(store_url(db), "run", (chosen,), settings, record) as service:

@@ -35,7 +35,9 @@ def test_a_serial_number_is_no_markup_and_what_is_not_known_is_said(capsys):
         ("bias_deg", "bias_std_deg", "scale", "scale_std", "rms_raw_deg", "rms_calibrated_deg", "noise_deg")
     )
     result |= {"gyro": number, "temperature_c": None, "reference": None, "n_poses": 3}
-    output.print_result(SimpleNamespace(id="1", unit="[red]AS-1[/red]", rig="bench-1", result=result))
+    output.print_result(
+        SimpleNamespace(id="1", unit="[red]AS-1[/red]", rig="bench-1", result=result, verdict=None)
+    )
     shown = capsys.readouterr().out
     assert "unit [red]AS-1[/red] on bench-1" in shown
     assert "not known" in shown

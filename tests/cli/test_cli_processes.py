@@ -158,13 +158,3 @@ def test_a_service_that_was_killed_leaves_no_device_behind_and_a_run_that_says_s
     calrig("run", "--unit", "B", status=1)  # whoever writes next; its rig is not plugged in
     with Store.open(f"sqlite:///{bench / 'calrig.db'}", writer=None) as store:
         assert store.run(run_id).status == "interrupted"
-
-
-def test_a_store_that_another_process_holds_says_by_whom(folder):
-    with Store.open(f"sqlite:///{folder / 'calrig.db'}", writer="serve"):
-        command = [*CALRIG, "import", "poses.csv", "--unit", "A"]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout) == (1, "")
-    (said,) = done.stderr.splitlines()
-    assert f"process {os.getpid()}" in said
-    assert "calrig serve" in said

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 
 import pytest
@@ -47,6 +48,13 @@ def test_a_store_that_is_none_is_1(folder):
     assert "elsewhere.db" in reason("export", "1", "--db", "elsewhere.db", status=1)
     assert "calrig.db" in reason("backup", "copy.db", status=1)
     assert list(folder.glob("copy.db*")) == []
+
+
+def test_a_store_that_is_being_written_is_1_and_says_by_whom(folder):
+    with Store.open(f"sqlite:///{folder / 'calrig.db'}", writer="serve"):
+        said = reason("import", "poses.csv", "--unit", "A", status=1)
+    assert "calrig serve" in said
+    assert f"process {os.getpid()}" in said
 
 
 def test_a_backup_of_an_idle_store_is_the_store(folder):

@@ -1,16 +1,12 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import settings
 from instrument_fakes import FakeBoard, FakeSmc100
 
 from calrig.instruments.boards.calrig.driver import CalrigBoard
 from calrig.instruments.stages.smc100 import driver as smc100
 from calrig.instruments.stages.smc100 import wire as smc100_wire
 from calrig.instruments.stages.smc100.driver import Smc100
-
-settings.register_profile("no deadline", deadline=None)  # a busy machine is no failure
-settings.load_profile("no deadline")
 
 
 @pytest.fixture(autouse=True)
