@@ -9,8 +9,8 @@ import numpy as np
 
 from calrig.calibration.pose import Filtering, Pose
 from calrig.estimation.angles import FloatArray
+from calrig.estimation.gains import steady_state_gain
 from calrig.estimation.kalman import KalmanNoise
-from calrig.estimation.steady import steady_gain
 
 SETTLE_S = 1.0
 """Where a pose does not say how long it settled: the default of a plan."""
@@ -23,7 +23,8 @@ def filter_share(poses: Sequence[Pose]) -> FloatArray:
     """(n,) κ of each pose: an error of the gyro of 1 % adds κ·1 % of the last move to its reading.
 
     A gyro that is wrong by g errs by g·rate(t) during the move. With h the steady filter's response from rate
-    to angle (`SteadyGain`), T the move's duration, s and d settling and dwell, and the error spread evenly:
+    to angle (`SteadyStateGain`), T the duration of the move, s and d settling and dwell, and the error spread
+    evenly:
 
         κ = 1/(T·d) ∫₀ᵀ dτ ∫ₛ^(s+d) dt h(t + τ)
 
@@ -60,7 +61,7 @@ def _share(
 ) -> FloatArray:
     from scipy.signal import lfilter
 
-    gain = steady_gain(noise, 1.0 / rate_hz)
+    gain = steady_state_gain(noise, 1.0 / rate_hz)
     slowest = max(np.abs(np.roots(gain.denominator)))
     remembered = math.log(FORGOTTEN) / math.log(slowest) if slowest < 1.0 else math.inf
     longest_s = float((settle_s + dwell_s + move_s).max())
