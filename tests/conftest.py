@@ -23,7 +23,10 @@ from calrig.simulator.rig import SimulatedRig
 from calrig.simulator.virtual_clock import VirtualClock
 
 # A busy machine is no failure.
-settings.register_profile("calrig", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile(
+    "calrig", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True
+)
+settings.register_profile("explore", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("calrig")
 
 LaunchRig = Callable[..., RigSettings]

@@ -127,6 +127,19 @@ def test_a_stream_is_what_the_rules_make_of_it_sample_by_sample(stream, blocks):
     assert (np.diff(block.time_s) > 0).all()
 
 
+def test_a_sample_from_long_ago_is_repeated_however_the_stream_is_cut():
+    """Two long gaps, then the first sample once more: its seq lies ahead of the last the nearer way round."""
+    stream = [(seq % 2**16, seq * PERIOD_US % 2**32, living(k)) for k, seq in enumerate((0, 30_000, 60_000))]
+    stream.insert(2, stream[0])
+    bodies = [body(*record) for record in stream]
+    for cut in range(len(bodies) + 1):
+        faults = Counter()
+        decoder = SampleStream(MPU, RATE_HZ, faults)
+        taken = Samples.join([decoder.push(part) for part in (bodies[:cut], bodies[cut:])])
+        assert len(taken) == 3
+        assert faults == {"sequence_gap": 2 * 29_999, "repeated": 1}
+
+
 @pytest.mark.parametrize("jump_us", [-PERIOD_US, 60_000, -60_000, 500_000, -500_000, 2**31])
 def test_a_clock_jump_costs_one_sample_and_time_goes_on(jump_us):
     stream = [body(k, k * PERIOD_US + (jump_us if k >= 5 else 0), living(k)) for k in range(10)]

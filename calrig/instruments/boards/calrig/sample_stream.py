@@ -97,9 +97,12 @@ class SampleStream:
         steps = (np.diff(rows[:, SEQ]) + 2**15) % 2**16 - 2**15  # the nearer way round
         if (steps == 1).all():
             return rows, steps
-        position = np.concatenate([[0], np.cumsum(steps)])
-        ahead = np.concatenate([[True], position[1:] > np.maximum.accumulate(position)[:-1]])
-        steps = np.diff(position[ahead])
+        ahead = np.ones(len(rows), dtype=bool)
+        last = int(rows[0, SEQ])
+        for k, seq in enumerate(rows[1:, SEQ].tolist(), start=1):  # each held against the last that counted
+            ahead[k] = 0 < (seq - last + 2**15) % 2**16 - 2**15
+            last = seq if ahead[k] else last
+        steps = (np.diff(rows[ahead, SEQ]) + 2**15) % 2**16 - 2**15
         self._count("repeated", len(rows) - int(ahead.sum()))
         self._count("sequence_gap", int((steps - 1).sum()))
         return rows[ahead], steps
