@@ -90,7 +90,7 @@ def test_each_serial_number_has_a_guard_of_its_own():
     assert len(guards) == 3
 
 
-def test_a_stages_error_is_never_flown():
+def test_a_stages_error_is_never_applied_in_flight():
     backlash = ("backlash", {"backlash_deg": 0.08})
     gyro = ("gyro_scale", {"gain_pct": 0.5})
 
@@ -130,6 +130,6 @@ def test_parameters_with_their_standard_errors_are_taken_too():
         ),
     ],
 )
-def test_what_cannot_be_flown_is_refused(changes, error, says):
+def test_what_cannot_be_applied_in_flight_is_refused(changes, error, says):
     with pytest.raises(error, match=says):
         c_header(document(**changes))
