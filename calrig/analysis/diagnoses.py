@@ -10,8 +10,8 @@ from calrig.analysis.results import refitted
 from calrig.analysis.stored_runs import counted_poses, runs_together, stored_run
 from calrig.calibration.diagnosis import trace
 from calrig.calibration.effects import EFFECTS
-from calrig.calibration.partial_residuals import Traced, partial_residuals
-from calrig.calibration.responses import DiagnosisError
+from calrig.calibration.partial_residuals import PartialResidual, partial_residuals
+from calrig.calibration.pose import DiagnosisError
 from calrig.store import AcceptedEffect, Run, Store
 
 
@@ -59,7 +59,7 @@ class Diagnoses:
             raise Unknown(f"run {run_id} has not been diagnosed")
         return found
 
-    def partial_residuals(self, run_id: str) -> list[Traced]:
+    def partial_residuals(self, run_id: str) -> list[PartialResidual]:
         """Each effect of a run's last diagnosis in the poses it rests on, those of them that still count.
 
         Raises:

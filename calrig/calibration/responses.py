@@ -14,9 +14,8 @@ import numpy.typing as npt
 
 from calrig.calibration.filter_share import filter_share
 from calrig.calibration.fit import reading_error_deg
-from calrig.calibration.pose import Pose
+from calrig.calibration.pose import DiagnosisError, Pose
 from calrig.calibration.pose_columns import (
-    DiagnosisError,
     column_of,
     complete,
     covariates_of,
@@ -24,19 +23,6 @@ from calrig.calibration.pose_columns import (
     same,
 )
 from calrig.estimation.angles import FloatArray
-
-__all__ = [
-    "ANGLE",
-    "MOVE",
-    "NORM",
-    "READING",
-    "SCALE_UNIT_DEG",
-    "STAGE",
-    "BoolArray",
-    "DiagnosisError",
-    "Responses",
-    "responses_of",
-]
 
 BoolArray = npt.NDArray[np.bool_]
 
