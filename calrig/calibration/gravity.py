@@ -8,7 +8,13 @@ from typing import Any
 import numpy as np
 
 from calrig.calibration.fit import rms
-from calrig.calibration.gravity_model import GravityFit, Problem, fit_gravity, undetermined_base, unseen_pairs
+from calrig.calibration.gravity_model import (
+    GravityFit,
+    Problem,
+    fit_gravity,
+    undetermined_base,
+    undetermined_pairs,
+)
 from calrig.calibration.gravity_search import FoundEffect, leave_one_out, poses_needed, search
 from calrig.calibration.static_detector import GravityError, StillPoses, still_poses
 from calrig.estimation.angles import FloatArray
@@ -84,7 +90,7 @@ def calibrate_by_gravity(
 def trace_gravity(
     poses: StillPoses, *, seed: int = 0, bootstraps: int = BOOTSTRAPS, warnings: tuple[str, ...] = ()
 ) -> Gravity:
-    """Fits bias and scale to still poses, then finds what they lack through a gate on the whole search.
+    """Fits bias and scale to still poses, then finds what they lack through a gate with family-wise p-values.
 
     Raises:
         GravityError: too few poses, or poses that do not determine bias and scale.
@@ -95,7 +101,7 @@ def trace_gravity(
     base = fit_gravity(problem)
     final, found = search(problem, base, rng, bootstraps)
     before, after = leave_one_out(problem, rng)
-    return Gravity(poses, base, final, found, before, after, (*warnings, *_unseen(problem, base)))
+    return Gravity(poses, base, final, found, before, after, (*warnings, *_undetermined(problem, base)))
 
 
 def gravity_document(gravity: Gravity) -> dict[str, Any]:
@@ -171,9 +177,9 @@ def _both_ways(axes: set[str]) -> str:
     return ", ".join(f"{axis} up and {axis} down" for axis in sorted(axes))
 
 
-def _unseen(problem: Problem, base: GravityFit) -> list[str]:
+def _undetermined(problem: Problem, base: GravityFit) -> list[str]:
     """What these poses cannot show, in words."""
-    pairs = unseen_pairs(problem, base)
+    pairs = undetermined_pairs(problem, base)
     said = []
     if pairs:
         said.append(

@@ -244,8 +244,8 @@ def undetermined_base(poses: StillPoses) -> list[str]:
     return [name for name, share in zip(names, blind, strict=True) if share > BLIND_SHARE]
 
 
-def unseen_pairs(problem: Problem, base: GravityFit) -> list[str]:
-    """Pairs of axes whose misalignment these poses cannot see, such as `xy`."""
+def undetermined_pairs(problem: Problem, base: GravityFit) -> list[str]:
+    """Pairs of axes whose misalignment these poses do not determine, such as `xy`."""
     columns = problem.design([e for e in EFFECTS if e.name == MISALIGNMENT])
     _, seen = linearised(problem.raw_g, columns, base.beta)
     basis, _ = np.linalg.qr(base.jacobian)

@@ -21,7 +21,7 @@ def diagnose(
     db: Db = None,
 ) -> None:
     """Trace the residual after bias and scale to the physical effects behind it."""
-    from calrig.calibration.responses import DiagnosisError
+    from calrig.calibration.pose import DiagnosisError
     from calrig.cli import output
 
     files = [source for source in sources if names_a_file(source)]
