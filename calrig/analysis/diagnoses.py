@@ -24,14 +24,14 @@ class Diagnoses:
     def trace(self, run_id: str, more: Sequence[str] = ()) -> dict[str, Any]:
         """Diagnoses a run, together with more runs of its unit; the document is kept with the run.
 
-        Raises: as `traced`.
+        Raises: as `diagnose`.
         """
-        found = self.traced(run_id, more)
+        found = self.diagnose(run_id, more)
         _keep_accepted(stored_run(self._store, run_id).diagnosis, found)
         self._store.update_run(run_id, diagnosis=found)
         return found
 
-    def traced(self, run_id: str, more: Sequence[str] = ()) -> dict[str, Any]:
+    def diagnose(self, run_id: str, more: Sequence[str] = ()) -> dict[str, Any]:
         """The diagnosis of a run, together with more runs of its unit and those it follows on.
 
         Raises:

@@ -173,7 +173,7 @@ def log_noise(
     accel_range_g: Range = None,
     gyro_range_dps: Range = None,
 ) -> dict[str, Any]:
-    """The sensor lay still. Nothing is stored."""
+    """The sensor was at rest. Nothing is stored."""
     name, log = _read(file, accel_range_g, gyro_range_dps)
     try:
         found = analyse(log.channels, log.time_s, rate_hz)
@@ -196,7 +196,7 @@ def log_filters(
     accel_range_g: Range = None,
     gyro_range_dps: Range = None,
 ) -> dict[str, Any]:
-    """The sensor lay still and was turned about its x axis. Nothing is stored."""
+    """The sensor was at rest and was turned about its x axis. Nothing is stored."""
     name, log = _read(file, accel_range_g, gyro_range_dps)
     try:
         found = study_filters(log.channels, log.time_s, rate_hz)

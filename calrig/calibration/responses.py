@@ -205,7 +205,7 @@ class _Channels:
         """Lets the first pose of each run lie where it will: the move into it is not known.
 
         It may have been a long one that had not settled, in the filter or the mount, from either side of the
-        play or none at all: one pose would then speak for an effect that all the others deny.
+        backlash or none at all: one pose would then speak for an effect that all the others deny.
         """
         for run in range(self._runs if self.turns else 0):
             first = (self._starts & (self._run_index == run)).astype(float)

@@ -78,7 +78,7 @@ def analyse(
     rate_hz: float | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Noise:
-    """Analyses a log of a sensor that lies still.
+    """Analyses a log of a sensor at rest.
 
     Where the log has accel_y and accel_z of one unit, the elevation of each sample, atan2(y, z), is analysed
     as one more channel.
@@ -140,7 +140,7 @@ def _elevation_axes(log: UniformLog) -> tuple[FloatArray, FloatArray] | None:
 
 
 def static_elevation_deg(accel_y: FloatArray, accel_z: FloatArray) -> FloatArray:
-    """(N,) elevation atan2(y, z) in degrees of a sensor that lies still, without a jump at ±180°."""
+    """(N,) elevation atan2(y, z) in degrees of a sensor at rest, without a jump at ±180°."""
     middle_deg = float(np.degrees(np.arctan2(accel_y.mean(), accel_z.mean())))
     elevation_deg = np.arctan2(accel_y, accel_z)
     np.degrees(elevation_deg, out=elevation_deg)
