@@ -16,7 +16,7 @@ import numpy as np
 
 from calrig.calibration.candidates import Candidate, documented_forms
 from calrig.calibration.correction import numbers_of
-from calrig.calibration.effects import EFFECTS
+from calrig.calibration.effects import EFFECTS, covariate_of
 from calrig.calibration.noise_model import fit
 from calrig.calibration.outliers import without_outliers
 from calrig.calibration.pose import DiagnosisError, Pose
@@ -97,7 +97,7 @@ def _forms(r: Responses, document: Document) -> list[Candidate]:
 
 
 def _column(r: Responses, covariate: str) -> FloatArray:
-    known = next((e.covariate for e in EFFECTS.values() if e.covariate.name == covariate), None)
+    known = covariate_of(covariate)
     column = r.covariates.get(covariate) if known is None else known.of(r)
     if column is None:
         raise DiagnosisError(f"these poses have no {covariate}: diagnose them again")

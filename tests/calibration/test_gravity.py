@@ -1,4 +1,4 @@
-"""Gravity as the reference: static poses, bias and scale, misalignment, and nothing where there is nothing."""
+"""Gravity as the reference: static poses, bias, scale, misalignment, and nothing where there is nothing."""
 
 from __future__ import annotations
 

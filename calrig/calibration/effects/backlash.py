@@ -26,5 +26,5 @@ EFFECT = Effect(
     on_reading_deg=lambda p: p.value("backlash_deg") / 2.0 * p.column("approach"),
     in_c=NotInFlight("it belongs to the rig's stage"),
     apart="random order tells it from settling, reversals smaller than it from hysteresis of the mount",
-    remedy="approach every elevation from the same side, or take up the backlash with a spring or a second gear",
+    remedy="approach every elevation from the same side, or preload the gear with a spring",
 )
