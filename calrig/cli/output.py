@@ -43,7 +43,7 @@ def _rows_of(result: dict[str, Any]) -> Iterable[tuple[str, ...]]:
     yield "scale", *(_number(value, "", 6) for value in scale)
     yield "RMS raw", _number(result["rms_raw_deg"], "°")
     yield "RMS calibrated", _number(result["rms_calibrated_deg"], "°")
-    yield "noise of one reading", _number(result["noise_deg"], "°")
+    yield "standard error of a reading", _number(result["noise_deg"], "°")
     yield "poses", str(result["n_poses"])
     lowest, highest = (_number(temperature[end], " °C", 1) for end in ("min", "max"))
     yield "temperature", f"{lowest} to {highest}"
@@ -79,20 +79,18 @@ def print_ports(found: Sequence[Found], stanza: str) -> None:
         )
         for one in found
     )
-    _print_table(("port", "what", "driver", "who", "USB", "serial number"), rows, justify="left")
+    _print_table(("port", "device", "driver", "identity", "USB", "serial number"), rows, justify="left")
     if stanza:
         _print(f"for calrig.toml:\n\n{stanza.rstrip()}")
 
 
 def print_diagnosis(found: dict[str, Any]) -> None:
     """Prints a diagnosis: verdict, each effect with parameters and evidence, the error before and after."""
+    from calrig.calibration.effects import EFFECTS
+
     _print(f"{found['verdict']}: {found['final']['model']}", style="bold")
     for effect in found["effects"]:
-        rivals = f", or {', '.join(effect['confusable_with'])}" if effect["confusable_with"] else ""
-        _print(f"\n{effect['name']}{rivals} ({effect['verdict']}; {effect['origin']})")
-        _print_parameters(effect)
-        for sentence in (*effect["evidence"], effect["remedy"]):
-            _print(f"  · {sentence}")
+        _print_effect(effect)
     _print("")
     rows = [
         (name, _number(found["base"][key], "°"), _number(found["final"][key], "°"))
@@ -103,7 +101,7 @@ def print_diagnosis(found: dict[str, Any]) -> None:
     _print_warnings(found["warnings"])
     if found["follow_up"] is not None:
         sigmas = f"{found['follow_up']['separation_sigma']:.1f} standard errors"
-        names = " from ".join(found["follow_up"]["separates"])
+        names = " from ".join(EFFECTS[name].title for name in found["follow_up"]["separates"])
         _print(f"a follow-up run would separate {names} by {sigmas}: POST /api/runs/ID/follow-up")
 
 
@@ -112,7 +110,8 @@ def print_gravity(found: dict[str, Any]) -> None:
     names = [effect["name"] for effect in found["effects"]]
     _print(f"{found['verdict']}: {', '.join(['bias', 'scale', *names])}", style="bold")
     for effect in found["effects"]:
-        _print_parameters(effect)
+        for name, parameter in effect["parameters"].items():
+            _print_parameter(name, parameter)
     rows = (
         (name, _number(found["base"][key], " mg", 2), _number(found["final"][key], " mg", 2))
         for name, key in (("fit", "fit_rms_mg"), ("held-out poses", "held_out_rms_mg"))
@@ -186,11 +185,29 @@ def _print_table(
     Console(soft_wrap=True, highlight=False).print(table)
 
 
-def _print_parameters(effect: dict[str, Any]) -> None:
-    for name, parameter in effect["parameters"].items():
-        if parameter is not None:
-            std = "" if parameter["std"] is None else f" ± {parameter['std']:.2g}"
-            _print(f"  {name} = {parameter['value']:.4g}{std}")
+def _print_effect(effect: dict[str, Any]) -> None:
+    """Prints an effect of a diagnosis in the catalogue's words."""
+    from calrig.calibration.effect import ORIGINS
+    from calrig.calibration.effects import EFFECTS, covariate_of
+
+    known, covariate = EFFECTS[effect["name"]], covariate_of(effect["covariate"])
+    titles = [known.title, *(EFFECTS[rival].title for rival in effect["confusable_with"])]
+    against = f"against {covariate.title if covariate else effect['covariate']}"
+    _print(f"\n{', or '.join(titles)} ({effect['verdict']}; {ORIGINS[known.origin]}; {against})")
+    of_covariate = covariate.unit if covariate else ""
+    for one in known.parameters:
+        if not one.flag:
+            unit = of_covariate if one.unit is None else one.unit
+            _print_parameter(one.title, effect["parameters"].get(one.name), unit)
+    for sentence in (*effect["evidence"], effect["remedy"]):
+        _print(f"  · {sentence}")
+
+
+def _print_parameter(title: str, parameter: dict[str, float | None] | None, unit: str = "") -> None:
+    """Prints a parameter with its standard error; one that does not apply is left out."""
+    if parameter is not None:
+        std = "" if parameter["std"] is None else f" ± {parameter['std']:.2g}"
+        _print(f"  {title} = {parameter['value']:.4g}{std}{unit and f' {unit}'}")
 
 
 def _print_sentences(sentences: Iterable[str]) -> None:

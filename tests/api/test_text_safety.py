@@ -7,6 +7,7 @@ from http.client import HTTPConnection
 from urllib.parse import quote
 
 import pytest
+from support import imported
 
 POSES = "target_deg,reading_deg,+5V\n-30,-29.5,5.01\n0,-0.4,4.99\n30,30.6,5.00\n"
 NASTY = (
@@ -27,17 +28,13 @@ PATHS = (
 
 
 @pytest.fixture(scope="module")
-def imported(shared_client):
-    """A run, the first of its store."""
-    return upload(shared_client, "f.csv").raise_for_status().json()
-
-
-def upload(client, file_name, unit="AS-1", **fields):
-    return client.post("/api/imports", files={"file": (file_name, POSES)}, data={"unit": unit, **fields})
+def run(shared_client):
+    """The first of its store."""
+    return imported(shared_client, "AS-1", POSES)
 
 
 @pytest.mark.parametrize("path", PATHS)
-def test_no_path_or_query_reaches_a_file_or_the_database(shared_client, imported, path):
+def test_no_path_or_query_reaches_a_file_or_the_database(shared_client, run, path):
     # Not by httpx, which takes `..` out of a path by itself.
     connection = HTTPConnection(shared_client.base_url.host, shared_client.base_url.port, timeout=20)
     for nasty in NASTY:
@@ -52,24 +49,22 @@ def test_no_path_or_query_reaches_a_file_or_the_database(shared_client, imported
             assert answer.status in {404, 405, 422}, (written, text)
             assert "root:" not in text
     connection.close()
-    assert shared_client.get("/api/runs/1").json() == imported
+    assert shared_client.get("/api/runs/1").json() == run
 
 
 @pytest.mark.parametrize("key", ["unit", "rig", "status", "cursor", "limit"])
-def test_no_filter_reaches_the_database(shared_client, imported, key):
+def test_no_filter_reaches_the_database(shared_client, run, key):
     for nasty in NASTY:
         answer = shared_client.get("/api/runs", params={key: nasty})
         assert answer.status_code == 422 or answer.json() == {"items": [], "next_cursor": None}, nasty
-    assert shared_client.get("/api/runs").json()["items"][-1] == imported
+    assert shared_client.get("/api/runs").json()["items"][-1] == run
 
 
 @pytest.mark.parametrize(
     "name", [*NASTY, 'a"; filename="b', "x" * 3000, "\x1b[31m", "a\\b", "=cmd()", "\ud7ff"]
 )
 def test_a_files_name_is_a_text_and_no_path(shared_client, name):
-    answer = upload(shared_client, name, unit="F-1")
-    assert answer.status_code == 201, answer.text
-    kept = answer.json()["provenance"]["imported_from"]
+    kept = imported(shared_client, "F-1", POSES, name)["provenance"]["imported_from"]
     assert kept.isprintable()
     assert len(kept) <= 200
 
@@ -82,20 +77,18 @@ def test_a_serial_number_that_is_not_printable_is_refused(shared_client, text):
     assert answer.json()["detail"].isprintable()
 
 
-def test_a_download_is_named_by_the_service_alone(shared_client, imported):
+def test_a_download_is_named_by_the_service_alone(shared_client, run):
     for path in ("poses?format=csv", "samples", "samples?format=npz"):
-        answer = shared_client.get(f"/api/runs/{imported['id']}/{path}")
+        answer = shared_client.get(f"/api/runs/{run['id']}/{path}")
         assert re.fullmatch(r'attachment; filename="[a-z0-9.-]+"', answer.headers["Content-Disposition"])
 
 
-def test_what_is_exported_holds_no_formula_and_comes_back_the_same(shared_client, imported):
-    text = shared_client.get(f"/api/runs/{imported['id']}/poses?format=csv").text
+def test_what_is_exported_holds_no_formula_and_comes_back_the_same(shared_client, run):
+    text = shared_client.get(f"/api/runs/{run['id']}/poses?format=csv").text
     header, *rows = text.splitlines()
     assert not any(name.startswith(tuple("=+-@\t\r")) for name in header.split(","))
     assert rows[1] == "0.0,-0.4,4.99"  # a negative number stays a number
-    again = shared_client.post(
-        "/api/imports", files={"file": ("again.csv", text)}, data={"unit": "copy"}
-    ).json()
-    poses = [shared_client.get(f"/api/runs/{run['id']}/poses").json() for run in (imported, again)]
+    again = imported(shared_client, "copy", text)
+    poses = [shared_client.get(f"/api/runs/{one['id']}/poses").json() for one in (run, again)]
     assert poses[0] == poses[1]
     assert poses[0][0]["+5V"] == 5.01
