@@ -39,7 +39,7 @@ class CalrigBoard:
 
     A board that resets in the middle (it sends its identity again) is started again, counted as
     `board_reset`, and so is one that falls silent, counted as `restarted`; its time then goes on by the
-    host's clock over the gap.
+    host's clock over the gap, and never by so little that somebody could take it for none.
     """
 
     def __init__(self, port: Port) -> None:
