@@ -18,7 +18,7 @@ from calrig.instruments.types import FloatArray
 from calrig.plan import Plan, PlannedPose
 from calrig.runs.follow_up import FollowUpRun
 from calrig.runs.pace import Pace
-from calrig.runs.returning import MOVE_OFF_DEG, Returned, way_back
+from calrig.runs.resume import MOVE_OFF_DEG, Returned, way_back
 from calrig.runs.stream import block_of
 from calrig.runs.task import Earlier
 

@@ -51,7 +51,7 @@ class SampleStream:
         return self._before is not None and not self._before[REGISTERS].any()
 
     def restart(self, elapsed_s: float) -> None:
-        """The board begins again at seq 0, its clock anew, elapsed_s of the host's clock after the last sample.
+        """The board begins again at seq 0, its clock anew, elapsed_s (host's clock) after the last one.
 
         How long that was by the board's clock is not known, so that it always counts as a gap.
         """
@@ -104,7 +104,7 @@ class SampleStream:
         ahead = np.ones(len(rows), dtype=bool)
         last = int(rows[0, SEQ])
         for k, seq in enumerate(rows[1:, SEQ].tolist(), start=1):  # each held against the last that counted
-            ahead[k] = 0 < (seq - last + 2**15) % 2**16 - 2**15
+            ahead[k] = (seq - last + 2**15) % 2**16 - 2**15 > 0
             last = seq if ahead[k] else last
         steps = (np.diff(rows[ahead, SEQ]) + 2**15) % 2**16 - 2**15
         self._count("repeated", len(rows) - int(ahead.sum()))
