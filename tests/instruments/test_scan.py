@@ -194,6 +194,14 @@ def test_a_port_of_the_services_own_is_not_even_opened(wire):
     assert "a rig of this service" in kept.identity
 
 
+def test_a_port_of_the_services_own_is_known_by_its_adapters_serial_number(listed, wire):
+    """A rig's settings may name its adapter, and the system lists the port."""
+    listed.append(adapter(wire.path, "A10"))
+    (kept,) = scan(ours=["usb:A10"])
+    assert (kept.port, kept.kind) == (wire.path, "busy")
+    assert "a rig of this service" in kept.identity
+
+
 def test_a_port_that_may_not_be_opened_says_what_to_do(monkeypatch):
     def refuse(name, **_):
         try:
