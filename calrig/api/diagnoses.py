@@ -12,6 +12,7 @@ from calrig.analysis.error_map import error_map
 from calrig.api.context import Context, KnownRun
 from calrig.api.errors import problems
 from calrig.api.models import Answer, Body, RunAnswer
+from calrig.calibration.effect import Origin
 from calrig.store import Run
 
 router = APIRouter(tags=["diagnoses"])
@@ -50,7 +51,7 @@ class EffectAnswer(Answer):
 
     name: str
     verdict: Literal["named", "ambiguous", "unnamed"]
-    origin: Literal["sensor", "stage", "mounting", "process", "environment", "unknown"]
+    origin: Origin
     covariate: str
     parameters: dict[str, ParameterAnswer | None]
     p_value: float

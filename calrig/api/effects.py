@@ -2,12 +2,10 @@
 
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
-from typing import Literal
-
 from fastapi import APIRouter
 
 from calrig.api.models import Answer
-from calrig.calibration.effect import ORIGINS, Effect
+from calrig.calibration.effect import ORIGINS, Effect, Origin, Scope
 from calrig.calibration.effects import EFFECTS
 
 router = APIRouter(tags=["diagnoses"])
@@ -27,9 +25,9 @@ class CatalogueEffect(Answer):
 
     name: str
     title: str
-    origin: Literal["sensor", "stage", "mounting", "process", "environment", "unknown"]
+    origin: Origin
     origin_title: str
-    scope: Literal["unit", "rig", "run"]
+    scope: Scope
     covariate: str
     covariate_title: str
     covariate_unit: str

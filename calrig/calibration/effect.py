@@ -53,18 +53,20 @@ class Covariate:
         title: in words, as an axis of a figure.
         unit: empty where it has none.
         of: (n,) the column in some poses; None where they lack it.
+        needs_time: whether it changes as time passes, not by what a plan moves.
     """
 
     name: str
     title: str
     unit: str
     of: Callable[[Responses], FloatArray | None]
+    needs_time: bool = False
 
 
 APPROACH = Covariate("approach", "approach", "", lambda r: r.approach)
 ELEVATION = Covariate("target_deg", "elevation", "°", lambda r: r.theta_deg)
-TEMPERATURE = Covariate("temperature_c", "temperature", "°C", lambda r: r.temperature_c)
-TIME = Covariate("time_s", "time", "s", lambda r: r.time_s)
+TEMPERATURE = Covariate("temperature_c", "temperature", "°C", lambda r: r.temperature_c, needs_time=True)
+TIME = Covariate("time_s", "time", "s", lambda r: r.time_s, needs_time=True)
 LAST_MOVE = Covariate("move_deg", "last move", "°", lambda r: r.move_deg)
 
 
@@ -257,6 +259,8 @@ class Effect:
                 raise EffectError(f"the effect {self.name!r} lacks its {part.name}")
         if isinstance(self.in_c, NotFlown) and not self.in_c.reason:
             raise EffectError(f"the effect {self.name!r} lacks the reason why it is not flown")
+        if self.scope != "unit" and not isinstance(self.in_c, NotFlown):
+            raise EffectError(f"the effect {self.name!r} has a C term, and does not stay with the unit")
 
     def shapes(self, r: Responses) -> Iterator[Shape]:
         """Every form at every place that the search considers in these poses."""

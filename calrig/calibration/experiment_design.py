@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from calrig.calibration.candidates import Candidate, rebuilt
+from calrig.calibration.effect import TEMPERATURE
+from calrig.calibration.effects import covariate_of
 from calrig.calibration.noise_model import NoiseModel, fit, stacked
 from calrig.calibration.pose import Pose
 from calrig.calibration.responses import Responses, responses_of
@@ -111,7 +113,7 @@ def design(
             separation, chosen, sweeps, wait_s = waiting, spread, 2, waited_s
     names = trial.names
     if separation < LEAST_SEPARATION:
-        by_hand = COOL_THE_UNIT if any("temperature" in name for name in names) else TURN_THE_UNIT
+        by_hand = COOL_THE_UNIT if TEMPERATURE.name in trial.covariates else TURN_THE_UNIT
         return (
             f"no run of {MOST_POSES} poses on this rig would separate {' from '.join(names)}: the best is "
             f"expected to set them apart by {separation:.1f} in −2 log likelihood, and less than "
@@ -158,8 +160,16 @@ class _Trial:
     @property
     def names(self) -> tuple[str, ...]:
         """The suspects that a run may separate, in their order; all where none can be."""
+        return tuple(dict.fromkeys(suspect.name for suspect in self._separable()))
+
+    @property
+    def covariates(self) -> set[str]:
+        """What those suspects follow."""
+        return {suspect.covariate for suspect in self._separable()}
+
+    def _separable(self) -> list[Candidate]:
         within = {k for pair in self.pairs for k in pair} or range(len(self._suspects))
-        return tuple(dict.fromkeys(self._suspects[k].name for k in sorted(within)))
+        return [self._suspects[k] for k in sorted(within)]
 
     def _distances(self, elevations_deg: Sequence[float], wait_s: float) -> dict[tuple[int, int], float]:
         """Of each pair, with the one true that is the harder to tell."""
@@ -228,7 +238,8 @@ def _greedy(trial: _Trial, limits_deg: tuple[float, float], rng: np.random.Gener
 def _waits(runs: Sequence[Sequence[Pose]], suspects: Sequence[Candidate]) -> list[float]:
     """Between two sweeps, where time is a suspect: half of what the runs took, as long, and twice."""
     times = [pose.time_s for run in runs for pose in run if pose.time_s is not None]
-    if not times or not any(s.covariate in ("time_s", "temperature_c") for s in suspects):
+    followed = [covariate_of(suspect.covariate) for suspect in suspects]
+    if not times or not any(covariate is not None and covariate.needs_time for covariate in followed):
         return []
     took_s = max(times) - min(times)
     return [round(share * took_s, 1) for share in (0.5, 1.0, 2.0)]

@@ -131,14 +131,12 @@ def _effect_document(gravity: Gravity, found: FoundEffect) -> dict[str, Any]:
         name: {"value": float(value), "std": float(std)}
         for name, value, std in zip(effect.parameters, values, stds, strict=True)
     }
-    if effect.covariate == "temperature_c" and poses.temperature_c is not None:
-        parameters["reference_c"] = {"value": float(poses.temperature_c.mean()), "std": None}
-    if effect.covariate == "time_s" and poses.time_s is not None:
-        parameters["reference_s"] = {"value": float(poses.time_s.mean()), "std": None}
+    parameters |= {name: {"value": value, "std": None} for name, value in effect.reference(poses).items()}
     return {
         "name": effect.name,
+        "title": effect.title,
         "verdict": "ambiguous" if found.rivals else "named",
-        "origin": "environment" if effect.covariate == "time_s" else "sensor",
+        "origin": effect.origin,
         "covariate": effect.covariate,
         "parameters": parameters,
         "p_value": found.p_value,

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calrig.calibration.effect import Origin
 from calrig.calibration.static_detector import BoolArray, GravityError, StillPoses
 from calrig.estimation.angles import FloatArray
 
@@ -31,21 +32,30 @@ SHORTEST_G = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class GravityEffect:
-    """What bias and scale may lack: a catalogue entry.
+    """What bias and scale of three axes may lack: a catalogue entry, seen by |a| alone.
 
     Attributes:
+        name: where it is one of the catalogue of elevation, the same cause with a parameter for each axis.
+        title: for a heading.
+        origin: as CONTRACT section 5 has them.
+        covariate: likewise.
         columns: (n, 3, 3) what the three parameters add to `true`, (pose, axis, parameter); None where the
             log has no covariate for it. Without unit, of order 1.
         parameters: their names, in the contract's units.
         reported: those values, from coefficients, the diagonal of the matrix and the poses.
+        remedy: what a person can do about it.
+        reference: of the covariate, by its parameter's name: where what it adds is 0.
     """
 
     name: str
+    title: str
+    origin: Origin
     covariate: str
     columns: Callable[[StillPoses], FloatArray | None]
     parameters: tuple[str, str, str]
     reported: Callable[[FloatArray, FloatArray, StillPoses], FloatArray]
     remedy: str
+    reference: Callable[[StillPoses], dict[str, float]] = lambda _poses: {}
 
 
 def _misaligned(poses: StillPoses) -> FloatArray:
@@ -79,9 +89,15 @@ def _range(values: FloatArray | None) -> float:
     return 1.0 if values is None else float(np.ptp(values))
 
 
+def _mean(name: str, values: FloatArray | None) -> dict[str, float]:
+    return {} if values is None else {name: float(values.mean())}
+
+
 EFFECTS = (
     GravityEffect(
         MISALIGNMENT,
+        "Misalignment of the axes",
+        "sensor",
         "attitude",
         _misaligned,
         ("xy_mrad", "xz_mrad", "yz_mrad"),
@@ -90,27 +106,36 @@ EFFECTS = (
     ),
     GravityEffect(
         "temperature_bias",
+        "Bias that follows temperature",
+        "sensor",
         "temperature_c",
         lambda poses: _offsets(_warmer(poses)),
         ("x_mg_per_c", "y_mg_per_c", "z_mg_per_c"),
         lambda beta, diagonal, poses: -1e3 * beta / diagonal / _range(poses.temperature_c),
         "wait until the unit is warm, or move the bias with its own thermometer",
+        lambda poses: _mean("reference_c", poses.temperature_c),
     ),
     GravityEffect(
         "temperature_scale",
+        "Scale that follows temperature",
+        "sensor",
         "temperature_c",
         lambda poses: _factors(_warmer(poses), poses),
         ("x_per_c", "y_per_c", "z_per_c"),
         lambda beta, diagonal, poses: -beta / diagonal / _range(poses.temperature_c),
         "wait until the unit is warm, or move the scale with its own thermometer",
+        lambda poses: _mean("reference_c", poses.temperature_c),
     ),
     GravityEffect(
         "time_drift",
+        "Drift in time",
+        "environment",
         "time_s",
         lambda poses: _offsets(_later(poses)),
         ("x_mg_per_s", "y_mg_per_s", "z_mg_per_s"),
         lambda beta, diagonal, poses: -1e3 * beta / diagonal / _range(poses.time_s),
         "let the unit warm up first, and come back to the first pose at the end",
+        lambda poses: _mean("reference_s", poses.time_s),
     ),
 )
 

@@ -16,12 +16,12 @@ import numpy as np
 
 from calrig.calibration.candidates import Candidate, documented_forms
 from calrig.calibration.correction import numbers_of
-from calrig.calibration.effects import EFFECTS
+from calrig.calibration.effects import EFFECTS, covariate_of
 from calrig.calibration.noise_model import fit
 from calrig.calibration.outliers import without_outliers
 from calrig.calibration.pose import Pose
 from calrig.calibration.responses import DiagnosisError, Responses, responses_of
-from calrig.calibration.search import model_columns
+from calrig.calibration.search import model_columns, own_columns
 from calrig.estimation.angles import FloatArray
 
 Document = Mapping[str, Any]
@@ -60,14 +60,11 @@ def partial_residuals(runs: Sequence[Sequence[Pose]], effects: Sequence[Document
     chosen = _chosen(r, [_forms(r, effect) for effect in effects])
     columns = model_columns(r, chosen)
     fitted = fit(r, columns)
-    place = columns.shape[2] - sum(c.columns.shape[2] for c in chosen)
     traced = []
-    for candidate in chosen:
-        width = candidate.columns.shape[2]
-        own = candidate.columns[:, 0, :] @ fitted.beta[place : place + width]
+    for candidate, place in zip(chosen, own_columns(columns, chosen), strict=True):
+        own = candidate.columns[:, 0, :] @ fitted.beta[place]
         at = _column(r, candidate.covariate)
         traced.append(Traced(candidate.covariate, at, r.theta_deg, fitted.residuals[:, 0] + own, own))
-        place += width
     return traced
 
 
@@ -96,7 +93,7 @@ def _forms(r: Responses, document: Document) -> list[Candidate]:
 
 
 def _column(r: Responses, covariate: str) -> FloatArray:
-    known = next((e.covariate for e in EFFECTS.values() if e.covariate.name == covariate), None)
+    known = covariate_of(covariate)
     column = r.covariates.get(covariate) if known is None else known.of(r)
     if column is None:
         raise DiagnosisError(f"these poses have no {covariate}: diagnose them again")

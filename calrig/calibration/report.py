@@ -10,7 +10,7 @@ import numpy as np
 from calrig.calibration.candidates import Candidate, rebuilt
 from calrig.calibration.noise_model import Fit, fit
 from calrig.calibration.responses import CHANNELS, Responses
-from calrig.calibration.search import Findings, Found, model_columns
+from calrig.calibration.search import Findings, Found, model_columns, own_columns
 
 
 def effect_documents(r: Responses, findings: Findings) -> list[dict[str, Any]]:
@@ -18,13 +18,11 @@ def effect_documents(r: Responses, findings: Findings) -> list[dict[str, Any]]:
     whole = [_whole_form(r, f.candidate) for f in findings.found]
     columns = model_columns(r, whole)
     fitted = fit(r, columns)
-    place = columns.shape[2] - sum(c.columns.shape[2] for c in whole)
-    documents = []
-    for one, candidate in zip(findings.found, whole, strict=True):
-        width = candidate.columns.shape[2]
-        documents.append(_document(r, one, candidate, fitted, slice(place, place + width)))
-        place += width
-    return documents
+    own = own_columns(columns, whole)
+    return [
+        _document(r, one, candidate, fitted, at)
+        for one, candidate, at in zip(findings.found, whole, own, strict=True)
+    ]
 
 
 def model_words(findings: Findings) -> str:

@@ -73,6 +73,16 @@ def model_columns(r: Responses, accepted: Sequence[Candidate]) -> FloatArray:
     return np.concatenate([base_without(r, replaced), *[c.columns for c in accepted]], axis=2)
 
 
+def own_columns(columns: FloatArray, accepted: Sequence[Candidate]) -> list[slice]:
+    """Where each accepted candidate's own columns lie among those of `model_columns`."""
+    ends = np.cumsum([c.columns.shape[2] for c in accepted])
+    base = columns.shape[2] - int(ends[-1]) if accepted else 0
+    return [
+        slice(base + int(end) - c.columns.shape[2], base + int(end))
+        for c, end in zip(accepted, ends, strict=True)
+    ]
+
+
 def search(
     r: Responses,
     candidates: Sequence[Candidate],

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from calrig.calibration.correction import effects_on_reading_deg, numbers_of
-from calrig.calibration.effect import ApplyError, Circumstances, NotFlown, Parameters
+from calrig.calibration.effect import TEMPERATURE, ApplyError, Circumstances, NotFlown, Parameters
 from calrig.calibration.effect_terms import c_literal
 from calrig.calibration.effects import EFFECTS, UNNAMED, effect_of
 from calrig.estimation.angles import FloatArray
@@ -195,7 +195,7 @@ def _comment(
     ]
     if left_out:
         lines.append(f"accepted, but not of this unit at rest: {', '.join(left_out)}")
-    if any("temperature" in name for name in effects):
+    if any(effect_of(name).covariate is TEMPERATURE for name in effects):
         coldest, warmest = temperatures_c
         lines.append(f"for temperatures from {coldest:.4g} to {warmest:.4g} degrees Celsius")
         lines.append("where no thermometer is read, pass the reference temperature of the effects")

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.effects import EFFECTS
+from calrig.calibration.effects import covariate_of
 from calrig.calibration.partial_residuals import Traced
 from calrig.estimation.angles import FloatArray
 from calrig.figures.parts import APPROACHES, GREY, PALETTE, Figure, as_text, error_bars, layout_of
@@ -80,7 +80,7 @@ def traced(found: Traced) -> Figure:
 
 def _axis(covariate: str) -> str:
     """The title of the axis of a covariate, one that calrig has no physics for by its column's name."""
-    known = next((e.covariate for e in EFFECTS.values() if e.covariate.name == covariate), None)
+    known = covariate_of(covariate)
     if known is None:
         return covariate
     return f"{known.title} ({known.unit})" if known.unit else f"{known.title}, spread by elevation"

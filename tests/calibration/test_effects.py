@@ -247,6 +247,11 @@ def test_an_effect_that_lacks_a_part_is_not_registered_and_the_part_is_named(par
         dataclasses.replace(EFFECTS["backlash"], **{part: None})
 
 
+def test_an_effect_of_one_run_with_a_term_for_flight_is_not_registered():
+    with pytest.raises(EffectError, match="does not stay with the unit"):
+        dataclasses.replace(EFFECTS["temperature_bias"], scope="run")
+
+
 def test_a_refined_period_is_rebuilt_in_its_own_poses_and_in_others():
     poses = measured("stage_periodic", 3)
     (found,) = diagnose([poses], bootstraps=199, cross_fit=False).findings.found

@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from pkgutil import iter_modules
 
-from calrig.calibration.effect import ApplyError, Effect, EffectError
+from calrig.calibration.effect import ApplyError, Covariate, Effect, EffectError
 
 UNNAMED = "unnamed"
 
@@ -31,3 +31,8 @@ def effect_of(name: str) -> Effect:
     if name not in EFFECTS:
         raise ApplyError(f"the effect {name!r} is not in the catalogue of this version of calrig")
     return EFFECTS[name]
+
+
+def covariate_of(name: str) -> Covariate | None:
+    """The covariate of a name in documents; None for a column that no effect of the catalogue follows."""
+    return next((effect.covariate for effect in CATALOGUE if effect.covariate.name == name), None)
