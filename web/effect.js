@@ -24,7 +24,7 @@ const BEYOND = 40;
 export function effectCard(effect, k, { path, run }, signal) {
   const chart = new Chart(
     `effect-${k}`,
-    `What is left against ${covariateWords(effect.covariate)}, and the fitted effect`,
+    `Partial residual against ${covariateWords(effect.covariate)}, and the fitted effect`,
     { low: true, signal },
   );
   const title = effectTitle(effect);

@@ -24,7 +24,7 @@ from calrig.store import Run, Store
 from calrig.store.records import Document
 
 
-def run_in_force(store: Store, serial: str) -> Run:
+def active_run(store: Store, serial: str) -> Run:
     """The run that a unit's calibration is from.
 
     Raises:

@@ -10,8 +10,8 @@ from calrig.analysis.results import refitted
 from calrig.analysis.stored_runs import counted_poses, runs_together, stored_run
 from calrig.calibration.diagnosis import trace
 from calrig.calibration.effects import EFFECTS
-from calrig.calibration.partial_residuals import Traced, partial_residuals
-from calrig.calibration.responses import DiagnosisError
+from calrig.calibration.partial_residuals import PartialResidual, partial_residuals
+from calrig.calibration.pose import DiagnosisError
 from calrig.store import AcceptedEffect, Run, Store
 
 
@@ -24,14 +24,14 @@ class Diagnoses:
     def trace(self, run_id: str, more: Sequence[str] = ()) -> dict[str, Any]:
         """Diagnoses a run, together with more runs of its unit; the document is kept with the run.
 
-        Raises: as `traced`.
+        Raises: as `diagnose`.
         """
-        found = self.traced(run_id, more)
+        found = self.diagnose(run_id, more)
         _keep_accepted(stored_run(self._store, run_id).diagnosis, found)
         self._store.update_run(run_id, diagnosis=found)
         return found
 
-    def traced(self, run_id: str, more: Sequence[str] = ()) -> dict[str, Any]:
+    def diagnose(self, run_id: str, more: Sequence[str] = ()) -> dict[str, Any]:
         """The diagnosis of a run, together with more runs of its unit and those it follows on.
 
         Raises:
@@ -59,7 +59,7 @@ class Diagnoses:
             raise Unknown(f"run {run_id} has not been diagnosed")
         return found
 
-    def partial_residuals(self, run_id: str) -> list[Traced]:
+    def partial_residuals(self, run_id: str) -> list[PartialResidual]:
         """Each effect of a run's last diagnosis in the poses it rests on, those of them that still count.
 
         Raises:

@@ -1,4 +1,4 @@
-"""The rig error map: what its units have in common, as far as units can tell."""
+"""The rig error map: the mean residual over units, which none of them has of its own."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Why a request about runs cannot be met, in the three kinds that HTTP and the command line tell apart."""
+"""Why a request about runs cannot be met, in the three kinds that HTTP and the command line answer by."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a follow-up rests on: runs whose diagnosis left suspects that they cannot tell apart."""
+"""What a follow-up rests on: runs whose diagnosis left indistinguishable suspects."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from calrig.analysis.errors import Conflict
 from calrig.analysis.stored_runs import counted_poses, runs_together
 from calrig.calibration.diagnosis import diagnose
-from calrig.calibration.pose import Pose
-from calrig.calibration.responses import DiagnosisError
+from calrig.calibration.pose import DiagnosisError, Pose
 from calrig.calibration.search import Findings
 from calrig.store import Run, Store
 

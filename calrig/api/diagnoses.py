@@ -129,7 +129,7 @@ class DiagnosisAnswer(Answer):
 
 
 class ErrorMapAnswer(Answer):
-    """What every unit on a rig has in common, by elevation and approach."""
+    """The rig error map: the error of the readings by elevation and approach, over all units."""
 
     stage_deg: list[float]
     approach: list[int]
@@ -188,7 +188,7 @@ def follow_up(run: KnownRun, context: Context) -> Run:
     "/api/rigs/{name}/error-map",
     response_model=ErrorMapAnswer,
     responses=problems(404),
-    summary="What every unit on a rig has in common",
+    summary="The rig error map",
 )
 def show_error_map(name: str, context: Context) -> object:
     """From three units on; empty before. Common firmware, cable or sensor design would look the same."""

@@ -45,10 +45,10 @@ def run_figure(run: KnownRun, name: RunFigure, context: Context) -> figures.Figu
 
 
 def _effect(context: ApiContext, run: Run, place: int) -> figures.Figure:
-    traced = context.diagnoses.partial_residuals(run.id)
-    if place >= len(traced):
-        raise Unknown(f"the diagnosis of run {run.id} has {len(traced)} effects, counted from 0")
-    return figures.traced(traced[place])
+    partial = context.diagnoses.partial_residuals(run.id)
+    if place >= len(partial):
+        raise Unknown(f"the diagnosis of run {run.id} has {len(partial)} effects, counted from 0")
+    return figures.partial_residual(partial[place])
 
 
 def _timeline(context: ApiContext, run: Run) -> figures.Figure:
@@ -84,7 +84,7 @@ def _residual(context: ApiContext, run: Run) -> figures.Figure:
     "/api/rigs/{name}/figures/error-map",
     response_model=Figure,
     responses=problems(404),
-    summary="What every unit on a rig has in common, drawn",
+    summary="The rig error map, drawn",
 )
 def rig_error_map(name: str, context: Context) -> figures.Figure:
     """Mean residual over units by elevation and approach; empty with fewer than three units."""

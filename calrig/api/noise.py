@@ -176,7 +176,7 @@ def log_noise(
     accel_range_g: Range = None,
     gyro_range_dps: Range = None,
 ) -> dict[str, Any]:
-    """The sensor lay still. Nothing is stored."""
+    """The sensor was at rest. Nothing is stored."""
     from calrig.noise.analysis import analyse
 
     name, log = _read(file, accel_range_g, gyro_range_dps)
@@ -201,7 +201,7 @@ def log_filters(
     accel_range_g: Range = None,
     gyro_range_dps: Range = None,
 ) -> dict[str, Any]:
-    """The sensor lay still and was turned about its x axis. Nothing is stored."""
+    """The sensor was at rest and was turned about its x axis. Nothing is stored."""
     from calrig.noise.filters import study_filters
 
     name, log = _read(file, accel_range_g, gyro_range_dps)

@@ -10,7 +10,7 @@ from fastapi import APIRouter, Query
 from fastapi.responses import PlainTextResponse
 from pydantic import Field
 
-from calrig.analysis.active_calibration import document_of, header_of, run_in_force
+from calrig.analysis.active_calibration import active_run, document_of, header_of
 from calrig.api.context import Context, KnownUnit
 from calrig.api.errors import problems
 from calrig.api.models import Answer, Extremes, UnitAnswer, UnitWithRuns
@@ -89,7 +89,7 @@ def show_calibration(
     serial: str, context: Context, format_: Annotated[CalibrationFormat, Query(alias="format")] = "json"
 ) -> object:
     """From the latest completed, not voided calibration whose scale is known; `c-header` for flight code."""
-    run = run_in_force(context.store, serial)
+    run = active_run(context.store, serial)
     if format_ == "c-header":
         return PlainTextResponse(header_of(context.store, run))
     return document_of(context.store, run)

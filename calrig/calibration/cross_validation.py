@@ -1,4 +1,8 @@
-"""Cross-validation: error before and after on held-out poses, the whole search repeated for each fold."""
+"""Error before and after on poses that neither search nor fit had seen.
+
+Either folds of the same runs, search and fit repeated for each (cross-validation), or poses of a fresh run
+that did not serve to decide (confirmation).
+"""
 
 from __future__ import annotations
 
@@ -9,9 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.candidates import Candidate, rebuilt
+from calrig.calibration.experiment_design import predicted
+from calrig.calibration.fit import rms
 from calrig.calibration.noise_model import fit
-from calrig.calibration.responses import SCALE_UNIT_DEG, Responses
-from calrig.calibration.search import model_columns, search
+from calrig.calibration.pose import Pose
+from calrig.calibration.responses import SCALE_UNIT_DEG, Responses, responses_of
+from calrig.calibration.search import Findings, model_columns, search
 from calrig.estimation.angles import FloatArray
 
 FOLDS = 4
@@ -73,3 +80,42 @@ def errors_deg(r: Responses, columns: FloatArray, beta: FloatArray, test: npt.ND
     scale_at = r.base_names.index("reading.scale") if "reading.scale" in r.base_names else None
     scale = 1.0 if scale_at is None else 1.0 + beta[scale_at] / SCALE_UNIT_DEG
     return np.asarray((r.values[test, 0] - columns[test, 0, :] @ beta) / scale, dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class Confirmation:
+    """RMS errors of the fresh poses in degrees of elevation, predicted without and with the effects."""
+
+    before_rms_deg: float
+    after_rms_deg: float
+    n_poses: int
+
+
+def confirm(
+    runs: Sequence[Sequence[Pose]], fresh: Sequence[Pose], deciding: Sequence[int], findings: Findings
+) -> Confirmation | None:
+    """Fits base and final model to all poses but the confirming ones and predicts those.
+
+    Args:
+        runs: the earlier runs.
+        fresh: the poses of the new run.
+        deciding: indices of those that served to decide, and fix the new run's bias.
+        findings: of the diagnosis of `runs` with the deciding poses.
+
+    Returns:
+        None where no pose is left to confirm with, or an effect cannot show in these poses.
+    """
+    r = responses_of([*runs, fresh])
+    before = len(r) - len(fresh)
+    test = np.array([before + k for k in range(len(fresh)) if k not in set(deciding)], dtype=np.intp)
+    effects = [predicted(f.candidate, r) for f in findings.found]
+    accepted = [effect for effect in effects if effect is not None]
+    if len(test) == 0 or len(accepted) < len(effects) or len(r) != sum(map(len, runs)) + len(fresh):
+        return None
+    train = np.setdiff1d(np.arange(len(r)), test)
+    seen = r.rows(train)
+    errors = [
+        errors_deg(r, columns, fit(seen, columns[train]).beta, test)
+        for columns in (r.base, model_columns(r, accepted))
+    ]
+    return Confirmation(rms(errors[0]), rms(errors[1]), len(test))

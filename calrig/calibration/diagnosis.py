@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from calrig.calibration.candidates import candidates_of
-from calrig.calibration.confirmation import confirm
-from calrig.calibration.cross_validation import CrossValidation, cross_validate
+from calrig.calibration.cross_validation import CrossValidation, confirm, cross_validate
 from calrig.calibration.experiment_design import design
 from calrig.calibration.fit import fit_line, residuals_deg, rms
 from calrig.calibration.outliers import without_outliers

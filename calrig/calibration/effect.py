@@ -181,7 +181,7 @@ class Applied:
 
 
 @dataclass(frozen=True, slots=True)
-class NotFlown:
+class NotInFlight:
     """Why an effect has no term in flight software."""
 
     reason: str
@@ -243,7 +243,7 @@ class Effect:
     formula: str
     forms: Callable[[Responses, Parameters], Iterator[Shape]]
     on_reading_deg: Callable[[Applied], FloatArray]
-    in_c: Callable[[Parameters], str] | NotFlown
+    in_c: Callable[[Parameters], str] | NotInFlight
     apart: str
     remedy: str
     scan: Callable[[Responses], Iterator[Parameters]] | None = None
@@ -257,9 +257,9 @@ class Effect:
             required = part.default is dataclasses.MISSING
             if required and getattr(self, part.name) in ("", (), None):
                 raise EffectError(f"the effect {self.name!r} lacks its {part.name}")
-        if isinstance(self.in_c, NotFlown) and not self.in_c.reason:
-            raise EffectError(f"the effect {self.name!r} lacks the reason why it is not flown")
-        if self.scope != "unit" and not isinstance(self.in_c, NotFlown):
+        if isinstance(self.in_c, NotInFlight) and not self.in_c.reason:
+            raise EffectError(f"the effect {self.name!r} lacks the reason why it is not applied in flight")
+        if self.scope != "unit" and not isinstance(self.in_c, NotInFlight):
             raise EffectError(f"the effect {self.name!r} has a C term, and does not stay with the unit")
 
     def shapes(self, r: Responses) -> Iterator[Shape]:

@@ -104,7 +104,7 @@ def design(
     spread = [round(float(p), 3) for p in np.linspace(*limits_deg, MOST_POSES // 2 + 2)[1:-1]]
     waits_s = _waits(runs, suspects)
     shuffled = [round(float(p), 3) for p in rng.permutation(np.linspace(*limits_deg, 2 * MOST_POSES))]
-    trial.keep_what_can_be_told_apart([(shuffled, 0.0), *((spread * 2, wait_s) for wait_s in waits_s)])
+    trial.keep_distinguishable([(shuffled, 0.0), *((spread * 2, wait_s) for wait_s in waits_s)])
     chosen = _greedy(trial, limits_deg, rng)
     separation, sweeps, wait_s = trial.separation(chosen), 1, 0.0
     for waited_s in waits_s:
@@ -152,7 +152,7 @@ class _Trial:
         distances = self._distances(elevations_deg, wait_s)
         return min((distances[pair] for pair in self.pairs), default=0.0)
 
-    def keep_what_can_be_told_apart(self, designs: Sequence[tuple[Sequence[float], float]]) -> None:
+    def keep_distinguishable(self, designs: Sequence[tuple[Sequence[float], float]]) -> None:
         """Sets pairs of suspects aside that none of some rich designs would separate."""
         tried = [self._distances(elevations, wait_s) for elevations, wait_s in designs]
         self.pairs = [p for p in self.pairs if max(d[p] for d in tried) >= LEAST_SEPARATION]

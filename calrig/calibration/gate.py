@@ -1,9 +1,9 @@
 """The gate: is the best of everything searched better than noise alone would make it?
 
 Searching a catalogue and keeping what lowers a criterion finds an effect in pure noise in 19–45 % of cases.
-What holds its rate is the maximum over the whole search, bootstrapped under the current model for these very
-poses, with the noise's correlation profiled under each alternative: frozen at its estimate under the null it
-hides slow effects, for they look like correlation.
+What holds its rate is the maximum over all candidates, hence a family-wise p-value, bootstrapped under the
+current model for these very poses, with the noise's correlation profiled under each alternative. Frozen at
+its estimate under the null it hides slow effects, for they look like correlation.
 """
 
 from __future__ import annotations

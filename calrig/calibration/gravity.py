@@ -8,9 +8,15 @@ from typing import Any
 import numpy as np
 
 from calrig.calibration.fit import rms
-from calrig.calibration.gravity_model import GravityFit, Problem, fit_gravity, undetermined_base, unseen_pairs
+from calrig.calibration.gravity_model import (
+    GravityFit,
+    Problem,
+    fit_gravity,
+    undetermined_base,
+    undetermined_pairs,
+)
 from calrig.calibration.gravity_search import FoundEffect, leave_one_out, poses_needed, search
-from calrig.calibration.static_detector import GravityError, StillPoses, still_poses
+from calrig.calibration.static_detector import GravityError, StaticPoses, static_poses
 from calrig.estimation.angles import FloatArray
 
 __all__ = ["Gravity", "GravityError", "calibrate_by_gravity", "gravity_document", "trace_gravity"]
@@ -40,7 +46,7 @@ UNITS = {
 class Gravity:
     """What gravity says of an accelerometer; held-out errors (n,) in g, each pose by a search without it."""
 
-    poses: StillPoses
+    poses: StaticPoses
     base: GravityFit
     final: GravityFit
     found: tuple[FoundEffect, ...]
@@ -62,12 +68,12 @@ def calibrate_by_gravity(
     Args:
         accel_g: (N, 3) samples in g; rows that are not finite are left out.
         time_s: (N,) increasing.
-        gyro_dps: (N, 3), helps to tell still from moving.
+        gyro_dps: (N, 3), helps to tell static from moving.
         temperature_c: (N,).
         seed: of the bootstrap.
 
     Raises:
-        GravityError: no motion, too few still poses, poses that do not determine bias and scale, or values
+        GravityError: no motion, too few static poses, poses that do not determine bias and scale, or values
             that are not g.
     """
     whole = np.isfinite(accel_g).all(axis=1)
@@ -75,16 +81,16 @@ def calibrate_by_gravity(
         raise GravityError("the log has no sample in which all three axes of the accelerometer are known")
     kept = [None if c is None else c[whole] for c in (time_s, gyro_dps, temperature_c)]
     _refuse_other_units(accel_g[whole])
-    poses = still_poses(accel_g[whole], time_s=kept[0], gyro_dps=kept[1], temperature_c=kept[2])
+    poses = static_poses(accel_g[whole], time_s=kept[0], gyro_dps=kept[1], temperature_c=kept[2])
     lost = int((~whole).sum())
     said = (f"{lost} samples without all three axes were left out",) if lost else ()
     return trace_gravity(poses, seed=seed, warnings=said)
 
 
 def trace_gravity(
-    poses: StillPoses, *, seed: int = 0, bootstraps: int = BOOTSTRAPS, warnings: tuple[str, ...] = ()
+    poses: StaticPoses, *, seed: int = 0, bootstraps: int = BOOTSTRAPS, warnings: tuple[str, ...] = ()
 ) -> Gravity:
-    """Fits bias and scale to still poses, then finds what they lack through a gate on the whole search.
+    """Fits bias and scale to static poses, then finds what they lack, with family-wise p-values.
 
     Raises:
         GravityError: too few poses, or poses that do not determine bias and scale.
@@ -95,7 +101,7 @@ def trace_gravity(
     base = fit_gravity(problem)
     final, found = search(problem, base, rng, bootstraps)
     before, after = leave_one_out(problem, rng)
-    return Gravity(poses, base, final, found, before, after, (*warnings, *_unseen(problem, base)))
+    return Gravity(poses, base, final, found, before, after, (*warnings, *_undetermined(problem, base)))
 
 
 def gravity_document(gravity: Gravity) -> dict[str, Any]:
@@ -145,22 +151,22 @@ def _effect_document(gravity: Gravity, found: FoundEffect) -> dict[str, Any]:
     }
 
 
-def _refuse_what_determines_nothing(poses: StillPoses) -> None:
+def _refuse_what_determines_nothing(poses: StaticPoses) -> None:
     n = len(poses)
     if n == 1:
         raise GravityError(
-            "the log is one still pose: nothing was turned; lay the sensor down in "
+            "the log is one static pose: nothing was turned; lay the sensor down in "
             f"{FEWEST_POSES} or more attitudes, on every side and on edges, a few seconds each"
         )
     if n < FEWEST_POSES:
         raise GravityError(
-            f"{n} still poses are too few: at least {FEWEST_POSES} are needed (six unknowns, and something "
-            "to judge them by), each still for two seconds and more"
+            f"{n} static poses are too few: at least {FEWEST_POSES} are needed (six unknowns, and something "
+            "to judge them by), each at rest for two seconds and more"
         )
     blind = undetermined_base(poses)
     if blind:
         raise GravityError(
-            f"the {n} still poses do not determine {', '.join(blind)}: lay the sensor down with "
+            f"the {n} static poses do not determine {', '.join(blind)}: lay the sensor down with "
             f"{_both_ways({name[-1] for name in blind})} as well"
         )
 
@@ -169,9 +175,9 @@ def _both_ways(axes: set[str]) -> str:
     return ", ".join(f"{axis} up and {axis} down" for axis in sorted(axes))
 
 
-def _unseen(problem: Problem, base: GravityFit) -> list[str]:
+def _undetermined(problem: Problem, base: GravityFit) -> list[str]:
     """What these poses cannot show, in words."""
-    pairs = unseen_pairs(problem, base)
+    pairs = undetermined_pairs(problem, base)
     said = []
     if pairs:
         said.append(
@@ -179,7 +185,7 @@ def _unseen(problem: Problem, base: GravityFit) -> list[str]:
             f"between {', '.join(f'{pair[0]} and {pair[1]}' for pair in pairs)} in some poses"
         )
     elif len(problem) < poses_needed(base):
-        said.append(f"{len(problem)} still poses do not show misalignment: {poses_needed(base)} are needed")
+        said.append(f"{len(problem)} static poses do not show misalignment: {poses_needed(base)} are needed")
     return said
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calrig.calibration.effect import Origin
-from calrig.calibration.static_detector import BoolArray, GravityError, StillPoses
+from calrig.calibration.static_detector import BoolArray, GravityError, StaticPoses
 from calrig.estimation.angles import FloatArray
 
 AXES = "xyz"
@@ -51,27 +51,27 @@ class GravityEffect:
     title: str
     origin: Origin
     covariate: str
-    columns: Callable[[StillPoses], FloatArray | None]
+    columns: Callable[[StaticPoses], FloatArray | None]
     parameters: tuple[str, str, str]
-    reported: Callable[[FloatArray, FloatArray, StillPoses], FloatArray]
+    reported: Callable[[FloatArray, FloatArray, StaticPoses], FloatArray]
     remedy: str
-    reference: Callable[[StillPoses], dict[str, float]] = lambda _poses: {}
+    reference: Callable[[StaticPoses], dict[str, float]] = lambda _poses: {}
 
 
-def _misaligned(poses: StillPoses) -> FloatArray:
+def _misaligned(poses: StaticPoses) -> FloatArray:
     columns = np.zeros((len(poses), 3, 3))
     columns[:, 0, 0], columns[:, 0, 1], columns[:, 1, 2] = poses.accel_g[:, [1, 2, 2]].T
     return columns
 
 
-def _warmer(poses: StillPoses) -> FloatArray | None:
+def _warmer(poses: StaticPoses) -> FloatArray | None:
     """(n,) temperature less its mean, over its range."""
     if poses.temperature_c is None or np.ptp(poses.temperature_c) < LEAST_TEMPERATURE_RANGE_C:
         return None
     return np.asarray((poses.temperature_c - poses.temperature_c.mean()) / np.ptp(poses.temperature_c))
 
 
-def _later(poses: StillPoses) -> FloatArray | None:
+def _later(poses: StaticPoses) -> FloatArray | None:
     if poses.time_s is None:
         return None
     return np.asarray((poses.time_s - poses.time_s.mean()) / np.ptp(poses.time_s))
@@ -81,7 +81,7 @@ def _offsets(share: FloatArray | None) -> FloatArray | None:
     return None if share is None else share[:, None, None] * np.eye(3)
 
 
-def _factors(share: FloatArray | None, poses: StillPoses) -> FloatArray | None:
+def _factors(share: FloatArray | None, poses: StaticPoses) -> FloatArray | None:
     return None if share is None else (share[:, None] * poses.accel_g)[:, :, None] * np.eye(3)
 
 
@@ -142,7 +142,7 @@ EFFECTS = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """n still poses as the fit sees them.
+    """n static poses as the fit sees them.
 
     Attributes:
         raw_g: (n, 3) measured.
@@ -155,8 +155,8 @@ class Problem:
     columns: dict[str, FloatArray]
 
     @classmethod
-    def of(cls, poses: StillPoses) -> Problem:
-        """The problem that still poses pose."""
+    def of(cls, poses: StaticPoses) -> Problem:
+        """The problem that static poses pose."""
         raw = poses.accel_g
         ones = np.broadcast_to(np.eye(3), (len(poses), 3, 3))
         base = np.concatenate([ones, raw[:, :, None] * np.eye(3)], axis=2)
@@ -211,7 +211,7 @@ class GravityFit:
         """(3,) reading where there is nothing to measure, at the mean temperature and time."""
         return np.asarray(-np.linalg.solve(self.matrix, self.beta[:3]), dtype=np.float64)
 
-    def parameters(self, effect: GravityEffect, poses: StillPoses) -> tuple[FloatArray, FloatArray]:
+    def parameters(self, effect: GravityEffect, poses: StaticPoses) -> tuple[FloatArray, FloatArray]:
         """(3,) values and (3,) standard errors of an effect of the model, in the units of their names."""
         at = self._place(effect.name)
         if at is None:
@@ -246,7 +246,7 @@ def fit_gravity(problem: Problem, effects: Sequence[GravityEffect] = ()) -> Grav
         if np.abs(beta).max() > LARGEST:
             break
     raise GravityError(
-        "bias and scale do not converge to |a| = 1 g: the still poses contradict one another (was the "
+        "bias and scale do not converge to |a| = 1 g: the static poses contradict one another (was the "
         "sensor turned or accelerated in some of them, or its range exceeded?)"
     )
 
@@ -259,7 +259,7 @@ def linearised(raw_g: FloatArray, columns: FloatArray, beta: FloatArray) -> tupl
     return norm - 1.0, np.einsum("na,nap->np", direction, columns)
 
 
-def undetermined_base(poses: StillPoses) -> list[str]:
+def undetermined_base(poses: StaticPoses) -> list[str]:
     """What of bias and scale these poses do not determine, such as `bias x`; empty where all is well."""
     direction = poses.accel_g / np.linalg.norm(poses.accel_g, axis=1)[:, None]
     _, values, vectors = np.linalg.svd(np.concatenate([direction, direction**2], axis=1))
@@ -269,8 +269,8 @@ def undetermined_base(poses: StillPoses) -> list[str]:
     return [name for name, share in zip(names, blind, strict=True) if share > BLIND_SHARE]
 
 
-def unseen_pairs(problem: Problem, base: GravityFit) -> list[str]:
-    """Pairs of axes whose misalignment these poses cannot see, such as `xy`."""
+def undetermined_pairs(problem: Problem, base: GravityFit) -> list[str]:
+    """Pairs of axes whose misalignment these poses do not determine, such as `xy`."""
     columns = problem.design([e for e in EFFECTS if e.name == MISALIGNMENT])
     _, seen = linearised(problem.raw_g, columns, base.beta)
     basis, _ = np.linalg.qr(base.jacobian)

@@ -1,4 +1,4 @@
-"""The gate on the whole search for what bias and scale lack against gravity, pose after pose left out.
+"""Search and gate for what bias and scale lack against gravity, pose after pose left out.
 
 The statistic is the best of all candidates, its distribution a bootstrap under the current model for these
 very poses, as in the diagnosis of poses on a stage (`gate`). Poses laid down by hand in any order make the
@@ -20,7 +20,7 @@ from calrig.calibration.gravity_model import (
     Problem,
     fit_gravity,
     linearised,
-    unseen_pairs,
+    undetermined_pairs,
 )
 from calrig.estimation.angles import FloatArray
 
@@ -40,7 +40,7 @@ LEAST_SHARE = 1e-7
 
 @dataclass(frozen=True, slots=True)
 class FoundEffect:
-    """An effect the gate let through, the p-value of the whole search, and the names as likely as its own."""
+    """An effect the gate let through, its family-wise p-value, and the names as likely as its own."""
 
     effect: GravityEffect
     p_value: float
@@ -58,7 +58,7 @@ def search(
     """Adds effects to a fit of bias and scale one by one, until the gate lets nothing more through."""
     found: list[FoundEffect] = []
     fitted = base
-    blind = unseen_pairs(problem, base)
+    blind = undetermined_pairs(problem, base)
     offered = [e for e in EFFECTS if e.name in problem.columns and (e.name != MISALIGNMENT or not blind)]
     while offered and len(problem) >= poses_needed(fitted):
         ratios, p_value = _gate(problem, fitted, offered, rng, bootstraps)
@@ -121,7 +121,7 @@ def _beside(basis: FloatArray, columns: FloatArray) -> FloatArray:
 
 
 def leave_one_out(problem: Problem, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """(n,) errors in g before and after; the whole search is repeated without each pose in turn."""
+    """(n,) errors in g before and after: search and fit are repeated without each pose in turn."""
     n = len(problem)
     before, after = np.zeros(n), np.zeros(n)
     for k in range(n):

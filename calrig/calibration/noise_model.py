@@ -24,7 +24,7 @@ ITERATIONS = 4
 LARGEST_RHO = 0.95
 SMALLEST_RHO = -0.5
 ALIKE = 1e-12
-"""Added to each channel's own variance, so that two channels of one noise can still be told apart."""
+"""Added to each channel's own variance, so that two channels of one noise stay distinguishable."""
 PRIOR_RHO_STD = 0.2
 """Correlation that a model has to invoke counts against it by (ρ/0.2)²: noise is more often white."""
 

@@ -19,8 +19,8 @@ from calrig.calibration.correction import numbers_of
 from calrig.calibration.effects import EFFECTS, covariate_of
 from calrig.calibration.noise_model import fit
 from calrig.calibration.outliers import without_outliers
-from calrig.calibration.pose import Pose
-from calrig.calibration.responses import DiagnosisError, Responses, responses_of
+from calrig.calibration.pose import DiagnosisError, Pose
+from calrig.calibration.responses import Responses, responses_of
 from calrig.calibration.search import model_columns, own_columns
 from calrig.estimation.angles import FloatArray
 
@@ -28,25 +28,25 @@ Document = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Traced:
-    """One effect of a diagnosis in its poses, in the order measured.
+class PartialResidual:
+    """The partial residual of one effect of a diagnosis, in the order measured.
 
     Attributes:
         covariate: what it was traced to (CONTRACT section 5).
         at: (n,) the covariate, in its own unit.
         theta_deg: (n,) elevation.
-        left_deg: (n,) reading less bias, scale and all other effects, degrees.
+        residual_deg: (n,) reading less bias, scale and all other effects, degrees.
         effect_deg: (n,) what the effect adds to the reading, degrees.
     """
 
     covariate: str
     at: FloatArray
     theta_deg: FloatArray
-    left_deg: FloatArray
+    residual_deg: FloatArray
     effect_deg: FloatArray
 
 
-def partial_residuals(runs: Sequence[Sequence[Pose]], effects: Sequence[Document]) -> list[Traced]:
+def partial_residuals(runs: Sequence[Sequence[Pose]], effects: Sequence[Document]) -> list[PartialResidual]:
     """The partial residual of each effect of a diagnosis, from one fit of all of them together.
 
     Args:
@@ -60,12 +60,13 @@ def partial_residuals(runs: Sequence[Sequence[Pose]], effects: Sequence[Document
     chosen = _chosen(r, [_forms(r, effect) for effect in effects])
     columns = model_columns(r, chosen)
     fitted = fit(r, columns)
-    traced = []
+    partial = []
     for candidate, place in zip(chosen, own_columns(columns, chosen), strict=True):
         own = candidate.columns[:, 0, :] @ fitted.beta[place]
         at = _column(r, candidate.covariate)
-        traced.append(Traced(candidate.covariate, at, r.theta_deg, fitted.residuals[:, 0] + own, own))
-    return traced
+        residual_deg = fitted.residuals[:, 0] + own
+        partial.append(PartialResidual(candidate.covariate, at, r.theta_deg, residual_deg, own))
+    return partial
 
 
 def _chosen(r: Responses, forms: Sequence[Sequence[Candidate]]) -> list[Candidate]:

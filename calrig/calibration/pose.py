@@ -26,6 +26,10 @@ KNOWN = (
 COLUMNS = (*REQUIRED, *KNOWN)
 
 
+class DiagnosisError(ValueError):
+    """The poses cannot be diagnosed; the message says what is wrong with them and what to do."""
+
+
 @dataclass(frozen=True, slots=True)
 class Filtering:
     """The filter that poses were read by, its rate, and how long a dwell was; the contract's by default."""

@@ -6,15 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calrig.calibration.pose import COLUMNS, Pose
+from calrig.calibration.pose import COLUMNS, DiagnosisError, Pose
 from calrig.estimation.angles import FloatArray
 
 SAME = 1.0 - 1e-6
 """Columns correlated beyond this are one column."""
-
-
-class DiagnosisError(ValueError):
-    """The poses cannot be diagnosed; the message says what is wrong with them and what to do."""
 
 
 def complete(runs: Sequence[Sequence[Pose]]) -> tuple[list[list[Pose]], list[str]]:

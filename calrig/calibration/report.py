@@ -59,7 +59,7 @@ def _document(r: Responses, found: Found, candidate: Candidate, fitted: Fit, at:
 
 
 def _evidence(r: Responses, found: Found, candidate: Candidate) -> list[str]:
-    said = [f"family-wise p-value {found.p_value:.3g}: what the whole search finds as strong in noise alone"]
+    said = [f"family-wise p-value {found.p_value:.3g}: the chance of so strong an effect in noise alone"]
     witnesses = [
         CHANNELS[c] for k, c in enumerate(r.channels) if k and np.ptp(candidate.columns[:, k, :]) > 0.0
     ]

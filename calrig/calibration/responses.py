@@ -14,9 +14,8 @@ import numpy.typing as npt
 
 from calrig.calibration.filter_share import filter_share
 from calrig.calibration.fit import reading_error_deg
-from calrig.calibration.pose import Pose
+from calrig.calibration.pose import DiagnosisError, Pose
 from calrig.calibration.pose_columns import (
-    DiagnosisError,
     column_of,
     complete,
     covariates_of,
@@ -24,19 +23,6 @@ from calrig.calibration.pose_columns import (
     same,
 )
 from calrig.estimation.angles import FloatArray
-
-__all__ = [
-    "ANGLE",
-    "MOVE",
-    "NORM",
-    "READING",
-    "SCALE_UNIT_DEG",
-    "STAGE",
-    "BoolArray",
-    "DiagnosisError",
-    "Responses",
-    "responses_of",
-]
 
 BoolArray = npt.NDArray[np.bool_]
 
@@ -219,7 +205,7 @@ class _Channels:
         """Lets the first pose of each run lie where it will: the move into it is not known.
 
         It may have been a long one that had not settled, in the filter or the mount, from either side of the
-        play or none at all: one pose would then speak for an effect that all the others deny.
+        backlash or none at all: one pose would then speak for an effect that all the others deny.
         """
         for run in range(self._runs if self.turns else 0):
             first = (self._starts & (self._run_index == run)).astype(float)

@@ -1,4 +1,4 @@
-"""Still poses in a log of samples: the stretches in which nothing but the sensor's own noise moves."""
+"""Static poses in a log of samples: the stretches in which nothing but the sensor's own noise moves."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ EDGE_S = 0.25
 RATE_WITHOUT_TIME_HZ = 100.0
 FEWEST_IN_WINDOW = 8
 QUIET_QUANTILE = 0.1
-"""At least this share of a log's windows is taken to stand still, and gives the noise."""
+"""At least this share of a log's windows is taken to be static, and gives the noise."""
 ABOVE_NOISE = 2.0
 COARSEST_STEP_G = 0.01
 """Two decimals; of a log without any noise, what lies between its values is no step of the sensor's."""
 TURNING_DPS = 1.0
 """A turn as slow and even as this shows in the gyro's mean and hardly in the accelerometer's spread."""
 NOISIEST_G = 0.05
-"""A sensor noisier than this standing still is not known; what is noisier moves."""
+"""A sensor noisier than this at rest is not known; what is noisier moves."""
 SAME_POSE_DEG = 2.0
 
 
@@ -34,8 +34,8 @@ class GravityError(ValueError):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StillPoses:
-    """n still poses of a log.
+class StaticPoses:
+    """n static poses of a log.
 
     Attributes:
         accel_g: (n, 3) mean measured acceleration.
@@ -52,9 +52,9 @@ class StillPoses:
     def __len__(self) -> int:
         return len(self.accel_g)
 
-    def rows(self, chosen: BoolArray) -> StillPoses:
+    def rows(self, chosen: BoolArray) -> StaticPoses:
         """Some of the poses."""
-        return StillPoses(
+        return StaticPoses(
             self.accel_g[chosen],
             None if self.temperature_c is None else self.temperature_c[chosen],
             None if self.time_s is None else self.time_s[chosen],
@@ -62,17 +62,17 @@ class StillPoses:
         )
 
 
-def still_poses(
+def static_poses(
     accel_g: FloatArray,
     *,
     time_s: FloatArray | None = None,
     gyro_dps: FloatArray | None = None,
     temperature_c: FloatArray | None = None,
-) -> StillPoses:
-    """Finds the still poses by the spread within a sliding window, against the log's own quiet windows.
+) -> StaticPoses:
+    """Finds the static poses by the spread within a sliding window, against the log's own quiet windows.
 
     The static detector of Tedaldi, Pretto & Menegatti (ICRA 2014, section V), with the noise taken from the
-    quietest tenth of the log instead of a still period that somebody has to begin with. Neighbouring
+    quietest tenth of the log instead of a static period that somebody has to begin with. Neighbouring
     stretches less than 2° apart are one pose that was knocked.
 
     Args:
@@ -82,20 +82,20 @@ def still_poses(
         temperature_c: (N,), NaN where not known.
 
     Raises:
-        GravityError: the log is too short for a window, or is never still.
+        GravityError: the log is too short for a window, or is never static.
     """
     rate_hz = _rate_hz(time_s)
     width = max(FEWEST_IN_WINDOW, round(WINDOW_S * rate_hz))
     if len(accel_g) < 2 * width:
         raise GravityError(
-            f"{len(accel_g)} samples are too few to find still poses in: gravity needs the log of samples, "
+            f"{len(accel_g)} samples are too few to find static poses in: gravity needs the log of samples, "
             f"at least {2 * width} of them (several seconds in every pose)"
         )
     spread = window_spread(accel_g, width)
     noise = float(np.quantile(spread, QUIET_QUANTILE))
     if noise > NOISIEST_G:
         raise GravityError(
-            f"the log is never still: over {WINDOW_S:g} s the accelerometer changes by {noise * 1e3:.0f} mg "
+            f"the log is never static: over {WINDOW_S:g} s the accelerometer changes by {noise * 1e3:.0f} mg "
             "even where it is quietest; lay the sensor down for a few seconds in every pose"
         )
     quiet = spread <= ABOVE_NOISE * noise + min(_step_of(accel_g), COARSEST_STEP_G)
@@ -103,7 +103,7 @@ def still_poses(
         quiet &= _unturned(gyro_dps, width, quiet)
     shortest, edge = max(width, round(SHORTEST_S * rate_hz)), round(EDGE_S * rate_hz)
     spans = _merged(accel_g, _stretches(quiet, width, edge, shortest))
-    return StillPoses(
+    return StaticPoses(
         np.array([accel_g[a:b].mean(axis=0) for a, b in spans]).reshape(-1, 3),
         _means(temperature_c, spans),
         _means(time_s, spans),
@@ -141,7 +141,7 @@ def _rate_hz(time_s: FloatArray | None) -> float:
 
 
 def _step_of(accel_g: FloatArray) -> float:
-    """The sensor's own step: a still sensor may toggle between two counts, or show no noise at all."""
+    """The sensor's own step: a sensor at rest may toggle between two counts, or show no noise at all."""
     steps = [np.diff(np.unique(column)) for column in accel_g.T]
     return min((float(step.min()) for step in steps if len(step)), default=0.0)
 

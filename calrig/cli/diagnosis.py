@@ -21,7 +21,7 @@ def diagnose(
     db: Db = None,
 ) -> None:
     """Trace the residual after bias and scale to the physical effects behind it."""
-    from calrig.calibration.responses import DiagnosisError
+    from calrig.calibration.pose import DiagnosisError
     from calrig.cli import output
 
     files = [source for source in sources if names_a_file(source)]
@@ -38,7 +38,7 @@ def diagnose(
 
 
 def gravity(
-    file: Annotated[Path, typer.Argument(metavar="FILE.csv", help="A log with many still poses.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE.csv", help="A log with many static poses.")],
     as_json: Json = False,
     accel_range: AccelRange = None,
 ) -> None:
@@ -83,4 +83,4 @@ def _of_runs(run_ids: Sequence[str], db: str | None) -> dict[str, Any]:
     from calrig.store import Store
 
     with Store.open(store_url(db), writer=None) as store:
-        return Diagnoses(store).traced(run_ids[-1], run_ids[:-1])
+        return Diagnoses(store).diagnose(run_ids[-1], run_ids[:-1])

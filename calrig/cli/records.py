@@ -48,7 +48,7 @@ def export(
     db: Db = None,
 ) -> None:
     """Print a calibration as JSON or as a C header, or its poses as CSV."""
-    from calrig.analysis.active_calibration import document_of, header_of, run_in_force
+    from calrig.analysis.active_calibration import active_run, document_of, header_of
     from calrig.cli.output import print_json
     from calrig.export.poses_csv import write_poses
     from calrig.settings import store_url
@@ -57,7 +57,7 @@ def export(
     if (run_id is None) == (unit is None):
         raise InputError("export: name either a RUN_ID or --unit SERIAL")
     with Store.open(store_url(db), writer=None) as store:
-        found = run_in_force(store, unit) if unit is not None else store.run(run_id or "")
+        found = active_run(store, unit) if unit is not None else store.run(run_id or "")
         if found is None:
             raise WorkError(f"there is no run {run_id}")
         if format_ is Format.csv:

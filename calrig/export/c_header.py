@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from calrig.calibration.correction import effects_on_reading_deg, numbers_of
-from calrig.calibration.effect import TEMPERATURE, ApplyError, Circumstances, NotFlown, Parameters
+from calrig.calibration.effect import TEMPERATURE, ApplyError, Circumstances, NotInFlight, Parameters
 from calrig.calibration.effect_terms import c_literal
 from calrig.calibration.effects import EFFECTS, UNNAMED, effect_of
 from calrig.estimation.angles import FloatArray
@@ -82,7 +82,7 @@ def _sorted_out(document: Mapping[str, Any]) -> tuple[Effects, list[str]]:
         name = str(effect["name"])
         if name not in EFFECTS or name == UNNAMED:
             raise ApplyError(f"the effect {name!r} has no formula of its own that a header could hold")
-        if isinstance(effect_of(name).in_c, NotFlown):
+        if isinstance(effect_of(name).in_c, NotInFlight):
             left_out.append(name)
         else:
             taken.append((name, numbers_of(effect["parameters"])))
@@ -91,7 +91,7 @@ def _sorted_out(document: Mapping[str, Any]) -> tuple[Effects, list[str]]:
 
 def _term(name: str, parameters: Parameters) -> str:
     in_c = effect_of(name).in_c
-    assert not isinstance(in_c, NotFlown)  # noqa: S101 (left out before)
+    assert not isinstance(in_c, NotInFlight)  # noqa: S101 (left out before)
     return in_c(parameters)
 
 

@@ -5,7 +5,7 @@ which plotly leaves out of a line. Colours keep a contrast of 3:1 or more on whi
 a page may set text and grid to its own theme over `layout`.
 """
 
-from calrig.figures.diagnosis import before_and_after, error_map, traced
+from calrig.figures.diagnosis import before_and_after, error_map, partial_residual
 from calrig.figures.history import Run, compare, history
 from calrig.figures.parts import PALETTE, Figure
 from calrig.figures.runs import MAX_POINTS, Curve, residual, residuals_overlaid, timeline
@@ -20,8 +20,8 @@ __all__ = [
     "compare",
     "error_map",
     "history",
+    "partial_residual",
     "residual",
     "residuals_overlaid",
     "timeline",
-    "traced",
 ]

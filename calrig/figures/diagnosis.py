@@ -1,4 +1,4 @@
-"""Pictures of a diagnosis: the error before and after, and what is left against what it was traced to."""
+"""Pictures of a diagnosis: the error before and after, and the partial residuals of its effects."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 
 from calrig.calibration.effects import covariate_of
-from calrig.calibration.partial_residuals import Traced
+from calrig.calibration.partial_residuals import PartialResidual
 from calrig.estimation.angles import FloatArray
 from calrig.figures.parts import APPROACHES, GREY, PALETTE, Figure, as_text, error_bars, layout_of
 
-LEFT = "left of the reading (°)"
 CURVE_POINTS = 400
 ROOM = 1.2
 """Beside the longest bar, for its figure."""
@@ -52,12 +51,12 @@ def before_and_after(diagnosis: Mapping[str, Any]) -> Figure:
     return {"data": [trace], "layout": layout}
 
 
-def traced(found: Traced) -> Figure:
-    """What is left of each reading for one effect, against its covariate, with the fitted effect through it.
+def partial_residual(found: PartialResidual) -> Figure:
+    """The partial residual of one effect against its covariate, with the fitted effect through it.
 
     The effect is a line where it is a function of the covariate, points where it depends on more than that.
     """
-    layout = layout_of(as_text(_axis(found.covariate)), LEFT)
+    layout = layout_of(as_text(_axis(found.covariate)), "partial residual (°)")
     layout["yaxis"]["zeroline"] = True
     at = found.at
     if found.covariate == "approach":
@@ -70,7 +69,7 @@ def traced(found: Traced) -> Figure:
         "mode": "markers",
         "name": "poses",
         "x": at.tolist(),
-        "y": found.left_deg.tolist(),
+        "y": found.residual_deg.tolist(),
         "customdata": found.theta_deg.tolist(),
         "marker": {"color": PALETTE[0], "size": 6, "opacity": 0.7},
         "hovertemplate": "at %{customdata:.2f}°: %{y:.4f}°<extra></extra>",
@@ -112,7 +111,7 @@ def error_map(
     return {"data": data, "layout": layout}
 
 
-def _fitted(found: Traced, at: FloatArray) -> dict[str, Any]:
+def _fitted(found: PartialResidual, at: FloatArray) -> dict[str, Any]:
     order = np.argsort(at, kind="stable")
     x, y = at[order], found.effect_deg[order]
     trace = {"type": "scatter", "name": "fitted effect", "hoverinfo": "skip"}
@@ -131,13 +130,13 @@ def _fitted(found: Traced, at: FloatArray) -> dict[str, Any]:
     return {**trace, "mode": "lines", "x": x[::stride].tolist(), "y": y[::stride].tolist(), "line": line}
 
 
-def _spread_by_elevation(found: Traced) -> FloatArray:
+def _spread_by_elevation(found: PartialResidual) -> FloatArray:
     """Poses of one approach beside each other by elevation, so that they do not lie on one line."""
     largest = max(float(np.abs(found.theta_deg).max()), 1.0)
     return np.asarray(found.at + 0.45 * found.theta_deg / largest, dtype=np.float64)
 
 
-def _levels(found: Traced, at: FloatArray) -> dict[str, list[float | None]]:
+def _levels(found: PartialResidual, at: FloatArray) -> dict[str, list[float | None]]:
     """A level line for each approach, with gaps between them."""
     x: list[float | None] = []
     y: list[float | None] = []

@@ -25,7 +25,7 @@ import numpy.typing as npt
 from scipy.special import gammaincinv
 
 from calrig.estimation.angles import FloatArray
-from calrig.noise.resampling import EvenLog
+from calrig.noise.resampling import UniformLog
 
 IntArray = npt.NDArray[np.int64]
 
@@ -69,13 +69,6 @@ class AllanCurve:
     rounding: float
 
     @property
-    def local_slopes(self) -> FloatArray:
-        """(M,) d log σ / d log τ at each τ; NaN where there is no telling."""
-        if len(self.tau_s) < 2 or not (self.deviation > 0.0).all():
-            return np.full(len(self.tau_s), np.nan)
-        return np.asarray(np.gradient(np.log(self.deviation), np.log(self.tau_s)), dtype=np.float64)
-
-    @property
     def adf_slope(self) -> float | None:
         """Slope of log σ over log τ from one sample to 1 s; None with fewer than three values there."""
         used = (self.tau_s <= 1.0 + 1e-9) & (self.deviation > 0.0)
@@ -84,7 +77,7 @@ class AllanCurve:
         return float(np.polyfit(np.log(self.tau_s[used]), np.log(self.deviation[used]), 1)[0])
 
 
-def allan_curve(log: EvenLog, name: str) -> AllanCurve:
+def allan_curve(log: UniformLog, name: str) -> AllanCurve:
     """The overlapping Allan deviation of a channel.
 
     Args:

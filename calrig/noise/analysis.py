@@ -12,7 +12,7 @@ from calrig.noise.allan import AllanCurve, allan_curve
 from calrig.noise.coefficients import Coefficients, coefficients
 from calrig.noise.colour import Colour, colour_of
 from calrig.noise.distribution import Distribution, distribution_of
-from calrig.noise.resampling import EvenLog, even
+from calrig.noise.resampling import UniformLog, uniform_log
 from calrig.noise.spectral_lines import Line, find_lines
 from calrig.noise.spectrum import Psd, PsdSlope, psd_of, psd_slope
 from calrig.noise.temperature import Temperature, temperature_of
@@ -60,7 +60,7 @@ class Noise:
         duration_s: of the log, gaps included.
         gaps: how often samples were missing.
         not_finite: samples left out since one of their values was not known.
-        notes: what was done to bring the log to even samples.
+        notes: what was done to put the log's samples on a uniform grid.
         channels: by name; the log's in its order, then `elevation_deg`.
     """
 
@@ -78,7 +78,7 @@ def analyse(
     rate_hz: float | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Noise:
-    """Analyses a log of a sensor that lies still.
+    """Analyses a log of a sensor at rest.
 
     Where the log has accel_y and accel_z of one unit, the elevation of each sample, atan2(y, z), is analysed
     as one more channel.
@@ -92,7 +92,7 @@ def analyse(
     Raises:
         ValueError: there is no rate or no sample; says what to do.
     """
-    log = even(channels, time_s, rate_hz)
+    log = uniform_log(channels, time_s, rate_hz)
     y_and_z = _elevation_axes(log)
     names = [*log.channels, *([ELEVATION] if y_and_z else [])]
     analysed: dict[str, ChannelNoise] = {}
@@ -106,7 +106,7 @@ def analyse(
     return Noise(log.rate_hz, log.duration_s, log.gaps, log.not_finite, log.notes, analysed)
 
 
-def _channel(log: EvenLog, name: str) -> ChannelNoise:
+def _channel(log: UniformLog, name: str) -> ChannelNoise:
     """One channel's noise; what is as long as the log is gone when it returns."""
     x, unit, temperature_c = log.channels[name], unit_of(name), log.channels.get(TEMPERATURE)
     curve, psd = allan_curve(log, name), psd_of(x, log.rate_hz, log.segments)
@@ -130,7 +130,7 @@ def _channel(log: EvenLog, name: str) -> ChannelNoise:
     )
 
 
-def _elevation_axes(log: EvenLog) -> tuple[FloatArray, FloatArray] | None:
+def _elevation_axes(log: UniformLog) -> tuple[FloatArray, FloatArray] | None:
     """The accelerometer's y and z, of one unit."""
     for unit in ("g", "lsb"):
         y, z = (log.channels.get(f"accel_{axis}_{unit}") for axis in "yz")
@@ -140,7 +140,7 @@ def _elevation_axes(log: EvenLog) -> tuple[FloatArray, FloatArray] | None:
 
 
 def static_elevation_deg(accel_y: FloatArray, accel_z: FloatArray) -> FloatArray:
-    """(N,) elevation atan2(y, z) in degrees of a sensor that lies still, without a jump at ±180°."""
+    """(N,) elevation atan2(y, z) in degrees of a sensor at rest, without a jump at ±180°."""
     middle_deg = float(np.degrees(np.arctan2(accel_y.mean(), accel_z.mean())))
     elevation_deg = np.arctan2(accel_y, accel_z)
     np.degrees(elevation_deg, out=elevation_deg)

@@ -51,7 +51,7 @@ class Coefficients:
         flicker: B, σ = 0.664·B, in the unit; bias instability.
         random_walk: K, σ = K·√(τ/3), in unit/√s; rate random walk.
         ramp: R, σ = R·τ/√2, in unit/s; its size, without its sign.
-        unclear: kinds that something in the curve may be, and that these data do not tell apart.
+        unclear: kinds that something in the curve may be, and that are indistinguishable in these data.
         explained_s: first and last τ that these explain; short ones are left out where a filter bends the
             curve, long ones where something drifts that is neither noise nor a ramp. None without a fit.
     """

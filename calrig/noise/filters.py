@@ -18,7 +18,7 @@ from calrig.estimation.kalman import KalmanNoise
 from calrig.estimation.tuning import midpoint_rate_dps, tuned_noise
 from calrig.noise.allan import allan_curve
 from calrig.noise.coefficients import coefficients
-from calrig.noise.resampling import EvenLog, even
+from calrig.noise.resampling import UniformLog, uniform_log
 from calrig.noise.units import unit_of
 
 GYRO, ELEVATION = "gyro_x_dps", "elevation_deg"
@@ -73,7 +73,7 @@ def study_filters(
     used = {"y": channels[y], "z": channels[z]}
     if GYRO in channels:
         used[GYRO] = channels[GYRO]
-    log = even(used, time_s, rate_hz)
+    log = uniform_log(used, time_s, rate_hz)
     log = replace(log, channels=_angles(log))
     notes = list(log.notes)
     elevation, rate = log.channels[ELEVATION], log.channels.get(GYRO)
@@ -113,7 +113,7 @@ def _accelerometer(channels: dict[str, FloatArray]) -> tuple[str, str]:
     raise ValueError("the log has no accel_y and accel_z of one unit, from which the elevation comes")
 
 
-def _angles(log: EvenLog) -> dict[str, FloatArray]:
+def _angles(log: UniformLog) -> dict[str, FloatArray]:
     """Elevation, continuous within each segment, and the rate if there is one."""
     elevation = np.degrees(np.arctan2(log.channels["y"], log.channels["z"]))
     for segment in log.segments:
@@ -122,7 +122,7 @@ def _angles(log: EvenLog) -> dict[str, FloatArray]:
     return {ELEVATION: elevation} if rate is None else {ELEVATION: elevation, GYRO: rate}
 
 
-def _times(log: EvenLog) -> FloatArray:
+def _times(log: UniformLog) -> FloatArray:
     """(N,) seconds since the first sample."""
     times = [
         start_s + np.arange(segment.stop - segment.start) / log.rate_hz
@@ -131,7 +131,7 @@ def _times(log: EvenLog) -> FloatArray:
     return np.concatenate(times)
 
 
-def _at_rest(log: EvenLog) -> EvenLog:
+def _at_rest(log: UniformLog) -> UniformLog:
     """The log's static intervals as its segments."""
     times, rate = _times(log), log.channels.get(GYRO)
     static = tuple(
@@ -142,7 +142,7 @@ def _at_rest(log: EvenLog) -> EvenLog:
     return replace(log, segments=static, start_s=tuple(float(times[one.start]) for one in static))
 
 
-def _tuned(at_rest: EvenLog, notes: list[str]) -> KalmanNoise | None:
+def _tuned(at_rest: UniformLog, notes: list[str]) -> KalmanNoise | None:
     elevation, gyro = (coefficients(allan_curve(at_rest, name), unit_of(name)) for name in (ELEVATION, GYRO))
     if elevation.white is None or gyro.white is None:
         missing = [name for name, one in ((ELEVATION, elevation), (GYRO, gyro)) if one.white is None]
@@ -157,7 +157,7 @@ def _tuned(at_rest: EvenLog, notes: list[str]) -> KalmanNoise | None:
     )
 
 
-def _check(at_rest: EvenLog, tuned: KalmanNoise, gyro_scale: float) -> InnovationCheck:
+def _check(at_rest: UniformLog, tuned: KalmanNoise, gyro_scale: float) -> InnovationCheck:
     """Of the longest static interval."""
     longest = max(at_rest.segments, key=lambda one: one.stop - one.start)
     elevation, rate = (at_rest.channels[name][longest] for name in (ELEVATION, GYRO))

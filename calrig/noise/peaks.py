@@ -34,7 +34,7 @@ def candidates(power: FloatArray, significance: float) -> IntArray:
 
     Args:
         power: (M,) of each bin.
-        significance: p-value of the whole search.
+        significance: family-wise p-value, over all bins.
     """
     pair = power[:-1] + power[1:]
     pair /= rough_background(power)[:-1]

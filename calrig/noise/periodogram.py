@@ -1,4 +1,4 @@
-"""A log on one even grid, gaps and all: its periodogram, and sinusoids measured and taken out of it.
+"""A log on one uniform grid, gaps and all: its periodogram, and sinusoids measured and taken out of it.
 
 In gaps lies the slow course of the log, so that a drift makes no comb of them, and the
 ends are tapered (Tukey's window; Harris, Proc. IEEE 66, 1978), so that a drift leaks into few bins. That
@@ -35,7 +35,7 @@ _ZOOMS = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gridded:
-    """Samples on an even grid, in `_ROWS` equal rows of which the last ends in zeros.
+    """Samples on a uniform grid, in `_ROWS` equal rows of which the last ends in zeros.
 
     Attributes:
         y: (rows, width) samples about their straight line; straight lines in the gaps.

@@ -1,7 +1,7 @@
-"""A log as it came → evenly spaced samples, in segments without a gap, and what was done to get there.
+"""A log as it came → uniformly spaced samples, in segments without a gap, and what was done to get there.
 
-Nothing is resampled, since interpolation colours the noise. Only where a few samples are missing here and
-there is a straight line drawn over them, so that the log stays in one piece.
+No sample is interpolated, since that colours the noise. Only where a few are missing here and there is a
+straight line drawn over them, so that the log stays in one piece.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ SLOW = "temperature_c"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EvenLog:
-    """Evenly spaced samples.
+class UniformLog:
+    """Uniformly spaced samples.
 
     Attributes:
         rate_hz: samples per second within a segment.
@@ -53,8 +53,10 @@ class EvenLog:
     notes: tuple[str, ...]
 
 
-def even(channels: dict[str, FloatArray], time_s: FloatArray | None, rate_hz: float | None) -> EvenLog:
-    """Brings a log to even samples.
+def uniform_log(
+    channels: dict[str, FloatArray], time_s: FloatArray | None, rate_hz: float | None
+) -> UniformLog:
+    """Puts a log's samples on a uniform grid.
 
     A clean log comes back as it is, without a copy.
 
@@ -81,7 +83,7 @@ def even(channels: dict[str, FloatArray], time_s: FloatArray | None, rate_hz: fl
         raise ValueError("no sample of the log has a number in every channel")
     if grid.place is None and not not_finite:
         duration_s = count / grid.rate_hz
-        return EvenLog(
+        return UniformLog(
             grid.rate_hz, duration_s, channels, (slice(0, count),), (0.0,), grid.gaps, 0, tuple(notes)
         )
     place = np.arange(count) if grid.place is None else grid.place
@@ -165,7 +167,7 @@ def _bridged(missing: IntArray) -> BoolArray:
 
 def _in_segments(
     channels: dict[str, FloatArray], finite: BoolArray, place: IntArray, grid: Grid, not_finite: int
-) -> EvenLog:
+) -> UniformLog:
     place = place[finite]
     missing = np.diff(place) - 1
     bridged = _bridged(missing)
@@ -191,7 +193,7 @@ def _in_segments(
         notes.append(
             f"The log is in {len(segments)} pieces, the longest of {longest:.3g} s; nothing joins them."
         )
-    return EvenLog(
+    return UniformLog(
         rate_hz=grid.rate_hz,
         duration_s=float(place[-1] - place[0] + 1) / grid.rate_hz,
         channels=channels,

@@ -1,4 +1,4 @@
-"""Time stamps as a log has them → which place on an even grid each sample has.
+"""Time stamps as a log has them → which place on a uniform grid each sample has.
 
 A sensor takes its samples evenly; what stamps them afterwards does not. Where the time that passed agrees
 with the number of samples, jitter and clumps are the stamps' and not the samples'. Where stamps step ahead
@@ -50,7 +50,7 @@ class Grid:
 
 
 def grid_of(time_s: FloatArray) -> Grid:
-    """Finds the even grid on which samples were taken.
+    """Finds the uniform grid on which samples were taken.
 
     Args:
         time_s: (N,) stamps in s as logged, N ≥ 2; they may jitter, clump, wrap, start anew and be NaN.

@@ -99,7 +99,7 @@ class Execution:
     def _return(self, last: Pose) -> None:
         """Goes back to the last pose before an interruption, and measures it once more.
 
-        So the next move begins where it would have begun, on the same side of the play. Whether the unit
+        So the next move begins where it would have begun, on the same side of the backlash. Whether the unit
         still reads there what it read tells whether anything was touched meanwhile.
         """
         for elevation_deg in way_back(last, self.rig.axis.limits_deg):
@@ -115,7 +115,7 @@ class Execution:
     def _move_off(self, planned: list[PlannedPose]) -> None:
         """Leaves the first elevation where the stage stands on it: how it came there is not known.
 
-        Which side of the play the table lies on, and whether it has settled, is what calibration is about.
+        Which side of the backlash the table lies on, and whether it has settled, is for calibration to say.
         """
         first_deg, stands_deg = planned[0].target_deg, self.pace.stage_deg
         stays = stands_deg is not None and abs(first_deg - stands_deg) <= self.rig.axis.tolerance_deg

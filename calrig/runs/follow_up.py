@@ -10,8 +10,7 @@ from calrig.analysis.errors import Conflict
 from calrig.analysis.unresolved import Unresolved
 from calrig.calibration.diagnosis import trace
 from calrig.calibration.experiment_design import design
-from calrig.calibration.pose import Pose
-from calrig.calibration.responses import DiagnosisError
+from calrig.calibration.pose import DiagnosisError, Pose
 from calrig.calibration.sprt import SequentialTest
 from calrig.plan import Plan, PlannedPose
 

@@ -76,7 +76,7 @@ class Recorder:
         log.log(level, "run %s is %s%s", self.run_id, status, f": {error}" if error else "")
 
     def poses_begin(self) -> None:
-        """The first pose begins: the time left is reckoned from here."""
+        """The first pose begins: the time left is computed from here."""
         self._first_pose_began_s = self._now_s()
 
     def update(self, **changes: Unpack[RunChanges]) -> None:

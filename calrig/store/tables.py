@@ -141,7 +141,7 @@ class SampleBlockTable(SQLModel, table=True):
 
 
 class AcceptedEffectTable(SQLModel, table=True):
-    """An effect that a person accepted: of a unit (flown with it) or of a rig (its error map)."""
+    """An effect that a person accepted: of a unit (applied in flight) or of a rig (its error map)."""
 
     __tablename__ = "accepted_effect"
     __table_args__ = (Index("ix_accepted_effect_unit", "unit"), Index("ix_accepted_effect_rig", "rig"))

@@ -13,7 +13,7 @@ NOISE_DEG = 0.02
 
 
 def worn(client, unit, seed=0):
-    """An imported run of a unit on a stage with play: random moves, so that backlash stands alone."""
+    """An imported run of a unit on a stage with backlash: random moves, so that backlash stands alone."""
     rng = np.random.default_rng(seed)
     theta = rng.uniform(-60, 60, 48).round(2)
     approach = np.sign(np.diff(theta, prepend=-90.0))

@@ -1,7 +1,7 @@
 """A day's stream, a fast board, and many boards at once: what they cost, reported; what is lost, asserted.
 
 `python -m pytest tests/benchmarks/test_streams.py`; it takes about five minutes. Shares are processor time of
-this process over the stream's time, in % of one core; the boards, which would be hardware, are told apart.
+this process over the stream's time, in % of one core; the boards, which would be hardware, count apart.
 """
 
 from __future__ import annotations

@@ -13,8 +13,7 @@ import pytest
 from support import DATA
 
 from calrig.calibration.diagnosis import diagnose, document
-from calrig.calibration.pose import Pose
-from calrig.calibration.responses import DiagnosisError
+from calrig.calibration.pose import DiagnosisError, Pose
 from calrig.export.poses_csv import read_poses
 
 NOISE_DEG = 0.03

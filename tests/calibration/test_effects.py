@@ -20,7 +20,7 @@ from calrig.api.app import api
 from calrig.calibration.candidates import candidates_of, documented_forms, rebuilt
 from calrig.calibration.correction import calibrated_elevation_deg, effect_on_reading_deg, numbers_of
 from calrig.calibration.diagnosis import diagnose
-from calrig.calibration.effect import Circumstances, EffectError, NotFlown
+from calrig.calibration.effect import Circumstances, EffectError, NotInFlight
 from calrig.calibration.effects import CATALOGUE, EFFECTS
 from calrig.calibration.noise_model import fit
 from calrig.calibration.pose import Pose
@@ -201,7 +201,7 @@ def test_an_effect_is_found_rebuilt_applied_compiled_and_shown(effect, shown, tm
         tolerance = 0.05 if len(effects) == 1 and these is poses else 0.35
         assert np.abs(left).max() < tolerance * size
 
-    flown(effect, values, tmp_path)
+    applied_in_flight(effect, values, tmp_path)
     entry = shown[effect.name]
     assert entry["formula"] == effect.formula
     assert set(stated["parameters"]) <= {parameter["name"] for parameter in entry["parameters"]}
@@ -220,11 +220,11 @@ def traced(effect, poses):
     return findings, effect_documents(r, findings)
 
 
-def flown(effect, values, folder):
+def applied_in_flight(effect, values, folder):
     """The compiled header takes the effect out as Python does, or says that it does not."""
     calibration = document([(effect.name, values)])
     header = c_header(calibration)
-    if isinstance(effect.in_c, NotFlown):
+    if isinstance(effect.in_c, NotInFlight):
         assert f"not of this unit at rest: {effect.name}" in header
         return
     if COMPILER is None:

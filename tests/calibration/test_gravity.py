@@ -1,4 +1,4 @@
-"""Gravity as the reference: still poses, bias and scale, misalignment, and nothing where there is nothing."""
+"""Gravity as the reference: static poses, bias, scale, misalignment, and nothing where there is nothing."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from support import DATA
 from calrig.calibration.gravity import GravityError, calibrate_by_gravity, gravity_document, trace_gravity
 from calrig.calibration.gravity_model import EFFECTS, Problem, fit_gravity
 from calrig.calibration.gravity_search import search
-from calrig.calibration.static_detector import StillPoses, still_poses
+from calrig.calibration.static_detector import StaticPoses, static_poses
 from calrig.export.static_csv import accel_g_of, read_static
 
 BIAS_G = np.array([0.02, -0.03, 0.05])
@@ -27,14 +27,14 @@ def directions(rng, n):
 
 
 def poses_of(true_g, rng, *, noise_g=3e-4, matrix=None, per_c=0.0):
-    """Still poses of a warming unit: true = matrix·(raw − bias)/scale."""
+    """Static poses of a warming unit: true = matrix·(raw − bias)/scale."""
     n = len(true_g)
     time_s = 8.0 * np.arange(n)
     temperature_c = 28.0 - 8.0 * np.exp(-time_s / 60.0)
     square = np.eye(3) if matrix is None else matrix
     raw = BIAS_G + SCALE * np.linalg.solve(square, true_g.T).T + rng.normal(0.0, noise_g, (n, 3))
     raw = raw + np.outer(temperature_c - temperature_c.mean(), np.full(3, per_c))
-    return StillPoses(raw, temperature_c, time_s, np.zeros((n, 2), dtype=np.intp))
+    return StaticPoses(raw, temperature_c, time_s, np.zeros((n, 2), dtype=np.intp))
 
 
 def log_of(true_g, rng, *, rate_hz=100, matrix=None, noise_g=5e-3):
@@ -55,13 +55,13 @@ def test_every_pose_of_a_log_is_found_and_no_motion():
     true_g = directions(rng, 20)
     time_s, accel_g = log_of(true_g, rng)
 
-    poses = still_poses(accel_g, time_s=time_s)
+    poses = static_poses(accel_g, time_s=time_s)
 
     assert len(poses) == 20
     np.testing.assert_allclose(poses.accel_g, BIAS_G + SCALE * true_g, atol=2e-3)
     in_second = np.floor(poses.spans / 100.0) % 5
     assert (in_second < 4).all()
-    without_time = still_poses(accel_g)
+    without_time = static_poses(accel_g)
     np.testing.assert_array_equal(without_time.spans, poses.spans)
 
 
@@ -69,7 +69,7 @@ def test_a_knock_makes_no_second_pose():
     rng = np.random.default_rng(1)
     accel_g = np.array([0.0, 0.0, 1.0]) + rng.normal(0.0, 5e-3, (2000, 3))
     accel_g[700:720] += rng.normal(0.0, 0.3, (20, 3))
-    assert len(still_poses(accel_g)) == 1
+    assert len(static_poses(accel_g)) == 1
 
 
 def test_a_turn_that_the_accelerometer_hardly_shows_is_seen_by_the_gyro():
@@ -80,12 +80,12 @@ def test_a_turn_that_the_accelerometer_hardly_shows_is_seen_by_the_gyro():
     gyro_dps = np.array([1.0, -2.0, 0.5]) + rng.normal(0.0, 0.1, accel_g.shape)
     gyro_dps[1000:1400, 2] += 5.0  # the whole of the third pose
 
-    assert len(still_poses(accel_g, time_s=time_s, gyro_dps=gyro_dps)) == 11
+    assert len(static_poses(accel_g, time_s=time_s, gyro_dps=gyro_dps)) == 11
 
 
-def test_a_sensor_that_shows_no_noise_at_all_can_be_still():
+def test_a_sensor_that_shows_no_noise_at_all_can_be_static():
     steps = np.repeat(np.round(directions(np.random.default_rng(3), 10), 2), 400, axis=0)
-    assert len(still_poses(steps)) == 10
+    assert len(static_poses(steps)) == 10
 
 
 def test_the_fit_equals_an_independent_least_squares_of_the_same_model():
@@ -133,7 +133,7 @@ def test_nothing_is_claimed_of_units_that_lack_nothing():
     assert claimed <= binom.ppf(0.999, 400, 0.01)
 
 
-def test_still_poses_without_any_noise_lack_nothing():
+def test_static_poses_without_any_noise_lack_nothing():
     for seed in range(4):
         rng = np.random.default_rng(seed)
         poses = poses_of(directions(rng, 24), rng, noise_g=0.0)
@@ -187,14 +187,14 @@ def test_six_faces_show_no_misalignment_and_it_is_said():
 @pytest.mark.parametrize(
     ("accel_g", "says"),
     [
-        (np.tile([0.0, 0.0, 1.0], (3000, 1)), "one still pose: nothing was turned"),
+        (np.tile([0.0, 0.0, 1.0], (3000, 1)), "one static pose: nothing was turned"),
         (np.tile([0.0, 0.0, 9.81], (3000, 1)), "look like m/s²"),
         (np.tile([0.0, 0.0, 16500.0], (3000, 1)), "counts of ±2 g"),
         (np.tile([0.0, 0.0, 0.1], (3000, 1)), "g in columns named _mps2"),
         (np.tile([0.0, 0.0, 77.0], (3000, 1)), "check the unit and the range"),
         (np.full((3000, 3), np.nan), "no sample in which all three axes"),
         (np.tile([0.0, 0.0, 1.0], (50, 1)), "50 samples are too few"),
-        (np.random.default_rng(0).normal(0.0, 0.6, (3000, 3)), "never still"),
+        (np.random.default_rng(0).normal(0.0, 0.6, (3000, 3)), "never static"),
     ],
 )
 def test_a_log_that_cannot_serve_is_told_why(accel_g, says):
@@ -204,7 +204,7 @@ def test_a_log_that_cannot_serve_is_told_why(accel_g, says):
 
 def test_too_few_poses_and_poses_about_one_axis_are_told_what_is_missing():
     rng = np.random.default_rng(9)
-    with pytest.raises(GravityError, match="6 still poses are too few: at least 9"):
+    with pytest.raises(GravityError, match="6 static poses are too few: at least 9"):
         trace_gravity(poses_of(directions(rng, 6), rng))
     turn = np.linspace(0.0, 2.0 * np.pi, 15)[:-1]
     about_x = np.column_stack([np.zeros(14), np.sin(turn), np.cos(turn)])

@@ -7,8 +7,7 @@ import pytest
 
 from calrig.calibration.diagnosis import diagnose, document
 from calrig.calibration.partial_residuals import partial_residuals
-from calrig.calibration.pose import Pose
-from calrig.calibration.responses import DiagnosisError
+from calrig.calibration.pose import DiagnosisError, Pose
 
 NOISE_DEG = 0.02
 
@@ -56,7 +55,7 @@ def test_each_effect_stands_alone_and_as_large_as_the_diagnosis_says():
     slope = np.polyfit(temperature.at, temperature.effect_deg, 1)[0]
     assert slope == pytest.approx(parameters["deg_per_c"]["value"], rel=1e-6)
     for _, one in found.values():
-        beside = one.left_deg - one.effect_deg
+        beside = one.residual_deg - one.effect_deg
         assert beside.std() == pytest.approx(NOISE_DEG, rel=0.25)
 
 
@@ -65,7 +64,7 @@ def test_a_shape_without_a_name_is_drawn_against_its_column_at_the_size_stated()
     parameters, shape = found_in(poses)["unnamed"]
     assert shape.covariate == "supply_v"
     assert np.ptp(shape.effect_deg) == pytest.approx(parameters["size_deg"]["value"], rel=1e-6)
-    assert np.corrcoef(shape.at, shape.left_deg)[0, 1] > 0.9
+    assert np.corrcoef(shape.at, shape.residual_deg)[0, 1] > 0.9
 
 
 def test_poses_that_cannot_show_the_effect_any_more_say_so():

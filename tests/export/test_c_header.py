@@ -130,6 +130,6 @@ def test_parameters_with_their_standard_errors_are_taken_too():
         ),
     ],
 )
-def test_what_cannot_be_flown_is_refused(changes, error, says):
+def test_what_cannot_be_applied_in_flight_is_refused(changes, error, says):
     with pytest.raises(error, match=says):
         c_header(document(**changes))

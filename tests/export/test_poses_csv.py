@@ -107,7 +107,7 @@ def test_a_spreadsheets_bom_line_ends_and_spaces_are_accepted():
 
 
 @pytest.mark.parametrize("name", ["=cmd()", "+5V", "-dT_c", "@lux", "＝1", "'=x", "''=x", "'quoted"])
-def test_a_name_that_a_spreadsheet_would_reckon_is_text_in_the_file_and_itself_again_when_read(name):
+def test_a_name_that_a_spreadsheet_would_compute_is_text_in_the_file_and_itself_again_when_read(name):
     written = [Pose(1.0, -0.5, covariates={name: -3.5}), Pose(2.0, 0.5, covariates={name: 1e-9})]
     header, *rows = write_poses(written).splitlines()
     assert header.split(",")[2].startswith("'")

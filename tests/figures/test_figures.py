@@ -11,7 +11,7 @@ import plotly.graph_objects as go
 import pytest
 
 from calrig import figures
-from calrig.calibration.partial_residuals import Traced
+from calrig.calibration.partial_residuals import PartialResidual
 from calrig.calibration.pose import Pose
 
 
@@ -64,7 +64,7 @@ def diagnosis(before=0.07, after=0.016, floor=0.012, confirmed_by=None):
 def effect(covariate="temperature_c", at=(3.0, 1.0, 2.0), effect_deg=(0.3, 0.1, 0.2), off_deg=0.01):
     """An effect whose poses lie beside the fitted curve by off_deg."""
     fitted = np.array(effect_deg)
-    return Traced(covariate, np.array(at), np.linspace(-60, 60, len(at)), fitted + off_deg, fitted)
+    return PartialResidual(covariate, np.array(at), np.linspace(-60, 60, len(at)), fitted + off_deg, fitted)
 
 
 ALL = {
@@ -77,8 +77,10 @@ ALL = {
     "residuals": figures.residuals_overlaid([figures.Curve("A", poses(), 0.8, 1.01)]),
     "before and after": figures.before_and_after(diagnosis()),
     "nothing is known": figures.before_and_after(diagnosis(None, None, None)),
-    "traced to temperature": figures.traced(effect()),
-    "traced to the approach": figures.traced(effect("approach", [1, -1, 1], [0.1, -0.1, 0.1])),
+    "partial residual against temperature": figures.partial_residual(effect()),
+    "partial residual against the approach": figures.partial_residual(
+        effect("approach", [1, -1, 1], [0.1, -0.1, 0.1])
+    ),
     "error map": figures.error_map([-40, 40, 40], [1, 1, -1], [0.01, 0.02, 0.03], [0.001, 0.002, 0.003]),
     "no error map": figures.error_map([], [], [], []),
 }
@@ -162,7 +164,7 @@ def test_before_and_after_stand_beside_the_noise_floor_and_what_is_not_known_is_
 
 def test_the_fitted_effect_is_drawn_through_the_poses_in_the_order_of_its_covariate():
     at = np.array([3.0, 1.0, 5.0, 2.0, 4.0])
-    points, curve = figures.traced(effect(at=at, effect_deg=0.1 * at, off_deg=0.01))["data"]
+    points, curve = figures.partial_residual(effect(at=at, effect_deg=0.1 * at, off_deg=0.01))["data"]
     assert (curve["mode"], curve["x"]) == ("lines", [1.0, 2.0, 3.0, 4.0, 5.0])
     np.testing.assert_allclose(curve["y"], [0.1, 0.2, 0.3, 0.4, 0.5])
     np.testing.assert_allclose(points["y"], 0.1 * at + 0.01)
@@ -170,18 +172,18 @@ def test_the_fitted_effect_is_drawn_through_the_poses_in_the_order_of_its_covari
 
 def test_an_effect_that_depends_on_more_than_its_covariate_is_drawn_as_points():
     zigzag = effect(at=np.arange(20.0), effect_deg=np.tile([0.1, -0.1], 10))
-    assert figures.traced(zigzag)["data"][1]["mode"] == "markers"
+    assert figures.partial_residual(zigzag)["data"][1]["mode"] == "markers"
 
 
 def test_backlash_is_a_level_for_each_approach_with_gaps_between_them():
     approach = np.array([0.0, *np.tile([1.0, -1.0], 6)])
-    _, levels = figures.traced(effect("approach", approach, 0.1 * approach))["data"]
+    _, levels = figures.partial_residual(effect("approach", approach, 0.1 * approach))["data"]
     assert levels["y"] == [-0.1, -0.1, None, 0.0, 0.0, None, 0.1, 0.1]
     assert max(levels["x"][:2]) < min(levels["x"][6:])
 
 
 def test_a_covariate_calrig_has_never_heard_of_is_text_to_plotly():
-    layout = figures.traced(effect("<b>supply_v</b>"))["layout"]
+    layout = figures.partial_residual(effect("<b>supply_v</b>"))["layout"]
     assert layout["xaxis"]["title"]["text"] == "&lt;b&gt;supply_v&lt;/b&gt;"
 
 

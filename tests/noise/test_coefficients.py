@@ -11,7 +11,7 @@ from scipy.stats import binom
 
 from calrig.noise.allan import allan_curve
 from calrig.noise.coefficients import TERMS, coefficients
-from calrig.noise.resampling import EvenLog, even
+from calrig.noise.resampling import UniformLog, uniform_log
 
 N, RATE_HZ = 2**15, 100.0
 TIME_S = np.arange(N) / RATE_HZ
@@ -62,7 +62,7 @@ each_case = pytest.mark.parametrize("truth", CASES.values(), ids=CASES.keys())
 
 
 def found_in(values, lines=(), rate_hz=RATE_HZ):
-    return coefficients(allan_curve(even({"x": values}, None, rate_hz), "x"), "g", lines)
+    return coefficients(allan_curve(uniform_log({"x": values}, None, rate_hz), "x"), "g", lines)
 
 
 def named(found):
@@ -118,7 +118,7 @@ def test_recovery_in_90_and_invention_in_5_of_100_over_all_seeds(truth):
 )
 def test_each_has_its_unit_and_is_what_the_curve_is_made_of(term, unit, sigma_at_1_s):
     """σ = √3·Q/τ, N/√τ, 0.664·B, K·√(τ/3), R·τ/√2, where the noise is of one kind."""
-    curve = allan_curve(even({"x": MAKERS[term](np.random.default_rng(2), 1.0)}, None, RATE_HZ), "x")
+    curve = allan_curve(uniform_log({"x": MAKERS[term](np.random.default_rng(2), 1.0)}, None, RATE_HZ), "x")
     found = named(coefficients(curve, "g"))
     assert list(found) == [term]
     assert found[term].unit == unit
@@ -198,7 +198,7 @@ def test_two_kinds_that_the_log_cannot_tell_apart_are_not_named():
 def test_gaps_do_not_change_what_is_found():
     rng = np.random.default_rng(5)
     parts = tuple(slice(k, k + 2048) for k in range(0, N, 2048))
-    log = EvenLog(RATE_HZ, 1e4, {"x": white(rng, 1.0)}, parts, tuple(np.arange(16) * 100.0), 15, 0, ())
+    log = UniformLog(RATE_HZ, 1e4, {"x": white(rng, 1.0)}, parts, tuple(np.arange(16) * 100.0), 15, 0, ())
     found = named(coefficients(allan_curve(log, "x"), "g"))
     assert list(found) == ["white"]
     assert found["white"].value == pytest.approx(1.0, abs=3.0 * found["white"].std)

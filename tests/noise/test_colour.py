@@ -9,13 +9,13 @@ from test_coefficients import RATE_HZ, TIME_S, flicker, quantisation, ramp, rand
 from calrig.noise.allan import allan_curve
 from calrig.noise.coefficients import coefficients
 from calrig.noise.colour import colour_of
-from calrig.noise.resampling import even
+from calrig.noise.resampling import uniform_log
 from calrig.noise.spectral_lines import Line
 from calrig.noise.spectrum import psd_of, psd_slope
 
 
 def word(values, lines=()):
-    log = even({"x": values}, None, RATE_HZ)
+    log = uniform_log({"x": values}, None, RATE_HZ)
     curve = allan_curve(log, "x")
     found = coefficients(curve, "g", [(line.frequency_hz, line.amplitude) for line in lines])
     slope = psd_slope(psd_of(values, RATE_HZ, log.segments))

@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 from support import DATA
 
 from calrig.export.static_csv import read_static
-from calrig.noise.resampling import even
+from calrig.noise.resampling import uniform_log
 from calrig.noise.spectral_lines import Line, find_lines
 
 RATE_HZ, TEN_MINUTES_S = 100.0, 600.0
@@ -242,7 +242,7 @@ def measured(request):
     if not file.is_file():
         pytest.skip(f"{file} is not here: set CALRIG_DATA to the folder of measured data")
     log = read_static(file.read_bytes())
-    return request.param, even(log.channels, log.time_s, None)
+    return request.param, uniform_log(log.channels, log.time_s, None)
 
 
 def test_the_lines_of_real_logs(measured):

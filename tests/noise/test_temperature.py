@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 from support import DATA
 
 from calrig.export.static_csv import read_static
-from calrig.noise.resampling import even
+from calrig.noise.resampling import uniform_log
 from calrig.noise.temperature import temperature_of
 
 N = 60_000
@@ -50,7 +50,7 @@ def test_the_warm_up_of_a_real_chip():
     if not file.is_file():
         pytest.skip(f"no measured data at {file}")
     log = read_static(file.read_bytes())
-    told = even(log.channels, log.time_s, None)
+    told = uniform_log(log.channels, log.time_s, None)
     for name, per_c in {"accel_z_lsb": -28.2, "accel_x_lsb": 4.6, "accel_y_lsb": -1.5}.items():
         slope = temperature_of(
             told.channels[name], told.channels["temperature_c"], told.rate_hz, told.segments, told.start_s

@@ -38,7 +38,7 @@ REQUESTS = 20_000
 A_ROUND = 24
 """Requests to one path before the next one has its turn; fewer, where every path would not have two turns."""
 SELDOM = {"POST /api/rigs/scan": 8, "POST /api/runs/{run_id}/diagnosis": 200}
-"""At most so many of all: a scan waits seven seconds for boards to answer, a diagnosis reckons long."""
+"""At most so many of all: a scan waits seven seconds for boards to answer, a diagnosis computes long."""
 ANSWER_S = 60.0
 CHECKS = (
     status_code_conformance,

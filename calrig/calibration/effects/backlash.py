@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from calrig.calibration.effect import APPROACH, Effect, NotFlown, Parameter, Parameters, Shape
+from calrig.calibration.effect import APPROACH, Effect, NotInFlight, Parameter, Parameters, Shape
 from calrig.calibration.effect_terms import turned
 from calrig.calibration.responses import Responses
 
@@ -24,7 +24,7 @@ EFFECT = Effect(
     formula="backlash_deg/2·approach",
     forms=_forms,
     on_reading_deg=lambda p: p.value("backlash_deg") / 2.0 * p.column("approach"),
-    in_c=NotFlown("it belongs to the rig's stage"),
+    in_c=NotInFlight("it belongs to the rig's stage"),
     apart="random order tells it from settling, reversals smaller than it from hysteresis of the mount",
-    remedy="approach every elevation from the same side, or take up the play with a spring or a second gear",
+    remedy="approach every elevation from the same side, or preload the gear with a spring",
 )

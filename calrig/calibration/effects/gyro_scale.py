@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calrig.calibration.effect import LAST_MOVE, Effect, NotFlown, Parameter, Parameters, Shape
+from calrig.calibration.effect import LAST_MOVE, Effect, NotInFlight, Parameter, Parameters, Shape
 from calrig.calibration.responses import MOVE, READING, Responses
 
 
@@ -26,7 +26,7 @@ EFFECT = Effect(
     formula="κ·gain_pct/100·move, κ what the filter still shows of the move's error in the dwell",
     forms=_forms,
     on_reading_deg=lambda p: p.column("kappa") * p.value("gain_pct") / 100.0 * p.moved_deg(),
-    in_c=NotFlown("it is seen only after a move: a standing unit needs no correction for it"),
+    in_c=NotInFlight("it is seen only after a move: a standing unit needs no correction for it"),
     apart="the gyro's own integral over the move is wrong by the same factor",
     remedy="correct the gyro's scale in the filter, or settle longer",
 )

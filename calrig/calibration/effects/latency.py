@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from calrig.calibration.effect import Covariate, Effect, NotFlown, Parameter, Parameters, Shape
+from calrig.calibration.effect import Covariate, Effect, NotInFlight, Parameter, Parameters, Shape
 from calrig.calibration.effect_terms import tilted
 from calrig.calibration.responses import Responses
 
@@ -27,7 +27,7 @@ EFFECT = Effect(
     formula="−delay_s·velocity",
     forms=_forms,
     on_reading_deg=lambda p: -p.value("delay_s") * p.column("velocity_dps"),
-    in_c=NotFlown("it is of the procedure that measured, not of the unit"),
+    in_c=NotInFlight("it is of the procedure that measured, not of the unit"),
     apart="proportional to the velocity at the time of the reading",
     remedy="read standing still, or advance the readings by the delay",
 )

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calrig.calibration.effect import TIME, Applied, Effect, NotFlown, Parameter, Parameters, Shape
+from calrig.calibration.effect import TIME, Applied, Effect, NotInFlight, Parameter, Parameters, Shape
 from calrig.calibration.effect_terms import tilted, turned
 from calrig.calibration.responses import MOVE, Responses
 from calrig.estimation.angles import FloatArray
@@ -64,7 +64,7 @@ EFFECT = Effect(
     forms=_forms,
     scan=_scan,
     on_reading_deg=_on_reading_deg,
-    in_c=NotFlown("the mount is fastened anew for flight: what a slip left behind is not there"),
+    in_c=NotInFlight("the mount is fastened anew for flight: what a slip left behind is not there"),
     apart="a step at one instant; lost steps of the stage look the same until it is homed again",
     remedy="tighten the mount and repeat; poses before and after do not belong together",
 )

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calrig.calibration.effect import LAST_MOVE, Effect, NotFlown, Parameter, Parameters, Shape
+from calrig.calibration.effect import LAST_MOVE, Effect, NotInFlight, Parameter, Parameters, Shape
 from calrig.calibration.effect_terms import tilted
 from calrig.calibration.responses import ANGLE, MOVE, READING, Responses
 
@@ -42,7 +42,7 @@ EFFECT = Effect(
     formula="−fraction·move",
     forms=_forms,
     on_reading_deg=lambda p: -p.value("fraction") * p.moved_deg(),
-    in_c=NotFlown("it is of the procedure that measured, not of the unit"),
+    in_c=NotInFlight("it is of the procedure that measured, not of the unit"),
     apart="proportional to the last move; unequal steps in random order tell it from backlash",
     remedy="settle longer before the dwell",
 )

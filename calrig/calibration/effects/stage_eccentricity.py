@@ -9,7 +9,7 @@ import numpy as np
 from calrig.calibration.effect import (
     ELEVATION,
     Effect,
-    NotFlown,
+    NotInFlight,
     Parameter,
     Parameters,
     Shape,
@@ -35,7 +35,7 @@ EFFECT = Effect(
     formula="amplitude_deg·sin(θ + phase_deg)",
     forms=_forms,
     on_reading_deg=lambda p: wave_deg(p, p.theta_deg / 360.0),
-    in_c=NotFlown("it belongs to the rig's stage"),
+    in_c=NotInFlight("it belongs to the rig's stage"),
     apart="the gyro feels it and |accelerometer| does not; a unit turned by 90° on the stage keeps it",
     remedy="re-centre the scale or the mount on the axis, or correct by the rig error map",
     reported=amplitude_and_phase,

@@ -9,7 +9,7 @@ import numpy as np
 from calrig.calibration.effect import (
     ELEVATION,
     Effect,
-    NotFlown,
+    NotInFlight,
     Parameter,
     Parameters,
     Shape,
@@ -106,7 +106,7 @@ EFFECT = Effect(
     scan=_scan,
     refine=_refine,
     on_reading_deg=lambda p: wave_deg(p, p.theta_deg / p.value("period_deg", None)),
-    in_c=NotFlown("it belongs to the rig's stage"),
+    in_c=NotInFlight("it belongs to the rig's stage"),
     apart="its period: jittered elevations tell the periods apart that an exact grid confuses",
     remedy="correct by the rig error map; look at the worm and its preload",
     reported=amplitude_and_phase,

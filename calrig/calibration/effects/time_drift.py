@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calrig.calibration.effect import TIME, Effect, NotFlown, Parameter, Parameters, Shape
+from calrig.calibration.effect import TIME, Effect, NotInFlight, Parameter, Parameters, Shape
 from calrig.calibration.effect_terms import tilted
 from calrig.calibration.responses import Responses
 
@@ -26,7 +26,7 @@ EFFECT = Effect(
     formula="deg_per_s·t",
     forms=_forms,
     on_reading_deg=lambda p: p.value("deg_per_s") * p.column("time_s"),
-    in_c=NotFlown("it says nothing of a time after its run"),
+    in_c=NotInFlight("it says nothing of a time after its run"),
     apart="goes on when the temperature does not, and does not come back with it",
     remedy="measure a reference elevation between sweeps and take the drift out",
 )

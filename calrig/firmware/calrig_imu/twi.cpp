@@ -111,7 +111,7 @@ ISR(TWI_vect) {
       TWDR = device | TW_READ;
       TWCR = GO;
       break;
-    case TW_MT_SLA_ACK:  // told apart from the next by what was sent: simavr 1.6 reports both as data
+    case TW_MT_SLA_ACK:  // distinguished from the next by what was sent: simavr 1.6 reports both as data
     case TW_MT_DATA_ACK:
       if (!register_sent) {
         register_sent = true;

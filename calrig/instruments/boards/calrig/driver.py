@@ -7,11 +7,10 @@ import itertools
 from collections import Counter
 from typing import Self
 
-from calrig.instruments.boards.calrig.identity import read_identity
 from calrig.instruments.boards.calrig.mark import Mark
 from calrig.instruments.boards.calrig.packets import ACKNOWLEDGE, BAUDRATE, IDENTITY, SAMPLES, PacketDecoder
 from calrig.instruments.boards.calrig.sample_stream import SampleStream
-from calrig.instruments.boards.calrig.words import USELESS, why_none, why_useless
+from calrig.instruments.boards.calrig.words import USELESS, read_identity, why_none, why_useless
 from calrig.instruments.errors import BoardError, InstrumentError, PortError
 from calrig.instruments.ports import Port, open_port
 from calrig.instruments.types import BoardIdentity, Samples

@@ -1,8 +1,11 @@
-"""Why a `calrig` board sends nothing that can be used, in words."""
+"""What a `calrig` board says of itself, and in words why it sends nothing that can be used."""
 
 from __future__ import annotations
 
+import json
 from collections import Counter
+
+from calrig.instruments.types import BoardIdentity
 
 NO_SENSOR = "all registers read 0: no sensor answers the board; check the wires between them"
 USELESS = {
@@ -10,6 +13,32 @@ USELESS = {
     "clock_jump": "the board's clock does not advance at the rate asked for: ask for one it can hold",
     "repeated": "it sends the same samples again and again: reset the board",
 }
+
+
+def read_identity(text: str) -> BoardIdentity:
+    """The identity of a board from its packet's JSON (CONTRACT 3.1; ValueError where it cannot be used)."""
+    said = json.loads(text)
+    if not isinstance(said, dict):
+        raise ValueError("not a JSON object")
+    for key, known in (("accel_range_g", (2, 4, 8, 16)), ("gyro_range_dps", (250, 500, 1000, 2000))):
+        if said.get(key) not in known:
+            raise ValueError(f"{key} is {said.get(key)!r}, not one of {', '.join(map(str, known))}")
+    rate_hz = said.get("max_rate_hz")
+    if rate_hz is not None and not (isinstance(rate_hz, int) and rate_hz > 0):
+        raise ValueError(f"max_rate_hz is {rate_hz!r}, not a whole number")
+    return BoardIdentity(
+        driver="calrig",
+        firmware=_text(said.get("firmware")),
+        serial=_text(said.get("serial")) or "",
+        chip=_text(said.get("chip")),
+        accel_range_g=int(said["accel_range_g"]),
+        gyro_range_dps=int(said["gyro_range_dps"]),
+        max_rate_hz=rate_hz,
+    )
+
+
+def _text(value: object) -> str | None:
+    return None if value is None else str(value)
 
 
 def why_none(last_words: str, n_bytes: int) -> str:

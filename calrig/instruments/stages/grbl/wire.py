@@ -1,4 +1,4 @@
-"""What comes from a GRBL controller, each line told apart, and every `ok` held against its own command.
+"""What comes from a GRBL controller, each line by its kind, and every `ok` held against its own command.
 
 `ok` and `error:n` do not say what they answer. So every command is followed by the listing of settings
 (`$$`), which moves nothing and looks like nothing else: lines are answered in order, so the last answer
