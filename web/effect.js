@@ -52,16 +52,17 @@ export function effectCard(effect, k, { path, run }, signal) {
 }
 
 function figures(effect) {
+  const formula = formulaOf(effect);
   const rows = [
     ...parameterRows(effect),
-    ["Added to the reading", formulaOf(effect)],
     ["Comes from", originWords(effect.origin)],
     ["Family-wise p-value", effect.p_value <= LEAST_P ? `≤ ${LEAST_P}` : significant(effect.p_value, 2)],
   ];
   return h(
     "dl",
     { class: "figures" },
-    rows.filter(([, value]) => value !== undefined).map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))),
+    rows.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))),
+    formula && h("div", { class: "formula" }, h("dt", {}, "Added to the reading"), h("dd", {}, formula)),
   );
 }
 
