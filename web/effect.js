@@ -16,10 +16,6 @@ import {
 } from "./effects.js";
 import { moment, significant } from "./format.js";
 
-const LEAST_P = 0.001;
-const TOO_CLOSE = 6;
-const BEYOND = 40;
-
 /** Its element, and the chart in it that is loaded once the element is on the page. */
 export function effectCard(effect, k, { path, run }, signal) {
   const chart = new Chart(
@@ -56,7 +52,7 @@ function figures(effect) {
   const rows = [
     ...parameterRows(effect),
     ["Comes from", originWords(effect.origin)],
-    ["Family-wise p-value", effect.p_value <= LEAST_P ? `≤ ${LEAST_P}` : significant(effect.p_value, 2)],
+    ["Family-wise p-value", pValue(effect)],
   ];
   return h(
     "dl",
@@ -66,6 +62,10 @@ function figures(effect) {
   );
 }
 
+function pValue({ p_value: p, least_p_value: least }) {
+  return (p <= least ? "≤ " : "") + significant(p, 2);
+}
+
 function suspects({ verdict, name, confusable_with: others }) {
   if (verdict !== "ambiguous" || !others.length) return null;
   const listed = [name, ...others].map(candidateWords).join(", ");
@@ -73,13 +73,13 @@ function suspects({ verdict, name, confusable_with: others }) {
 }
 
 function considered(effect) {
-  const rows = effect.considered.map(({ name, behind }) =>
+  const rows = effect.considered.map(({ name, behind, why }) =>
     h(
       "tr",
       {},
       h("th", { scope: "row" }, candidateWords(name)),
       h("td", { class: "number" }, significant(behind, 3)),
-      h("td", {}, fate(effect, name, behind)),
+      h("td", {}, why ?? "–"),
     ),
   );
   return h(
@@ -97,18 +97,6 @@ function considered(effect) {
       h("table", {}, headings("Candidate", "#Behind", "Why"), h("tbody", {}, rows)),
     ),
   );
-}
-
-function fate(effect, label, behind) {
-  const own = effect.name === "unnamed" ? `unnamed ${effect.covariate}` : effect.name;
-  if (label === own)
-    return effect.verdict === "ambiguous" ? "the best, not claimed" : "explains these poses best";
-  if (effect.confusable_with.includes(label)) return "indistinguishable from it by these poses";
-  if (behind < TOO_CLOSE && label.startsWith("unnamed"))
-    return "fits as well, but a cause with a name goes first";
-  return behind > BEYOND
-    ? "explains these poses far worse"
-    : `explains these poses worse: odds about 1 : ${Math.round(Math.exp(behind / 2)).toLocaleString()}`;
 }
 
 /**
