@@ -65,6 +65,8 @@ class Findings:
     fitted: Fit
     columns: FloatArray
     p_value_left: float
+    least_p_value: float
+    """What the bootstrap could have told at best."""
 
 
 def model_columns(r: Responses, accepted: Sequence[Candidate]) -> FloatArray:
@@ -114,7 +116,7 @@ def search(
         columns, fitted, verdict = judged(accepted)
         step, verdict = _step(r, accepted, verdict, level, too_small)
         if step is None or len(found) >= MOST_EFFECTS:
-            return Findings(tuple(found), fitted, columns, verdict.p_value)
+            return Findings(tuple(found), fitted, columns, verdict.p_value, 1.0 / (bootstraps + 1))
         steps = [step]
         if pair := _pair(r, accepted, verdict, step):
             first, second = pair
