@@ -8,7 +8,7 @@ export class ApiError extends Error {
 }
 
 /** Thrown where no answer came at all; the banner says the rest. */
-export class Unreachable extends ApiError {
+class Unreachable extends ApiError {
   constructor() {
     super("The service does not answer. Nothing was changed from here; try again once it is back.", 0);
   }

@@ -4,7 +4,7 @@ import { ApiError, get, post } from "./api.js";
 import { Chart } from "./charts.js";
 import { errorLine, fill, h } from "./dom.js";
 import { effectCard } from "./effect.js";
-import { candidateWords, effectTitle, knowEffects } from "./effects.js";
+import { knowEffects } from "./effects.js";
 import { followUpBox } from "./followup.js";
 import { plural, significant } from "./format.js";
 import { Together } from "./together.js";
@@ -88,7 +88,7 @@ export class DiagnosisPanel {
     const effects = diagnosis.effects.map((effect, k) => effectCard(effect, k, this, signal));
     fill(
       this.found,
-      h("div", { class: "columns outcome" }, summary(diagnosis, this.run), bars.element),
+      h("div", { class: "columns outcome" }, summary(diagnosis), bars.element),
       diagnosis.verdict === "ambiguous" && followUpBox(diagnosis, this.path),
       effects.map(({ element }) => element),
       diagnosis.warnings.length > 0 && warnings(diagnosis.warnings),
@@ -105,7 +105,9 @@ function outdated({ diagnosis, result }) {
     : "";
 }
 
-function summary(diagnosis, run) {
+const NOT_JUDGED = "Diagnosed by an earlier version of calrig: diagnose again for a verdict";
+
+function summary(diagnosis) {
   const { base, final, noise, held_out: heldOut, confirmed_by: fresh } = diagnosis;
   const rows = [
     ["Held-out RMS, bias and scale only", significant(base.held_out_rms_deg, 3, "°")],
@@ -116,13 +118,13 @@ function summary(diagnosis, run) {
     rows.push(["Confirmation, before", significant(fresh.before_rms_deg, 3, "°")]);
     rows.push(["Confirmation, after", significant(fresh.after_rms_deg, 3, "°")]);
   }
+  const [headline = NOT_JUDGED, ...sentences] = diagnosis.says ?? [];
   return h(
     "div",
     {},
-    h("div", { class: `verdict ${grade(diagnosis)}`, "data-testid": "diagnosis-verdict" }, [
-      h("p", { class: "headline" }, headline(diagnosis)),
-      judged(diagnosis) && h("p", {}, judged(diagnosis)),
-      fresh && h("p", { id: "confirmed" }, confirmation(fresh, run)),
+    h("div", { class: `verdict ${diagnosis.grade ?? "unknown"}`, "data-testid": "diagnosis-verdict" }, [
+      h("p", { class: "headline" }, headline),
+      sentences.map((sentence) => h("p", {}, sentence)),
     ]),
     h(
       "dl",
@@ -137,54 +139,6 @@ function summary(diagnosis, run) {
       `without the poses they predict (${heldOut.how}).`,
     ),
     h("p", { class: "model" }, diagnosis.final.model),
-  );
-}
-
-function confirmation({ run_id: id, before_rms_deg: before, after_rms_deg: after }, run) {
-  const decided = run.provenance.follow_up?.decided_on?.length;
-  const poses = decided ? ` (${plural(decided, "pose")} decided)` : "";
-  const figures = `${significant(before, 3, "°")} before and ${significant(after, 3, "°")} after`;
-  return (
-    `${after < before ? "Confirmed" : "Not confirmed"} on poses of run ${id} that were not used for the ` +
-    `decision${poses}: RMS ${figures}.`
-  );
-}
-
-/** A name is good news only where the error on held-out poses has fallen with it. */
-function grade({ verdict, base, final, confirmed_by: fresh }) {
-  if (verdict === "nothing") return "unknown";
-  const fell = final.held_out_rms_deg === null || final.held_out_rms_deg < base.held_out_rms_deg;
-  const confirmed = !fresh || fresh.after_rms_deg < fresh.before_rms_deg;
-  return verdict === "named" && fell && confirmed ? "good" : "fair";
-}
-
-function headline({ verdict, effects }) {
-  if (verdict === "nothing") return "No effect found: the residual is consistent with noise";
-  const named = titles(effects, "named");
-  if (verdict === "named") return `Identified: ${named}`;
-  const besides = named && `. Identified: ${named}`;
-  const unnamed = titles(effects, "unnamed");
-  if (verdict === "unnamed") return `Not in the catalogue: ${unnamed}${besides}`;
-  const also = unnamed && `. Not in the catalogue: ${unnamed}`;
-  const suspects = effects
-    .filter((effect) => effect.verdict === "ambiguous")
-    .map(({ name, confusable_with: others }) => [name, ...others].map(candidateWords).join(" or "));
-  return `Indistinguishable by these poses: ${suspects.join("; ")}${also}${besides}`;
-}
-
-function titles(effects, verdict) {
-  const chosen = effects.filter((effect) => effect.verdict === verdict).map(effectTitle);
-  return chosen.map((title) => title[0].toLowerCase() + title.slice(1)).join(", ");
-}
-
-/** Whether naming effects has helped, by the error on held-out poses. */
-function judged({ base, final, effects }) {
-  const [before, after] = [base.held_out_rms_deg, final.held_out_rms_deg];
-  if (after === null) return "Without cross-validation: the error on held-out poses is not known.";
-  if (!effects.length || after < before) return null;
-  return (
-    "The error on held-out poses has not decreased: with so few poses the search does not find the same " +
-    "effects in every fold."
   );
 }
 
@@ -217,10 +171,11 @@ function commonError(rig, signal) {
     const path = `/api/rigs/${encodeURIComponent(rig)}`;
     try {
       const map = await get(`${path}/error-map`, signal);
-      if (!map.stage_deg.length) return fill(body, h("p", { class: "muted" }, tooFew(map.units)));
+      const says = h("p", { class: "muted" }, map.says);
+      if (!map.stage_deg.length) return fill(body, says);
       const title = `Mean residual of ${plural(map.units, "unit")}`;
       const chart = new Chart("error-map-chart", title, { low: true, signal });
-      fill(body, chart.element, h("p", { class: "muted" }, `Note that ${map.caveat}.`));
+      fill(body, chart.element, says);
       await chart.load(`${path}/figures/error-map`);
     } catch (error) {
       if (signal.aborted) return;
@@ -228,11 +183,4 @@ function commonError(rig, signal) {
       fill(body, h("p", { class: "error", role: "alert" }, error.message));
     }
   }
-}
-
-function tooFew(units) {
-  return (
-    `Not known yet: the map needs calibrations of three units on this rig over the same elevations; there ` +
-    `${units === 1 ? "is one" : `are ${units}`}.`
-  );
 }

@@ -69,6 +69,26 @@ export function headings(...names) {
   return h("thead", {}, h("tr", {}, names.map(cell)));
 }
 
+/**
+ * What a form does when it is submitted: `send` runs with the button disabled; what it throws stands in the error
+ * line and goes to `failed`.
+ */
+export function onSubmit(form, button, error, send, failed = () => {}) {
+  form.addEventListener("submit", async (event) => {
+    event.preventDefault();
+    button.disabled = true;
+    error.say(null);
+    try {
+      await send();
+    } catch (problem) {
+      error.say(problem);
+      failed(problem);
+    } finally {
+      button.disabled = false;
+    }
+  });
+}
+
 /** A line for an error near what caused it; empty and hidden until `say` is called. */
 export function errorLine(id) {
   const element = h("p", { id, class: "error", role: "alert", hidden: true });

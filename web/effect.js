@@ -16,10 +16,6 @@ import {
 } from "./effects.js";
 import { moment, significant } from "./format.js";
 
-const LEAST_P = 0.001;
-const TOO_CLOSE = 6;
-const BEYOND = 40;
-
 /** Its element, and the chart in it that is loaded once the element is on the page. */
 export function effectCard(effect, k, { path, run }, signal) {
   const chart = new Chart(
@@ -52,17 +48,22 @@ export function effectCard(effect, k, { path, run }, signal) {
 }
 
 function figures(effect) {
+  const formula = formulaOf(effect);
   const rows = [
     ...parameterRows(effect),
-    ["Added to the reading", formulaOf(effect)],
     ["Comes from", originWords(effect.origin)],
-    ["Family-wise p-value", effect.p_value <= LEAST_P ? `≤ ${LEAST_P}` : significant(effect.p_value, 2)],
+    ["Family-wise p-value", pValue(effect)],
   ];
   return h(
     "dl",
     { class: "figures" },
-    rows.filter(([, value]) => value !== undefined).map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))),
+    rows.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))),
+    formula && h("div", { class: "formula" }, h("dt", {}, "Added to the reading"), h("dd", {}, formula)),
   );
+}
+
+function pValue({ p_value: p, least_p_value: least }) {
+  return (p <= least ? "≤ " : "") + significant(p, 2);
 }
 
 function suspects({ verdict, name, confusable_with: others }) {
@@ -72,13 +73,13 @@ function suspects({ verdict, name, confusable_with: others }) {
 }
 
 function considered(effect) {
-  const rows = effect.considered.map(({ name, behind }) =>
+  const rows = effect.considered.map(({ name, behind, why }) =>
     h(
       "tr",
       {},
       h("th", { scope: "row" }, candidateWords(name)),
       h("td", { class: "number" }, significant(behind, 3)),
-      h("td", {}, fate(effect, name, behind)),
+      h("td", {}, why ?? "–"),
     ),
   );
   return h(
@@ -96,18 +97,6 @@ function considered(effect) {
       h("table", {}, headings("Candidate", "#Behind", "Why"), h("tbody", {}, rows)),
     ),
   );
-}
-
-function fate(effect, label, behind) {
-  const own = effect.name === "unnamed" ? `unnamed ${effect.covariate}` : effect.name;
-  if (label === own)
-    return effect.verdict === "ambiguous" ? "the best, not claimed" : "explains these poses best";
-  if (effect.confusable_with.includes(label)) return "indistinguishable from it by these poses";
-  if (behind < TOO_CLOSE && label.startsWith("unnamed"))
-    return "fits as well, but a cause with a name goes first";
-  return behind > BEYOND
-    ? "explains these poses far worse"
-    : `explains these poses worse: odds about 1 : ${Math.round(Math.exp(behind / 2)).toLocaleString()}`;
 }
 
 /**

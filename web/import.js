@@ -1,7 +1,7 @@
 // A CSV of poses measured elsewhere becomes a run.
 
 import { get, postForm } from "./api.js";
-import { errorLine, field, fill, h, runHref } from "./dom.js";
+import { errorLine, field, fill, h, onSubmit, runHref } from "./dom.js";
 
 export async function importView({ root, signal }) {
   const rigs = await get("/api/rigs", signal);
@@ -40,22 +40,13 @@ export async function importView({ root, signal }) {
     error.element,
     h("div", { class: "buttons" }, submit),
   );
-  form.addEventListener("submit", async (event) => {
-    event.preventDefault();
-    submit.disabled = true;
-    error.say(null);
+  onSubmit(form, submit, error, async () => {
     const body = new FormData();
     body.set("file", file.files[0]);
     body.set("unit", unit.value);
     if (rig.value) body.set("rig", rig.value);
-    try {
-      const run = await postForm("/api/imports", body);
-      location.hash = runHref(run.id);
-    } catch (problem) {
-      error.say(problem);
-    } finally {
-      submit.disabled = false;
-    }
+    const run = await postForm("/api/imports", body);
+    location.hash = runHref(run.id);
   });
   for (const input of [file, unit, rig]) input.addEventListener("input", () => error.say(null));
   fill(root, h("h1", {}, "Import measured poses"), form, help());

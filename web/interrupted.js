@@ -10,7 +10,7 @@ export function interruptions(run) {
       "p",
       { class: "interruption" },
       `Interrupted after ${plural(told.after_poses, "pose")}, resumed `,
-      moment(told.taken_up_at),
+      moment(told.resumed_at ?? told.taken_up_at), // the latter in older runs
       told.measured_again && `; ${measuredAgain(told.measured_again)}`,
     ),
   );

@@ -2,9 +2,8 @@
 
 import { get, post, postForm } from "./api.js";
 import { Chart } from "./charts.js";
-import { errorLine, field, fill, h, headings, runHref, tableBox } from "./dom.js";
+import { errorLine, field, fill, h, headings, onSubmit, runHref, tableBox } from "./dom.js";
 import { NOT_KNOWN, fixed, isKnown, significant } from "./format.js";
-
 
 /** Without a run: a form for a file, and one that records a log on a rig. With one: what its samples say. */
 export async function noiseView({ root, parts: [id], signal }) {
@@ -60,25 +59,16 @@ function fileForm(shown, signal) {
     error.element,
     h("div", { class: "buttons" }, submit),
   );
-  form.addEventListener("submit", async (event) => {
-    event.preventDefault();
-    submit.disabled = true;
-    error.say(null);
+  const send = async () => {
     fill(shown, h("p", { class: "muted" }, "Computing…"));
     const body = new FormData();
     body.set("file", file.files[0]);
     const given = { rate_hz: rate, accel_range_g: accel, gyro_range_dps: gyro };
     for (const [name, input] of Object.entries(given)) if (input.value) body.set(name, input.value);
-    try {
-      const answer = await postForm(`/api/${what.value}`, body);
-      if (!signal.aborted) show(shown, answer, what.value === "noise" ? noiseTable : filterTable, signal);
-    } catch (problem) {
-      fill(shown);
-      error.say(problem);
-    } finally {
-      submit.disabled = false;
-    }
-  });
+    const answer = await postForm(`/api/${what.value}`, body);
+    if (!signal.aborted) show(shown, answer, what.value === "noise" ? noiseTable : filterTable, signal);
+  };
+  onSubmit(form, submit, error, send, () => fill(shown));
   return form;
 }
 
@@ -121,19 +111,10 @@ function rigForm(rigs) {
     error.element,
     h("div", { class: "buttons" }, start),
   );
-  form.addEventListener("submit", async (event) => {
-    event.preventDefault();
-    start.disabled = true;
-    error.say(null);
+  onSubmit(form, start, error, async () => {
     const plan = { kind: "static", dwell_s: 60 * Number(minutes.value) };
-    try {
-      const run = await post("/api/runs", { rig: rig.value || null, unit: unit.value, plan });
-      location.hash = runHref(run.id);
-    } catch (problem) {
-      error.say(problem);
-    } finally {
-      start.disabled = false;
-    }
+    const run = await post("/api/runs", { rig: rig.value || null, unit: unit.value, plan });
+    location.hash = runHref(run.id);
   });
   return form;
 }

@@ -166,7 +166,7 @@ function elevations(plan) {
 }
 
 /** Seconds of the board's clock for the whole plan, and the number of poses. */
-export function estimate(plan) {
+function estimate(plan) {
   const angles = elevations(plan);
   const poses = angles.length * (plan.sweeps || 0);
   if (!poses) return { poses: 0, seconds: null };

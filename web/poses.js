@@ -32,11 +32,6 @@ export class PoseTable {
     return this.rows.size;
   }
 
-  clear() {
-    this.rows.clear();
-    this.body.replaceChildren();
-  }
-
   /** Shows poses, each once: one that is there already is replaced. `result` has the calibration, if any. */
   show(poses, result, excludable) {
     for (const pose of poses) {

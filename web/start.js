@@ -1,7 +1,7 @@
 // The first view: start a run, see the rigs, find the runs there are.
 
 import { get, post } from "./api.js";
-import { errorLine, field, fill, h, runHref, statusPill } from "./dom.js";
+import { errorLine, field, fill, h, onSubmit, runHref, statusPill } from "./dom.js";
 import { planForm } from "./plan.js";
 import { portsLook } from "./ports.js";
 import { onRigs } from "./rigs.js";
@@ -74,28 +74,19 @@ function startForm(rigs) {
     error.element,
     h("div", { class: "buttons" }, start),
   );
-  form.addEventListener("submit", async (event) => {
-    event.preventDefault();
-    start.disabled = true;
-    error.say(null);
+  const send = async () => {
     plan.mark("");
     localStorage.setItem(OPERATOR_KEY, operator.value);
-    try {
-      const run = await post("/api/runs", {
-        rig: rig.value || null,
-        unit: unit.value,
-        plan: plan.value(),
-        operator: operator.value || null,
-        note: note.value || null,
-      });
-      location.hash = runHref(run.id);
-    } catch (problem) {
-      error.say(problem);
-      plan.mark(problem.message);
-    } finally {
-      start.disabled = false;
-    }
-  });
+    const run = await post("/api/runs", {
+      rig: rig.value || null,
+      unit: unit.value,
+      plan: plan.value(),
+      operator: operator.value || null,
+      note: note.value || null,
+    });
+    location.hash = runHref(run.id);
+  };
+  onSubmit(form, start, error, send, (problem) => plan.mark(problem.message));
   return form;
 }
 

@@ -27,6 +27,20 @@ class ErrorMap:
     units: int
     caveat: str = CAVEAT
 
+    @property
+    def says(self) -> str:
+        """What to keep in mind of it, or why there is none yet."""
+        if self.stage_deg:
+            return f"Note that {self.caveat}."
+        if self.units < FEWEST_UNITS:
+            has = "there is 1" if self.units == 1 else f"there are {self.units}"
+        else:
+            has = f"{self.units} units have none in common"
+        return (
+            f"Not known yet: the map needs calibrations of {FEWEST_UNITS} units on this rig over the same "
+            f"elevations; {has}."
+        )
+
 
 def error_map(store: Store, rig: str) -> ErrorMap:
     """The latest calibration of each unit on the rig, averaged; empty with fewer than three units."""

@@ -38,10 +38,13 @@ class ParameterAnswer(Answer):
 
 
 class ConsideredAnswer(Answer):
-    """A candidate, and how far it is behind the best in −2 log likelihood with penalties."""
+    """A candidate, how far it is behind the best in −2 log likelihood with penalties, and why it lost."""
+
+    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
 
     name: str
     behind: float
+    why: str | None = None  # of diagnoses stored before it was kept: null
 
 
 class EffectAnswer(Answer):
@@ -59,6 +62,7 @@ class EffectAnswer(Answer):
     evidence: list[str]
     remedy: str
     considered: list[ConsideredAnswer]
+    least_p_value: float | None = None  # what the bootstrap could tell at best; null of older diagnoses
     accepted_at: datetime | None = None  # of diagnoses stored before it was kept: null
 
 
@@ -113,7 +117,9 @@ class ConfirmedAnswer(Answer):
 
 
 class DiagnosisAnswer(Answer):
-    """CONTRACT section 5."""
+    """CONTRACT section 5, and what a person should make of it: `grade`, and `says` with the answer first."""
+
+    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
 
     runs: list[str]
     n_poses: int
@@ -126,6 +132,8 @@ class DiagnosisAnswer(Answer):
     follow_up: FollowUpAnswer | None
     confirmed_by: ConfirmedAnswer | None
     warnings: list[str]
+    grade: Literal["good", "fair", "unknown"] = "unknown"  # so of diagnoses stored before they were judged
+    says: list[str] = Field(default=[])
 
 
 class ErrorMapAnswer(Answer):
@@ -137,6 +145,7 @@ class ErrorMapAnswer(Answer):
     std_deg: list[float]
     units: int
     caveat: str
+    says: str
 
 
 @router.post(

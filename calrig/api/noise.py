@@ -1,14 +1,14 @@
 """Noise and filters: of a run's samples, or of a log that somebody brings."""
 
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+# What computes is imported where it is used: its half of scipy would be a second of the service's start.
 
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from fastapi import APIRouter, File, Form, UploadFile
 
 from calrig.analysis.errors import Invalid
-from calrig.analysis.noise_studies import filters_of_run, noise_of_run
 from calrig.api.context import Context, KnownRun
 from calrig.api.errors import problems
 from calrig.api.limits import UPLOAD_BYTES, Turn, name_of
@@ -16,12 +16,11 @@ from calrig.api.models import Answer
 from calrig.api.models import Figure as FigureAnswer
 from calrig.export.cells import CsvError
 from calrig.export.static_csv import StaticLog, read_static
-from calrig.figures.filters import filters_figures
-from calrig.figures.noise import noise_figures
 from calrig.figures.parts import Figure
-from calrig.noise.analysis import Noise, analyse
-from calrig.noise.filters import FilterStudy, filters_document, study_filters
-from calrig.noise.report import noise_document, said_first
+
+if TYPE_CHECKING:
+    from calrig.noise.analysis import Noise
+    from calrig.noise.filters import FilterStudy
 
 router = APIRouter(tags=["noise"])
 
@@ -145,6 +144,8 @@ class FiltersAnswer(Answer):
 )
 def run_noise(run: KnownRun, context: Context, _turn: Turn) -> dict[str, Any]:
     """Allan deviation, spectrum, distribution and dependence on temperature of each channel."""
+    from calrig.analysis.noise_studies import noise_of_run
+
     return _noise_answer(noise_of_run(context.store, run.id))
 
 
@@ -156,6 +157,8 @@ def run_noise(run: KnownRun, context: Context, _turn: Turn) -> dict[str, Any]:
 )
 def run_filters(run: KnownRun, context: Context, _turn: Turn) -> dict[str, Any]:
     """Jitter, lag and largest offset of each, the Kalman filter tuned from the run's own rests among them."""
+    from calrig.analysis.noise_studies import filters_of_run
+
     return _filters_answer(filters_of_run(context.store, run.id))
 
 
@@ -174,6 +177,8 @@ def log_noise(
     gyro_range_dps: Range = None,
 ) -> dict[str, Any]:
     """The sensor was at rest. Nothing is stored."""
+    from calrig.noise.analysis import analyse
+
     name, log = _read(file, accel_range_g, gyro_range_dps)
     try:
         found = analyse(log.channels, log.time_s, rate_hz)
@@ -197,6 +202,8 @@ def log_filters(
     gyro_range_dps: Range = None,
 ) -> dict[str, Any]:
     """The sensor was at rest and was turned about its x axis. Nothing is stored."""
+    from calrig.noise.filters import study_filters
+
     name, log = _read(file, accel_range_g, gyro_range_dps)
     try:
         found = study_filters(log.channels, log.time_s, rate_hz)
@@ -220,16 +227,24 @@ def _read(
         raise Invalid(f"{name}: {error}") from error
 
 
-def _noise_answer(found: Noise, warnings: tuple[str, ...] = ()) -> dict[str, Any]:
+def _noise_answer(found: "Noise", warnings: tuple[str, ...] = ()) -> dict[str, Any]:
+    from calrig.figures.noise import noise_figures
+    from calrig.noise.report import noise_document
+
     return _answer(noise_document(found), noise_figures(found), warnings)
 
 
-def _filters_answer(found: FilterStudy, warnings: tuple[str, ...] = ()) -> dict[str, Any]:
+def _filters_answer(found: "FilterStudy", warnings: tuple[str, ...] = ()) -> dict[str, Any]:
+    from calrig.figures.filters import filters_figures
+    from calrig.noise.filters import filters_document
+
     return _answer(filters_document(found), filters_figures(found), warnings)
 
 
 def _answer(
     report: dict[str, Any], figures: Sequence[Sequence[tuple[str, Figure]]], warnings: tuple[str, ...]
 ) -> dict[str, Any]:
+    from calrig.noise.report import said_first
+
     drawn = [{"caption": caption, "figure": figure} for row in figures for caption, figure in row]
     return {"report": said_first(warnings, report), "figures": drawn}

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from calrig.calibration.candidates import candidates_of
 from calrig.calibration.cross_validation import CrossValidation, confirm, cross_validate
+from calrig.calibration.diagnosis_verdict import diagnosis_verdict
 from calrig.calibration.experiment_design import design
 from calrig.calibration.fit import fit_line, residuals_deg, rms
 from calrig.calibration.outliers import without_outliers
@@ -140,6 +141,8 @@ def trace(
 ) -> dict[str, Any]:
     """All of CONTRACT section 5: diagnosis, the run that would separate what is ambiguous, confirmation.
 
+    Beside it `grade` and `says`, what a person should make of it.
+
     Args:
         runs: the poses of one or several runs of a unit.
         run_ids: their ids, in the same order.
@@ -169,4 +172,5 @@ def trace(
             found["warnings"].append(designed)
         else:
             found["follow_up"] = designed.document(plan or {})
-    return found
+    decided = None if deciding is None else len(deciding)
+    return {**found, **asdict(diagnosis_verdict(found, decided))}

@@ -21,7 +21,7 @@ from calrig.calibration.noise_model import fit
 from calrig.calibration.outliers import without_outliers
 from calrig.calibration.pose import DiagnosisError, Pose
 from calrig.calibration.responses import Responses, responses_of
-from calrig.calibration.search import model_columns
+from calrig.calibration.search import model_columns, own_columns
 from calrig.estimation.angles import FloatArray
 
 Document = Mapping[str, Any]
@@ -60,15 +60,12 @@ def partial_residuals(runs: Sequence[Sequence[Pose]], effects: Sequence[Document
     chosen = _chosen(r, [_forms(r, effect) for effect in effects])
     columns = model_columns(r, chosen)
     fitted = fit(r, columns)
-    place = columns.shape[2] - sum(c.columns.shape[2] for c in chosen)
     partial = []
-    for candidate in chosen:
-        width = candidate.columns.shape[2]
-        own = candidate.columns[:, 0, :] @ fitted.beta[place : place + width]
+    for candidate, place in zip(chosen, own_columns(columns, chosen), strict=True):
+        own = candidate.columns[:, 0, :] @ fitted.beta[place]
         at = _column(r, candidate.covariate)
         residual_deg = fitted.residuals[:, 0] + own
         partial.append(PartialResidual(candidate.covariate, at, r.theta_deg, residual_deg, own))
-        place += width
     return partial
 
 

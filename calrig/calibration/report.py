@@ -8,9 +8,13 @@ from typing import Any
 import numpy as np
 
 from calrig.calibration.candidates import Candidate, rebuilt
+from calrig.calibration.effects import UNNAMED
 from calrig.calibration.noise_model import Fit, fit
 from calrig.calibration.responses import CHANNELS, Responses
-from calrig.calibration.search import Findings, Found, model_columns
+from calrig.calibration.search import MARGIN, Findings, Found, model_columns, own_columns
+
+FAR_WORSE = 40.0
+"""So far behind in −2 log likelihood that odds would suggest more precision than there is."""
 
 
 def effect_documents(r: Responses, findings: Findings) -> list[dict[str, Any]]:
@@ -18,13 +22,11 @@ def effect_documents(r: Responses, findings: Findings) -> list[dict[str, Any]]:
     whole = [_whole_form(r, f.candidate) for f in findings.found]
     columns = model_columns(r, whole)
     fitted = fit(r, columns)
-    place = columns.shape[2] - sum(c.columns.shape[2] for c in whole)
-    documents = []
-    for one, candidate in zip(findings.found, whole, strict=True):
-        width = candidate.columns.shape[2]
-        documents.append(_document(r, one, candidate, fitted, slice(place, place + width)))
-        place += width
-    return documents
+    own = own_columns(columns, whole)
+    return [
+        {**_document(r, one, candidate, fitted, at), "least_p_value": findings.least_p_value}
+        for one, candidate, at in zip(findings.found, whole, own, strict=True)
+    ]
 
 
 def model_words(findings: Findings) -> str:
@@ -55,9 +57,25 @@ def _document(r: Responses, found: Found, candidate: Candidate, fitted: Fit, at:
         "confusable_with": [rival.name for rival in found.rivals],
         "evidence": _evidence(r, found, candidate),
         "remedy": effect.remedy,
-        "considered": [{"name": name, "behind": behind} for name, behind in found.considered],
+        "considered": [
+            {"name": label, "behind": behind, "why": _why(found, label, behind)}
+            for label, behind in found.considered
+        ],
         "accepted_at": None,
     }
+
+
+def _why(found: Found, label: str, behind: float) -> str:
+    """Why a candidate was chosen, or lost."""
+    if label == found.candidate.label:
+        return "the best, not claimed" if found.rivals else "explains these poses best"
+    if label in {rival.label for rival in found.rivals}:
+        return "indistinguishable from it by these poses"
+    if behind < MARGIN and label.startswith(UNNAMED):
+        return "fits as well, but a cause with a name goes first"
+    if behind > FAR_WORSE:
+        return "explains these poses far worse"
+    return f"explains these poses worse: odds about 1 : {math.exp(behind / 2.0):,.0f}"
 
 
 def _evidence(r: Responses, found: Found, candidate: Candidate) -> list[str]:

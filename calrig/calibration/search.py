@@ -65,12 +65,24 @@ class Findings:
     fitted: Fit
     columns: FloatArray
     p_value_left: float
+    least_p_value: float
+    """What the bootstrap could have told at best."""
 
 
 def model_columns(r: Responses, accepted: Sequence[Candidate]) -> FloatArray:
     """(n, J, p) columns of bias and scale, then of the accepted candidates in their order."""
     replaced = next((c.shape.replaces for c in accepted if c.shape.replaces), None)
     return np.concatenate([base_without(r, replaced), *[c.columns for c in accepted]], axis=2)
+
+
+def own_columns(columns: FloatArray, accepted: Sequence[Candidate]) -> list[slice]:
+    """Where each accepted candidate's own columns lie among those of `model_columns`."""
+    ends = np.cumsum([c.columns.shape[2] for c in accepted])
+    base = columns.shape[2] - int(ends[-1]) if accepted else 0
+    return [
+        slice(base + int(end) - c.columns.shape[2], base + int(end))
+        for c, end in zip(accepted, ends, strict=True)
+    ]
 
 
 def search(
@@ -104,7 +116,7 @@ def search(
         columns, fitted, verdict = judged(accepted)
         step, verdict = _step(r, accepted, verdict, level, too_small)
         if step is None or len(found) >= MOST_EFFECTS:
-            return Findings(tuple(found), fitted, columns, verdict.p_value)
+            return Findings(tuple(found), fitted, columns, verdict.p_value, 1.0 / (bootstraps + 1))
         steps = [step]
         if pair := _pair(r, accepted, verdict, step):
             first, second = pair

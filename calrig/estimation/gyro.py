@@ -66,18 +66,21 @@ def run_bias(dwells: list[GyroBias]) -> GyroBias:
     return GyroBias(_known(means), _known(errors))
 
 
-def move_angle_deg(time_s: FloatArray, rate_dps: FloatArray, bias_dps: float) -> float | None:
+def move_angle_deg(
+    time_s: FloatArray, rate_dps: FloatArray, bias_dps: float, gap_s: float = math.inf
+) -> float | None:
     """Angle turned by the gyro's account: rate less bias, integrated by trapezoids (`gyro_move_deg`).
 
     Args:
         time_s: (n,) the board's clock from the last sample of the dwell before to the first of this one.
         rate_dps: (n,) rate about the stage's axis.
         bias_dps: mean of the biases of the two dwells: the integral of one drifting evenly between them.
+        gap_s: the longest step between two samples over which the rate is still known.
 
     Returns:
-        Degrees; None with fewer than two samples or a rate that is not finite.
+        Degrees; None with fewer than two samples, a longer step, or a rate that is not finite.
     """
-    if len(time_s) < 2 or not np.isfinite(rate_dps).all():
+    if len(time_s) < 2 or np.diff(time_s).max() > gap_s or not np.isfinite(rate_dps).all():
         return None
     rate = rate_dps - bias_dps
     return float((rate[1:] + rate[:-1]) @ np.diff(time_s)) / 2.0

@@ -12,9 +12,15 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 
 
+GAP_PERIODS = 8
+"""Without a sample for so many of its periods, nobody knows how far the board has turned."""
+
+
 @dataclass(frozen=True, slots=True)
 class Samples:
     """A block of n valid samples in the order taken; a channel that the board does not send is NaN.
+
+    Between two samples more than `GAP_PERIODS` apart nobody knows what the sensor went through.
 
     Attributes:
         time_s: (n,) the board's clock since `start`, unwrapped, strictly increasing.

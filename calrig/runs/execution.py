@@ -18,7 +18,7 @@ from calrig.instruments.types import FloatArray
 from calrig.plan import Plan, PlannedPose
 from calrig.runs.follow_up import FollowUpRun
 from calrig.runs.pace import Pace
-from calrig.runs.returning import MOVE_OFF_DEG, Returned, way_back
+from calrig.runs.resume import MOVE_OFF_DEG, Returned, way_back
 from calrig.runs.stream import block_of
 from calrig.runs.task import Earlier
 
@@ -197,7 +197,12 @@ class Execution:
         self.biases.append(dwell_bias(dwell.gyro_dps))
         neighbours_dps = [b for bias in self.biases[-2:] if (b := bias.bias_dps[0]) is not None]
         gyro_move_deg = (
-            move_angle_deg(move.time_s, move.gyro_dps[:, 0], sum(neighbours_dps) / len(neighbours_dps))
+            move_angle_deg(
+                move.time_s,
+                move.gyro_dps[:, 0],
+                sum(neighbours_dps) / len(neighbours_dps),
+                self.pace.gap_s,
+            )
             if neighbours_dps
             else None
         )

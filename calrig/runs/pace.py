@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from calrig.estimation.kalman import KalmanFilter, KalmanNoise
+from calrig.instruments.types import GAP_PERIODS
 from calrig.plan import Plan
 from calrig.runs.control import Control
 from calrig.runs.recorder import Recorder
 from calrig.runs.rig import Rig
 from calrig.runs.stream import Stream
 
-GAP_PERIODS = 8
-"""Without a sample for so many of its periods, the filter does not know how far the stage has turned."""
 LOOK_S = 0.02
 """How long one look waits for samples before it turns to stage and requests again."""
 WATCH_S = 0.5
@@ -44,9 +43,7 @@ class Pace:
     def begin(self, plan: Plan, *, moves: bool) -> None:
         """Starts the board, and makes the stage ready where it is to move: homed, at the plan's velocity."""
         self.rate_hz = self.rig.board_identity.rate_hz or plan.rate_hz
-        kalman = KalmanFilter(
-            KalmanNoise(**self.rig.settings.filter.model_dump()), GAP_PERIODS / self.rate_hz
-        )
+        kalman = KalmanFilter(KalmanNoise(**self.rig.settings.filter.model_dump()), self.gap_s)
         self.stream = Stream(self.rig.board, kalman, self.clock_s, self.recorder.meter.samples)
         self.rig.board.start(plan.rate_hz)
         if moves and self.rig.axis.needs_home():
@@ -56,6 +53,11 @@ class Pace:
             self.rig.axis.set_velocity(plan.velocity_dps)
         self._stands(self.rig.axis.elevation_deg())
         self.stood_at_s = self.synchronise()  # what the gyro felt before is homing's, and no pose's move
+
+    @property
+    def gap_s(self) -> float:
+        """Without a sample for longer than this, it is not known how far the stage has turned."""
+        return GAP_PERIODS / self.rate_hz
 
     def move(self, target_deg: float) -> None:
         """Moves to an elevation and waits until the stage stands there."""

@@ -1,4 +1,6 @@
-"""Taking an interrupted run up again: what was measured, and whether rig, board and stage are still the same.
+"""Resuming an interrupted run: what was measured, and whether rig, board, stage and unit are still the same.
+
+The last pose is measured once more, from the side it was approached: the unit is to read there what it read.
 
 The board's clock begins anew. The run's time goes on by the wall's clock from its beginning, or from its last
 sample where a rig's clocks run faster than life.
@@ -6,8 +8,9 @@ sample where a rig's clocks run faster than life.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from typing import Any
 
@@ -17,7 +20,9 @@ from calrig.analysis.active_calibration import as_applied
 from calrig.analysis.errors import Conflict, NotTheSame
 from calrig.analysis.unresolved import unresolved
 from calrig.calibration.pose import Pose
+from calrig.estimation.angles import wrap_deg
 from calrig.estimation.gyro import GyroBias, dwell_bias
+from calrig.estimation.reading import Reading
 from calrig.plan import Plan, PlanError
 from calrig.runs.follow_up import FollowUpRun
 from calrig.runs.rig import Rig
@@ -31,6 +36,11 @@ VELOCITY = "velocity_dps"
 """A stage keeps what the interrupted run has set."""
 GAP_S = 1.0
 """Between the last sample before and the first one after, at least."""
+MOVE_OFF_DEG = 5.0
+"""More than any play."""
+CHANCE_STD = 6.0
+REMOUNTED_DEG = 0.5
+"""More than a unit turns by itself: 19 °C of warm-up turn an MPU-6050 by 0.28° (the measured warm-up log)."""
 
 
 def resumed_task(store: Store, run: Run, settings: RigSettings) -> Task:
@@ -51,7 +61,7 @@ def resumed_task(store: Store, run: Run, settings: RigSettings) -> Task:
     try:
         planned = plan.poses(settings.limits_deg)
     except PlanError as error:
-        raise Conflict(f"run {run.id} cannot be taken up again: {error}") from error
+        raise Conflict(f"run {run.id} cannot be resumed: {error}") from error
     verifies = run.provenance.get("verifies")
     return Task(
         run=run,
@@ -61,10 +71,10 @@ def resumed_task(store: Store, run: Run, settings: RigSettings) -> Task:
         follow_up=None if run.follows is None else _follow_up(store, run, plan, settings),
         verifies=None if verifies is None else as_applied(store, str(verifies), settings.name),
         earlier=_earlier(store, run, plan),
-        taken_up={
+        interruption={
             "after_poses": run.progress["poses_done"],
             "reason": run.error,
-            "taken_up_at": datetime.now(UTC).isoformat(timespec="seconds"),
+            "resumed_at": datetime.now(UTC).isoformat(timespec="seconds"),
         },
     )
 
@@ -77,6 +87,60 @@ def require_same_devices(run: Run, rig: Rig) -> None:
             _require_same(run.id, f"the {what}", known, {**identity, VELOCITY: known.get(VELOCITY)})
 
 
+def way_back(last: Pose, limits_deg: tuple[float, float]) -> list[float]:
+    """Elevations to go to, in order, so as to stand at a pose as it was approached."""
+    low, high = limits_deg
+    beside_deg = min(max(last.target_deg - MOVE_OFF_DEG * (last.approach or 0), low), high)
+    return [beside_deg, last.target_deg] if beside_deg != last.target_deg else [last.target_deg]
+
+
+@dataclass(frozen=True, slots=True)
+class Returned:
+    """The last pose before an interruption, and its reading afterwards."""
+
+    before: Pose
+    after: Reading
+
+    @property
+    def difference_deg(self) -> float:
+        """How much more the unit reads than before."""
+        return wrap_deg(self.after.reading_deg - self.before.reading_deg)
+
+    @property
+    def std_deg(self) -> float | None:
+        """What the difference may be by chance; None where a standard error is not known."""
+        errors = (self.before.reading_stderr_deg, self.after.reading_stderr_deg)
+        return None if None in errors else math.hypot(*(error or 0.0 for error in errors))
+
+    def require_same_unit(self) -> None:
+        """Raises NotTheSame where the unit must have been touched meanwhile."""
+        if abs(self.difference_deg) > max(REMOUNTED_DEG, CHANCE_STD * (self.std_deg or 0.0)):
+            raise NotTheSame(
+                f"at {self.before.target_deg:g}° the unit reads {self.difference_deg:+.3f}° more than before "
+                "the interruption: it, its mount or the stage's zero was moved, or it is another unit; start "
+                "a new run"
+            )
+
+    def document(self) -> dict[str, Any]:
+        """As it is kept with the run."""
+        return {
+            "target_deg": self.before.target_deg,
+            "before_deg": self.before.reading_deg,
+            "after_deg": self.after.reading_deg,
+            "difference_std_deg": self.std_deg,
+        }
+
+    def warnings(self) -> list[str]:
+        """What a person should know of it."""
+        if self.std_deg is None or abs(self.difference_deg) <= CHANCE_STD * self.std_deg:
+            return []
+        return [
+            f"at {self.before.target_deg:g}° the unit reads {self.difference_deg:+.3f}° more than before the "
+            f"interruption, and chance allows {CHANCE_STD * self.std_deg:.3f}°: the diagnosis tells whether "
+            "it drifted or slipped"
+        ]
+
+
 def _described(settings: RigSettings) -> dict[str, Any]:
     return settings.model_dump(mode="json", exclude={"filter", "simulated"})
 
@@ -85,7 +149,7 @@ def _require_same(run_id: str, what: str, known: Mapping[str, Any], now: Mapping
     differ = _differences(known, now)
     if differ:
         raise NotTheSame(
-            f"run {run_id} cannot be taken up again, for {what} is not what it was: {'; '.join(differ)}; "
+            f"run {run_id} cannot be resumed, for {what} is not what it was: {'; '.join(differ)}; "
             "nothing was moved: put it back, or start a new run"
         )
 

@@ -43,7 +43,7 @@ class Task:
         follow_up: of a run that follows others.
         verifies: of a verification.
         earlier: what was measured before an interruption.
-        taken_up: what the run's provenance is to say of the interruption; None where there was none.
+        interruption: what the run's provenance is to say of it; None where there was none.
     """
 
     run: Run
@@ -53,4 +53,4 @@ class Task:
     follow_up: FollowUpRun | None = None
     verifies: ActiveCalibration | None = None
     earlier: Earlier = field(default_factory=Earlier)
-    taken_up: dict[str, Any] | None = None
+    interruption: dict[str, Any] | None = None

@@ -76,7 +76,7 @@ class Worker:
         self._fields: RunChanges = {}
         self._warnings: list[str] = []
         self._origin = task.run.provenance
-        self._under_way = task.taken_up is None
+        self._under_way = task.interruption is None
         self._concluding = threading.Lock()
         self._concluded = False
         self._given_up = self.clock.event()
@@ -198,8 +198,8 @@ class Worker:
             self._fields["diagnosis"] = task.follow_up.diagnosis(self.run_id, execution.poses)
 
     def _note_origin(self, rig: Rig) -> None:
-        """Keeps what measures with the run; of one taken up again, that it was interrupted."""
-        if self._task.taken_up is None:
+        """Keeps what measures with the run; of a resumed one, that it was interrupted."""
+        if self._task.interruption is None:
             self._origin = {**self._origin, **rig.provenance()}
         else:
             require_same_devices(self._task.run, rig)
@@ -207,7 +207,7 @@ class Worker:
             self._origin = {
                 **rig.provenance(),
                 **self._origin,
-                "interruptions": [*before, self._task.taken_up],
+                "interruptions": [*before, self._task.interruption],
             }
         self._recorder.update(provenance=self._origin)
 

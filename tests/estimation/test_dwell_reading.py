@@ -28,20 +28,21 @@ def colour(white, lowpass_hz, order, rate_hz):
     return lfilter(*butter(order, lowpass_hz, fs=rate_hz), white)
 
 
-def dwells(rate_hz, dwell_s, lowpass_hz=None, order=1, seeds=SEEDS):
-    """Readings of still dwells after a long settling: 0.2° of noise in elevation, 0.07 °/s in rate."""
+def dwells(rate_hz, dwell_s, lowpass_hz=None, order=1, seeds=SEEDS, noise=(0.2, 0.07)):
+    """Readings of still dwells after a long settling; `noise` in elevation (°) and in rate (°/s)."""
+    noise_deg, noise_dps = noise
     for seed in range(seeds):
         rng = np.random.default_rng((seed, rate_hz))
         n, dwell = round((SETTLE_S + dwell_s) * rate_hz), round(dwell_s * rate_hz)
-        elevation_deg = 30.0 + colour(rng.normal(0.0, 0.2, n), lowpass_hz, order, rate_hz)
-        rate_dps = colour(rng.normal(0.0, 0.07, n), lowpass_hz, order, rate_hz)
+        elevation_deg = 30.0 + colour(rng.normal(0.0, noise_deg, n), lowpass_hz, order, rate_hz)
+        rate_dps = colour(rng.normal(0.0, noise_dps, n), lowpass_hz, order, rate_hz)
         filtered_deg = filter_uniform(elevation_deg, rate_dps, 1.0 / rate_hz)
         time_s = np.arange(dwell) / rate_hz
         yield dwell_reading(time_s, elevation_deg[-dwell:], rate_dps[-dwell:], filtered_deg[-dwell:])
 
 
-def judge_scatter(rate_hz, dwell_s, lowpass_hz, order, scatter, seeds):
-    readings = list(dwells(rate_hz, dwell_s, lowpass_hz, order, seeds))
+def judge_scatter(rate_hz, dwell_s, lowpass_hz, order, scatter, seeds, **noise):
+    readings = list(dwells(rate_hz, dwell_s, lowpass_hz, order, seeds, **noise))
     stated_deg = np.array([reading.reading_stderr_deg for reading in readings])
     off_deg = np.array([reading.reading_deg for reading in readings]) - 30.0
 
@@ -54,6 +55,10 @@ def judge_scatter(rate_hz, dwell_s, lowpass_hz, order, scatter, seeds):
 
 def test_readings_scatter_by_their_stated_standard_error():
     judge_scatter(50, 1.0, None, 1, 0.20, seeds=60)
+
+
+def test_they_do_where_the_gyro_is_the_noisier_of_the_two():
+    judge_scatter(50, 1.0, None, 1, 0.20, seeds=60, noise=(0.01, 1.0))
 
 
 @pytest.mark.statistical

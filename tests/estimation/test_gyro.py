@@ -70,6 +70,12 @@ def test_a_move_without_samples_or_gyro_is_not_known():
     assert move_angle_deg(np.arange(3.0), np.array([0.0, np.nan, 0.0]), 0.0) is None
 
 
+def test_a_move_with_a_gap_in_it_is_not_known():
+    time_s = np.array([0.0, 0.1, 0.2, 0.6, 0.7])
+    assert move_angle_deg(time_s, np.ones(5), 0.0, gap_s=0.5) == pytest.approx(0.7)
+    assert move_angle_deg(time_s, np.ones(5), 0.0, gap_s=0.3) is None
+
+
 def test_gyro_scale_is_found_and_scatters_by_its_stated_error():
     """The stage turns 10° a move; the gyro feels 1/1.02 of it, give or take 0.05°."""
     turned_deg = np.tile([10.0, -10.0, 0.0], 17)

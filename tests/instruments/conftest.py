@@ -1,19 +1,17 @@
 from __future__ import annotations
 
 import pytest
-from instrument_fakes import FakeBoard, FakeSmc100
+from instrument_fakes import CLOCK, FakeBoard, FakeSmc100
 
 from calrig.instruments.boards.calrig.driver import CalrigBoard
-from calrig.instruments.stages.smc100 import driver as smc100
-from calrig.instruments.stages.smc100 import wire as smc100_wire
 from calrig.instruments.stages.smc100.driver import Smc100
 
 
-@pytest.fixture(autouse=True)
-def short_patience(monkeypatch):
-    """What waits for an answer that never comes waits less, so that the tests take seconds."""
-    monkeypatch.setattr(smc100_wire, "REPLY_TIMEOUT_S", 0.2)
-    monkeypatch.setattr(smc100, "ENABLE_TIMEOUT_S", 0.2)
+@pytest.fixture(scope="session", autouse=True)
+def _time_stands():
+    """Until a test waits for something: so it acts at the very instant that it waited for."""
+    with CLOCK.taking_part():
+        yield
 
 
 @pytest.fixture

@@ -1,17 +1,18 @@
-"""Tiny devices for these tests, written from stages.md and the contract, knowing nothing of calrig."""
+"""Tiny devices for these tests, written from stages.md and the contract, not from calrig's drivers."""
 
 from __future__ import annotations
 
 import contextlib
 import json
 import os
-import select
 import struct
-import threading
-import time
 import tty
 
-DEADLINE_S = 5.0
+from calrig.simulator.virtual_clock import VirtualClock
+from calrig.simulator.world import SimWire
+
+CLOCK = VirtualClock()
+"""The time of these devices. The test's thread takes part: time stands unless the test waits."""
 
 
 class Wire:
@@ -33,11 +34,6 @@ class Wire:
         with contextlib.suppress(OSError):
             os.write(self._master, data)
 
-    def send_and_see_it_arrive(self, data: bytes) -> None:
-        """Returns once the driver's end has something to read: a terminal hands bytes on in its own time."""
-        self.send(data)
-        assert select.select([self._slave], [], [], DEADLINE_S)[0]
-
     def vanish(self) -> None:
         """As if the cable were pulled: the other end sees a hang-up."""
         if not self._gone:
@@ -46,19 +42,60 @@ class Wire:
             os.close(self._master)
 
 
+class SimulatedEnd:
+    """The device's end of a line within this process, in virtual time; `path` is what the driver opens.
+
+    Attributes:
+        heard: all that came.
+    """
+
+    interval_s = None
+
+    def __init__(self, on_data=lambda data: None):
+        self.heard = b""
+        self._on_data = on_data
+        self._line = SimWire(self, "fake", CLOCK)
+        self.path = self._line.url
+        self._line.start()
+
+    def receive(self, data: bytes) -> bytes:
+        self.heard += data
+        self._on_data(data)
+        return b""
+
+    def emit(self) -> bytes:
+        return b""
+
+    def send(self, data: bytes) -> None:
+        self._line.say(data)
+
+    def keep_sending(self, pieces, every_s: float = 0.01):
+        """Sends one piece after the other until they, or the returned event, say that it is enough."""
+        enough = CLOCK.event()
+
+        def send():
+            for piece in pieces:
+                if enough.wait(every_s):
+                    return
+                self.send(piece)
+
+        CLOCK.thread(send, "sender").start()
+        return enough
+
+    def vanish(self) -> None:
+        """As if the cable were pulled: the other end sees a hang-up."""
+        self._line.stop()
+
+
 class LineDevice:
     """Hands each line received to `on_line` and remembers it with its arrival time."""
 
     def __init__(self, line_end: bytes):
-        self.wire = Wire()
+        self.wire = SimulatedEnd(self._hear)
         self.received: list[str] = []
-        self.answered: list[str] = []
         self.arrived_s: list[float] = []
         self._line_end = line_end
-        self._news = threading.Condition()
-        self._leave_r, self._leave_w = os.pipe()
-        self._thread = threading.Thread(target=self._serve, daemon=True)
-        self._thread.start()
+        self._tail = b""
 
     @property
     def path(self) -> str:
@@ -68,36 +105,20 @@ class LineDevice:
         raise NotImplementedError
 
     def wait_for(self, line: str, times: int = 1) -> float:
-        """When the line first arrived, waiting until it has come, and been answered, so many times."""
-        with self._news:
-            came = self._news.wait_for(lambda: self.answered.count(line) >= times, DEADLINE_S)
-            assert came, (line, self.received)
-            return self.arrived_s[self.received.index(line)]
+        """When the line first arrived, waiting until it has come so many times."""
+        CLOCK.until(lambda: self.received.count(line) >= times, line)
+        return self.arrived_s[self.received.index(line)]
 
     def vanish(self) -> None:
         """As if the cable were pulled."""
-        if self._thread.is_alive():
-            os.write(self._leave_w, b"x")
-            self._thread.join()
-            self.wire.vanish()
-            os.close(self._leave_r)
-            os.close(self._leave_w)
+        self.wire.vanish()
 
-    def _serve(self) -> None:
-        tail = b""
-        while True:
-            ready, _, _ = select.select([self.wire._master, self._leave_r], [], [])
-            if self._leave_r in ready:
-                return
-            tail += self.wire.recv()
-            *lines, tail = tail.split(self._line_end)
-            for line in lines:
-                self.arrived_s.append(time.monotonic())
-                self.received.append(line.decode())
-                self.on_line(line.decode())
-                with self._news:
-                    self.answered.append(line.decode())
-                    self._news.notify_all()
+    def _hear(self, data: bytes) -> None:
+        *lines, self._tail = (self._tail + data).split(self._line_end)
+        for line in lines:
+            self.arrived_s.append(CLOCK.now_s())
+            self.received.append(line.decode())
+            self.on_line(line.decode())
 
 
 class FakeSmc100(LineDevice):

@@ -2,24 +2,37 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
-from calrig.instruments.clock import WALL
 from calrig.simulator.bench import Bench
-from calrig.simulator.clock import ScaledClock
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.rig import DIALECTS
 
 Damage = Callable[[bytes], bytes]
+READ_S = 0.001
+EMPTY_READ_S = 0.02
+POLLS = 1000
+
+
+class ReadClock:
+    """Time that goes on as a port is read, for drivers that ask for nothing but the time."""
+
+    def __init__(self):
+        self.at_s = 0.0
+
+    def now_s(self) -> float:
+        return self.at_s
+
+    def sleep(self, duration_s: float) -> None:
+        self.at_s += duration_s
 
 
 class InProcessPort:
     """Hands what is written to `device.receive`; each answer passes the next of `damages`, if any."""
 
-    def __init__(self, device, name: str = "test-port"):
+    def __init__(self, device, name: str = "test-port", clock=None):
         self.name = name
-        self.clock = WALL
+        self.clock = clock or ReadClock()
         self.device = device
         self.sent = b""
         self.damages: list[str] = []
@@ -36,8 +49,7 @@ class InProcessPort:
         return len(self._arrived)
 
     def read_some(self) -> bytes:
-        if not self.waiting():
-            time.sleep(0.0005)  # a port's own time-out
+        self.clock.sleep(READ_S if self.waiting() else EMPTY_READ_S)
         data, self._arrived = self._arrived, b""
         return data
 
@@ -74,18 +86,18 @@ DAMAGES: dict[str, Damage] = {
 KINDS = [*DAMAGES, "late"]
 
 
-def simulated(driver: str, **options) -> InProcessPort:
-    """A simulated controller on a perfect stage, two hundred times faster than life."""
-    clock = ScaledClock(200.0)
+def simulated(driver: str, clock=None, **options) -> InProcessPort:
+    """A simulated controller on a perfect stage, two hundred times faster than its port."""
     settings = SimulatorSettings.from_options({"preset": "ideal", **options})
     stage = settings.stage.model_copy(update={"driver": driver})
-    return InProcessPort(DIALECTS[driver](stage, Bench(settings), clock), f"simulated-{driver}-{id(clock)}")
+    clock = clock or ReadClock()
+    device = DIALECTS[driver](stage, Bench(settings), lambda: 200 * clock.now_s())
+    return InProcessPort(device, f"simulated-{driver}-{id(device)}", clock)
 
 
 def until_it_stands(stage) -> str:
     """Polls until a stage is neither moving nor homing; its state then."""
-    give_up_s = time.monotonic() + 10
-    while time.monotonic() < give_up_s:
+    for _ in range(POLLS):
         state = stage.status().state
         if state not in {"moving", "homing"}:
             return state
@@ -103,7 +115,7 @@ def homed(stage):
 def moved_to(stage, target_deg: float):
     """The stage, standing at a target."""
     stage.move(target_deg)
-    give_up_s = time.monotonic() + 10
-    while until_it_stands(stage) == "ready" and abs(stage.position_deg() - target_deg) > 0.01:
-        assert time.monotonic() < give_up_s
-    return stage
+    for _ in range(POLLS):
+        if until_it_stands(stage) != "ready" or abs(stage.position_deg() - target_deg) <= 0.01:
+            return stage
+    raise AssertionError(f"it does not come to {target_deg}°")

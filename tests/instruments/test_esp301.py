@@ -6,12 +6,8 @@ from hypothesis import strategies as st
 from stage_ports import KINDS, InProcessPort, homed, moved_to, simulated, until_it_stands
 
 from calrig.instruments.errors import Halted, StageError
-from calrig.instruments.ports import open_port
-from calrig.instruments.stages.esp301 import driver as esp301
 from calrig.instruments.stages.esp301.driver import Esp301
 from calrig.instruments.types import StageIdentity
-from calrig.simulator.config import SimulatorSettings
-from calrig.simulator.rig import SimulatedRig
 
 REPLIES = {
     "VE?": "ESP301 Version 3.0.1 6/1/99",
@@ -64,11 +60,6 @@ class Script:
 
     def commands(self) -> list[str]:
         return [line for line in self.lines if not line.endswith("?")]
-
-
-@pytest.fixture(autouse=True)
-def short_patience(monkeypatch):
-    monkeypatch.setattr(esp301, "REPLY_TIMEOUT_S", 0.01)
 
 
 @pytest.fixture(params=[b"\r\n", b"\r"], ids=["CR LF", "CR"])
@@ -321,11 +312,3 @@ def test_a_simulated_one_that_is_blocked_says_so():
     stage.move(60)
     assert until_it_stands(stage) == "disabled"
     assert "following error" in stage.status().words
-
-
-def test_behind_a_pseudo_terminal_it_is_the_same():
-    settings = SimulatorSettings.from_options({"time_scale": 100, "stage": {"driver": "esp301"}})
-    with SimulatedRig(settings) as rig:
-        stage = homed(Esp301(open_port(rig.stage_port, baudrate=19200, timeout_s=0.02)))
-        assert moved_to(stage, 12.5).position_deg() == 12.5
-        stage.close()

@@ -5,18 +5,9 @@ from grbl_script import BANNER, IDLE, Script
 from stage_ports import InProcessPort, homed, until_it_stands
 
 from calrig.instruments.errors import Halted, StageError
-from calrig.instruments.stages.grbl import driver as grbl
-from calrig.instruments.stages.grbl import wire as grbl_wire
 from calrig.instruments.stages.grbl.driver import Grbl
 from calrig.instruments.stages.grbl.words import ALARMS, ERRORS, parse_report
 from calrig.instruments.types import StageIdentity
-
-
-@pytest.fixture(autouse=True)
-def short_patience(monkeypatch):
-    monkeypatch.setattr(grbl_wire, "REPLY_TIMEOUT_S", 0.01)
-    monkeypatch.setattr(grbl_wire, "GLANCE_S", 0.01)
-    monkeypatch.setattr(grbl, "WAKE_TIMEOUT_S", 0.05)
 
 
 @pytest.fixture

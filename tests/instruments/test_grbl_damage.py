@@ -9,19 +9,7 @@ from hypothesis import strategies as st
 from stage_ports import KINDS, InProcessPort, homed, moved_to, simulated, until_it_stands
 
 from calrig.instruments.errors import StageError
-from calrig.instruments.ports import open_port
-from calrig.instruments.stages.grbl import driver as grbl
-from calrig.instruments.stages.grbl import wire as grbl_wire
 from calrig.instruments.stages.grbl.driver import Grbl
-from calrig.simulator.config import SimulatorSettings
-from calrig.simulator.rig import SimulatedRig
-
-
-@pytest.fixture(autouse=True)
-def short_patience(monkeypatch):
-    monkeypatch.setattr(grbl_wire, "REPLY_TIMEOUT_S", 0.01)
-    monkeypatch.setattr(grbl_wire, "GLANCE_S", 0.01)
-    monkeypatch.setattr(grbl, "WAKE_TIMEOUT_S", 0.05)
 
 
 @given(
@@ -95,11 +83,3 @@ def test_a_simulated_one_that_is_reset_on_the_move_never_gives_an_angle():
     port.device.reset()
     with pytest.raises(StageError, match="lost its angle"):
         stage.position_deg()
-
-
-def test_behind_a_pseudo_terminal_it_is_the_same():
-    settings = SimulatorSettings.from_options({"time_scale": 100, "stage": {"driver": "grbl"}})
-    with SimulatedRig(settings) as rig:
-        stage = homed(Grbl(open_port(rig.stage_port, baudrate=115200, timeout_s=0.02)))
-        assert moved_to(stage, 12.5).position_deg() == 12.5
-        stage.close()

@@ -2,12 +2,11 @@ from __future__ import annotations
 
 import re
 import threading
-import time
 
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
-from instrument_fakes import FakeSmc100
+from instrument_fakes import CLOCK, FakeSmc100
 
 from calrig.instruments.errors import Halted, PortError, StageError
 from calrig.instruments.stages.smc100.driver import Smc100
@@ -220,7 +219,8 @@ def test_a_late_reply_is_not_taken_for_the_answer_to_the_same_question_asked_aga
 
 
 def test_what_arrived_before_a_question_is_not_its_answer(controller, stage):
-    controller.wire.send_and_see_it_arrive(b"1TP99\r\n1TS00003C\r\n")
+    controller.wire.send(b"1TP99\r\n1TS00003C\r\n")
+    CLOCK.sleep(0.01)
     controller.position, controller.state = "1.5", "33"
     assert stage.glimpse_deg() == 1.5
     assert stage.status().state == "ready"
@@ -322,10 +322,10 @@ def test_a_halt_is_on_the_wire_within_100_ms_while_the_stage_answers_nothing(con
         with pytest.raises(StageError):
             stage.status()
 
-    asking = threading.Thread(target=ask)
+    asking = CLOCK.thread(ask, "asking")
     asking.start()
     controller.wait_for("1TS")
-    asked_s = time.monotonic()
+    asked_s = CLOCK.now_s()
     stage.halt()
     assert controller.wait_for("1ST") - asked_s < 0.1
     assert asking.is_alive()
@@ -344,7 +344,7 @@ def test_no_motion_is_sent_once_it_is_halted(controller, stage):
 
 def test_a_halt_between_the_check_of_a_move_and_its_sending_still_wins(controller, stage):
     controller.state = "33"
-    controller.on_command = lambda command: stage.halt() if command == "TE" else None
+    controller.on_command = lambda command: command == "TE" and CLOCK.at(CLOCK.now_s(), stage.halt)
     with pytest.raises(Halted):
         stage.move(10)
     assert not sent(controller, "PA")

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import errno
+import json
 import threading
 from types import SimpleNamespace
 
 import pytest
-from instrument_fakes import FakeBoard, Wire
+from instrument_fakes import IDENTITY, Wire, packet
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 from simulated_devices import Counterpart, Uart
@@ -148,11 +149,11 @@ def test_a_stage_that_answers_nothing_to_the_letter_is_unknown(fault, words):
 
 def test_a_stage_and_a_board_on_terminals_are_found_side_by_side(listed):
     """Both say who they are all the time, so that nothing has to be waited for."""
-    board, stage, ended = FakeBoard(), Wire(), threading.Event()
+    board, stage, ended = Wire(), Wire(), threading.Event()
 
     def speak():
         while not ended.wait(0.02):
-            board.say_identity()
+            board.send(packet(1, json.dumps(IDENTITY).encode()))
             stage.send(b"Grbl 1.1h ['$' for help]\r\n")
 
     speaker = threading.Thread(target=speak)
@@ -190,6 +191,14 @@ def test_a_port_of_the_services_own_is_not_even_opened(wire):
     (kept,) = scan([wire.path], ours=[wire.path])
     user.close()
     assert (kept.kind, kept.driver) == ("busy", None)
+    assert "a rig of this service" in kept.identity
+
+
+def test_a_port_of_the_services_own_is_known_by_its_adapters_serial_number(listed, wire):
+    """A rig's settings may name its adapter, and the system lists the port."""
+    listed.append(adapter(wire.path, "A10"))
+    (kept,) = scan(ours=["usb:A10"])
+    assert (kept.port, kept.kind) == (wire.path, "busy")
     assert "a rig of this service" in kept.identity
 
 

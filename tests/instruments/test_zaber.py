@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from stage_ports import KINDS, InProcessPort, homed, moved_to, simulated, until_it_stands
 
 from calrig.instruments import drivers
+from calrig.instruments.clock import WallClock
 from calrig.instruments.errors import Halted, InstrumentError, PortError, StageError
 from calrig.instruments.stages.zaber import driver as zaber
 from calrig.instruments.stages.zaber.driver import Zaber
@@ -30,6 +31,16 @@ needs_library = pytest.mark.skipif(
     importlib.util.find_spec("zaber_motion") is None,
     reason="the maker's library is not installed: pip install 'calrig[zaber]'",
 )
+
+
+class LibraryTime(WallClock):
+    """The wall's, which the maker's library goes by; its threads read the port all the time."""
+
+    def sleep(self, duration_s):
+        super().sleep(0.0005)
+
+
+LIBRARY_TIME = LibraryTime()
 
 
 class Script:
@@ -83,7 +94,7 @@ def controller():
 
 @pytest.fixture
 def port(controller):
-    return InProcessPort(controller)
+    return InProcessPort(controller, clock=LIBRARY_TIME)
 
 
 @pytest.fixture
@@ -205,7 +216,7 @@ def test_a_port_that_goes_away_is_a_port_error(port, stage, monkeypatch):
 def test_no_damage_is_taken_for_a_place_and_the_next_command_is_answered(damages, microsteps):
     script = Script()
     script.values["pos"] = str(microsteps)
-    port = InProcessPort(script)
+    port = InProcessPort(script, clock=LIBRARY_TIME)
     stage = Zaber(port)
     stage.identify()
     port.damages = list(damages)
@@ -221,7 +232,7 @@ def test_no_damage_is_taken_for_a_place_and_the_next_command_is_answered(damages
 
 @needs_library
 def test_a_simulated_one_homes_moves_and_stops():
-    stage = Zaber(simulated("zaber"))
+    stage = Zaber(simulated("zaber", clock=LIBRARY_TIME))
     assert stage.status().state == "not_referenced"
     homed(stage)
     assert moved_to(stage, -30.5).position_deg() == pytest.approx(-30.5, abs=1e-3)
@@ -234,7 +245,7 @@ def test_a_simulated_one_homes_moves_and_stops():
 
 @needs_library
 def test_a_simulated_one_that_is_blocked_says_so():
-    stage = homed(Zaber(simulated("zaber", mechanics={"obstruction_deg": 30.0})))
+    stage = homed(Zaber(simulated("zaber", clock=LIBRARY_TIME, mechanics={"obstruction_deg": 30.0})))
     stage.move(60)
     assert until_it_stands(stage) == "disabled"
     assert "stalled" in stage.status().words

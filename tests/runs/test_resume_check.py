@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from calrig.analysis.errors import NotTheSame
 from calrig.calibration.pose import Pose
 from calrig.estimation.reading import Reading
-from calrig.runs.returning import Returned, way_back
+from calrig.runs.resume import Returned, way_back
 
 LIMITS_DEG = (-60.0, 60.0)
 

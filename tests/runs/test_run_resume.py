@@ -30,7 +30,7 @@ def interrupted(service: RunService, store: Store, run: Run, poses: int = 3) -> 
     return left
 
 
-def test_an_interrupted_run_is_taken_up_and_says_so(bench: TruthRig, serve: Serve, store: Store) -> None:
+def test_an_interrupted_run_is_resumed_and_says_so(bench: TruthRig, serve: Serve, store: Store) -> None:
     first = serve(bench)
     left = interrupted(first, store, begin(first, PLAN))
     kept = store.poses(left.id)
@@ -41,7 +41,7 @@ def test_an_interrupted_run_is_taken_up_and_says_so(bench: TruthRig, serve: Serv
     assert ended.finished_at is not None and ended.started_at == left.started_at
     assert ended.faults["interrupted"] == 1
     (told,) = ended.provenance["interruptions"]
-    assert told["after_poses"] == len(kept) and "stopped" in told["reason"]
+    assert told["after_poses"] == len(kept) and "stopped" in told["reason"] and "resumed_at" in told
     assert abs(told["measured_again"]["after_deg"] - told["measured_again"]["before_deg"]) < 0.1
     poses = store.poses(left.id)
     assert poses[: len(kept)] == kept
@@ -110,7 +110,7 @@ def test_a_static_log_goes_on_after_a_gap(bench: TruthRig, serve: Serve, store: 
         ({"stage": {"sign": -1}}, "stage.sign was 1"),
     ],
 )
-def test_a_rig_that_was_configured_otherwise_is_not_taken_up(
+def test_a_rig_that_was_configured_otherwise_is_not_resumed(
     bench: TruthRig, serve: Serve, store: Store, changed: dict[str, Any], named: str
 ) -> None:
     first = serve(bench)

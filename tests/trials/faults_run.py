@@ -31,6 +31,7 @@ from .proxy_virtual import VirtualProxy
 LIMITS_DEG = (-60.0, 60.0)
 HUNG_S = 90.0
 STANDS_DPS = 1e-6
+TIME_SCALE = 20.0
 READING_FLOOR_DEG = 0.02
 """Of a standard error: what the filter has yet to forget of a move, half a second after it."""
 STAGE_DEG = 0.02
@@ -69,7 +70,6 @@ class Case:
     seed: int
     sketch: str | None = None
     sweeps: int = 2
-    time_scale: float = 20.0
 
     def __str__(self) -> str:
         fault = self.fault
@@ -126,7 +126,7 @@ def try_case(case: Case, store: Store, folder: Path, virtual: VirtualClock | Non
     """Carries out one run over the damaged wire and judges it: over terminals, or in virtual time."""
     outcome = Outcome(case)
     clock = WALL if virtual is None else virtual
-    scale = 1.0 if case.sketch else case.time_scale
+    scale = 1.0 if case.sketch else TIME_SCALE
     options = {
         **RIG,
         "seed": case.seed,

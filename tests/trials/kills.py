@@ -135,7 +135,7 @@ def _ended(served: Served, run_id: str) -> dict[str, Any] | None:
 
 
 def kill_one(seed: int) -> Outcome:
-    """One run, killed once or twice, and taken up again."""
+    """One run, killed once or twice, and resumed."""
     rng = random.Random(seed)
     slow = rng.random() < SLOW
     kills = 2 if rng.random() < SECOND_KILL else 1
@@ -181,7 +181,7 @@ def kill_one(seed: int) -> Outcome:
 
 
 def _judged(ended: dict[str, Any] | None, out: Outcome) -> list[str]:
-    """What is wrong with a run that was taken up again."""
+    """What is wrong with a run that was resumed."""
     if ended is None:
         return [f"no end within {DEADLINE_S:g} s"]
     if ended["status"] != "completed":
@@ -213,7 +213,7 @@ def trial(extent: Extent) -> list[Count]:
         none_of("poses announced and lost", tried, [line for o in outcomes for line in o.lost]),
         Count(
             "runs with a right result in the end",
-            f"{number} ({interrupted} interrupted and taken up)",
+            f"{number} ({interrupted} interrupted and resumed)",
             "all",
             str(sum(not o.wrong for o in outcomes)),
             not wrong,

@@ -31,7 +31,7 @@ def client(interrupted: str, rig: RigSettings, store_path: Path) -> Iterator[Any
         yield client
 
 
-def test_an_interrupted_run_is_taken_up_on_the_page(
+def test_an_interrupted_run_is_resumed_on_the_page(
     page: Any, client: Any, interrupted: str, expect: Any
 ) -> None:
     page.goto(f"{client.base_url}/#/runs/{interrupted}")

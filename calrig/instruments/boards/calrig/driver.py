@@ -38,7 +38,7 @@ class CalrigBoard:
 
     A board that resets in the middle (it sends its identity again) is started again, counted as
     `board_reset`, and so is one that falls silent, counted as `restarted`; its time then goes on by the
-    host's clock over the gap.
+    host's clock, over a gap that always shows.
     """
 
     def __init__(self, port: Port) -> None:
@@ -60,7 +60,7 @@ class CalrigBoard:
         self._last_words = ""
         self._blocks: list[Samples] = []
         self._n_bytes = 0
-        self._heard_at = self._valid_at = self._asked_at = self._restarted_at = self._clock.now_s()
+        self._heard_at = self._valid_at = self._timed_at = self._restarted_at = self._clock.now_s()
         self._mark = Mark(lambda: self._send("ID"), self._clock.now_s)
         self._may_be_late = False  # whether samples were ever held up on their way since `start`
         self._is_reset = self._awaits_start = False
@@ -101,8 +101,7 @@ class CalrigBoard:
         Raises:
             BoardError: not identified, the rate is above the board's, or it refused in its own words.
         """
-        identity = self._identity
-        if identity is None:
+        if (identity := self._identity) is None:
             raise BoardError(f"{self._name} must be identified before it is started")
         if identity.max_rate_hz is not None and rate_hz > identity.max_rate_hz:
             raise BoardError(f"{self._name} samples at {identity.max_rate_hz} Hz at most, not {rate_hz} Hz")
@@ -220,7 +219,7 @@ class CalrigBoard:
         block = self._stream.push(packets)
         if len(block):
             self._blocks.append(block)
-            self._valid_at = self._heard_at
+            self._valid_at = self._timed_at = self._heard_at
             self._faults_then = self.faults.copy()
 
     def _listen_to(self, kind: int, payload: bytes) -> None:
@@ -241,9 +240,11 @@ class CalrigBoard:
             self._streaming = False
         elif self._stream is not None and line in (self._asked, self._start_line):
             if line == self._start_line:  # after a reset, or late, to a START that was sent twice
-                self._stream.restart(self._heard_at - self._valid_at)
+                self._stream.restart(self._heard_at - self._timed_at)
+            else:
+                self._valid_at = self._heard_at
             self._start_line, self._streaming, self._awaits_start = line, True, False
-            self._valid_at, self._faults_then = self._heard_at, self.faults.copy()
+            self._timed_at, self._faults_then = self._heard_at, self.faults.copy()
         if line == self._asked:
             self._answer = ACKNOWLEDGE, line
 

@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 import numpy.typing as npt
 
-from calrig.instruments.types import BoardIdentity, Samples
+from calrig.instruments.types import GAP_PERIODS, BoardIdentity, Samples
 
 RECORD = np.dtype([("type", "u1"), ("seq", "<u2"), ("t_us", "<u4"), ("registers", "<i2", 7)])
 """CONTRACT 3.1, type 0x02; a filtered sample (0x05) begins alike."""
@@ -51,9 +51,13 @@ class SampleStream:
         return self._before is not None and not self._before[REGISTERS].any()
 
     def restart(self, elapsed_s: float) -> None:
-        """The board begins again at seq 0, its clock anew, elapsed_s after the last sample."""
+        """The board begins again at seq 0, its clock anew, elapsed_s (host's clock) after the last one.
+
+        How long that was by the board's clock is not known, so that it always counts as a gap.
+        """
         self._before = None
-        self._time_us += max(round(elapsed_s * 1e6 - self._period_us), 0)
+        gap_us = max(elapsed_s * 1e6, (GAP_PERIODS + 1) * self._period_us)
+        self._time_us += round(gap_us - self._period_us)
 
     def push(self, packets: list[bytes]) -> Samples:
         """The valid samples among some packets of type 0x02 and 0x05."""
