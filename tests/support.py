@@ -82,10 +82,12 @@ POSES = "target_deg,reading_deg\n-40,-39.1\n-10,-9.3\n10,10.9\n40,40.8\n"
 """Four poses of somebody's own, as a file to import."""
 
 
-def imported(client: httpx.Client, unit: str, poses: str = POSES, name: str = "poses.csv") -> dict[str, Any]:
+def imported(
+    client: httpx.Client, unit: str, poses: str = POSES, name: str = "poses.csv", **form: str
+) -> dict[str, Any]:
     """A completed run of a unit, made of a file: for tests that are not about how it was measured."""
     file = {"file": (name, poses)}
-    return client.post("/api/imports", files=file, data={"unit": unit}).raise_for_status().json()
+    return client.post("/api/imports", files=file, data={"unit": unit, **form}).raise_for_status().json()
 
 
 def declared(client: httpx.Client, path: str, kind: str, n_bytes: int) -> tuple[int, str]:

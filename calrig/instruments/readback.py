@@ -1,4 +1,4 @@
-"""What is believed of a controller whose words carry no checksum: only what it says twice, or says back."""
+"""What is accepted of a controller whose words carry no checksum: only what it says twice, or says back."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ class Found:
 def scan(ports: Iterable[str] = (), *, ours: Iterable[str] = ()) -> list[Found]:
     """Looks at every port that the system lists, and at those given, side by side; some seven seconds.
 
-    It moves nothing. Opening a port resets most boards, and a GRBL with them, whose angle calrig believes
+    It moves nothing. Opening a port resets most boards, and a GRBL with them, whose angle calrig trusts
     only after homing anyway. A port that is in use is not touched. Of SMC100 controllers in a chain the one
     at address 1 is asked, which is the one with the plug.
 

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
-from support import running_service, serving
+from support import imported, running_service, serving
 
 BACKLASH_DEG = 0.3
 NOISE_DEG = 0.02
@@ -19,9 +19,8 @@ def worn(client, unit, seed=0):
     approach = np.sign(np.diff(theta, prepend=-90.0))
     reading = 0.8 + theta + BACKLASH_DEG / 2 * approach + rng.normal(0, NOISE_DEG, 48)
     rows = (f"{x},{y:.4f},{a:.0f}" for x, y, a in zip(theta, reading, approach, strict=True))
-    files = {"file": ("poses.csv", "\n".join(["target_deg,reading_deg,approach", *rows]).encode())}
-    answer = client.post("/api/imports", data={"unit": unit, "rig": "bench-1"}, files=files)
-    return f"/api/runs/{answer.raise_for_status().json()['id']}"
+    run = imported(client, unit, "\n".join(["target_deg,reading_deg,approach", *rows]), rig="bench-1")
+    return f"/api/runs/{run['id']}"
 
 
 def diagnose(client, url, **body):

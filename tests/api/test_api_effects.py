@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support import imported
 
 from calrig.calibration.effects import EFFECTS
 
@@ -26,8 +27,7 @@ def with_a_scale_that_moves(client, unit, per_c):
     celsius = rng.uniform(21.0, 29.0, 60).round(2)
     reading = 0.8 + theta * (1.0 + per_c * (celsius - 25.0)) + rng.normal(0, 0.01, 60)
     rows = (f"{x},{y:.4f},{t}" for x, y, t in zip(theta, reading, celsius, strict=True))
-    files = {"file": ("poses.csv", "\n".join(["target_deg,reading_deg,temperature_c", *rows]).encode())}
-    run = client.post("/api/imports", data={"unit": unit}, files=files).raise_for_status().json()
+    run = imported(client, unit, "\n".join(["target_deg,reading_deg,temperature_c", *rows]))
     url = f"/api/runs/{run['id']}"
     (effect,) = client.post(f"{url}/diagnosis", json={}).raise_for_status().json()["effects"]
     assert effect["name"] == "temperature_scale"

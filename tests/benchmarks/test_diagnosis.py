@@ -14,7 +14,7 @@ from calrig.calibration.diagnosis import diagnose
 from calrig.calibration.pose import Pose
 
 
-def poses_of_a_stage_with_play(sweeps: int) -> list[Pose]:
+def poses_of_a_stage_with_backlash(sweeps: int) -> list[Pose]:
     """25 elevations a sweep with every witness; the table lags by 0.08° behind its motor."""
     rng = random.Random(1)
     poses: list[Pose] = []
@@ -53,6 +53,6 @@ def poses_of_a_stage_with_play(sweeps: int) -> list[Pose]:
     ],
 )
 def test_a_diagnosis(benchmark, sweeps, cross_fit):
-    poses = poses_of_a_stage_with_play(sweeps)
+    poses = poses_of_a_stage_with_backlash(sweeps)
     found = benchmark.pedantic(lambda: diagnose([poses], cross_fit=cross_fit), rounds=3, warmup_rounds=1)
     assert found.findings.found[0].candidate.name == "backlash"

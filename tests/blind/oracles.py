@@ -36,7 +36,7 @@ def set_size(r: Responses, noise: Noise) -> int:
 
 
 def held_out_rms_deg(r: Responses, truths: list[Truth]) -> float:
-    """RMS error of poses not seen, of least squares with every cause's true shape, on the same folds."""
+    """RMS error of held-out poses, of least squares with every cause's true shape, on the same folds."""
     columns = np.column_stack([np.ones(len(r)), r.theta_deg, *[truth.shape_deg for truth in truths]])
     fold = folds_of(r)
     errors = np.empty(len(r))

@@ -1,4 +1,4 @@
-"""Play between motor and table."""
+"""Backlash between motor and table."""
 
 from __future__ import annotations
 

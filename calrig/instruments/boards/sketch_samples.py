@@ -20,7 +20,7 @@ class SketchSamples:
     are `frozen` at once: nothing answers the board on its bus.
 
     Attributes:
-        frozen_s: for how long the records have been such that none is believed.
+        frozen_s: for how long the records have been such that none is accepted.
     """
 
     def __init__(self, sketch: Sketch, faults: Counter[str]) -> None:

@@ -69,7 +69,7 @@ class Count:
         return self.shown_deg
 
     def hear_offset(self, report: Report) -> None:
-        """Takes in an offset, which is believed when it has come twice alike."""
+        """Takes in an offset, which is accepted when it has come twice alike."""
         if report.offset is None or self._index >= len(report.offset):
             return
         heard = report.offset[self._index]
@@ -80,7 +80,7 @@ class Count:
         self._offset_heard = heard
 
     def check(self, here_deg: float, *, homing: bool) -> None:
-        """Believes an angle at which the stage stands.
+        """Accepts an angle at which the stage stands.
 
         Args:
             here_deg: two reports agree on it.
