@@ -34,6 +34,16 @@ MOST_SPEED = 10.0
 """Of rigs that people watch: a run that nobody waits for leaves the processor to the test."""
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Has files handed out in the order below, where pytest-xdist would begin with those of most tests."""
+    config.option.loadscopereorder = False
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The files of the page come first: few and long tests, which at the end would leave workers idle."""
+    items.sort(key=lambda item: item.get_closest_marker("browser") is None)
+
+
 @pytest.fixture(scope="session")
 def launch_rig() -> Iterator[LaunchRig]:
     """Simulated rigs in virtual time: `launch_rig("bench-2", stage={"fault": "garbage"})`, over FAST.

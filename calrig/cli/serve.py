@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from contextlib import closing, suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -68,5 +69,6 @@ def _serve_on(
             asks = "" if access.token is None else f"; it asks for the token of {TOKEN}"
             typer.echo(f"calrig {calrig.__version__} at {where}, store {url}, rigs: {rigs}{asks}")
 
+        gc.freeze()  # what was imported lives to the end: no collection need look at it, the last one neither
         # On SIGINT and SIGTERM uvicorn stops in order, then raises what it was told by.
         Server(create_app(service, access=access), say_ready).run(sockets=[listener])

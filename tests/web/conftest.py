@@ -21,6 +21,7 @@ ARGUMENTS = [
     "--disable-component-update",
     "--disable-sync",
 ]
+DESK = {"width": 1280, "height": 900}
 
 
 @pytest.fixture(scope="package")
@@ -41,26 +42,39 @@ def forgiven() -> list[str]:
     return []
 
 
-@pytest.fixture(scope="module")
-def context(browser: Any) -> Iterator[Any]:
-    """A profile for the tests of a file: what the browser keeps of the page's files, it asks for once."""
-    context = browser.new_context(accept_downloads=True)
-    yield context
+@pytest.fixture(scope="package")
+def tab(browser: Any) -> Iterator[Any]:
+    """A profile with one tab for all tests: what the browser keeps of the page's files, it asks for once.
+
+    A new window costs a headless Chromium half a second of processor time.
+    """
+    context = browser.new_context(accept_downloads=True, viewport=DESK)
+    context.set_default_timeout(60_000)
+    yield context.new_page()
     context.close()
 
 
 @pytest.fixture
-def fresh_page(context: Any, forgiven: list[str]) -> Iterator[Any]:
-    """A page of its own; the test fails on any console error, warning or uncaught exception on it."""
+def fresh_page(tab: Any, forgiven: list[str]) -> Iterator[Any]:
+    """The tab with nothing left of other tests; fails on any console error, warning or uncaught exception."""
     problems: list[str] = []
-    page = context.new_page()
-    page.set_viewport_size({"width": 1280, "height": 900})
-    page.set_default_timeout(20_000)
-    page.on("console", lambda m: problems.append(m.text) if m.type in {"error", "warning"} else None)
-    page.on("pageerror", lambda error: problems.append(f"{error}\n{error.stack}"))
-    yield page
-    page.close()
-    context.clear_cookies()
+
+    def heard(message: Any) -> None:
+        if message.type in {"error", "warning"}:
+            problems.append(message.text)
+
+    def thrown(error: Any) -> None:
+        problems.append(f"{error}\n{error.stack}")
+
+    tab.set_viewport_size(DESK)
+    tab.on("console", heard)
+    tab.on("pageerror", thrown)
+    yield tab
+    tab.goto("about:blank")
+    tab.unroute_all()
+    tab.remove_listener("console", heard)
+    tab.remove_listener("pageerror", thrown)
+    tab.context.clear_cookies()
     assert [p for p in problems if not any(re.search(pattern, p) for pattern in forgiven)] == []
 
 
@@ -90,5 +104,5 @@ def expect(browser: Any) -> Any:
     """Playwright's assertions, which wait for what they expect."""
     from playwright.sync_api import expect
 
-    expect.set_options(timeout=20_000)
+    expect.set_options(timeout=60_000)
     return expect

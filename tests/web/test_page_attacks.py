@@ -28,7 +28,10 @@ STRANGE = "[src='x'], main script, main iframe, svg a, a[href^='javascript']"
 def untouched(page, expect):
     """Fails when a text has become markup or has run; every look also waits for the text itself."""
     alerts = []
-    page.on("dialog", lambda dialog: (alerts.append(dialog.message), dialog.dismiss()))
+
+    def asked(dialog):
+        alerts.append(dialog.message)
+        dialog.dismiss()
 
     def untouched(*texts):
         for text in texts:
@@ -36,7 +39,9 @@ def untouched(page, expect):
         assert page.locator(STRANGE).count() == 0
         assert alerts == []
 
-    return untouched
+    page.on("dialog", asked)
+    yield untouched
+    page.remove_listener("dialog", asked)
 
 
 def poses_with(column):
@@ -164,8 +169,13 @@ def test_a_page_elsewhere_changes_nothing_and_reads_nothing(
             page.click("#log-in")
             page.wait_for_selector("button.stop")
         answers = []
+
+        def answered(response):
+            if response.url.startswith(own):
+                answers.append((response.request.method, response.status))
+
         page.goto("about:blank")
-        page.on("response", lambda r: r.url.startswith(own) and answers.append((r.request.method, r.status)))
+        page.on("response", answered)
         page.goto(f"http://{name}:{elsewhere}/hostile.html#{own},{run['id']}")
         page.wait_for_function("window.tried")
         tried = page.evaluate("window.tried")
@@ -176,6 +186,7 @@ def test_a_page_elsewhere_changes_nothing_and_reads_nothing(
         assert set(posts) == {403}
         after = client.get("/api/runs").json()["items"]
         assert [(one["id"], one["status"]) for one in after] == [(run["id"], "running")]
+        page.remove_listener("response", answered)
 
 
 def test_a_name_of_the_attackers_that_leads_here_reads_nothing(fresh_page, forgiven, client):

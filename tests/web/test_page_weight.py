@@ -24,7 +24,8 @@ def sent(page):
         lambda e: sizes.update({names[e["requestId"]]: e["encodedDataLength"]}),
     )
     session.send("Network.enable")
-    return sizes
+    yield sizes
+    session.detach()
 
 
 def test_the_first_run_page_comes_in_one_second_and_the_next_in_none(page, client, go, expect, sent):
