@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 from calrig.instruments.clock import WALL
 from calrig.simulator.bench import Bench
-from calrig.simulator.clock import ScaledClock
 from calrig.simulator.config import SimulatorSettings
-from calrig.simulator.rig import DIALECTS
+from calrig.simulator.dialects import stage_of
+from calrig.simulator.rig import ScaledClock
 
 Damage = Callable[[bytes], bytes]
 
@@ -79,7 +79,7 @@ def simulated(driver: str, **options) -> InProcessPort:
     clock = ScaledClock(200.0)
     settings = SimulatorSettings.from_options({"preset": "ideal", **options})
     stage = settings.stage.model_copy(update={"driver": driver})
-    return InProcessPort(DIALECTS[driver](stage, Bench(settings), clock), f"simulated-{driver}-{id(clock)}")
+    return InProcessPort(stage_of(driver)(stage, Bench(settings), clock), f"simulated-{driver}-{id(clock)}")
 
 
 def until_it_stands(stage) -> str:
