@@ -11,10 +11,8 @@ from serial.tools.list_ports_common import ListPortInfo
 from calrig.instruments import scan
 from calrig.instruments.drivers import BOARDS, STAGES
 from calrig.simulator.bench import Bench
-from calrig.simulator.board import Board
 from calrig.simulator.config import SimulatorSettings
-from calrig.simulator.rig import DIALECTS
-from calrig.simulator.sketch_board import SketchBoard
+from calrig.simulator.dialects import board_of, stage_of
 
 READ_S = 0.02
 """What a read that finds nothing waits."""
@@ -35,10 +33,10 @@ class Counterpart:
         settings = SimulatorSettings.from_options({"preset": "ideal", "time_scale": 1, **options})
         self.bench = Bench(settings)
         if driver in STAGES:
-            self.device = DIALECTS[driver](settings.stage, self.bench, lambda: self.now_s)
+            self.device = stage_of(driver)(settings.stage, self.bench, lambda: self.now_s)
         else:
-            kind = SketchBoard if settings.board.sketch else Board
-            self.device = kind(settings.board, settings.imu, self.bench, lambda: self.now_s)
+            makes = board_of(settings.board.sketch)
+            self.device = makes(settings.board, settings.imu, self.bench, lambda: self.now_s)
 
     @property
     def baudrate(self) -> int:

@@ -51,11 +51,10 @@ def fast(options: dict[str, Any]) -> SimulatorSettings:
 
 def known_as(name: str, rig: SimulatedRig) -> RigSettings:
     """The settings that a service knows a simulated rig by."""
-    options = rig.settings
     return RigSettings(
         name=name,
-        stage=StageSettings(driver=options.stage.driver, port=rig.stage_port),
-        imu=BoardSettings(driver=(options.board.sketch or "calrig").removesuffix("-fast"), port=rig.imu_port),
+        stage=StageSettings(driver=rig.stage_driver, port=rig.stage_port),
+        imu=BoardSettings(driver=rig.imu_driver, port=rig.imu_port),
         reference=ReferenceSettings(std_deg=0.29),
     )
 

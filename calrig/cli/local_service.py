@@ -66,10 +66,8 @@ def _with_ports(rig: RigSettings) -> Iterator[RigSettings]:
     except LaunchError as error:
         raise WorkError(f"rig {rig.name!r}: {error}") from error
     with process:
-        speaks = (rig.simulated.get("stage") or {}).get("driver", "smc100")
-        stage = rig.stage or StageSettings(driver=speaks, port="")
-        prints = (rig.simulated.get("board") or {}).get("sketch") or "calrig"
-        imu = rig.imu or BoardSettings(driver=prints.removesuffix("-fast"), port="")
+        stage = rig.stage or StageSettings(driver=process.stage_driver, port="")
+        imu = rig.imu or BoardSettings(driver=process.imu_driver, port="")
         ports = {
             "stage": stage.model_copy(update={"port": process.stage_port}),
             "imu": imu.model_copy(update={"port": process.imu_port}),

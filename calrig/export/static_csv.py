@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,11 +84,31 @@ def read_static(
         ValueError: a range is not above 0.
     """
     ranges = {"accel": accel_range_g, "gyro": gyro_range_dps}
+    _refuse_no_range(ranges)
+    table = read_log_table(data, _is_known, max_rows=max_samples, max_bytes=MAX_BYTES, progress=progress)
+    _refuse_two_units(table.header, table.header_line)
+    channels, time_s, warnings = _channels_of(table, ranges)
+    if not channels:
+        raise CsvError(
+            "there is no channel of a log (accel_x_g, gyro_x_dps, temperature_c, …; also accel_x_mps2, "
+            "gyro_x_rps, accel_x_lsb)",
+            line=table.header_line,
+        )
+    ordered = {name: channels[name] for name in sorted(channels, key=_order)}
+    flaw = "" if time_s is None else _flaw_of(time_s, table)
+    return StaticLog(ordered, time_s, flaw, tuple(warnings))
+
+
+def _refuse_no_range(ranges: Mapping[str, float | None]) -> None:
     for sensor, full_scale in ranges.items():
         if full_scale is not None and not (math.isfinite(full_scale) and full_scale > 0.0):
             raise ValueError(f"the range of the {sensor} is {full_scale}; it must be above 0")
-    table = read_log_table(data, _is_known, max_rows=max_samples, max_bytes=MAX_BYTES, progress=progress)
-    _refuse_two_units(table.header, table.header_line)
+
+
+def _channels_of(
+    table: LogTable, ranges: Mapping[str, float | None]
+) -> tuple[dict[str, FloatArray], FloatArray | None, list[str]]:
+    """(N,) each channel in its unit, (N,) the time where it is there, and what was left out."""
     warnings: list[str] = []
     channels: dict[str, FloatArray] = {}
     time_s: FloatArray | None = None
@@ -104,15 +124,7 @@ def read_static(
         else:
             sensor, axis, unit = sensor_of.groups()
             channels.update([_in_unit(sensor, axis, unit, values, ranges[sensor])])
-    if not channels:
-        raise CsvError(
-            "there is no channel of a log (accel_x_g, gyro_x_dps, temperature_c, …; also accel_x_mps2, "
-            "gyro_x_rps, accel_x_lsb)",
-            line=table.header_line,
-        )
-    ordered = {name: channels[name] for name in sorted(channels, key=_order)}
-    flaw = "" if time_s is None else _flaw_of(time_s, table)
-    return StaticLog(ordered, time_s, flaw, tuple(warnings))
+    return channels, time_s, warnings
 
 
 def accel_g_of(log: StaticLog) -> FloatArray:

@@ -1,4 +1,4 @@
-"""A simulated rig as a process of its own: options as JSON in, its two ports as one JSON line out.
+"""A simulated rig as a process of its own: options in, ports and drivers out, both as JSON.
 
 `python -m calrig.simulator '{"preset": "demo"}'` runs until its standard input closes (so that it never
 outlives whoever started it) or it is terminated or interrupted.
@@ -30,7 +30,9 @@ def main(arguments: list[str]) -> int:
         sys.stderr.write(f"simulated rig: {error}\n")
         return WRONG_USAGE
     with SimulatedRig(settings) as rig:
-        sys.stdout.write(json.dumps({"stage": rig.stage_port, "imu": rig.imu_port}) + "\n")
+        stage = {"driver": rig.stage_driver, "port": rig.stage_port}
+        imu = {"driver": rig.imu_driver, "port": rig.imu_port}
+        sys.stdout.write(json.dumps({"stage": stage, "imu": imu}) + "\n")
         sys.stdout.flush()
         sys.stdin.buffer.read()
     return 0

@@ -3,35 +3,34 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from calrig.simulator.dialects import SKETCHES, STAGES
 from calrig.simulator.presets import PRESETS
 
 Vector = tuple[float, float, float]
 NotNegative = Annotated[float, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
-StageDriver = Literal["smc100", "grbl", "esp301", "zaber"]
 StageFault = Literal["hang", "garbage", "echo"]
 BoardFault = Literal[
     "silent", "garbage", "corrupt", "gaps", "frozen", "zeros", "clone", "half_lines", "reset"
-]
-SketchName = Literal[
-    "i2cdev-raw",
-    "i2cdev-raw-fast",
-    "tkj-kalman",
-    "adafruit-plotter",
-    "adafruit-basic",
-    "mpu6050-light",
-    "tockn",
-    "dmp-ypr",
 ]
 NOT_OF_PACKETS = {"zeros", "clone", "half_lines", "reset"}
 NOT_OF_TEXT = {"corrupt", "gaps"}
 
 ZERO: Vector = (0.0, 0.0, 0.0)
+
+
+def _one_of(names: Sequence[str]) -> AfterValidator:
+    def known(name: str) -> str:
+        if name not in names:
+            raise ValueError(f"{name!r} is unknown; there are {', '.join(names)}")
+        return name
+
+    return AfterValidator(known)
 
 
 class _Options(BaseModel):
@@ -45,7 +44,7 @@ class StageOptions(_Options):
     whether a GRBL has a limit switch to home to.
     """
 
-    driver: StageDriver = "smc100"
+    driver: Annotated[str, _one_of(STAGES)] = "smc100"
     axis: int = Field(default=1, ge=1, le=31)
     firmware: str | None = None
     homing: bool = True
@@ -159,7 +158,7 @@ class BoardOptions(_Options):
     one rate.
     """
 
-    sketch: SketchName | None = None
+    sketch: Annotated[str, _one_of(SKETCHES)] | None = None
     serial: str = Field(default="", max_length=64)
     firmware: str = "calrig simulated"
     max_rate_hz: int = Field(default=1000, ge=1, le=8000)

@@ -25,11 +25,14 @@ class SimulatedProcess:
 
     Attributes:
         stage_port, imu_port: what `serial.serial_for_url` opens.
+        stage_driver, imu_driver: of calrig, that understand them.
     """
 
-    def __init__(self, process: subprocess.Popen[str], stage_port: str, imu_port: str) -> None:
-        self.stage_port = stage_port
-        self.imu_port = imu_port
+    def __init__(
+        self, process: subprocess.Popen[str], stage: Mapping[str, str], imu: Mapping[str, str]
+    ) -> None:
+        self.stage_port, self.stage_driver = stage["port"], stage["driver"]
+        self.imu_port, self.imu_driver = imu["port"], imu["driver"]
         self._process = process
 
     @property
@@ -76,8 +79,8 @@ def launch(options: Mapping[str, Any]) -> SimulatedProcess:
     line = process.stdout.readline()
     too_late.cancel()
     try:
-        ports = json.loads(line)
-        return SimulatedProcess(process, ports["stage"], ports["imu"])
+        said = json.loads(line)
+        return SimulatedProcess(process, said["stage"], said["imu"])
     except (ValueError, KeyError) as error:
         _end(process)
         raise LaunchError(

@@ -3,25 +3,33 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
 from calrig.simulator.bench import Bench
-from calrig.simulator.board import Board
-from calrig.simulator.clock import ScaledClock
 from calrig.simulator.config import SimulatorSettings
-from calrig.simulator.esp301 import Esp301
-from calrig.simulator.grbl import Grbl
+from calrig.simulator.dialects import board_of, stage_of
 from calrig.simulator.ports import open_port
-from calrig.simulator.sketch_board import SketchBoard
-from calrig.simulator.smc100 import Smc100
 from calrig.simulator.virtual_clock import VirtualClock
 from calrig.simulator.wire import MOST_WAITING_BYTES, Device, Wire
 from calrig.simulator.world import SimWire
-from calrig.simulator.zaber import Zaber
 
-Stage = Smc100 | Grbl | Esp301 | Zaber
-DIALECTS: dict[str, type[Stage]] = {"smc100": Smc100, "grbl": Grbl, "esp301": Esp301, "zaber": Zaber}
+
+class ScaledClock:
+    """Seconds of simulated time since it was made: `time_scale` for every second of `now_s`.
+
+    Nothing else in the simulator knows how fast time runs.
+    """
+
+    def __init__(self, time_scale: float, now_s: Callable[[], float] = time.monotonic) -> None:
+        self._time_scale = time_scale
+        self._now_s = now_s
+        self._start_s = now_s()
+
+    def __call__(self) -> float:
+        """The simulated time in seconds; never goes back."""
+        return self._time_scale * (self._now_s() - self._start_s)
 
 
 class SimulatedRig:
@@ -34,6 +42,7 @@ class SimulatedRig:
         stage, board: its devices; their `fault` may be set at any time.
         stage_wire, board_wire: each can be pulled out by its `stop`.
         stage_port, imu_port: what `serial.serial_for_url` opens.
+        stage_driver, imu_driver: of calrig, that understand them.
 
     Args:
         settings: what it is made of.
@@ -45,12 +54,9 @@ class SimulatedRig:
         self.settings = settings
         self.clock = ScaledClock(settings.time_scale, time.monotonic if virtual is None else virtual.now_s)
         self.bench = Bench(settings)
-        self.stage: Stage = DIALECTS[settings.stage.driver](settings.stage, self.bench, self.clock)
-        self.board: Board | SketchBoard
-        if settings.board.sketch is None:
-            self.board = Board(settings.board, settings.imu, self.bench, self.clock)
-        else:
-            self.board = SketchBoard(settings.board, settings.imu, self.bench, self.clock)
+        self.stage = stage_of(settings.stage.driver)(settings.stage, self.bench, self.clock)
+        self.board = board_of(settings.board.sketch)(settings.board, settings.imu, self.bench, self.clock)
+        self.stage_driver, self.imu_driver = settings.stage.driver, self.board.driver
         self.stage_wire = _plugged(self.stage, "stage", settings, virtual)
         self.board_wire = _plugged(self.board, "board", settings, virtual, self.board.most_waiting_bytes)
         self.stage_port, self.imu_port = self.stage_wire.url, self.board_wire.url

@@ -10,7 +10,7 @@ import numpy as np
 from calrig.simulator.bench import Bench
 from calrig.simulator.config import BoardFault, BoardOptions, ImuOptions
 from calrig.simulator.imu import FULL_SCALE_COUNTS, TEMPERATURE_COUNTS_PER_C, TEMPERATURE_OFFSET_C
-from calrig.simulator.sketch_dialects import SKETCHES, Found, Motion
+from calrig.simulator.sketch import Found, Motion, Sketch
 
 BOOT_S = 0.8
 """The boot loader's silence after a reset."""
@@ -38,12 +38,11 @@ class SketchBoard:
     """A UART's buffer: what nobody reads is lost, in the middle of a line."""
 
     def __init__(
-        self, options: BoardOptions, imu: ImuOptions, bench: Bench, now: Callable[[], float]
+        self, sketch: Sketch, options: BoardOptions, imu: ImuOptions, bench: Bench, now: Callable[[], float]
     ) -> None:
-        if options.sketch is None:
-            raise ValueError("a board that prints text needs the sketch it runs")
         self.fault: BoardFault | None = options.fault
-        self._sketch = SKETCHES[options.sketch]()
+        self.driver = sketch.driver
+        self._sketch = sketch
         self._imu = imu
         self._bench = bench
         self._now = now
@@ -123,3 +122,10 @@ class SketchBoard:
         if self.fault == "silent":
             return b""
         return self._noise.randbytes(len(said)) if self.fault == "garbage" else said
+
+
+def running(
+    sketch: Callable[[], Sketch],
+) -> Callable[[BoardOptions, ImuOptions, Bench, Callable[[], float]], SketchBoard]:
+    """What makes a board that runs a sketch."""
+    return lambda options, imu, bench, now: SketchBoard(sketch(), options, imu, bench, now)

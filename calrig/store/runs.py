@@ -43,7 +43,6 @@ class Runs(Part):
         An import gives `poses`, `result` and the status `completed` at once: all is stored or nothing.
         """
         now = datetime.now(UTC)
-        total = max(poses_total, len(poses))
         with self._database.writing() as session:
             if session.get(UnitTable, unit) is None:
                 session.add(UnitTable(serial=unit, created_at=now))
@@ -54,12 +53,7 @@ class Runs(Part):
                 kind=(plan or {}).get("kind", "calibration"),
                 status=status,
                 plan=plan,
-                progress={
-                    "poses_done": len(poses),
-                    "poses_total": total,
-                    "fraction": len(poses) / total if total else 0.0,
-                    "remaining_s": 0.0 if status in TERMINAL else None,
-                },
+                progress=_progress(len(poses), max(poses_total, len(poses)), status),
                 faults={},
                 follows=None if follows is None else run_row(session, follows).id,
                 provenance=provenance,
@@ -186,3 +180,13 @@ def _stamp(row: RunTable, now: datetime) -> None:
     if row.status in {"running", "completed"} and row.started_at is None:
         row.started_at = now
     row.finished_at = now if row.status in TERMINAL else None
+
+
+def _progress(poses_done: int, poses_total: int, status: Status) -> Document:
+    """How far a run is that has just been made."""
+    return {
+        "poses_done": poses_done,
+        "poses_total": poses_total,
+        "fraction": poses_done / poses_total if poses_total else 0.0,
+        "remaining_s": 0.0 if status in TERMINAL else None,
+    }

@@ -19,8 +19,8 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 
 from packet_stream import MPU, sample_blocks
 
-from calrig.simulator.board import BLOCK_INTERVAL_S
-from calrig.simulator.packets import ACKNOWLEDGE, IDENTITY, packet
+from calrig.simulator.boards.calrig import BLOCK_INTERVAL_S
+from calrig.simulator.boards.calrig.packets import ACKNOWLEDGE, IDENTITY, packet
 from calrig.simulator.ports import open_port
 from calrig.simulator.wire import Wire
 

@@ -14,7 +14,7 @@ from calrig.settings import BoardSettings, ReferenceSettings, RigSettings, Stage
 from calrig.simulator.bench import Bench
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.ports import open_port
-from calrig.simulator.smc100 import Smc100
+from calrig.simulator.stages.smc100 import Smc100
 from calrig.simulator.wire import Wire
 
 

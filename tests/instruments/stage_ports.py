@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from calrig.simulator.bench import Bench
 from calrig.simulator.config import SimulatorSettings
-from calrig.simulator.rig import DIALECTS
+from calrig.simulator.dialects import stage_of
 
 Damage = Callable[[bytes], bytes]
 READ_S = 0.001
@@ -91,7 +91,7 @@ def simulated(driver: str, clock=None, **options) -> InProcessPort:
     settings = SimulatorSettings.from_options({"preset": "ideal", **options})
     stage = settings.stage.model_copy(update={"driver": driver})
     clock = clock or ReadClock()
-    device = DIALECTS[driver](stage, Bench(settings), lambda: 200 * clock.now_s())
+    device = stage_of(driver)(stage, Bench(settings), lambda: 200 * clock.now_s())
     return InProcessPort(device, f"simulated-{driver}-{id(device)}", clock)
 
 

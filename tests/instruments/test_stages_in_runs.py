@@ -11,8 +11,8 @@ from support import LONG, QUICK, fast, known_as, running_service, wait_for
 from calrig.plan import Plan
 from calrig.runs.service import RunService
 from calrig.settings import RigSettings
-from calrig.simulator.grbl import State
 from calrig.simulator.rig import SimulatedRig
+from calrig.simulator.stages.grbl import State
 from calrig.simulator.virtual_clock import VirtualClock
 
 OFFSET_DEG = 0.8

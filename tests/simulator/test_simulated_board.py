@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from simulated_packets import Packet, decode
 
 from calrig.simulator.bench import Bench
-from calrig.simulator.board import Board
+from calrig.simulator.boards.calrig import Board
+from calrig.simulator.boards.calrig.packets import sample_packets
 from calrig.simulator.config import SimulatorSettings
-from calrig.simulator.packets import sample_packets
 
 
 class Sensor:

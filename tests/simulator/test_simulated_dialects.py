@@ -6,7 +6,7 @@ import pytest
 
 from calrig.simulator.bench import Bench
 from calrig.simulator.config import SimulatorSettings
-from calrig.simulator.rig import DIALECTS
+from calrig.simulator.dialects import stage_of
 
 
 class Controller:
@@ -16,7 +16,7 @@ class Controller:
         settings = SimulatorSettings.from_options({"preset": "ideal"} | options)
         stage = settings.stage.model_copy(update={"driver": driver})
         self.now_s = 0.0
-        self.device = DIALECTS[driver](stage, Bench(settings), lambda: self.now_s)
+        self.device = stage_of(driver)(stage, Bench(settings), lambda: self.now_s)
         self._line_end = line_end
 
     def tell(self, data: bytes, after_s: float = 0.0) -> list[str]:

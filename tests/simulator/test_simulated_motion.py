@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calrig.simulator.config import MechanicsOptions
-from calrig.simulator.mechanics import Mechanics
-from calrig.simulator.play import through_play
+from calrig.simulator.mechanics import Mechanics, through_play
 from calrig.simulator.trajectory import Segment, Trajectory, braking, trapezoid
 
 ANGLES = st.floats(-170, 170)

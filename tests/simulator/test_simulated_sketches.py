@@ -9,6 +9,7 @@ import pytest
 
 from calrig.simulator.bench import Bench
 from calrig.simulator.config import SimulatorSettings
+from calrig.simulator.dialects import board_of
 from calrig.simulator.rig import SimulatedRig
 from calrig.simulator.sketch_board import SketchBoard
 
@@ -43,7 +44,7 @@ class Board:
     def __init__(self, sketch, **board):
         settings = SimulatorSettings.from_options({"board": {"sketch": sketch, **board}})
         self.now_s = 0.0
-        self.device = SketchBoard(settings.board, settings.imu, Bench(settings), lambda: self.now_s)
+        self.device = board_of(sketch)(settings.board, settings.imu, Bench(settings), lambda: self.now_s)
 
     def said(self, until_s):
         """All it prints until then."""

@@ -6,7 +6,7 @@ import pytest
 
 from calrig.simulator.bench import Bench
 from calrig.simulator.config import SimulatorSettings
-from calrig.simulator.smc100 import Smc100
+from calrig.simulator.stages.smc100 import Smc100
 
 
 class Controller:

@@ -144,9 +144,7 @@ def try_case(case: Case, store: Store, folder: Path, virtual: VirtualClock | Non
             name="bench-1",
             limits_deg=LIMITS_DEG,
             stage=StageSettings(driver=case.stage, port=proxies["stage"].port),
-            imu=BoardSettings(
-                driver=(case.sketch or "calrig").removesuffix("-fast"), port=proxies["board"].port
-            ),
+            imu=BoardSettings(driver=rig.imu_driver, port=proxies["board"].port),
             reference=ReferenceSettings(std_deg=0.29),
         )
         service = stack.enter_context(closing(RunService(store, [settings])))

@@ -9,16 +9,14 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
-import numpy as np
-
 from calrig.simulator.bench import Bench
-from calrig.simulator.config import StageFault, StageOptions
+from calrig.simulator.config import StageOptions
+from calrig.simulator.stage import LineStage
 
 FIRMWARE = "7.35"
 MICROSTEPS_PER_DEG = 6400.0
 NATIVE_VELOCITY = 1.6384
 """A speed counts 1/1.6384 microsteps per second; an acceleration 10⁴ times that, per second."""
-LONGEST_COMMAND = 80
 MESSAGE = re.compile(r"/(?:(\d+)(?: (\d+)(?: (\d+|--))?)?)?\s*(.*?)(?::([0-9A-F]{2}))?")
 GARBLED = bytes(byte ^ 0x55 for byte in range(256))
 
@@ -28,22 +26,14 @@ class _Refused(Exception):  # noqa: N818 (a reason of the dialect, caught where 
         self.reason = reason
 
 
-class Zaber:
-    """A controller with one rotary axis, fed with bytes, answering in bytes.
+class Zaber(LineStage):
+    """A controller with one rotary axis, fed with bytes, answering in bytes; its alerts are off."""
 
-    Attributes:
-        fault: breaks it on purpose, at any time: `hang`, `garbage`, `echo` or None.
-    """
-
-    interval_s = None
-    """Its alerts are off: it never speaks unasked."""
+    dropped = b"\r"
+    longest_line = 80
 
     def __init__(self, options: StageOptions, bench: Bench, now: Callable[[], float]) -> None:
-        self.fault: StageFault | None = options.fault
-        self._options = options
-        self._bench = bench
-        self._now = now
-        self._tail = b""
+        super().__init__(options, bench, now)
         self._referenced = False
         self._flags: set[str] = set()
         self._ends: tuple[float, str] | None = None
@@ -66,24 +56,11 @@ class Zaber:
             self._tail, self._ends, self._homing, self._referenced = b"", None, False, False
             self._flags.clear()
 
-    def receive(self, data: bytes) -> bytes:
-        """Takes what came over the wire; returns what goes back."""
-        *lines, self._tail = (self._tail + data).replace(b"\r", b"\n").split(b"\n")
-        self._tail = self._tail[-LONGEST_COMMAND:]
-        return b"".join(self._line(line) for line in lines)
-
-    def emit(self) -> bytes:
-        """Nothing, ever."""
-        return b""
-
-    def _line(self, line: bytes) -> bytes:
-        if self.fault == "hang":
-            return b""
-        echo = line + b"\r\n" if self.fault == "echo" else b""
+    def _replies(self, line: bytes) -> bytes:
         reply = self._answer(line.decode("ascii", "replace")).encode("ascii", "replace")
         if not reply:
-            return echo
-        return echo + (reply.translate(GARBLED) if self.fault == "garbage" else reply) + b"\r\n"
+            return b""
+        return (reply.translate(GARBLED) if self.fault == "garbage" else reply) + b"\r\n"
 
     def _answer(self, line: str) -> str:
         message = MESSAGE.fullmatch(line)
@@ -111,7 +88,7 @@ class Zaber:
             case []:
                 return "0"
             case ["get", "pos"]:
-                return str(round(self._position(now_s) * MICROSTEPS_PER_DEG))
+                return str(round(self._encoder_deg(now_s) * MICROSTEPS_PER_DEG))
             case ["get", "version"]:
                 return self._options.firmware or FIRMWARE
             case ["get", name] if name in self._settings:
@@ -168,8 +145,8 @@ class Zaber:
                 self._referenced = True
             self._homing = False
 
-    def _position(self, now_s: float) -> float:
-        return float(self._bench.mechanics.encoder_deg(np.array([now_s]))[0])
+
+STAGE = Zaber
 
 
 def _whole(text: str) -> int:

@@ -1,7 +1,4 @@
-"""The stage's dialect: a Newport SMC100's commands, states and errors (SMC100CC/PP user's manual, EDH0206En).
-
-Motion is `mechanics`' business; here is only what the controller says, allows and remembers.
-"""
+"""The stage's dialect: a Newport SMC100's commands and errors (SMC100CC/PP user's manual, EDH0206En)."""
 
 from __future__ import annotations
 
@@ -9,11 +6,10 @@ import re
 from collections.abc import Callable
 from typing import NamedTuple
 
-import numpy as np
-
 from calrig.simulator.bench import Bench
-from calrig.simulator.config import StageFault, StageOptions
-from calrig.simulator.smc100_codes import (
+from calrig.simulator.config import StageOptions
+from calrig.simulator.stage import LineStage
+from calrig.simulator.stages.smc100.codes import (
     DISABLE,
     ERROR_TEXTS,
     FOLLOWING_ERROR,
@@ -26,10 +22,7 @@ from calrig.simulator.smc100_codes import (
 )
 
 FIRMWARE = "SMC100CC simulated"
-LONGEST_COMMAND = 64
 COMMAND_FORM = re.compile(r"(\d{0,2})([A-Z]{2})(.*)")
-IGNORED = b" \t\r\x11\x13\x00"
-"""Blanks count for nothing anywhere in a command; XON and XOFF belong to the line."""
 GARBLED = bytes(byte ^ 0x55 for byte in range(256))
 
 
@@ -46,28 +39,20 @@ class _Ahead(NamedTuple):
     errors: int = 0
 
 
-class Smc100:
-    """A controller with one stage, fed with bytes, answering in bytes.
+class Smc100(LineStage):
+    """A controller with one stage, fed with bytes, answering in bytes."""
 
-    Attributes:
-        fault: breaks it on purpose, at any time: `hang`, `garbage`, `echo` or None.
-    """
-
-    interval_s = None
-    """It never speaks unasked."""
+    dropped = b" \t\r\x11\x13\x00"
+    """Blanks count for nothing anywhere in a command; XON and XOFF belong to the line."""
 
     def __init__(self, options: StageOptions, bench: Bench, now: Callable[[], float]) -> None:
-        self.fault: StageFault | None = options.fault
-        self._options = options
-        self._bench = bench
-        self._now = now
-        self._tail = b""
+        super().__init__(options, bench, now)
         self._memory = NO_ERROR
         self._handlers: dict[str, Callable[[float, str], str | None]] = {
             "OR": self._home,
             "PA": self._move_to,
             "PR": self._move_by,
-            "TP": lambda now_s, _: _number(self._position(now_s)),
+            "TP": lambda now_s, _: _number(self._encoder_deg(now_s)),
             "TS": lambda *_: f"{self._errors:04X}{self._state:02X}",
             "TE": self._take_error,
             "TB": lambda _, letter: self._error_text(letter),
@@ -95,28 +80,15 @@ class Smc100:
             self._advance(self._now())
             self._reset(self._now())
 
-    def receive(self, data: bytes) -> bytes:
-        """Takes what came over the wire; returns what goes back."""
-        *lines, self._tail = (self._tail + data.translate(None, IGNORED)).split(b"\n")
-        self._tail = self._tail[-LONGEST_COMMAND:]
-        return b"".join(self._line(line) for line in lines)
-
-    def emit(self) -> bytes:
-        """Nothing, ever."""
-        return b""
-
-    def _line(self, line: bytes) -> bytes:
-        if self.fault == "hang":
-            return b""
-        echo = line + b"\r\n" if self.fault == "echo" else b""
+    def _replies(self, line: bytes) -> bytes:
         try:
             reply = self._answer(line.decode("ascii", "replace").upper())
         except _Refused as refusal:
             self._memory, reply = refusal.letter, None
         if reply is None:
-            return echo
+            return b""
         body = reply.encode("ascii", "replace")
-        return echo + (body.translate(GARBLED) if self.fault == "garbage" else body) + b"\r\n"
+        return (body.translate(GARBLED) if self.fault == "garbage" else body) + b"\r\n"
 
     def _answer(self, line: str) -> str | None:
         command = COMMAND_FORM.fullmatch(line)
@@ -161,9 +133,6 @@ class Smc100:
         if not any(self._state in states for states in allowed):
             raise _Refused(next(letter for states, letter in REFUSALS if self._state in states))
 
-    def _position(self, now_s: float) -> float:
-        return float(self._bench.mechanics.encoder_deg(np.array([now_s]))[0])
-
     def _home(self, now_s: float, _: str) -> None:
         self._only_in(NOT_REFERENCED)
         arrival = self._bench.mechanics.home(
@@ -206,7 +175,7 @@ class Smc100:
 
     def _halt(self, now_s: float) -> float:
         rest_s = self._bench.mechanics.halt(now_s, self._parameters["AC"])
-        self._setpoint_deg = self._position(rest_s)
+        self._setpoint_deg = self._encoder_deg(rest_s)
         return rest_s
 
     def _stop(self, now_s: float, _: str) -> None:
@@ -228,7 +197,7 @@ class Smc100:
         elif parameter == "1":
             self._only_in(DISABLE)
             self._state, self._errors = State.READY_FROM_DISABLE, 0
-            self._setpoint_deg = self._position(now_s)
+            self._setpoint_deg = self._encoder_deg(now_s)
         else:
             raise _Refused("C")
         return None
@@ -259,6 +228,9 @@ class Smc100:
         if named not in ERROR_TEXTS:
             raise _Refused("C")
         return f" {ERROR_TEXTS[named]}" if letter.removesuffix("?") else f"{named} {ERROR_TEXTS[named]}"
+
+
+STAGE = Smc100
 
 
 def _parsed(parameter: str) -> float:

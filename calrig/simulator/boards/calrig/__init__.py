@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from calrig.simulator.bench import Bench
+from calrig.simulator.boards.calrig.packets import ACKNOWLEDGE, ERROR, IDENTITY, packet, sample_packets
 from calrig.simulator.config import BoardFault, BoardOptions, ImuOptions
 from calrig.simulator.imu import Counts
-from calrig.simulator.packets import ACKNOWLEDGE, ERROR, IDENTITY, packet, sample_packets
 from calrig.simulator.wire import MOST_WAITING_BYTES
 
 BLOCK_INTERVAL_S = 0.03
@@ -40,6 +40,7 @@ class Board:
             `gaps` (every tenth packet lost), `frozen` (registers that no longer change) or None.
     """
 
+    driver = "calrig"
     most_waiting_bytes = MOST_WAITING_BYTES
 
     def __init__(
@@ -168,6 +169,9 @@ class Board:
         if self.fault == "silent":
             return b""
         return self._noise.randbytes(len(said)) if self.fault == "garbage" else said
+
+
+BOARD = Board
 
 
 def _error(text: str) -> bytes:

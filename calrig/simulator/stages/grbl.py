@@ -10,10 +10,9 @@ import re
 from collections.abc import Callable
 from enum import StrEnum
 
-import numpy as np
-
 from calrig.simulator.bench import Bench
-from calrig.simulator.config import StageFault, StageOptions
+from calrig.simulator.config import StageOptions
+from calrig.simulator.stage import Stage
 
 LETTERS = "XYZABC"
 LONGEST_LINE = 80
@@ -42,18 +41,14 @@ class _Refused(Exception):  # noqa: N818 (a number of the dialect, caught where 
         self.number = number
 
 
-class Grbl:
-    """A controller with one turning axis, fed with bytes, answering in bytes.
+class Grbl(Stage):
+    """A controller with one turning axis, fed with bytes, answering in bytes."""
 
-    Attributes:
-        fault: breaks it on purpose, at any time: `hang`, `garbage`, `echo` or None.
-    """
+    interval_s = 0.01
+    """How often it looks whether homing has ended, which it answers unasked."""
 
     def __init__(self, options: StageOptions, bench: Bench, now: Callable[[], float]) -> None:
-        self.fault: StageFault | None = options.fault
-        self._options = options
-        self._bench = bench
-        self._now = now
+        super().__init__(options, bench, now)
         self._index = min(options.axis, len(LETTERS)) - 1
         self._firmware = options.firmware or "1.1h"
         self._line = b""
@@ -69,11 +64,6 @@ class Grbl:
         self._ends: tuple[float, State] | None = None
         self._state = State.ALARM if options.homing else State.IDLE
         self._greet()
-
-    @property
-    def interval_s(self) -> float:
-        """How often it looks whether homing has ended, which it answers unasked."""
-        return 0.01
 
     @property
     def state(self) -> State:
@@ -296,5 +286,5 @@ class Grbl:
         counted = self._encoder_deg(self._now() if at_s is None else at_s) + self._lost_deg
         return round(counted * STEPS_PER_DEG) / STEPS_PER_DEG + 0.0
 
-    def _encoder_deg(self, at_s: float) -> float:
-        return float(self._bench.mechanics.encoder_deg(np.array([at_s]))[0])
+
+STAGE = Grbl

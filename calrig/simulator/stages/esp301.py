@@ -1,7 +1,4 @@
-"""The stage's dialect: a Newport ESP301 (ESP301 user's manual, section 3).
-
-Motion is `mechanics`' business; here is only what the controller says, allows and remembers.
-"""
+"""The stage's dialect: a Newport ESP301 (ESP301 user's manual, section 3)."""
 
 from __future__ import annotations
 
@@ -9,10 +6,9 @@ import re
 from collections import deque
 from collections.abc import Callable
 
-import numpy as np
-
 from calrig.simulator.bench import Bench
-from calrig.simulator.config import StageFault, StageOptions
+from calrig.simulator.config import StageOptions
+from calrig.simulator.stage import LineStage
 
 FIRMWARE = "ESP301 Version 3.0.1 simulated"
 STAGE_NAME = "URS75BCC, SN S0001"
@@ -43,22 +39,14 @@ class _Refused(Exception):  # noqa: N818 (a code of the dialect, caught where it
         self.code = code
 
 
-class Esp301:
-    """A controller with one stage, fed with bytes, answering in bytes.
+class Esp301(LineStage):
+    """A controller with one stage, fed with bytes, answering in bytes."""
 
-    Attributes:
-        fault: breaks it on purpose, at any time: `hang`, `garbage`, `echo` or None.
-    """
-
-    interval_s = None
-    """It never speaks unasked."""
+    line_end = b"\r"
+    dropped = b"\n"
 
     def __init__(self, options: StageOptions, bench: Bench, now: Callable[[], float]) -> None:
-        self.fault: StageFault | None = options.fault
-        self._options = options
-        self._bench = bench
-        self._now = now
-        self._tail = b""
+        super().__init__(options, bench, now)
         self._errors: deque[tuple[int, float]] = deque(maxlen=MOST_ERRORS)
         self._motor_is_on = True
         self._velocity_dps = options.velocity_dps
@@ -98,20 +86,7 @@ class Esp301:
             self._velocity_dps, self._setpoint_deg = self._options.velocity_dps, 0.0
             self._zero_deg += self._position(now_s)
 
-    def receive(self, data: bytes) -> bytes:
-        """Takes what came over the wire; returns what goes back."""
-        *lines, self._tail = (self._tail + data).replace(b"\n", b"").split(b"\r")
-        self._tail = self._tail[-64:]
-        return b"".join(self._line(line) for line in lines)
-
-    def emit(self) -> bytes:
-        """Nothing, ever."""
-        return b""
-
-    def _line(self, line: bytes) -> bytes:
-        if self.fault == "hang":
-            return b""
-        echo = line + b"\r\n" if self.fault == "echo" else b""
+    def _replies(self, line: bytes) -> bytes:
         with self._bench.lock:
             now_s = self._now()
             self._advance(now_s)
@@ -121,7 +96,7 @@ class Esp301:
         body = "".join(f"{reply}\r\n" for reply in replies if reply is not None).encode("ascii", "replace")
         if self.fault == "garbage":
             body = b"".join(part.translate(GARBLED) + b"\r\n" for part in body.split(b"\r\n")[:-1])
-        return echo + body
+        return body
 
     def _answer(self, text: str, now_s: float) -> str | None:
         try:
@@ -209,7 +184,10 @@ class Esp301:
                 self._motor_is_on = False
 
     def _position(self, now_s: float) -> float:
-        return float(self._bench.mechanics.encoder_deg(np.array([now_s]))[0]) - self._zero_deg + 0.0
+        return self._encoder_deg(now_s) - self._zero_deg + 0.0
+
+
+STAGE = Esp301
 
 
 def _number(text: str) -> float:

@@ -1,0 +1,1 @@
+"""What boards print or answer: a module each, named after the sketch it runs, whose `BOARD` it binds."""

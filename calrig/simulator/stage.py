@@ -1,0 +1,75 @@
+"""A stage's controller on a bench, whatever it speaks.
+
+Motion is `mechanics`' business; a dialect says only what its controller says, allows and remembers.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+
+import numpy as np
+
+from calrig.simulator.bench import Bench
+from calrig.simulator.config import StageFault, StageOptions
+
+
+class Stage(ABC):
+    """A controller with one axis, fed with bytes, answering in bytes.
+
+    Attributes:
+        fault: breaks it on purpose, at any time: `hang`, `garbage`, `echo` or None.
+        interval_s: wall time until it may speak unasked; None while it only answers.
+    """
+
+    interval_s: float | None = None
+
+    def __init__(self, options: StageOptions, bench: Bench, now: Callable[[], float]) -> None:
+        self.fault: StageFault | None = options.fault
+        self._options = options
+        self._bench = bench
+        self._now = now
+
+    @abstractmethod
+    def reset(self) -> None:
+        """It is switched off and on, or its Arduino is reset."""
+
+    @abstractmethod
+    def receive(self, data: bytes) -> bytes:
+        """Takes what came over the wire; returns what goes back."""
+
+    def emit(self) -> bytes:
+        """What it says unasked: nothing, in most dialects."""
+        return b""
+
+    def _encoder_deg(self, at_s: float) -> float:
+        return float(self._bench.mechanics.encoder_deg(np.array([at_s]))[0])
+
+
+class LineStage(Stage):
+    """A controller that answers line by line and keeps the beginning of the one that has not ended.
+
+    A class of it says where a line ends, what the wire carries beside lines, and how much of one it keeps.
+    """
+
+    line_end = b"\n"
+    dropped = b""
+    longest_line = 64
+
+    def __init__(self, options: StageOptions, bench: Bench, now: Callable[[], float]) -> None:
+        super().__init__(options, bench, now)
+        self._tail = b""
+
+    def receive(self, data: bytes) -> bytes:
+        """Takes what came over the wire; returns the answers of the lines that it ends."""
+        *lines, self._tail = (self._tail + data.translate(None, self.dropped)).split(self.line_end)
+        self._tail = self._tail[-self.longest_line :]
+        if self.fault == "hang":
+            return b""
+        return b"".join(
+            (line + b"\r\n" if self.fault == "echo" else b"") + self._replies(line) for line in lines
+        )
+
+    @abstractmethod
+    def _replies(self, line: bytes) -> bytes:
+        """What it answers to one line, ends of lines included."""
