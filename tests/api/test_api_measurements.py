@@ -60,6 +60,14 @@ def test_samples_are_the_same_in_csv_and_npz(measured):
     assert np.all(np.diff(arrays["time_s"]) > 0)
 
 
+def test_the_errors_of_the_poses_make_up_the_result(measured):
+    client, run = measured
+    poses = client.get(f"/api/runs/{run['id']}/poses").json()
+    for error, figure in (("raw_error_deg", "rms_raw_deg"), ("residual_deg", "rms_calibrated_deg")):
+        squares = [pose[error] ** 2 for pose in poses]
+        assert np.sqrt(np.mean(squares)) == pytest.approx(run["result"][figure])
+
+
 def test_the_samples_of_a_pose_are_those_its_means_come_from(measured):
     client, run = measured
     pose = client.get(f"/api/runs/{run['id']}/poses").json()[3]
@@ -142,6 +150,7 @@ def test_the_calibration_in_force_is_the_latest_that_counts(shared_client):
     assert (document["run_id"], document["bias_deg"]) == (second["id"], second["result"]["bias_deg"])
     shared_client.post(f"/api/runs/{second['id']}/void", json={"reason": "wrong unit"})
     assert shared_client.get("/api/units/C-1/calibration").json()["run_id"] == first["id"]
+    assert shared_client.get("/api/units/C-1").json()["active_run_id"] == first["id"]
 
 
 @pytest.mark.parametrize(
@@ -160,7 +169,7 @@ def test_an_unknown_unit_is_404(shared_client, path):
 
 def test_a_unit_whose_scale_is_not_known_has_no_calibration(shared_client):
     upload(shared_client, "target_deg,reading_deg\n0,0.1\n0,0.2\n", "N-1")
-    assert shared_client.get("/api/units/N-1").status_code == 200
+    assert shared_client.get("/api/units/N-1").json()["active_run_id"] is None
     assert shared_client.get("/api/units/N-1/calibration").status_code == 404
 
 
