@@ -3,9 +3,8 @@
 import { get } from "./api.js";
 import { Chart } from "./charts.js";
 import { fill, h, headings, runHref, tableBox, unitLink } from "./dom.js";
-import { fixed, isKnown, moment, plural, plusMinus, range, significant } from "./format.js";
+import { isKnown, moment, plural, plusMinus, range, significant } from "./format.js";
 
-const FEW_REPEATS = 3;
 const CHARTS = [
   ["residuals", "Calibrated residual of each unit's latest run"],
   ["bias", "Bias over time"],
@@ -66,7 +65,6 @@ function picker(units, chosen) {
 }
 
 function summary({ units, spread }) {
-  const repeats = units.reduce((sum, { runs }) => sum + Math.max(0, runs.length - 1), 0);
   const rows = units.map(({ unit, runs, drift_deg_per_day: drift }) => {
     const latest = runs.at(-1);
     return h(
@@ -96,8 +94,8 @@ function summary({ units, spread }) {
     h(
       "div",
       { class: "spread", "data-testid": "spread" },
-      spreadOf("Bias", spread.bias_deg, "°", repeats),
-      spreadOf("Scale", spread.scale, "", repeats),
+      spreadOf("Bias", spread.bias_deg, "°"),
+      spreadOf("Scale", spread.scale, ""),
     ),
   );
 }
@@ -116,7 +114,7 @@ function figureCells(run) {
   ];
 }
 
-function spreadOf(name, { between_units_std: between, within_unit_std: within }, unit, repeats) {
+function spreadOf(name, { between_units_std: between, within_unit_std: within, says }, unit) {
   return h(
     "div",
     {},
@@ -127,20 +125,8 @@ function spreadOf(name, { between_units_std: between, within_unit_std: within },
       `Standard deviation between units ${significant(between, 2, unit)}, `,
       `repeatability within one unit ${significant(within, 2, unit)}.`,
     ),
-    h("p", { class: "muted" }, inWords(between, within, repeats)),
+    h("p", { class: "muted" }, says),
   );
-}
-
-function inWords(between, within, repeats) {
-  if (!isKnown(between)) return "Two units or more are needed for the spread between units.";
-  if (!isKnown(within)) return "A unit needs two runs or more for its repeatability.";
-  if (repeats < FEW_REPEATS) return "There are too few repeated runs yet to compare the two.";
-  if (within > 0 && between > 3 * within) {
-    const times = fixed(between / within, 0);
-    return `The spread between units is ${times} times the repeatability: each unit needs its own calibration.`;
-  }
-  if (between > within) return "The spread between units is somewhat larger than the repeatability.";
-  return "The spread between units is no larger than the repeatability.";
 }
 
 function everyRun(units) {

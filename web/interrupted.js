@@ -1,7 +1,7 @@
 // A run that was interrupted: what is told of it afterwards, and the way on while it lies there.
 
 import { h } from "./dom.js";
-import { fixed, moment, plural } from "./format.js";
+import { fixed, isKnown, moment, plural } from "./format.js";
 
 /** A line for each time the run was resumed. */
 export function interruptions(run) {
@@ -16,10 +16,13 @@ export function interruptions(run) {
   );
 }
 
-function measuredAgain({ target_deg, before_deg, after_deg, difference_std_deg }) {
+/** Runs of an older calrig do not say the difference, only both readings. */
+function measuredAgain({ target_deg, before_deg, after_deg, difference_deg, difference_std_deg }) {
   const chance = difference_std_deg === null ? "" : ` (± ${fixed(difference_std_deg, 3, "°")})`;
-  const turned_deg = ((after_deg - before_deg + 540) % 360) - 180;
-  return `repeated pose at ${fixed(target_deg, 1, "°")}: difference ${fixed(turned_deg, 3, "°")}${chance}`;
+  const difference = isKnown(difference_deg)
+    ? `difference ${fixed(difference_deg, 3, "°")}`
+    : `${fixed(before_deg, 3, "°")} before and ${fixed(after_deg, 3, "°")} after`;
+  return `repeated pose at ${fixed(target_deg, 1, "°")}: ${difference}${chance}`;
 }
 
 /** Buttons for a run that lies interrupted; `ask(verb)` posts resume or abort. */

@@ -32,10 +32,10 @@ export class PoseTable {
     return this.rows.size;
   }
 
-  /** Shows poses, each once: one that is there already is replaced. `result` has the calibration, if any. */
-  show(poses, result, excludable) {
+  /** Shows poses, each once: one that is there already is replaced. */
+  show(poses, excludable) {
     for (const pose of poses) {
-      const row = this.#row(pose, result, excludable);
+      const row = this.#row(pose, excludable);
       const old = this.rows.get(pose.index);
       if (old) old.replaceWith(row);
       else this.body.append(row);
@@ -43,10 +43,7 @@ export class PoseTable {
     }
   }
 
-  #row(pose, result, excludable) {
-    const theta = pose.stage_deg ?? pose.target_deg;
-    const raw = pose.reading_deg - theta;
-    const calibrated = result ? (pose.reading_deg - result.bias_deg) / (result.scale ?? 1) - theta : null;
+  #row(pose, excludable) {
     const [arrow, words] = APPROACH[pose.approach] ?? ["–", "not known"];
     const number = (text) => h("td", { class: "number" }, text);
     return h(
@@ -57,8 +54,8 @@ export class PoseTable {
       number(fixed(pose.target_deg, 2, "°")),
       number(orDash(pose.stage_deg, 3, "°")),
       number(plusMinus(pose.reading_deg, pose.reading_stderr_deg, "°")),
-      number(fixed(raw, 3, "°")),
-      number(calibrated === null ? "–" : fixed(calibrated, 3, "°")),
+      number(orDash(pose.raw_error_deg, 3, "°")),
+      number(orDash(pose.residual_deg, 3, "°")),
       h(
         "td",
         { class: "plain" },

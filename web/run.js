@@ -86,7 +86,7 @@ class RunPage {
         },
         progress: (progress) => this.live.progress(progress),
         pose: (pose) => {
-          this.poses.show([pose], null, false);
+          this.poses.show([pose], false);
           this.#countPoses();
           this.#residualSoon();
         },
@@ -145,7 +145,7 @@ class RunPage {
       this.residualChart.load(`${this.path}/figures/residual`),
       this.timelineChart.load(`${this.path}/figures/timeline`),
     ]);
-    this.poses.show(poses, this.run.result, !this.run.voided);
+    this.poses.show(poses, !this.run.voided);
     this.#countPoses();
   }
 

@@ -3,7 +3,7 @@
 import { get } from "./api.js";
 import { Chart } from "./charts.js";
 import { fill, h, headings, tableBox, unitLink } from "./dom.js";
-import { isKnown, moment, plural, plusMinus, significant } from "./format.js";
+import { moment, plural, plusMinus, significant } from "./format.js";
 import { runHeadings, runRow } from "./runlist.js";
 
 export async function unitsView({ root, signal }) {
@@ -37,7 +37,7 @@ export async function unitsView({ root, signal }) {
 export async function unitView({ root, parts: [serial], signal }) {
   const path = `/api/units/${encodeURIComponent(serial)}`;
   const unit = await get(path, signal);
-  const current = inForce(unit.runs);
+  const current = unit.runs.find(({ id }) => id === unit.active_run_id);
   const chart = new Chart("history", "Bias, scale and RMS error over time", { tall: true, signal });
   const body = h(
     "tbody",
@@ -71,14 +71,6 @@ export async function unitView({ root, parts: [serial], signal }) {
     ),
   );
   await chart.load(`${path}/figures/history`);
-}
-
-/** The run the service takes the calibration from: the latest finished one that counts and has a scale. */
-function inForce(runs) {
-  const counts = runs.filter(
-    (run) => run.status === "completed" && !run.voided && isKnown(run.result?.scale),
-  );
-  return counts.reduce((best, run) => (!best || run.finished_at > best.finished_at ? run : best), null);
 }
 
 function calibration(run, path) {

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from calrig.analysis.errors import Unknown
-from calrig.calibration.compare import components, drift
+from calrig.calibration.compare import Components, components, drift
 from calrig.store import ComparisonRow, Store
 
 Row = dict[str, Any]
+
+FEWEST_REPEATS = 3
+"""Runs beyond each unit's first; fewer say too little of the repeatability to hold the spread against it."""
+FAR_APART = 3.0
+"""Times the repeatability, from where on one calibration for all units would be the larger error."""
 
 
 def compared_runs(store: Store, serials: Sequence[str] | None) -> dict[str, list[Row]]:
@@ -66,4 +72,23 @@ def _drift(runs: Sequence[Row]) -> float | None:
 def _spread(units: Sequence[Sequence[Row]], figure: str) -> Row:
     known = [(k, run[figure]) for k, runs in enumerate(units) for run in runs if run[figure] is not None]
     found = components([k for k, _ in known], [value for _, value in known])
-    return {"between_units_std": found.between, "within_unit_std": found.within}
+    counts = Counter(k for k, _ in known)
+    says = _compared(found, repeats=sum(counts.values()) - len(counts))
+    return {"between_units_std": found.between, "within_unit_std": found.within, "says": says}
+
+
+def _compared(found: Components, repeats: int) -> str:
+    """What the spread between units means beside the repeatability of one."""
+    between, within = found.between, found.within
+    if within is None:
+        return "A unit needs two runs or more for its repeatability."
+    if between is None:
+        return "Two units or more are needed for the spread between units."
+    if repeats < FEWEST_REPEATS:
+        return "There are too few repeated runs yet to compare the two."
+    if between <= within:
+        return "The spread between units is no larger than the repeatability."
+    if within == 0.0 or between <= FAR_APART * within:
+        return "The spread between units is somewhat larger than the repeatability."
+    times = f"{between / within:.0f} times the repeatability"
+    return f"The spread between units is {times}: each unit needs its own calibration."

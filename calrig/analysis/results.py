@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from calrig.calibration.correction import numbers_of
 from calrig.calibration.pose import Pose
-from calrig.calibration.result import AppliedEffect, GyroFigures, Result, build_result
+from calrig.calibration.result import AppliedEffect, GyroFigures, Result, build_result, residuals
 from calrig.store import Run, Store
 from calrig.store.records import Document, reference_of
 
@@ -46,3 +46,10 @@ def refitted(store: Store, run: Run, poses: Sequence[Pose]) -> Document:
     assert run.result is not None  # noqa: S101 (the callers look)
     again = fitted(store, unit=run.unit, rig=run.rig, provenance=run.provenance, poses=poses)
     return {**again.to_dict(), "gyro": run.result["gyro"]}
+
+
+def pose_residuals_deg(run: Run, poses: Sequence[Pose]) -> list[float | None]:
+    """What a run's bias and scale leave of each of its poses; None throughout before it has a result."""
+    if run.result is None:
+        return [None] * len(poses)
+    return residuals(poses, run.result["bias_deg"], run.result["scale"])

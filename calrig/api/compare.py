@@ -50,6 +50,7 @@ class SpreadAnswer(Answer):
 
     between_units_std: float | None
     within_unit_std: float | None
+    says: str
 
 
 class Spreads(Answer):

@@ -6,10 +6,12 @@ from fastapi import APIRouter, Header, Query
 from fastapi.responses import PlainTextResponse, Response, StreamingResponse
 from pydantic_core import to_json
 
+from calrig.analysis.results import pose_residuals_deg
 from calrig.api.context import Context, KnownRun
 from calrig.api.errors import problems, problems_in_json
 from calrig.api.limits import Turn
 from calrig.api.models import PoseAnswer
+from calrig.calibration.result import raw_error_deg
 from calrig.export.poses_csv import write_poses
 from calrig.export.samples_csv import write_samples_csv, write_samples_npz
 from calrig.store import StoredPose
@@ -40,12 +42,19 @@ def poses(
         counted = [p.pose for p in stored if p.excluded is None]
         return _file(write_poses(counted), CSV, f"run-{run.id}-poses.csv")
     # Tens of thousands of them, straight from the store: a test holds them to the model.
-    text = to_json([_pose(p) for p in stored], inf_nan_mode="null")
+    left_deg = pose_residuals_deg(run, [p.pose for p in stored])
+    text = to_json([_pose(p, left) for p, left in zip(stored, left_deg, strict=True)], inf_nan_mode="null")
     return Response(text, media_type="application/json")
 
 
-def _pose(stored: StoredPose) -> dict[str, Any]:
-    return {**stored.pose.row(), "index": stored.index, "excluded": stored.excluded}
+def _pose(stored: StoredPose, residual_deg: float | None) -> dict[str, Any]:
+    return {
+        **stored.pose.row(),
+        "index": stored.index,
+        "excluded": stored.excluded,
+        "raw_error_deg": raw_error_deg(stored.pose),
+        "residual_deg": residual_deg,
+    }
 
 
 def _prefers_csv(accept: str) -> bool:

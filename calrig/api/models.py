@@ -179,6 +179,8 @@ class PoseAnswer(BaseModel):
     accel_z_g: float | None
     gyro_move_deg: float | None
     settle_s: float | None
+    raw_error_deg: float = Field(description="Reading less the elevation it was taken at.")
+    residual_deg: float | None = Field(description="What the run's bias and scale leave of it.")
 
 
 class UnitAnswer(Answer):
@@ -194,6 +196,7 @@ class UnitWithRuns(UnitAnswer):
     """A sensor and all its runs, newest first."""
 
     runs: list[RunAnswer]
+    active_run_id: str | None = Field(description="The run that the calibration in force is from.")
 
 
 class Figure(Answer):

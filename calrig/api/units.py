@@ -101,4 +101,5 @@ def show_calibration(
 def show_unit(unit: KnownUnit, context: Context) -> object:
     """With all its runs, newest first."""
     runs, _ = context.store.runs(unit=unit.serial, limit=EVERY_RUN)
-    return {**asdict(unit), "runs": runs}
+    active = context.store.latest_calibration_run(unit.serial)
+    return {**asdict(unit), "runs": runs, "active_run_id": active and active.id}

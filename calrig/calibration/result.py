@@ -198,6 +198,11 @@ def _line_with_effects(
     return line, rms(residuals_deg(theta, without, line.bias_deg, line.scale))
 
 
+def raw_error_deg(pose: Pose) -> float:
+    """Reading less the elevation that it was taken at, degrees, on the turn about 0."""
+    return float(wrap_deg(pose.reading_deg - pose.theta_deg))
+
+
 def residuals(poses: Sequence[Pose], bias_deg: float, scale: float | None) -> list[float | None]:
     """What calibration leaves of each pose, (reading − bias)/scale − θ in degrees, in their order.
 

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any, Unpack
 
 from calrig.calibration.pose import Pose
+from calrig.calibration.result import raw_error_deg
 from calrig.instruments.clock import Clock
 from calrig.runs.bus import Bus
 from calrig.runs.meter import RunMeter
@@ -92,7 +93,8 @@ class Recorder:
         self.flush()
         self._poses_done += 1
         progress = self._progress()
-        events = [("pose", {"index": index, **pose.row()}), ("progress", progress)]
+        told = {"index": index, **pose.row(), "raw_error_deg": raw_error_deg(pose)}
+        events = [("pose", told), ("progress", progress)]
         self._store.add_pose(self.run_id, index, pose, blocks, events, progress=progress, faults=dict(faults))
         self.meter.pose()
         self.meter.faults(faults)

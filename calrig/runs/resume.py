@@ -127,6 +127,7 @@ class Returned:
             "target_deg": self.before.target_deg,
             "before_deg": self.before.reading_deg,
             "after_deg": self.after.reading_deg,
+            "difference_deg": self.difference_deg,
             "difference_std_deg": self.std_deg,
         }
 

@@ -94,14 +94,21 @@ def test_traced_again_the_same_effect_is_still_accepted_and_one_with_new_values_
 
 
 def test_runs_stored_before_this_was_kept_say_null(bench, traced):
-    """As calrig stored them before: a result without the stage's part, an effect that says nothing of it."""
+    """As calrig stored them before: a result without the stage's part, a diagnosis that nobody judged."""
     service, client = bench
     run_id = traced.rsplit("/", 1)[1]
     document = client.get(f"{traced}/diagnosis").json()
-    del document["effects"][0]["accepted_at"]
+    (effect,) = document["effects"]
+    del document["grade"], document["says"], effect["accepted_at"], effect["least_p_value"]
+    for candidate in effect["considered"]:
+        del candidate["why"]
     result = dict(service.store.run(run_id).result)
     del result["reference"]
     service.store.update_run(run_id, diagnosis=document, result=result)
 
     assert client.get(traced).json()["result"]["reference"] is None
-    assert client.get(f"{traced}/diagnosis").json()["effects"][0]["accepted_at"] is None
+    shown = client.get(f"{traced}/diagnosis").json()
+    (effect,) = shown["effects"]
+    assert (shown["grade"], shown["says"]) == ("unknown", [])
+    assert (effect["accepted_at"], effect["least_p_value"]) == (None, None)
+    assert {candidate["why"] for candidate in effect["considered"]} == {None}

@@ -60,6 +60,14 @@ def test_samples_are_the_same_in_csv_and_npz(measured):
     assert np.all(np.diff(arrays["time_s"]) > 0)
 
 
+def test_the_errors_of_the_poses_make_up_the_result(measured):
+    client, run = measured
+    poses = client.get(f"/api/runs/{run['id']}/poses").json()
+    for error, figure in (("raw_error_deg", "rms_raw_deg"), ("residual_deg", "rms_calibrated_deg")):
+        squares = [pose[error] ** 2 for pose in poses]
+        assert np.sqrt(np.mean(squares)) == pytest.approx(run["result"][figure])
+
+
 def test_the_samples_of_a_pose_are_those_its_means_come_from(measured):
     client, run = measured
     pose = client.get(f"/api/runs/{run['id']}/poses").json()[3]
@@ -142,6 +150,7 @@ def test_the_calibration_in_force_is_the_latest_that_counts(shared_client):
     assert (document["run_id"], document["bias_deg"]) == (second["id"], second["result"]["bias_deg"])
     shared_client.post(f"/api/runs/{second['id']}/void", json={"reason": "wrong unit"})
     assert shared_client.get("/api/units/C-1/calibration").json()["run_id"] == first["id"]
+    assert shared_client.get("/api/units/C-1").json()["active_run_id"] == first["id"]
 
 
 @pytest.mark.parametrize(
@@ -160,7 +169,7 @@ def test_an_unknown_unit_is_404(shared_client, path):
 
 def test_a_unit_whose_scale_is_not_known_has_no_calibration(shared_client):
     upload(shared_client, "target_deg,reading_deg\n0,0.1\n0,0.2\n", "N-1")
-    assert shared_client.get("/api/units/N-1").status_code == 200
+    assert shared_client.get("/api/units/N-1").json()["active_run_id"] is None
     assert shared_client.get("/api/units/N-1/calibration").status_code == 404
 
 
@@ -173,6 +182,10 @@ def test_units_are_compared_in_the_order_asked_for(client):
     spread = comparison["spread"]["bias_deg"]
     assert spread["within_unit_std"] == pytest.approx(0.1 / 2**0.5)
     assert spread["between_units_std"] == pytest.approx(3 / 2**0.5, rel=1e-3)
+    assert "too few repeated runs" in spread["says"]
+    upload(client, "target_deg,reading_deg\n-30,-29.9\n0,0.1\n30,30.1\n", "A")
+    says = client.get("/api/compare").json()["spread"]["bias_deg"]["says"]
+    assert "times the repeatability: each unit needs its own calibration" in says
     assert [unit["unit"] for unit in client.get("/api/compare").json()["units"]] == ["A", "B"]
 
 

@@ -42,7 +42,9 @@ def test_an_interrupted_run_is_resumed_and_says_so(bench: TruthRig, serve: Serve
     assert ended.faults["interrupted"] == 1
     (told,) = ended.provenance["interruptions"]
     assert told["after_poses"] == len(kept) and "stopped" in told["reason"] and "resumed_at" in told
-    assert abs(told["measured_again"]["after_deg"] - told["measured_again"]["before_deg"]) < 0.1
+    again_deg = told["measured_again"]
+    assert abs(again_deg["difference_deg"]) < 0.1
+    assert again_deg["after_deg"] - again_deg["before_deg"] == pytest.approx(again_deg["difference_deg"])
     poses = store.poses(left.id)
     assert poses[: len(kept)] == kept
     assert [stored.pose.target_deg for stored in poses] == [p.target_deg for p in PLAN.poses((-90, 90))]

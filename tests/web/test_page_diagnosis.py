@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from page_help import BACKLASH_DEG, NOISE_DEG, ambiguous_poses
 from page_help import imported_lines as imported
+
+from calrig.calibration.effects import CATALOGUE
 
 pytestmark = pytest.mark.browser
 
@@ -87,6 +91,46 @@ def test_a_run_is_traced_to_backlash_and_the_effect_put_in_force(page, client, s
     considered = page.get_by_test_id("considered-backlash")
     considered.locator("summary").click()
     expect(considered.get_by_role("row", name="settling")).to_contain_text("worse")
+
+
+def test_every_effect_of_the_catalogue_is_shown_in_its_own_words(page, client, service, go, expect, forgiven):
+    forgiven.append(REFUSED)  # these poses show none of them, so there is no figure of any
+    run = imported(client, noise_alone())
+    client.post(f"/api/runs/{run['id']}/diagnosis", json={}).raise_for_status()
+    found = client.get(f"/api/runs/{run['id']}/diagnosis").json()
+    del found["grade"], found["says"]  # as an earlier version stored it
+    stored = {**found, "verdict": "named", "effects": [as_found(effect) for effect in CATALOGUE]}
+    service.store.update_run(run["id"], diagnosis=stored)
+    go(f"#/runs/{run['id']}")
+    expect(page.get_by_test_id("diagnosis-verdict")).to_contain_text("Diagnosed by an earlier version")
+    expect(page.locator(".effect")).to_have_count(len(CATALOGUE))
+    for effect in CATALOGUE:
+        card = page.locator(f"[data-effect={effect.name}]")
+        expect(card.get_by_role("heading")).to_contain_text(effect.title)
+        expect(card.locator(".formula dd")).to_have_text(effect.formula)
+        for k, parameter in enumerate(p for p in effect.parameters if not p.flag):
+            unit = effect.covariate.unit if parameter.unit is None else parameter.unit
+            expect(card.locator("dl > div").nth(k)).to_have_text(re.compile(shown_as(parameter.title, unit)))
+
+
+def as_found(effect):
+    """An effect as a diagnosis has it, each parameter 2 ± 0.1."""
+    return {
+        "name": effect.name,
+        "verdict": "named",
+        "origin": effect.origin,
+        "covariate": effect.covariate.name,
+        "parameters": {parameter.name: {"value": 2.0, "std": 0.1} for parameter in effect.parameters},
+        "p_value": 0.001,
+        "confusable_with": [],
+        "evidence": [],
+        "remedy": effect.remedy,
+        "considered": [],
+    }
+
+
+def shown_as(title, unit):
+    return rf"^{re.escape(title)}2.00 ± 0.10\s?{re.escape(unit)}$"
 
 
 def test_further_runs_of_the_unit_are_chosen_and_diagnosed_together(page, client, go, expect):
