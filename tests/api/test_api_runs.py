@@ -107,6 +107,14 @@ def test_an_excluded_pose_stays_and_the_result_is_computed_without_it(shared_cli
     assert len(shared_client.get(f"{url}/poses?format=csv").text.splitlines()) == 1 + 3
 
 
+def test_poses_excluded_one_after_the_other_are_all_out_of_result_and_calibration(shared_client):
+    run = imported(shared_client, "AS-out")
+    for index in (0, 3):
+        shared_client.post(f"/api/runs/{run['id']}/poses/{index}/exclude", json={"reason": "a bumped table"})
+    assert shared_client.get(f"/api/runs/{run['id']}").json()["result"]["n_poses"] == 2
+    assert shared_client.get("/api/units/AS-out/calibration").json()["range_deg"] == [-10, 10]
+
+
 def test_runs_are_listed_newest_first_page_by_page(client):
     made = [imported(client, unit)["id"] for unit in ("A", "B", "A")]
     first = client.get("/api/runs?limit=2").json()

@@ -47,6 +47,13 @@ def test_ratios_of_one_white_channel_are_those_of_least_squares() -> None:
     assert ratios == pytest.approx(expected, abs=1e-3)
 
 
+def test_what_no_bootstrap_reaches_has_the_smallest_p_value_that_so_many_can_tell() -> None:
+    """One in B + 1, the observed one counted with them (Davison & Hinkley, 1997, section 4.2); never 0."""
+    r = readings_of_a_drifting_rig()
+    verdict = gate(r, r.base, fit(r, r.base), candidates_of(r), np.random.default_rng(1), 199)
+    assert verdict.p_value == 1 / 200
+
+
 def test_a_verdict_without_a_candidate_is_that_of_a_search_that_never_looked_at_it() -> None:
     r = readings_of_a_drifting_rig()
     fitted, candidates = fit(r, r.base), candidates_of(r)

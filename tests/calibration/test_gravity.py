@@ -176,6 +176,15 @@ def test_the_document_has_the_contracts_names_and_takes_a_reading_to_the_truth()
     assert document["final"]["held_out_rms_mg"] < 0.3 < document["base"]["held_out_rms_mg"]
 
 
+def test_base_takes_the_truth_to_a_reading_and_a_pose_held_out_fits_worse_than_one_fitted():
+    rng = np.random.default_rng(11)
+    document = gravity_document(trace_gravity(poses_of(directions(rng, 24), rng), bootstraps=99))
+    np.testing.assert_allclose(document["base"]["scale"], SCALE, atol=1e-3)
+    np.testing.assert_allclose(document["base"]["bias_g"], BIAS_G, atol=1e-3)
+    for model in (document["base"], document["final"]):
+        assert model["fit_rms_mg"] < model["held_out_rms_mg"]
+
+
 def test_six_faces_show_no_misalignment_and_it_is_said():
     rng = np.random.default_rng(8)
     faces = np.vstack([np.eye(3), -np.eye(3)] * 3)

@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from calrig.calibration.pose import Pose
-from calrig.store import NotFound, Store, StoreError
+from calrig.store import AcceptedEffect, NotFound, Store, StoreError
 
 PROGRESS = {"poses_done": 3, "poses_total": 52, "fraction": 3 / 52, "remaining_s": None}
 
@@ -213,3 +213,13 @@ def test_what_a_dead_program_left_unfinished_is_found(url):
         }
     with Store.open(url, writer="serve") as store:
         assert [run.id for run in store.unfinished()] == [ids["queued"], ids["running"], ids["paused"]]
+
+
+def test_effects_in_force_are_those_of_the_unit_and_of_its_rig_alone(store, new_run):
+    run = new_run(unit="AS-1")
+    of_unit = AcceptedEffect(run.id, "AS-1", None, "time_drift", "sensor", {"deg_per_s": 1e-4})
+    of_rig = AcceptedEffect(run.id, None, "bench-1", "backlash", "stage", {"backlash_deg": 0.08})
+    store.accept_effects(run.id, [of_unit, of_rig])
+    assert store.effects_in_force("AS-1", "bench-1") == [of_unit, of_rig]
+    assert store.effects_in_force("AS-2", "bench-1") == [of_rig]
+    assert store.effects_in_force("AS-1", None) == [of_unit]
