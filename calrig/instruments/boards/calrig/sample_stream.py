@@ -100,7 +100,7 @@ class SampleStream:
         ahead = np.ones(len(rows), dtype=bool)
         last = int(rows[0, SEQ])
         for k, seq in enumerate(rows[1:, SEQ].tolist(), start=1):  # each held against the last that counted
-            ahead[k] = 0 < (seq - last + 2**15) % 2**16 - 2**15
+            ahead[k] = (seq - last + 2**15) % 2**16 - 2**15 > 0
             last = seq if ahead[k] else last
         steps = (np.diff(rows[ahead, SEQ]) + 2**15) % 2**16 - 2**15
         self._count("repeated", len(rows) - int(ahead.sum()))
