@@ -217,3 +217,8 @@ def test_every_colour_stands_out_on_light_and_on_dark():
     for colour, background in product(figures.PALETTE, ("#ffffff", "#171c21")):
         light, dark = sorted((luminance(colour), luminance(background)), reverse=True)
         assert (light + 0.05) / (dark + 0.05) >= 3, (colour, background)
+
+
+def test_a_timeline_has_the_stage_and_the_reading_each_under_its_own_name():
+    drawn = figures.timeline([0.0, 1.0], [10.0, 20.0], [10.8, 20.9])["data"]
+    assert {line["name"]: line["y"] for line in drawn} == {"stage": [10.0, 20.0], "reading": [10.8, 20.9]}

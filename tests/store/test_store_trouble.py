@@ -345,3 +345,15 @@ def test_poses_and_events_that_vanished_are_missed(url, database):
             store.poses(run_id)
         with pytest.raises(StoreDamagedError, match="event 3 of run 1 is missing"):
             store.events_after(run_id)
+
+
+def test_a_reading_whose_digit_has_changed_is_noticed(url, database):
+    run_id = filled(url, poses=5)
+    with closing(sqlite3.connect(database)) as connection:
+        connection.execute("UPDATE pose SET reading_deg = reading_deg + 1 WHERE pose_index = 2")
+        connection.commit()
+    with (
+        Store.open(url, writer=None) as store,
+        pytest.raises(StoreDamagedError, match="pose 2 of run 1 is not what was stored"),
+    ):
+        store.poses(run_id)
