@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Coroutine, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from functools import cache
 from http.client import HTTPConnection
@@ -57,6 +59,12 @@ def known_as(name: str, rig: SimulatedRig) -> RigSettings:
         imu=BoardSettings(driver=rig.imu_driver, port=rig.imu_port),
         reference=ReferenceSettings(std_deg=0.29),
     )
+
+
+def run_async(work: Coroutine[Any, Any, T]) -> T:
+    """What comes of it, in a loop and a thread of its own: Playwright keeps a loop going in the tests'."""
+    with ThreadPoolExecutor(1) as beside:
+        return beside.submit(asyncio.run, work).result()
 
 
 def wait_for(look: Callable[[], T | None], what: str, deadline_s: float = 60.0) -> T:

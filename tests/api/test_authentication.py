@@ -9,7 +9,7 @@ import httpx
 import pytest
 from starlette.exceptions import HTTPException
 from starlette.requests import HTTPConnection
-from support import running_service, serving
+from support import run_async, running_service, serving
 
 from calrig.api.access import Access
 from calrig.api.authentication import MOST_SESSIONS, SESSION_S, WAITING_EACH, Authentication, Sessions
@@ -102,11 +102,11 @@ def test_many_wrong_tokens_at_once_are_not_even_looked_at_and_a_session_is_not_k
         right_one = authentication.check_token(outside, TOKEN)
         return await asyncio.gather(*map(status_of, [*guesses, right_one, authentication.check(inside)]))
 
-    *guesses, right_one, with_session = asyncio.run(crowd())
+    *guesses, right_one, with_session = run_async(crowd())
     assert guesses == [(401, None)] * WAITING_EACH + [(429, "1")] * (12 - WAITING_EACH)
     assert right_one == (429, "1"), "so many can be tried in a second and no more"
     assert with_session == (200, None)
-    assert asyncio.run(status_of(authentication.check_token(outside, TOKEN))) == (200, None)
+    assert run_async(status_of(authentication.check_token(outside, TOKEN))) == (200, None)
 
 
 def asked_for(path, cookie=""):

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
-
 import httpx
 import pytest
-from support import running_service
+from support import run_async, running_service
 
 from calrig.api.access import Access
 from calrig.api.app import create_app
@@ -170,7 +168,7 @@ def test_refusals_and_failures_inside_carry_them_too(rig, store_path):
             async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1") as client:
                 return await client.get(path, headers=headers)
 
-        refused, failed = asyncio.run(asked("/", Host="evil.example")), asyncio.run(asked("/api/defect"))
+        refused, failed = run_async(asked("/", Host="evil.example")), run_async(asked("/api/defect"))
     assert (refused.status_code, failed.status_code) == (403, 500)
     for answer in (refused, failed):
         assert {name: answer.headers[name] for name in HEADERS} == HEADERS
