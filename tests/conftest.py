@@ -22,7 +22,7 @@ from calrig.settings import RigSettings
 from calrig.simulator.rig import SimulatedRig
 from calrig.simulator.virtual_clock import VirtualClock
 
-# A busy machine is no failure.
+# A busy machine is no failure, and a run repeats alike; `--hypothesis-profile=explore` tries new examples.
 settings.register_profile(
     "calrig", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True
 )

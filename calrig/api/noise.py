@@ -3,8 +3,8 @@
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 # What computes is imported where it is used: its half of scipy would be a second of the service's start.
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 from fastapi import APIRouter, File, Form, UploadFile
 
@@ -14,6 +14,7 @@ from calrig.api.errors import problems
 from calrig.api.limits import UPLOAD_BYTES, Turn, name_of
 from calrig.api.models import Answer
 from calrig.api.models import Figure as FigureAnswer
+from calrig.estimation.angles import FloatArray
 from calrig.export.cells import CsvError
 from calrig.export.static_csv import StaticLog, read_static
 from calrig.figures.parts import Figure
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from calrig.noise.filters import FilterStudy
 
 router = APIRouter(tags=["noise"])
+T = TypeVar("T")
 
 MOST_SAMPLES = 2_000_000
 """Of an uploaded log; the command line takes a longer one, on the memory of whoever asks."""
@@ -179,12 +181,7 @@ def log_noise(
     """The sensor was at rest. Nothing is stored."""
     from calrig.noise.analysis import analyse
 
-    name, log = _read(file, accel_range_g, gyro_range_dps)
-    try:
-        found = analyse(log.channels, log.time_s, rate_hz)
-    except ValueError as error:
-        raise Invalid(f"{name}: {error}") from error
-    return _noise_answer(found, log.warnings)
+    return _noise_answer(*_studied(analyse, file, rate_hz, accel_range_g, gyro_range_dps))
 
 
 @router.post(
@@ -204,12 +201,22 @@ def log_filters(
     """The sensor was at rest and was turned about its x axis. Nothing is stored."""
     from calrig.noise.filters import study_filters
 
+    return _filters_answer(*_studied(study_filters, file, rate_hz, accel_range_g, gyro_range_dps))
+
+
+def _studied(
+    study: Callable[[dict[str, FloatArray], FloatArray | None, float | None], T],
+    file: UploadFile,
+    rate_hz: float | None,
+    accel_range_g: float | None,
+    gyro_range_dps: float | None,
+) -> tuple[T, tuple[str, ...]]:
+    """What a study makes of an uploaded log, and what was said of the file itself."""
     name, log = _read(file, accel_range_g, gyro_range_dps)
     try:
-        found = study_filters(log.channels, log.time_s, rate_hz)
+        return study(log.channels, log.time_s, rate_hz), log.warnings
     except ValueError as error:
         raise Invalid(f"{name}: {error}") from error
-    return _filters_answer(found, log.warnings)
 
 
 def _read(
