@@ -20,11 +20,31 @@ class Candidate:
 
     Attributes:
         columns: (n, J, p).
+        beside: another one whose columns come first, where both are considered as one.
     """
 
     effect: Effect
     shape: Shape
     columns: FloatArray
+    beside: Candidate | None = None
+
+    @property
+    def members(self) -> tuple[Candidate, ...]:
+        """The effects it is made of, each by itself."""
+        if self.beside is None:
+            return (self,)
+        width = self.beside.columns.shape[2]
+        return self.beside, Candidate(self.effect, self.shape, self.columns[:, :, width:])
+
+    def is_possible(self, beta: FloatArray) -> bool:
+        """Whether the coefficients (≥ p,), its own first, are any that physics allows."""
+        first = 0
+        for one in self.members:
+            width = one.columns.shape[2]
+            if not one.effect.possible(one.shape, beta[first : first + width]):
+                return False
+            first += width
+        return True
 
     @property
     def name(self) -> str:
@@ -44,15 +64,8 @@ class Candidate:
     @property
     def label(self) -> str:
         """The name, for an unnamed shape with its covariate: what two forms of one thing share."""
-        return self.name if self.named else f"{UNNAMED} {self.covariate}"
-
-    @property
-    def family(self) -> str:
-        """Candidates whose maximum is judged together.
-
-        So a scan of a hundred periods does not raise the bar for an effect of one parameter.
-        """
-        return self.shape.family or (self.name if self.shape.scanned else "single")
+        own = self.name if self.named else f"{UNNAMED} {self.covariate}"
+        return own if self.beside is None else f"{self.beside.label} + {own}"
 
     @property
     def parameters(self) -> int:
@@ -61,12 +74,14 @@ class Candidate:
         One of n places costs 2·log n in −2 log likelihood, twice a coefficient's log n (Zhang & Siegmund,
         Biometrics 63, 2007, for change points).
         """
-        taken_over = 1 if self.shape.replaces else 0
-        return int(self.columns.shape[2]) + (2 if self.shape.scanned else 0) - taken_over
+        shapes = [one.shape for one in self.members]
+        scanned = sum(shape.scanned for shape in shapes)
+        return int(self.columns.shape[2]) + 2 * scanned - sum(shape.replaces is not None for shape in shapes)
 
     def rows(self, chosen: np.ndarray[tuple[int], np.dtype[np.intp]]) -> Candidate:
         """The same candidate in some of the poses."""
-        return Candidate(self.effect, self.shape, self.columns[chosen])
+        beside = self.beside and self.beside.rows(chosen)
+        return Candidate(self.effect, self.shape, self.columns[chosen], beside)
 
 
 def candidate_of(r: Responses, effect: Effect, shape: Shape) -> Candidate:
@@ -78,7 +93,13 @@ def candidates_of(r: Responses) -> list[Candidate]:
     """Every candidate that these poses can show, those without a name last."""
     effects = sorted(EFFECTS.values(), key=lambda effect: effect.name == UNNAMED)
     found = [candidate_of(r, effect, shape) for effect in effects for shape in effect.shapes(r)]
-    return [candidate for candidate in found if np.ptp(candidate.columns[:, 0, 0]) > 0.0]
+    shown = [candidate for candidate in found if np.ptp(candidate.columns[:, 0, 0]) > 0.0]
+    pairs = [(a, b) for b in shown for a in shown if a.name in b.effect.together_with]
+    together = [
+        Candidate(b.effect, b.shape, np.concatenate([a.columns, b.columns], axis=2), a) for a, b in pairs
+    ]
+    unnamed = sum(not candidate.named for candidate in shown)
+    return [*shown[: len(shown) - unnamed], *together, *shown[len(shown) - unnamed :]]
 
 
 def rebuilt(candidate: Candidate, r: Responses, form: str | None = None) -> Candidate | None:

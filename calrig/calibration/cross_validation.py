@@ -15,10 +15,11 @@ import numpy.typing as npt
 from calrig.calibration.candidates import Candidate, rebuilt
 from calrig.calibration.experiment_design import predicted
 from calrig.calibration.fit import rms
+from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import fit
 from calrig.calibration.pose import Pose
 from calrig.calibration.responses import SCALE_UNIT_DEG, Responses, responses_of
-from calrig.calibration.search import Findings, model_columns, search
+from calrig.calibration.search import Findings, search
 from calrig.estimation.angles import FloatArray
 
 FOLDS = 4

@@ -14,8 +14,8 @@ from calrig.calibration.cross_validation import CrossValidation, confirm, cross_
 from calrig.calibration.diagnosis_verdict import diagnosis_verdict
 from calrig.calibration.experiment_design import design
 from calrig.calibration.fit import fit_line, residuals_deg, rms
-from calrig.calibration.outliers import without_outliers
 from calrig.calibration.pose import Pose
+from calrig.calibration.pose_columns import complete
 from calrig.calibration.report import effect_documents, model_words
 from calrig.calibration.responses import SCALE_UNIT_DEG, Responses, responses_of
 from calrig.calibration.search import Findings, search
@@ -30,13 +30,13 @@ class Diagnosis:
     """What was found in some poses, before it is put into words.
 
     Attributes:
-        responses: the poses as the search saw them.
+        runs: the poses it rests on: those that are complete, less outliers.
         findings: the effects, and the fit of the final model.
         held_out: errors on held-out poses, before and after; None where they were not asked for.
         warnings: what was left out or looked odd.
     """
 
-    responses: Responses
+    runs: tuple[tuple[Pose, ...], ...]
     findings: Findings
     held_out: CrossValidation | None
     floor_deg: float | None
@@ -61,20 +61,43 @@ def diagnose(
     Raises:
         DiagnosisError: the poses cannot be diagnosed; the message says why.
     """
-    kept, outliers = without_outliers(runs)
-    r = responses_of(kept)
+    whole, incomplete = complete(runs)
+    r = responses_of(whole)
     candidates = candidates_of(r)
     rng = np.random.default_rng(seed)
     findings = search(r, candidates, rng, bootstraps=bootstraps)
-    held_out = cross_validate(r, candidates, rng) if cross_fit else None
+    kept, outliers = _parted(whole, findings)
+    held_out = None
+    if cross_fit:
+        held_out = cross_validate(findings.responses, [c.rows(findings.kept) for c in candidates], rng)
     errors = [e for run in kept for pose in run if (e := pose.reading_stderr_deg) is not None]
     floor = math.sqrt(sum(e * e for e in errors) / len(errors)) if errors else None
-    return Diagnosis(r, findings, held_out, floor, (*outliers, *r.warnings))
+    return Diagnosis(kept, findings, held_out, floor, (*outliers, *incomplete, *r.warnings))
+
+
+def _parted(
+    runs: Sequence[Sequence[Pose]], findings: Findings
+) -> tuple[tuple[tuple[Pose, ...], ...], list[str]]:
+    """The runs less the outliers of a search, and a sentence for each of those."""
+    used = set(findings.kept.tolist())
+    kept, said, first = [], [], 0
+    for number, run in enumerate(runs):
+        where = f" of run {number}" if len(runs) > 1 else ""
+        kept.append(tuple(pose for k, pose in enumerate(run, first) if k in used))
+        said += [
+            f"outlier: pose {k - first}{where} at {pose.target_deg:g}° reads {pose.reading_deg:g}°, far from "
+            "what the model says of it: left out"
+            for k, pose in enumerate(run, first)
+            if k not in used
+        ]
+        first += len(run)
+    return tuple(kept), said
 
 
 def document(diagnosis: Diagnosis, run_ids: Sequence[str]) -> dict[str, Any]:
     """The diagnosis as CONTRACT section 5 has it, without follow-up and confirmation."""
-    r, findings = diagnosis.responses, diagnosis.findings
+    findings = diagnosis.findings
+    r = findings.responses
     before = fit_line(r.theta_deg, r.theta_deg + r.values[:, 0])
     before_deg = residuals_deg(r.theta_deg, r.theta_deg + r.values[:, 0], before.bias_deg, before.scale)
     after_deg = findings.fitted.residuals[:, 0] / _scale(r, findings)
@@ -167,7 +190,9 @@ def trace(
         }
     if found["verdict"] == "ambiguous":
         elevations = [pose.theta_deg for run in used for pose in run]
-        designed = design(used, diagnosis.findings, limits_deg or (min(elevations), max(elevations)))
+        designed = design(
+            diagnosis.runs, diagnosis.findings, limits_deg or (min(elevations), max(elevations))
+        )
         if isinstance(designed, str):
             found["warnings"].append(designed)
         else:

@@ -32,7 +32,7 @@ ORIGINS: dict[Origin, str] = {
     "environment": "the surroundings",
     "unknown": "not known",
 }
-HIDDEN = ("pose",)
+HIDDEN = ("pose", "part")
 """Places that serve the search alone and are in no document."""
 
 
@@ -94,7 +94,6 @@ class Shape:
         form: which of the effect's forms, where it has several.
         at: parameters that are not coefficients: found by scanning, or a reference.
         scanned: whether the search chose the place among many.
-        family: candidates whose maximum is judged together; the effect's own where it is scanned.
         covariate: where it is not the effect's.
         replaces: a base column that the effect's own column takes the place of.
         says: what is to be said of this form beside the effect's name.
@@ -106,7 +105,6 @@ class Shape:
     form: str = ""
     at: Parameters = field(default_factory=dict)
     scanned: bool = False
-    family: str = ""
     covariate: str = ""
     replaces: str | None = None
     says: str = ""
@@ -228,10 +226,12 @@ class Effect:
         remedy: what a person can do about it.
         scan: the places that the search tries; without it one, of no parameters.
         refine: the shape at the best place near a leading one's, in the poses given (the leading one may be
-            of more), by a shape's criterion.
+            of more), by a shape's criterion; None where there is nothing to refine.
         reported: a document's parameters from coefficients and their covariance.
         evidence: sentences about a shape in these poses.
-        follows: offered only once this effect is in the model.
+        possible: whether coefficients are any that the physics allows.
+        follows: offered by itself only once this effect is in the model.
+        together_with: effects that it is offered together with, as one: each alone may look like noise.
     """
 
     name: str
@@ -247,10 +247,12 @@ class Effect:
     apart: str
     remedy: str
     scan: Callable[[Responses], Iterator[Parameters]] | None = None
-    refine: Callable[[Responses, Shape, Callable[[Shape], float]], Shape] | None = None
+    refine: Callable[[Responses, Shape, Callable[[Shape], float]], Shape | None] | None = None
     reported: Callable[[Shape, FloatArray, FloatArray], Documents] = linear
     evidence: Callable[[Responses, Shape], list[str]] = lambda _r, _shape: []
+    possible: Callable[[Shape, FloatArray], bool] = lambda _shape, _beta: True
     follows: str | None = None
+    together_with: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for part in dataclasses.fields(self):

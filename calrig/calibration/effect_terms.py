@@ -45,11 +45,14 @@ def sin_cos(r: Responses) -> tuple[FloatArray, FloatArray]:
     return np.sin(theta), np.cos(theta)
 
 
-def one_or_both(angle: FloatArray, norm: FloatArray, names: tuple[str, str]) -> Iterator[Shape]:
+def one_or_both(
+    angle: FloatArray, norm: FloatArray, names: tuple[str, str], at: Parameters | None = None
+) -> Iterator[Shape]:
     """Both columns (n, 2) together, and each alone: what one of them explains needs no second."""
-    yield Shape({**tilted(angle), NORM: norm}, names, form="both")
+    at = at or {}
+    yield Shape({**tilted(angle), NORM: norm}, names, form="both", at=at)
     for k, name in enumerate(names):
-        yield Shape({**tilted(angle[:, k]), NORM: norm[:, k]}, (name,), form=name, part_of="both")
+        yield Shape({**tilted(angle[:, k]), NORM: norm[:, k]}, (name,), form=name, part_of="both", at=at)
 
 
 def wave_deg(p: Applied, turn: FloatArray) -> FloatArray:
@@ -64,16 +67,6 @@ def warmer_c(r: Responses, at: Parameters) -> tuple[FloatArray, float] | None:
         return None
     reference_c = float(at.get("reference_c", r.temperature_c.mean()))
     return np.asarray(r.temperature_c - reference_c, dtype=np.float64), reference_c
-
-
-def of_temperature(r: Responses, term: FloatArray, name: str, at: Parameters) -> Iterator[Shape]:
-    """A term of the temperature in the angle alone, or beside one of its own in |accelerometer|."""
-    yield Shape(tilted(term), (name,), form="package", at=at)
-    if NORM in r.channels:  # an offset or gain that moves with temperature shows in |a| as well
-        s, c = sin_cos(r)
-        norm = np.column_stack([0.0 * term, term, *([term * s, term * c] if turns(r) else [])])
-        angle = np.column_stack([term, np.zeros((len(r), norm.shape[1] - 1))])
-        yield Shape({**tilted(angle), NORM: norm}, (name,), form="offset", at=at)
 
 
 def c_literal(value: float) -> str:

@@ -13,10 +13,12 @@ import numpy as np
 from calrig.calibration.candidates import Candidate, rebuilt
 from calrig.calibration.effect import TEMPERATURE
 from calrig.calibration.effects import covariate_of
+from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import NoiseModel, fit, stacked
 from calrig.calibration.pose import Pose
+from calrig.calibration.ranking import SAME, Found
 from calrig.calibration.responses import Responses, responses_of
-from calrig.calibration.search import SAME, Findings, Found, model_columns
+from calrig.calibration.search import Findings
 from calrig.estimation.angles import FloatArray
 
 MOST_POSES = 12

@@ -2,249 +2,182 @@
 
 Searching a catalogue and keeping what lowers a criterion finds an effect in pure noise in 19–45 % of cases.
 What holds its rate is the maximum over all candidates, hence a family-wise p-value, bootstrapped under the
-current model for these very poses, with the noise's correlation profiled under each alternative. Frozen at
-its estimate under the null it hides slow effects, for they look like correlation.
+current model for these very poses.
+
+The statistic is the gain of the best candidates in full likelihood, coefficients and noise fitted anew with
+each of them, less the penalties. The noise of the null alone would not do: a large effect is taken for a
+correlation of 0.95 between poses and for innovations with tails, and is as likely under those as under
+itself. So an alternative is judged by the noise that it leaves, and the bootstrap draws its innovations from
+there; their correlation stays the null's, for noise that wanders makes slow effects of itself.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.candidates import Candidate
-from calrig.calibration.noise_model import PRIOR_RHO_STD, Fit, NoiseModel, Real, noise_of
+from calrig.calibration.effects import UNNAMED
+from calrig.calibration.noise_model import Fit, NoiseModel, fits, noise_of
 from calrig.calibration.responses import Responses
+from calrig.calibration.screen import Float32Array, Screen
 from calrig.estimation.angles import FloatArray
 
-SHARES = (0.0, 0.4, 0.75, 1.0)
-"""Of the correlation found under the null: an alternative may explain as much of it as it can."""
-FAMILY_QUANTILES = {True: 0.98, False: 0.995}
-"""Of a family's maximum under noise, where its bar lies: an effect that has a name is likelier beforehand
-than a shape that has none, and four times as much of the error rate is spent on it.
+LEADERS = 3
+"""Candidates of different names whose full likelihood decides: those that lead on the screen."""
+QUANTILE, UNNAMED_QUANTILE = 0.98, 0.995
+"""Of what a name gains from noise, where its own bar lies: an effect that has a name is likelier beforehand
+than a shape that has none, and four times as much of the error rate is spent on it. So a scan of a hundred
+instants does not raise the bar for an effect of one parameter.
 """
-LIKE_NOISE = 0.1
-"""A p-value beyond which more bootstraps cannot bring it below 1 %: of 249, 25 did as well."""
-SMALLEST = 1e-6
-BATCH = 250
-"""Bootstraps at a time: what belongs to them then stays in the processor's cache."""
-Float32Array = npt.NDArray[np.float32]
-
-
-@dataclass(frozen=True, slots=True)
-class _Level:
-    """The candidates at one share of the null's correlation, by their number of columns.
-
-    `base` (J, n, q) is orthonormal over all channels; the candidates' columns (J, p, C, n), orthonormal
-    beside it, come with their products (J, C, p, p) within each channel.
-    """
-
-    share: float
-    base: Float32Array
-    bases: dict[int, tuple[Float32Array, Float32Array]]
-    cost: float
-
-
-class Screen:
-    """The likelihood ratio of every candidate against one model, quick enough for a thousand bootstraps.
-
-    At each share of the correlation and for each candidate the coefficients are those of generalised least
-    squares, and the variance of each rotated channel is profiled: an effect that fills one channel is not
-    diluted by the others.
-    """
-
-    def __init__(
-        self, r: Responses, model: FloatArray, candidates: Sequence[Candidate], noise: NoiseModel
-    ) -> None:
-        self._r, self._noise = r, noise
-        self._floor = len(r) * noise.floor(r.rounding)[:, None]
-        by_width: dict[int, list[int]] = {}
-        for index, candidate in enumerate(candidates):
-            by_width.setdefault(candidate.columns.shape[2], []).append(index)
-        stacks = {
-            width: noise.rotated(np.moveaxis(np.stack([candidates[i].columns for i in indices]), 3, 0))
-            for width, indices in by_width.items()
-        }
-        self._as_given = np.argsort(np.concatenate(list(by_width.values())))
-        rotated = noise.rotated(np.moveaxis(model, 2, 0))
-        self._levels = [self._level(share, rotated, stacks) for share in SHARES]
-
-    def _level(self, share: float, model: FloatArray, stacks: dict[int, FloatArray]) -> _Level:
-        """Takes the rotated model (J, p, n) and candidates (J, p, C, n)."""
-        starts, noise = self._r.starts, self._noise
-        white = noise.innovations(model, starts, share)
-        design = white.transpose(0, 2, 1).reshape(-1, model.shape[1])
-        base, _ = np.linalg.qr(design[:, design.any(axis=0)])  # of a fold, a first pose may not be in it
-        base = base.reshape(len(model), -1, base.shape[1])
-        bases = {
-            width: _orthonormal(noise.innovations(stack, starts, share), base)
-            for width, stack in stacks.items()
-        }
-        rho = noise.rho * share
-        following = int((~starts).sum())
-        cost = following * np.log(1.0 - rho**2).sum() + ((rho / PRIOR_RHO_STD) ** 2).sum()
-        return _Level(share, base.astype(np.float32), bases, float(cost))
-
-    def ratios(self, residuals: FloatArray) -> Float32Array:
-        """(b, C) reductions of −2 log likelihood for b sets of residuals (b, n, J) of the model."""
-        rotated = self._noise.rotated(residuals).astype(np.float32)
-        parts = [self._ratios(rotated[:, k : k + BATCH]) for k in range(0, len(residuals), BATCH)]
-        return np.concatenate(parts)[:, self._as_given]
-
-    def _ratios(self, rotated: Float32Array) -> Float32Array:
-        """The same of rotated channels (J, b, n), candidates ordered by width."""
-        n = rotated.shape[2]
-        least = np.full((rotated.shape[1], len(self._as_given)), np.inf, dtype=np.float32)
-        null: list[FloatArray] = []
-        for level in self._levels:
-            white = _beside(level.base, self._noise.innovations(rotated, self._r.starts, level.share))
-            power = np.einsum("jbn,jbn->jb", white, white) + self._floor.astype(np.float32)
-            null.append(n * np.log(power.astype(np.float64)).sum(axis=0) + level.cost)
-            against_first = np.exp((null[-1] - null[0]) / n).astype(np.float32)[:, None]
-            lefts = [_share_left(white, power, *of_width) for of_width in level.bases.values()]
-            np.minimum(least, np.concatenate(lefts, axis=1) * against_first, out=least)
-        gain = (np.min(null, axis=0) - null[0]).astype(np.float32)
-        return np.asarray(gain[:, None] - n * np.log(least), dtype=np.float32)
-
-
-def _orthonormal(white: FloatArray, base: FloatArray) -> tuple[Float32Array, Float32Array]:
-    """Columns of candidates (J, p, C, n) made orthonormal beside a base (J, n, q), and their products."""
-    width = white.shape[1]
-    size_before = np.sqrt(np.einsum("jkcn,jkcn->kc", white, white)).max(axis=0)
-    units = _beside(base, white.reshape(len(white), -1, white.shape[3])).reshape(white.shape)
-    size = np.sqrt(np.einsum("jkcn,jkcn->kc", units, units))
-    size = np.where(size > 1e-7 * size_before, size, np.inf)  # what the base has already, counts for nothing
-    units /= size[:, :, None]
-    if width > 1:
-        values, vectors = np.linalg.eigh(_products(units).sum(axis=0))
-        inverse = np.where(values > SMALLEST, 1.0 / np.sqrt(np.maximum(values, SMALLEST)), 0.0)
-        turn = vectors * inverse[:, None, :]
-        units = np.stack(
-            [sum(units[:, m] * turn[:, m, k, None] for m in range(width)) for k in range(width)], axis=1
-        )
-    return units.astype(np.float32), _products(units).astype(np.float32)
-
-
-def _beside(base: Real, columns: Real) -> Real:
-    """Columns (J, c, n) less what lies in an orthonormal base (J, n, q) over all channels.
-
-    A channel at a time: small products that the processor's cache holds.
-    """
-    inside = sum(of_channel @ base[j] for j, of_channel in enumerate(columns))
-    left = columns.copy()
-    for j in range(len(left)):
-        left[j] -= inside @ base[j].T
-    return left
-
-
-def _products(units: FloatArray) -> FloatArray:
-    """(J, C, p, p) inner products of columns (J, p, C, n) within each channel."""
-    return np.stack([np.einsum("jkcn,jcn->jck", units, units[:, m]) for m in range(units.shape[1])], axis=3)
-
-
-def _share_left(
-    values: Float32Array, power: Float32Array, columns: Float32Array, products: Float32Array
-) -> Float32Array:
-    """(b, C) product over the channels of what a candidate leaves of the channel's sum of squares.
-
-    Takes (J, b, n) whitened responses, (J, b) their sums of squares with what rounding may
-    add, and what `_orthonormal` gives.
-    """
-    channels, width = columns.shape[:2]
-    within = [[values[j] @ columns[j, k].T for k in range(width)] for j in range(channels)]
-    total = [sum(within[j][k] for j in range(channels)) for k in range(width)]
-    left = np.ones_like(within[0][0])
-    for j in range(channels):
-        change = np.zeros_like(left)
-        for k in range(width):
-            change += total[k] * (total[k] * products[j][:, k, k] - 2.0 * within[j][k])
-            for m in range(k):
-                change += 2.0 * total[k] * total[m] * products[j][:, k, m]
-        left *= np.maximum(1.0 + change / power[j][:, None], np.float32(SMALLEST))
-    return np.asarray(left, dtype=np.float32)
+FIRST_DRAWS = 49
+FEWEST_DRAWS = 99
+CLEAR_SHARE = 5
+CLEAR = 10.0
+"""Of −2 log likelihood, beyond the largest of a fifth of all draws: the rest would not reach it either."""
+Intp = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What the gate says of one search: each candidate's ratio, and the p-value of the search as a whole."""
+    """What the gate says of one search: each candidate's ratio on the screen, and the search's p-value.
+
+    `gain` is that of the best candidate in −2 log likelihood with penalties.
+    """
 
     candidates: Sequence[Candidate]
     ratios: Float32Array
+    gain: float
     p_value: float
-    _null: Float32Array
-
-    def without(self, label: str) -> Verdict:
-        """The verdict had these candidates never been looked at."""
-        kept = [index for index, c in enumerate(self.candidates) if c.label != label]
-        return _judged([self.candidates[i] for i in kept], self.ratios[kept], self._null[:, kept])
 
 
 def gate(
     r: Responses,
-    model: FloatArray,
+    columns_with: Callable[[Sequence[Candidate]], FloatArray],
     fitted: Fit,
     candidates: Sequence[Candidate],
     rng: np.random.Generator,
     bootstraps: int,
+    level: float,
 ) -> Verdict:
     """Judges the best of all candidates against its distribution under the current model.
 
-    A search that a quarter of the bootstraps already show to be like noise is not judged by the rest.
+    Draws that can no longer change the decision are not made (Besag & Clifford, Biometrika 78, 1991).
 
     Args:
         r: the responses.
-        model: (n, J, p) columns of the current model.
+        columns_with: (n, J, p) columns of the current model with some candidates beside it.
         fitted: its fit.
         candidates: everything the search looks at.
         rng: of the bootstrap.
-        bootstraps: how many.
+        bootstraps: how many at most.
+        level: of the decision that the p-value is for.
     """
     if not candidates:
-        nothing = np.empty((1, 0), dtype=np.float32)
-        return Verdict(candidates, nothing[0], 1.0, nothing)
-    taken = max(1.0, model.shape[2] / len(r.channels))
-    noise = noise_of(fitted.residuals, r, taken, unbiased=True)
-    screen = Screen(r, model, candidates, noise)
-    observed = screen.ratios(fitted.residuals[None])[0]
-    first = bootstraps // 4
-    null = screen.ratios(_resampled(r, fitted.residuals, noise, rng, first))
-    verdict = _judged(candidates, observed, null)
-    if verdict.p_value > LIKE_NOISE:
-        return verdict
-    rest = screen.ratios(_resampled(r, fitted.residuals, noise, rng, bootstraps - first))
-    return _judged(candidates, observed, np.concatenate([null, rest]))
+        return Verdict(candidates, np.empty(0, dtype=np.float32), 0.0, 1.0)
+    model = columns_with(())
+    noise = noise_of(fitted.residuals, r, max(1.0, model.shape[2] / len(r.channels)), unbiased=True)
+    trial = _Trial(r, columns_with, candidates, Screen(r, model, candidates, noise))
+    ratios = trial.screen.ratios(fitted.residuals[None])
+    observed, alternative = trial.gains(r.values[None], ratios)
+    null = np.empty((0, observed.shape[1]))
+    clear_after = max(FEWEST_DRAWS, bootstraps // CLEAR_SHARE)
+    while True:
+        values = _resampled(r, alternative, noise, rng, min(len(null) + FIRST_DRAWS, bootstraps - len(null)))
+        null = np.concatenate([null, trial.gains(values, trial.screen.ratios(values))[0]])
+        best, of_noise = _above_bars(trial.labels, observed[0], null)
+        exceeded = int((of_noise >= best).sum())
+        clear = len(null) >= clear_after and best > of_noise.max() + CLEAR
+        if clear or len(null) >= bootstraps or exceeded >= level * (bootstraps + 1):
+            return Verdict(candidates, ratios[0], float(observed.max()), (1 + exceeded) / (1 + len(null)))
 
 
-def _judged(candidates: Sequence[Candidate], observed: Float32Array, null: Float32Array) -> Verdict:
-    """The p-value of the best over all families, each against its own bar."""
-    best_null, best = np.full(len(null), -np.inf), -np.inf
-    for indices in _families(candidates).values():
-        of_family = null[:, indices].max(axis=1)
-        named = candidates[indices[0]].named
-        bar = float(np.quantile(of_family, FAMILY_QUANTILES[named]))
-        best_null = np.maximum(best_null, of_family - bar)
-        best = max(best, float(observed[indices].max()) - bar)
-    p_value = (1 + int((best_null >= best).sum())) / (len(null) + 1)
-    return Verdict(candidates, observed, p_value, null)
+def _above_bars(labels: Sequence[str], observed: FloatArray, null: FloatArray) -> tuple[float, FloatArray]:
+    """By how much the best of all names exceeds its own bar, and in (b,) searches of noise."""
+    shares = np.array([UNNAMED_QUANTILE if label.startswith(UNNAMED) else QUANTILE for label in labels])
+    ordered = np.sort(null, axis=0)
+    bars = np.maximum(
+        ordered[np.minimum((shares * len(null)).astype(int), len(null) - 1), range(len(labels))], 0.0
+    )
+    return float((observed - bars).max()), (null - bars).max(axis=1)
 
 
-def _families(candidates: Sequence[Candidate]) -> dict[str, list[int]]:
-    families: dict[str, list[int]] = {}
-    for index, candidate in enumerate(candidates):
-        families.setdefault(candidate.family, []).append(index)
-    return families
+class _Trial:
+    """The gain of the best candidates beside one model, for many sets of responses."""
+
+    def __init__(
+        self,
+        r: Responses,
+        columns_with: Callable[[Sequence[Candidate]], FloatArray],
+        candidates: Sequence[Candidate],
+        screen: Screen,
+    ) -> None:
+        self.screen = screen
+        self._r, self._columns_with, self._candidates = r, columns_with, candidates
+        self._penalties = np.log(len(r)) * np.array([c.parameters for c in candidates])
+        by_label: dict[str, list[int]] = {}
+        for index, candidate in enumerate(candidates):
+            by_label.setdefault(candidate.label, []).append(index)
+        self.labels = list(by_label)
+        self._of_label = [np.array(indices) for indices in by_label.values()]
+        self._model = columns_with(())
+
+    def gains(self, values: FloatArray, ratios: Float32Array) -> tuple[FloatArray, Fit]:
+        """(b, L) reductions of −2 log likelihood, less penalties, by the best candidate of each name.
+
+        Minus infinity for names that do not lead on the screen. And the fit of the first set's best.
+        """
+        leading, candidates = self._leaders(ratios)
+        null = fits(self._r, values, self._model[None]).criterion
+        fitted = fits(self._r, np.repeat(values, leading.shape[1], axis=0), self._columns(candidates.ravel()))
+        criterion = np.array(
+            [
+                criterion if self._is_possible(k, beta) else np.inf
+                for k, beta, criterion in zip(candidates.flat, fitted.beta, fitted.criterion, strict=True)
+            ]
+        ).reshape(leading.shape)
+        gains = np.full((len(values), len(self.labels)), -np.inf)
+        np.put_along_axis(gains, leading, null[:, None] - criterion - self._penalties[candidates], axis=1)
+        best = int(np.argmin(criterion[0] + self._penalties[candidates[0]]))
+        noise = NoiseModel(fitted.rotation[best], fitted.rho[best])
+        parts = fitted.beta[best], fitted.covariance[best], fitted.residuals[best]
+        return gains, Fit(*parts, noise, float(fitted.criterion[best]))
+
+    def _is_possible(self, k: int, beta: FloatArray) -> bool:
+        candidate = self._candidates[k]
+        replaced = 1 if candidate.shape.replaces else 0
+        return candidate.is_possible(beta[self._model.shape[2] - replaced :])
+
+    def _leaders(self, ratios: Float32Array) -> tuple[Intp, Intp]:
+        """(b, k) the names that lead on the screen, and the best candidate of each."""
+        penalised = ratios - self._penalties
+        best = np.stack([indices[penalised[:, indices].argmax(axis=1)] for indices in self._of_label], axis=1)
+        scores = np.take_along_axis(penalised, best, axis=1)
+        leading = np.argsort(-scores, axis=1, kind="stable")[:, :LEADERS]
+        return leading, np.take_along_axis(best, leading, axis=1)
+
+    def _columns(self, chosen: Intp) -> FloatArray:
+        """(m, n, J, p) of the model with each of the chosen candidates; narrower ones end in zeros."""
+        kinds, of_kind = np.unique(chosen, return_inverse=True)
+        each = [self._columns_with([self._candidates[k]]) for k in kinds]
+        width = max(columns.shape[2] for columns in each)
+        padded = np.zeros((len(each), *self._model.shape[:2], width))
+        for k, columns in enumerate(each):
+            padded[k, :, :, : columns.shape[2]] = columns
+        return np.asarray(padded[of_kind.ravel()], dtype=np.float64)
 
 
 def _resampled(
-    r: Responses, residuals: FloatArray, noise: NoiseModel, rng: np.random.Generator, count: int
+    r: Responses, alternative: Fit, noise: NoiseModel, rng: np.random.Generator, count: int
 ) -> FloatArray:
-    """(count, n, J) responses of noise alone: innovations drawn anew, signs too, and coloured again.
+    """(count, n, J) responses of noise alone: innovations that the alternative leaves, coloured as the null.
 
-    All channels of a pose are drawn together, so that tails and what channels share stay as they are.
+    All channels of a pose are drawn together with one sign, so that tails and what channels share stay.
     """
-    innovations = noise.whiten(residuals, r.starts)
+    innovations = alternative.noise.whiten(alternative.residuals, r.starts)
     innovations = innovations - innovations.mean(axis=0)
     size = np.sqrt((innovations**2).mean(axis=0))
     innovations = np.divide(innovations, size, out=np.ones_like(innovations), where=size > 0.0)

@@ -103,23 +103,71 @@ def fit(r: Responses, columns: FloatArray) -> Fit:
         r: the responses.
         columns: (n, J, p).
     """
-    _, _, p = columns.shape
-    spread = np.hypot(r.values.std(axis=0), r.rounding)
-    noise = NoiseModel(np.diag(1.0 / spread), np.zeros(len(spread)))
-    taken = max(1.0, p / len(spread))
+    fitted = fits(r, r.values[None], columns[None])
+    noise = NoiseModel(fitted.rotation[0], fitted.rho[0])
+    return Fit(fitted.beta[0], fitted.covariance[0], fitted.residuals[0], noise, float(fitted.criterion[0]))
+
+
+@dataclass(frozen=True, slots=True)
+class Fits:
+    """The same of b sets of responses, each with its own columns: (b, …) of what `Fit` and its noise have."""
+
+    beta: FloatArray
+    covariance: FloatArray
+    residuals: FloatArray
+    rotation: FloatArray
+    rho: FloatArray
+    criterion: FloatArray
+
+
+def fits(r: Responses, values: FloatArray, columns: FloatArray) -> Fits:
+    """Fits b sets of responses at once: a bootstrap judges its best candidates by their full likelihood.
+
+    Args:
+        r: the responses, for what their poses have in common.
+        values: (b, n, J).
+        columns: (b, n, J, p), or (1, n, J, p) where all have the same.
+    """
+    b, n, channels = values.shape
+    columns = np.broadcast_to(columns, (b, *columns.shape[1:]))
+    p = columns.shape[3]
+    spread = np.hypot(values.std(axis=1), r.rounding)
+    rotation = np.eye(channels) / spread[:, None, :]
+    rho = np.zeros((b, channels))
+    by_channel = np.ascontiguousarray(np.moveaxis(columns, 2, 1)).reshape(b, channels, n * p)
+    taken = max(1.0, p / channels)
     for _ in range(ITERATIONS):
-        design = stacked(noise, r.starts, columns)
-        target = noise.whiten(r.values, r.starts).ravel()
-        gram = design.T @ design
-        size = np.sqrt(np.where(np.diag(gram) > 0.0, np.diag(gram), 1.0))
-        inverse = np.linalg.pinv(gram / np.outer(size, size), rcond=1e-10, hermitian=True) / np.outer(
-            size, size
-        )
-        beta = inverse @ (design.T @ target)
-        residuals = (r.values - columns @ beta) * r.known
-        noise = noise_of(residuals, r, taken)
-    innovations = noise.whiten(residuals, r.starts)
-    return Fit(beta, inverse, residuals, noise, _criterion(innovations, noise, r))
+        turned = (np.swapaxes(rotation, 1, 2) @ by_channel).reshape(b, channels, n, p)
+        design = _innovations(turned, rho, r.starts).reshape(b, channels * n, p)
+        target = _innovations(np.swapaxes(values @ rotation, 1, 2)[..., None], rho, r.starts)
+        across = np.swapaxes(design, 1, 2)
+        gram = across @ design
+        power = np.einsum("bpp->bp", gram)
+        size = np.sqrt(np.where(power > 0.0, power, 1.0))
+        sizes = size[:, :, None] * size[:, None, :]
+        covariance = np.linalg.pinv(gram / sizes, rcond=1e-10, hermitian=True) / sizes
+        beta = (covariance @ (across @ target.reshape(b, channels * n, 1)))[..., 0]
+        residuals = (values - (columns @ beta[:, None, :, None])[..., 0]) * r.known
+        rotation, rho = _noises(residuals, r, taken)
+    innovations = _innovations(np.swapaxes(residuals @ rotation, 1, 2)[..., None], rho, r.starts)
+    variance = (innovations[..., 0] ** 2).mean(axis=2) + r.rounding**2 @ rotation**2
+    criterion = (
+        n * np.log(variance).sum(axis=1)
+        + int((~r.starts).sum()) * np.log(1.0 - rho**2).sum(axis=1)
+        - 2.0 * n * np.linalg.slogdet(rotation)[1]
+        + ((rho / PRIOR_RHO_STD) ** 2).sum(axis=1)
+    )
+    return Fits(beta, covariance, residuals, rotation, rho, criterion)
+
+
+def _innovations(rotated: FloatArray, rho: FloatArray, starts: BoolArray) -> FloatArray:
+    """Innovations (b, J, n, p) of rotated channels with correlations (b, J)."""
+    of_each = rho[:, :, None, None]
+    white = rotated.copy()
+    white[:, :, 1:] -= of_each * rotated[:, :, :-1]
+    white[:, :, 1:] /= np.sqrt(1.0 - of_each**2)
+    white[:, :, starts] = rotated[:, :, starts]
+    return white
 
 
 def stacked(noise: NoiseModel, starts: BoolArray, columns: FloatArray, share: float = 1.0) -> FloatArray:
@@ -138,26 +186,23 @@ def noise_of(residuals: FloatArray, r: Responses, parameters: float, *, unbiased
         unbiased: add what fitting takes off the correlation, about (1 + p + 4ρ)/n (Kendall, 1954), as a
             bootstrap that is to behave like the noise needs it.
     """
-    n = len(residuals)
-    covariance = residuals.T @ residuals / max(n - parameters, 1.0)
-    floor = ALIKE * np.diag(covariance) + r.rounding**2
-    root = np.linalg.inv(np.linalg.cholesky(covariance + np.diag(floor))).T
-    white = residuals @ root
-    follows = ~r.starts[1:]
-    lagged = white[1:][follows].T @ white[:-1][follows] / max(int(follows.sum()) - parameters, 1.0)
-    rho, turn = np.linalg.eigh((lagged + lagged.T) / 2.0)
+    (rotation,), (rho,) = _noises(residuals[None], r, parameters)
     if unbiased:
-        rho = rho + 0.75 * (1.0 + parameters + 4.0 * np.maximum(rho, 0.0)) / n
-    return NoiseModel(root @ turn, np.clip(rho, SMALLEST_RHO, LARGEST_RHO))
+        rho = rho + 0.75 * (1.0 + parameters + 4.0 * np.maximum(rho, 0.0)) / len(residuals)
+    return NoiseModel(rotation, np.clip(rho, SMALLEST_RHO, LARGEST_RHO))
 
 
-def _criterion(innovations: FloatArray, noise: NoiseModel, r: Responses) -> float:
-    n = len(r)
-    variance = (innovations**2).mean(axis=0) + noise.floor(r.rounding)
-    following = int((~r.starts).sum())
-    minus_2_log_likelihood = (
-        n * np.log(variance).sum()
-        + following * np.log(1.0 - noise.rho**2).sum()
-        - 2.0 * n * np.linalg.slogdet(noise.rotation)[1]
-    )
-    return float(minus_2_log_likelihood + np.sum((noise.rho / PRIOR_RHO_STD) ** 2))
+def _noises(residuals: FloatArray, r: Responses, parameters: float) -> tuple[FloatArray, FloatArray]:
+    """(b, J, J) rotations and (b, J) correlations of residuals (b, n, J)."""
+    _, n, channels = residuals.shape
+    across = np.swapaxes(residuals, 1, 2)
+    covariance = across @ residuals / max(n - parameters, 1.0)
+    floor = ALIKE * np.einsum("bjj->bj", covariance) + r.rounding**2
+    covariance = covariance + np.eye(channels) * floor[:, None, :]
+    root = np.swapaxes(np.linalg.inv(np.linalg.cholesky(covariance)), 1, 2)
+    white = residuals @ root
+    follows = np.flatnonzero(~r.starts[1:])
+    lagged = np.swapaxes(white[:, follows + 1], 1, 2) @ white[:, follows]
+    lagged /= max(len(follows) - parameters, 1.0)
+    rho, turn = np.linalg.eigh((lagged + np.swapaxes(lagged, 1, 2)) / 2.0)
+    return root @ turn, np.clip(rho, SMALLEST_RHO, LARGEST_RHO)

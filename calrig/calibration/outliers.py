@@ -1,73 +1,61 @@
-"""Wild poses: a reading so far from all others that no effect and no noise explains it."""
+"""Outliers: a pose so far from what the model says of it that no effect and no noise explains it.
+
+A pose is judged against the model and what the other poses leave of it, not by its neighbours: a slip moves
+all poses after it, an error of angle all near it, and at the ends of a range or where the sense of motion
+changes the neighbours lie on one side (Chen & Liu, Journal of the American Statistical Association 88, 1993,
+who part outliers from level shifts by one likelihood).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from calrig.calibration.fit import reading_error_deg
-from calrig.calibration.pose import Pose
-from calrig.estimation.angles import FloatArray
+from calrig.calibration.candidates import Candidate
+from calrig.calibration.model import model_columns
+from calrig.calibration.noise_model import fit
+from calrig.calibration.responses import Responses
 
 WILD = 12.0
-"""Robust standard deviations from what the neighbours in elevation and time say."""
+"""Robust standard deviations (1.4826 times the median absolute deviation) from the model without the pose."""
 MOST_SHARE = 0.03
-NEIGHBOURS = 6
+SUSPECTS = 3
 
 
-def without_outliers(runs: Sequence[Sequence[Pose]]) -> tuple[list[list[Pose]], list[str]]:
-    """The runs less their wild poses, and a sentence for each of those.
+def most_outliers(n: int) -> int:
+    """How many of n poses may be left out; where more are far off, the model is to blame."""
+    return max(1, int(MOST_SHARE * n))
 
-    A pose is wild where its reading lies more than `WILD` robust standard deviations (1.4826 times the median
-    absolute deviation) from the median of the neighbours in order and from that of those in elevation, both
-    about a robust line: a slip moves all poses after it, an error of angle all near it, a wild pose is alone.
+
+def outlier(r: Responses, accepted: Sequence[Candidate], to_beat: float = np.inf) -> int | None:
+    """The pose that is best explained by having gone wrong alone; None where there is none.
+
+    Args:
+        r: the responses.
+        accepted: the effects in the model.
+        to_beat: penalised criterion of the best effect that could enter instead.
     """
-    kept: list[list[Pose]] = []
-    said: list[str] = []
-    for number, run in enumerate(runs):
-        wild = _wild(run)
-        if len(wild) > max(1, int(MOST_SHARE * len(run))):
-            wild = []
-        kept.append([pose for k, pose in enumerate(run) if k not in wild])
-        where = f" of run {number}" if len(runs) > 1 else ""
-        said += [
-            f"pose {k}{where} at {run[k].target_deg:g}° reads {run[k].reading_deg:g}°, far from all others: "
-            "left out"
-            for k in wild
-        ]
-    return kept, said
+    columns = model_columns(_with_first_poses(r), accepted)
+    residuals = fit(r, columns).residuals[:, 0]
+    best: tuple[float, int] | None = None
+    for k in np.argsort(-np.abs(residuals), kind="stable")[:SUSPECTS]:
+        # each channel of the pose lies where it will: as if it had not been taken
+        freed = np.zeros((len(r), len(r.channels), len(r.channels)))
+        freed[k] = np.diag(r.known[k].astype(float))
+        without = fit(r, np.concatenate([columns, freed], axis=2))
+        others = np.delete(without.residuals[:, 0], k)
+        spread_deg = 1.4826 * float(np.median(np.abs(others - np.median(others))))
+        distance_deg = abs(float(without.beta[columns.shape[2]]))
+        criterion = without.criterion + float(np.log(len(r))) * (len(r.channels) + 2)
+        is_wild = distance_deg > WILD * max(spread_deg, float(r.rounding[0]))
+        if is_wild and criterion < min(to_beat, np.inf if best is None else best[0]):
+            best = criterion, int(k)
+    return None if best is None else best[1]
 
 
-def _wild(run: Sequence[Pose]) -> list[int]:
-    if len(run) < 2 * NEIGHBOURS:
-        return []
-    theta = np.array([pose.theta_deg for pose in run])
-    error = reading_error_deg(theta, np.array([pose.reading_deg for pose in run]))
-    error = error - _robust_line(theta, error)
-    by_order = np.abs(error - _median_of_neighbours(error, np.arange(len(run))))
-    by_angle = np.abs(error - _median_of_neighbours(error, np.argsort(theta, kind="stable")))
-    distance = np.minimum(by_order, by_angle)
-    scale = 1.4826 * float(np.median(distance))
-    return [int(k) for k in np.flatnonzero(distance > WILD * max(scale, 1e-9))]
-
-
-def _robust_line(theta: FloatArray, error: FloatArray) -> FloatArray:
-    """A line through the medians of the lower, middle and upper third of θ (Tukey's resistant line)."""
-    if np.ptp(theta) < 1.0:
-        return np.full(len(theta), float(np.median(error)))
-    low, high = np.quantile(theta, [1.0 / 3.0, 2.0 / 3.0])
-    left, right = theta <= low, theta >= high
-    run = float(np.median(theta[right]) - np.median(theta[left]))
-    slope = float(np.median(error[right]) - np.median(error[left])) / run if run > 0.0 else 0.0
-    return np.asarray(np.median(error - slope * theta) + slope * theta, dtype=np.float64)
-
-
-def _median_of_neighbours(error: FloatArray, order: np.ndarray[tuple[int], np.dtype[np.intp]]) -> FloatArray:
-    median = np.empty(len(error))
-    half = NEIGHBOURS // 2
-    for place, k in enumerate(order):
-        first = min(max(place - half, 0), len(order) - NEIGHBOURS - 1)
-        around = [j for j in order[first : first + NEIGHBOURS + 1] if j != k]
-        median[k] = np.median(error[around])
-    return median
+def _with_first_poses(r: Responses) -> Responses:
+    """The responses with the first pose of each run bound to the model like any other."""
+    bound = [k for k, name in enumerate(r.base_names) if not name.endswith(".first")]
+    return replace(r, base=r.base[:, :, bound], base_names=tuple(r.base_names[k] for k in bound))

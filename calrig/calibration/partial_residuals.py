@@ -17,11 +17,11 @@ import numpy as np
 from calrig.calibration.candidates import Candidate, documented_forms
 from calrig.calibration.correction import numbers_of
 from calrig.calibration.effects import EFFECTS, covariate_of
+from calrig.calibration.model import model_columns, own_columns
 from calrig.calibration.noise_model import fit
-from calrig.calibration.outliers import without_outliers
+from calrig.calibration.outliers import most_outliers, outlier
 from calrig.calibration.pose import DiagnosisError, Pose
 from calrig.calibration.responses import Responses, responses_of
-from calrig.calibration.search import model_columns, own_columns
 from calrig.estimation.angles import FloatArray
 
 Document = Mapping[str, Any]
@@ -56,9 +56,13 @@ def partial_residuals(runs: Sequence[Sequence[Pose]], effects: Sequence[Document
     Raises:
         DiagnosisError: the poses cannot show an effect (any more).
     """
-    r = responses_of(without_outliers(runs)[0])
+    r = responses_of(runs)
     chosen = _chosen(r, [_forms(r, effect) for effect in effects])
     columns = model_columns(r, chosen)
+    for _ in range(most_outliers(len(r))):
+        if (wild := outlier(r, chosen)) is not None:
+            others = np.delete(np.arange(len(r)), wild)
+            r, columns, chosen = r.rows(others), columns[others], [c.rows(others) for c in chosen]
     fitted = fit(r, columns)
     partial = []
     for candidate, place in zip(chosen, own_columns(columns, chosen), strict=True):

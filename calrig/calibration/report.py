@@ -9,9 +9,11 @@ import numpy as np
 
 from calrig.calibration.candidates import Candidate, rebuilt
 from calrig.calibration.effects import UNNAMED
+from calrig.calibration.model import model_columns, own_columns
 from calrig.calibration.noise_model import Fit, fit
+from calrig.calibration.ranking import MARGIN, Found
 from calrig.calibration.responses import CHANNELS, Responses
-from calrig.calibration.search import MARGIN, Findings, Found, model_columns, own_columns
+from calrig.calibration.search import Findings
 
 FAR_WORSE = 40.0
 """So far behind in −2 log likelihood that odds would suggest more precision than there is."""

@@ -6,10 +6,11 @@ import math
 from collections.abc import Sequence
 
 from calrig.calibration.experiment_design import ambiguous_of, predicted
+from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import fit
 from calrig.calibration.pose import Pose
 from calrig.calibration.responses import responses_of
-from calrig.calibration.search import Findings, model_columns
+from calrig.calibration.search import Findings
 
 ERROR_RATE = 0.01
 """Of naming the wrong one of two suspects, either way."""

@@ -57,10 +57,10 @@ def judge(
     }
     if cross_fit and run.truths:
         after = said["final"]["held_out_rms_deg"]
-        facts["held_out_ratio"] = after / oracles.held_out_rms_deg(diagnosis.responses, run.truths)
+        facts["held_out_ratio"] = after / oracles.held_out_rms_deg(diagnosis.findings.responses, run.truths)
     if cell.kind in ("one", "limit") and effects:
         facts |= _of_one(run.truths[0], effects)
-        facts["oracle_set_size"] = oracles.set_size(diagnosis.responses, run.noise)
+        facts["oracle_set_size"] = oracles.set_size(diagnosis.findings.responses, run.noise)
     if cell.kind == "two":
         facts["both"] = all(any(t.cause.name in _set(e) for e in effects) for t in run.truths)
         facts["nothing_else"] = all(_set(e) & true_names for e in effects) and len(effects) <= len(run.truths)

@@ -6,9 +6,10 @@ import numpy as np
 
 from calrig.calibration.candidates import candidates_of
 from calrig.calibration.cross_validation import folds_of
+from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import NoiseModel, stacked
+from calrig.calibration.ranking import MARGIN
 from calrig.calibration.responses import Responses
-from calrig.calibration.search import MARGIN, model_columns
 
 from .physics import Noise, Truth
 

@@ -22,12 +22,13 @@ from calrig.calibration.correction import calibrated_elevation_deg, effect_on_re
 from calrig.calibration.diagnosis import diagnose
 from calrig.calibration.effect import Circumstances, EffectError, NotInFlight
 from calrig.calibration.effects import CATALOGUE, EFFECTS
+from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import fit
 from calrig.calibration.pose import Pose
 from calrig.calibration.report import effect_documents
 from calrig.calibration.responses import responses_of
 from calrig.calibration.result import circumstances
-from calrig.calibration.search import model_columns, search
+from calrig.calibration.search import search
 from calrig.estimation.kalman import KalmanFilter
 from calrig.export.c_header import c_header
 from calrig.simulator.config import ImuOptions

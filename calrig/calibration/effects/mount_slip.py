@@ -1,18 +1,21 @@
-"""A slip of the mount at one instant, between two moves or during one."""
+"""A slip of the mount at one instant: between two moves, during one, or in a dwell, whose mean has a part."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from calrig.calibration.effect import TIME, Applied, Effect, NotInFlight, Parameter, Parameters, Shape
 from calrig.calibration.effect_terms import tilted, turned
-from calrig.calibration.responses import MOVE, Responses
+from calrig.calibration.responses import MOVE, BoolArray, Responses
 from calrig.estimation.angles import FloatArray
 
 EDGE_POSES = 3
 """A slip needs this many poses on either side: fewer are outliers."""
+PARTS = (0.3, 0.7)
+"""Of a dwell that came after a slip: as they are scanned."""
+REFINEMENTS = 21
 MOST_INSTANTS = 150
 """Beyond so many poses not every gap is tried: a slip is then placed to within a pose or two."""
 
@@ -27,23 +30,44 @@ def _scan(r: Responses) -> Iterator[Parameters]:
 
 def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
     order = np.arange(len(r))
-    for k in _first_after(r, at):
+    if r.time_s is None:
+        return
+    for k in _first_after(r.time_s, r.starts, at):
         after = (order >= k).astype(float)
         here = {"at_s": at["at_s"], "pose": float(k)}
         yield Shape(tilted(after), ("step_deg",), form="between moves", at=here, scanned=True)
         if MOVE in r.channels:
             yield Shape(turned(r, after), ("step_deg",), form="during a move", at=here, scanned=True)
+        for part in (at["part"],) if "part" in at else PARTS:
+            yield _in_dwell(r, {"at_s": float(r.time_s[k]), "pose": float(k), "part": part})
 
 
-def _first_after(r: Responses, at: Parameters) -> list[int]:
+def _in_dwell(r: Responses, at: Parameters) -> Shape:
+    """A slip of which the mean of one dwell has a part."""
+    order, k = np.arange(len(r)), at["pose"]
+    share = (order > k) + at["part"] * (order == k)
+    return Shape(tilted(share), ("step_deg",), form="in a dwell", at=at, scanned=True)
+
+
+def _first_after(time_s: FloatArray, starts: BoolArray, at: Parameters) -> list[int]:
     """The poses before which it happened: of each run that was under way, or of the one known."""
-    if r.time_s is None or "at_s" not in at:
+    if "at_s" not in at:
         return []
-    early, late = r.time_s[:-1] <= at["at_s"], r.time_s[1:] >= at["at_s"]
-    found = [int(k) + 1 for k in np.flatnonzero(early & late & ~r.starts[1:])]
+    early, late = time_s[:-1] <= at["at_s"], time_s[1:] >= at["at_s"]
+    found = [int(k) + 1 for k in np.flatnonzero(early & late & ~starts[1:])]
     if "pose" in at and found:
         return [min(found, key=lambda k: abs(k - at["pose"]))]
     return found
+
+
+def _refine(r: Responses, shape: Shape, criterion: Callable[[Shape], float]) -> Shape | None:
+    """Of a slip in a dwell, the share of the dwell that came after it."""
+    if "part" not in shape.at:
+        return None
+    parts = np.linspace(0.0, 1.0, REFINEMENTS)
+    first = int(np.searchsorted(r.time_s, shape.at["at_s"])) if r.time_s is not None else 0
+    here = {**shape.at, "pose": float(first)}
+    return min((_in_dwell(r, {**here, "part": float(part)}) for part in parts), key=criterion)
 
 
 def _on_reading_deg(p: Applied) -> FloatArray:
@@ -65,6 +89,7 @@ EFFECT = Effect(
     scan=_scan,
     on_reading_deg=_on_reading_deg,
     in_c=NotInFlight("the mount is fastened anew for flight: what a slip left behind is not there"),
+    refine=_refine,
     apart="a step at one instant; lost steps of the stage look the same until it is homed again",
     remedy="tighten the mount and repeat; poses before and after do not belong together",
 )

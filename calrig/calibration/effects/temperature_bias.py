@@ -1,6 +1,6 @@
-"""A package that turns with temperature, or an offset of the chip that moves.
+"""A package or a mount that turns with temperature.
 
-Where |accelerometer| shows that it is the y axis's offset (`of_axis_y` is 1), it falls with cos θ.
+Documents of before version 0.2 know the y axis's own offset as this with `of_axis_y`: applied, found no more.
 """
 
 from __future__ import annotations
@@ -12,17 +12,13 @@ import numpy as np
 
 from calrig.calibration.effect import TEMPERATURE, Applied, Effect, Parameter, Parameters, Shape
 from calrig.calibration.effect_terms import (
-    DEG,
     c_literal,
     c_turn,
     c_warmer,
-    of_temperature,
-    sin_cos,
     tilted,
-    turns,
     warmer_c,
 )
-from calrig.calibration.responses import NORM, Responses
+from calrig.calibration.responses import Responses
 from calrig.estimation.angles import FloatArray
 
 
@@ -31,16 +27,7 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
     if found is None:
         return
     warmer, reference_c = found
-    yield from of_temperature(r, warmer, "deg_per_c", {"reference_c": reference_c})
-    if NORM in r.channels and turns(r):
-        s, c = sin_cos(r)
-        yield Shape(
-            {**tilted(warmer * c), NORM: warmer * s / DEG},
-            ("deg_per_c",),
-            form="axis_y",
-            at={"reference_c": reference_c, "of_axis_y": 1.0},
-            says="an offset of the accelerometer's y axis moves: what it adds falls with cos θ",
-        )
+    yield Shape(tilted(warmer), ("deg_per_c",), at={"reference_c": reference_c})
 
 
 def _on_reading_deg(p: Applied) -> FloatArray:

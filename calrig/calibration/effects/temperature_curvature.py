@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from calrig.calibration.effect import TEMPERATURE, Effect, Parameter, Parameters, Shape
-from calrig.calibration.effect_terms import c_literal, c_warmer, of_temperature, warmer_c
+from calrig.calibration.effect_terms import c_literal, c_warmer, tilted, warmer_c
 from calrig.calibration.responses import Responses
 
 
@@ -18,7 +18,7 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
         # about where the square says nothing of the linear coefficient, which keeps its value
         shift = float((warmer**3).sum() / (2.0 * (warmer**2).sum()))
         warmer, reference_c = warmer - shift, reference_c + shift
-    yield from of_temperature(r, warmer**2, "deg_per_c2", {"reference_c": reference_c})
+    yield Shape(tilted(warmer**2), ("deg_per_c2",), at={"reference_c": reference_c})
 
 
 EFFECT = Effect(
@@ -38,4 +38,5 @@ EFFECT = Effect(
     apart="what is left once the linear coefficient is taken out",
     remedy="correct by the unit's own thermometer with both terms",
     follows="temperature_bias",
+    together_with=("temperature_bias",),
 )

@@ -52,14 +52,12 @@ def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
 def _shape(
     shares: Mapping[str, FloatArray], covariate: str, form: str, at: Parameters | None = None
 ) -> Shape:
-    kind = "cycle" if form == "cycle" else ""
     return Shape(
         shares,
         ("size_deg",),
         form=form,
         at=at or {},
         scanned=at is not None,
-        family=f"unnamed {covariate} {kind}",
         covariate=covariate,
     )
 
