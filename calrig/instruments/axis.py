@@ -124,9 +124,7 @@ class Axis:
         here = self.elevation_deg() if self._rests_deg is None else self.see_that_it_stands(self._rests_deg)
         self.has_moved, self._rests_deg = True, None
         self.stage.move(self._zero_deg + self._gain * elevation_deg)
-        velocity = self._velocity_dps or ASSUMED_VELOCITY_DPS
-        acceleration = self._acceleration_dps2 or velocity
-        travel_s = travel_time_s(abs(self._gain * (elevation_deg - here)), velocity, acceleration)
+        velocity, travel_s = self._velocity_dps or ASSUMED_VELOCITY_DPS, self.travel_s(elevation_deg - here)
         now = self._clock.now_s()
         self._goal = Goal(
             target_deg=elevation_deg,
@@ -136,6 +134,11 @@ class Axis:
             progress_deg=here,
             from_deg=here,
         )
+
+    def travel_s(self, turn_deg: float) -> float:
+        """The time that the stage needs to turn so far, by what its controller says of itself."""
+        velocity = self._velocity_dps or ASSUMED_VELOCITY_DPS
+        return travel_time_s(abs(self._gain * turn_deg), velocity, self._acceleration_dps2 or velocity)
 
     def poll(self) -> Motion:
         """Looks once, waiting for nothing but the stage's answers.

@@ -10,7 +10,7 @@ import numpy as np
 
 from calrig.calibration.pose import Filtering, Pose
 from calrig.calibration.result import GyroFigures
-from calrig.estimation.gyro import GyroBias, dwell_bias, gyro_scale, move_angle_deg, run_bias
+from calrig.estimation.gyro import GyroBias, dwell_bias, felt_move_deg, gyro_scale, run_bias
 from calrig.estimation.kalman import KalmanNoise
 from calrig.estimation.reading import Reading, dwell_reading
 from calrig.instruments.errors import BoardError
@@ -195,19 +195,23 @@ class Execution:
         move = before.between(self.pace.stood_at_s, start_s)
         dwell = stretch.between(start_s, end_s).samples
         self.biases.append(dwell_bias(dwell.gyro_dps))
+        turned_deg = (
+            None if before_deg is None or self.pace.stage_deg is None else self.pace.stage_deg - before_deg
+        )
         neighbours_dps = [b for bias in self.biases[-2:] if (b := bias.bias_dps[0]) is not None]
         gyro_move_deg = (
-            move_angle_deg(
+            felt_move_deg(
                 move.time_s,
                 move.gyro_dps[:, 0],
                 sum(neighbours_dps) / len(neighbours_dps),
-                self.pace.gap_s,
+                1.0 / self.pace.rate_hz,
+                self.rig.axis.travel_s(turned_deg or 0.0),
             )
             if neighbours_dps
             else None
         )
-        if gyro_move_deg is not None and before_deg is not None and self.pace.stage_deg is not None:
-            self.moves.append((self.pace.stage_deg - before_deg, gyro_move_deg))
+        if gyro_move_deg is not None and turned_deg is not None:
+            self.moves.append((turned_deg, gyro_move_deg))
         pose = Pose(
             target_deg=planned.target_deg,
             reading_deg=reading.reading_deg,
