@@ -187,15 +187,6 @@ def test_a_reset_after_a_motion_costs_the_angle(port, referenced):
         referenced.position_deg()
 
 
-def test_a_count_that_jumps_while_it_stands_costs_the_angle(controller, referenced):
-    controller.report = "<Idle|MPos:40.000,0.000,0.000|FS:0,0>"
-    referenced.move(40)
-    assert referenced.position_deg() == 40
-    controller.report = IDLE
-    with pytest.raises(StageError, match="jumped from 40° to 0° while it stood"):
-        referenced.position_deg()
-
-
 def test_without_homing_it_counts_from_where_it_was_switched_on_and_says_so(controller, port):
     controller.settings[22] = "0"
     stage = Grbl(port)

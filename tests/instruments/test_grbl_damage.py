@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from grbl_script import BANNER, GO, Script
+from grbl_script import BANNER, GO, IDLE, Script
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from stage_ports import KINDS, InProcessPort, homed, moved_to, simulated, until_it_stands
@@ -82,6 +82,17 @@ def test_a_simulated_one_that_is_reset_on_the_move_never_gives_an_angle():
     stage.move(170)
     port.device.reset()
     with pytest.raises(StageError, match="lost its angle"):
+        stage.position_deg()
+
+
+def test_a_count_that_jumps_while_it_stands_costs_the_angle():
+    controller = Script()
+    stage = homed(Grbl(InProcessPort(controller)))
+    controller.report = "<Idle|MPos:40.000,0.000,0.000|FS:0,0>"
+    stage.move(40)
+    assert stage.position_deg() == 40
+    controller.report = IDLE
+    with pytest.raises(StageError, match="jumped from 40° to 0° while it stood"):
         stage.position_deg()
 
 
