@@ -1,25 +1,26 @@
 """Whether the unit felt what the stage says it did: the gyro over each move, and gravity after it.
 
-An open loop that loses steps tells nobody; the unit on it knows. Both tell a move only as well as they are known,
-and before a calibration that is not well: so what may be wrong with unit and stage is learned move by move. Each
-move is predicted before it is learned from, and what is left is held against what the prediction allows.
+An open loop that loses steps tells nobody; the unit on it knows. Gyro and gravity tell a move only as well
+as they are known themselves, and before a calibration that is not well: so what may be wrong with unit and
+stage is learned move by move. Each move is predicted first, and what is left is held against what the
+prediction allows.
 
-The model of the difference between what is felt and what the stage turned, linear in its parameters (states):
+What is felt less what the stage turned (Δ) is modelled as linear in unknowns of the unit and the stage:
 
     gyro    = scale·Δ + common
-    gravity = harmonics of the unit's own elevation + share of the last moves not settled + common
+    gravity = harmonics of the unit's own elevation + a share of the last moves not settled yet + common
     common  = gain·Δ + play at reversals + harmonics of the stage's angle
 
-Its recursive least squares are those of a Kalman filter without dynamics (Bar-Shalom, Li, Kirubarajan, Estimation
-with Applications to Tracking and Navigation, 2001, section 3.4), the priors rectangular within what the data sheet
-of an uncalibrated MPU-6050 (PS-MPU-6000A, section 6) and an ordinary open-loop stage allow.
+by recursive least squares (Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and
+Navigation, 2001, section 3.4), beginning with rectangular distributions of what the data sheet of an
+uncalibrated MPU-6050 (PS-MPU-6000A, section 6) and an ordinary open-loop stage allow.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -32,7 +33,7 @@ SAID_DEG = 0.3
 ENDS_DEG = 2.0
 """One beyond this, or two in a row, and the stage's word is worth nothing any more."""
 CONTRADICTS_STD = 4.0
-"""Gyro and gravity that differ by more cannot both be right: then gravity decides, which sees where the unit is."""
+"""Where gyro and gravity differ by more, one is wrong: then gravity decides, which sees where the unit is."""
 
 RECTANGULAR = 1.0 / math.sqrt(3.0)
 PRIOR_STD = RECTANGULAR * np.array(
@@ -54,7 +55,7 @@ UNSETTLED_ANGLE = RECTANGULAR * 0.1
 
 IRREGULAR_DEG = 0.1
 IRREGULAR_MOVES = 4.0
-"""What the stage does from move to move beyond all that: a worm, a following error. A guess worth four moves."""
+"""What the stage does beyond all that, such as a worm: a guess that weighs as much as four moves."""
 GYRO_LINEARITY, GYRO_OWN_DEG, GRAVITY_OWN_DEG = 0.002, 0.02, 0.03
 DRIFT_DEG_PER_C, DRIFT_DEG_PER_S = 0.03, 0.0005
 """How far a unit's elevation wanders with temperature, and where that is not known, with time."""
@@ -96,8 +97,8 @@ class MoveCheck:
             if value is not None
         ]
         return (
-            f"the stage says that it turned by {self.stage_deg:+.2f}°, and the unit felt {self.felt_deg:+.2f}° "
-            f"({', '.join(witnesses)}; standard error {self.std_deg:.2f}°)"
+            f"the stage says that it turned by {self.stage_deg:+.2f}°, and the unit felt "
+            f"{self.felt_deg:+.2f}° ({', '.join(witnesses)}; standard error {self.std_deg:.2f}°)"
         )
 
 
@@ -106,9 +107,9 @@ def gyro_move_std_deg(
 ) -> float:
     """Standard error of an integrated rate but for the gyro's scale: bias, noise, and steps between samples.
 
-    The bias is the mean of two dwells', each of standard error b, and white noise of that b integrates likewise:
-    b²·T·(T/2 + dwell). A rate that changes by Δ from one sample to the next leaves dt·Δ/√12 a step unknown, which
-    is what a slow or coarse board does.
+    The bias is the mean of two dwells', each of standard error b; with the white noise that gives such a b,
+    the integral over T has the variance b²·T·(T/2 + dwell). A rate that changes by Δ from one sample to the
+    next leaves dt·Δ/√12 of that step unknown: so much for a slow or a coarse board.
 
     Args:
         time_s: (n,) of the move's samples.
@@ -124,6 +125,18 @@ def gyro_move_std_deg(
     known = GYRO_BIAS_DPS if bias_std_dps is None else bias_std_dps
     variance = known**2 * turn_s * (turn_s / 2 + dwell_s) + (GYRO_WANDER_DPS * turn_s) ** 2
     return math.sqrt(variance + float(steps_deg @ steps_deg) / 12)
+
+
+class _Witness(NamedTuple):
+    """What one channel says of a move.
+
+    `row` is of the design, `less_stage_deg` the angle felt less the stage's, `variance` its own, deg².
+    """
+
+    name: str
+    row: FloatArray
+    less_stage_deg: float
+    variance: float
 
 
 class MoveWatch:
@@ -148,29 +161,31 @@ class MoveWatch:
 
         Args:
             now: the pose, its `gyro_move_deg` and its reading or accelerometer.
-            turned_deg: what the stage says it turned since the pose before, or since it stood before the first.
+            turned_deg: what the stage says it turned since the pose before (or since the run began).
             gyro_std_deg: as `gyro_move_std_deg` gives it.
 
         Returns:
-            None where there is nothing to compare: the stage tells no angle, or neither gyro nor gravity tell.
+            None where there is nothing to compare: the stage tells no angle, or the unit no move.
         """
         last, self._last = self._last, now
+        if last is None and now.accel_y_g is None:
+            self._covariance[SETTLING, SETTLING] = UNSETTLED_ANGLE**2
         if turned_deg is None:
             self._gravity_holds, self._flank_known = True, False
             return None
-        rows, felt_deg, own = self._witnesses(last, now, turned_deg, gyro_std_deg)
+        witnesses = self._witnesses(last, now, turned_deg, gyro_std_deg)
         flank_known = self._note_flank(last, now, turned_deg)
         self._gravity_holds, self._last_turn_deg = True, turned_deg
-        if not rows:
+        if not witnesses:
             return None
-        names, design, values = list(rows), np.array(list(rows.values())), np.array(list(felt_deg.values()))
         common = self._irregular[1] / self._irregular[0]
         if not flank_known:
             common += float(self._mean[PLAY] ** 2 + self._covariance[PLAY, PLAY])
-        noise = np.diag(list(own.values())) + common
-        left = values - design @ self._mean
+        design = np.array([witness.row for witness in witnesses])
+        left = np.array([witness.less_stage_deg for witness in witnesses]) - design @ self._mean
+        noise = np.diag([witness.variance for witness in witnesses]) + common
         innovation = design @ self._covariance @ design.T + noise
-        used = _consistent(names, left, innovation)
+        used = _consistent(left, innovation)
         left_used, innovation_used = left[used], innovation[np.ix_(used, used)]
         weights = np.linalg.solve(innovation_used, np.ones(len(used)))
         variance = 1.0 / float(weights.sum())
@@ -179,7 +194,7 @@ class MoveWatch:
         if verdict == "agrees":
             self._learn(design[used], left_used, innovation_used)
             self._learn_irregularity(difference_deg, variance, flank_known=flank_known)
-        told = {name: turned_deg + float(left[k]) for k, name in enumerate(names)}
+        told = {witness.name: turned_deg + float(left[k]) for k, witness in enumerate(witnesses)}
         return MoveCheck(
             turned_deg,
             turned_deg + difference_deg,
@@ -191,33 +206,22 @@ class MoveWatch:
 
     def _witnesses(
         self, last: Pose | None, now: Pose, turned_deg: float, gyro_std_deg: float
-    ) -> tuple[dict[str, FloatArray], dict[str, float], dict[str, float]]:
-        """By name: the row of the design, the angle felt less the stage's, the variance of its own."""
-        rows: dict[str, FloatArray] = {}
-        felt: dict[str, float] = {}
-        own: dict[str, float] = {}
+    ) -> list[_Witness]:
+        found = []
         common = self._common_row(last, now, turned_deg)
         if now.gyro_move_deg is not None:
-            rows["gyro"] = common.copy()
-            rows["gyro"][GYRO_SCALE] = turned_deg
-            felt["gyro"] = now.gyro_move_deg - turned_deg
-            own["gyro"] = GYRO_OWN_DEG**2 + (GYRO_LINEARITY * turned_deg) ** 2 + gyro_std_deg**2
+            row = common.copy()
+            row[GYRO_SCALE] = turned_deg
+            variance = GYRO_OWN_DEG**2 + (GYRO_LINEARITY * turned_deg) ** 2 + gyro_std_deg**2
+            found.append(_Witness("gyro", row, now.gyro_move_deg - turned_deg, variance))
         if last is not None and self._gravity_holds:
             before_deg, after_deg = gravity_deg(last), gravity_deg(now)
-            rows["gravity"] = common.copy()
-            rows["gravity"][UNIT] = _unit_shape(after_deg) - _unit_shape(before_deg)
-            settling = turned_deg - self._last_turn_deg
-            rows["gravity"][SETTLING] = settling
-            felt["gravity"] = wrap_deg(after_deg - before_deg - turned_deg)
-            own["gravity"] = _gravity_variance(last, now)
-            if now.accel_y_g is None:
-                own["gravity"] += 2 * GRAVITY_OWN_DEG**2
-                own["gravity"] += (UNSETTLED_ANGLE * settling / self._trust()) ** 2
-        return rows, felt, own
-
-    def _trust(self) -> float:
-        """How many moves have gone well, as a share of what the irregularity is learned from; 1 at first."""
-        return math.sqrt(self._irregular[0] / IRREGULAR_MOVES)
+            row = common.copy()
+            row[UNIT] = _unit_shape(after_deg) - _unit_shape(before_deg)
+            row[SETTLING] = turned_deg - self._last_turn_deg
+            less_stage_deg = wrap_deg(after_deg - before_deg - turned_deg)
+            found.append(_Witness("gravity", row, less_stage_deg, _gravity_variance(last, now)))
+        return found
 
     def _common_row(self, last: Pose | None, now: Pose, turned_deg: float) -> FloatArray:
         row = np.zeros(len(PRIOR_STD))
@@ -266,14 +270,14 @@ def gravity_deg(pose: Pose) -> float:
 def _gravity_variance(last: Pose, now: Pose) -> float:
     """Of the difference of two poses' gravity: noise, and what drifts between them."""
     noise = (last.reading_stderr_deg or 0.0) ** 2 + (now.reading_stderr_deg or 0.0) ** 2
-    warmed_c = (
-        0.0
-        if last.temperature_c is None or now.temperature_c is None
-        else now.temperature_c - last.temperature_c
-    )
-    passed_s = 0.0 if last.time_s is None or now.time_s is None else now.time_s - last.time_s
+    warmed_c = _less(now.temperature_c, last.temperature_c)
+    passed_s = _less(now.time_s, last.time_s)
     drift = (DRIFT_DEG_PER_C * warmed_c) ** 2 + (DRIFT_DEG_PER_S * passed_s) ** 2
     return noise + GRAVITY_OWN_DEG**2 + drift
+
+
+def _less(now: float | None, before: float | None) -> float:
+    return 0.0 if now is None or before is None else now - before
 
 
 def _stage_shape(stage_deg: float) -> FloatArray:
@@ -282,15 +286,15 @@ def _stage_shape(stage_deg: float) -> FloatArray:
 
 
 def _unit_shape(elevation_deg: float) -> FloatArray:
-    """Offsets of y and z turn the elevation by cos and −sin; skew and gain by cos² and sin 2θ/2; and the third."""
+    """What y's and z's offset, y's skew and gain, and a nonlinearity add to the elevation, each of size 1."""
     angle = math.radians(elevation_deg)
     s, c = math.sin(angle), math.cos(angle)
     return np.array([c, -s, c * c, s * c, math.sin(3 * angle), math.cos(3 * angle)])
 
 
-def _consistent(names: list[str], left: FloatArray, innovation: FloatArray) -> list[int]:
+def _consistent(left: FloatArray, innovation: FloatArray) -> list[int]:
     """Indices of the witnesses that decide: all, or gravity alone where the gyro contradicts it."""
-    if len(names) < 2:
+    if len(left) < 2:
         return [0]
     apart = float(left[1] - left[0])
     std = math.sqrt(float(innovation[0, 0] + innovation[1, 1] - 2 * innovation[0, 1]))

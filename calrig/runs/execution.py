@@ -235,11 +235,12 @@ class Execution:
         """Stores a pose, and says where the unit felt another move; StageError where that ends the run."""
         index = len(self.poses)  # of the poses measured: a follow-up skips some that were planned
         self.poses.append(pose)
-        if check is None or check.verdict == "agrees":
-            return self.recorder.pose(index, pose, blocks, self.rig.faults())
-        self.rig.board.faults[KIND] += 1
-        self.recorder.pose(index, pose, blocks, self.rig.faults(), told(index, pose, check))
-        if check.verdict == "lost":
+        also = []
+        if check is not None and check.verdict != "agrees":
+            self.rig.board.faults[KIND] += 1
+            also.append(told(index, pose, check))
+        self.recorder.pose(index, pose, blocks, self.rig.faults(), *also)
+        if check is not None and check.verdict == "lost":
             raise lost(index, pose, check)
 
     def gyro_figures(self) -> GyroFigures:

@@ -75,7 +75,8 @@ def told(index: int, pose: Pose, check: MoveCheck) -> tuple[str, dict[str, Any]]
 def lost(index: int, pose: Pose, check: MoveCheck) -> StageError:
     """The end of a run whose stage is not where it says."""
     return StageError(
-        f"pose {index} at {pose.target_deg:g}°: {check.words()}. The stage lost steps or slips, or the unit came "
-        "loose, or ratio and sign of the rig are wrong: free the stage, see that the unit sits tight, home the stage "
-        "(one without homing: stand it at a known angle and say so with --stage-at), and start a new run"
+        f"pose {index} at {pose.target_deg:g}°: {check.words()}. The stage lost steps or slips, or "
+        "the unit came loose, or ratio or sign of the rig is wrong: free the stage, see that the unit sits "
+        "tight, home the stage (without homing: turn it to a known angle and say so with --stage-at), and "
+        "start a new run"
     )

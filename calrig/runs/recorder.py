@@ -91,7 +91,7 @@ class Recorder:
     def pose(
         self, index: int, pose: Pose, blocks: list[SampleBlock], faults: Mapping[str, int], *also: Announced
     ) -> None:
-        """Stores a finished pose with its samples; announces it, the progress it makes, and what `also` tells."""
+        """Stores a finished pose with its samples; announces it, its progress, and what `also` tells."""
         self.flush()
         self._poses_done += 1
         progress = self._progress()

@@ -75,7 +75,8 @@ class Run:
         if self.result is None:
             return None
         verification = (self.plan or {}).get("kind") == "verification"
-        return verdict(self.result, self.diagnosis, verification=verification)
+        mismatches = self.faults.get("move_mismatch", 0)
+        return verdict(self.result, self.diagnosis, verification=verification, move_mismatches=mismatches)
 
 
 def reference_of(provenance: Document) -> Reference | None:
