@@ -241,6 +241,7 @@ class Execution:
             also.append(told(index, pose, check))
         self.recorder.pose(index, pose, blocks, self.rig.faults(), *also)
         if check is not None and check.verdict == "lost":
+            self.rig.place.is_lost()
             raise lost(index, pose, check)
 
     def gyro_figures(self) -> GyroFigures:

@@ -127,6 +127,14 @@ class StoredPose:
 
 
 @dataclass(frozen=True, slots=True)
+class LeftAt:
+    """Where a stage was left, in its own degrees, and when; None: on its way, and nobody knows where."""
+
+    stage_deg: float | None
+    at: datetime
+
+
+@dataclass(frozen=True, slots=True)
 class AcceptedEffect:
     """An effect that a person accepted, of a unit or of a rig (the other is None), and the run it is from.
 
