@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 
+from calrig.analysis.errors import NotTheSame
 from calrig.estimation.angles import wrap_deg
 from calrig.instruments.axis import Axis
 from calrig.instruments.errors import InstrumentError, StageError
@@ -31,10 +32,12 @@ class StagePlace:
         store: remembers.
         rig: as configured.
         unit: the serial number of the unit on it.
+        resumes: whether its run was interrupted, and can be resumed later where it cannot now.
     """
 
-    def __init__(self, store: Store, rig: RigSettings, unit: str) -> None:
+    def __init__(self, store: Store, rig: RigSettings, unit: str, *, resumes: bool) -> None:
         self._store, self._rig, self._unit = store, rig, unit
+        self._refusal = NotTheSame if resumes else StageError
         self._remembers = False
 
     def take_up(self, axis: Axis, *, homes: bool) -> None:
@@ -64,13 +67,14 @@ class StagePlace:
 
         Raises:
             StageError: they differ by more than the unit's known bias and `MOST_OFF_DEG`.
+            NotTheSame: likewise, of a run that was interrupted.
         """
         if not self._remembers:
             return
         expected_deg = self._expected_deg(stage_deg)
         if abs(wrap_deg(felt_deg - expected_deg)) <= MOST_OFF_DEG:
             return
-        raise StageError(
+        raise self._refusal(
             f"rig {self._rig.name!r}: the stage is said to stand at {stage_deg:.1f}°, where the unit should "
             f"read {expected_deg:.1f}°, and gravity says {felt_deg:.1f}°; nothing was moved: see that the "
             f"unit sits as it should, then {SAY_SO}"

@@ -179,7 +179,7 @@ class Worker:
                 task.rig,
                 self.control.arm,
                 self._warnings.append,
-                StagePlace(self._store, task.rig, task.run.unit),
+                StagePlace(self._store, task.rig, task.run.unit, resumes=task.interruption is not None),
                 task.earlier.faults,
             ) as rig,
         ):

@@ -74,6 +74,24 @@ def test_a_process_that_died_in_mid_move_leaves_a_place_that_nobody_knows(open_l
     assert open_loop.table_deg(open_loop.now_s) == pytest.approx(stood_deg, abs=0.02)
 
 
+def test_an_interrupted_run_stays_one_where_the_stage_is_not_where_it_was_left(open_loop, serve, store):
+    open_loop.simulated.stage.reset()  # it greets whoever opens its port
+    service = serve(open_loop)
+    run = begin(service, ENDLESS, rig=open_loop.settings.name)
+    until(lambda: store.poses(run.id) or None, "pose", 60)
+    service.close()
+    assert store.run(run.id).status == "interrupted"
+    name, left_deg = open_loop.settings.name, store.left_at(open_loop.settings.name).stage_deg
+    for wrong_deg, why in ((left_deg + 60.0, "gravity says"), (None, "where it stands is not known")):
+        open_loop.simulated.stage.reset()
+        store.leave_at(name, wrong_deg)
+        later = serve(open_loop)
+        later.resume(run.id)
+        until(lambda: store.run(run.id).status == "interrupted", "end", 30)
+        assert why in store.run(run.id).error
+        later.close()
+
+
 def test_steps_lost_leave_a_place_that_nobody_knows(make_rig, serve, store):
     rig = make_rig(
         "stepper-blocked",
