@@ -12,8 +12,8 @@ What is felt less what the stage turned (Δ) is modelled as linear in unknowns o
     common  = gain·Δ + play at reversals + harmonics of the stage's angle
 
 by recursive least squares (Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and
-Navigation, 2001, section 3.4), beginning with rectangular distributions of what the data sheet of an
-uncalibrated MPU-6050 (PS-MPU-6000A, section 6) and an ordinary open-loop stage allow.
+Navigation, 2001, section 3.4), from rectangular priors of what an uncalibrated MPU-6050 (PS-MPU-6000A,
+section 6) and an ordinary open-loop stage may have.
 """
 
 from __future__ import annotations
@@ -63,6 +63,7 @@ WHOLE_PLAY_DEG = 1.5
 """A shorter move may leave part of the play: which flank the table lies on is not known after it."""
 
 GYRO_BIAS_DPS, GYRO_WANDER_DPS = 0.05, 0.003
+"""How well a gyro's bias is known where its dwell does not tell, and how far it wanders within a move."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,9 +72,9 @@ class MoveCheck:
 
     Attributes:
         stage_deg: what the stage says it turned.
-        felt_deg: what the unit felt of it, corrected for what is known of the unit.
-        std_deg: standard error of the difference of the two.
-        gyro_deg, gravity_deg: the two witnesses of it, likewise corrected; None where there is none.
+        felt_deg: what the unit felt of it, corrected for what is known of unit and stage.
+        std_deg: standard error of their difference.
+        gyro_deg, gravity_deg: the two witnesses, likewise; None where there is none.
         verdict: `agrees`; `mismatch`, beyond chance; `lost`, by so much, or so often, that a run must end.
     """
 
@@ -128,10 +129,7 @@ def gyro_move_std_deg(
 
 
 class _Witness(NamedTuple):
-    """What one channel says of a move.
-
-    `row` is of the design, `less_stage_deg` the angle felt less the stage's, `variance` its own, deg².
-    """
+    """What one channel says: its row of the design, angle felt less the stage's, own variance in deg²."""
 
     name: str
     row: FloatArray
@@ -161,7 +159,7 @@ class MoveWatch:
 
         Args:
             now: the pose, its `gyro_move_deg` and its reading or accelerometer.
-            turned_deg: what the stage says it turned since the pose before (or since the run began).
+            turned_deg: what the stage says it turned since the pose before, or the run's begin.
             gyro_std_deg: as `gyro_move_std_deg` gives it.
 
         Returns:
