@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -28,12 +27,11 @@ class FeltMoves:
         self.moves: list[tuple[float, float]] = []
         self._range_dps = gyro_range_dps
         self._watch = MoveWatch()
-        for before, now in pairwise([None, *poses]):
-            turned_deg = None
-            if before is not None and now is not None and None not in (before.stage_deg, now.stage_deg):
-                turned_deg = (now.stage_deg or 0.0) - (before.stage_deg or 0.0)
-            if now is not None:
-                self._note(now, turned_deg, self._watch.take(now, turned_deg, REPLAYED_STD_DEG))
+        last_deg: float | None = None
+        for pose in poses:
+            turned_deg = None if last_deg is None or pose.stage_deg is None else pose.stage_deg - last_deg
+            self._note(pose, turned_deg, self._watch.take(pose, turned_deg, REPLAYED_STD_DEG))
+            last_deg = pose.stage_deg
         self._watch.touched()  # nobody saw what happened before the run went on
 
     def take(
