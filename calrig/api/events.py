@@ -48,7 +48,7 @@ AN_EVENT = {
     "required": ["data", "event", "id"],
     "properties": {
         "data": {"type": "string", "contentMediaType": "application/json"},
-        "event": {"enum": ["state", "progress", "pose", "reading"]},
+        "event": {"enum": ["state", "progress", "pose", "reading", "move_mismatch"]},
         "id": {"type": "string", "pattern": "^[0-9]+$"},
     },
 }

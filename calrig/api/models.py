@@ -33,6 +33,10 @@ class StartRun(Body):
     plan: Plan = Plan()
     operator: Annotated[str, Field(max_length=200)] | None = None
     note: Annotated[str, Field(max_length=10_000)] | None = None
+    stage_at_deg: Annotated[float, Field(ge=-360, le=360)] | None = Field(
+        default=None,
+        description="Elevation at which a stage without homing stands, by the word of somebody who looked.",
+    )
 
 
 class Reason(Body):

@@ -84,7 +84,12 @@ def stop(name: str, context: Context) -> object:
 def start_run(body: StartRun, context: Context) -> Run:
     """Everything but `unit` is optional. A busy rig is 409; `queued` lasts until the worker takes the run."""
     return context.service.start(
-        unit=body.unit, rig=body.rig, plan=body.plan, operator=body.operator, note=body.note
+        unit=body.unit,
+        rig=body.rig,
+        plan=body.plan,
+        operator=body.operator,
+        note=body.note,
+        stage_at_deg=body.stage_at_deg,
     )
 
 

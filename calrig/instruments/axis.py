@@ -164,6 +164,10 @@ class Axis:
         """Where the standing stage says it is, in elevation."""
         return self._to_elevation(self.stage.position_deg())
 
+    def stands_at(self, elevation_deg: float) -> None:
+        """Takes a standing stage's word for a new zero: it counts from elsewhere than when it was left."""
+        self._zero_deg = self.stage.position_deg() - self._gain * elevation_deg
+
     def see_that_it_stands(self, stood_deg: float) -> float:
         """Where a stage stands that was told nothing since it stood at `stood_deg`.
 

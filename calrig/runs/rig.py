@@ -14,6 +14,7 @@ from calrig.instruments.drivers import open_board, open_stage
 from calrig.instruments.errors import InstrumentError, PortError
 from calrig.instruments.ports import clock_of
 from calrig.instruments.types import Board, BoardIdentity, Stage, StageIdentity
+from calrig.runs.stage_place import StagePlace
 from calrig.settings import RigSettings, StageSettings
 
 log = logging.getLogger(__name__)
@@ -29,7 +30,8 @@ AGAIN_S = 0.1
 class Rig:
     """An open rig: who its instruments say they are, and the two of them.
 
-    `clock` is the time that both live in; `faults_before` are those of a run before it was interrupted.
+    `clock` is the time that both live in; `place` remembers where a stage without homing stands;
+    `faults_before` are those of a run before it was interrupted.
     """
 
     settings: RigSettings
@@ -39,6 +41,7 @@ class Rig:
     board: Board
     stage_identity: StageIdentity
     board_identity: BoardIdentity
+    place: StagePlace
     faults_before: Mapping[str, int]
 
     def faults(self) -> dict[str, int]:
@@ -62,6 +65,7 @@ def open_rig(
     settings: RigSettings,
     arm: Callable[[Callable[[], None]], None],
     warn: Callable[[str], None],
+    place: StagePlace,
     faults_before: Mapping[str, int],
 ) -> Iterator[Rig]:
     """Opens and identifies both instruments of a rig; moves nothing.
@@ -70,6 +74,7 @@ def open_rig(
         settings: the rig, with the ports of both instruments.
         arm: is given the way to halt the stage as soon as there is one.
         warn: is told where the stage, left behind, is not known to stand.
+        place: is told where a stopped stage stands.
         faults_before: counts that the run has already.
 
     Raises:
@@ -83,9 +88,14 @@ def open_rig(
     board: Board | None = None
     try:
         board = open_board(settings.imu.driver, settings.imu.port, baudrate=settings.imu.baudrate)
-        yield Rig(settings, clock, axis, axis.stage, board, axis.identify(), board.identify(), faults_before)
+        stage_identity, board_identity = axis.identify(), board.identify()
+        yield Rig(
+            settings, clock, axis, axis.stage, board, stage_identity, board_identity, place, faults_before
+        )
     finally:
         out_of_reach = axis.has_moved and not _told_to_stop(axis, warn)
+        if axis.has_moved and not out_of_reach:
+            place.was_stopped(axis)
         if board is not None:
             board.close()
         axis.close()

@@ -21,6 +21,7 @@ from calrig.runs.meter import Meter
 from calrig.runs.resume import resumed_task
 from calrig.runs.rig import stop_stage
 from calrig.runs.rig_states import RigState, state_of
+from calrig.runs.stage_place import leave_at
 from calrig.runs.states import check_transition
 from calrig.runs.task import Task
 from calrig.runs.worker import Worker
@@ -71,8 +72,11 @@ class RunService:
         rig: str | None = None,
         operator: str | None = None,
         note: str | None = None,
+        stage_at_deg: float | None = None,
     ) -> Run:
         """Starts a run on a rig (the first one configured where none is named) and returns it at once.
+
+        `stage_at_deg` is a person's word for the elevation at which a stage without homing stands.
 
         Raises:
             Invalid: the serial number or an elevation of the plan is out of bounds; nothing was stored.
@@ -81,7 +85,7 @@ class RunService:
         """
         check_serial(unit)
         settings = self._rig(rig)
-        return self._begin(settings, unit, plan, operator=operator, note=note)
+        return self._begin(settings, unit, plan, operator=operator, note=note, stage_at_deg=stage_at_deg)
 
     def follow_up(self, run_id: str) -> Run:
         """Starts the run that best separates what the diagnosis of a run (and those before it) could not.
@@ -109,6 +113,7 @@ class RunService:
         note: str | None = None,
         follows: str | None = None,
         follow_up: FollowUpRun | None = None,
+        stage_at_deg: float | None = None,
     ) -> Run:
         try:
             planned = plan.poses(settings.limits_deg)
@@ -119,6 +124,8 @@ class RunService:
             verifies = active_calibration(self.store, unit, settings.name)
         with self._lock:
             self._require_free(settings.name)
+            if stage_at_deg is not None:
+                leave_at(self.store, settings, stage_at_deg)
             run = self.store.create_run(
                 unit=unit,
                 rig=settings.name,
@@ -146,15 +153,8 @@ class RunService:
 
     def _employ(self, task: Task) -> None:
         """Starts a worker; called with the lock held, so that nobody meets a rig half taken."""
-        worker = Worker(
-            task,
-            self.store,
-            self.bus,
-            self.meter,
-            self._worker_left_rig,
-            self._worker_ended,
-            self._record,
-        )
+        left, ended = self._worker_left_rig, self._worker_ended
+        worker = Worker(task, self.store, self.bus, self.meter, left, ended, self._record)
         self._workers[task.run.id] = worker
         self._busy[task.rig.name] = task.run.id
         worker.start()

@@ -26,6 +26,7 @@ from calrig.runs.pace import Pace
 from calrig.runs.recorder import Recorder
 from calrig.runs.resume import require_same_devices
 from calrig.runs.rig import Rig, open_rig
+from calrig.runs.stage_place import StagePlace
 from calrig.runs.static_log import keep_log
 from calrig.runs.task import Task
 from calrig.store import RunChanges, Status, Store, StoreError
@@ -174,12 +175,20 @@ class Worker:
         with (
             taped(self._record) as tapes,
             self._keeping(tapes.all),
-            open_rig(task.rig, self.control.arm, self._warnings.append, task.earlier.faults) as rig,
+            open_rig(
+                task.rig,
+                self.control.arm,
+                self._warnings.append,
+                StagePlace(self._store, task.rig, task.run.unit, resumes=task.interruption is not None),
+                task.earlier.faults,
+            ) as rig,
         ):
             self.reached_rig = True
             self._check_board(rig)
             self._check_limits(rig)
             self._note_origin(rig)
+            if task.planned:
+                rig.place.take_up(rig.axis, homes=rig.stage_identity.homes)
             self._under_way = True
             pace = Pace(rig, self.control, self._recorder, task.earlier.clock_s)
             execution = Execution(task.plan, pace, task.follow_up, task.earlier)

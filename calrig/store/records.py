@@ -75,7 +75,8 @@ class Run:
         if self.result is None:
             return None
         verification = (self.plan or {}).get("kind") == "verification"
-        return verdict(self.result, self.diagnosis, verification=verification)
+        mismatches = self.faults.get("move_mismatch", 0)
+        return verdict(self.result, self.diagnosis, verification=verification, move_mismatches=mismatches)
 
 
 def reference_of(provenance: Document) -> Reference | None:
@@ -123,6 +124,14 @@ class StoredPose:
     index: int
     pose: Pose
     excluded: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class LeftAt:
+    """Where a stage was left, in its own degrees, and when; None: on its way, and nobody knows where."""
+
+    stage_deg: float | None
+    at: datetime
 
 
 @dataclass(frozen=True, slots=True)

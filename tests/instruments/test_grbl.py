@@ -193,22 +193,8 @@ def test_without_homing_it_counts_from_where_it_was_switched_on_and_says_so(cont
     stage.identify()
     assert stage.status().words == "IDLE, counting from where it was switched on"
     assert stage.faults["zero_not_homed"] == 1
+    assert not stage.identify().homes
     stage.move(5)
-
-
-def test_without_homing_a_count_that_begins_anew_elsewhere_is_no_angle(controller, port):
-    controller.settings[22] = "0"
-    stage = Grbl(port)
-    stage.identify()
-    stage.move(60)
-    controller.report = "<Idle|MPos:60.000,0.000,0.000|FS:0,0>"
-    assert stage.position_deg() == 60
-    stage.close()
-    controller.report = IDLE  # opening the port has reset it, and the table is where it was
-    again = Grbl(InProcessPort(controller, port.name))
-    assert "left at 60° and its count now begins at 0°" in again.status().words
-    with pytest.raises(StageError, match="turn the stage to its zero by hand"):
-        again.home()
 
 
 def test_an_echo_is_counted_and_is_no_answer(controller, referenced):

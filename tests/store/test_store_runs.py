@@ -223,3 +223,15 @@ def test_effects_in_force_are_those_of_the_unit_and_of_its_rig_alone(store, new_
     assert store.effects_in_force("AS-1", "bench-1") == [of_unit, of_rig]
     assert store.effects_in_force("AS-2", "bench-1") == [of_rig]
     assert store.effects_in_force("AS-1", None) == [of_unit]
+
+
+def test_where_a_stage_was_left_is_there_for_the_next_process(url):
+    with Store.open(url, writer="run") as store:
+        assert store.left_at("bench") is None
+        store.leave_at("bench", -60.5)
+        store.leave_at("other", None)
+    with Store.open(url, writer="serve") as store:
+        assert store.left_at("bench").stage_deg == -60.5
+        assert store.left_at("other").stage_deg is None
+        store.leave_at("bench", None)
+        assert store.left_at("bench").stage_deg is None

@@ -321,12 +321,16 @@ os.kill(os.getpid(), signal.SIGKILL)
 
 def test_after_a_writer_died_its_store_is_looked_through_before_anything_is_written(url, database):
     filled(url)
+    with closing(sqlite3.connect(database)) as connection:
+        (poses_page,) = connection.execute(
+            "SELECT rootpage FROM sqlite_master WHERE name = 'pose'"
+        ).fetchone()
     with python(DIE, url) as writer:
         assert writer.wait() == -signal.SIGKILL
     log = Path(f"{database}-wal")
     assert log.stat().st_size > 0
-    with database.open("r+b") as file:  # a page in the middle that the log does not hold
-        file.seek(4096 * (database.stat().st_size // 4096 // 2))
+    with database.open("r+b") as file:  # the poses' first page, which the log does not hold
+        file.seek(4096 * (poses_page - 1))
         file.write(bytes(4096))
     was = database.read_bytes(), log.read_bytes()
     with pytest.raises(StoreDamagedError, match="damaged: keep a copy"):

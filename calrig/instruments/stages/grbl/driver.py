@@ -47,7 +47,7 @@ class Grbl:
         self._letter = "XYZABC"[self._index]
         self._name = f"stage grbl, axis {self._letter}, on {port.name}"
         self._wire = GrblWire(port, self.faults)
-        self._count = Count(self._index, self._name, port.name)
+        self._count = Count(self._index, self._name)
         self._asking = threading.RLock()
         self._settings: dict[int, float] = {}
         self._resets = 0
@@ -80,6 +80,7 @@ class Grbl:
                 limits_deg=(-travel - offset_deg, travel - offset_deg) if travel else None,
                 velocity_dps=None if rate is None else rate / 60,
                 acceleration_dps2=self._setting(120),
+                homes=bool(self._settings.get(HOMING)),
             )
 
     def status(self) -> StageStatus:
@@ -111,7 +112,7 @@ class Grbl:
                 same = len({report.state for report in reports}) == 1
                 if same and readback.agree(min(places_deg), max(places_deg)):
                     self._see_that_it_was_not_reset(reports[-1])
-                    self._count.check(places_deg[-1], homing=bool(self._settings.get(HOMING)))
+                    self._count.check(places_deg[-1])
                     return places_deg[-1]
         said = ", ".join(f"{place:g}" for place in places_deg)
         raise StageError(f"{self._name}: reports differ ({said}) though it stands: check the serial cable")
@@ -144,7 +145,8 @@ class Grbl:
             if self._settings and not self._settings.get(HOMING):
                 raise StageError(
                     f"{self._name} has no homing ($22=0) and no angle ({self._count.unreferenced}): "
-                    "turn the stage to its zero by hand, switch the controller off and on, and restart calrig"
+                    "turn the stage to a known angle by hand and start a run that says so "
+                    "(calrig run --stage-at DEGREES)"
                 )
             if self._wire.locked:
                 self._wire.restart()
@@ -254,7 +256,8 @@ class Grbl:
             self._firmware = f"Grbl {version}"
         self._settings = settings
         if not settings.get(HOMING) and not self._count.has_moved and report.state == "Idle":
-            self.faults["zero_not_homed"] = int(self._count.trust(report))
+            self._count.trust(report)
+            self.faults["zero_not_homed"] = 1
         return report
 
     def _heed(self) -> None:
