@@ -9,6 +9,7 @@ from fastapi.responses import Response, StreamingResponse
 from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
 
 from calrig.api.context import ApiContext, Context, KnownRun
 from calrig.api.errors import problems_in_json
@@ -17,6 +18,8 @@ from calrig.store import AT_REST, Event
 BATCH = 500
 """Events read at once: a long run's log is replayed in pieces, not held in memory whole."""
 
+MOST = 400
+"""Streams at once, of all runs: they stay for hours, and other requests need connections too."""
 KEEP_ALIVE_S = 12.0
 """How long a stream is silent at most: a comment goes out, so that nothing on the way gives it up."""
 UNBUFFERED = {"Cache-Control": "no-cache", "X-Accel-Buffering": "no"}
@@ -62,6 +65,8 @@ async def _news(run: KnownRun, context: Context) -> AsyncIterator[asyncio.Event]
     It stands before the first look into the store, so that nothing falls between the two. The store
     alone says what happened, this only that it is worth another look.
     """
+    if len(context.streams) >= MOST:
+        raise HTTPException(503, f"{MOST} event streams are open: close some", {"Retry-After": "5"})
     loop = asyncio.get_running_loop()
     news = asyncio.Event()
 
