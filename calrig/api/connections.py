@@ -169,8 +169,9 @@ class PatientProtocol(H11Protocol):
 
         Among those who keep no place, who took the last step longest ago: came, asked, was answered.
         """
-        if len(self.connections) <= min(STRANGERS_EACH, MOST):
-            return
+        near = [c for c in self._patient() if c._network == self._network] if self._network else []
+        if len(self.connections) <= MOST and len(near) <= STRANGERS_EACH:
+            return  # as nearly always
         others = [c for c in self._patient() if c is not self and not c.transport.is_gone]
         newcomers = [c for c in others if not c.keeps_its_place]
         near = [c for c in newcomers if c._network == self._network] if self._network else []
