@@ -160,7 +160,7 @@ def test_without_a_token_the_slow_give_way_and_a_stream_of_events_goes_on(rig, s
     ):
         run_id = client.post("/api/runs", json={"unit": "A", "plan": LONG}).raise_for_status().json()["id"]
         stream = stack.enter_context(connected(client))
-        stream.sendall(head(client, f"GET /api/runs/{run_id}/events HTTP/1.1"))
+        stream.sendall(head(client, f"GET /api/runs/{run_id}/events HTTP/1.1", "Connection: close"))
         assert stream.recv(65536).startswith(b"HTTP/1.1 200 ")
         for place in range(CROWD):
             slow(client, stack.enter_context(connected(client)), place)
