@@ -11,8 +11,8 @@ import statistics
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -31,20 +31,19 @@ from .stop_loads import Client, Target, loaded, mute_terminal
 STOPS = 200
 OF_RUNS = 20
 """One stop in so many is of a stage with a run on it, the others of one that stands by itself."""
-UNLOADED = 12
+UNLOADED = 9
 P99_S = 0.25
 MOST_MB = 300.0
-GIVE_UP_S = 10.0
-"""How long a stop is waited for; after a few that took so long the rest of them is not tried."""
-MOST_LATE = 2
-WARM_UP_S = 2.0
+GIVE_UP_S = 5.0
+"""How long a stop is waited for; after two that took so long the rest of them is not tried."""
+MOST_LATE = 1
+WARM_UP_S = 1.0
 EVERY_S = 0.1
 """From one stop's end to the next one: they meet the load in all its phases."""
 LOOK_S = 0.1
 TOKEN = "the-benches-of-building-4"
 
-LOADS: tuple[tuple[str, Client | None, int], ...] = (
-    ("nothing else", None, 0),
+LOADS: tuple[tuple[str, Client, int], ...] = (
     ("60 diagnoses", stop_loads.diagnosis, 60),
     ("10 imports of 100,000 poses", stop_loads.large_import, 10),
     ("450 slow strangers, 12 of them guessing tokens", stop_loads.guesser, 450),
@@ -105,7 +104,7 @@ class _Bench:
         self._url = urlsplit(str(served.client.base_url))
         self.run_id = self._begin() or ""
 
-    def target(self, imported: tuple[str, ...] = ()) -> Target:
+    def target(self, imported: tuple[str, ...]) -> Target:
         assert self._url.hostname is not None and self._url.port is not None
         return Target(self._url.hostname, self._url.port, TOKEN, imported, self.run_id)
 
@@ -197,21 +196,16 @@ def _fill_disk(process: psutil.Process) -> None:
     process.rlimit(psutil.RLIMIT_FSIZE, (1, 1))
 
 
-def _row(what: str, client: Client | None, crowd: int, rigs: list[RigSettings], number: int) -> Count:
+def _row(what: str, client: Client, crowd: int, rigs: list[RigSettings], number: int) -> Count:
     with _served(rigs) as bench:
         process = psutil.Process(bench.served.process.pid)
-        target = bench.target(_imported(bench.served))
+        imported = _imported(bench.served)
         unloaded = bench.stops(UNLOADED, one_run_in=UNLOADED // 3)
         if what.startswith(FULL):
             _fill_disk(process)
         memory = _Memory(process)
         memory.start()
-        heard: dict[str, int] = {}
-        with ExitStack() as stack:
-            target = bench.target(target.imported)
-            end: Callable[[], dict[str, int]] = (
-                stack.enter_context(loaded(client, crowd, target)) if client is not None else dict
-            )
+        with loaded(client, crowd, bench.target(imported)) as end:
             threading.Event().wait(WARM_UP_S)
             stops = bench.stops(number)
             heard = end()
