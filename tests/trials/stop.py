@@ -97,16 +97,17 @@ def _mb(process: psutil.Process) -> float:
 
 
 class _Bench:
-    """A service on two rigs and a mute one, with a run on the second, begun anew once stopped."""
+    """A service on a rig that is idle, one with a run begun anew once stopped, one with a run that goes on."""
 
     def __init__(self, served: Served) -> None:
         self.served = served
         self._url = urlsplit(str(served.client.base_url))
-        self.run_id = self._begin() or ""
+        self._watched_id = self._begin("bench-2") or ""
+        self.run_id = self._begin("bench-1") or ""
 
     def target(self, imported: tuple[str, ...]) -> Target:
         assert self._url.hostname is not None and self._url.port is not None
-        return Target(self._url.hostname, self._url.port, TOKEN, imported, self.run_id)
+        return Target(self._url.hostname, self._url.port, TOKEN, imported, self._watched_id)
 
     def stop(self, rig: str, stops: Stops, times: list[float]) -> None:
         """One stop by a connection of its own."""
@@ -136,16 +137,16 @@ class _Bench:
                 break
             if k % one_run_in == one_run_in - 1 and self._is_running():
                 self.stop("bench-1", stops, stops.running_s)
-                self.run_id = self._begin() or self.run_id
+                self.run_id = self._begin("bench-1") or self.run_id
             else:
                 self.stop("bench-0", stops, stops.idle_s)
         return stops
 
-    def _begin(self) -> str | None:
-        """A run on the second rig; None where it is refused, as on a full disk."""
+    def _begin(self, rig: str) -> str | None:
+        """A run; None where it is refused, as on a full disk."""
 
         def begin() -> str | None:
-            body = {"unit": "U1", "rig": "bench-1", "plan": PLAN}
+            body = {"unit": "U1", "rig": rig, "plan": PLAN}
             answer = self.served.client.post("/api/runs", json=body)
             return str(answer.json()["id"]) if answer.status_code == 201 else None
 
@@ -232,5 +233,5 @@ def _count(what: str, unloaded: Stops, stops: Stops, memory: _Memory, heard: dic
 
 def trial(extent: Extent) -> list[Count]:
     """This share of 200 stops beside each load."""
-    with benches(2) as rigs:
+    with benches(3) as rigs:
         return [_row(what, client, crowd, rigs, extent.of(STOPS)) for what, client, crowd in LOADS]
