@@ -97,7 +97,7 @@ def _mb(process: psutil.Process) -> float:
 
 
 class _Bench:
-    """A service on a rig that is idle, one with a run begun anew once stopped, one with a run that goes on."""
+    """A service on a rig that is idle, one with a run begun anew once stopped, one whose run goes on."""
 
     def __init__(self, served: Served) -> None:
         self.served = served
