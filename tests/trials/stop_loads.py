@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Callable, Coroutine, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import cache
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from typing import Any
@@ -84,7 +85,7 @@ async def diagnosis(target: Target, heard: Heard, k: int) -> None:
 
 async def large_import(target: Target, heard: Heard, k: int) -> None:
     """Imports a hundred thousand poses."""
-    body = form(poses(100_000, seed=k), f"LARGE-{k}")
+    body = form(poses(100_000, seed=1), f"LARGE-{k}")
     kind = "Content-Type: multipart/form-data; boundary=x-calrig-x"
     await _again_and_again(target, heard, target.request("POST /api/imports", body, kind))
 
@@ -135,6 +136,7 @@ async def listener(target: Target, heard: Heard, k: int) -> None:
     await _again_and_again(target, heard, request)
 
 
+@cache
 def poses(number: int, seed: int) -> bytes:
     """Poses of somebody's own, as a file."""
     rng = random.Random(seed)
@@ -163,6 +165,7 @@ def _clients(connection: Connection, client: Client, number: int, target: Target
         asyncio.get_running_loop().add_reader(connection.fileno(), told.set)
         async with asyncio.TaskGroup() as crowd:
             clients = [crowd.create_task(client(target, heard, k)) for k in range(number)]
+            await asyncio.sleep(0)  # each has begun
             connection.send(None)
             await told.wait()
             for one in clients:
