@@ -29,7 +29,7 @@ WORDS = {
     413: "The body is too large",
     422: "Invalid",
     429: "Too many wrong tokens came from there",
-    503: "The store is full, locked or read-only, or too many uploads are in hand",
+    503: "The store is full, locked or read-only, or too many uploads or event streams are in hand",
 }
 
 

@@ -8,9 +8,11 @@ from collections.abc import Callable
 import uvicorn
 from fastapi import FastAPI
 
-from calrig.api.connections import PatientProtocol
+from calrig.api.connections import ACCEPTED_AT_ONCE, PatientProtocol
 from calrig.api.context import context_of
 
+WAITING = 2048
+"""Connections that may wait to be taken: one beyond them would try again a second later."""
 DRAIN_S = 1
 """How long answers under way may take once the service was told to stop."""
 
@@ -27,6 +29,7 @@ class Server(uvicorn.Server):
                 log_level="warning",
                 access_log=False,
                 timeout_graceful_shutdown=DRAIN_S,
+                backlog=ACCEPTED_AT_ONCE,
                 ws="none",
             )
         )
@@ -36,6 +39,8 @@ class Server(uvicorn.Server):
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Starts, then says so."""
         await super().startup(sockets)
+        for listener in sockets or ():
+            listener.listen(WAITING)  # asyncio takes as many at once as may wait: those are two numbers
         self._on_ready()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
