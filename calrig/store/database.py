@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import cast
+from urllib.parse import unquote
 
 from sqlalchemy import Connection, QueuePool, create_engine, event, make_url
 from sqlalchemy.exc import ArgumentError, StatementError
@@ -25,7 +26,7 @@ BUSY_TIMEOUT_S = 10.0
 
 
 def database_path(url: str) -> Path:
-    """The file that an SQLAlchemy URL names.
+    """The file that an SQLAlchemy URL names; `%3F` in it stands for `?`, and so on.
 
     Raises:
         StoreError: it is not the URL of a SQLite file.
@@ -34,12 +35,14 @@ def database_path(url: str) -> Path:
         parsed = make_url(url)
     except ArgumentError as error:
         raise StoreError(f"{url!r} is neither a path nor an SQLAlchemy URL") from error
-    if parsed.get_backend_name() != "sqlite" or parsed.query:
+    if parsed.get_backend_name() != "sqlite" or parsed.host or "?" in url:
         shown = parsed.render_as_string(hide_password=True)
         raise StoreError(f"{shown}: a store is a SQLite file: name it by its path or as sqlite:///path")
-    if not parsed.database or parsed.database == ":memory:":
+    _, _, quoted = url.partition(":///")  # SQLAlchemy unquotes it from 2.1 on only
+    named = unquote(quoted, errors="surrogateescape")
+    if not named or named == ":memory:":
         raise StoreError(f"{url}: a store in memory would be lost: name a file")
-    return Path(parsed.database).resolve()
+    return Path(named).resolve()
 
 
 class Database:
