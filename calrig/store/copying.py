@@ -23,13 +23,14 @@ def copy_database(database: Path, target: Path) -> None:
             is left behind.
     """
     unfinished = target.with_name(f"{target.name}.unfinished")
-    if target.exists():
+    if os.path.lexists(target):
         raise StoreError(f"{target}: exists and is not overwritten: name another file")
     try:
         unfinished.unlink(missing_ok=True)  # of a copy that was killed
+        file_system.make_private(unfinished)
         _copy(database, unfinished, target)
         _sync(unfinished)
-        if target.exists():
+        if os.path.lexists(target):
             raise StoreError(f"{target}: exists and is not overwritten: name another file")
         unfinished.replace(target)
         _sync(target.parent)

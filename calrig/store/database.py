@@ -6,7 +6,7 @@ import shutil
 import sqlite3
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import cast
 from urllib.parse import unquote
@@ -70,6 +70,10 @@ class Database:
         self._writes = threading.Lock()
         if path.is_dir():
             raise StoreError(f"{path}: is a folder: name a file in it with --db")
+        if path.exists() and not path.is_file():
+            raise StoreError(
+                f"{path}: is not a file but a {file_system.kind_of(path.stat())}: name one with --db"
+            )
         self._engine = create_engine(
             "sqlite://",
             creator=self._connect,
@@ -109,6 +113,11 @@ class Database:
 
     def _prepare_for_writing(self) -> None:
         uri = None
+        try:
+            with suppress(FileExistsError):  # an older one keeps the mode it was given
+                file_system.make_private(self.path)
+        except OSError as error:
+            raise store_error(error, self.path) from error
         if file_system.has_writer(self.path):
             # It died, perhaps with the power: a good moment for damage, which is looked for first.
             uri = file_system.reading_uri(self.path, self._timeout_s)

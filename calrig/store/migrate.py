@@ -7,6 +7,7 @@ without importing Alembic, which is needed only when there is something to do.
 from __future__ import annotations
 
 import contextlib
+import os
 import re
 import sqlite3
 from pathlib import Path
@@ -97,7 +98,7 @@ def upgrade(database: Path, stored: str | None) -> None:
 def _keep_copy(database: Path, head: str) -> Path:
     copy = database.with_name(f"{database.name}.before-{head}.bak")
     number = 1
-    while copy.exists():  # a copy is never overwritten: it may be the only one of another state
+    while os.path.lexists(copy):  # a copy is never overwritten: it may be the only one of another state
         number += 1
         copy = database.with_name(f"{database.name}.before-{head}.{number}.bak")
     try:
