@@ -17,6 +17,7 @@ from sqlmodel import Session
 
 from calrig.store import file_system, migrate
 from calrig.store.checksums import from_json, to_json
+from calrig.store.connecting import connect, is_a_table
 from calrig.store.copying import check_sound
 from calrig.store.errors import StoreError, StoreUnavailableError, Unreadable, damaged, store_error
 from calrig.store.lock import WriterLock
@@ -106,7 +107,9 @@ class Database:
         marks = ", ".join("?" * len(UNFINISHED))
         wanted = f"SELECT DISTINCT rig FROM run WHERE rig IS NOT NULL AND status IN ({marks})"  # noqa: S608
         try:
-            with closing(sqlite3.connect(f"{self._uri}?mode=ro", uri=True, timeout=self._timeout_s)) as file:
+            with closing(connect(f"{self._uri}?mode=ro", self._timeout_s)) as file:
+                if not is_a_table(file, "run"):
+                    return []
                 return [name for (name,) in file.execute(wanted, UNFINISHED)]
         except (sqlite3.Error, UnicodeDecodeError):
             return []
@@ -121,7 +124,7 @@ class Database:
         if file_system.has_writer(self.path):
             # It died, perhaps with the power: a good moment for damage, which is looked for first.
             uri = file_system.reading_uri(self.path, self._timeout_s)
-            with closing(sqlite3.connect(uri, uri=True, timeout=self._timeout_s)) as connection:
+            with closing(connect(uri, self._timeout_s)) as connection:
                 check_sound(connection, self.path)
         stored = migrate.stored_revision(self.path, uri)
         migrate.check_not_newer(self.path, stored)
@@ -149,9 +152,7 @@ class Database:
             )
 
     def _connect(self) -> sqlite3.Connection:
-        connection = sqlite3.connect(
-            self._uri, uri=True, timeout=self._timeout_s, isolation_level=None, check_same_thread=False
-        )
+        connection = connect(self._uri, self._timeout_s, isolation_level=None, check_same_thread=False)
         connection.execute("PRAGMA foreign_keys = ON")
         connection.execute("PRAGMA synchronous = FULL")
         if self._lock:

@@ -8,6 +8,7 @@ import sqlite3
 import stat
 from pathlib import Path
 
+from calrig.store.connecting import connect
 from calrig.store.errors import StoreError, damaged, store_error
 
 NETWORK = frozenset(
@@ -119,7 +120,7 @@ def size_bytes(path: Path) -> int:
 
 
 def _look(path: Path, uri: str, timeout_s: float) -> None:
-    with contextlib.closing(sqlite3.connect(uri, uri=True, timeout=timeout_s)) as connection:
+    with contextlib.closing(connect(uri, timeout_s)) as connection:
         try:
             connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
         except UnicodeDecodeError as error:  # of SQLite's own message, with a table's broken name in it
