@@ -22,7 +22,8 @@ def connect(where: str | Path, timeout_s: float = 5.0, **options: Any) -> sqlite
         timeout_s: how long to wait for another connection's lock.
         options: as `sqlite3.connect` takes them.
     """
-    connection = sqlite3.connect(where, timeout=timeout_s, uri=isinstance(where, str), **options)
+    is_uri = isinstance(where, str)
+    connection: sqlite3.Connection = sqlite3.connect(where, timeout=timeout_s, uri=is_uri, **options)
     connection.execute("PRAGMA trusted_schema = OFF")
     connection.execute("PRAGMA cell_size_check = ON")
     return connection
