@@ -194,12 +194,22 @@ class Database:
             raise damaged(self.path, str(error)) from error
         except UnicodeDecodeError as error:
             raise damaged(self.path, str(error)) from error
+        except UnicodeEncodeError as error:
+            raise self._no_text(error) from error
         except StatementError as error:
+            if isinstance(error.orig, UnicodeEncodeError):
+                raise self._no_text(error.orig) from error
             if isinstance(error.orig, ValueError):
                 raise ValueError(f"cannot be stored: {error.orig}") from error
             raise store_error(error.orig, self.path) from error
         except sqlite3.Error as error:
             raise store_error(error, self.path) from error
+
+    def _no_text(self, error: UnicodeEncodeError) -> StoreError:
+        """The error for a name of another encoding, as a terminal or a folder may have it."""
+        return StoreError(
+            f"{self.path}: keeps UTF-8 text, and {error.object[:60]!a} is none: write it in UTF-8"
+        )
 
     def size(self) -> Size:
         """What the store takes of its disk."""
