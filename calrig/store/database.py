@@ -43,7 +43,14 @@ def database_path(url: str) -> Path:
     named = unquote(quoted, errors="surrogateescape")
     if not named or named == ":memory:":
         raise StoreError(f"{url}: a store in memory would be lost: name a file")
-    return Path(named).resolve()
+    path = Path(named).resolve()
+    try:
+        path.exists()
+    except OSError as error:
+        raise StoreError(
+            f"{path}: cannot be looked at ({error.strerror}): name another file with --db"
+        ) from error
+    return path
 
 
 class Database:

@@ -62,3 +62,9 @@ def test_a_url_is_read_as_sqlalchemy_reads_it(here):
     assert {p.name for p in here.iterdir()} == {"what?.db", "what?.db.lock"}
     with pytest.raises(StoreError, match="a store is a SQLite file"):
         Store.open("sqlite://host/x.db", writer="test")
+
+
+@pytest.mark.parametrize("writer", ["test", None])
+def test_a_name_that_no_file_can_have_is_refused_in_words(here, writer):
+    with pytest.raises(StoreError, match=r"File name too long.*name another"):
+        Store.open(store_url("x" * 300), writer=writer)
