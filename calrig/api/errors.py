@@ -13,7 +13,7 @@ from starlette.responses import JSONResponse
 
 from calrig.analysis.errors import Conflict, Invalid, RunsError, Unknown
 from calrig.api.models import Problem
-from calrig.api.origin_check import HEADERS
+from calrig.api.origin_check import HEADERS, NOT_KEPT
 from calrig.store.errors import NotFound, StoreError, StoreUnavailableError
 
 log = logging.getLogger(__name__)
@@ -68,7 +68,9 @@ async def _store_error(_request: Request, error: Exception) -> JSONResponse:
 
 async def _defect(_request: Request, _error: Exception) -> JSONResponse:
     # This answer is given outside of every middleware, the origin check too.
-    return JSONResponse({"detail": "calrig failed inside; the service's log says where"}, 500, HEADERS)
+    return JSONResponse(
+        {"detail": "calrig failed inside; the service's log says where"}, 500, HEADERS | NOT_KEPT
+    )
 
 
 async def _validation_error(_request: Request, error: Exception) -> JSONResponse:

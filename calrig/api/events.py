@@ -22,7 +22,7 @@ MOST = 400
 """Streams at once, of all runs: they stay for hours, and other requests need connections too."""
 KEEP_ALIVE_S = 12.0
 """How long a stream is silent at most: a comment goes out, so that nothing on the way gives it up."""
-UNBUFFERED = {"Cache-Control": "no-cache", "X-Accel-Buffering": "no"}
+UNBUFFERED = {"X-Accel-Buffering": "no"}
 """A proxy shall pass events on as they come."""
 
 LastEventId = Annotated[

@@ -49,6 +49,10 @@ HEADERS = {
 }
 
 
+NOT_KEPT = {"Cache-Control": "no-store"}
+"""Of all that the API answers: it is for who asked, and true now."""
+
+
 class OriginCheck:
     """ASGI middleware that refuses what must not come in; the rest passes with every answer's headers set."""
 
@@ -64,7 +68,10 @@ class OriginCheck:
 
         async def with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
-                MutableHeaders(scope=message).update(HEADERS)
+                headers = MutableHeaders(scope=message)
+                headers.update(HEADERS)
+                if scope["path"].startswith("/api/"):
+                    headers.update(NOT_KEPT)
             await send(message)
 
         asked = HTTPConnection(scope)

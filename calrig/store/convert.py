@@ -9,7 +9,7 @@ import zipfile
 import zlib
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any, cast, get_args
 
 import numpy as np
 from sqlmodel import Session
@@ -37,6 +37,8 @@ FIGURES = (
 _ARRAYS = ("time_s", "accel_g", "gyro_dps", "temperature_c")
 _ANGLE = "angle_deg"
 """Packed only where the board sends it."""
+LARGEST_BLOCK = 500_000_000
+"""Bytes of it unpacked: a quarter of an hour at 8 kHz."""
 
 
 def run_number(run_id: str) -> int | None:
@@ -56,8 +58,18 @@ def run_row(session: Session, run_id: str) -> RunTable:
     return row
 
 
+def check_texts(values: Iterable[object], what: str) -> None:
+    """Raises Unreadable where bytes stand in the place of text: SQLite keeps anything in any column."""
+    if not all(value is None or isinstance(value, str) for value in values):
+        raise Unreadable(f"{what} is not what was stored: there is no text where some belongs")
+
+
 def run_of(row: RunTable) -> Run:
     """The run of a row."""
+    texts = (row.unit, row.rig, row.kind, row.status, row.operator, row.note, row.voided_reason, row.error)
+    check_texts(texts, f"run {row.id}")
+    if row.status not in get_args(Status):
+        raise Unreadable(f"run {row.id} is not what was stored: there is no status {row.status[:40]!r}")
     voided: Voided | None = None
     if row.voided_reason is not None and row.voided_at is not None:
         voided = {"reason": row.voided_reason, "at": row.voided_at}
@@ -152,9 +164,17 @@ def unpacked_block(blob: bytes) -> RawSamples:
 def _unpacked(blob: bytes) -> dict[str, np.ndarray[Any, Any]]:
     """The arrays of one block; the npz has a CRC-32 for each."""
     try:
-        with np.load(io.BytesIO(blob), allow_pickle=False) as arrays:
-            return {name: arrays[name] for name in (*_ARRAYS, *({_ANGLE} & set(arrays.files)))}
+        with zipfile.ZipFile(io.BytesIO(blob)) as archive:
+            n_bytes = sum(member.file_size for member in archive.infolist())
+        if n_bytes > LARGEST_BLOCK:
+            raise ValueError(f"they would be {n_bytes} bytes, more than any move or dwell has")
+        with np.load(io.BytesIO(blob), allow_pickle=False) as packed:
+            arrays = {name: packed[name] for name in (*_ARRAYS, *({_ANGLE} & set(packed.files)))}
+        _check_shapes(arrays)
+        return arrays
     except (
+        TypeError,
+        MemoryError,
         zipfile.BadZipFile,
         zlib.error,
         ValueError,
@@ -164,3 +184,11 @@ def _unpacked(blob: bytes) -> dict[str, np.ndarray[Any, Any]]:
         NotImplementedError,
     ) as error:
         raise Unreadable(f"raw samples cannot be unpacked any more: {error}") from error
+
+
+def _check_shapes(arrays: dict[str, np.ndarray[Any, Any]]) -> None:
+    n = arrays["time_s"].size
+    for name, array in arrays.items():
+        shape = (n, 3) if name in {"accel_g", "gyro_dps"} else (n,)
+        if array.shape != shape or array.dtype.kind != "f":
+            raise ValueError(f"{name} has the shape {array.shape} and the type {array.dtype.kind}")

@@ -86,9 +86,13 @@ class Poses(Part):
         with self._database.reading() as session:
             run = run_row(session, run_id)
             wanted = select(PoseTable).where(PoseTable.run_id == run.id).order_by(col(PoseTable.pose_index))
-            filtering = filtering_of(run.provenance, run.plan)
+            try:
+                filtering = filtering_of(run.provenance, run.plan)
+                n_stored = int(run.progress.get("poses_done", 0))
+            except (TypeError, ValueError, AttributeError, OverflowError) as error:
+                raise Unreadable(f"the documents of run {run_id} are not what was stored: {error}") from error
             found = [pose_of(pose, filtering) for pose in session.exec(wanted)]
-            missing = run.progress.get("poses_done", 0) - len(found)
+            missing = n_stored - len(found)
             if missing > 0:  # their number is stored with them, in the same transaction
                 raise Unreadable(f"{missing} poses of run {run_id} are missing")
             return [pose for pose in found if include_excluded or pose.excluded is None]

@@ -10,7 +10,8 @@ from typing import Self
 from calrig.instruments.boards.calrig.mark import Mark
 from calrig.instruments.boards.calrig.packets import ACKNOWLEDGE, BAUDRATE, IDENTITY, SAMPLES, PacketDecoder
 from calrig.instruments.boards.calrig.sample_stream import SampleStream
-from calrig.instruments.boards.calrig.words import USELESS, read_identity, why_none, why_useless
+from calrig.instruments.boards.calrig.words import USELESS, read_identity, text_of, why_none, why_useless
+from calrig.instruments.boards.reader import reader
 from calrig.instruments.errors import BoardError, InstrumentError, PortError
 from calrig.instruments.ports import Port, open_port
 from calrig.instruments.types import BoardIdentity, Samples
@@ -65,7 +66,8 @@ class CalrigBoard:
         self._may_be_late = False  # whether samples were ever held up on their way since `start`
         self._is_reset = self._awaits_start = False
         self._faults_then: Counter[str] = Counter()
-        self._reader = self._clock.thread(self._listen, f"reader of {self._name}")
+        read = reader(self._listen, self._fail, self._name)
+        self._reader = self._clock.thread(read, f"reader of {self._name}")
         self._reader.start()
 
     @classmethod
@@ -89,7 +91,7 @@ class CalrigBoard:
                 self._news.wait_for(lambda: self._identity or self._failure, ASK_AGAIN_S)
                 self._raise_failure()
             if self._identity is None:
-                why = why_none(self._last_words, self._n_bytes)
+                why = why_none(self._last_words, self._n_bytes, self._decoder.overlong)
                 raise BoardError(f"{self._name} sent no identity in {IDENTIFY_S:g} s: {why}")
             self.faults.clear()
             self._last_words = ""
@@ -186,15 +188,14 @@ class CalrigBoard:
     def _listen(self) -> None:
         data = b""
         while not self._closing.wait(READ_EVERY_S if len(data) < BACKLOG_BYTES else 0.0):
-            try:
-                data = self._port.read(65536)
-                if data:
-                    self._digest(data)
-            except InstrumentError as error:
-                with self._news:
-                    self._failure = error
-                    self._news.notify_all()
-                return
+            data = self._port.read(65536)
+            if data:
+                self._digest(data)
+
+    def _fail(self, error: InstrumentError) -> None:
+        with self._news:
+            self._failure = error
+            self._news.notify_all()
 
     def _digest(self, data: bytes) -> None:
         with self._news:
@@ -223,13 +224,12 @@ class CalrigBoard:
             self._faults_then = self.faults.copy()
 
     def _listen_to(self, kind: int, payload: bytes) -> None:
-        text = payload.decode("utf-8", "replace")
         if kind == IDENTITY:
-            self._meet(text)
+            self._meet(payload.decode("utf-8", "replace"))
         elif kind == ACKNOWLEDGE:
-            self._follow(text)
+            self._follow(payload.decode("utf-8", "replace"))
         else:
-            self._last_words = text
+            self._last_words = text = text_of(payload)
             if self._start_line is not None:
                 self.faults["board_error"] += 1
             elif self._asked.startswith("START"):
