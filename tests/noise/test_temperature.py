@@ -88,6 +88,27 @@ def test_the_slope_lies_within_twice_its_error_as_often_as_that_means(kind):
     assert sum(abs(off_in_errors(kind, seed)) < 2 for seed in range(40)) >= 34
 
 
+def test_the_error_is_that_of_the_noise_however_steep_the_slope():
+    """What the temperature explains is no noise: a channel that follows it as well has the same error."""
+    rng = np.random.default_rng(3)
+    noise, warmth = np.cumsum(rng.standard_normal(N)) / 200 + rng.standard_normal(N), warm_up()
+    alone, sloping = (temperature_of(noise + slope * warmth, warmth, *WHOLE) for slope in (0.0, 30.0))
+    assert sloping.std == pytest.approx(alone.std, rel=1e-6)
+    assert sloping.per_c - alone.per_c == pytest.approx(30.0)
+
+
+def test_a_log_told_in_pieces_has_the_error_of_the_whole_and_a_gap_counts_as_time():
+    """Noise that wanders correlates by when it was measured, not by the sample's number."""
+    rng = np.random.default_rng(4)
+    wandering, warmth = np.cumsum(rng.standard_normal(N)) / 200, 25.0 + 3.0 * np.sin(np.linspace(0, 40, N))
+    halves, half_s = [slice(0, N // 2), slice(N // 2, N)], N / 2 / 100.0
+    whole = temperature_of(wandering, warmth, *WHOLE)
+    in_two = temperature_of(wandering, warmth, 100.0, halves, [0.0, half_s])
+    hours_later = temperature_of(wandering, warmth, 100.0, halves, [0.0, half_s + 36_000.0])
+    assert in_two.std == pytest.approx(whole.std, rel=1e-9)
+    assert hours_later.std != pytest.approx(whole.std, rel=0.05)
+
+
 def test_the_noise_of_a_thermometer_is_no_temperature():
     rng = np.random.default_rng(2)
     assert temperature_of(rng.standard_normal(N), 25.0 + 40.0 * rng.standard_normal(N), *WHOLE) is None
