@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
+from scipy.linalg import null_space
 from scipy.signal import lfilter
+from scipy.stats import multivariate_normal
 from support import DATA
 
 from calrig.export.static_csv import read_static
@@ -95,6 +99,28 @@ def test_the_error_is_that_of_the_noise_however_steep_the_slope():
     alone, sloping = (temperature_of(noise + slope * warmth, warmth, *WHOLE) for slope in (0.0, 30.0))
     assert sloping.std == pytest.approx(alone.std, rel=1e-6)
     assert sloping.per_c - alone.per_c == pytest.approx(30.0)
+
+
+def test_the_error_is_that_of_the_likelihood_of_error_contrasts():
+    """What no slope and no offset changes tells the noise (Patterson & Thompson, Biometrika 58, 1971)."""
+    rng = np.random.default_rng(6)
+    noise = lfilter([1.0], [1.0, -0.999], rng.standard_normal(N)) + rng.normal(0.0, 20.0, N)
+    celsius = 25.0 + 3.0 * np.sin(np.linspace(0.0, 12.0, N))
+    bounds = np.linspace(0, N, 65).astype(int)
+    mean, warmth = (np.array([part.mean() for part in np.split(x, bounds[1:-1])]) for x in (noise, celsius))
+    fitted = np.stack([np.ones(64), warmth], axis=1)
+    contrasts, weights = null_space(fitted.T), np.linalg.pinv(fitted)[1]
+    apart = np.abs(np.subtract.outer(np.arange(64), np.arange(64)))
+    likelihood, variance = [], []
+    for share, time in product(10.0 ** np.arange(-6, 5), 2.0 ** np.arange(0.0, 11.0, 1.5)):
+        covariance = np.eye(64) + share * time * np.exp(-apart / time)
+        of_contrasts, seen = contrasts.T @ covariance @ contrasts, contrasts.T @ mean
+        scale = seen @ np.linalg.solve(of_contrasts, seen) / 62
+        likelihood.append(multivariate_normal(cov=scale * of_contrasts).logpdf(seen))
+        variance.append(scale * weights @ covariance @ weights)
+    expected = np.average(variance, weights=np.exp(np.array(likelihood) - max(likelihood)))
+    told = temperature_of(noise, celsius, *WHOLE)
+    assert told.std == pytest.approx(np.sqrt(expected), rel=1e-3)
 
 
 def test_a_log_told_in_pieces_has_the_error_of_the_whole_and_a_gap_counts_as_time():
