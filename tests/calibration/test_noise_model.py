@@ -61,7 +61,7 @@ def test_the_coefficients_are_those_of_generalised_least_squares() -> None:
 
 
 def test_the_correlation_found_is_that_within_the_runs() -> None:
-    """A thousand short runs: across their ends there is none, and a third of all steps goes across."""
-    r = runs_of_correlated_noise((3,) * 1000, seed=1)
+    """Three hundred short runs: across their ends there is none, and a third of all steps goes across."""
+    r = runs_of_correlated_noise((3,) * 300, seed=1)
     (rho,) = noise_of(r.values - r.values.mean(axis=0), r, 1.0).rho
     assert rho == pytest.approx(RHO, abs=0.1)
