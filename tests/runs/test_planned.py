@@ -25,13 +25,11 @@ def test_the_duration_is_that_of_the_run(slow, serve):
         assert run.status == "completed", run.error
         return run
 
-    done(
-        plan(elevations_deg=[5, 0], order="given", rate_hz=20)
-    )  # tells how fast the stage is, and leaves it at home
+    done(plan(elevations_deg=[5, 0], order="given", rate_hz=20))  # tells the stage's speed; it ends at home
     for chosen in (
-        plan(elevations_deg=[-30, 20, 0], order="given", sweeps=2, wait_s=3.0, rate_hz=20),
-        plan(elevations_deg=[-20, 0], order="given", velocity_dps=4.0, rate_hz=20),
-        plan(elevations_deg=[40], kind="static", dwell_s=5.0, rate_hz=20),
+        plan(elevations_deg=[-10, 10, 0], order="given", sweeps=2, wait_s=2.0, rate_hz=20),
+        plan(elevations_deg=[-8, 0], order="given", velocity_dps=4.0, rate_hz=20),
+        plan(elevations_deg=[10], kind="static", dwell_s=3.0, rate_hz=20),
     ):
         expected, began_s = estimate(chosen, slow.settings, service.store), CLOCK.now_s()
         run = done(chosen)
