@@ -115,7 +115,7 @@ def test_a_move_that_was_taken_for_another_is_stopped(controller, referenced):
     assert controller.commands()[-1] == "1ST"
 
 
-def test_a_controller_that_does_not_tell_its_target_is_believed(controller, referenced):
+def test_a_controller_that_does_not_tell_its_target_is_accepted(controller, referenced):
     del controller.replies["1PA?"]
     referenced.move(10)
     referenced.move(20)

@@ -126,7 +126,7 @@ def test_a_move_that_was_taken_as_sent_is_no_refusal_whatever_a_damaged_letter_s
     assert sent(controller, "(PA|ST)") == ["1PA10"]
 
 
-def test_a_controller_that_does_not_tell_its_target_is_believed(controller, stage):
+def test_a_controller_that_does_not_tell_its_target_is_accepted(controller, stage):
     controller.state = "33"
     controller.unknown = {"PA?"}
     stage.move(10)
@@ -134,14 +134,14 @@ def test_a_controller_that_does_not_tell_its_target_is_believed(controller, stag
     assert sent(controller, "PA") == ["1PA10", "1PA20"]
 
 
-def test_a_controller_that_tells_its_place_for_its_target_is_believed(controller, stage):
+def test_a_controller_that_tells_its_place_for_its_target_is_accepted(controller, stage):
     controller.state, controller.position = "28", "0.2"
     controller.say["PA?"] = [b"1PA0.2\r\n"] * 3
     stage.move(10)
     assert sent(controller, "(PA|ST)") == ["1PA10"]
 
 
-def test_limits_are_believed_when_they_came_twice_alike(controller, stage):
+def test_limits_are_accepted_when_they_came_twice_alike(controller, stage):
     controller.say["SL?"] = [b"1SL-160\r\n"]
     assert stage.identify().limits_deg == (-120.0, 130.5)
 

@@ -72,7 +72,7 @@ def test_it_recovers_from_a_damaged_reply_within_one_command(controller, stage, 
     assert stage.position_deg() == -7.125
 
 
-def test_a_misread_digit_is_not_believed(controller, stage):
+def test_a_misread_digit_is_not_accepted(controller, stage):
     controller.state, controller.position = "33", "12.3"
     controller.say["TP"] = [b"1TP17.3\r\n"]
     assert stage.position_deg() == 12.3
@@ -86,7 +86,7 @@ def test_a_position_that_never_agrees_fails_in_words(controller, stage):
 
 
 @pytest.mark.parametrize("reply", [b"1TS0000ZZ\r\n", b"1TS000077\r\n", b"1TS33\r\n", b"garbage\r\n"])
-def test_a_state_that_does_not_exist_is_not_believed(controller, stage, reply):
+def test_a_state_that_does_not_exist_is_not_accepted(controller, stage, reply):
     controller.say["TS"] = [reply] * 4
     with pytest.raises(StageError, match=r"does not answer TS .*(unparsed|late_reply)"):
         stage.status()
