@@ -1,4 +1,4 @@
-"""What a diagnosis costs in processor time: `OPENBLAS_NUM_THREADS=1 pytest tests/benchmarks/test_diagnosis.py`.
+"""Processor time of a diagnosis: `OPENBLAS_NUM_THREADS=1 pytest tests/benchmarks/test_diagnosis.py`.
 
 Aims: 100 poses named with 999 bootstraps 0.6 s, with cross-fitting 3 s, 400 poses named 4 s.
 """
