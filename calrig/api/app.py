@@ -25,6 +25,7 @@ from calrig.api import (
     metrics,
     noise,
     pages,
+    plans,
     runs,
     units,
 )
@@ -39,6 +40,7 @@ from calrig.settings import packed
 
 PARTS = (
     runs,
+    plans,
     diagnoses,
     effects,
     events,

@@ -8,16 +8,17 @@ from dataclasses import replace
 from pathlib import Path
 
 from calrig.analysis.active_calibration import active_calibration
-from calrig.analysis.errors import Conflict, Invalid, Unknown
+from calrig.analysis.errors import Conflict, Unknown
 from calrig.analysis.origin import check_serial, provenance
 from calrig.analysis.stored_runs import stored_run
 from calrig.analysis.unresolved import unresolved
 from calrig.instruments.errors import InstrumentError
-from calrig.plan import Plan, PlanError
+from calrig.plan import Plan
 from calrig.runs.bus import Bus
 from calrig.runs.control import End
 from calrig.runs.follow_up import FollowUpRun
 from calrig.runs.meter import Meter
+from calrig.runs.planned import planned_poses
 from calrig.runs.resume import resumed_task
 from calrig.runs.rig import stop_stage
 from calrig.runs.rig_states import RigState, state_of
@@ -115,10 +116,7 @@ class RunService:
         follow_up: FollowUpRun | None = None,
         stage_at_deg: float | None = None,
     ) -> Run:
-        try:
-            planned = plan.poses(settings.limits_deg)
-        except PlanError as error:
-            raise Invalid(f"rig {settings.name!r}: {error}") from error
+        planned = planned_poses(plan, settings)
         verifies = None
         if plan.kind == "verification":
             verifies = active_calibration(self.store, unit, settings.name)
@@ -286,9 +284,9 @@ class RunService:
         parts = [part for rig in self._rigs.values() for part in (rig.stage, rig.imu)]
         return [part.port for part in parts if part is not None]
 
-    def known_rig(self, name: str) -> None:
-        """Raises Unknown where no such rig is configured."""
-        self._rig(name)
+    def known_rig(self, name: str | None) -> RigSettings:
+        """A rig's settings, those of the first one without a name; Unknown where no such is configured."""
+        return self._rig(name)
 
     def _rig(self, name: str | None) -> RigSettings:
         if name is None:

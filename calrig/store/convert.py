@@ -7,7 +7,7 @@ import io
 import re
 import zipfile
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any, cast, get_args
 
@@ -22,17 +22,7 @@ from calrig.store.tables import CalibrationTable, PoseTable, RunTable
 
 _POSE_FIELDS = tuple(field.name for field in dataclasses.fields(Pose) if field.name != "filtering")
 _NUMBERS = tuple(name for name in _POSE_FIELDS if name != "covariates")
-FIGURES = (
-    "bias_deg",
-    "bias_std_deg",
-    "scale",
-    "scale_std",
-    "rms_raw_deg",
-    "rms_calibrated_deg",
-    "rms_with_effects_deg",
-    "temperature_min_c",
-    "temperature_max_c",
-)
+FIGURES = tuple(name for name in CalibrationTable.model_fields if name not in {"run_id", "crc32"})
 """The columns of a result in comparisons."""
 _ARRAYS = ("time_s", "accel_g", "gyro_dps", "temperature_c")
 _ANGLE = "angle_deg"
@@ -98,20 +88,18 @@ def run_of(row: RunTable) -> Run:
 def figures_of(run_id: int, result: dict[str, Any]) -> CalibrationTable:
     """The row that stands for a result in comparisons."""
     temperature = result.get("temperature_c") or {}
-    figures = CalibrationTable(
-        run_id=run_id,
-        bias_deg=result["bias_deg"],
-        bias_std_deg=result.get("bias_std_deg"),
-        scale=result.get("scale"),
-        scale_std=result.get("scale_std"),
-        rms_raw_deg=result["rms_raw_deg"],
-        rms_calibrated_deg=result["rms_calibrated_deg"],
-        rms_with_effects_deg=result.get("rms_with_effects_deg"),
-        temperature_min_c=temperature.get("min"),
-        temperature_max_c=temperature.get("max"),
-    )
+    part = result | {f"temperature_{end}_c": temperature.get(end) for end in ("min", "max")}
+    columns: dict[str, Any] = {name: part.get(name) for name in FIGURES}
+    figures = CalibrationTable(run_id=run_id, **columns)
     figures.crc32 = checksums.of_numbers(getattr(figures, name) for name in FIGURES)
     return figures
+
+
+def result_part(figures: Sequence[float | None]) -> dict[str, Any]:
+    """The part of a result that such a row holds, from its columns in the order of `FIGURES`."""
+    part: dict[str, Any] = dict(zip(FIGURES, figures, strict=True))
+    extremes = {end: part.pop(f"temperature_{end}_c") for end in ("min", "max")}
+    return part | {"temperature_c": extremes}
 
 
 def pose_values(run_id: int, index: int, pose: Pose) -> dict[str, Any]:

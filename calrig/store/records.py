@@ -168,21 +168,16 @@ class Unit:
 
 
 class ComparisonRow(NamedTuple):
-    """The figures of one completed, not voided calibration of one unit; a tuple, for there are thousands."""
+    """One completed, not voided calibration of one unit; a tuple, for there are thousands.
+
+    `result` holds the figures of the run's result that `tables.CalibrationTable` has, named as there.
+    """
 
     unit: str
     run_id: str
     rig: str | None
     finished_at: datetime
-    bias_deg: float
-    bias_std_deg: float | None
-    scale: float | None
-    scale_std: float | None
-    rms_raw_deg: float
-    rms_calibrated_deg: float | None
-    rms_with_effects_deg: float | None
-    temperature_min_c: float | None
-    temperature_max_c: float | None
+    result: Document
 
 
 @dataclass(frozen=True, slots=True)

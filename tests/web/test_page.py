@@ -137,6 +137,7 @@ def test_a_plan_beyond_the_limits_is_refused_beside_the_button_and_nothing_start
     go("#/")
     page.fill("#unit", "REFUSED")
     page.fill("#stop_deg", "120")
+    expect(page.locator("#plan-summary")).to_contain_text("soft limits")
     page.click("#start")
     expect(page.locator("#start-error")).to_contain_text("soft limits")
     page.fill("#stop_deg", "60")

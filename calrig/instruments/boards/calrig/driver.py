@@ -54,7 +54,7 @@ class CalrigBoard:
         self._identity: BoardIdentity | None = None
         self._stream: SampleStream | None = None
         self._start_line: str | None = None  # what it acknowledged; None again once told to stop
-        self._streaming = False  # whether samples are believed: from the acknowledge of START to that of STOP
+        self._streaming = False  # whether samples are accepted: from the acknowledge of START to that of STOP
         self._period_s = 0.0
         self._asked = ""
         self._answer: tuple[int, str] | None = None

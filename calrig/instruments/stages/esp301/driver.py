@@ -3,7 +3,7 @@
 Its replies are bare numbers that do not say what they answer. So after every query a fence is sent, `VE?` or
 `1ID?` in turn, whose text was learned when the controller was first asked: replies come in order, so exactly
 one number before the fence is the answer, and none or two are damage, after which the query is asked again.
-A digit that was damaged looks like any other: what matters is believed when it was said twice (`readback`).
+A damaged digit looks like any other: what matters is accepted when two readbacks agree (`readback`).
 
 Nothing tells whether the stage was homed since power came on. It counts as not referenced until this driver
 has homed it, in the way that the stage itself is set up for (`OM`).
