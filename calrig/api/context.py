@@ -11,6 +11,7 @@ from fastapi import Depends, FastAPI, Request
 from calrig.analysis.amendments import Records
 from calrig.analysis.diagnoses import Diagnoses
 from calrig.analysis.errors import Unknown
+from calrig.processes.pool import Processes
 from calrig.runs.service import RunService
 from calrig.store import Run, Store, Unit
 
@@ -46,11 +47,12 @@ class Streams:
 
 @dataclass(frozen=True)
 class ApiContext:
-    """The service behind the API, its store to read from, and the event streams that are open."""
+    """The service behind the API, its store to read from, open event streams, processes for heavy work."""
 
     service: RunService
     store: Store
     streams: Streams = field(default_factory=Streams)
+    processes: Processes = field(default_factory=Processes)
 
     @property
     def diagnoses(self) -> Diagnoses:

@@ -93,6 +93,13 @@ class Poses(Part):
                 raise Unreadable(f"{missing} poses of run {run_id} are missing")
             return [pose for pose in found if include_excluded or pose.excluded is None]
 
+    def count_poses(self, run_id: str) -> int:
+        """How many poses of a run count."""
+        with self._database.reading() as session:
+            run = run_row(session, run_id)
+            counting = (PoseTable.run_id == run.id, col(PoseTable.excluded_reason).is_(None))
+            return session.exec(select(func.count()).select_from(PoseTable).where(*counting)).one()
+
     def exclude_pose(self, run_id: str, index: int, reason: str, *, result: Document | None) -> Run:
         """Marks a pose as not counting and replaces the run's result; the pose is kept.
 
