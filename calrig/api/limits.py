@@ -8,9 +8,14 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
+from contextlib import ExitStack, asynccontextmanager
+from pathlib import Path
+from shutil import copyfileobj
+from tempfile import NamedTemporaryFile, gettempdir
 from typing import Annotated
 
 from fastapi import Depends, UploadFile
+from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -155,6 +160,24 @@ def name_of(file: UploadFile) -> str:
     """The name that a client gave its file, as a text to be shown: it is never a path of this machine."""
     name = file.filename or "upload"
     return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in name[:LONGEST_NAME])
+
+
+@asynccontextmanager
+async def on_disk(file: UploadFile) -> AsyncIterator[Path]:
+    """An upload as a file that another process can read, for as long as the block lasts.
+
+    Raises:
+        HTTPException: there is no room for it.
+    """
+    with ExitStack() as stack:
+        try:
+            copy = stack.enter_context(NamedTemporaryFile(prefix="calrig-"))
+            await run_in_threadpool(copyfileobj, file.file, copy)
+            copy.flush()
+        except OSError as error:
+            reason = f"{gettempdir()}: an upload cannot be laid there ({error.strerror}): make room there"
+            raise HTTPException(503, reason) from error
+        yield Path(copy.name)
 
 
 async def _turn() -> AsyncIterator[None]:
