@@ -9,7 +9,7 @@ from calrig.analysis.errors import Invalid
 from calrig.api.context import Context
 from calrig.api.errors import problems
 from calrig.api.heavy import Heavy
-from calrig.api.limits import UPLOAD_BYTES, name_of, on_disk
+from calrig.api.limits import UPLOAD_BYTES, copied, name_of, on_disk
 from calrig.api.models import RunAnswer
 from calrig.export.cells import CsvError
 from calrig.store import Run
@@ -35,7 +35,7 @@ async def import_poses(
 ) -> Run:
     """A bad file is 422, names line and column, and stores nothing."""
     rig, name = rig or None, name_of(file)
-    async with on_disk(file) as path:
+    async with on_disk(copied(file)) as path:
         question = await run_in_threadpool(context.records.question, unit, rig, path)
         try:
             imported = await heavy(question)

@@ -7,12 +7,13 @@ comes too slowly is 408, one upload too many 503, and a body that FastAPI found 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import ExitStack, asynccontextmanager
+from functools import partial
 from pathlib import Path
 from shutil import copyfileobj
 from tempfile import NamedTemporaryFile, gettempdir
-from typing import Annotated
+from typing import Annotated, BinaryIO
 
 from fastapi import Depends, UploadFile
 from starlette.concurrency import run_in_threadpool
@@ -163,21 +164,29 @@ def name_of(file: UploadFile) -> str:
 
 
 @asynccontextmanager
-async def on_disk(file: UploadFile) -> AsyncIterator[Path]:
-    """An upload as a file that another process can read, for as long as the block lasts.
+async def on_disk(write: Callable[[BinaryIO], object]) -> AsyncIterator[Path]:
+    """A file that another process can read, for as long as the block lasts.
+
+    Args:
+        write: fills it, in a thread.
 
     Raises:
         HTTPException: there is no room for it.
     """
     with ExitStack() as stack:
         try:
-            copy = stack.enter_context(NamedTemporaryFile(prefix="calrig-"))
-            await run_in_threadpool(copyfileobj, file.file, copy)
-            copy.flush()
+            file = stack.enter_context(NamedTemporaryFile(prefix="calrig-"))
+            await run_in_threadpool(write, file)
+            file.flush()
         except OSError as error:
-            reason = f"{gettempdir()}: an upload cannot be laid there ({error.strerror}): make room there"
+            reason = f"{gettempdir()}: a file cannot be laid there ({error.strerror}): make room there"
             raise HTTPException(503, reason) from error
-        yield Path(copy.name)
+        yield Path(file.name)
+
+
+def copied(upload: UploadFile) -> Callable[[BinaryIO], None]:
+    """Fills a file with an upload."""
+    return partial(copyfileobj, upload.file)
 
 
 async def _turn() -> AsyncIterator[None]:
