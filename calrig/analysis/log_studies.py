@@ -5,7 +5,7 @@ What computes is imported where it is used: the process that only asks needs no 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -61,7 +61,7 @@ def study_samples(study: Study, path: Path, names: Sequence[str], gyro_scale: fl
 
 
 def _noise(
-    channels: Mapping[str, FloatArray],
+    channels: dict[str, FloatArray],
     time_s: FloatArray | None,
     rate_hz: float | None = None,
     warnings: Sequence[str] = (),
@@ -75,7 +75,7 @@ def _noise(
 
 
 def _filters(
-    channels: Mapping[str, FloatArray],
+    channels: dict[str, FloatArray],
     time_s: FloatArray | None,
     rate_hz: float | None = None,
     gyro_scale: float = 1.0,

@@ -13,9 +13,9 @@ from functools import partial
 from pathlib import Path
 from shutil import copyfileobj
 from tempfile import NamedTemporaryFile, gettempdir
-from typing import Annotated, BinaryIO
+from typing import BinaryIO
 
-from fastapi import Depends, UploadFile
+from fastapi import UploadFile
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse
@@ -176,7 +176,7 @@ async def on_disk(write: Callable[[BinaryIO], object]) -> AsyncIterator[Path]:
     with ExitStack() as stack:
         try:
             file = stack.enter_context(NamedTemporaryFile(prefix="calrig-"))
-            await run_in_threadpool(write, file)
+            await run_in_threadpool(write, file.file)
             file.flush()
         except OSError as error:
             reason = f"{gettempdir()}: a file cannot be laid there ({error.strerror}): make room there"
@@ -187,11 +187,3 @@ async def on_disk(write: Callable[[BinaryIO], object]) -> AsyncIterator[Path]:
 def copied(upload: UploadFile) -> Callable[[BinaryIO], None]:
     """Fills a file with an upload."""
     return partial(copyfileobj, upload.file)
-
-
-async def _turn() -> AsyncIterator[None]:
-    yield
-
-
-Turn = Annotated[None, Depends(_turn, scope="function", max_concurrency=1)]
-"""For what takes much memory: one at a time. Those that wait hold no thread, and their files lie on disk."""

@@ -7,7 +7,7 @@ import io
 import itertools
 import math
 from array import array
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import overload
 
@@ -15,7 +15,15 @@ from calrig.calibration.pose import COLUMNS, INTEGER, REQUIRED, Pose
 from calrig.export.cells import Cells, CsvError, for_spreadsheet
 from calrig.export.csv_table import read_tables
 
-__all__ = ["CsvError", "ImportedPoses", "PoseColumns", "read_pose_columns", "read_poses", "write_poses"]
+__all__ = [
+    "CsvError",
+    "ImportedPoses",
+    "PoseColumns",
+    "read_pose_columns",
+    "read_poses",
+    "write_pose_batches",
+    "write_poses",
+]
 
 MAX_COUNT = 2**53
 """The largest whole number that a float holds exactly."""
@@ -101,15 +109,28 @@ def read_pose_columns(data: bytes) -> tuple[PoseColumns, list[str]]:
 
 def write_poses(poses: Sequence[Pose]) -> str:
     """The poses as CSV that `read_poses` reads back exactly; a column known in no pose is left out."""
-    names = dict.fromkeys([*COLUMNS, *(name for pose in poses for name in pose.covariates)])
-    known = {name for pose in poses for name, value in pose.row().items() if value is not None}
-    kept = [name for name in names if name in REQUIRED or name in known]
+    return "".join(write_pose_batches(lambda: [poses]))
+
+
+def write_pose_batches(batches: Callable[[], Iterable[Iterable[Pose]]]) -> Iterator[str]:
+    """The same, piece by piece, the header first.
+
+    Args:
+        batches: the poses, some at a time; asked twice, since the header tells what all of them know.
+    """
+    names, known = dict.fromkeys(COLUMNS), set(REQUIRED)
+    for pose in itertools.chain.from_iterable(batches()):
+        names.update(dict.fromkeys(pose.covariates))
+        known.update(name for name, value in pose.row().items() if value is not None)
+    kept = [name for name in names if name in known]
+    yield _rows([[for_spreadsheet(name) for name in kept]])
+    for batch in batches():
+        yield _rows([_text(row.get(name)) for name in kept] for row in map(Pose.row, batch))
+
+
+def _rows(cells: Iterable[Iterable[str]]) -> str:
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(for_spreadsheet(name) for name in kept)
-    for pose in poses:
-        row = pose.row()
-        writer.writerow(_text(row.get(name)) for name in kept)
+    csv.writer(text, lineterminator="\n").writerows(cells)
     return text.getvalue()
 
 
