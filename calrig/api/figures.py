@@ -59,10 +59,7 @@ def _timeline(context: ApiContext, run: Run) -> figures.Figure:
         for stored in batch
         if stored.pose.time_s is not None
     ]
-    time_s, stage_deg, reading_deg = (
-        (list(column) for column in zip(*rows, strict=True)) if rows else ([],) * 3
-    )
-    return figures.timeline(time_s, stage_deg, reading_deg)
+    return figures.timeline(*([row[place] for row in rows] for place in range(3)))
 
 
 def _readings(context: ApiContext, run_id: str) -> Iterator[dict[str, Any]]:

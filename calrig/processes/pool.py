@@ -58,10 +58,10 @@ class Processes:
     def __init__(
         self, slots: int | None = None, *, most_bytes: int | None = None, longest_s: float = LONGEST_S
     ) -> None:
-        self._slots = slots or max(1, (os.cpu_count() or 1) - 1)
-        self._most_bytes = most_bytes or min(MOST_BYTES, _machine_bytes() // (2 * self._slots))
+        self.slots = slots or max(1, (os.cpu_count() or 1) - 1)
+        self._most_bytes = most_bytes or min(MOST_BYTES, _machine_bytes() // (2 * self.slots))
         self._longest_s = longest_s
-        self._free = asyncio.Semaphore(self._slots)
+        self._free = asyncio.Semaphore(self.slots)
         self._idle: list[Process] = []
         self._in_hand = 0
 
@@ -76,7 +76,7 @@ class Processes:
             WorkTooLarge: it took too much memory or time.
             WorkLost: its process was killed.
         """
-        if self._in_hand >= self._slots + MOST_WAITING:
+        if self._in_hand >= self.slots + MOST_WAITING:
             raise WorkRefused(
                 f"{self._in_hand} diagnoses, imports and studies are in hand or waiting: try again later"
             )
