@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, BinaryIO
+from typing import IO, TYPE_CHECKING
 
 import numpy as np
 
@@ -27,7 +27,7 @@ def require_static(run: Run) -> None:
         )
 
 
-def lay_samples(store: Store, run_id: str, file: BinaryIO) -> None:
+def lay_samples(store: Store, run_id: str, file: IO[bytes]) -> None:
     """Writes a run's samples as rows of float64, `NAMES` across; some at a time, however many they are.
 
     Raises:

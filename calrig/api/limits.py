@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from shutil import copyfileobj
 from tempfile import NamedTemporaryFile, gettempdir
-from typing import BinaryIO
+from typing import IO
 
 from fastapi import UploadFile
 from starlette.concurrency import run_in_threadpool
@@ -164,7 +164,7 @@ def name_of(file: UploadFile) -> str:
 
 
 @asynccontextmanager
-async def on_disk(write: Callable[[BinaryIO], object]) -> AsyncIterator[Path]:
+async def on_disk(write: Callable[[IO[bytes]], object]) -> AsyncIterator[Path]:
     """A file that another process can read, for as long as the block lasts.
 
     Args:
@@ -184,6 +184,6 @@ async def on_disk(write: Callable[[BinaryIO], object]) -> AsyncIterator[Path]:
         yield Path(file.name)
 
 
-def copied(upload: UploadFile) -> Callable[[BinaryIO], None]:
+def copied(upload: UploadFile) -> Callable[[IO[bytes]], None]:
     """Fills a file with an upload."""
     return partial(copyfileobj, upload.file)
