@@ -87,10 +87,6 @@ class RunService:
     def follow_up(self, run_id: str, apart: Apart = run_apart) -> Run:
         """Starts the run that best separates what the diagnosis of a run (and those before it) could not.
 
-        Args:
-            run_id: the run.
-            apart: carries out in another process what takes the processor.
-
         Raises:
             Unknown: there is no such run.
             Conflict: nothing can be separated on this rig, and why; or the rig is busy.
@@ -99,8 +95,7 @@ class RunService:
         if run.rig is None:
             raise Conflict(f"run {run_id} was imported: no rig is known to follow it up on")
         settings = self._rig(run.rig)
-        earlier = unresolved(self.store, run_id, apart)
-        follow_up = FollowUpRun.designed(earlier, settings.limits_deg, apart)
+        follow_up = FollowUpRun.designed(unresolved(self.store, run_id, apart), settings.limits_deg, apart)
         return self._begin(
             settings, run.unit, follow_up.plan, operator=run.operator, follows=run_id, follow_up=follow_up
         )
