@@ -70,6 +70,7 @@ def create_app(service: RunService, *, web: Path | None = None, access: Access =
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
         yield
         await run_in_threadpool(service.close)
+        await _app.state.context.processes.close()
 
     app = api(lifespan)
     app.state.context = ApiContext(service, service.store)

@@ -12,6 +12,7 @@ from starlette.concurrency import run_in_threadpool
 from calrig.analysis.amendments import Records
 from calrig.analysis.diagnoses import Diagnoses
 from calrig.analysis.errors import Unknown
+from calrig.processes.pool import Processes
 from calrig.runs.service import RunService
 from calrig.store import Run, Store, Unit
 
@@ -70,11 +71,12 @@ class Streams:
 
 @dataclass(frozen=True)
 class ApiContext:
-    """The service behind the API, its store to read from, and the event streams that are open."""
+    """The service behind the API, its store to read from, open event streams, processes for heavy work."""
 
     service: RunService
     store: Store
     streams: Streams = field(default_factory=Streams)
+    processes: Processes = field(default_factory=Processes)
 
     @property
     def diagnoses(self) -> Diagnoses:

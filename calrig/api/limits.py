@@ -7,10 +7,16 @@ comes too slowly is 408, one upload too many 503, and a body that FastAPI found 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
-from typing import Annotated
+from collections.abc import AsyncIterator, Callable
+from contextlib import ExitStack, asynccontextmanager
+from functools import partial
+from pathlib import Path
+from shutil import copyfileobj
+from tempfile import NamedTemporaryFile, gettempdir
+from typing import IO
 
-from fastapi import Depends, UploadFile
+from fastapi import UploadFile
+from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -147,9 +153,27 @@ def name_of(file: UploadFile) -> str:
     return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in name[:LONGEST_NAME])
 
 
-async def _turn() -> AsyncIterator[None]:
-    yield
+@asynccontextmanager
+async def on_disk(write: Callable[[IO[bytes]], object]) -> AsyncIterator[Path]:
+    """A file that another process can read, for as long as the block lasts.
+
+    Args:
+        write: fills it, in a thread.
+
+    Raises:
+        HTTPException: there is no room for it.
+    """
+    with ExitStack() as stack:
+        try:
+            file = stack.enter_context(NamedTemporaryFile(prefix="calrig-"))
+            await run_in_threadpool(write, file.file)
+            file.flush()
+        except OSError as error:
+            reason = f"{gettempdir()}: a file cannot be laid there ({error.strerror}): make room there"
+            raise HTTPException(503, reason) from error
+        yield Path(file.name)
 
 
-Turn = Annotated[None, Depends(_turn, scope="function", max_concurrency=1)]
-"""For what takes much memory: one at a time. Those that wait hold no thread, and their files lie on disk."""
+def copied(upload: UploadFile) -> Callable[[IO[bytes]], None]:
+    """Fills a file with an upload."""
+    return partial(copyfileobj, upload.file)

@@ -14,6 +14,7 @@ from calrig.analysis.stored_runs import stored_run
 from calrig.analysis.unresolved import unresolved
 from calrig.instruments.errors import InstrumentError
 from calrig.plan import Plan
+from calrig.processes.pool import Apart, run_apart
 from calrig.runs.bus import Bus
 from calrig.runs.control import End
 from calrig.runs.follow_up import FollowUpRun
@@ -88,7 +89,7 @@ class RunService:
         settings = self._rig(rig)
         return self._begin(settings, unit, plan, operator=operator, note=note, stage_at_deg=stage_at_deg)
 
-    def follow_up(self, run_id: str) -> Run:
+    def follow_up(self, run_id: str, apart: Apart = run_apart) -> Run:
         """Starts the run that best separates what the diagnosis of a run (and those before it) could not.
 
         Raises:
@@ -99,7 +100,7 @@ class RunService:
         if run.rig is None:
             raise Conflict(f"run {run_id} was imported: no rig is known to follow it up on")
         settings = self._rig(run.rig)
-        follow_up = FollowUpRun.designed(unresolved(self.store, run_id), settings.limits_deg)
+        follow_up = FollowUpRun.designed(unresolved(self.store, run_id, apart), settings.limits_deg, apart)
         return self._begin(
             settings, run.unit, follow_up.plan, operator=run.operator, follows=run_id, follow_up=follow_up
         )
