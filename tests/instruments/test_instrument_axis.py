@@ -336,9 +336,7 @@ def test_a_stage_that_does_not_stop_is_to_be_cut_from_power(axis, stage, clock):
 
 def test_a_stage_that_says_it_stands_and_moves_on_is_to_be_cut_from_power(axis, stage, clock):
     stage.glimpse_deg = lambda: 1.0 * clock.at_s  # it creeps at 1°/s
-    with pytest.raises(
-        StageError, match=r"it says READY, and turned by 0.05° meanwhile.*cut its motor power"
-    ):
+    with pytest.raises(StageError, match=r"says READY, and turned by 0.05° meanwhile.*cut its motor power"):
         axis.confirm_stopped(timeout_s=2.0)
 
 

@@ -290,9 +290,7 @@ class CalrigBoard:
         if silent_s > max(ASK_AGAIN_S if self._is_reset else RESTART_S, 3 * self._period_s):
             self._start_again()
         since = self.faults - self._faults_then
-        went_on = (
-            self._period_s * max(since[kind] for kind in USELESS) > USELESS_S / 2
-        )  # no reset's last ones
+        went_on = self._period_s * max(since[kind] for kind in USELESS) > USELESS_S / 2  # not just the last
         useless_s = now - self._valid_at
         if useless_s <= max(USELESS_S if went_on else SILENCE_S, 3 * self._period_s):
             return
