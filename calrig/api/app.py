@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 
 from fastapi import FastAPI
-from starlette.concurrency import run_in_threadpool
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.types import Lifespan
 
@@ -67,7 +67,7 @@ def create_app(service: RunService, *, web: Path | None = None, access: Access =
     @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
         yield
-        await run_in_threadpool(service.close)
+        await asyncio.to_thread(service.close)  # by no thread of those that answer requests
 
     app = api(lifespan)
     app.state.context = ApiContext(service, service.store)

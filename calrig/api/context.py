@@ -69,7 +69,8 @@ def context_of(app: FastAPI) -> ApiContext:
     return context
 
 
-def _context(request: Request) -> ApiContext:
+async def _context(request: Request) -> ApiContext:
+    """In the event loop: a plain function would wait for a thread, and a stop with it."""
     return context_of(request.app)
 
 

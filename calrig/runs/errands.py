@@ -28,7 +28,7 @@ class Errand(Generic[T]):
         """Does the work; what it raises is for those who asked."""
         try:
             done = work()
-        except Exception as error:
+        except Exception as error:  # noqa: BLE001 (it is raised again for those who asked)
             self.future.set_exception(error)
         else:
             self.future.set_result(done)
