@@ -16,7 +16,7 @@ from calrig.runs.rig import stop_stage
 from calrig.runs.worker import Worker
 from calrig.settings import RigSettings
 
-SEEN_S = 6.0
+SEEN_S = 9.0
 """How long a run that was told to end may take to see its stage stand, s of the rig's clock."""
 BY_REQUEST = End("aborted", "the stage was stopped by request")
 T = TypeVar("T")
