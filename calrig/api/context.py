@@ -11,6 +11,7 @@ from fastapi import Depends, FastAPI, Request
 from calrig.analysis.amendments import Records
 from calrig.analysis.diagnoses import Diagnoses
 from calrig.analysis.errors import Unknown
+from calrig.api.looks import Looks
 from calrig.runs.service import RunService
 from calrig.store import Run, Store, Unit
 
@@ -23,6 +24,7 @@ class Streams:
 
     def __init__(self) -> None:
         self.closed = False
+        self.looks = Looks()
         self._waiting: set[asyncio.Event] = set()
 
     @contextmanager

@@ -2,13 +2,13 @@
 
 import asyncio
 from collections.abc import AsyncIterator
+from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Header
 from fastapi.responses import Response, StreamingResponse
 from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
 from pydantic_core import to_json
-from starlette.concurrency import run_in_threadpool
 
 from calrig.api.context import ApiContext, Context, KnownRun
 from calrig.api.errors import problems_in_json
@@ -102,11 +102,11 @@ async def _follow(context: ApiContext, news: asyncio.Event, run_id: str, known: 
     """What follows event `known`, written out in pieces of what was there at each look."""
     while not context.streams.closed:
         news.clear()
-        ended, batch = await run_in_threadpool(_look, context, run_id, known)
-        if batch:
-            yield b"".join(_written(event) for event in batch)
-            known = batch[-1].seq
-        if len(batch) == BATCH:
+        look = partial(_look, context, run_id, known)
+        ended, n_events, known, written = await context.streams.looks.share((run_id, known), look)
+        if written:
+            yield written
+        if n_events == BATCH:
             continue
         if ended:
             return
@@ -116,10 +116,14 @@ async def _follow(context: ApiContext, news: asyncio.Event, run_id: str, known: 
             yield KEEPALIVE_COMMENT
 
 
-def _look(context: ApiContext, run_id: str, known: int) -> tuple[bool, list[Event]]:
-    """Whether the run had ended, asked before its events are read: then these are the last there are."""
+def _look(context: ApiContext, run_id: str, known: int) -> tuple[bool, int, int, bytes]:
+    """Whether the run had ended, how many events follow `known`, which the last is, and all written out.
+
+    The run is asked for before its events are read: where it had ended, these are the last there are.
+    """
     ended = context.service.run(run_id).status in AT_REST
-    return ended, context.store.events_after(run_id, known, BATCH)
+    batch = context.store.events_after(run_id, known, BATCH)
+    return ended, len(batch), batch[-1].seq if batch else known, b"".join(map(_written, batch))
 
 
 def _written(event: Event) -> bytes:
