@@ -1,24 +1,20 @@
 """What every path works on: the service, its store, the open event streams, the run that a path names."""
 
 import asyncio
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Annotated, Any, TypeVar
+from typing import Annotated
 
 from fastapi import Depends, FastAPI, Request
-from starlette.concurrency import run_in_threadpool
 
 from calrig.analysis.amendments import Records
 from calrig.analysis.diagnoses import Diagnoses
 from calrig.analysis.errors import Unknown
+from calrig.api.looks import Looks
 from calrig.processes.pool import Processes
 from calrig.runs.service import RunService
 from calrig.store import Run, Store, Unit
-
-T = TypeVar("T")
-GATHERED_S = 0.01
-"""How long a look into a log waits for others who want the same: a crowd is woken one after the other."""
 
 
 class Streams:
@@ -29,8 +25,8 @@ class Streams:
 
     def __init__(self) -> None:
         self.closed = False
+        self.looks = Looks()
         self._waiting: set[asyncio.Event] = set()
-        self._to_begin: dict[Hashable, asyncio.Task[Any]] = {}
 
     @contextmanager
     def joined(self, news: asyncio.Event) -> Iterator[None]:
@@ -40,24 +36,6 @@ class Streams:
             yield
         finally:
             self._waiting.discard(news)
-
-    async def shared(self, key: Hashable, look: Callable[[], T]) -> T:
-        """What `look` gives, called once in a thread for all who ask for the same within a moment.
-
-        Who comes when it has begun has the next one: it may have been woken by what the first did not see.
-        """
-        task = self._to_begin.get(key)
-        if task is None:
-            task = self._to_begin[key] = asyncio.create_task(self._soon(key, look))
-        seen: T = await asyncio.shield(task)  # who leaves leaves the others theirs
-        return seen
-
-    async def _soon(self, key: Hashable, look: Callable[[], T]) -> T:
-        try:
-            await asyncio.sleep(GATHERED_S)
-        finally:
-            del self._to_begin[key]
-        return await run_in_threadpool(look)
 
     def __len__(self) -> int:
         return len(self._waiting)
@@ -95,7 +73,8 @@ def context_of(app: FastAPI) -> ApiContext:
     return context
 
 
-def _context(request: Request) -> ApiContext:
+async def _context(request: Request) -> ApiContext:
+    """In the event loop: a plain function would wait for a thread, and a stop with it."""
     return context_of(request.app)
 
 

@@ -26,7 +26,7 @@ WORDS = {
     403: "The request came by a name that is not the service's, or from a page elsewhere",
     404: "Unknown",
     408: "The body came too slowly",
-    409: "The rig is busy, or the run's state does not allow this",
+    409: "The rig is busy, the run's state does not allow this, or the stage was not seen to stand",
     413: "The body is too large",
     422: "Invalid",
     429: "Too many wrong tokens came from there, or too much heavy work is waiting",

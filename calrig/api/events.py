@@ -107,7 +107,8 @@ async def _follow(context: ApiContext, news: asyncio.Event, run_id: str, known: 
     """What follows event `known`, written out in pieces of what was there at each look."""
     while not context.streams.closed:
         news.clear()
-        seen = await context.streams.shared((run_id, known), partial(_look, context, run_id, known))
+        look = partial(_look, context, run_id, known)
+        seen = await context.streams.looks.share((run_id, known), look)
         if seen.written:
             yield seen.written
             known = seen.last

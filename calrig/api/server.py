@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import socket
 from collections.abc import Callable
 
@@ -33,7 +34,8 @@ class Server(uvicorn.Server):
                 ws="none",
             )
         )
-        self._streams = context_of(app).streams
+        context = context_of(app)
+        self._streams, self._service = context.streams, context.service
         self._on_ready = on_ready
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
@@ -44,6 +46,8 @@ class Server(uvicorn.Server):
         self._on_ready()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Ends the streams, then stops as uvicorn does."""
+        """Ends streams and runs at once, and stops as uvicorn does: no stage moves while answers drain."""
         self._streams.close()
+        closing = asyncio.create_task(asyncio.to_thread(self._service.close))
         await super().shutdown(sockets)
+        await closing

@@ -123,7 +123,7 @@ def _until_ended(service: RunService, run_id: str, asked: _StopRequest, show: Ca
                 return run
             if asked.is_made and not aborted:
                 aborted = True
-                with suppress(Conflict):  # it has just ended by itself
+                with suppress(Conflict):  # it has just ended, or its error says what became of the stage
                     service.abort(run_id)
                 continue
             news.wait(LOOK_S)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from calrig.instruments.axis_goal import Goal, travel_time_s
 from calrig.instruments.clock import WALL, Clock
 from calrig.instruments.errors import Halted, InstrumentError, LimitError, StageError
+from calrig.instruments.standing import IN_MOTION, stop_until_it_stands
 from calrig.instruments.types import Stage, StageIdentity, StageStatus
 
 HOME_TIMEOUT_S = 120.0
@@ -18,7 +19,6 @@ STALL_S = 3.0
 STALL_DEG = 0.05
 ASSUMED_VELOCITY_DPS = 1.0
 OVERSHOOT_DEG = 1.0  # beyond the tolerance: nothing that moves as it was told is so far off its way
-IN_MOTION = ("moving", "homing")
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,30 +205,15 @@ class Axis:
         self.stage.halt()
 
     def confirm_stopped(self, timeout_s: float) -> None:
-        """Halts, and goes on sending stop until the stage says that it does not move.
+        """Halts, and goes on sending stop until the stage says that it stands, twice at one angle.
 
         Raises:
-            StageError: it still moves, or does not answer, after timeout_s: only cutting its power is left.
+            StageError: it still moves, whatever it says of itself, or does not answer, after timeout_s: only
+                cutting its power is left.
             PortError: the port is gone.
         """
-        deadline = self._clock.now_s() + timeout_s
-        while True:
-            self.halt()
-            failure: StageError | None = None
-            try:
-                words = self.stage.status()
-            except StageError as error:
-                failure = error
-            else:
-                if words.state not in IN_MOTION:
-                    return
-            if self._clock.now_s() > deadline:
-                said = failure or f"it says {words.words}"
-                raise StageError(
-                    f"the stage is not known to stand {timeout_s:g} s after it was told to stop ({said}): "
-                    "cut its motor power"
-                ) from failure
-            self._clock.sleep(0.02)
+        self._halted = True
+        stop_until_it_stands(self.stage, self._clock, timeout_s)
 
     def close(self) -> None:
         """Restores the velocity found and closes the port; never raises."""

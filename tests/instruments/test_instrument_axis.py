@@ -255,7 +255,7 @@ def test_after_a_halt_the_axis_says_so(axis, stage):
     assert stage.sent[-1] == "ST"
 
 
-def test_stop_is_sent_until_the_stage_stands(axis, stage):
+def test_stop_is_sent_until_the_stage_stands_at_two_looks(axis, stage):
     stage.state = "moving"
     halt = stage.halt
 
@@ -266,7 +266,7 @@ def test_stop_is_sent_until_the_stage_stands(axis, stage):
 
     stage.halt = halt_the_third_time
     axis.confirm_stopped(timeout_s=60.0)
-    assert stage.sent == ["ST"] * 3
+    assert stage.sent == ["ST"] * 4
 
 
 def test_a_stage_that_does_not_stop_is_to_be_cut_from_power(axis, stage, clock):
@@ -281,3 +281,9 @@ def test_a_stage_that_does_not_stop_is_to_be_cut_from_power(axis, stage, clock):
     with pytest.raises(StageError, match=r"it says MOVING.*cut its motor power"):
         axis.confirm_stopped(timeout_s=1.0)
     assert stage.sent == ["ST", "ST"]
+
+
+def test_a_stage_that_says_it_stands_and_moves_on_is_to_be_cut_from_power(axis, stage, clock):
+    stage.glimpse_deg = lambda: 1.0 * clock.at_s  # it creeps at 1°/s
+    with pytest.raises(StageError, match=r"says READY, and turned by 0.05° meanwhile.*cut its motor power"):
+        axis.confirm_stopped(timeout_s=2.0)

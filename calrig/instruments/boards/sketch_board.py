@@ -14,6 +14,7 @@ from calrig.instruments.drivers import known_devices
 from calrig.instruments.errors import BoardError, InstrumentError
 from calrig.instruments.ports import Port, open_port
 from calrig.instruments.types import BoardIdentity, Samples
+from calrig.instruments.wanted import require_wanted
 
 READ_TIMEOUT_S = 0.004
 """How long a read gathers: so far is a record's time off."""
@@ -77,6 +78,7 @@ class SketchBoard:
             self._identified, self._seen_s = False, []
             deadline_s = self._clock.now_s() + self._sketch.starts_in_s + MEASURE_S
             while not self._measured:
+                require_wanted()
                 if self._clock.now_s() > deadline_s or self._looks_like:
                     raise BoardError(f"{self._name} sent no record that can be read: {self._why_none()}")
                 if self._sketch.wake and not self._seen_s:

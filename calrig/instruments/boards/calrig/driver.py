@@ -15,6 +15,7 @@ from calrig.instruments.boards.reader import reader
 from calrig.instruments.errors import BoardError, InstrumentError, PortError
 from calrig.instruments.ports import Port, open_port
 from calrig.instruments.types import BoardIdentity, Samples
+from calrig.instruments.wanted import require_wanted
 
 READ_EVERY_S = 0.04
 READ_TIMEOUT_S = 0.002
@@ -163,6 +164,7 @@ class CalrigBoard:
         self._port.close()
 
     def _send(self, line: str) -> None:
+        require_wanted()
         self._port.write(f"{line}\n".encode("ascii"))
 
     def _command(self, line: str) -> None:
@@ -288,8 +290,7 @@ class CalrigBoard:
         if silent_s > max(ASK_AGAIN_S if self._is_reset else RESTART_S, 3 * self._period_s):
             self._start_again()
         since = self.faults - self._faults_then
-        refused_s = self._period_s * max(since[kind] for kind in USELESS)
-        went_on = refused_s > USELESS_S / 2  # not just the last ones before a reset
+        went_on = self._period_s * max(since[kind] for kind in USELESS) > USELESS_S / 2  # not just the last
         useless_s = now - self._valid_at
         if useless_s <= max(USELESS_S if went_on else SILENCE_S, 3 * self._period_s):
             return

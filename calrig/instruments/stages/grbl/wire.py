@@ -24,6 +24,7 @@ from calrig.instruments.stages.grbl.words import (
     parse_report,
 )
 from calrig.instruments.stages.lines import LineWire
+from calrig.instruments.wanted import require_wanted
 
 REPLY_TIMEOUT_S = 0.5
 GLANCE_S = 0.1
@@ -186,6 +187,7 @@ class GrblWire:
         """The settings, listed twice alike and with those needed among them; {} where they never are."""
         last: dict[int, float] = {}
         for _ in range(MOST_LISTINGS):
+            require_wanted()
             before, last = last, dict(self.settings) if self.fence() else {}
             if last == before and last.keys() >= {*needed}:
                 return last
@@ -209,6 +211,7 @@ class GrblWire:
 
     def catch_up(self) -> None:
         """Takes in what has come; after an answer that never came, also what is still on its way."""
+        require_wanted()
         for line in self.lines.old_lines():
             self._take(line)
         if self._in_doubt:
