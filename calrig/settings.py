@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -11,6 +12,7 @@ import platformdirs
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 CONFIG_NAME = "calrig.toml"
+_URL = re.compile(r"[A-Za-z][A-Za-z0-9+_.-]*://")
 
 
 class SettingsError(Exception):
@@ -173,7 +175,12 @@ def store_url(db: str | None = None) -> str:
     named = db or os.environ.get("CALRIG_DB")
     if not named:
         named = str(platformdirs.user_data_path("calrig", ensure_exists=True) / "calrig.db")
-    return named if "://" in named else f"sqlite:///{Path(named).expanduser().resolve()}"
+    if _URL.match(named):
+        return named
+    path = str(Path(os.path.expanduser(named)).resolve())  # noqa: PTH111 (pathlib refuses `~x.db`)
+    for reserved in "%?#":  # what a URL would take for something else than a part of the name
+        path = path.replace(reserved, f"%{ord(reserved):02X}")
+    return f"sqlite:///{path}"
 
 
 def packed(folder: str) -> Path:

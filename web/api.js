@@ -18,8 +18,9 @@ export async function get(path, signal) {
   return request(path, { signal });
 }
 
-export async function post(path, body = {}) {
+export async function post(path, body = {}, signal) {
   return request(path, {
+    signal,
     method: "POST",
     headers: { "Content-Type": "application/json" },
     body: JSON.stringify(body),

@@ -1,11 +1,10 @@
 // The plan as a form: the usual fields in sight, the rest folded; how many poses and how long.
 
+import { ApiError, post } from "./api.js";
 import { h, fill } from "./dom.js";
 import { duration, plural } from "./format.js";
 
-const ASSUMED_VELOCITY_DPS = 20;
-const MOVE_OVERHEAD_S = 0.7; // speeding up, slowing down, and asking the stage whether it is there
-const HOMING_AND_START_S = 5;
+const TYPING_MS = 250; // the service is not asked for what is half typed
 
 const RANGE = [
   field("start_deg", "From", "°", -60),
@@ -36,8 +35,11 @@ function field(name, label, unit, value, { whole = false, hint = null } = {}) {
   return { name, label, unit, value, whole, hint };
 }
 
-/** The form's fieldset: `value()` is the plan it says, `mark(reason)` shows which inputs a refusal names. */
-export function planForm() {
+/**
+ * The form's fieldset: `value()` is the plan it says, `mark(reason)` shows which inputs a refusal names, `estimate()`
+ * tells anew how much it is on `rigName()`. `signal` is aborted when the view is left.
+ */
+export function planForm(rigName, signal) {
   const inputs = new Map();
   const make = (spec) => labelled(spec, inputs);
   const asRange = radio("range", "Range", true);
@@ -106,7 +108,34 @@ export function planForm() {
     for (const spec of RANGE) inputs.get(spec.name).disabled = asList.input.checked;
     list.required = asList.input.checked;
     mark("");
-    fill(summary, estimateText(value()));
+    estimate();
+  }
+
+  let timer;
+  let asked = new AbortController();
+
+  function estimate() {
+    forget();
+    timer = setTimeout(ask, TYPING_MS);
+  }
+
+  function forget() {
+    clearTimeout(timer);
+    asked.abort();
+  }
+
+  async function ask() {
+    if (![...element.elements].every((input) => input.checkValidity())) return fill(summary, "No poses yet.");
+    asked = new AbortController();
+    const plan = value();
+    try {
+      const said = await post("/api/plans/estimate", { rig: rigName(), plan }, asked.signal);
+      fill(summary, estimateText(plan, said));
+    } catch (problem) {
+      if (problem.name === "AbortError") return;
+      if (!(problem instanceof ApiError)) throw problem;
+      fill(summary, problem.message);
+    }
   }
 
   function mark(reason) {
@@ -118,8 +147,9 @@ export function planForm() {
   }
 
   element.addEventListener("input", refresh);
+  signal.addEventListener("abort", forget);
   refresh();
-  return { element, value, mark };
+  return { element, value, mark, estimate };
 }
 
 function labelled({ name, label, unit, value, whole, hint }, inputs) {
@@ -153,36 +183,8 @@ function parseList(text) {
   return words.map((word) => (Number.isFinite(Number(word)) ? Number(word) : word));
 }
 
-function elevations(plan) {
-  if (plan.elevations_deg) return plan.elevations_deg.filter((value) => typeof value === "number");
-  const { start_deg: start, stop_deg: stop, step_deg: step } = plan;
-  if (start === null || stop === null || !(step > 0)) return [];
-  const [low, high] = [Math.min(start, stop), Math.max(start, stop)];
-  const whole = Math.floor((high - low) / step + 1e-9);
-  if (whole > 10_000) return [];
-  const grid = Array.from({ length: whole + 1 }, (_, k) => low + k * step);
-  if (high - grid.at(-1) > 1e-6 * step) grid.push(high);
-  return grid;
-}
-
-/** Seconds of the board's clock for the whole plan, and the number of poses. */
-function estimate(plan) {
-  const angles = elevations(plan);
-  const poses = angles.length * (plan.sweeps || 0);
-  if (!poses) return { poses: 0, seconds: null };
-  const span = Math.max(...angles) - Math.min(...angles);
-  const velocity = plan.velocity_dps || ASSUMED_VELOCITY_DPS;
-  const travel = plan.order === "random" ? (span / 3) * poses : span * plan.sweeps;
-  const each = plan.settle_s + plan.dwell_s + MOVE_OVERHEAD_S;
-  return {
-    poses,
-    seconds: HOMING_AND_START_S + travel / velocity + each * poses + plan.wait_s * plan.sweeps,
-  };
-}
-
-function estimateText(plan) {
-  const { poses, seconds } = estimate(plan);
-  if (!poses) return "No poses yet.";
+/** How much a plan is, in words, as the service has computed it. */
+function estimateText(plan, { n_poses: poses, duration_s: seconds }) {
   const upTo = plan.target_std_deg ? "at most about" : "about";
   const more = plan.wait_temperature_c === null ? "" : ", and the wait for temperature";
   return [

@@ -8,7 +8,8 @@ const COLOURS = { noise: "good", more_than_noise: "poor" };
 /** The card's content for a run that has a result. */
 export function resultCard(run) {
   const counts = run.status === "completed" && !run.voided;
-  const colour = (counts && COLOURS[run.verdict.left]) || "unknown";
+  const left = run.faults.move_mismatch ? "more_than_noise" : run.verdict.left;
+  const colour = (counts && COLOURS[left]) || "unknown";
   const [headline, ...sentences] = [...reservation(run), ...run.verdict.says];
   return [
     h("h2", {}, "Result"),

@@ -32,6 +32,7 @@ class RunPage {
     this.error = errorLine("run-error");
     this.spoken = h("p", { class: "for-screen-readers", "aria-live": "polite" });
     const announce = (text) => (this.spoken.textContent = text);
+    this.mismatches = h("section", { id: "mismatches", class: "card", role: "alert", hidden: true });
     this.live = new LivePanel((verb) => this.#ask(verb), announce);
     this.result = h("section", { id: "result", class: "card", hidden: true });
     this.diagnosis = new DiagnosisPanel(path, signal, () => this.#reread());
@@ -54,6 +55,7 @@ class RunPage {
       { class: "run" },
       this.header,
       this.error.element,
+      this.mismatches,
       this.live.element,
       this.result,
       this.diagnosis.element,
@@ -75,6 +77,7 @@ class RunPage {
     if (this.ended) return this.#showMeasured();
     const figure = await get(`${this.path}/figures/timeline`, this.signal);
     const timeline = new Timeline(this.timelineChart, figure, this.signal);
+    const mismatches = new Map();
     const stream = follow(
       this.run.id,
       {
@@ -89,6 +92,11 @@ class RunPage {
           this.poses.show([pose], false);
           this.#countPoses();
           this.#residualSoon();
+        },
+        move_mismatch: ({ index, says }) => {
+          mismatches.set(index, h("p", {}, h("strong", {}, "The unit felt another move. "), says));
+          this.mismatches.hidden = false;
+          fill(this.mismatches, [...mismatches.values()]);
         },
         reading: (reading) => {
           timeline.add(reading);

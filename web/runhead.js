@@ -46,14 +46,16 @@ export function downloads(run, path) {
 }
 
 export function faultLine(faults) {
-  const counted = Object.entries(faults).filter(([, count]) => count > 0);
-  if (!counted.length) return h("p", { class: "muted" }, "No data faults.");
-  return h(
-    "p",
-    {},
-    h("strong", {}, "Data faults, excluded from the readings: "),
-    counted.map(
-      ([kind, count], k) => `${k ? ", " : ""}${count.toLocaleString()} × ${kind.replaceAll("_", " ")}`,
-    ),
-  );
+  const { move_mismatch: mismatches, ...ofData } = faults;
+  const counted = Object.entries(ofData).filter(([, count]) => count > 0);
+  return [
+    mismatches && h("p", {}, h("strong", {}, "Moves that the unit felt otherwise than the stage reported: "), mismatches),
+    counted.length
+      ? h("p", {}, h("strong", {}, "Data faults, excluded from the readings: "), counted.map(faultWords))
+      : h("p", { class: "muted" }, "No data faults."),
+  ];
+}
+
+function faultWords([kind, count], place) {
+  return `${place ? ", " : ""}${count.toLocaleString()} × ${kind.replaceAll("_", " ")}`;
 }

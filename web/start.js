@@ -11,7 +11,7 @@ const OPERATOR_KEY = "calrig.operator";
 
 export async function startView({ root, signal }) {
   const rigs = await get("/api/rigs", signal);
-  const form = startForm(rigs);
+  const form = startForm(rigs, signal);
   const rigList = h("ul", { class: "rigs", "data-testid": "rigs" });
   const runs = runList(rigs, signal);
   showRigs(rigList, rigs);
@@ -36,7 +36,7 @@ export async function startView({ root, signal }) {
   keepFresh(rigList, runs, rigs, signal);
 }
 
-function startForm(rigs) {
+function startForm(rigs, signal) {
   const rig = h(
     "select",
     { id: "rig" },
@@ -56,7 +56,8 @@ function startForm(rigs) {
     value: localStorage.getItem(OPERATOR_KEY),
   });
   const note = h("input", { id: "note", type: "text", autocomplete: "off" });
-  const plan = planForm();
+  const plan = planForm(() => rig.value || null, signal);
+  rig.addEventListener("change", () => plan.estimate());
   const error = errorLine("start-error");
   const start = h("button", { id: "start", type: "submit", class: "primary" }, "Start");
   const form = h(

@@ -1,6 +1,6 @@
 // A run's events: replayed from the beginning on a fresh page, from where it was on a lost line.
 
-const TYPES = ["state", "progress", "pose", "reading"];
+const TYPES = ["state", "progress", "pose", "reading", "move_mismatch"];
 const RETRY_MS = 2000;
 
 /**

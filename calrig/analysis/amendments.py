@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 
 from calrig.analysis.errors import Conflict, Invalid, Unknown
+from calrig.analysis.imported import Imported, read_and_fit
 from calrig.analysis.origin import check_serial, provenance
-from calrig.analysis.results import fitted, refitted
+from calrig.analysis.results import effects_in_force, refitted
 from calrig.analysis.stored_runs import stored_run
-from calrig.export.poses_csv import CsvError, read_poses
+from calrig.export.poses_csv import CsvError
 from calrig.store import AT_REST, Run, Store
 
 LONGEST_REASON = 1000
@@ -29,17 +32,25 @@ class Records:
             Invalid: the serial is out of bounds or the file is bad; the message names line and column, and
                 nothing is stored.
         """
-        check_serial(unit)
         try:
-            imported = read_poses(content)
+            imported = self.question(unit, rig, content)()
         except CsvError as error:
             raise Invalid(f"{file_name}: {error}") from error
-        origin: dict[str, Any] = {
-            **provenance(operator),
-            "imported_from": file_name,
-            "warnings": imported.warnings,
-        }
-        result = fitted(self._store, unit=unit, rig=rig, provenance=origin, poses=imported.poses)
+        return self.keep_imported(imported, unit=unit, rig=rig, file_name=file_name, operator=operator)
+
+    def question(self, unit: str, rig: str | None, content: bytes | Path) -> Callable[[], Imported]:
+        """What reads and fits a file of poses, here or in another process, or raises CsvError.
+
+        Raises:
+            Invalid: the serial is out of bounds.
+        """
+        check_serial(unit)
+        return partial(read_and_fit, content, effects_in_force(self._store, unit, rig))
+
+    def keep_imported(
+        self, imported: Imported, *, unit: str, rig: str | None, file_name: str, operator: str | None
+    ) -> Run:
+        """Makes a completed run of what was read; all of it is stored, or nothing."""
         return self._store.create_run(
             unit=unit,
             rig=rig,
@@ -47,8 +58,12 @@ class Records:
             status="completed",
             poses=imported.poses,
             operator=operator,
-            provenance=origin,
-            result=result.to_dict(),
+            provenance={
+                **provenance(operator),
+                "imported_from": file_name,
+                "warnings": imported.warnings,
+            },
+            result=imported.result,
         )
 
     def void(self, run_id: str, reason: str) -> Run:

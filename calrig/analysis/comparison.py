@@ -49,18 +49,12 @@ def comparison(units: Mapping[str, Sequence[Row]]) -> Row:
 
 
 def _row(row: ComparisonRow, effects: Mapping[str, list[str]]) -> Row:
+    corrected = row.result["rms_with_effects_deg"] is not None
     return {
         "run_id": row.run_id,
         "finished_at": row.finished_at,
-        "bias_deg": row.bias_deg,
-        "bias_std_deg": row.bias_std_deg,
-        "scale": row.scale,
-        "scale_std": row.scale_std,
-        "rms_raw_deg": row.rms_raw_deg,
-        "rms_calibrated_deg": row.rms_calibrated_deg,
-        "rms_with_effects_deg": row.rms_with_effects_deg,
-        "temperature_c": {"min": row.temperature_min_c, "max": row.temperature_max_c},
-        "effects": [] if row.rms_with_effects_deg is None else effects.get(row.unit, []),
+        **row.result,
+        "effects": effects.get(row.unit, []) if corrected else [],
     }
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
-from calrig.analysis.errors import Conflict, Invalid, Unknown
+from calrig.analysis.errors import Conflict, Unknown
 from calrig.analysis.results import refitted
-from calrig.analysis.stored_runs import counted_poses, runs_together, stored_run
+from calrig.analysis.stored_runs import counted_poses, poses_together, runs_together, stored_run
 from calrig.calibration.diagnosis import trace
 from calrig.calibration.effects import EFFECTS
 from calrig.calibration.partial_residuals import PartialResidual, partial_residuals
@@ -21,36 +22,33 @@ class Diagnoses:
     def __init__(self, store: Store) -> None:
         self._store = store
 
-    def trace(self, run_id: str, more: Sequence[str] = ()) -> dict[str, Any]:
-        """Diagnoses a run, together with more runs of its unit; the document is kept with the run.
+    def question(self, run_id: str, more: Sequence[str] = ()) -> Callable[[], dict[str, Any]]:
+        """What a run's poses, with more runs of its unit and those it follows on, are to be asked.
 
-        Raises: as `diagnose`.
-        """
-        found = self.diagnose(run_id, more)
-        _keep_accepted(stored_run(self._store, run_id).diagnosis, found)
-        self._store.update_run(run_id, diagnosis=found)
-        return found
-
-    def diagnose(self, run_id: str, more: Sequence[str] = ()) -> dict[str, Any]:
-        """The diagnosis of a run, together with more runs of its unit and those it follows on.
+        Returns:
+            What gives the diagnosis, here or in another process, or raises DiagnosisError.
 
         Raises:
             Unknown: there is no such run.
             Conflict: a run is of another unit, or has not ended.
-            Invalid: the poses cannot be diagnosed; says why.
+            Invalid: the poses are too many.
         """
         runs = runs_together(self._store, run_id, more)
         latest = runs[-1]
-        try:
-            return trace(
-                [counted_poses(self._store, run.id) for run in runs],
-                [run.id for run in runs],
-                plan=latest.plan,
-                limits_deg=_limits_of(latest),
-                deciding=self._deciding(latest) if len(runs) > 1 else None,
-            )
-        except DiagnosisError as error:
-            raise Invalid(f"run {run_id}: {error}") from error
+        return partial(
+            trace,
+            poses_together(self._store, runs),
+            [run.id for run in runs],
+            plan=latest.plan,
+            limits_deg=_limits_of(latest),
+            deciding=self._deciding(latest) if len(runs) > 1 else None,
+        )
+
+    def keep(self, run_id: str, found: dict[str, Any]) -> dict[str, Any]:
+        """Keeps the answer with the run."""
+        _keep_accepted(stored_run(self._store, run_id).diagnosis, found)
+        self._store.update_run(run_id, diagnosis=found)
+        return found
 
     def last(self, run_id: str) -> dict[str, Any]:
         """The last diagnosis of a run (Unknown where it has none)."""

@@ -46,7 +46,7 @@ def error_map(store: Store, rig: str) -> ErrorMap:
     """The latest calibration of each unit on the rig, averaged; empty with fewer than three units."""
     latest: dict[str, str] = {}
     for row in store.comparison():
-        if row.rig == rig and row.scale is not None:
+        if row.rig == rig and row.result["scale"] is not None:
             latest[row.unit] = row.run_id
     if len(latest) < FEWEST_UNITS:
         return ErrorMap([], [], [], [], len(latest))

@@ -2,34 +2,56 @@
 
 from __future__ import annotations
 
+from typing import IO, TYPE_CHECKING
+
+import numpy as np
+
 from calrig.analysis.errors import Conflict, Invalid
+from calrig.analysis.log_studies import MOST_SAMPLES
 from calrig.analysis.stored_runs import stored_run
-from calrig.estimation.angles import FloatArray
-from calrig.export.samples_csv import sample_columns
-from calrig.noise.analysis import Noise, analyse
-from calrig.noise.filters import FilterStudy, study_filters
-from calrig.store import Store
+from calrig.export.samples_csv import COLUMNS, sample_columns
+from calrig.store import Run, Store
+
+if TYPE_CHECKING:
+    from calrig.noise.filters import FilterStudy
+
+NAMES = (*COLUMNS, "angle_deg")
+"""Of the columns of `lay_samples`."""
 
 
-def noise_of_run(store: Store, run_id: str) -> Noise:
-    """The noise in the log of a static run.
-
-    Raises:
-        Unknown: there is no such run.
-        Conflict: it is not a static one, or its samples are gone.
-        Invalid: its log is too short.
-    """
-    run = stored_run(store, run_id)
+def require_static(run: Run) -> None:
+    """Raises Conflict where a run moved its unit, so that its samples are not noise alone."""
     if (run.plan or {}).get("kind") != "static":
         raise Conflict(
-            f"run {run_id} moved its unit: start a run with a static plan, and its log tells the noise"
+            f"run {run.id} moved its unit: start a run with a static plan, and its log tells the noise"
         )
-    columns = _columns(store, run_id)
-    time_s = columns.pop("time_s")
-    try:
-        return analyse(columns, time_s)
-    except ValueError as error:
-        raise Invalid(f"run {run_id}: {error}") from error
+
+
+def lay_samples(store: Store, run_id: str, file: IO[bytes]) -> None:
+    """Writes a run's samples as rows of float64, `NAMES` across; some at a time, however many they are.
+
+    Raises:
+        Conflict: there are none, or too many.
+    """
+    n_samples = 0
+    for block in store.sample_blocks(run_id):
+        n_samples += len(block)
+        if n_samples > MOST_SAMPLES:
+            raise Conflict(
+                f"run {run_id} has more than {MOST_SAMPLES:,} samples: download them as CSV and give them to "
+                "`calrig noise` or `calrig filters`"
+            )
+        columns = sample_columns(block)
+        unknown = np.full(len(block), np.nan)
+        file.write(np.column_stack([columns.get(name, unknown) for name in NAMES]).tobytes())
+    if not n_samples:
+        raise _no_samples(run_id)
+
+
+def gyro_scale_of(run: Run) -> float:
+    """What a run found the gyro's scale to be; 1 where it does not know."""
+    scale = ((run.result or {}).get("gyro") or {}).get("scale")
+    return 1.0 if scale is None else float(scale)
 
 
 def filters_of_run(store: Store, run_id: str) -> FilterStudy:
@@ -40,17 +62,19 @@ def filters_of_run(store: Store, run_id: str) -> FilterStudy:
         Conflict: its samples are gone.
         Invalid: no filter can be run over them.
     """
-    scale = ((stored_run(store, run_id).result or {}).get("gyro") or {}).get("scale")
-    columns = _columns(store, run_id)
+    from calrig.noise.filters import study_filters
+
+    run = stored_run(store, run_id)
+    samples = store.samples(run_id)
+    if not len(samples):
+        raise _no_samples(run_id)
+    columns = sample_columns(samples)
     time_s = columns.pop("time_s")
     try:
-        return study_filters(columns, time_s, gyro_scale=1.0 if scale is None else scale)
+        return study_filters(columns, time_s, gyro_scale=gyro_scale_of(run))
     except ValueError as error:
         raise Invalid(f"run {run_id}: {error}") from error
 
 
-def _columns(store: Store, run_id: str) -> dict[str, FloatArray]:
-    samples = store.samples(run_id)
-    if not len(samples):
-        raise Conflict(f"run {run_id} has no samples: it was imported, took none, or they were pruned")
-    return sample_columns(samples)
+def _no_samples(run_id: str) -> Conflict:
+    return Conflict(f"run {run_id} has no samples: it was imported, took none, or they were pruned")

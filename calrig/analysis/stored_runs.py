@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from calrig.analysis.errors import Conflict, Unknown
+from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.calibration.pose import Pose
 from calrig.store import AT_REST, Run, Store
+
+MOST_POSES = 10_000
+"""Of one diagnosis: a hundred name an effect of the size of the noise."""
 
 
 def stored_run(store: Store, run_id: str) -> Run:
@@ -24,6 +27,22 @@ def stored_run(store: Store, run_id: str) -> Run:
 def counted_poses(store: Store, run_id: str) -> list[Pose]:
     """The poses of a run that nobody has excluded."""
     return [stored.pose for stored in store.poses(run_id, include_excluded=False)]
+
+
+def poses_together(store: Store, runs: Sequence[Run]) -> list[list[Pose]]:
+    """The poses of each run that count, as a diagnosis takes them.
+
+    Raises:
+        Invalid: they are more than one diagnosis takes. None are left out: an effect shows in how a pose
+            follows on the one before, and which of them may be missed is for the person to say.
+    """
+    n = sum(store.count_poses(run.id) for run in runs)
+    if n > MOST_POSES:
+        raise Invalid(
+            f"run {', '.join(run.id for run in runs)}: a diagnosis takes at most {MOST_POSES:,} poses, and "
+            f"these are {n:,}: import a part of them as a run, best one sweep after the other"
+        )
+    return [counted_poses(store, run.id) for run in runs]
 
 
 def runs_together(store: Store, run_id: str, more: Sequence[str] = ()) -> list[Run]:

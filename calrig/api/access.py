@@ -7,7 +7,7 @@ import re
 import socket
 from collections.abc import Iterable
 from dataclasses import dataclass
-from ipaddress import IPv4Address, IPv6Address, ip_address
+from ipaddress import IPv4Address, IPv6Address, ip_address, ip_network
 
 TOKEN = "CALRIG_TOKEN"  # noqa: S105 (the variable's name)
 LEAST_TOKEN = 16
@@ -81,3 +81,16 @@ def address_in(text: str) -> IPv4Address | IPv6Address | None:
     except ValueError:
         return None
     return (isinstance(found, IPv6Address) and found.ipv4_mapped) or found
+
+
+def network_of(address: str) -> str | None:
+    """What one client has to itself: an IPv4 address, 64 bits of IPv6.
+
+    None for loopback: everybody on this machine comes from there, and whom a proxy on it lets in.
+    """
+    found = address_in(address)
+    if found is None:
+        return address
+    if found.is_loopback:
+        return None
+    return str(found) if found.version == 4 else str(ip_network((found, 64), strict=False))

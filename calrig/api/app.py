@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 
 from fastapi import FastAPI
-from starlette.concurrency import run_in_threadpool
 from starlette.middleware.gzip import GZipMiddleware
+from starlette.responses import JSONResponse
 from starlette.types import Lifespan
 
 import calrig
@@ -25,6 +26,7 @@ from calrig.api import (
     metrics,
     noise,
     pages,
+    plans,
     runs,
     units,
 )
@@ -39,6 +41,7 @@ from calrig.settings import packed
 
 PARTS = (
     runs,
+    plans,
     diagnoses,
     effects,
     events,
@@ -67,7 +70,8 @@ def create_app(service: RunService, *, web: Path | None = None, access: Access =
     @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
         yield
-        await run_in_threadpool(service.close)
+        await asyncio.to_thread(service.close)  # by no thread of those that answer requests
+        await _app.state.context.processes.close()
 
     app = api(lifespan)
     app.state.context = ApiContext(service, service.store)
@@ -86,7 +90,7 @@ def api(lifespan: Lifespan[FastAPI] | None = None) -> FastAPI:
         version=calrig.__version__,
         summary="Calibrates IMU attitude sensors on a rotary stage",
         lifespan=lifespan,
-        openapi_url="/api/openapi.json",
+        openapi_url=None,  # FastAPI makes it in the event loop, which takes a second: see below
         responses=errors.problems_in_json(401, 403, 408, 413, 422, 429, 503),  # of any path
         docs_url=None,  # its pages load their scripts from another host
         redoc_url=None,
@@ -95,4 +99,9 @@ def api(lifespan: Lifespan[FastAPI] | None = None) -> FastAPI:
     errors.install(app)
     for part in PARTS:
         app.include_router(part.router, max_body_size=JSON_BYTES)
+
+    @app.get("/api/openapi.json", include_in_schema=False)
+    def openapi() -> JSONResponse:
+        return JSONResponse(app.openapi())
+
     return app

@@ -10,12 +10,15 @@ import secrets
 import time
 from collections import Counter
 from collections.abc import Callable
+from typing import NoReturn
 
 from starlette.exceptions import HTTPException
 from starlette.requests import HTTPConnection
 from starlette.responses import Response
 
-from calrig.api.access import Access
+from calrig.api.access import Access, network_of
+from calrig.api.lingering import CLOSE
+from calrig.api.standing import Standing, place_of
 
 WAITING_EACH = 4
 WAITING_ALL = 64
@@ -66,9 +69,9 @@ class Sessions:
 class Authentication:
     """Lets in who shows the token or a session that was begun with it.
 
-    A wrong token is answered late, and while a few wrong ones from an address wait for their answers, no
-    token from there is looked at: so many can be tried in a second and no more. A program with an old token
-    that asks every second keeps nobody else out, and who has a session is never kept waiting.
+    What is right is looked at first and never kept waiting, whatever else comes from its address. A wrong
+    token is answered late, and while a few wrong ones wait, the next are answered 429 at once. That slows
+    nobody who guesses with many connections; the length of the token does (`calrig.api.access`).
 
     Args:
         access: the token; without one everybody comes in.
@@ -79,20 +82,28 @@ class Authentication:
         self.sessions = Sessions()
         self._waiting: Counter[str] = Counter()
 
-    async def check(self, asked: HTTPConnection) -> None:
-        """Lets a request pass.
+    async def check(self, asked: HTTPConnection, *, is_open: bool = False) -> None:
+        """Lets a request pass; the connection it came by keeps its place from then on.
+
+        Args:
+            asked: the request.
+            is_open: whether who shows nothing, or something wrong, gets what it asks for all the same.
 
         Raises:
             HTTPException: 401, neither token nor session; 429, too many wrong tokens from there just now.
         """
-        if self.access.token is None or self.has_session(asked):
+        if self.access.token is None:
+            place_of(asked).standing = Standing.ANYBODY
             return
         shown = asked.headers.get("authorization", "")
-        if shown.lower().startswith(SCHEME):
-            await self.check_token(asked, shown[len(SCHEME) :].strip())
-            return
-        ended = ": the session has ended, log in again" if self.cookie(asked) in asked.cookies else ""
-        raise refusal(f"{_who(asked)} has not shown a token{ended}")
+        token = shown[len(SCHEME) :].strip() if shown.lower().startswith(SCHEME) else None
+        if self.has_session(asked) or (token is not None and self._is_right(token)):
+            place_of(asked).standing = Standing.KNOWN
+        elif not is_open:
+            if token is not None:
+                await self._refuse(asked)
+            ended = ": the session has ended, log in again" if self.cookie(asked) in asked.cookies else ""
+            raise refusal(f"{_who(asked)} has not shown a token{ended}")
 
     async def check_token(self, asked: HTTPConnection, token: str) -> None:
         """Lets the right token pass at once; the wrong one waits for its refusal.
@@ -100,19 +111,23 @@ class Authentication:
         Raises:
             HTTPException: 401, it is wrong; 429, too many wrong ones from there just now.
         """
+        if not self._is_right(token):
+            await self._refuse(asked)
+        place_of(asked).standing = Standing.KNOWN
+
+    async def _refuse(self, asked: HTTPConnection) -> NoReturn:
+        """Refuses a wrong token, late."""
         address = address_of(asked)
-        if self._waiting[address] >= WAITING_EACH or self._waiting.total() >= WAITING_ALL:
-            raise HTTPException(
-                429, f"too many wrong tokens from {address}: try again in a moment", {"Retry-After": "1"}
-            )
-        if self._is_right(token):
-            return
+        network = network_of(address) or address
+        if self._waiting[network] >= WAITING_EACH or self._waiting.total() >= WAITING_ALL:
+            reason = f"too many wrong tokens from {address}: try again in a moment"
+            raise HTTPException(429, reason, {"Retry-After": "1", **CLOSE})
         log.warning("wrong token from %s", address)
-        self._waiting[address] += 1
+        self._waiting[network] += 1
         try:
             await asyncio.sleep(self.access.patience_s)
         finally:
-            self._waiting[address] -= 1
+            self._waiting[network] -= 1
             self._waiting += Counter()  # drops who waits no more: the memory is that of those who wait
         raise refusal(f"{_who(asked)} has shown a wrong token")
 
@@ -152,7 +167,7 @@ class Authentication:
 def refusal(reason: str) -> HTTPException:
     """The answer to who may not come in, with the ways in."""
     ways = "a program sends `Authorization: Bearer TOKEN`, a person logs in on the page"
-    return HTTPException(401, f"{reason}; {ways}", {"WWW-Authenticate": "Bearer"})
+    return HTTPException(401, f"{reason}; {ways}", {"WWW-Authenticate": "Bearer", **CLOSE})
 
 
 def address_of(asked: HTTPConnection) -> str:

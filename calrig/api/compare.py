@@ -12,7 +12,7 @@ from pydantic_core import to_json
 from calrig.analysis.comparison import compared_runs, comparison
 from calrig.api.context import Context
 from calrig.api.errors import problems
-from calrig.api.models import Answer, Extremes
+from calrig.api.models import Answer, Extremes, LineAnswer
 
 Units = Annotated[
     list[str] | None, Query(description="Serial numbers, in the order wanted; all without any.")
@@ -21,18 +21,11 @@ Units = Annotated[
 router = APIRouter(tags=["units"])
 
 
-class ComparedRun(Answer):
+class ComparedRun(LineAnswer):
     """The figures of one completed, not voided calibration."""
 
     run_id: str
     finished_at: datetime
-    bias_deg: float
-    bias_std_deg: float | None
-    scale: float | None
-    scale_std: float | None
-    rms_raw_deg: float
-    rms_calibrated_deg: float | None
-    rms_with_effects_deg: float | None
     temperature_c: Extremes
     effects: list[str]
 

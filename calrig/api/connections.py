@@ -1,7 +1,8 @@
 """Connections whose client dawdles: each is answered or cut off in time, and holds little meanwhile.
 
 Uvicorn waits for ever for a request's head, and for a client to read its answer. The time a body may take
-is `calrig.api.limits`'s to say.
+is `calrig.api.limits`'s to say. Where there are too many connections, nobody is turned away before it could
+say who it is: the one that has the least claim to its place is cut off.
 """
 
 from __future__ import annotations
@@ -12,7 +13,13 @@ import socket
 from typing import Any
 
 import h11
+from uvicorn import Config
 from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.server import ServerState
+
+from calrig.api.access import network_of
+from calrig.api.lingering import LingeringTransport
+from calrig.api.standing import KEY, Place, Standing
 
 HEAD_S = 10.0
 """How long a request's head may take to come, from its first byte or the connection's beginning."""
@@ -24,43 +31,70 @@ UNREAD_BYTES = 50_000_000
 """What all clients together may leave unread; beyond it those waited for longest are cut off."""
 SEND_BUFFER = 131_072
 """Bytes that the system holds of what is on its way to a client; left to itself, it holds megabytes."""
-MOST = 400
+MOST = 500
 """Connections at once: files and ports need descriptors too, and many systems give a process 1,024."""
+FOR_NEWCOMERS = 100
+"""Places of these that nobody keeps: so long does a new connection have until as many others have come."""
+STRANGERS_EACH = 64
+"""Connections of one address that have shown no token: a browser opens six, and a lab may share an address.
+
+Not of this machine's own address: a proxy in front comes from there with everybody it lets in.
+"""
+ACCEPTED_AT_ONCE = 16
+"""Connections taken before those of the turn before are read from: few, so that these still have places."""
 
 
 class PatientProtocol(H11Protocol):
     """Uvicorn's HTTP/1.1 with an end to its patience."""
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
+    transport: LingeringTransport
+
+    def __init__(
+        self, config: Config, server_state: ServerState, app_state: dict[str, Any], **others: Any
+    ) -> None:
+        self.place = Place()
+        super().__init__(config, server_state, {**app_state, KEY: self.place}, **others)
+        self._since_s = 0.0
+        self._asked: object = None
+        self._network: str | None = None
         self._head_or_rest: asyncio.TimerHandle | None = None
         self._unread: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Takes the connection; where there are too many, in the place of one that has asked for nothing."""
+        """Takes the connection; where there are too many, in the place of another."""
         super().connection_made(transport)
+        self.transport = LingeringTransport(transport, lambda: self.conn.their_state is h11.SEND_BODY)
         transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+        self._since_s = self.loop.time()
+        self._network = network_of(self.client[0]) if self.client else None
+        self._make_room()
         self._look()
-        if len(self.connections) > MOST:
-            others = [c for c in self._patient() if c is not self and c.is_waiting_for_head]
-            if others:
-                min(others, key=lambda c: c.gives_up_at_s).cut_off()
-            else:
-                self._refuse(503, "the service has too many connections: close some, or try again later")
 
     def data_received(self, data: bytes) -> None:
         """As uvicorn's."""
+        if self.transport.lingers:
+            return
         super().data_received(data)
         self._look()
 
+    def handle_events(self) -> None:
+        """As uvicorn's; each request has to show anew who sends it: a proxy mixes those of many."""
+        super().handle_events()
+        if self.cycle is not self._asked:
+            self._asked = self.cycle
+            self._since_s = self.loop.time()
+            self.place.standing = Standing.STRANGER
+
     def on_response_complete(self) -> None:
         """As uvicorn's."""
+        self._since_s = self.loop.time()
         super().on_response_complete()
         self._look()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Forgets the clocks."""
         super().connection_lost(exc)
+        self.transport.lost()
         for clock in (self._head_or_rest, self._unread):
             if clock is not None:
                 clock.cancel()
@@ -83,6 +117,13 @@ class PatientProtocol(H11Protocol):
             self._unread.cancel()
             self._unread = None
 
+    def shutdown(self) -> None:
+        """As uvicorn's; a client that has its answer is not waited for."""
+        if self.transport.lingers:
+            self.cut_off()
+        else:
+            super().shutdown()
+
     def timeout_keep_alive_handler(self) -> None:
         """Closes an idle connection; for its client to read the last answer it waits no longer than else."""
         super().timeout_keep_alive_handler()
@@ -90,14 +131,21 @@ class PatientProtocol(H11Protocol):
             self._wait_for_reading()
 
     @property
-    def is_waiting_for_head(self) -> bool:
-        """Whether no request is under way."""
-        return self._head_or_rest is not None and self.conn.their_state is h11.IDLE
+    def waits_for_client(self) -> bool:
+        """Whether it is the client's turn: to ask, to send the rest of a body, to read what it asked for."""
+        if self.cycle is None or self.cycle.response_complete or self._unread is not None:
+            return True
+        return bool(self.cycle.more_body) and not self.flow.read_paused
 
     @property
-    def gives_up_at_s(self) -> float:
-        """When a head or the rest of a body is waited for no longer."""
-        return self._head_or_rest.when() if self._head_or_rest else 0.0
+    def keeps_its_place(self) -> bool:
+        """Whether it gives way to others of its kind alone.
+
+        Without a token everybody is known, and who is waited for goes first.
+        """
+        if self.place.standing is Standing.ANYBODY:
+            return not self.waits_for_client
+        return self.place.standing is Standing.KNOWN
 
     @property
     def unread_until_s(self) -> float:
@@ -115,6 +163,27 @@ class PatientProtocol(H11Protocol):
 
     def _patient(self) -> list[PatientProtocol]:
         return [c for c in self.connections if isinstance(c, PatientProtocol)]
+
+    def _make_room(self) -> None:
+        """Cuts off who has the least claim to its place, where there are too many.
+
+        Among those who keep no place, who took the last step longest ago: came, asked, was answered.
+        """
+        near = [c for c in self._patient() if c._network == self._network] if self._network else []
+        if len(self.connections) <= MOST and len(near) <= STRANGERS_EACH:
+            return  # as nearly always
+        others = [c for c in self._patient() if c is not self and not c.transport.is_gone]
+        newcomers = [c for c in others if not c.keeps_its_place]
+        near = [c for c in newcomers if c._network == self._network] if self._network else []
+        if len(near) >= STRANGERS_EACH:
+            min(near, key=lambda c: c._since_s).cut_off()
+        elif len(others) < MOST:
+            return
+        elif len(newcomers) >= FOR_NEWCOMERS:
+            min(newcomers, key=lambda c: c._since_s).cut_off()
+        else:
+            kept = (c for c in others if c.keeps_its_place)
+            min(kept, key=lambda c: (not c.waits_for_client, c._since_s)).cut_off()
 
     def _look(self) -> None:
         """Starts or stops the clock of a head or of a body's rest; one that runs goes on."""

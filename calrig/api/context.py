@@ -11,6 +11,8 @@ from fastapi import Depends, FastAPI, Request
 from calrig.analysis.amendments import Records
 from calrig.analysis.diagnoses import Diagnoses
 from calrig.analysis.errors import Unknown
+from calrig.api.looks import Looks
+from calrig.processes.pool import Processes
 from calrig.runs.service import RunService
 from calrig.store import Run, Store, Unit
 
@@ -23,6 +25,7 @@ class Streams:
 
     def __init__(self) -> None:
         self.closed = False
+        self.looks = Looks()
         self._waiting: set[asyncio.Event] = set()
 
     @contextmanager
@@ -46,11 +49,12 @@ class Streams:
 
 @dataclass(frozen=True)
 class ApiContext:
-    """The service behind the API, its store to read from, and the event streams that are open."""
+    """The service behind the API, its store to read from, open event streams, processes for heavy work."""
 
     service: RunService
     store: Store
     streams: Streams = field(default_factory=Streams)
+    processes: Processes = field(default_factory=Processes)
 
     @property
     def diagnoses(self) -> Diagnoses:
@@ -69,7 +73,8 @@ def context_of(app: FastAPI) -> ApiContext:
     return context
 
 
-def _context(request: Request) -> ApiContext:
+async def _context(request: Request) -> ApiContext:
+    """In the event loop: a plain function would wait for a thread, and a stop with it."""
     return context_of(request.app)
 
 

@@ -7,12 +7,16 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter
 from pydantic import ConfigDict, Field
+from starlette.concurrency import run_in_threadpool
 
 from calrig.analysis.error_map import error_map
+from calrig.analysis.errors import Invalid
 from calrig.api.context import Context, KnownRun
 from calrig.api.errors import problems
+from calrig.api.heavy import Heavy
 from calrig.api.models import Answer, Body, RunAnswer
 from calrig.calibration.effect import Origin
+from calrig.calibration.pose import DiagnosisError
 from calrig.store import Run
 
 router = APIRouter(tags=["diagnoses"])
@@ -154,9 +158,17 @@ class ErrorMapAnswer(Answer):
     responses=problems(404, 409, 413, 422),
     summary="Trace what bias and scale leave of a run",
 )
-def diagnose(run: KnownRun, body: Diagnose, context: Context) -> dict[str, Any]:
-    """With more runs of the unit where `runs` names them. The document is kept with the run."""
-    return context.diagnoses.trace(run.id, body.runs)
+async def diagnose(run: KnownRun, body: Diagnose, context: Context, heavy: Heavy) -> dict[str, Any]:
+    """With more runs of the unit where `runs` names them. The document is kept with the run.
+
+    At most 10,000 poses. It is given up where its client leaves; 429 where many are waiting already.
+    """
+    question = await run_in_threadpool(context.diagnoses.question, run.id, body.runs)
+    try:
+        found = await heavy(question)
+    except DiagnosisError as error:
+        raise Invalid(f"run {run.id}: {error}") from error
+    return await run_in_threadpool(context.diagnoses.keep, run.id, found)
 
 
 @router.get(
@@ -188,9 +200,9 @@ def accept(run: KnownRun, body: Accept, context: Context) -> Run:
     responses=problems(404, 409),
     summary="Start the run that separates what the diagnosis could not",
 )
-def follow_up(run: KnownRun, context: Context) -> Run:
+async def follow_up(run: KnownRun, context: Context, heavy: Heavy) -> Run:
     """409, with the reason, where no run on this rig would help. Its diagnosis is of all runs together."""
-    return context.service.follow_up(run.id)
+    return await run_in_threadpool(context.service.follow_up, run.id, heavy.from_thread)
 
 
 @router.get(

@@ -13,7 +13,8 @@ from starlette.responses import JSONResponse
 
 from calrig.analysis.errors import Conflict, Invalid, RunsError, Unknown
 from calrig.api.models import Problem
-from calrig.api.origin_check import HEADERS
+from calrig.api.origin_check import HEADERS, NOT_KEPT
+from calrig.processes.pool import WorkLost, WorkRefused, WorkTooLarge
 from calrig.store.errors import NotFound, StoreError, StoreUnavailableError
 
 log = logging.getLogger(__name__)
@@ -25,11 +26,12 @@ WORDS = {
     403: "The request came by a name that is not the service's, or from a page elsewhere",
     404: "Unknown",
     408: "The body came too slowly",
-    409: "The rig is busy, or the run's state does not allow this",
+    409: "The rig is busy, the run's state does not allow this, or the stage was not seen to stand",
     413: "The body is too large",
     422: "Invalid",
-    429: "Too many wrong tokens came from there",
-    503: "The store is full, locked or read-only, or too many uploads are in hand",
+    429: "Too many wrong tokens came from there, or too much heavy work is waiting",
+    503: "The store is full, locked or read-only, too many uploads or event streams are in hand, "
+    "or a process was killed",
 }
 
 
@@ -48,6 +50,9 @@ def install(app: FastAPI) -> None:
     """Has the application answer its errors in the contract's form."""
     app.add_exception_handler(RunsError, _runs_error)
     app.add_exception_handler(StoreError, _store_error)
+    app.add_exception_handler(WorkRefused, _work_refused)
+    app.add_exception_handler(WorkTooLarge, _work_too_large)
+    app.add_exception_handler(WorkLost, _work_lost)
     app.add_exception_handler(Exception, _defect)
     app.add_exception_handler(RequestValidationError, _validation_error)
     app.add_exception_handler(HTTPException, _http_error)
@@ -66,9 +71,24 @@ async def _store_error(_request: Request, error: Exception) -> JSONResponse:
     return JSONResponse({"detail": str(error)}, status_code=status)
 
 
+async def _work_refused(_request: Request, error: Exception) -> JSONResponse:
+    return JSONResponse({"detail": str(error)}, 429, {"Retry-After": "5"})
+
+
+async def _work_too_large(_request: Request, error: Exception) -> JSONResponse:
+    return JSONResponse({"detail": str(error)}, 422)
+
+
+async def _work_lost(_request: Request, error: Exception) -> JSONResponse:
+    log.error("heavy work: %s", error)
+    return JSONResponse({"detail": str(error)}, 503, {"Retry-After": "5"})
+
+
 async def _defect(_request: Request, _error: Exception) -> JSONResponse:
     # This answer is given outside of every middleware, the origin check too.
-    return JSONResponse({"detail": "calrig failed inside; the service's log says where"}, 500, HEADERS)
+    return JSONResponse(
+        {"detail": "calrig failed inside; the service's log says where"}, 500, HEADERS | NOT_KEPT
+    )
 
 
 async def _validation_error(_request: Request, error: Exception) -> JSONResponse:

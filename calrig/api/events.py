@@ -2,13 +2,14 @@
 
 import asyncio
 from collections.abc import AsyncIterator
-from typing import Annotated
+from functools import partial
+from typing import Annotated, NamedTuple
 
 from fastapi import APIRouter, Depends, Header
 from fastapi.responses import Response, StreamingResponse
 from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
 from pydantic_core import to_json
-from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
 
 from calrig.api.context import ApiContext, Context, KnownRun
 from calrig.api.errors import problems_in_json
@@ -17,9 +18,11 @@ from calrig.store import AT_REST, Event
 BATCH = 500
 """Events read at once: a long run's log is replayed in pieces, not held in memory whole."""
 
+MOST = 400
+"""Streams at once, of all runs: they stay for hours, and other requests need connections too."""
 KEEP_ALIVE_S = 12.0
 """How long a stream is silent at most: a comment goes out, so that nothing on the way gives it up."""
-UNBUFFERED = {"Cache-Control": "no-cache", "X-Accel-Buffering": "no"}
+UNBUFFERED = {"X-Accel-Buffering": "no"}
 """A proxy shall pass events on as they come."""
 
 LastEventId = Annotated[
@@ -48,7 +51,7 @@ AN_EVENT = {
     "required": ["data", "event", "id"],
     "properties": {
         "data": {"type": "string", "contentMediaType": "application/json"},
-        "event": {"enum": ["state", "progress", "pose", "reading"]},
+        "event": {"enum": ["state", "progress", "pose", "reading", "move_mismatch"]},
         "id": {"type": "string", "pattern": "^[0-9]+$"},
     },
 }
@@ -62,6 +65,8 @@ async def _news(run: KnownRun, context: Context) -> AsyncIterator[asyncio.Event]
     It stands before the first look into the store, so that nothing falls between the two. The store
     alone says what happened, this only that it is worth another look.
     """
+    if len(context.streams) >= MOST:
+        raise HTTPException(503, f"{MOST} event streams are open: close some", {"Retry-After": "5"})
     loop = asyncio.get_running_loop()
     news = asyncio.Event()
 
@@ -102,13 +107,14 @@ async def _follow(context: ApiContext, news: asyncio.Event, run_id: str, known: 
     """What follows event `known`, written out in pieces of what was there at each look."""
     while not context.streams.closed:
         news.clear()
-        ended, batch = await run_in_threadpool(_look, context, run_id, known)
-        if batch:
-            yield b"".join(_written(event) for event in batch)
-            known = batch[-1].seq
-        if len(batch) == BATCH:
+        look = partial(_look, context, run_id, known)
+        seen = await context.streams.looks.share((run_id, known), look)
+        if seen.written:
+            yield seen.written
+            known = seen.last
+        if seen.has_more:
             continue
-        if ended:
+        if seen.has_ended:
             return
         try:
             await asyncio.wait_for(news.wait(), KEEP_ALIVE_S)
@@ -116,10 +122,21 @@ async def _follow(context: ApiContext, news: asyncio.Event, run_id: str, known: 
             yield KEEPALIVE_COMMENT
 
 
-def _look(context: ApiContext, run_id: str, known: int) -> tuple[bool, list[Event]]:
-    """Whether the run had ended, asked before its events are read: then these are the last there are."""
+class Seen(NamedTuple):
+    """What one look into a run's log saw; the number of its last event, 0 where there was none."""
+
+    written: bytes
+    last: int
+    has_more: bool
+    has_ended: bool
+
+
+def _look(context: ApiContext, run_id: str, known: int) -> Seen:
+    """Whether the run had ended is asked before its events are read: then these are the last there are."""
     ended = context.service.run(run_id).status in AT_REST
-    return ended, context.store.events_after(run_id, known, BATCH)
+    batch = context.store.events_after(run_id, known, BATCH)
+    written = b"".join(_written(event) for event in batch)
+    return Seen(written, batch[-1].seq if batch else 0, len(batch) == BATCH, ended)
 
 
 def _written(event: Event) -> bytes:

@@ -53,13 +53,13 @@ def _effect(context: ApiContext, run: Run, place: int) -> figures.Figure:
 
 def _timeline(context: ApiContext, run: Run) -> figures.Figure:
     """From the readings announced during the run; an imported one has none, and its poses stand in."""
-    rows = list(_readings(context, run.id)) or [
-        stored.pose.row() for stored in context.store.poses(run.id) if stored.pose.time_s is not None
+    rows = [(row["time_s"], row["stage_deg"], row["reading_deg"]) for row in _readings(context, run.id)] or [
+        (stored.pose.time_s, stored.pose.stage_deg, stored.pose.reading_deg)
+        for batch in context.store.pose_batches(run.id)
+        for stored in batch
+        if stored.pose.time_s is not None
     ]
-    time_s, stage_deg, reading_deg = (
-        [row[name] for row in rows] for name in ("time_s", "stage_deg", "reading_deg")
-    )
-    return figures.timeline(time_s, stage_deg, reading_deg)
+    return figures.timeline(*([row[place] for row in rows] for place in range(3)))
 
 
 def _readings(context: ApiContext, run_id: str) -> Iterator[dict[str, Any]]:

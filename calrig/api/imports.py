@@ -3,11 +3,15 @@
 from typing import Annotated
 
 from fastapi import APIRouter, File, Form, UploadFile
+from starlette.concurrency import run_in_threadpool
 
+from calrig.analysis.errors import Invalid
 from calrig.api.context import Context
 from calrig.api.errors import problems
-from calrig.api.limits import UPLOAD_BYTES, Turn, name_of
+from calrig.api.heavy import Heavy
+from calrig.api.limits import UPLOAD_BYTES, copied, name_of, on_disk
 from calrig.api.models import RunAnswer
+from calrig.export.cells import CsvError
 from calrig.store import Run
 
 router = APIRouter(tags=["runs"])
@@ -21,19 +25,22 @@ router = APIRouter(tags=["runs"])
     responses=problems(408, 413, 422, 503),
     summary="Make a run of a CSV of poses",
 )
-def import_poses(
+async def import_poses(
     context: Context,
-    _turn: Turn,
+    heavy: Heavy,
     file: Annotated[UploadFile, File(description="CONTRACT section 4's CSV")],
     unit: Annotated[str, Form()],
     rig: Annotated[str | None, Form()] = None,
     operator: Annotated[str | None, Form(max_length=200)] = None,
 ) -> Run:
     """A bad file is 422, names line and column, and stores nothing."""
-    return context.records.import_poses(
-        unit=unit,
-        rig=rig or None,
-        file_name=name_of(file),
-        content=file.file.read(),
-        operator=operator,
+    rig, name = rig or None, name_of(file)
+    async with on_disk(copied(file)) as path:
+        question = await run_in_threadpool(context.records.question, unit, rig, path)
+        try:
+            imported = await heavy(question)
+        except CsvError as error:
+            raise Invalid(f"{name}: {error}") from error
+    return await run_in_threadpool(
+        context.records.keep_imported, imported, unit=unit, rig=rig, file_name=name, operator=operator
     )

@@ -7,24 +7,33 @@ comes too slowly is 408, one upload too many 503, and a body that FastAPI found 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
-from typing import Annotated
+from collections.abc import AsyncIterator, Callable
+from contextlib import ExitStack, asynccontextmanager
+from functools import partial
+from pathlib import Path
+from shutil import copyfileobj
+from tempfile import NamedTemporaryFile, gettempdir
+from typing import IO
 
-from fastapi import Depends, UploadFile
+from fastapi import UploadFile
+from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from calrig.api.lingering import CLOSE
+
 JSON_BYTES = 1_000_000
+LOGIN_BYTES = 10_000
+"""Of what strangers send: it is held in memory for as many as there are connections."""
 UPLOAD_BYTES = 50_000_000
+LOGIN_PATH = "/api/login"
 UPLOAD_PATHS = frozenset({"/api/imports", "/api/noise", "/api/filters"})
 MOST_UPLOADS = 16
 """In hand at once. Each may lie on the disk, in a temporary file, until its turn has come."""
 GRACE_S = 10.0
 SLOWEST_BYTES_PER_S = 20_000
 """A body may take GRACE_S, and a second more for each so many bytes of it that have come."""
-REST_S = 10.0
-"""How long the rest of a refused body is read from a client that asked to be closed down after its answer."""
 
 LONGEST_NAME = 200
 
@@ -42,9 +51,8 @@ class BodyPatience:
             await self.app(scope, receive, send)
             return
         is_upload = scope["path"] in UPLOAD_PATHS
-        body = _Body(scope, receive)
+        body = _Body(receive)
         if is_upload and not self._has_room():
-            await body.let_it_end()
             reason = f"{MOST_UPLOADS} uploads are in hand: try again later"
             await JSONResponse({"detail": reason}, 503, {"Retry-After": "5"})(scope, receive, send)
             return
@@ -68,14 +76,13 @@ class BodyPatience:
 class _Body:
     """The body of one request as it comes, and the beginning of its answer."""
 
-    def __init__(self, scope: Scope, receive: Receive) -> None:
+    def __init__(self, receive: Receive) -> None:
         self._receive = receive
         self._n_bytes = 0
         self._waited_s = 0.0
         self._waiting: asyncio.Timeout | None = None
         self._has_ended = False
         self._is_answered = False
-        self._closes = (b"connection", b"close") in scope["headers"]
 
     def answering(self, scope: Scope, send: Send) -> Send:
         """A `send` that notes that an answer has begun, and puts FastAPI's 413 into the contract's form."""
@@ -86,9 +93,7 @@ class _Body:
             self._is_answered = True
             if message["type"] == "http.response.start" and message["status"] == 413:
                 too_large = True
-                await self.let_it_end()
-                most = UPLOAD_BYTES if scope["path"] in UPLOAD_PATHS else JSON_BYTES
-                reason = f"the body is larger than the {most // 1_000_000} MB this path takes"
+                reason = f"the body is larger than the {_most(scope['path']) / 1e6:g} MB this path takes"
                 await JSONResponse({"detail": reason}, 413)(scope, self._receive, send)
             elif not too_large:
                 await send(message)
@@ -112,7 +117,8 @@ class _Body:
         except TimeoutError as error:
             if self._is_answered:
                 return {"type": "http.disconnect"}
-            raise HTTPException(408, f"the body came too slowly: {self._n_bytes} bytes so far") from error
+            reason = f"the body came too slowly: {self._n_bytes} bytes so far"
+            raise HTTPException(408, reason, CLOSE) from error
         finally:
             self._waiting = None
             self._waited_s += loop.time() - began_s
@@ -135,20 +141,10 @@ class _Body:
         if self._waiting is not None:
             self._waiting.reschedule(asyncio.get_running_loop().time())
 
-    async def let_it_end(self) -> None:
-        """Reads and drops the rest where the connection is closed after the answer.
 
-        The client would see a connection reset under its hands in the place of the answer. Where it stays
-        open, the server reads and drops the rest by itself.
-        """
-        if not self._closes or self._has_ended:
-            return
-        try:
-            async with asyncio.timeout(REST_S):
-                while (await self._receive()).get("more_body", False):
-                    pass
-        except TimeoutError:
-            pass
+def _most(path: str) -> int:
+    """Bytes that a path takes, as its route says."""
+    return UPLOAD_BYTES if path in UPLOAD_PATHS else LOGIN_BYTES if path == LOGIN_PATH else JSON_BYTES
 
 
 def name_of(file: UploadFile) -> str:
@@ -157,9 +153,27 @@ def name_of(file: UploadFile) -> str:
     return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in name[:LONGEST_NAME])
 
 
-async def _turn() -> AsyncIterator[None]:
-    yield
+@asynccontextmanager
+async def on_disk(write: Callable[[IO[bytes]], object]) -> AsyncIterator[Path]:
+    """A file that another process can read, for as long as the block lasts.
+
+    Args:
+        write: fills it, in a thread.
+
+    Raises:
+        HTTPException: there is no room for it.
+    """
+    with ExitStack() as stack:
+        try:
+            file = stack.enter_context(NamedTemporaryFile(prefix="calrig-"))
+            await run_in_threadpool(write, file.file)
+            file.flush()
+        except OSError as error:
+            reason = f"{gettempdir()}: a file cannot be laid there ({error.strerror}): make room there"
+            raise HTTPException(503, reason) from error
+        yield Path(file.name)
 
 
-Turn = Annotated[None, Depends(_turn, scope="function", max_concurrency=1)]
-"""For what takes much memory: one at a time. Those that wait hold no thread, and their files lie on disk."""
+def copied(upload: UploadFile) -> Callable[[IO[bytes]], None]:
+    """Fills a file with an upload."""
+    return partial(copyfileobj, upload.file)

@@ -7,6 +7,7 @@ from pydantic import Field
 
 from calrig.api.authentication import Authentication
 from calrig.api.errors import problems
+from calrig.api.limits import LOGIN_BYTES, LOGIN_PATH
 from calrig.api.models import Answer, Body
 
 router = APIRouter(tags=["access"])
@@ -33,13 +34,15 @@ def _authentication(request: Request) -> Authentication:
 Auth = Annotated[Authentication, Depends(_authentication)]
 
 
-@router.get("/api/login", summary="Whether to log in")
+@router.get(LOGIN_PATH, summary="Whether to log in")
 async def login_state(request: Request, auth: Auth) -> LoginAnswer:
     """Open to everybody, so that the page knows what to show."""
     return LoginAnswer(needed=auth.access.token is not None, logged_in=auth.has_session(request))
 
 
-@router.post("/api/login", responses=problems(413, 422), summary="Log in on the page")
+@router.post(
+    LOGIN_PATH, max_body_size=LOGIN_BYTES, responses=problems(413, 422), summary="Log in on the page"
+)
 async def log_in(body: Login, request: Request, response: Response, auth: Auth) -> LoginAnswer:
     """Sets a cookie that lasts twelve hours. A wrong token is 401, a second later."""
     if auth.access.token is None:

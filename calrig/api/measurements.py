@@ -1,20 +1,23 @@
 """What a run measured: its poses and its raw samples."""
 
-from typing import Annotated, Any, Literal
+from collections.abc import Iterable, Iterator
+from functools import partial
+from itertools import chain
+from typing import Annotated, Any, AnyStr, Literal
 
 from fastapi import APIRouter, Header, Query
 from fastapi.responses import PlainTextResponse, Response, StreamingResponse
 from pydantic_core import to_json
 
 from calrig.analysis.results import pose_residuals_deg
-from calrig.api.context import Context, KnownRun
+from calrig.api.context import ApiContext, Context, KnownRun
 from calrig.api.errors import problems, problems_in_json
-from calrig.api.limits import Turn
 from calrig.api.models import PoseAnswer
+from calrig.calibration.pose import Pose
 from calrig.calibration.result import raw_error_deg
-from calrig.export.poses_csv import write_poses
+from calrig.export.poses_csv import write_pose_batches
 from calrig.export.samples_csv import write_samples_csv, write_samples_npz
-from calrig.store import StoredPose
+from calrig.store import Run, StoredPose
 
 CSV = "text/csv; charset=utf-8"
 _TEXT = {"schema": {"type": "string"}}
@@ -32,19 +35,37 @@ router = APIRouter(tags=["measurements"])
 def poses(
     run: KnownRun,
     context: Context,
-    _turn: Turn,
     format: Annotated[Literal["json", "csv"] | None, Query()] = None,
     accept: Annotated[str, Header()] = "",
 ) -> Any:
     """JSON has all; CSV (`format=csv` or `Accept: text/csv`) is the import format, without excluded poses."""
-    stored = context.store.poses(run.id)
-    if format == "csv" or (format is None and _prefers_csv(accept)):
-        counted = [p.pose for p in stored if p.excluded is None]
-        return _file(write_poses(counted), CSV, f"run-{run.id}-poses.csv")
     # Tens of thousands of them, straight from the store: a test holds them to the model.
-    left_deg = pose_residuals_deg(run, [p.pose for p in stored])
-    text = to_json([_pose(p, left) for p, left in zip(stored, left_deg, strict=True)], inf_nan_mode="null")
-    return Response(text, media_type="application/json")
+    if format == "csv" or (format is None and _prefers_csv(accept)):
+        return _streamed(write_pose_batches(partial(_counted, context, run)), CSV, f"run-{run.id}-poses.csv")
+    return _streamed(_json(run, context.store.pose_batches(run.id)), "application/json")
+
+
+def _counted(context: ApiContext, run: Run) -> Iterator[list[Pose]]:
+    for batch in context.store.pose_batches(run.id):
+        yield [stored.pose for stored in batch if stored.excluded is None]
+
+
+def _json(run: Run, batches: Iterable[list[StoredPose]]) -> Iterator[bytes]:
+    """A JSON array, piece by piece."""
+    begin = b"["
+    for batch in batches:
+        left_deg = pose_residuals_deg(run, [p.pose for p in batch])
+        poses = [_pose(p, left) for p, left in zip(batch, left_deg, strict=True)]
+        yield begin + to_json(poses, inf_nan_mode="null")[1:-1]
+        begin = b","
+    yield b"[]" if begin == b"[" else b"]"
+
+
+def _streamed(pieces: Iterator[AnyStr], media_type: str, name: str = "") -> Response:
+    """An answer that is made as it is sent; what is wrong with its beginning is told in place of it."""
+    first = next(pieces)
+    content: Iterator[str | bytes] = chain([first], pieces)
+    return StreamingResponse(content, media_type=media_type, headers=_named(name) if name else None)
 
 
 def _pose(stored: StoredPose, residual_deg: float | None) -> dict[str, Any]:
@@ -84,8 +105,7 @@ def samples(
     if format == "npz":
         packed = write_samples_npz(context.store.samples(run.id, pose))
         return _file(packed, "application/octet-stream", f"{name}.npz")
-    text = write_samples_csv(context.store.sample_blocks(run.id, pose))
-    return StreamingResponse(text, media_type=CSV, headers=_named(f"{name}.csv"))
+    return _streamed(write_samples_csv(context.store.sample_blocks(run.id, pose)), CSV, f"{name}.csv")
 
 
 @router.get(

@@ -33,6 +33,10 @@ class StartRun(Body):
     plan: Plan = Plan()
     operator: Annotated[str, Field(max_length=200)] | None = None
     note: Annotated[str, Field(max_length=10_000)] | None = None
+    stage_at_deg: Annotated[float, Field(ge=-360, le=360)] | None = Field(
+        default=None,
+        description="Elevation at which a stage without homing stands, by the word of somebody who looked.",
+    )
 
 
 class Reason(Body):
@@ -99,10 +103,8 @@ class ReferenceAnswer(Answer):
     scale_std: float | None
 
 
-class ResultAnswer(Answer):
-    """reading = bias_deg + scale·elevation; RMS as √(Σr²/n). `bias_std_deg`, `scale_std` are of type A."""
-
-    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
+class LineAnswer(Answer):
+    """The figures of a fitted line: of a run's result, and of it among others."""
 
     bias_deg: float
     bias_std_deg: float | None
@@ -111,6 +113,13 @@ class ResultAnswer(Answer):
     rms_raw_deg: float
     rms_calibrated_deg: float | None
     rms_with_effects_deg: float | None
+
+
+class ResultAnswer(LineAnswer):
+    """reading = bias_deg + scale·elevation; RMS as √(Σr²/n). `bias_std_deg`, `scale_std` are of type A."""
+
+    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
+
     n_poses: int
     noise_deg: float | None
     temperature_c: Extremes | None

@@ -1,33 +1,25 @@
 """Noise and filters: of a run's samples, or of a log that somebody brings."""
 
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-# What computes is imported where it is used: its half of scipy would be a second of the service's start.
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from functools import partial
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, File, Form, UploadFile
 
 from calrig.analysis.errors import Invalid
-from calrig.api.context import Context, KnownRun
+from calrig.analysis.log_studies import Study, study_file, study_samples
+from calrig.analysis.noise_studies import NAMES, gyro_scale_of, lay_samples, require_static
+from calrig.api.context import ApiContext, Context, KnownRun
 from calrig.api.errors import problems
-from calrig.api.limits import UPLOAD_BYTES, Turn, name_of
+from calrig.api.heavy import Heavy, HeavyWork
+from calrig.api.limits import UPLOAD_BYTES, copied, name_of, on_disk
 from calrig.api.models import Answer
 from calrig.api.models import Figure as FigureAnswer
-from calrig.estimation.angles import FloatArray
-from calrig.export.cells import CsvError
-from calrig.export.static_csv import StaticLog, read_static
-from calrig.figures.parts import Figure
-
-if TYPE_CHECKING:
-    from calrig.noise.analysis import Noise
-    from calrig.noise.filters import FilterStudy
+from calrig.store import Run
 
 router = APIRouter(tags=["noise"])
-T = TypeVar("T")
 
-MOST_SAMPLES = 2_000_000
-"""Of an uploaded log; the command line takes a longer one, on the memory of whoever asks."""
 LogFile = Annotated[UploadFile, File(description="CONTRACT section 4's static log")]
 Rate = Annotated[float | None, Form(gt=0, le=1e6, description="Samples a second; wins over time_s.")]
 Range = Annotated[float | None, Form(gt=0, le=1e5, description="Full scale of raw counts.")]
@@ -144,11 +136,10 @@ class FiltersAnswer(Answer):
     responses=problems(404, 409, 422),
     summary="The noise in the log of a static run",
 )
-def run_noise(run: KnownRun, context: Context, _turn: Turn) -> dict[str, Any]:
+async def run_noise(run: KnownRun, context: Context, heavy: Heavy) -> dict[str, Any]:
     """Allan deviation, spectrum, distribution and dependence on temperature of each channel."""
-    from calrig.analysis.noise_studies import noise_of_run
-
-    return _noise_answer(noise_of_run(context.store, run.id))
+    require_static(run)
+    return await _of_run("noise", run, context, heavy)
 
 
 @router.get(
@@ -157,11 +148,9 @@ def run_noise(run: KnownRun, context: Context, _turn: Turn) -> dict[str, Any]:
     responses=problems(404, 409, 422),
     summary="The filters side by side on a run's samples",
 )
-def run_filters(run: KnownRun, context: Context, _turn: Turn) -> dict[str, Any]:
+async def run_filters(run: KnownRun, context: Context, heavy: Heavy) -> dict[str, Any]:
     """Jitter, lag and largest offset of each, the Kalman filter tuned from the run's own rests among them."""
-    from calrig.analysis.noise_studies import filters_of_run
-
-    return _filters_answer(filters_of_run(context.store, run.id))
+    return await _of_run("filters", run, context, heavy)
 
 
 @router.post(
@@ -171,17 +160,15 @@ def run_filters(run: KnownRun, context: Context, _turn: Turn) -> dict[str, Any]:
     responses=problems(408, 413, 422, 503),
     summary="The noise in a log from anybody's sensor",
 )
-def log_noise(
-    _turn: Turn,
+async def log_noise(
+    heavy: Heavy,
     file: LogFile,
     rate_hz: Rate = None,
     accel_range_g: Range = None,
     gyro_range_dps: Range = None,
 ) -> dict[str, Any]:
     """The sensor was at rest. Nothing is stored."""
-    from calrig.noise.analysis import analyse
-
-    return _noise_answer(*_studied(analyse, file, rate_hz, accel_range_g, gyro_range_dps))
+    return await _of_file("noise", file, heavy, rate_hz, accel_range_g, gyro_range_dps)
 
 
 @router.post(
@@ -191,67 +178,43 @@ def log_noise(
     responses=problems(408, 413, 422, 503),
     summary="The filters side by side on a log from anybody's sensor",
 )
-def log_filters(
-    _turn: Turn,
+async def log_filters(
+    heavy: Heavy,
     file: LogFile,
     rate_hz: Rate = None,
     accel_range_g: Range = None,
     gyro_range_dps: Range = None,
 ) -> dict[str, Any]:
     """The sensor was at rest and was turned about its x axis. Nothing is stored."""
-    from calrig.noise.filters import study_filters
-
-    return _filters_answer(*_studied(study_filters, file, rate_hz, accel_range_g, gyro_range_dps))
+    return await _of_file("filters", file, heavy, rate_hz, accel_range_g, gyro_range_dps)
 
 
-def _studied(
-    study: Callable[[dict[str, FloatArray], FloatArray | None, float | None], T],
+async def _of_run(study: Study, run: Run, context: ApiContext, heavy: HeavyWork) -> dict[str, Any]:
+    async with on_disk(partial(lay_samples, context.store, run.id)) as path:
+        try:
+            return await heavy(partial(study_samples, study, path, NAMES, gyro_scale_of(run)))
+        except ValueError as error:
+            raise Invalid(f"run {run.id}: {error}") from error
+
+
+async def _of_file(
+    study: Study,
     file: UploadFile,
+    heavy: HeavyWork,
     rate_hz: float | None,
     accel_range_g: float | None,
     gyro_range_dps: float | None,
-) -> tuple[T, tuple[str, ...]]:
-    """What a study makes of an uploaded log, and what was said of the file itself."""
-    name, log = _read(file, accel_range_g, gyro_range_dps)
-    try:
-        return study(log.channels, log.time_s, rate_hz), log.warnings
-    except ValueError as error:
-        raise Invalid(f"{name}: {error}") from error
-
-
-def _read(
-    file: UploadFile, accel_range_g: float | None, gyro_range_dps: float | None
-) -> tuple[str, StaticLog]:
-    name = name_of(file)
-    try:
-        return name, read_static(
-            file.file.read(),
+) -> dict[str, Any]:
+    async with on_disk(copied(file)) as path:
+        question = partial(
+            study_file,
+            study,
+            path,
+            rate_hz=rate_hz,
             accel_range_g=accel_range_g,
             gyro_range_dps=gyro_range_dps,
-            max_samples=MOST_SAMPLES,
         )
-    except CsvError as error:
-        raise Invalid(f"{name}: {error}") from error
-
-
-def _noise_answer(found: "Noise", warnings: tuple[str, ...] = ()) -> dict[str, Any]:
-    from calrig.figures.noise import noise_figures
-    from calrig.noise.report import noise_document
-
-    return _answer(noise_document(found), noise_figures(found), warnings)
-
-
-def _filters_answer(found: "FilterStudy", warnings: tuple[str, ...] = ()) -> dict[str, Any]:
-    from calrig.figures.filters import filters_figures
-    from calrig.noise.filters import filters_document
-
-    return _answer(filters_document(found), filters_figures(found), warnings)
-
-
-def _answer(
-    report: dict[str, Any], figures: Sequence[Sequence[tuple[str, Figure]]], warnings: tuple[str, ...]
-) -> dict[str, Any]:
-    from calrig.noise.report import said_first
-
-    drawn = [{"caption": caption, "figure": figure} for row in figures for caption, figure in row]
-    return {"report": said_first(warnings, report), "figures": drawn}
+        try:
+            return await heavy(question)
+        except ValueError as error:
+            raise Invalid(f"{name_of(file)}: {error}") from error

@@ -17,6 +17,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from calrig.api.access import Access, address_in, is_loopback
 from calrig.api.authentication import Authentication, address_of
+from calrig.api.lingering import CLOSE
 
 OPEN = frozenset({"/", "/api/health", "/api/login"})
 OPEN_FOLDERS = ("/web/",)
@@ -48,6 +49,10 @@ HEADERS = {
 }
 
 
+NOT_KEPT = {"Cache-Control": "no-store"}
+"""Of all that the API answers: it is for who asked, and true now."""
+
+
 class OriginCheck:
     """ASGI middleware that refuses what must not come in; the rest passes with every answer's headers set."""
 
@@ -63,17 +68,21 @@ class OriginCheck:
 
         async def with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
-                MutableHeaders(scope=message).update(HEADERS)
+                headers = MutableHeaders(scope=message)
+                headers.update(HEADERS)
+                if scope["path"].startswith("/api/"):
+                    headers.update(NOT_KEPT)
             await send(message)
 
         asked = HTTPConnection(scope)
         try:
             self._check_name(asked)
             _check_origin(asked)
-            if not (scope["path"] in OPEN or scope["path"].startswith(OPEN_FOLDERS)):
-                await self.authentication.check(asked)
+            is_open = scope["path"] in OPEN or scope["path"].startswith(OPEN_FOLDERS)
+            await self.authentication.check(asked, is_open=is_open)
         except HTTPException as error:
-            refused = JSONResponse({"detail": error.detail}, error.status_code, error.headers)
+            headers = {**(error.headers or {}), **CLOSE}
+            refused = JSONResponse({"detail": error.detail}, error.status_code, headers)
             await refused(scope, receive, with_headers)
             return
         await self.app(scope, receive, with_headers)

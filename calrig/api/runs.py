@@ -2,6 +2,7 @@
 
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
+import asyncio
 from typing import Annotated
 
 from fastapi import APIRouter, Path, Query
@@ -10,6 +11,7 @@ from pydantic import Field
 import calrig
 from calrig.analysis.errors import Invalid
 from calrig.api.context import Context, KnownRun
+from calrig.api.errands import answer_of
 from calrig.api.errors import problems
 from calrig.api.models import Answer, Health, Reason, RigAnswer, RunAnswer, RunList, StartRun, Status
 from calrig.instruments import scan as ports
@@ -42,7 +44,7 @@ class ScanAnswer(Answer):
 
 
 @router.get("/api/health", summary="Whether the service answers")
-def health() -> Health:
+async def health() -> Health:
     """The service's version."""
     return Health(status="ok", version=calrig.__version__)
 
@@ -69,9 +71,12 @@ def scan(context: Context) -> object:
     responses=problems(404, 409),
     summary="Stop a rig's stage now",
 )
-def stop(name: str, context: Context) -> object:
-    """Whatever runs on it is aborted; a stage that stands by itself is told as well."""
-    return context.service.stop(name)
+async def stop(name: str, context: Context) -> object:
+    """Whatever runs on it is aborted; a stage that stands by itself is told as well.
+
+    200 once the stage was seen to stand, twice at one angle; else 409 within ten seconds.
+    """
+    return await answer_of(context.service.begin_stop(name), f"the stage of rig {name!r}")
 
 
 @router.post(
@@ -84,7 +89,12 @@ def stop(name: str, context: Context) -> object:
 def start_run(body: StartRun, context: Context) -> Run:
     """Everything but `unit` is optional. A busy rig is 409; `queued` lasts until the worker takes the run."""
     return context.service.start(
-        unit=body.unit, rig=body.rig, plan=body.plan, operator=body.operator, note=body.note
+        unit=body.unit,
+        rig=body.rig,
+        plan=body.plan,
+        operator=body.operator,
+        note=body.note,
+        stage_at_deg=body.stage_at_deg,
     )
 
 
@@ -117,9 +127,12 @@ def show_run(run: KnownRun) -> Run:
     responses=problems(404, 409),
     summary="Stop the stage now and end the run",
 )
-def abort_run(run: KnownRun, context: Context) -> Run:
-    """The poses measured so far stay."""
-    return context.service.abort(run.id)
+async def abort_run(run_id: str, context: Context) -> Run:
+    """The poses measured so far stay. 200 and 409 as of a stop."""
+    errand = context.service.begin_abort(run_id)
+    if errand is None:  # nobody carries it out: nothing moves, and the store knows the rest
+        return await asyncio.to_thread(context.service.abort, run_id)  # of no request's threads
+    return await answer_of(errand, f"the stage of run {run_id}")
 
 
 @router.post(

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 import socket
 from collections.abc import Callable
 
 import uvicorn
 from fastapi import FastAPI
 
-from calrig.api.connections import PatientProtocol
+from calrig.api.connections import ACCEPTED_AT_ONCE, PatientProtocol
 from calrig.api.context import context_of
 
+WAITING = 2048
+"""Connections that may wait to be taken: one beyond them would try again a second later."""
 DRAIN_S = 1
 """How long answers under way may take once the service was told to stop."""
 
@@ -27,18 +30,24 @@ class Server(uvicorn.Server):
                 log_level="warning",
                 access_log=False,
                 timeout_graceful_shutdown=DRAIN_S,
+                backlog=ACCEPTED_AT_ONCE,
                 ws="none",
             )
         )
-        self._streams = context_of(app).streams
+        context = context_of(app)
+        self._streams, self._service = context.streams, context.service
         self._on_ready = on_ready
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Starts, then says so."""
         await super().startup(sockets)
+        for listener in sockets or ():
+            listener.listen(WAITING)  # asyncio takes as many at once as may wait: those are two numbers
         self._on_ready()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Ends the streams, then stops as uvicorn does."""
+        """Ends streams and runs at once, and stops as uvicorn does: no stage moves while answers drain."""
         self._streams.close()
+        closing = asyncio.create_task(asyncio.to_thread(self._service.close))
         await super().shutdown(sockets)
+        await closing

@@ -254,6 +254,10 @@ class Effect:
     follows: str | None = None
     together_with: tuple[str, ...] = ()
 
+    def __reduce__(self) -> tuple[Callable[[str], Effect], tuple[str]]:
+        """Goes to another process by its name: the catalogue there has it."""
+        return _of_the_catalogue, (self.name,)
+
     def __post_init__(self) -> None:
         for part in dataclasses.fields(self):
             required = part.default is dataclasses.MISSING
@@ -276,6 +280,12 @@ class Effect:
             if name not in HIDDEN:
                 found[name] = {"value": float(value), "std": None}
         return found
+
+
+def _of_the_catalogue(name: str) -> Effect:
+    from calrig.calibration.effects import effect_of
+
+    return effect_of(name)
 
 
 def size_deg(shape: Shape, beta: FloatArray, covariance: FloatArray) -> dict[str, float | None]:

@@ -49,7 +49,8 @@ class Pose:
         time_s: since the run began, at mid-dwell.
         reading_std_deg: spread of the filtered samples in the dwell.
         reading_stderr_deg: standard error of the reading, allowing for the filter's correlation.
-        gyro_move_deg: rate about the stage axis, less its bias, integrated over the move into the pose.
+        gyro_move_deg: rate about the stage axis, less its bias, integrated over the move into the pose; None
+            where samples are missing or too few carry it.
         covariates: further columns by name.
         filtering: of the run it belongs to, where that is known; no column of a file.
     """

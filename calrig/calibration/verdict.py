@@ -35,7 +35,13 @@ class Verdict:
     limit: str | None
 
 
-def verdict(result: Document, diagnosis: Document | None = None, *, verification: bool = False) -> Verdict:
+def verdict(
+    result: Document,
+    diagnosis: Document | None = None,
+    *,
+    verification: bool = False,
+    move_mismatches: int = 0,
+) -> Verdict:
     """Judges a run's result.
 
     With s the standard error of one reading (`noise_deg`, pooled from within the dwells), n poses and p
@@ -47,6 +53,7 @@ def verdict(result: Document, diagnosis: Document | None = None, *, verification
         result: CONTRACT section 2's, bias and scale (and accepted effects) with what they leave.
         diagnosis: the run's last one, CONTRACT section 5; None before.
         verification: a calibration made earlier was applied; nothing was fitted to these poses.
+        move_mismatches: of the run's moves, how many the unit felt otherwise than the stage reported.
     """
     fitted = 0 if verification else _fitted_parameters(result, diagnosis)
     freedom = result["n_poses"] - fitted
@@ -56,6 +63,7 @@ def verdict(result: Document, diagnosis: Document | None = None, *, verification
     if ratio is not None and bound is not None:
         left = "noise" if ratio <= bound else "more_than_noise"
     says = [
+        *_mismatched(move_mismatches),
         *_answer(left, ratio, bound, freedom),
         _before_and_after(result, verification=verification),
         *_of_the_stage(result, freedom, left),
@@ -108,6 +116,16 @@ def _answer(left: str | None, ratio: float | None, bound: float | None, freedom:
         "Good: only noise is left." if left == "noise" else "More than noise is left.",
         f"The residual RMS is {ratio:.2f} times what noise alone predicts; noise alone stays under "
         f"{bound:.2f} in {100 * CONFIDENCE:.0f} % of runs ({freedom} degrees of freedom).",
+    ]
+
+
+def _mismatched(count: int) -> list[str]:
+    if not count:
+        return []
+    return [
+        f"Not to be relied on: in {count} move{'' if count == 1 else 's'} the unit felt another turn than "
+        "the stage reported; it may have lost steps or slipped there, and poses before and after do not "
+        "belong together."
     ]
 
 

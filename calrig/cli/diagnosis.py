@@ -83,4 +83,4 @@ def _of_runs(run_ids: Sequence[str], db: str | None) -> dict[str, Any]:
     from calrig.store import Store
 
     with Store.open(store_url(db), writer=None) as store:
-        return Diagnoses(store).diagnose(run_ids[-1], run_ids[:-1])
+        return Diagnoses(store).question(run_ids[-1], run_ids[:-1])()

@@ -27,6 +27,11 @@ def names_a_file(source: str) -> bool:
     return not source.isascii() or not source.isdigit() or Path(source).is_file()
 
 
+def in_utf8(name: str) -> str:
+    """A file's name with the bytes shown that are no UTF-8; only the system can do with them as they are."""
+    return name.encode("utf-8", "backslashreplace").decode()
+
+
 def read_bytes(file: Path, limit: int = LARGEST_POSES) -> bytes:
     """The file's content, or InputError that says why not; a file that says its size is not read in vain."""
     try:

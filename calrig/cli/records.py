@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from calrig.cli.input_files import read_bytes
+from calrig.cli.input_files import in_utf8, read_bytes
 from calrig.cli.options import Db, Rig, UnitSerial
 from calrig.errors import InputError, WorkError
 
@@ -34,8 +34,9 @@ def import_(
     from calrig.store import Store
 
     content = read_bytes(file)
+    name = in_utf8(file.name)
     with Store.open(store_url(db), writer="import") as store:
-        made = Records(store).import_poses(unit=unit, rig=rig, file_name=file.name, content=content)
+        made = Records(store).import_poses(unit=unit, rig=rig, file_name=name, content=content)
     typer.echo(made.id)
 
 

@@ -33,6 +33,12 @@ def run(
     as_json: Json = False,
     operator: Annotated[str | None, typer.Option(help="Who runs it; kept with the run.")] = None,
     note: Annotated[str | None, typer.Option(help="Kept with the run.")] = None,
+    stage_at: Annotated[
+        float | None,
+        typer.Option(
+            min=-360, max=360, metavar="DEG", help="Elevation at which a stage without homing stands now."
+        ),
+    ] = None,
     record: Record = None,
     db: Db = None,
     config: Config = None,
@@ -48,7 +54,9 @@ def run(
     settings = load_settings(config)
     chosen = _rig_named(settings, rig)
     with local_service(store_url(db), "run", (chosen,), settings, record) as service:
-        begun = service.start(unit=unit, rig=chosen.name, plan=the_plan, operator=operator, note=note)
+        begun = service.start(
+            unit=unit, rig=chosen.name, plan=the_plan, operator=operator, note=note, stage_at_deg=stage_at
+        )
         with run_bar(begun) as show, _stop_request() as asked:
             ended = _until_ended(service, begun.id, asked, show)
     if as_json:
@@ -115,7 +123,7 @@ def _until_ended(service: RunService, run_id: str, asked: _StopRequest, show: Ca
                 return run
             if asked.is_made and not aborted:
                 aborted = True
-                with suppress(Conflict):  # it has just ended by itself
+                with suppress(Conflict):  # it has just ended, or its error says what became of the stage
                     service.abort(run_id)
                 continue
             news.wait(LOOK_S)

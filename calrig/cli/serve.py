@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import calrig
+from calrig.cli.input_files import in_utf8
 from calrig.cli.options import Config, Db, Record
 
 if TYPE_CHECKING:
@@ -67,7 +68,7 @@ def _serve_on(
             host, port = listener.getsockname()[:2]
             where = f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
             asks = "" if access.token is None else f"; it asks for the token of {TOKEN}"
-            typer.echo(f"calrig {calrig.__version__} at {where}, store {url}, rigs: {rigs}{asks}")
+            typer.echo(f"calrig {calrig.__version__} at {where}, store {in_utf8(url)}, rigs: {rigs}{asks}")
 
         gc.freeze()  # what was imported lives to the end: no collection need look at it, the last one neither
         # On SIGINT and SIGTERM uvicorn stops in order, then raises what it was told by.

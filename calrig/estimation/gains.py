@@ -191,9 +191,11 @@ def _filter_steady(
     w[1:] += np.diff(z)
     w[0] += z[0] - (kalman.angle_deg or 0.0)
     if not max(w.max(), -w.min()) <= 180.0:
-        turns = np.rint(w / 360.0)
-        w -= 360.0 * turns
-        z = z - 360.0 * np.cumsum(turns)
+        turns_deg = w / 360.0  # in place from here on: new arrays of a long log cost more than the arithmetic
+        np.rint(turns_deg, out=turns_deg)
+        turns_deg *= 360.0
+        w -= turns_deg
+        z = z - np.cumsum(turns_deg, out=turns_deg)
     y, _ = lfilter([1.0, -1.0], gain.denominator, w, zi=np.array([gain.dt_s * kalman.bias_dps, 0.0]))
     if not max(y.max(), -y.min()) < 180.0:  # also true of NaN
         return None

@@ -15,6 +15,13 @@ MIN_TURN_DEG = 1.0
 """Shorter moves say more about noise and backlash than about scale."""
 
 
+MISSING_PERIODS = 2.5
+"""A longer step between two samples has lost more than one of them: what was turned in it is not known."""
+MOST_ERROR_DEG = 0.03
+MOST_ERROR_SHARE = 0.005
+"""The most that a move's integral may be off by for too few samples, whichever is more."""
+
+
 @dataclass(frozen=True, slots=True)
 class GyroBias:
     """Bias about x, y, z in degrees per second; None where the axis is not measured or not known so well."""
@@ -84,6 +91,48 @@ def move_angle_deg(
         return None
     rate = rate_dps - bias_dps
     return float((rate[1:] + rate[:-1]) @ np.diff(time_s)) / 2.0
+
+
+def integration_error_deg(time_s: FloatArray, rate_dps: FloatArray) -> float:
+    """How far trapezoids may be off for a rate that rises and falls in straight lines between its samples.
+
+    A kink of slope Δ anywhere in a step h costs Δh²/8 at most, and shows in the second differences of the
+    samples beside it, whose squares sum to (Δh)²/2 at least. Of a move's four kinks two are convex and two
+    concave, with errors of opposite signs, so that √(2·Σ(second difference·h)²)/8 covers all four.
+
+    Args:
+        time_s: (n,) strictly increasing.
+        rate_dps: (n,) rate; its noise σ adds about 0.4·σ·√(duration·step).
+    """
+    step_s = np.diff(time_s)
+    longer_s = np.maximum(step_s[1:], step_s[:-1])
+    bend_dps = np.diff(np.diff(rate_dps) / step_s) * longer_s
+    return float(np.sqrt(2.0 * np.sum((bend_dps * longer_s) ** 2))) / 8.0
+
+
+def felt_move_deg(
+    time_s: FloatArray, rate_dps: FloatArray, bias_dps: float, period_s: float, lasts_s: float = math.inf
+) -> float | None:
+    """`move_angle_deg` where the samples can carry it.
+
+    Args:
+        time_s: (n,) as there.
+        rate_dps: (n,) as there.
+        bias_dps: as there.
+        period_s: from one sample to the next.
+        lasts_s: the time that the stage needs for the move; one of less than two periods may pass unseen. 0
+            where nothing is to move.
+
+    Returns:
+        Degrees; None also where samples are missing (`MISSING_PERIODS`), where the move is over within two
+        of them, and where there are too few for its profile (`integration_error_deg` beyond half a percent
+        of the angle and 0.03°).
+    """
+    angle_deg = move_angle_deg(time_s, rate_dps, bias_dps, MISSING_PERIODS * period_s)
+    if angle_deg is None or 0.0 < lasts_s < 2.0 * period_s:
+        return None
+    allowed_deg = max(MOST_ERROR_DEG, MOST_ERROR_SHARE * abs(angle_deg))
+    return angle_deg if integration_error_deg(time_s, rate_dps) <= allowed_deg else None
 
 
 def gyro_scale(turned_deg: npt.ArrayLike, gyro_move_deg: npt.ArrayLike) -> GyroScale | None:

@@ -7,14 +7,23 @@ import io
 import itertools
 import math
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import overload
 
 from calrig.calibration.pose import COLUMNS, INTEGER, REQUIRED, Pose
 from calrig.export.cells import Cells, CsvError, for_spreadsheet
 from calrig.export.csv_table import read_tables
 
-__all__ = ["CsvError", "ImportedPoses", "read_poses", "write_poses"]
+__all__ = [
+    "CsvError",
+    "ImportedPoses",
+    "PoseColumns",
+    "read_pose_columns",
+    "read_poses",
+    "write_pose_batches",
+    "write_poses",
+]
 
 MAX_COUNT = 2**53
 """The largest whole number that a float holds exactly."""
@@ -28,6 +37,47 @@ class ImportedPoses:
     warnings: list[str]
 
 
+class PoseColumns(Sequence[Pose]):
+    """Poses as columns of eight bytes a cell, NaN where not known; each pose is made when it is asked for.
+
+    Args:
+        columns: by the contract's names or those of covariates, all of one length.
+    """
+
+    def __init__(self, columns: dict[str, array[float]]) -> None:
+        self._columns = columns
+
+    def __len__(self) -> int:
+        return len(self._columns["target_deg"])
+
+    @overload
+    def __getitem__(self, place: int) -> Pose: ...
+    @overload
+    def __getitem__(self, place: slice) -> list[Pose]: ...
+    def __getitem__(self, place: int | slice) -> Pose | list[Pose]:
+        if isinstance(place, int):
+            place = range(len(self))[place]  # IndexError beyond the end
+            return self[place : place + 1][0]
+        cells = (_known(column[place], name in INTEGER) for name, column in self._columns.items())
+        return [Pose.from_row(dict(zip(self._columns, row, strict=True))) for row in zip(*cells, strict=True)]
+
+    def in_time(self) -> tuple[PoseColumns, str]:
+        """The poses by `time_s` if each has one, and what is to be said where they were not so."""
+        times = self._columns.get("time_s", array("d"))
+        known = [time for time in times if not math.isnan(time)]
+        if all(before <= after for before, after in itertools.pairwise(known)):
+            return self, ""
+        if len(known) < len(self):
+            return self, "time_s goes backwards and is not known for every row; the rows are left as they are"
+        order = sorted(range(len(self)), key=times.__getitem__)
+        ordered = {name: array("d", map(column.__getitem__, order)) for name, column in self._columns.items()}
+        return PoseColumns(ordered), "the rows were not in order of time_s; they are sorted by it"
+
+
+def _known(cells: Iterable[float], whole: bool) -> Iterator[float | int | None]:
+    return (None if math.isnan(cell) else int(cell) if whole else cell for cell in cells)
+
+
 def read_poses(data: bytes) -> ImportedPoses:
     """Reads the poses of a CSV file.
 
@@ -37,6 +87,12 @@ def read_poses(data: bytes) -> ImportedPoses:
     Raises:
         CsvError: the file is not such a table; says line and column.
     """
+    columns, warnings = read_pose_columns(data)
+    return ImportedPoses(columns[:], warnings)
+
+
+def read_pose_columns(data: bytes) -> tuple[PoseColumns, list[str]]:
+    """The same, of which a hundred thousand poses fit into little memory."""
     columns: list[_Column] = []
     for table in read_tables(data, REQUIRED):
         columns = columns or [_Column(name) for name in table.header]
@@ -46,23 +102,35 @@ def read_poses(data: bytes) -> ImportedPoses:
     for place, column in enumerate(columns):
         if why := column.why_left_out():
             warnings.append(f"column {column.name or place + 1}: {why}; left out")
-    kept = [column for column in columns if not column.why_left_out()]
-    names = [column.name for column in kept]
-    rows = zip(*(column.values() for column in kept), strict=True)
-    return _in_time([Pose.from_row(dict(zip(names, row, strict=True))) for row in rows], warnings)
+    kept = {column.name: column.cells for column in columns if not column.why_left_out()}
+    poses, of_time = PoseColumns(kept).in_time()
+    return poses, [*warnings, *([of_time] if of_time else [])]
 
 
 def write_poses(poses: Sequence[Pose]) -> str:
     """The poses as CSV that `read_poses` reads back exactly; a column known in no pose is left out."""
-    names = dict.fromkeys([*COLUMNS, *(name for pose in poses for name in pose.covariates)])
-    known = {name for pose in poses for name, value in pose.row().items() if value is not None}
-    kept = [name for name in names if name in REQUIRED or name in known]
+    return "".join(write_pose_batches(lambda: [poses]))
+
+
+def write_pose_batches(batches: Callable[[], Iterable[Iterable[Pose]]]) -> Iterator[str]:
+    """The same, piece by piece, the header first.
+
+    Args:
+        batches: the poses, some at a time; asked twice, since the header tells what all of them know.
+    """
+    names, known = dict.fromkeys(COLUMNS), set(REQUIRED)
+    for pose in itertools.chain.from_iterable(batches()):
+        names.update(dict.fromkeys(pose.covariates))
+        known.update(name for name, value in pose.row().items() if value is not None)
+    kept = [name for name in names if name in known]
+    yield _rows([[for_spreadsheet(name) for name in kept]])
+    for batch in batches():
+        yield _rows([_text(row.get(name)) for name in kept] for row in map(Pose.row, batch))
+
+
+def _rows(cells: Iterable[Iterable[str]]) -> str:
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(for_spreadsheet(name) for name in kept)
-    for pose in poses:
-        row = pose.row()
-        writer.writerow(_text(row.get(name)) for name in kept)
+    csv.writer(text, lineterminator="\n").writerows(cells)
     return text.getvalue()
 
 
@@ -75,7 +143,7 @@ class _Column:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self._cells = array("d")
+        self.cells = array("d")
         self._why_not = "" if name else "has no name"
 
     def take(self, cells: Cells) -> None:
@@ -94,19 +162,13 @@ class _Column:
             self._why_not = f"is not numeric (line {error.line}: {error.what})"
             return
         _check(cells, values)
-        self._cells.extend(math.nan if value is None else value for value in values)
+        self.cells.extend(math.nan if value is None else value for value in values)
 
     def why_left_out(self) -> str:
         """Why no pose gets this column; empty where they do. A column of the contract is always kept."""
-        if self.name not in COLUMNS and not self._why_not and all(map(math.isnan, self._cells)):
+        if self.name not in COLUMNS and not self._why_not and all(map(math.isnan, self.cells)):
             self._why_not = "has no values"
         return self._why_not
-
-    def values(self) -> Iterator[float | int | None]:
-        """The cells, None where not known."""
-        whole = self.name in INTEGER
-        for value in self._cells:
-            yield None if math.isnan(value) else int(value) if whole else value
 
 
 def _check(cells: Cells, values: Sequence[float | None]) -> None:
@@ -122,18 +184,3 @@ def _check(cells: Cells, values: Sequence[float | None]) -> None:
         cells.refuse_first(
             values, lambda value: value is not None and not 0 <= value <= MAX_COUNT, "is not a count"
         )
-
-
-def _in_time(poses: list[Pose], warnings: list[str]) -> ImportedPoses:
-    times = [pose.time_s for pose in poses if pose.time_s is not None]
-    if all(before <= after for before, after in itertools.pairwise(times)):
-        return ImportedPoses(poses, warnings)
-    if len(times) < len(poses):
-        warnings.append("time_s goes backwards and is not known for every row; the rows are left as they are")
-        return ImportedPoses(poses, warnings)
-    warnings.append("the rows were not in order of time_s; they are sorted by it")
-    return ImportedPoses(sorted(poses, key=_time_of), warnings)
-
-
-def _time_of(pose: Pose) -> float:
-    return 0.0 if pose.time_s is None else pose.time_s

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from calrig.instruments.axis_goal import Goal, travel_time_s
 from calrig.instruments.clock import WALL, Clock
 from calrig.instruments.errors import Halted, InstrumentError, LimitError, StageError
+from calrig.instruments.standing import IN_MOTION, stop_until_it_stands
 from calrig.instruments.types import Stage, StageIdentity, StageStatus
 
 HOME_TIMEOUT_S = 120.0
@@ -18,7 +19,6 @@ STALL_S = 3.0
 STALL_DEG = 0.05
 ASSUMED_VELOCITY_DPS = 1.0
 OVERSHOOT_DEG = 1.0  # beyond the tolerance: nothing that moves as it was told is so far off its way
-IN_MOTION = ("moving", "homing")
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,9 +124,7 @@ class Axis:
         here = self.elevation_deg() if self._rests_deg is None else self.see_that_it_stands(self._rests_deg)
         self.has_moved, self._rests_deg = True, None
         self.stage.move(self._zero_deg + self._gain * elevation_deg)
-        velocity = self._velocity_dps or ASSUMED_VELOCITY_DPS
-        acceleration = self._acceleration_dps2 or velocity
-        travel_s = travel_time_s(abs(self._gain * (elevation_deg - here)), velocity, acceleration)
+        velocity, travel_s = self._velocity_dps or ASSUMED_VELOCITY_DPS, self.travel_s(elevation_deg - here)
         now = self._clock.now_s()
         self._goal = Goal(
             target_deg=elevation_deg,
@@ -136,6 +134,11 @@ class Axis:
             progress_deg=here,
             from_deg=here,
         )
+
+    def travel_s(self, turn_deg: float) -> float:
+        """The time that the stage needs to turn so far, by what its controller says of itself."""
+        velocity = self._velocity_dps or ASSUMED_VELOCITY_DPS
+        return travel_time_s(abs(self._gain * turn_deg), velocity, self._acceleration_dps2 or velocity)
 
     def poll(self) -> Motion:
         """Looks once, waiting for nothing but the stage's answers.
@@ -160,6 +163,10 @@ class Axis:
     def elevation_deg(self) -> float:
         """Where the standing stage says it is, in elevation."""
         return self._to_elevation(self.stage.position_deg())
+
+    def stands_at(self, elevation_deg: float) -> None:
+        """Takes a standing stage's word for a new zero: it counts from elsewhere than when it was left."""
+        self._zero_deg = self.stage.position_deg() - self._gain * elevation_deg
 
     def see_that_it_stands(self, stood_deg: float) -> float:
         """Where a stage stands that was told nothing since it stood at `stood_deg`.
@@ -198,30 +205,15 @@ class Axis:
         self.stage.halt()
 
     def confirm_stopped(self, timeout_s: float) -> None:
-        """Halts, and goes on sending stop until the stage says that it does not move.
+        """Halts, and goes on sending stop until the stage says that it stands, twice at one angle.
 
         Raises:
-            StageError: it still moves, or does not answer, after timeout_s: only cutting its power is left.
+            StageError: it still moves, whatever it says of itself, or does not answer, after timeout_s: only
+                cutting its power is left.
             PortError: the port is gone.
         """
-        deadline = self._clock.now_s() + timeout_s
-        while True:
-            self.halt()
-            failure: StageError | None = None
-            try:
-                words = self.stage.status()
-            except StageError as error:
-                failure = error
-            else:
-                if words.state not in IN_MOTION:
-                    return
-            if self._clock.now_s() > deadline:
-                said = failure or f"it says {words.words}"
-                raise StageError(
-                    f"the stage is not known to stand {timeout_s:g} s after it was told to stop ({said}): "
-                    "cut its motor power"
-                ) from failure
-            self._clock.sleep(0.02)
+        self._halted = True
+        stop_until_it_stands(self.stage, self._clock, timeout_s)
 
     def close(self) -> None:
         """Restores the velocity found and closes the port; never raises."""

@@ -88,13 +88,17 @@ class BoardIdentity:
 
 @dataclass(frozen=True, slots=True)
 class StageIdentity:
-    """Who a stage says it is, and what its controller allows, in the stage's own degrees."""
+    """Who a stage says it is, and what its controller allows, in the stage's own degrees.
+
+    `homes`: it can look for its reference, so that nobody needs to remember where it stands.
+    """
 
     driver: str
     firmware: str | None
     limits_deg: tuple[float, float] | None
     velocity_dps: float | None
     acceleration_dps2: float | None
+    homes: bool = True
 
 
 @dataclass(frozen=True, slots=True)

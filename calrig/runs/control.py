@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from calrig.instruments.clock import WALL, Clock
 from calrig.instruments.errors import InstrumentError
 from calrig.store import Status
 
@@ -29,14 +30,34 @@ class Ended(Exception):  # noqa: N818 (a request that was met, not an error)
         self.end = end
 
 
-class Control:
-    """The requests made of one run. A request to end halts the stage from the asking thread, at once."""
+@dataclass(frozen=True, slots=True)
+class Left:
+    """How a run left its stage.
 
-    def __init__(self) -> None:
+    Attributes:
+        seen: whether it was told to stop and looked at; False where its port was never opened, or it never
+            moved and nobody asked for a stop.
+        trouble: what a person must know where it is not known to stand.
+    """
+
+    seen: bool
+    trouble: str | None = None
+
+
+class Control:
+    """The requests made of one run. A request to end halts the stage from the asking thread, at once.
+
+    Args:
+        clock: of the run's rig, by which those wait who want to hear that the stage stands.
+    """
+
+    def __init__(self, clock: Clock = WALL) -> None:
         self._lock = threading.Lock()
         self._end: End | None = None
         self._halt: Callable[[], None] | None = None
         self._hold = threading.Event()
+        self._left: Left | None = None
+        self._has_left = clock.event()
 
     def arm(self, halt: Callable[[], None]) -> None:
         """Says how to stop the stage; called once it is open."""
@@ -54,10 +75,25 @@ class Control:
         if halt is not None:
             _send(halt)
 
+    @property
+    def is_to_end(self) -> bool:
+        """Whether an end was asked for."""
+        return self._end is not None
+
     def check(self) -> None:
         """Raises Ended where an end was asked for."""
         if self._end is not None:
             raise Ended(self._end)
+
+    def leave(self, left: Left) -> None:
+        """The run has left its stage, as it says; what it said first holds."""
+        self._left = self._left or left
+        self._has_left.set()
+
+    def left(self, timeout_s: float) -> Left | None:
+        """How the run left its stage, waiting for that for so many seconds of its rig's time; else None."""
+        self._has_left.wait(timeout_s)
+        return self._left
 
     def pause(self) -> None:
         """Asks the run to hold after the pose in hand."""

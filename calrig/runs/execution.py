@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from itertools import pairwise
 
 import numpy as np
 
+from calrig.calibration.move_check import MoveCheck
 from calrig.calibration.pose import Filtering, Pose
 from calrig.calibration.result import GyroFigures
-from calrig.estimation.gyro import GyroBias, dwell_bias, gyro_scale, move_angle_deg, run_bias
+from calrig.estimation.gyro import GyroBias, dwell_bias, felt_move_deg, gyro_scale, run_bias
 from calrig.estimation.kalman import KalmanNoise
 from calrig.estimation.reading import Reading, dwell_reading
 from calrig.instruments.errors import BoardError
-from calrig.instruments.types import FloatArray
+from calrig.instruments.types import FloatArray, Samples
 from calrig.plan import Plan, PlannedPose
+from calrig.runs.felt_moves import KIND, FeltMoves, lost, told
 from calrig.runs.follow_up import FollowUpRun
 from calrig.runs.pace import Pace
 from calrig.runs.resume import MOVE_OFF_DEG, Returned, way_back
 from calrig.runs.stream import block_of
 from calrig.runs.task import Earlier
+from calrig.store import SampleBlock
 
 FEWEST_FOR_TARGET_S = 0.5
 """A dwell with `target_std_deg` is at least this long: a standard error from less is itself a guess."""
@@ -32,7 +34,7 @@ MOVED_DEG = 1e-4
 
 @dataclass
 class Execution:
-    """What a run carries from pose to pose. `moves` pairs the stage's turn with the gyro's, in degrees.
+    """What a run carries from pose to pose. `felt` is what the unit felt of the moves between them.
 
     `returned` is what the last pose before an interruption gave when it was measured once more.
     """
@@ -43,18 +45,14 @@ class Execution:
     earlier: Earlier = field(default_factory=Earlier)
     returned: Returned | None = None
     biases: list[GyroBias] = field(init=False)
-    moves: list[tuple[float, float]] = field(init=False)
+    felt: FeltMoves = field(init=False)
     poses: list[Pose] = field(init=False)
     _approach: int = 0
 
     def __post_init__(self) -> None:
         self.rig, self.recorder = self.pace.rig, self.pace.recorder
         self.poses, self.biases = list(self.earlier.poses), list(self.earlier.biases)
-        self.moves = [
-            (now.stage_deg - before.stage_deg, now.gyro_move_deg)
-            for before, now in pairwise(self.poses)
-            if before.stage_deg is not None and now.stage_deg is not None and now.gyro_move_deg is not None
-        ]
+        self.felt = FeltMoves(self.poses, self.rig.board_identity.gyro_range_dps)
         self._noise = KalmanNoise(**self.rig.settings.filter.model_dump())
 
     def carry_out(self, planned: list[PlannedPose]) -> None:
@@ -195,19 +193,21 @@ class Execution:
         move = before.between(self.pace.stood_at_s, start_s)
         dwell = stretch.between(start_s, end_s).samples
         self.biases.append(dwell_bias(dwell.gyro_dps))
+        turned_deg = (
+            None if before_deg is None or self.pace.stage_deg is None else self.pace.stage_deg - before_deg
+        )
         neighbours_dps = [b for bias in self.biases[-2:] if (b := bias.bias_dps[0]) is not None]
         gyro_move_deg = (
-            move_angle_deg(
+            felt_move_deg(
                 move.time_s,
                 move.gyro_dps[:, 0],
                 sum(neighbours_dps) / len(neighbours_dps),
-                self.pace.gap_s,
+                1.0 / self.pace.rate_hz,
+                self.rig.axis.travel_s(turned_deg or 0.0),
             )
             if neighbours_dps
             else None
         )
-        if gyro_move_deg is not None and before_deg is not None and self.pace.stage_deg is not None:
-            self.moves.append((self.pace.stage_deg - before_deg, gyro_move_deg))
         pose = Pose(
             target_deg=planned.target_deg,
             reading_deg=reading.reading_deg,
@@ -226,18 +226,34 @@ class Execution:
             settle_s=self.plan.settle_s,
             filtering=Filtering(self._noise, self.pace.rate_hz, self.plan.dwell_s),
         )
+        blocks = [block_of(len(self.poses), "move", before), block_of(len(self.poses), "dwell", dwell)]
+        self._conclude(pose, blocks, self._felt(pose, before_deg, move, end_s - start_s))
+        self.pace.forget(end_s)
+
+    def _felt(self, pose: Pose, before_deg: float | None, move: Samples, dwell_s: float) -> MoveCheck | None:
+        """Holds the move into a pose against what the unit felt of it."""
+        turned_deg = None if before_deg is None or pose.stage_deg is None else pose.stage_deg - before_deg
+        return self.felt.take(pose, turned_deg, move, self.biases[-1].bias_std_dps[0], dwell_s)
+
+    def _conclude(self, pose: Pose, blocks: list[SampleBlock], check: MoveCheck | None) -> None:
+        """Stores a pose, and says where the unit felt another move; StageError where that ends the run."""
         index = len(self.poses)  # of the poses measured: a follow-up skips some that were planned
         self.poses.append(pose)
-        blocks = [block_of(index, "move", before), block_of(index, "dwell", dwell)]
-        self.recorder.pose(index, pose, blocks, self.rig.faults())
-        self.pace.forget(end_s)
+        also = []
+        if check is not None and check.verdict != "agrees":
+            self.rig.board.faults[KIND] += 1
+            also.append(told(index, pose, check))
+        self.recorder.pose(index, pose, blocks, self.rig.faults(), *also)
+        if check is not None and check.verdict == "lost":
+            self.rig.place.is_lost()
+            raise lost(index, pose, check)
 
     def gyro_figures(self) -> GyroFigures:
         """What dwells and moves together say of the gyro."""
         if not self.biases:
             return GyroFigures()
         bias = run_bias(self.biases)
-        turned_deg, felt_deg = zip(*self.moves, strict=True) if self.moves else ((), ())
+        turned_deg, felt_deg = zip(*self.felt.moves, strict=True) if self.felt.moves else ((), ())
         scale = gyro_scale(turned_deg, felt_deg)
         return GyroFigures(
             bias.bias_dps,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from calrig.analysis.errors import Conflict
@@ -13,6 +14,7 @@ from calrig.calibration.experiment_design import design
 from calrig.calibration.pose import DiagnosisError, Pose
 from calrig.calibration.sprt import SequentialTest
 from calrig.plan import Plan, PlannedPose
+from calrig.processes.pool import Apart, WorkError, run_apart
 
 
 @dataclass
@@ -41,14 +43,16 @@ class FollowUpRun:
         self._of_a_sweep = len(self.plan.elevations())
 
     @classmethod
-    def designed(cls, earlier: Unresolved, limits_deg: tuple[float, float]) -> FollowUpRun:
+    def designed(
+        cls, earlier: Unresolved, limits_deg: tuple[float, float], apart: Apart = run_apart
+    ) -> FollowUpRun:
         """The follow-up that best separates the suspects on a rig.
 
         Raises:
             Conflict: no run within these limits would, and why.
         """
         last = earlier.runs[-1]
-        found = design(earlier.poses, earlier.findings, limits_deg)
+        found = apart(partial(design, earlier.poses, earlier.findings, limits_deg))
         if isinstance(found, str):
             raise Conflict(f"run {last.id}: {found}")
         plan = Plan.model_validate(found.document(last.plan or {})["plan"])
@@ -75,13 +79,15 @@ class FollowUpRun:
 
     def diagnosis(self, run_id: str, measured: Sequence[Pose]) -> dict[str, Any] | None:
         """The diagnosis of all runs together, confirmed on the poses that did not serve to decide."""
+        question = partial(
+            trace,
+            [*self.earlier.poses, measured],
+            [*(run.id for run in self.earlier.runs), run_id],
+            plan=self.plan.model_dump(mode="json"),
+            limits_deg=self.limits_deg,
+            deciding=self.decided_on,
+        )
         try:
-            return trace(
-                [*self.earlier.poses, measured],
-                [*(run.id for run in self.earlier.runs), run_id],
-                plan=self.plan.model_dump(mode="json"),
-                limits_deg=self.limits_deg,
-                deciding=self.decided_on,
-            )
-        except DiagnosisError:
+            return run_apart(question)
+        except (DiagnosisError, WorkError):
             return None  # asking for it later says why

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
+from calrig.estimation.angles import elevation_deg
 from calrig.estimation.kalman import KalmanFilter, KalmanNoise
 from calrig.instruments.types import GAP_PERIODS
 from calrig.plan import Plan
@@ -14,6 +17,8 @@ from calrig.runs.stream import Stream
 
 LOOK_S = 0.02
 """How long one look waits for samples before it turns to stage and requests again."""
+GRAVITY_S = 0.5
+"""How long gravity is averaged, where it is held against a stage that cannot home."""
 WATCH_S = 0.5
 """How often a stage that is to stand is asked whether it does."""
 
@@ -49,10 +54,20 @@ class Pace:
         if moves and self.rig.axis.needs_home():
             self.rig.axis.begin_home()
             self.until_it_stands()
+        if moves and not self.rig.stage_identity.homes:
+            self._check_gravity()
         if moves and plan.velocity_dps is not None:  # refused by some controllers before they are referenced
             self.rig.axis.set_velocity(plan.velocity_dps)
         self._stands(self.rig.axis.elevation_deg())
         self.stood_at_s = self.synchronise()  # what the gyro felt before is homing's, and no pose's move
+
+    def _check_gravity(self) -> None:
+        """Before anything moves: a stage that cannot home may stand elsewhere than it says."""
+        self.forget(self.synchronise())
+        self.wait_until(self.stood_at_s + GRAVITY_S)
+        mean_g = self.stream.kept().samples.accel_g.mean(axis=0, keepdims=True)
+        if not np.isnan(mean_g).any():
+            self.rig.place.check_gravity(self.rig.axis.elevation_deg(), float(elevation_deg(mean_g)[0]))
 
     @property
     def gap_s(self) -> float:
@@ -62,8 +77,11 @@ class Pace:
     def move(self, target_deg: float) -> None:
         """Moves to an elevation and waits until the stage stands there."""
         self._stood_deg = None
+        self.rig.place.leaves()
         self.rig.axis.begin_move(target_deg)
         self.until_it_stands()
+        if self.stage_deg is not None:
+            self.rig.place.stands(self.stage_deg)
 
     def until_it_stands(self) -> None:
         """Looks until the stage has ended its motion."""

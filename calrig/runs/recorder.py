@@ -13,7 +13,7 @@ from calrig.instruments.clock import Clock
 from calrig.runs.bus import Bus
 from calrig.runs.meter import RunMeter
 from calrig.runs.states import check_transition
-from calrig.store import AT_REST, Progress, RunChanges, SampleBlock, Status, Store
+from calrig.store import AT_REST, Announced, Progress, RunChanges, SampleBlock, Status, Store
 
 log = logging.getLogger(__name__)
 
@@ -88,13 +88,15 @@ class Recorder:
         """One planned pose will not be measured."""
         self._poses_total -= 1
 
-    def pose(self, index: int, pose: Pose, blocks: list[SampleBlock], faults: Mapping[str, int]) -> None:
-        """Stores a finished pose with its samples, and announces it and the progress it makes."""
+    def pose(
+        self, index: int, pose: Pose, blocks: list[SampleBlock], faults: Mapping[str, int], *also: Announced
+    ) -> None:
+        """Stores a finished pose with its samples; announces it, its progress, and what `also` tells."""
         self.flush()
         self._poses_done += 1
         progress = self._progress()
         told = {"index": index, **pose.row(), "raw_error_deg": raw_error_deg(pose)}
-        events = [("pose", told), ("progress", progress)]
+        events: list[Announced] = [("pose", told), ("progress", progress), *also]
         self._store.add_pose(self.run_id, index, pose, blocks, events, progress=progress, faults=dict(faults))
         self.meter.pose()
         self.meter.faults(faults)

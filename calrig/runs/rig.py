@@ -14,6 +14,9 @@ from calrig.instruments.drivers import open_board, open_stage
 from calrig.instruments.errors import InstrumentError, PortError
 from calrig.instruments.ports import clock_of
 from calrig.instruments.types import Board, BoardIdentity, Stage, StageIdentity
+from calrig.instruments.wanted import while_wanted
+from calrig.runs.control import Control, Left
+from calrig.runs.stage_place import StagePlace
 from calrig.settings import RigSettings, StageSettings
 
 log = logging.getLogger(__name__)
@@ -29,7 +32,8 @@ AGAIN_S = 0.1
 class Rig:
     """An open rig: who its instruments say they are, and the two of them.
 
-    `clock` is the time that both live in; `faults_before` are those of a run before it was interrupted.
+    `clock` is the time that both live in; `place` remembers where a stage without homing stands;
+    `faults_before` are those of a run before it was interrupted.
     """
 
     settings: RigSettings
@@ -39,6 +43,7 @@ class Rig:
     board: Board
     stage_identity: StageIdentity
     board_identity: BoardIdentity
+    place: StagePlace
     faults_before: Mapping[str, int]
 
     def faults(self) -> dict[str, int]:
@@ -60,37 +65,47 @@ class Rig:
 @contextmanager
 def open_rig(
     settings: RigSettings,
-    arm: Callable[[Callable[[], None]], None],
+    control: Control,
     warn: Callable[[str], None],
+    place: StagePlace,
     faults_before: Mapping[str, int],
 ) -> Iterator[Rig]:
     """Opens and identifies both instruments of a rig; moves nothing.
 
     Args:
         settings: the rig, with the ports of both instruments.
-        arm: is given the way to halt the stage as soon as there is one.
+        control: is given the way to halt the stage as soon as there is one, and told how it was left; what
+            is done with the rig, identifying it too, ends soon after an end was asked of it.
         warn: is told where the stage, left behind, is not known to stand.
+        place: is told where a stopped stage stands.
         faults_before: counts that the run has already.
 
     Raises:
         InstrumentError: a port does not open, or a device does not answer as it should.
+        Ended: an end was asked for.
     """
     if settings.stage is None or settings.imu is None:
         raise InstrumentError(f"rig {settings.name!r} has no ports: its simulated devices are not running")
     clock = clock_of(settings.stage.port)
     axis = _open_axis(settings, settings.stage)
-    arm(axis.halt)
+    control.arm(axis.halt)
     board: Board | None = None
     try:
-        board = open_board(settings.imu.driver, settings.imu.port, baudrate=settings.imu.baudrate)
-        yield Rig(settings, clock, axis, axis.stage, board, axis.identify(), board.identify(), faults_before)
+        with while_wanted(control.check):
+            board = open_board(settings.imu.driver, settings.imu.port, baudrate=settings.imu.baudrate)
+            stage, sensor = axis.identify(), board.identify()
+            yield Rig(settings, clock, axis, axis.stage, board, stage, sensor, place, faults_before)
     finally:
-        out_of_reach = axis.has_moved and not _told_to_stop(axis, warn)
+        out_of_reach = False
+        if axis.has_moved or control.is_to_end:
+            out_of_reach = not _told_to_stop(axis, control, warn)
+        if axis.has_moved and not out_of_reach:
+            place.was_stopped(axis)
         if board is not None:
             board.close()
         axis.close()
         if out_of_reach:
-            _stop_when_back(settings, clock, warn)
+            _stop_when_back(settings, clock, control, warn)
 
 
 def stop_stage(settings: RigSettings) -> None:
@@ -117,7 +132,7 @@ def _open_axis(settings: RigSettings, stage: StageSettings) -> Axis:
     )
 
 
-def _told_to_stop(axis: Axis, warn: Callable[[str], None]) -> bool:
+def _told_to_stop(axis: Axis, control: Control, warn: Callable[[str], None]) -> bool:
     """Halts a stage that may have moved, and waits until it stands; False where its port is gone."""
     try:
         axis.confirm_stopped(STANDS_S)
@@ -125,22 +140,33 @@ def _told_to_stop(axis: Axis, warn: Callable[[str], None]) -> bool:
         log.warning("could not see the stage stopped: %s", error)
         return False
     except InstrumentError as error:
-        log.warning("could not see the stage stopped: %s", error)
-        warn(str(error))
+        _not_seen(error, str(error), control, warn)
+    else:
+        control.leave(Left(seen=True))
     return True
 
 
-def _stop_when_back(settings: RigSettings, clock: Clock, warn: Callable[[str], None]) -> None:
+def _stop_when_back(
+    settings: RigSettings, clock: Clock, control: Control, warn: Callable[[str], None]
+) -> None:
     """Stops a stage whose port went away, should it come back in time; under another name where `usb:`."""
     give_up_s = clock.now_s() + COME_BACK_S
     while True:
         try:
-            return stop_stage(settings)
+            stop_stage(settings)
+            return control.leave(Left(seen=True))
         except PortError as error:
             if clock.now_s() > give_up_s:
-                log.warning("the stage's port did not come back: %s", error)
-                return warn("the stage could not be told to stop: cut its motor power")
+                return _not_seen(
+                    error, "the stage could not be told to stop: cut its motor power", control, warn
+                )
         except InstrumentError as error:
-            log.warning("could not see the stage stopped: %s", error)
-            return warn(str(error))
+            return _not_seen(error, str(error), control, warn)
         clock.sleep(AGAIN_S)
+
+
+def _not_seen(error: InstrumentError, said: str, control: Control, warn: Callable[[str], None]) -> None:
+    """Tells whoever waits, and the run, that the stage is not known to stand."""
+    log.warning("could not see the stage stopped: %s", error)
+    control.leave(Left(seen=True, trouble=said))
+    warn(said)

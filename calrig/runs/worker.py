@@ -7,6 +7,7 @@ import math
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,16 +20,17 @@ from calrig.instruments.errors import BoardError, InstrumentError, LimitError
 from calrig.instruments.ports import clock_of
 from calrig.instruments.transcript import Tape, taped
 from calrig.runs.bus import Bus
-from calrig.runs.control import Control, End, Ended
+from calrig.runs.control import Control, End, Ended, Left
 from calrig.runs.execution import Execution
 from calrig.runs.meter import Meter
 from calrig.runs.pace import Pace
 from calrig.runs.recorder import Recorder
 from calrig.runs.resume import require_same_devices
 from calrig.runs.rig import Rig, open_rig
+from calrig.runs.stage_place import StagePlace
 from calrig.runs.static_log import keep_log
 from calrig.runs.task import Task
-from calrig.store import RunChanges, Status, Store, StoreError
+from calrig.store import Run, RunChanges, Status, Store, StoreError
 
 log = logging.getLogger(__name__)
 
@@ -39,7 +41,8 @@ TRY_AGAIN_S = 1.0
 class Worker:
     """Carries one run out, in a daemon thread: a device that keeps it from ending keeps no program from it.
 
-    `control` takes requests; `reached_rig` tells whether both devices answered; `clock` is the rig's;
+    `control` takes requests; `reached_rig` tells whether both devices answered, None where it
+    was asked to end before that was known; `clock` is the rig's;
     `untold` is how the run ended, while the store cannot be told of it.
     """
 
@@ -57,8 +60,8 @@ class Worker:
         self.rig = task.rig
         self.clock = WALL if task.rig.stage is None else clock_of(task.rig.stage.port)
         self._thread = self.clock.thread(self._carry_through, f"run-{task.run.id}")
-        self.control = Control()
-        self.reached_rig = False
+        self.control = Control(self.clock)
+        self.reached_rig: bool | None = False
         self._task = task
         self._recorder = Recorder(
             store,
@@ -104,6 +107,7 @@ class Worker:
             self._carry_out()
             status = "completed"
         except Ended as ended:
+            self.reached_rig = self.reached_rig or None
             status, error = ended.end.status, ended.end.reason
         except NotTheSame as problem:
             status, error = "interrupted", str(problem)
@@ -139,6 +143,7 @@ class Worker:
     def _conclude(self, status: Status, error: str | None) -> None:
         """Frees the rig, then says how the run ended: who hears of the end may start the next run."""
         self._left_rig(self)
+        self.control.leave(Left(seen=False))
         told = [error, *self._warnings] if error else self._warnings
         fields: RunChanges = {**self._fields, "error": "; ".join(told) or None}
         fields["status"] = status
@@ -146,6 +151,12 @@ class Worker:
             if self._given_up.wait(TRY_AGAIN_S):
                 break
         self._ended(self)
+
+    @property
+    def as_known(self) -> Run:
+        """The run, without asking the store: as it began, and how it ended if that is known."""
+        ended: RunChanges = self.untold or {"status": "aborted"}
+        return replace(self._task.run, **ended)
 
     def give_up(self, store: Store, end: End) -> None:
         """Writes the end down in place of a run whose devices, or store, keep it from doing so in time."""
@@ -174,12 +185,20 @@ class Worker:
         with (
             taped(self._record) as tapes,
             self._keeping(tapes.all),
-            open_rig(task.rig, self.control.arm, self._warnings.append, task.earlier.faults) as rig,
+            open_rig(
+                task.rig,
+                self.control,
+                self._warnings.append,
+                StagePlace(self._store, task.rig, task.run.unit, resumes=task.interruption is not None),
+                task.earlier.faults,
+            ) as rig,
         ):
             self.reached_rig = True
             self._check_board(rig)
             self._check_limits(rig)
             self._note_origin(rig)
+            if task.planned:
+                rig.place.take_up(rig.axis, homes=rig.stage_identity.homes)
             self._under_way = True
             pace = Pace(rig, self.control, self._recorder, task.earlier.clock_s)
             execution = Execution(task.plan, pace, task.follow_up, task.earlier)

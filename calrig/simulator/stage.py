@@ -13,6 +13,9 @@ import numpy as np
 from calrig.simulator.bench import Bench
 from calrig.simulator.config import StageFault, StageOptions
 
+GARBLED = bytes(byte ^ 0x15 for byte in range(256))
+"""Digits and letters become others and signs, never the end of a line."""
+
 
 class Stage(ABC):
     """A controller with one axis, fed with bytes, answering in bytes.
@@ -67,9 +70,16 @@ class LineStage(Stage):
         if self.fault == "hang":
             return b""
         return b"".join(
-            (line + b"\r\n" if self.fault == "echo" else b"") + self._replies(line) for line in lines
+            (line + b"\r\n" if self.fault == "echo" else b"") + self._spoken(self._replies(line))
+            for line in lines
         )
 
+    def _spoken(self, replies: list[str]) -> bytes:
+        said = [reply.encode("ascii", "replace") for reply in replies]
+        if self.fault == "garbage":
+            said = [reply.translate(GARBLED) for reply in said]
+        return b"".join(reply + b"\r\n" for reply in said)
+
     @abstractmethod
-    def _replies(self, line: bytes) -> bytes:
-        """What it answers to one line, ends of lines included."""
+    def _replies(self, line: bytes) -> list[str]:
+        """What it answers to one line, without the ends of lines."""

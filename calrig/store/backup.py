@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import sqlite3
 from dataclasses import dataclass
 from pathlib import Path
 
 from calrig.store import file_system, migrate
+from calrig.store.connecting import connect
 from calrig.store.copying import BUSY_TIMEOUT_S, copy_database
 from calrig.store.database import database_path
 from calrig.store.errors import StoreError
@@ -38,9 +38,7 @@ def back_up(url: str, target: Path) -> BackedUp:
     if migrate.stored_revision(database, file_system.reading_uri(database, BUSY_TIMEOUT_S)) is None:
         raise StoreError(f"{database}: is empty: there is nothing to keep a copy of")
     copy_database(database, target)
-    with contextlib.closing(
-        sqlite3.connect(target.resolve().as_uri() + file_system.AS_IT_LIES, uri=True)
-    ) as copy:
+    with contextlib.closing(connect(target.resolve().as_uri() + file_system.AS_IT_LIES)) as copy:
         (runs,) = copy.execute("SELECT count(*) FROM run").fetchone()
         (poses,) = copy.execute("SELECT count(*) FROM pose").fetchone()
     return BackedUp(runs, poses, target.stat().st_size)

@@ -26,7 +26,11 @@ def of_numbers(numbers: Iterable[float | None]) -> int:
 
 def check_numbers(stored: int | None, numbers: Iterable[float | None], what: str) -> None:
     """Raises Unreadable where numbers are not those stored; rows older than checksums have None."""
-    if stored is not None and stored != of_numbers(numbers):
+    try:
+        found = of_numbers(numbers)
+    except TypeError as error:  # SQLite keeps anything in any column
+        raise Unreadable(f"{what} is not what was stored: there is no number where one belongs") from error
+    if stored is not None and stored != found:
         raise Unreadable(f"{what} is not what was stored")
 
 
@@ -50,7 +54,12 @@ class CheckedJson(TypeDecorator[dict[str, Any]]):
         if value is None:
             return None
         stored = value.pop(KEY, None) if isinstance(value, dict) else 0
-        if stored is not None and stored != zlib.crc32(to_json(value).encode()):
+        try:
+            text = to_json(value) if stored is not None else json.dumps(value, ensure_ascii=False)
+            found = zlib.crc32(text.encode())
+        except (ValueError, RecursionError) as error:  # no number, no text, or nested too deeply
+            raise Unreadable(f"a document is not what was stored: {error}") from error
+        if stored is not None and stored != found:
             raise Unreadable("a document is not what was stored")
         return dict(value)
 
@@ -59,5 +68,5 @@ def from_json(text: str) -> Any:
     """What JSON text holds; Unreadable where it is no JSON any more."""
     try:
         return json.loads(text)
-    except ValueError as error:
+    except (ValueError, TypeError, RecursionError) as error:
         raise Unreadable(f"a document is no JSON any more: {error}") from error

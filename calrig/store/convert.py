@@ -7,9 +7,9 @@ import io
 import re
 import zipfile
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any, cast, get_args
 
 import numpy as np
 from sqlmodel import Session
@@ -22,21 +22,13 @@ from calrig.store.tables import CalibrationTable, PoseTable, RunTable
 
 _POSE_FIELDS = tuple(field.name for field in dataclasses.fields(Pose) if field.name != "filtering")
 _NUMBERS = tuple(name for name in _POSE_FIELDS if name != "covariates")
-FIGURES = (
-    "bias_deg",
-    "bias_std_deg",
-    "scale",
-    "scale_std",
-    "rms_raw_deg",
-    "rms_calibrated_deg",
-    "rms_with_effects_deg",
-    "temperature_min_c",
-    "temperature_max_c",
-)
+FIGURES = tuple(name for name in CalibrationTable.model_fields if name not in {"run_id", "crc32"})
 """The columns of a result in comparisons."""
 _ARRAYS = ("time_s", "accel_g", "gyro_dps", "temperature_c")
 _ANGLE = "angle_deg"
 """Packed only where the board sends it."""
+LARGEST_BLOCK = 500_000_000
+"""Bytes of it unpacked: a quarter of an hour at 8 kHz."""
 
 
 def run_number(run_id: str) -> int | None:
@@ -56,8 +48,18 @@ def run_row(session: Session, run_id: str) -> RunTable:
     return row
 
 
+def check_texts(values: Iterable[object], what: str) -> None:
+    """Raises Unreadable where bytes stand in the place of text: SQLite keeps anything in any column."""
+    if not all(value is None or isinstance(value, str) for value in values):
+        raise Unreadable(f"{what} is not what was stored: there is no text where some belongs")
+
+
 def run_of(row: RunTable) -> Run:
     """The run of a row."""
+    texts = (row.unit, row.rig, row.kind, row.status, row.operator, row.note, row.voided_reason, row.error)
+    check_texts(texts, f"run {row.id}")
+    if row.status not in get_args(Status):
+        raise Unreadable(f"run {row.id} is not what was stored: there is no status {row.status[:40]!r}")
     voided: Voided | None = None
     if row.voided_reason is not None and row.voided_at is not None:
         voided = {"reason": row.voided_reason, "at": row.voided_at}
@@ -86,20 +88,18 @@ def run_of(row: RunTable) -> Run:
 def figures_of(run_id: int, result: dict[str, Any]) -> CalibrationTable:
     """The row that stands for a result in comparisons."""
     temperature = result.get("temperature_c") or {}
-    figures = CalibrationTable(
-        run_id=run_id,
-        bias_deg=result["bias_deg"],
-        bias_std_deg=result.get("bias_std_deg"),
-        scale=result.get("scale"),
-        scale_std=result.get("scale_std"),
-        rms_raw_deg=result["rms_raw_deg"],
-        rms_calibrated_deg=result["rms_calibrated_deg"],
-        rms_with_effects_deg=result.get("rms_with_effects_deg"),
-        temperature_min_c=temperature.get("min"),
-        temperature_max_c=temperature.get("max"),
-    )
+    part = result | {f"temperature_{end}_c": temperature.get(end) for end in ("min", "max")}
+    columns: dict[str, Any] = {name: part.get(name) for name in FIGURES}
+    figures = CalibrationTable(run_id=run_id, **columns)
     figures.crc32 = checksums.of_numbers(getattr(figures, name) for name in FIGURES)
     return figures
+
+
+def result_part(figures: Sequence[float | None]) -> dict[str, Any]:
+    """The part of a result that such a row holds, from its columns in the order of `FIGURES`."""
+    part: dict[str, Any] = dict(zip(FIGURES, figures, strict=True))
+    extremes = {end: part.pop(f"temperature_{end}_c") for end in ("min", "max")}
+    return part | {"temperature_c": extremes}
 
 
 def pose_values(run_id: int, index: int, pose: Pose) -> dict[str, Any]:
@@ -152,9 +152,17 @@ def unpacked_block(blob: bytes) -> RawSamples:
 def _unpacked(blob: bytes) -> dict[str, np.ndarray[Any, Any]]:
     """The arrays of one block; the npz has a CRC-32 for each."""
     try:
-        with np.load(io.BytesIO(blob), allow_pickle=False) as arrays:
-            return {name: arrays[name] for name in (*_ARRAYS, *({_ANGLE} & set(arrays.files)))}
+        with zipfile.ZipFile(io.BytesIO(blob)) as archive:
+            n_bytes = sum(member.file_size for member in archive.infolist())
+        if n_bytes > LARGEST_BLOCK:
+            raise ValueError(f"they would be {n_bytes} bytes, more than any move or dwell has")
+        with np.load(io.BytesIO(blob), allow_pickle=False) as packed:
+            arrays = {name: packed[name] for name in (*_ARRAYS, *({_ANGLE} & set(packed.files)))}
+        _check_shapes(arrays)
+        return arrays
     except (
+        TypeError,
+        MemoryError,
         zipfile.BadZipFile,
         zlib.error,
         ValueError,
@@ -164,3 +172,11 @@ def _unpacked(blob: bytes) -> dict[str, np.ndarray[Any, Any]]:
         NotImplementedError,
     ) as error:
         raise Unreadable(f"raw samples cannot be unpacked any more: {error}") from error
+
+
+def _check_shapes(arrays: dict[str, np.ndarray[Any, Any]]) -> None:
+    n = arrays["time_s"].size
+    for name, array in arrays.items():
+        shape = (n, 3) if name in {"accel_g", "gyro_dps"} else (n,)
+        if array.shape != shape or array.dtype.kind != "f":
+            raise ValueError(f"{name} has the shape {array.shape} and the type {array.dtype.kind}")

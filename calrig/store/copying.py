@@ -8,6 +8,7 @@ import sqlite3
 from pathlib import Path
 
 from calrig.store import file_system
+from calrig.store.connecting import connect
 from calrig.store.errors import StoreError, damaged, store_error
 
 PAGES_AT_ONCE = 2000
@@ -23,13 +24,14 @@ def copy_database(database: Path, target: Path) -> None:
             is left behind.
     """
     unfinished = target.with_name(f"{target.name}.unfinished")
-    if target.exists():
+    if os.path.lexists(target):
         raise StoreError(f"{target}: exists and is not overwritten: name another file")
     try:
         unfinished.unlink(missing_ok=True)  # of a copy that was killed
+        file_system.make_private(unfinished)
         _copy(database, unfinished, target)
         _sync(unfinished)
-        if target.exists():
+        if os.path.lexists(target):
             raise StoreError(f"{target}: exists and is not overwritten: name another file")
         unfinished.replace(target)
         _sync(target.parent)
@@ -43,7 +45,7 @@ def copy_database(database: Path, target: Path) -> None:
 def _copy(database: Path, unfinished: Path, target: Path) -> None:
     uri = file_system.reading_uri(database, BUSY_TIMEOUT_S)
     with (
-        contextlib.closing(sqlite3.connect(uri, uri=True, timeout=BUSY_TIMEOUT_S)) as source,
+        contextlib.closing(connect(uri, BUSY_TIMEOUT_S)) as source,
         contextlib.closing(_new(unfinished, target)) as copy,
     ):
         try:
@@ -60,7 +62,7 @@ def _copy(database: Path, unfinished: Path, target: Path) -> None:
 
 def _new(file: Path, target: Path) -> sqlite3.Connection:
     try:
-        connection = sqlite3.connect(file)
+        connection = connect(file)
         connection.execute("PRAGMA journal_mode = OFF")  # it is thrown away where it is not completed
         connection.execute("PRAGMA synchronous = OFF")  # and synced once, whole
     except sqlite3.Error as error:

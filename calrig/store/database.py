@@ -6,9 +6,10 @@ import shutil
 import sqlite3
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import cast
+from urllib.parse import unquote
 
 from sqlalchemy import Connection, QueuePool, create_engine, event, make_url
 from sqlalchemy.exc import ArgumentError, StatementError
@@ -16,6 +17,7 @@ from sqlmodel import Session
 
 from calrig.store import file_system, migrate
 from calrig.store.checksums import from_json, to_json
+from calrig.store.connecting import connect, is_a_table
 from calrig.store.copying import check_sound
 from calrig.store.errors import StoreError, StoreUnavailableError, Unreadable, damaged, store_error
 from calrig.store.lock import WriterLock
@@ -25,7 +27,7 @@ BUSY_TIMEOUT_S = 10.0
 
 
 def database_path(url: str) -> Path:
-    """The file that an SQLAlchemy URL names.
+    """The file that an SQLAlchemy URL names; `%3F` in it stands for `?`, and so on.
 
     Raises:
         StoreError: it is not the URL of a SQLite file.
@@ -34,12 +36,21 @@ def database_path(url: str) -> Path:
         parsed = make_url(url)
     except ArgumentError as error:
         raise StoreError(f"{url!r} is neither a path nor an SQLAlchemy URL") from error
-    if parsed.get_backend_name() != "sqlite" or parsed.query:
+    if parsed.get_backend_name() != "sqlite" or parsed.host or "?" in url:
         shown = parsed.render_as_string(hide_password=True)
         raise StoreError(f"{shown}: a store is a SQLite file: name it by its path or as sqlite:///path")
-    if not parsed.database or parsed.database == ":memory:":
+    _, _, quoted = url.partition(":///")  # SQLAlchemy unquotes it from 2.1 on only
+    named = unquote(quoted, errors="surrogateescape")
+    if not named or named == ":memory:":
         raise StoreError(f"{url}: a store in memory would be lost: name a file")
-    return Path(parsed.database).resolve()
+    path = Path(named).resolve()
+    try:
+        path.exists()
+    except OSError as error:
+        raise StoreError(
+            f"{path}: cannot be looked at ({error.strerror}): name another file with --db"
+        ) from error
+    return path
 
 
 class Database:
@@ -67,6 +78,10 @@ class Database:
         self._writes = threading.Lock()
         if path.is_dir():
             raise StoreError(f"{path}: is a folder: name a file in it with --db")
+        if path.exists() and not path.is_file():
+            raise StoreError(
+                f"{path}: is not a file but a {file_system.kind_of(path.stat())}: name one with --db"
+            )
         self._engine = create_engine(
             "sqlite://",
             creator=self._connect,
@@ -99,17 +114,24 @@ class Database:
         marks = ", ".join("?" * len(UNFINISHED))
         wanted = f"SELECT DISTINCT rig FROM run WHERE rig IS NOT NULL AND status IN ({marks})"  # noqa: S608
         try:
-            with closing(sqlite3.connect(f"{self._uri}?mode=ro", uri=True, timeout=self._timeout_s)) as file:
+            with closing(connect(f"{self._uri}?mode=ro", self._timeout_s)) as file:
+                if not is_a_table(file, "run"):
+                    return []
                 return [name for (name,) in file.execute(wanted, UNFINISHED)]
         except (sqlite3.Error, UnicodeDecodeError):
             return []
 
     def _prepare_for_writing(self) -> None:
         uri = None
+        try:
+            with suppress(FileExistsError):  # an older one keeps the mode it was given
+                file_system.make_private(self.path)
+        except OSError as error:
+            raise store_error(error, self.path) from error
         if file_system.has_writer(self.path):
             # It died, perhaps with the power: a good moment for damage, which is looked for first.
             uri = file_system.reading_uri(self.path, self._timeout_s)
-            with closing(sqlite3.connect(uri, uri=True, timeout=self._timeout_s)) as connection:
+            with closing(connect(uri, self._timeout_s)) as connection:
                 check_sound(connection, self.path)
         stored = migrate.stored_revision(self.path, uri)
         migrate.check_not_newer(self.path, stored)
@@ -137,9 +159,7 @@ class Database:
             )
 
     def _connect(self) -> sqlite3.Connection:
-        connection = sqlite3.connect(
-            self._uri, uri=True, timeout=self._timeout_s, isolation_level=None, check_same_thread=False
-        )
+        connection = connect(self._uri, self._timeout_s, isolation_level=None, check_same_thread=False)
         connection.execute("PRAGMA foreign_keys = ON")
         connection.execute("PRAGMA synchronous = FULL")
         if self._lock:
@@ -181,12 +201,22 @@ class Database:
             raise damaged(self.path, str(error)) from error
         except UnicodeDecodeError as error:
             raise damaged(self.path, str(error)) from error
+        except UnicodeEncodeError as error:
+            raise self._no_text(error) from error
         except StatementError as error:
+            if isinstance(error.orig, UnicodeEncodeError):
+                raise self._no_text(error.orig) from error
             if isinstance(error.orig, ValueError):
                 raise ValueError(f"cannot be stored: {error.orig}") from error
             raise store_error(error.orig, self.path) from error
         except sqlite3.Error as error:
             raise store_error(error, self.path) from error
+
+    def _no_text(self, error: UnicodeEncodeError) -> StoreError:
+        """The error for a name of another encoding, as a terminal or a folder may have it."""
+        return StoreError(
+            f"{self.path}: keeps UTF-8 text, and {error.object[:60]!a} is none: write it in UTF-8"
+        )
 
     def size(self) -> Size:
         """What the store takes of its disk."""

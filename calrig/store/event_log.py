@@ -9,7 +9,7 @@ from typing import Any
 
 from sqlmodel import Session, col, func, insert, select
 
-from calrig.store.convert import run_row
+from calrig.store.convert import check_texts, run_row
 from calrig.store.database import Part
 from calrig.store.errors import Unreadable
 from calrig.store.records import Event
@@ -41,7 +41,9 @@ class EventLog(Part):
                 .order_by(col(EventTable.seq))
                 .limit(limit)
             )
-            found = [Event(seq=row.seq, type=row.type, data=row.data) for row in session.exec(wanted)]
+            rows = session.exec(wanted).all()
+            check_texts((row.type for row in rows), f"the log of run {run.id}")
+            found = [Event(seq=row.seq, type=row.type, data=row.data) for row in rows]
             for expected, event in enumerate(found, start=seq + 1):
                 if event.seq != expected:
                     raise Unreadable(f"event {expected} of run {run.id} is missing")

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import sqlite3
+import stat
 from pathlib import Path
 
+from calrig.store.connecting import connect
 from calrig.store.errors import StoreError, damaged, store_error
 
 NETWORK = frozenset(
@@ -14,7 +17,31 @@ NETWORK = frozenset(
 """File systems on which memory is not shared between hosts, which SQLite's write-ahead log needs."""
 AS_IT_LIES = "?immutable=1"
 """Ends the URI of a file that is read without locks."""
+_KINDS = {
+    stat.S_IFLNK: "symbolic link",
+    stat.S_IFDIR: "folder",
+    stat.S_IFIFO: "pipe",
+    stat.S_IFSOCK: "socket",
+}
 MOUNTS = Path("/proc/self/mountinfo")
+
+
+PRIVATE = 0o600
+"""Mode of a new store and of copies. What SQLite makes beside a store has the store's own mode."""
+
+
+def make_private(path: Path) -> None:
+    """Makes an empty file for its owner alone, whatever the umask; OSError where anything is there."""
+    file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, PRIVATE)
+    try:
+        os.fchmod(file, PRIVATE)
+    finally:
+        os.close(file)
+
+
+def kind_of(found: os.stat_result) -> str:
+    """What something that is no file is, in words."""
+    return _KINDS.get(stat.S_IFMT(found.st_mode), "device")
 
 
 def refuse_network(path: Path) -> None:
@@ -93,7 +120,7 @@ def size_bytes(path: Path) -> int:
 
 
 def _look(path: Path, uri: str, timeout_s: float) -> None:
-    with contextlib.closing(sqlite3.connect(uri, uri=True, timeout=timeout_s)) as connection:
+    with contextlib.closing(connect(uri, timeout_s)) as connection:
         try:
             connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
         except UnicodeDecodeError as error:  # of SQLite's own message, with a table's broken name in it

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import json
 import os
 import socket
+import stat
 from datetime import UTC, datetime
 from pathlib import Path
 
+from calrig.store import file_system
 from calrig.store.errors import StoreError, store_error
-from calrig.store.file_system import on_a_network_drive
+
+FLAGS = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY
+BEGINNING = b'{"pid"'
+"""Of what a writer leaves in its lock; nothing, or zeros after a power cut, may be there instead."""
 
 
 class WriterLock:
@@ -24,30 +30,27 @@ class WriterLock:
         what: what the writer does, for whoever finds the lock taken: `serve`, `run`, `import`.
 
     Raises:
-        StoreError: another writer holds it (who, since when), or the file cannot be made.
+        StoreError: another writer holds it (who, since when), the file cannot be made, or something else
+            lies in its place, which is left alone.
     """
 
     def __init__(self, database: Path, what: str) -> None:
         self.path = database.with_name(f"{database.name}.lock")
-        try:
-            self._file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-        except OSError as error:
-            raise StoreError(
-                f"{self.path}: the writer's lock cannot be made ({error.strerror}): check that the folder "
-                "exists and may be written, or name another database with --db"
-            ) from error
+        self._file = self._opened(database)
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             holder = self._holder()
             os.close(self._file)
             if not isinstance(error, BlockingIOError):
-                raise on_a_network_drive(database, f"it cannot be locked: {error.strerror}") from error
+                raise file_system.on_a_network_drive(
+                    database, f"it cannot be locked: {error.strerror}"
+                ) from error
             raise StoreError(
                 f"{database}: {holder} writes to it, and a store has one writer at a time: "
                 "stop that one first, or name another database with --db"
             ) from error
-        mine = {
+        mine = {  # `pid` first: what begins with it is known to be a lock
             "pid": os.getpid(),
             "what": what,
             "host": socket.gethostname(),
@@ -59,6 +62,44 @@ class WriterLock:
         except OSError as error:
             os.close(self._file)
             raise store_error(error, self.path) from error
+
+    def _opened(self, database: Path) -> int:
+        """The file, opened and made where there was none; what a link or a device leads to is not touched."""
+        try:
+            with contextlib.suppress(FileNotFoundError):
+                self._refuse(self.path.lstat())  # opening a device can be an act already
+            file = os.open(self.path, FLAGS, file_system.PRIVATE)
+        except OSError as error:
+            raise StoreError(
+                f"{self.path}: the writer's lock cannot be made ({error.strerror}): check that the folder "
+                "exists and may be written, or name another database with --db"
+            ) from error
+        try:
+            found = os.fstat(file)
+            self._refuse(found)
+            if os.pread(file, len(BEGINNING), 0).strip(b"\0") not in {b"", BEGINNING}:
+                raise self._not_a_lock("is a file that holds something else")
+            # Who may write the store must be able to lock it; that may be more than its owner.
+            mode = stat.S_IMODE(database.stat().st_mode) if database.exists() else file_system.PRIVATE
+            if found.st_uid == os.geteuid() and stat.S_IMODE(found.st_mode) != mode:
+                os.fchmod(file, mode)
+        except OSError as error:
+            os.close(file)
+            raise store_error(error, self.path) from error
+        except StoreError:
+            os.close(file)
+            raise
+        return file
+
+    def _refuse(self, found: os.stat_result) -> None:
+        if not stat.S_ISREG(found.st_mode):
+            raise self._not_a_lock(f"is a {file_system.kind_of(found)}")
+
+    def _not_a_lock(self, why: str) -> StoreError:
+        return StoreError(
+            f"{self.path}: {why}, where the store's lock belongs; nothing was changed: remove it or name "
+            "another database with --db"
+        )
 
     def _holder(self) -> str:
         try:

@@ -7,11 +7,13 @@ without importing Alembic, which is needed only when there is something to do.
 from __future__ import annotations
 
 import contextlib
+import os
 import re
 import sqlite3
 from pathlib import Path
 
 from calrig.settings import packed
+from calrig.store.connecting import connect, refuse_foreign
 from calrig.store.copying import copy_database
 from calrig.store.errors import StoreError, damaged, store_error
 
@@ -35,14 +37,15 @@ def stored_revision(database: Path, uri: str | None = None) -> str | None:
         uri: how to open it for reading only, as `calrig.store.file_system.reading_uri` says.
 
     Raises:
-        StoreError: it cannot be read, is not SQLite, or is another program's.
+        StoreError: it cannot be read, is not SQLite, is another program's, or holds what would act by itself.
     """
     try:
-        with contextlib.closing(sqlite3.connect(uri or database, uri=uri is not None)) as connection:
+        with contextlib.closing(connect(uri or database)) as connection:
             tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master")}
             if not tables:
                 return None
             if "alembic_version" in tables and "calibration" in tables:
+                refuse_foreign(connection, database)
                 row = connection.execute("SELECT version_num FROM alembic_version").fetchone()
                 if row:
                     return str(row[0])
@@ -97,7 +100,7 @@ def upgrade(database: Path, stored: str | None) -> None:
 def _keep_copy(database: Path, head: str) -> Path:
     copy = database.with_name(f"{database.name}.before-{head}.bak")
     number = 1
-    while copy.exists():  # a copy is never overwritten: it may be the only one of another state
+    while os.path.lexists(copy):  # a copy is never overwritten: it may be the only one of another state
         number += 1
         copy = database.with_name(f"{database.name}.before-{head}.{number}.bak")
     try:
@@ -113,7 +116,7 @@ def _run_alembic(database: Path) -> None:
     from sqlalchemy import NullPool, create_engine, event, text
 
     # Foreign keys stay off: SQLite changes a table by copying it, and they are checked before the commit.
-    engine = create_engine("sqlite://", creator=lambda: sqlite3.connect(database), poolclass=NullPool)
+    engine = create_engine("sqlite://", creator=lambda: connect(database), poolclass=NullPool)
 
     @event.listens_for(engine, "connect")
     def _begin_by_hand(connection: sqlite3.Connection, _record: object) -> None:

@@ -7,8 +7,9 @@ from datetime import UTC, datetime
 from typing import Unpack
 
 from sqlmodel import Session, col, delete, func, insert, select
+from sqlmodel.sql.expression import SelectOfScalar
 
-from calrig.calibration.pose import Pose
+from calrig.calibration.pose import Filtering, Pose
 from calrig.store.convert import (
     joined_arrays,
     packed_arrays,
@@ -32,7 +33,7 @@ from calrig.store.records import (
     StoredPose,
     filtering_of,
 )
-from calrig.store.runs import change, replace_result
+from calrig.store.runs import POSES_AT_ONCE, change, replace_result
 from calrig.store.tables import PoseTable, RunTable, SampleBlockTable
 
 SAMPLES_AT_ONCE = 1_000
@@ -85,13 +86,43 @@ class Poses(Part):
         """The poses of a run by index."""
         with self._database.reading() as session:
             run = run_row(session, run_id)
-            wanted = select(PoseTable).where(PoseTable.run_id == run.id).order_by(col(PoseTable.pose_index))
-            filtering = filtering_of(run.provenance, run.plan)
-            found = [pose_of(pose, filtering) for pose in session.exec(wanted)]
-            missing = run.progress.get("poses_done", 0) - len(found)
-            if missing > 0:  # their number is stored with them, in the same transaction
-                raise Unreadable(f"{missing} poses of run {run_id} are missing")
+            _require_all(session, run)
+            wanted = _by_index(run).execution_options(yield_per=POSES_AT_ONCE)
+            filtering = _filtering_of(run)
+            found = (pose_of(pose, filtering) for pose in session.exec(wanted))
             return [pose for pose in found if include_excluded or pose.excluded is None]
+
+    def pose_batches(self, run_id: str) -> Iterator[list[StoredPose]]:
+        """The same, excluded ones among them, some at a time as they are asked for.
+
+        Raises:
+            NotFound: at once where there is no such run.
+        """
+        with self._database.reading() as session:
+            run = run_row(session, run_id)
+            _require_all(session, run)
+            filtering, wanted = _filtering_of(run), _by_index(run)
+        return self._batches(wanted, filtering)
+
+    def _batches(
+        self, wanted: SelectOfScalar[PoseTable], filtering: Filtering | None
+    ) -> Iterator[list[StoredPose]]:
+        last = -1
+        while True:
+            some = wanted.where(col(PoseTable.pose_index) > last).limit(POSES_AT_ONCE)
+            with self._database.reading() as session:
+                batch = [pose_of(pose, filtering) for pose in session.exec(some)]
+            if not batch:
+                return
+            last = batch[-1].index
+            yield batch
+
+    def count_poses(self, run_id: str) -> int:
+        """How many poses of a run count."""
+        with self._database.reading() as session:
+            run = run_row(session, run_id)
+            counting = (PoseTable.run_id == run.id, col(PoseTable.excluded_reason).is_(None))
+            return session.exec(select(func.count()).select_from(PoseTable).where(*counting)).one()
 
     def exclude_pose(self, run_id: str, index: int, reason: str, *, result: Document | None) -> Run:
         """Marks a pose as not counting and replaces the run's result; the pose is kept.
@@ -162,6 +193,32 @@ class Poses(Part):
             session.execute(delete(SampleBlockTable).where(of_old_runs))
         self._database.give_back_space()
         return int(count or 0)
+
+
+def _by_index(run: RunTable) -> SelectOfScalar[PoseTable]:
+    return select(PoseTable).where(PoseTable.run_id == run.id).order_by(col(PoseTable.pose_index))
+
+
+def _require_all(session: Session, run: RunTable) -> None:
+    """Raises Unreadable where poses are missing: their number is stored with them, in one transaction."""
+    stored = session.exec(select(func.count()).select_from(PoseTable).where(PoseTable.run_id == run.id)).one()
+    try:
+        missing = int(run.progress.get("poses_done", 0)) - stored
+    except (TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise _not_as_stored(run, error) from error
+    if missing > 0:
+        raise Unreadable(f"{missing} poses of run {run.id} are missing")
+
+
+def _filtering_of(run: RunTable) -> Filtering | None:
+    try:
+        return filtering_of(run.provenance, run.plan)
+    except (TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise _not_as_stored(run, error) from error
+
+
+def _not_as_stored(run: RunTable, error: Exception) -> Unreadable:
+    return Unreadable(f"the documents of run {run.id} are not what was stored: {error}")
 
 
 def _row_of(run_id: str, block: SampleBlock) -> SampleBlockTable:

@@ -75,7 +75,8 @@ class Run:
         if self.result is None:
             return None
         verification = (self.plan or {}).get("kind") == "verification"
-        return verdict(self.result, self.diagnosis, verification=verification)
+        mismatches = self.faults.get("move_mismatch", 0)
+        return verdict(self.result, self.diagnosis, verification=verification, move_mismatches=mismatches)
 
 
 def reference_of(provenance: Document) -> Reference | None:
@@ -126,6 +127,14 @@ class StoredPose:
 
 
 @dataclass(frozen=True, slots=True)
+class LeftAt:
+    """Where a stage was left, in its own degrees, and when; None: on its way, and nobody knows where."""
+
+    stage_deg: float | None
+    at: datetime
+
+
+@dataclass(frozen=True, slots=True)
 class AcceptedEffect:
     """An effect that a person accepted, of a unit or of a rig (the other is None), and the run it is from.
 
@@ -159,21 +168,16 @@ class Unit:
 
 
 class ComparisonRow(NamedTuple):
-    """The figures of one completed, not voided calibration of one unit; a tuple, for there are thousands."""
+    """One completed, not voided calibration of one unit; a tuple, for there are thousands.
+
+    `result` holds the figures of the run's result that `tables.CalibrationTable` has, named as there.
+    """
 
     unit: str
     run_id: str
     rig: str | None
     finished_at: datetime
-    bias_deg: float
-    bias_std_deg: float | None
-    scale: float | None
-    scale_std: float | None
-    rms_raw_deg: float
-    rms_calibrated_deg: float | None
-    rms_with_effects_deg: float | None
-    temperature_min_c: float | None
-    temperature_max_c: float | None
+    result: Document
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from calrig.store.records import TERMINAL, UNFINISHED, Document, Run, RunChanges
 from calrig.store.tables import CalibrationTable, PoseTable, RunTable, UnitTable
 
 POSES_AT_ONCE = 1000
-"""Handed to SQLite together: an import has a hundred thousand."""
+"""Handed to SQLite, or read, together: an import has a hundred thousand."""
 
 
 class Runs(Part):

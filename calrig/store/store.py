@@ -8,13 +8,14 @@ from typing import Self
 
 from calrig.store.database import BUSY_TIMEOUT_S, Database, database_path
 from calrig.store.event_log import EventLog
+from calrig.store.places import Places
 from calrig.store.poses import Poses
 from calrig.store.records import Size
 from calrig.store.runs import Runs
 from calrig.store.units import Units
 
 
-class Store(Runs, Poses, EventLog, Units):
+class Store(Runs, Poses, EventLog, Units, Places):
     """An open store, shared by threads. Each method is one transaction, on the disk when it returns.
 
     A run that does not exist raises `NotFound` where it is not said otherwise; what SQLite cannot do raises

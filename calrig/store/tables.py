@@ -166,3 +166,13 @@ class TranscriptTable(SQLModel, table=True):
     run_id: int = Field(sa_column=Column(ForeignKey("run.id"), nullable=False))
     port: str
     data: bytes = Field(sa_column=Column(LargeBinary, nullable=False))
+
+
+class StagePlaceTable(SQLModel, table=True):
+    """Where the stage of a rig stands that cannot look for its reference; null while it is not known."""
+
+    __tablename__ = "stage_place"
+
+    rig: str = Field(primary_key=True)
+    stage_deg: float | None
+    at: datetime = Field(sa_type=UtcText)

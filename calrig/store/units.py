@@ -10,7 +10,7 @@ import sqlalchemy
 from sqlmodel import Session, col, func, or_, select
 
 from calrig.store.checksums import check_numbers
-from calrig.store.convert import FIGURES, run_of, run_row
+from calrig.store.convert import FIGURES, result_part, run_of, run_row
 from calrig.store.database import Part
 from calrig.store.records import AcceptedEffect, ComparisonRow, Document, Run, Unit
 from calrig.store.tables import AcceptedEffectTable, CalibrationTable, RunTable, UnitTable, UtcText
@@ -30,7 +30,6 @@ _COMPARED: tuple[Any, ...] = (
     CalibrationTable.crc32,
 )
 """In the order of `ComparisonRow`; columns, not objects of the tables: thousands come in milliseconds."""
-_NOT_FIGURES = len(_COMPARED) - len(FIGURES) - 1
 
 
 class Units(Part):
@@ -151,9 +150,9 @@ def _units(session: Session, serial: str | None = None) -> list[Unit]:
 
 
 def _compared(row: Sequence[Any]) -> ComparisonRow:
-    *shown, crc32 = row
-    check_numbers(crc32, shown[_NOT_FIGURES:], f"the figures of run {shown[1]}")
-    return ComparisonRow._make(shown)
+    unit, run_id, rig, finished_at, *figures, crc32 = row
+    check_numbers(crc32, figures, f"the figures of run {run_id}")
+    return ComparisonRow(unit, run_id, rig, finished_at, result_part(figures))
 
 
 def _marked(diagnosis: Document, accepted: Sequence[AcceptedEffect], now: datetime) -> Document:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import socket
 import threading
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 
 import httpx
 import pytest
+from raw_http import connected, everything, has_hung_up, head
 from support import LONG, running_service, serving, wait_for
 
 from calrig.api import connections, limits
@@ -26,31 +27,6 @@ def hurried(rig, tmp_path_factory):
         patch.setattr(limits, "GRACE_S", PATIENCE_S)
         path = tmp_path_factory.mktemp("hurried") / "calrig.db"
         yield stack.enter_context(serving(stack.enter_context(running_service(path, rig))))
-
-
-@contextmanager
-def connected(client, *, small_window=False):
-    with socket.socket() as one:
-        if small_window:  # so that an answer does not vanish into the system's buffers
-            one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        one.settimeout(60)
-        one.connect((client.base_url.host, client.base_url.port))
-        yield one
-
-
-def head(client, line, *more):
-    return "\r\n".join([line, f"Host: {client.base_url.host}:{client.base_url.port}", *more, "", ""]).encode()
-
-
-def everything(one):
-    """What comes until the service hangs up."""
-    received = b""
-    try:
-        while piece := one.recv(65536):
-            received += piece
-    except ConnectionResetError:
-        pass
-    return received
 
 
 def dribble(one, text):
@@ -100,14 +76,6 @@ def test_the_rest_of_a_refused_body_is_not_waited_for(hurried):
         assert one.recv(65536).startswith(b"HTTP/1.1 413 ")
         dribble(one, b"x" * 10_000)
         everything(one)
-
-
-def has_hung_up(one):
-    try:
-        one.sendall(b"x")
-    except OSError:
-        return True
-    return False
 
 
 def test_a_client_that_does_not_read_its_answers_is_cut_off(hurried):
@@ -162,6 +130,7 @@ def test_a_crowd_who_dawdle_keep_nobody_waiting(hurried, monkeypatch, crowd_of):
 
 def test_beyond_the_most_connections_one_that_asks_for_nothing_makes_room(hurried, monkeypatch):
     monkeypatch.setattr(connections, "MOST", 20)
+    monkeypatch.setattr(connections, "FOR_NEWCOMERS", 5)
     monkeypatch.setattr(connections, "HEAD_S", 60.0)
     with ExitStack() as stack:
         idle = [stack.enter_context(connected(hurried)) for _ in range(60)]

@@ -1,4 +1,4 @@
-"""What a diagnosis costs on one core: `OPENBLAS_NUM_THREADS=1 pytest tests/benchmarks/test_diagnosis.py`.
+"""Processor time of a diagnosis: `OPENBLAS_NUM_THREADS=1 pytest tests/benchmarks/test_diagnosis.py`.
 
 Aims: 100 poses named with 999 bootstraps 0.6 s, with cross-fitting 3 s, 400 poses named 4 s.
 """
@@ -7,11 +7,14 @@ from __future__ import annotations
 
 import math
 import random
+import time
 
 import pytest
 
 from calrig.calibration.diagnosis import diagnose
 from calrig.calibration.pose import Pose
+
+pytestmark = pytest.mark.benchmark(timer=time.process_time)
 
 
 def poses_of_a_stage_with_backlash(sweeps: int) -> list[Pose]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calrig.calibration.candidates import candidates_of
-from calrig.calibration.gate import Screen, gate
+from calrig.calibration.gate import Screen, Verdict, gate
 from calrig.calibration.noise_model import NoiseModel, fit
 from calrig.calibration.pose import Pose
 from calrig.calibration.responses import Responses, responses_of
@@ -52,6 +52,26 @@ def test_what_no_bootstrap_reaches_has_the_smallest_p_value_that_so_many_can_tel
     r = readings_of_a_drifting_rig()
     verdict = gate(r, r.base, fit(r, r.base), candidates_of(r), np.random.default_rng(1), 199)
     assert verdict.p_value == 1 / 200
+
+
+def test_of_searches_of_noise_no_more_are_accused_than_the_p_value_says() -> None:
+    """Among sets of noise that are all alike, each is as likely as any other to be among the best α of them,
+    however many families are searched (Westfall & Young, 1993); each family by itself would have its own.
+    """
+    r = readings_of_a_drifting_rig(40)
+    candidates = candidates_of(r)
+    assert len({c.family for c in candidates}) > 4
+    alike = np.random.default_rng(2).normal(0.0, 0.03, (200, 40, 1))
+    white = NoiseModel(np.array([[1.0 / 0.03]]), np.zeros(1))
+    ratios = Screen(r, r.base, candidates, white).ratios(alike)
+    p_values = np.array(
+        [
+            Verdict(candidates, ratios[k], 1.0, np.delete(ratios, k, axis=0)).without("nothing").p_value
+            for k in range(200)
+        ]
+    )
+    for level in (0.02, 0.05, 0.2, 0.5):  # whose bar moves a little, as each one is left out
+        assert (p_values <= level).mean() == pytest.approx(level, abs=0.01)
 
 
 def test_a_verdict_without_a_candidate_is_that_of_a_search_that_never_looked_at_it() -> None:

@@ -10,6 +10,7 @@ import pytest
 from command_line import POSES, calrig, reason
 from support import LONG, wait_for
 
+from calrig.settings import store_url
 from calrig.store import Store
 
 
@@ -97,3 +98,15 @@ def test_a_file_that_a_backup_would_spoil_or_cannot_make_is_2(folder, name, word
     (folder / "copy.db").write_text("precious")
     assert words in reason("backup", name, status=2)
     assert (folder / "copy.db").read_text() == "precious"
+
+
+def test_names_of_another_encoding_are_taken_or_refused_in_words(folder):
+    latin = os.fsdecode(b"poses-\xe4.csv")
+    (folder / latin).write_text(POSES)
+    assert calrig("import", latin, "--unit", "A", "--db", latin + ".db").stdout == "1\n"
+    with Store.open(store_url(latin + ".db"), writer=None) as store:
+        assert store.run("1").provenance["imported_from"] == "poses-\\udce4.csv"
+    odd = os.fsdecode(b"\xe4")
+    assert "UTF-8" in reason("import", "poses.csv", "--unit", "A", "--rig", odd, status=1)
+    calrig("import", "poses.csv", "--unit", "A")
+    assert "UTF-8" in reason("export", "--unit", odd, status=1)

@@ -3,12 +3,24 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from calrig.estimation.gyro import GyroBias, dwell_bias, gyro_scale, move_angle_deg, run_bias
+from calrig.estimation.gyro import (
+    GyroBias,
+    dwell_bias,
+    felt_move_deg,
+    gyro_scale,
+    integration_error_deg,
+    move_angle_deg,
+    run_bias,
+)
+from calrig.instruments.axis_goal import travel_time_s
+from calrig.simulator.bench import Bench
+from calrig.simulator.config import SimulatorSettings
 
 
 def test_a_dwells_bias_scatters_by_its_stated_error():
@@ -74,6 +86,71 @@ def test_a_move_with_a_gap_in_it_is_not_known():
     time_s = np.array([0.0, 0.1, 0.2, 0.6, 0.7])
     assert move_angle_deg(time_s, np.ones(5), 0.0, gap_s=0.5) == pytest.approx(0.7)
     assert move_angle_deg(time_s, np.ones(5), 0.0, gap_s=0.3) is None
+
+
+PROFILES = [(20.0, 80.0), (60.0, 240.0), (180.0, 1000.0)]
+"""Velocity in °/s and acceleration in °/s²."""
+
+
+def simulated_move(rate_hz, velocity_dps, acceleration_dps2, turn_deg, phase):
+    """Times and rates of a sensor that rests a second, turns, and rests again; `phase` of a period late."""
+    bench = Bench(SimulatorSettings.from_options({"preset": "ideal", "seed": 1}))
+    rests_s = bench.mechanics.home(0.0, 200.0, 800.0).at_s
+    ends_s = bench.mechanics.move(rests_s + 1.0, turn_deg, velocity_dps, acceleration_dps2).at_s
+    time_s = np.arange(rests_s + phase / rate_hz, ends_s + 1.0, 1.0 / rate_hz)
+    return time_s, bench.counts(time_s, rate_hz)[:, 4] * (250.0 / 32768.0)
+
+
+@pytest.mark.parametrize("rate_hz", [10, 20, 50, 100, 200])
+def test_a_move_that_the_rate_cannot_carry_is_not_known_and_any_other_is_right(rate_hz):
+    """Over stages and turns, each begun at six places between two samples."""
+    known = 0
+    for (velocity_dps, acceleration_dps2), turn_deg in product(PROFILES, (1.0, 5.0, 20.0, 40.0)):
+        lasts_s = travel_time_s(turn_deg, velocity_dps, acceleration_dps2)
+        for phase in np.arange(6) / 6:
+            time_s, rate_dps = simulated_move(rate_hz, velocity_dps, acceleration_dps2, turn_deg, phase)
+            felt_deg = felt_move_deg(time_s, rate_dps, 0.0, 1.0 / rate_hz, lasts_s)
+            if felt_deg is not None:
+                known += 1
+                assert abs(felt_deg - turn_deg) <= max(0.03, 0.005 * turn_deg), (
+                    velocity_dps,
+                    turn_deg,
+                    phase,
+                )
+    assert known == {10: 0, 200: 72}.get(rate_hz, known)
+    assert rate_hz == 10 or known > 0
+
+
+@pytest.mark.parametrize(("velocity_dps", "acceleration_dps2"), PROFILES)
+@pytest.mark.parametrize("rate_hz", [20, 50, 200])
+def test_the_integrals_error_is_within_what_its_samples_show(rate_hz, velocity_dps, acceleration_dps2):
+    """Wherever between two samples a ramp of at least a period begins: no noise, the profile itself."""
+    ramp_s = velocity_dps / acceleration_dps2
+    corners_s = np.cumsum([0.5, ramp_s, 0.5, ramp_s])
+    angle_deg = velocity_dps * (0.5 + ramp_s)
+    for phase in np.arange(12) / 12:
+        time_s = np.arange(phase / rate_hz, corners_s[-1] + 0.5, 1.0 / rate_hz)
+        rate_dps = np.interp(time_s, corners_s, [0.0, velocity_dps, velocity_dps, 0.0])
+        error_deg = abs(move_angle_deg(time_s, rate_dps, 0.0) - angle_deg)
+        assert error_deg <= integration_error_deg(time_s, rate_dps) + 1e-9
+
+
+@pytest.mark.parametrize(("missing", "known"), [(0, True), (1, True), (2, False), (20, False), (200, False)])
+def test_a_move_with_missing_samples_is_not_known_but_one_alone_is_bridged(missing, known):
+    time_s, rate_dps = simulated_move(200, 20.0, 80.0, 20.0, 0.0)
+    kept = np.ones(len(time_s), dtype=bool)
+    kept[240 : 240 + missing] = False  # from the middle of the move on
+
+    felt_deg = felt_move_deg(time_s[kept], rate_dps[kept], 0.0, 1 / 200)
+
+    assert (felt_deg is not None) == known
+    assert felt_deg is None or felt_deg == pytest.approx(20.0, abs=0.05)
+
+
+def test_a_move_that_may_have_passed_between_two_samples_is_not_known():
+    time_s = np.arange(0.0, 3.0, 0.1)
+    assert felt_move_deg(time_s, np.zeros(30), 0.0, 0.1, lasts_s=0.15) is None
+    assert felt_move_deg(time_s, np.zeros(30), 0.0, 0.1, lasts_s=0.0) == 0.0
 
 
 def test_gyro_scale_is_found_and_scatters_by_its_stated_error():

@@ -12,7 +12,7 @@ import pytest
 
 from calrig.calibration.pose import Pose
 from calrig.export.calibration_json import calibration_document
-from calrig.store import Run
+from calrig.store import AcceptedEffect, Run
 
 RUN = Run(
     id="17",
@@ -116,6 +116,23 @@ def test_applying_the_document_takes_a_reading_to_the_elevation():
     document = calibration_document(RUN, POSES)
     elevation_deg = (60.37 - document["bias_deg"]) / document["scale"]
     assert elevation_deg == pytest.approx(60.0, abs=1e-9)
+
+
+def test_with_effects_in_force_bias_and_scale_are_those_beside_them():
+    """The unit warmed from one end of the sweep to the other: without the effect that would be scale."""
+    theta, celsius = np.linspace(-60.0, 60.0, 5), np.array([20.0, 22.0, 23.0, 25.0, 26.0])
+    per_c, reference_c = 0.05, 21.0
+    poses = [
+        Pose(t, 0.25 + 1.002 * t + per_c * (c - reference_c), temperature_c=c)
+        for t, c in zip(theta.tolist(), celsius.tolist(), strict=True)
+    ]
+    parameters = {"deg_per_c": per_c, "reference_c": reference_c}
+    warmth = AcceptedEffect("12", "AS-0042", None, "temperature_bias", "sensor", parameters)
+    document = calibration_document(RUN, poses, [warmth])
+    assert (document["bias_deg"], document["scale"]) == pytest.approx((0.25, 1.002), abs=1e-9)
+    assert [effect["parameters"] for effect in document["effects"]] == [parameters]
+    of_warmth = per_c * np.polyfit(theta, celsius, 1)[0]
+    assert calibration_document(RUN, poses)["scale"] == pytest.approx(1.002 + of_warmth)
 
 
 @pytest.mark.parametrize(

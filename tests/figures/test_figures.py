@@ -103,6 +103,42 @@ def test_raw_residual_is_reading_minus_stage_and_a_true_calibration_leaves_nothi
         np.testing.assert_allclose(trace["error_y"]["array"], 0.01 / 1.01)
 
 
+def test_each_axis_of_a_residual_is_named_after_what_is_drawn_along_it():
+    measured = poses(bias_deg=0.8, scale=1.01)
+    stage = np.array([pose.stage_deg for pose in measured])
+    reading = np.array([pose.reading_deg for pose in measured])
+    along = {
+        "elevation (°)": stage,
+        "raw (°)": reading - stage,
+        "calibrated (°)": (reading - 0.7) / 1.02 - stage,
+    }
+    figure = figures.residual(measured, bias_deg=0.7, scale=1.02)
+    for trace in figure["data"]:
+        for axis in ("x", "y"):
+            title = figure["layout"][trace.get(f"{axis}axis", axis).replace(axis, f"{axis}axis")]["title"][
+                "text"
+            ]
+            np.testing.assert_allclose(trace[axis], along[title][trace["customdata"]], atol=1e-12)
+    lower, upper = figure["layout"]["yaxis2"], figure["layout"]["yaxis"]
+    assert lower["domain"][1] < upper["domain"][0]
+    titles = [figures.residual(measured)["layout"][axis]["title"]["text"] for axis in ("xaxis", "yaxis")]
+    assert titles == ["elevation (°)", "reading − stage (°)"]
+
+
+def test_each_axis_of_a_history_is_named_after_what_is_drawn_along_it():
+    figure = figures.history(runs(3))
+    keys = {
+        "bias (°)": ["bias_deg"],
+        "scale (1)": ["scale"],
+        "RMS (°)": ["rms_raw_deg", "rms_calibrated_deg"],
+    }
+    for trace in figure["data"]:
+        title = figure["layout"][trace.get("yaxis", "y").replace("y", "yaxis")]["title"]["text"]
+        key = keys[title].pop(0)
+        assert trace["y"] == [run[key] for run in runs(3)[::-1]]
+    assert [trace["name"] for trace in figure["data"][2:]] == ["RMS raw", "RMS calibrated"]
+
+
 def test_poses_are_marked_by_approach_and_excluded_ones_as_such():
     figure = figures.residual(poses(), excluded={4})
     assert {t["name"]: t["customdata"] for t in figure["data"]} == {

@@ -40,3 +40,10 @@ def board(device):
     driver = CalrigBoard.open(device.path)
     yield driver
     driver.close()
+
+
+@pytest.fixture
+def streaming(device, board):
+    board.identify()
+    board.start(200)
+    return board

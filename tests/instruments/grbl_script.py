@@ -4,6 +4,9 @@ from __future__ import annotations
 
 BANNER = b"\r\nGrbl 1.1h ['$' for help]\r\n"
 IDLE = "<Idle|MPos:0.000,0.000,0.000|FS:0,0>"
+MODAL = "G0 G54 G17 G21 G90 G94 M5 M9 T0 F0 S0"
+GO = "G21 G90 G94"
+"""What stands before each of calrig's moves."""
 SETTINGS = {
     10: "1", 13: "0", 20: "0", 21: "0", 22: "1",
     100: "250.000", 101: "80.000", 110: "1200.000", 111: "600.000",
@@ -16,6 +19,7 @@ class Script:
 
     def __init__(self):
         self.report = IDLE
+        self.modal = MODAL
         self.settings = dict(SETTINGS)
         self.answers: dict[str, bytes | list[bytes]] = {}
         self.lines: list[str] = []
@@ -32,6 +36,7 @@ class Script:
                 said += self.report.encode() + b"\r\n"
             elif byte == b"\x18":
                 self.resets += 1
+                self.modal = MODAL
                 said += BANNER
             elif byte in b"\r\n":
                 line, self._tail = self._tail.decode(), b""
@@ -50,6 +55,12 @@ class Script:
             told = told.pop(0) if told else None
         if told is not None:
             return told
+        if line == "$G":
+            return f"[GC:{self.modal}]\r\nok\r\n".encode()
+        if line == "$I":
+            return b"[VER:1.1h.20190825:]\r\n[OPT:V,15,128]\r\nok\r\n"
+        if line.startswith("T"):
+            self.modal = self.modal.replace("T0", line)
         if line == "$$":
             return (
                 b"".join(b"$%d=%s\r\n" % (n, value.encode()) for n, value in self.settings.items())

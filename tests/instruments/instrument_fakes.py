@@ -8,6 +8,7 @@ import os
 import struct
 import tty
 
+from calrig.instruments.types import Samples
 from calrig.simulator.virtual_clock import VirtualClock
 from calrig.simulator.world import SimWire
 
@@ -266,3 +267,16 @@ class FakeBoard(LineDevice):
             self.wire.send(sample(self.seq, self.t_us, (self.seq % 1000 + 1, 0, 16384, -512, 0, 0, 0)))
             self.seq += 1
             self.t_us += period_us
+
+
+TAKES = 100
+
+
+def take_n(board, n):
+    """The next samples of a board, n or a few more."""
+    blocks = []
+    for _ in range(TAKES):
+        blocks.append(board.take(0.1))
+        if sum(map(len, blocks)) >= n:
+            return Samples.join(blocks)
+    raise AssertionError((sum(map(len, blocks)), board.faults))

@@ -57,6 +57,11 @@ class InProcessPort:
         """Something that the controller says unasked."""
         self._arrived += data
 
+    def lose_what_is_said(self) -> None:
+        """What the controller has said up to now never arrives."""
+        self.device.emit()
+        self._arrived = self._held = b""
+
     def close(self) -> None:
         self.closed = True
 

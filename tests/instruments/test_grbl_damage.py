@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from grbl_script import Script
+from grbl_script import BANNER, GO, IDLE, Script
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from stage_ports import KINDS, InProcessPort, homed, moved_to, simulated, until_it_stands
@@ -43,7 +43,7 @@ def test_no_damage_makes_a_refused_move_an_accepted_one(damages, refused):
     stage = homed(Grbl(port))
     stage.move(0)
     if refused:
-        script.answers["G0 X10"] = b"error:9\r\n"
+        script.answers[f"{GO} G0 X10"] = b"error:9\r\n"
     port.damages = ["sound", *damages]
     try:
         stage.move(10)
@@ -54,7 +54,7 @@ def test_no_damage_makes_a_refused_move_an_accepted_one(damages, refused):
     port.damages = []
     script.answers.clear()
     stage.move(20)
-    assert script.lines[-2:] == ["G0 X20", "$$"]
+    assert script.lines[-2:] == [f"{GO} G0 X20", "$$"]
 
 
 def test_a_simulated_one_homes_moves_and_stops():
@@ -83,3 +83,99 @@ def test_a_simulated_one_that_is_reset_on_the_move_never_gives_an_angle():
     port.device.reset()
     with pytest.raises(StageError, match="lost its angle"):
         stage.position_deg()
+
+
+def test_a_count_that_jumps_while_it_stands_costs_the_angle():
+    controller = Script()
+    stage = homed(Grbl(InProcessPort(controller)))
+    controller.report = "<Idle|MPos:40.000,0.000,0.000|FS:0,0>"
+    stage.move(40)
+    assert stage.position_deg() == 40
+    controller.report = IDLE
+    with pytest.raises(StageError, match="jumped from 40° to 0° while it stood"):
+        stage.position_deg()
+
+
+@pytest.mark.parametrize("cut", [3, 12, 20, len(BANNER) - 1])
+def test_a_banner_that_has_half_arrived_is_heard_whole(cut):
+    controller = Script()
+    port = InProcessPort(controller)
+    stage = homed(Grbl(port))
+    rest = [BANNER[cut:]]
+    receive = controller.receive
+    controller.receive = lambda data: (rest.pop() if rest else b"") + receive(data)
+    port.push(BANNER[:cut])
+    assert "its count with it" in stage.status().words
+
+
+@pytest.mark.parametrize("homing", [True, False], ids=["with a switch", "without"])
+def test_a_reset_whose_banner_is_lost_on_the_way_to_0_is_known_and_0_is_not_believed(homing):
+    """Its count begins anew at 0, which is where it was sent: the motor stands elsewhere."""
+    port = simulated("grbl", stage={"homing": homing})
+    stage = Grbl(port)
+    stage.identify()
+    if homing:
+        homed(stage)
+    moved_to(stage, 60)
+    stage.move(0)
+    port.device.reset()
+    port.lose_what_is_said()
+    if homing:  # somebody unlocks it, so that it says Idle
+        port.device.receive(b"$X\n")
+    assert "<Idle|MPos:0.000" in port.device.receive(b"?").decode()
+    with pytest.raises(StageError, match="lost its angle: it was reset, and its count with it"):
+        stage.position_deg()
+    with pytest.raises(StageError, match="takes no move"):
+        stage.move(10)
+
+
+def test_a_hard_limit_on_the_move_is_told_as_what_it_is_and_homed_away():
+    port = simulated("grbl")
+    stage = homed(Grbl(port))
+    stage.move(170)
+    port.device.close_limit_switch()
+    assert "ALARM:1, a hard limit switch was hit" in stage.status().words
+    with pytest.raises(
+        StageError, match=r"lost its angle: ALARM:1, a hard limit switch was hit.* until it is reset"
+    ):
+        stage.position_deg()
+    with pytest.raises(StageError, match="ALARM:1"):
+        stage.move(0)
+    stage.home()
+    assert until_it_stands(stage) == "ready"
+    assert moved_to(stage, 20).position_deg() == 20
+
+
+@pytest.mark.parametrize("words", ["G20", "G91", "G20 G91"])
+@pytest.mark.parametrize("homing", [True, False], ids=["with a switch", "without"])
+def test_what_another_program_leaves_in_force_changes_no_move_and_is_counted(words, homing):
+    port = simulated("grbl", stage={"homing": homing})
+    stage = Grbl(port)
+    stage.identify()
+    if homing:
+        homed(stage)
+    moved_to(stage, 10)
+    port.device.receive(f"{words}\n".encode())
+    assert moved_to(stage, 20).position_deg() == 20
+    assert stage.faults["modes_changed"] == 1
+
+
+def test_another_programs_tool_number_costs_the_angle():
+    port = simulated("grbl")
+    stage = moved_to(homed(Grbl(port)), 10)
+    port.device.receive(b"T3\n")
+    with pytest.raises(StageError, match=r"another program sends it G-code \(tool number T3"):
+        stage.position_deg()
+
+
+def test_a_grbl_before_1_1_is_named():
+    port = simulated("grbl", stage={"firmware": "0.9j"})
+    with pytest.raises(StageError, match=r"speaks as Grbl 0\.9j does, and not as GRBL 1\.1"):
+        Grbl(port).identify()
+    assert b"\x18" not in port.sent
+
+
+def test_its_firmware_is_known_without_a_banner():
+    port = simulated("grbl", stage={"firmware": "1.1f"})
+    port.lose_what_is_said()
+    assert Grbl(port).identify().firmware == "Grbl 1.1f"

@@ -106,7 +106,8 @@ def test_any_one_changed_byte_loses_at_most_its_own_frame_and_the_next(at, chang
         (packet(2, bytes(22)), "unparsed"),
         (packet(5, bytes(20)), "unparsed"),
         (packet(9, bytes(20)), "unparsed"),
-        (b"\x01" * 3000 + b"\0", "crc"),
+        (b"\x01" * 2000 + b"\0", "crc"),
+        (b"\x01" * 3000 + b"\0", "unparsed"),
     ],
 )
 def test_what_is_wrong_with_a_frame_is_counted_by_kind(frame, kind):
@@ -127,3 +128,15 @@ def test_delimiters_in_a_row_are_no_fault():
     decoder = PacketDecoder()
     assert len(decoder.feed(b"\0\0" + EXAMPLE + b"\0" + EXAMPLE)) == 2
     assert not decoder.faults
+
+
+@given(st.integers(2049, 8000), st.lists(st.integers(0, 10_000), max_size=8))
+def test_a_frame_that_is_too_long_is_never_a_packet_however_it_is_cut(n, cuts):
+    long = packet(3, b"x" * n)
+    decoder = PacketDecoder()
+    edges = sorted(cut % (len(long) + 1) for cut in cuts)
+    for a, b in zip([0, *edges], [*edges, len(long)], strict=True):
+        assert decoder.feed(long[a:b]) == []
+    assert decoder.overlong == long[:64]
+    assert decoder.faults["unparsed"] == decoder.faults.total() >= 1
+    assert decoder.feed(EXAMPLE) == [cobs_decode(EXAMPLE[:-1])[:-2]]

@@ -71,3 +71,24 @@ def test_a_stepper_that_is_reset_on_the_way_fails_the_run_and_gives_no_angle(hom
         ended = service.wait(run.id, 20)
     assert ended.status == "failed"
     assert "has lost its angle: it was reset, and its count with it" in ended.error
+
+
+def test_a_stepper_that_runs_into_its_limit_switch_fails_the_run_with_its_alarm_and_the_next_run_homes(
+    store_path,
+):
+    clock = VirtualClock()
+    with (
+        SimulatedRig(fast({"stage": {"driver": "grbl"}}), clock) as simulated,
+        clock.taking_part(),
+        running_service(store_path, known_as("bench-1", simulated)) as service,
+    ):
+        run = service.start(unit="AS-1", plan=Plan.model_validate(LONG))
+        clock.until(lambda: service.store.poses(run.id), "first pose")
+        clock.until(lambda: simulated.stage.state == State.RUN, "move")
+        simulated.stage.close_limit_switch()
+        ended = service.wait(run.id, 20)
+        again = service.wait(service.start(unit="AS-1", plan=Plan.model_validate(QUICK)).id, 60)
+    assert ended.status == "failed"
+    assert "ALARM:1, a hard limit switch was hit" in ended.error
+    assert (again.status, again.error) == ("completed", None)
+    assert again.result["bias_deg"] == pytest.approx(OFFSET_DEG, abs=0.1)

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
+from scipy.linalg import null_space
 from scipy.signal import lfilter
+from scipy.stats import multivariate_normal
 from support import DATA
 
 from calrig.export.static_csv import read_static
@@ -86,6 +90,48 @@ def test_under_cycles_of_temperature_the_slope_lies_within_its_error(kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_slope_lies_within_twice_its_error_as_often_as_that_means(kind):
     assert sum(abs(off_in_errors(kind, seed)) < 2 for seed in range(40)) >= 34
+
+
+def test_the_error_is_that_of_the_noise_however_steep_the_slope():
+    """What the temperature explains is no noise: a channel that follows it as well has the same error."""
+    rng = np.random.default_rng(3)
+    noise, warmth = np.cumsum(rng.standard_normal(N)) / 200 + rng.standard_normal(N), warm_up()
+    alone, sloping = (temperature_of(noise + slope * warmth, warmth, *WHOLE) for slope in (0.0, 30.0))
+    assert sloping.std == pytest.approx(alone.std, rel=1e-6)
+    assert sloping.per_c - alone.per_c == pytest.approx(30.0)
+
+
+def test_the_error_is_that_of_the_likelihood_of_error_contrasts():
+    """What no slope and no offset changes tells the noise (Patterson & Thompson, Biometrika 58, 1971)."""
+    rng, n = np.random.default_rng(6), 64 * 900
+    noise = lfilter([1.0], [1.0, -0.9999], rng.standard_normal(n)) + rng.normal(0.0, 20.0, n)
+    celsius = 25.0 + 3.0 * np.sin(np.linspace(0.0, 12.0, n))
+    mean, warmth = (x.reshape(64, 900).mean(axis=1) for x in (noise, celsius))
+    fitted = np.stack([np.ones(64), warmth], axis=1)
+    contrasts, weights = null_space(fitted.T), np.linalg.pinv(fitted)[1]
+    apart = np.abs(np.subtract.outer(np.arange(64), np.arange(64)))
+    likelihood, variance = [], []
+    for share, time in product(10.0 ** np.arange(-6, 5), 2.0 ** np.arange(0.0, 11.0, 1.5)):
+        covariance = np.eye(64) + share * time * np.exp(-apart / time)
+        of_contrasts, seen = contrasts.T @ covariance @ contrasts, contrasts.T @ mean
+        scale = seen @ np.linalg.solve(of_contrasts, seen) / 62
+        likelihood.append(multivariate_normal(cov=scale * of_contrasts).logpdf(seen))
+        variance.append(scale * weights @ covariance @ weights)
+    expected = np.average(variance, weights=np.exp(np.array(likelihood) - max(likelihood)))
+    told = temperature_of(noise, celsius, 100.0, [slice(0, n)], [0.0])
+    assert told.std == pytest.approx(np.sqrt(expected), rel=1e-9)
+
+
+def test_a_log_told_in_pieces_has_the_error_of_the_whole_and_a_gap_counts_as_time():
+    """Noise that wanders correlates by when it was measured, not by the sample's number."""
+    rng = np.random.default_rng(4)
+    wandering, warmth = np.cumsum(rng.standard_normal(N)) / 200, 25.0 + 3.0 * np.sin(np.linspace(0, 40, N))
+    halves, half_s = [slice(0, N // 2), slice(N // 2, N)], N / 2 / 100.0
+    whole = temperature_of(wandering, warmth, *WHOLE)
+    in_two = temperature_of(wandering, warmth, 100.0, halves, [0.0, half_s])
+    hours_later = temperature_of(wandering, warmth, 100.0, halves, [0.0, half_s + 36_000.0])
+    assert in_two.std == pytest.approx(whole.std, rel=1e-9)
+    assert hours_later.std != pytest.approx(whole.std, rel=0.05)
 
 
 def test_the_noise_of_a_thermometer_is_no_temperature():

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 from support import fast, known_as
 
+from calrig.analysis.diagnoses import Diagnoses
 from calrig.plan import Plan
 from calrig.runs.service import RunService
 from calrig.simulator.rig import SimulatedRig
@@ -20,6 +21,12 @@ STOPPED_S = 0.1
 T = TypeVar("T")
 CLOCK = VirtualClock()
 """The time of all rigs of this folder. The test's thread takes part: time stands unless the test waits."""
+
+
+def diagnosed(store: Store, run_id: str, *more: str) -> dict[str, Any]:
+    """A run's diagnosis, with more runs of its unit, kept with it."""
+    diagnoses = Diagnoses(store)
+    return diagnoses.keep(run_id, diagnoses.question(run_id, more)())
 
 
 def plan(**given: Any) -> Plan:

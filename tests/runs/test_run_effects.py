@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from run_rigs import diagnosed
 from support import running_service
 
 from calrig.analysis.active_calibration import document_of
@@ -32,7 +33,7 @@ def traced(launch_rig, tmp_path_factory):
     )
     with running_service(tmp_path_factory.mktemp("effects") / "calrig.db", rig) as service:
         run = completed(service, plan=PLAN)
-        Diagnoses(service.store).trace(run.id)
+        diagnosed(service.store, run.id)
         yield service, run.id
 
 

@@ -37,6 +37,18 @@ def test_every_tenth_packet_damaged(
     assert run.result["bias_deg"] == pytest.approx(0.8, abs=0.1)
 
 
+def test_the_gyros_account_of_a_move_in_which_the_board_was_reset_is_not_known(
+    bench: TruthRig, service: RunService, store: Store
+) -> None:
+    run = service.start(unit="AS-1", plan=plan(elevations_deg=[-40, 0, 40], order="given"))
+    until(lambda: len(store.poses(run.id)) == 1 and bench.moves(), "second move", 20)
+    bench.simulated.board.reset()
+    ended = service.wait(run.id, 30)
+    assert (ended.status, ended.faults["board_reset"]) == ("completed", 1)
+    assert [p.pose.gyro_move_deg for p in store.poses(run.id)][1:] == [None, pytest.approx(40, abs=0.1)]
+    assert ended.result["gyro"]["scale"] == pytest.approx(1, abs=2e-3)
+
+
 def test_a_sensor_that_hangs_for_a_moment(bench: TruthRig, service: RunService, store: Store) -> None:
     run = service.start(unit="AS-1", plan=plan(elevations_deg=[0, 30], order="given", dwell_s=16.0))
     until(lambda: len(store.poses(run.id)) == 1 and bench.moves(), "second move", 20)

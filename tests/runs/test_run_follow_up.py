@@ -5,9 +5,9 @@ from __future__ import annotations
 import random
 
 import pytest
+from run_rigs import diagnosed
 from support import running_service
 
-from calrig.analysis.diagnoses import Diagnoses
 from calrig.analysis.errors import Conflict
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import build_result
@@ -50,7 +50,7 @@ def test_a_follow_up_decides_between_the_suspects_and_confirms_on_poses_of_its_o
             poses=poses,
             result=build_result(poses).to_dict(),
         )
-        before = Diagnoses(service.store).trace(first.id)
+        before = diagnosed(service.store, first.id)
         assert before["verdict"] == "ambiguous"
         (effect,) = before["effects"]
         assert {effect["name"], *effect["confusable_with"]} == {"backlash", "settling"}
@@ -80,4 +80,4 @@ def test_a_run_that_leaves_nothing_ambiguous_has_no_follow_up(service):
 def test_a_diagnosis_takes_only_runs_of_one_unit_that_have_ended(service):
     one, other = (completed(service, service.start(unit=unit, plan=ONE_SWEEP)) for unit in ("AS-1", "AS-2"))
     with pytest.raises(Conflict, match=rf"run {one.id} is of unit 'AS-1', run {other.id} of unit 'AS-2'"):
-        Diagnoses(service.store).trace(other.id, [one.id])
+        diagnosed(service.store, other.id, one.id)

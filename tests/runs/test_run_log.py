@@ -71,6 +71,19 @@ def test_readings_are_thinned_to_twenty_a_second(logged: tuple[Run, list[Event],
     assert any(-29 < angle < -1 or 1 < angle < 29 for angle in turning)  # seen on the move
 
 
+def test_what_was_seen_before_a_pose_was_done_is_told_before_the_pose(
+    logged: tuple[Run, list[Event], float],
+) -> None:
+    run, log, _ = logged
+    done_s = 0.0
+    for event in log:
+        if event.type == "pose":
+            done_s = event.data["time_s"] + run.plan["dwell_s"] / 2
+        elif event.type == "reading":
+            assert event.data["time_s"] >= done_s, f"event {event.seq}"
+    assert done_s > 0.0
+
+
 def test_what_is_announced_is_already_in_the_store(
     bench: TruthRig, service: RunService, store: Store
 ) -> None:

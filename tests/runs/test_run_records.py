@@ -121,7 +121,7 @@ def test_an_excluded_pose_stays_and_the_result_is_that_of_the_others(
 def test_an_exclusion_shows_in_the_comparison(imported: Run, records: Records, store: Store) -> None:
     run = records.exclude_pose(imported.id, 4, "outlier")
     row = next(row for row in store.comparison(["AS-9"]) if row.run_id == imported.id)
-    assert (row.bias_deg, row.scale) == (run.result["bias_deg"], run.result["scale"])
+    assert (row.result["bias_deg"], row.result["scale"]) == (run.result["bias_deg"], run.result["scale"])
 
 
 def test_the_last_pose_cannot_be_excluded(records: Records, store: Store) -> None:

@@ -148,7 +148,8 @@ def test_an_abort_that_a_dead_stage_cannot_hear_says_so(bench: TruthRig, service
     run = begin(service, plan(elevations_deg=[-80, 80], velocity_dps=5))
     until(lambda: bench.table_deg(bench.now_s) < -10, "move", 20)
     bench.simulated.stage.fault = "hang"
-    service.abort(run.id)
+    with pytest.raises(Conflict, match=r"bench-1.*not known to stand.*cut its motor power"):
+        service.abort(run.id)
     ended = service.wait(run.id, 15)
     assert ended.status == "aborted"
     assert ended.error is not None

@@ -75,6 +75,19 @@ def test_the_result_is_that_of_a_run_that_nobody_disturbed(
     assert resumed.result["gyro"]["scale"] == pytest.approx(undisturbed.result["gyro"]["scale"], abs=0.01)
 
 
+def test_the_time_left_of_a_resumed_run_is_what_its_other_poses_then_take(
+    bench: TruthRig, serve: Serve, store: Store
+) -> None:
+    first = serve(bench)
+    left = interrupted(first, store, begin(first, PLAN.model_copy(update={"sweeps": 1})), 2)
+    again = serve(bench)
+    again.resume(left.id)
+    until(lambda: len(store.poses(left.id)) > left.progress["poses_done"], "a pose of its own")
+    told_s, began_s = store.run(left.id).progress["remaining_s"], CLOCK.now_s()
+    assert again.wait(left.id, 30).status == "completed"
+    assert told_s == pytest.approx(CLOCK.now_s() - began_s, rel=0.3)
+
+
 def test_a_stage_that_lost_its_reference_is_homed_again(
     make_rig: Callable[..., TruthRig], serve: Serve, store: Store
 ) -> None:

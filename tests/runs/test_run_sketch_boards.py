@@ -51,7 +51,9 @@ def test_a_grbl_stage_and_a_raw_board_at_ten_lines_a_second_calibrate_a_unit(cal
     assert run.provenance["board"]["rate_hz"] == pytest.approx(9.5, abs=1)
     assert run.result["bias_deg"] == pytest.approx(OFFSET_DEG, abs=0.5)
     assert run.result["scale"] == pytest.approx(1, abs=0.02)
+    assert run.result["gyro"]["scale"] is None  # ten samples a second do not carry a move of 40° at 60°/s
     for stored in store.poses(run.id):
+        assert stored.pose.gyro_move_deg is None
         assert 14 <= stored.pose.n_samples <= 21
         assert stored.pose.temperature_c is None
         assert stored.pose.accel_z_g == pytest.approx(np.cos(np.radians(20)), abs=0.02)

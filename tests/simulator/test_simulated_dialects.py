@@ -110,6 +110,43 @@ def test_grbl_refuses_a_target_beyond_its_travel_with_an_alarm_and_keeps_its_pla
     assert controller.tell(b"?") == ["<Alarm|MPos:0.000,0.000,0.000|FS:0,0>"]
 
 
+def test_grbl_says_nothing_after_a_hard_limit_until_it_is_reset():
+    """Neither `?` nor `$$`: its main loop waits for the reset (grbl/protocol.c, protocol_exec_rt_system)."""
+    controller = homed_grbl()
+    controller.ask("G0 X90")
+    controller.now_s += 1.0
+    controller.device.close_limit_switch()
+    assert controller.tell(b"?") == ["ALARM:1", "[MSG:Reset to continue]"]
+    assert controller.tell(b"?$$\n") == []
+    assert controller.tell(b"\x18")[0].startswith("Grbl")
+    assert controller.tell(b"?")[0].startswith("<Alarm|")
+
+
+def test_grbl_hears_no_line_while_it_holds():
+    controller = homed_grbl()
+    controller.ask("G0 X90")
+    controller.tell(b"!", after_s=1.0)
+    assert controller.ask("$G", after_s=1.0) == []
+    assert controller.tell(b"~")[-1] == "ok"
+
+
+def test_grbl_keeps_units_distance_and_tool_until_it_is_reset():
+    controller = homed_grbl()
+    controller.ask("G20 G91 T211 G0 X1")
+    assert controller.ask("$G", after_s=60) == ["[GC:G0 G54 G17 G20 G91 G94 M5 M9 T211 F0 S0]", "ok"]
+    assert controller.ask("X1") == ["ok"]
+    assert controller.tell(b"?", after_s=60) == ["<Idle|MPos:50.800,0.000,0.000|FS:0,0>"]
+    controller.tell(b"\x18")
+    assert controller.ask("$G") == ["[GC:G0 G54 G17 G21 G90 G94 M5 M9 T0 F0 S0]", "ok"]
+
+
+def test_grbl_before_1_1_reports_in_commas():
+    controller = grbl(stage={"firmware": "0.9j"})
+    assert controller.tell(b"") == ["Grbl 0.9j ['$' for help]", "['$H'|'$X' to unlock]"]
+    assert controller.tell(b"?") == ["<Alarm,MPos:0.000,0.000,0.000,WPos:0.000,0.000,0.000>"]
+    assert controller.ask("$I") == ["[0.9j.20190830:]", "ok"]
+
+
 @pytest.mark.parametrize(
     ("line", "error"), [("$Q", 3), ("G0 X1.2.3", 2), ("G2 X1", 20), ("G1 X5", 22), ("G0X" + 80 * "1", 11)]
 )

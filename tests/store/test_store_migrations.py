@@ -139,7 +139,7 @@ def test_a_store_of_every_earlier_revision_is_brought_up_to_date(url, database, 
         assert (pose.index, pose.pose.reading_deg, pose.pose.covariates) == (0, 10.25, {"humidity": 0.4})
         assert store.run("1").result == {"bias_deg": 0.25}
         (row,) = store.comparison()
-        assert (row.unit, row.bias_deg) == ("A", 0.25)
+        assert (row.unit, row.result["bias_deg"]) == ("A", 0.25)
         assert [(event.seq, event.type) for event in store.events_after("1")] == [(1, "state")]
     assert migrate.stored_revision(database) == migrate.revisions()[-1]
     copy = database.with_name(f"calrig.db.before-{migrate.revisions()[-1]}.bak")

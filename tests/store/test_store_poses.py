@@ -78,7 +78,7 @@ def test_an_excluded_pose_is_kept_and_changes_the_result_with_it(store, new_run,
 
     assert changed == store.run(run.id)
     assert changed.result == without
-    assert [row.bias_deg for row in store.comparison()] == [0.5]
+    assert [row.result["bias_deg"] for row in store.comparison()] == [0.5]
     assert [p.excluded for p in store.poses(run.id)] == [None, "somebody leaned on the bench", None]
     assert [p.index for p in store.poses(run.id, include_excluded=False)] == [0, 2]
     for index in (-1, 3, 2**70):

@@ -167,7 +167,7 @@ def test_a_comparison_holds_the_figures_of_completed_runs_by_unit_and_time(store
     new_run(unit="A")
 
     rows = store.comparison()
-    assert [(r.unit, r.bias_deg) for r in rows] == [
+    assert [(r.unit, r.result["bias_deg"]) for r in rows] == [
         ("A", 0.1),
         ("A", 0.2),
         ("B", 0.1),
@@ -176,9 +176,12 @@ def test_a_comparison_holds_the_figures_of_completed_runs_by_unit_and_time(store
     ]
     assert [r.unit for r in store.comparison(["B", "unheard of"])] == ["B", "B"]
     row = rows[0]
-    for name in ("bias_std_deg", "scale", "scale_std", "rms_raw_deg", "rms_calibrated_deg"):
-        assert getattr(row, name) == result[name]
-    assert (row.temperature_min_c, row.temperature_max_c, row.rms_with_effects_deg) == (21.5, 24.0, None)
+    same = ("bias_std_deg", "scale", "scale_std", "rms_raw_deg", "rms_calibrated_deg", "temperature_c")
+    assert row.result == {
+        "bias_deg": 0.1,
+        "rms_with_effects_deg": None,
+        **{name: result[name] for name in same},
+    }
     assert row.finished_at == store.run(row.run_id).finished_at
 
 
@@ -186,7 +189,7 @@ def test_a_new_result_replaces_the_figures_and_none_removes_them(store, new_run,
     run = new_run()
     store.update_run(run.id, status="completed", result=result)
     store.set_result(run.id, {**result, "bias_deg": 0.5})
-    assert [r.bias_deg for r in store.comparison()] == [0.5]
+    assert [r.result["bias_deg"] for r in store.comparison()] == [0.5]
     assert store.run(run.id).result["bias_deg"] == 0.5
 
     store.set_result(run.id, None)
@@ -223,3 +226,15 @@ def test_effects_in_force_are_those_of_the_unit_and_of_its_rig_alone(store, new_
     assert store.effects_in_force("AS-1", "bench-1") == [of_unit, of_rig]
     assert store.effects_in_force("AS-2", "bench-1") == [of_rig]
     assert store.effects_in_force("AS-1", None) == [of_unit]
+
+
+def test_where_a_stage_was_left_is_there_for_the_next_process(url):
+    with Store.open(url, writer="run") as store:
+        assert store.left_at("bench") is None
+        store.leave_at("bench", -60.5)
+        store.leave_at("other", None)
+    with Store.open(url, writer="serve") as store:
+        assert store.left_at("bench").stage_deg == -60.5
+        assert store.left_at("other").stage_deg is None
+        store.leave_at("bench", None)
+        assert store.left_at("bench").stage_deg is None

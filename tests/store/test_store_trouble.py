@@ -1,48 +1,20 @@
-"""A full disk, a read-only one, a network drive, damage: said with what to do, and nothing is lost by it."""
+"""A full disk, a read-only one, a network drive: said with what to do, and nothing is lost by it."""
 
 from __future__ import annotations
 
 import errno
 import fcntl
 import os
-import random
-import signal
-import sqlite3
 import subprocess
-from collections.abc import Callable, Iterator
-from contextlib import closing
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
-from support import lay_empty_store
+from filled_store import block, filled
 from test_store_migrations import later_program
-from test_store_open import python
 
 from calrig.calibration.pose import Pose
-from calrig.store import SampleBlock, Store, StoreDamagedError, StoreError, StoreUnavailableError, file_system
-
-
-def block(index: int, n: int = 500) -> SampleBlock:
-    noise = np.random.default_rng(index)
-    return SampleBlock(
-        index, "dwell", np.arange(n) / 200, noise.normal(size=(n, 3)), np.ones((n, 3)), np.full(n, 24.0)
-    )
-
-
-def filled(url: str, result: dict[str, Any] | None = None, poses: int = 20) -> str:
-    """A run with poses, samples and events; its id."""
-    lay_empty_store(Path(url.removeprefix("sqlite:///")))
-    with Store.open(url, writer="test") as store:
-        run = store.create_run(unit="A", rig="r", plan={"step_deg": 5}, status="running", provenance={})
-        for k in range(poses):
-            pose = Pose(float(k), k + 0.1 * (k % 3), temperature_c=20 + k / 7, covariates={"humidity": k / 3})
-            event = ("pose", {"index": k, "reading_deg": k / 7})
-            done = {"poses_done": k + 1, "poses_total": poses, "fraction": k / poses, "remaining_s": None}
-            store.add_pose(run.id, k, pose, [block(k)], [event], progress=done)
-        store.update_run(run.id, status="completed", result=result)
-    return run.id
+from calrig.store import Store, StoreError, StoreUnavailableError, file_system
 
 
 class Disk(type(Path())):
@@ -219,141 +191,3 @@ def test_a_drive_without_a_write_ahead_log_is_said(url, monkeypatch):
     monkeypatch.setattr(Path, "as_uri", lambda path: f"{as_uri(path)}?vfs=unix-none")
     with pytest.raises(StoreError, match=r"network drive.*journal.*local disk"):
         Store.open(url, writer="serve")
-
-
-def everything(store: Store, run_id: str) -> dict[str, Any]:
-    """All that can be asked of a run; where the store refuses, the refusal."""
-    asked: dict[str, Callable[[], Any]] = {
-        "run": lambda: store.run(run_id),
-        "poses": lambda: store.poses(run_id),
-        "events": lambda: [
-            (e.seq, e.data["reading_deg"]) for e in store.events_after(run_id) if "index" in e.data
-        ],
-        "samples": lambda: {n: v.tobytes() for n, v in vars_of(store.samples(run_id)).items()},
-        "comparison": store.comparison,
-    }
-    answers: dict[str, Any] = {}
-    for name, ask in asked.items():
-        try:
-            answers[name] = ask()
-        except StoreError as error:
-            answers[name] = error
-    return answers
-
-
-def vars_of(samples: Any) -> dict[str, np.ndarray]:
-    return {name: getattr(samples, name) for name in ("time_s", "accel_g", "gyro_dps", "temperature_c")}
-
-
-NUMBERS = ("result", "progress", "faults", "plan", "diagnosis", "provenance")
-
-
-def same(name: str, answer: Any, truth: Any) -> bool:
-    """Whether an answer has the numbers of the truth; a letter of a name is not promised."""
-    if name == "run":
-        return answer is None or all(getattr(answer, n) == getattr(truth, n) for n in NUMBERS)
-    if name == "comparison":
-        return [row[4:] for row in answer] in ([row[4:] for row in truth], [])
-    return bool(answer == truth)
-
-
-def test_a_flipped_bit_is_said_or_does_no_harm_and_never_gives_another_number(
-    url, database, result, tmp_path
-):
-    run_id = filled(url, result, poses=12)
-    with Store.open(url, writer=None) as store:
-        truth = everything(store, run_id)
-    sound = database.read_bytes()
-    dice = random.Random(5)
-    said = 0
-    for _ in range(30):
-        flipped = bytearray(sound)
-        at = dice.randrange(len(flipped))
-        flipped[at] ^= 1 << dice.randrange(8)
-        broken = tmp_path / "broken.db"
-        broken.write_bytes(flipped)
-        try:
-            with Store.open(f"sqlite:///{broken}", writer=None) as store:
-                answers = everything(store, run_id)
-        except StoreError:
-            said += 1
-            continue
-        refused = [a for a in answers.values() if isinstance(a, StoreError)]
-        assert all("damaged" in str(a) and "newest backup" in str(a) for a in refused)
-        said += bool(refused)
-        wrong = [n for n, a in answers.items() if not isinstance(a, StoreError) and not same(n, a, truth[n])]
-        assert wrong == [], f"byte {at}"
-    assert said > 10, "most of a store is samples, and each block of them has a checksum"
-
-
-def read_samples(url: str, writer: str | None) -> None:
-    with Store.open(url, writer=writer) as store:
-        store.samples("1")
-
-
-@pytest.mark.parametrize("writer", ["serve", None])
-def test_a_truncated_file_is_said_and_left_alone(url, database, writer):
-    filled(url)
-    os.truncate(database, database.stat().st_size // 2)
-    was = database.read_bytes()
-    with pytest.raises(StoreDamagedError, match=r"damaged: keep a copy.*calrig backup"):
-        read_samples(url, writer)
-    assert database.read_bytes() == was
-
-
-def test_an_empty_file_with_a_log_beside_it_is_not_taken_for_a_new_store(url, database):
-    database.touch()
-    log = Path(f"{database}-wal")
-    log.write_bytes(b"an hour of somebody's morning")
-    with pytest.raises(StoreDamagedError, match="empty and its -wal file is not"):
-        Store.open(url, writer="serve")
-    assert log.read_bytes() == b"an hour of somebody's morning"
-
-
-DIE = """
-import os, signal, sys
-from calrig.store import Store
-store = Store.open(sys.argv[1], writer="run")
-store.create_run(unit="B", rig="bench", plan=None, status="running", provenance={})
-os.kill(os.getpid(), signal.SIGKILL)
-"""
-
-
-def test_after_a_writer_died_its_store_is_looked_through_before_anything_is_written(url, database):
-    filled(url)
-    with python(DIE, url) as writer:
-        assert writer.wait() == -signal.SIGKILL
-    log = Path(f"{database}-wal")
-    assert log.stat().st_size > 0
-    with database.open("r+b") as file:  # a page in the middle that the log does not hold
-        file.seek(4096 * (database.stat().st_size // 4096 // 2))
-        file.write(bytes(4096))
-    was = database.read_bytes(), log.read_bytes()
-    with pytest.raises(StoreDamagedError, match="damaged: keep a copy"):
-        Store.open(url, writer="serve")
-    assert (database.read_bytes(), log.read_bytes()) == was
-
-
-def test_poses_and_events_that_vanished_are_missed(url, database):
-    run_id = filled(url, poses=5)
-    with closing(sqlite3.connect(database)) as connection:
-        connection.execute("DELETE FROM pose WHERE pose_index = 4")
-        connection.execute("DELETE FROM event WHERE seq = 3")
-        connection.commit()
-    with Store.open(url, writer=None) as store:
-        with pytest.raises(StoreDamagedError, match="1 poses of run 1 are missing"):
-            store.poses(run_id)
-        with pytest.raises(StoreDamagedError, match="event 3 of run 1 is missing"):
-            store.events_after(run_id)
-
-
-def test_a_reading_whose_digit_has_changed_is_noticed(url, database):
-    run_id = filled(url, poses=5)
-    with closing(sqlite3.connect(database)) as connection:
-        connection.execute("UPDATE pose SET reading_deg = reading_deg + 1 WHERE pose_index = 2")
-        connection.commit()
-    with (
-        Store.open(url, writer=None) as store,
-        pytest.raises(StoreDamagedError, match="pose 2 of run 1 is not what was stored"),
-    ):
-        store.poses(run_id)

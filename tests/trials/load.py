@@ -47,7 +47,8 @@ def _bench(connection: Connection, first: int, number: int) -> None:
 
 
 @contextmanager
-def _benches(number: int) -> Iterator[list[RigSettings]]:
+def benches(number: int) -> Iterator[list[RigSettings]]:
+    """So many rigs in processes of their own, as a service is told of them."""
     spawn, ports, ends = get_context("spawn"), [], []
     for first in range(0, number, RIGS_A_PROCESS):
         ours, theirs = spawn.Pipe()
@@ -134,7 +135,7 @@ def trial(extent: Extent) -> list[Count]:
     """All at once, for this share of thirty minutes."""
     length_s = extent.share * LENGTH_S
     spawn = get_context("spawn")
-    with tempfile.TemporaryDirectory() as name, _benches(RIGS) as rigs:
+    with tempfile.TemporaryDirectory() as name, benches(RIGS) as rigs:
         served = Served(configured(Path(name), rigs), Path(name) / "calrig.db")
         run_ids = [
             served.client.post("/api/runs", json={"unit": f"U{k}", "rig": rig.name, "plan": PLAN})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -36,9 +37,12 @@ def configured(folder: Path, rigs: list[RigSettings]) -> Path:
 
 
 class Served:
-    """A service that answers at `client`; `kill` ends it as a power cut would, `terminate` in order."""
+    """A service that answers at `client`; `kill` ends it as a power cut would, `terminate` in order.
 
-    def __init__(self, config: Path, store: Path) -> None:
+    Where there is a token, the client shows it.
+    """
+
+    def __init__(self, config: Path, store: Path, token: str = "") -> None:
         command = [sys.executable, "-m", "calrig", "serve", "--port", "0"]
         self._log = store.with_suffix(".log").open("ab")
         self.process = subprocess.Popen(
@@ -46,6 +50,7 @@ class Served:
             stdout=subprocess.PIPE,
             stderr=self._log,
             text=True,
+            env={**os.environ, "CALRIG_TOKEN": token} if token else None,
         )
         too_late = threading.Timer(START_S, self.process.kill)
         too_late.start()
@@ -56,7 +61,8 @@ class Served:
         if url is None:
             self.kill()
             raise RuntimeError(f"the service did not start; see {self._log.name}")
-        self.client = httpx.Client(base_url=url[0], timeout=20.0)
+        shown = {"Authorization": f"Bearer {token}"} if token else {}
+        self.client = httpx.Client(base_url=url[0], timeout=20.0, headers=shown)
 
     def get(self, path: str) -> Any:
         """The answer's JSON."""

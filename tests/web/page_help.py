@@ -59,3 +59,18 @@ def until_pose(client, run_id, count):
 def line_x(page, chart):
     """The x values of a chart's first line, as they are drawn now."""
     return page.evaluate("chart => document.querySelector(`[data-testid=${chart}]`).data?.[0].x ?? []", chart)
+
+
+def figures_of(page, place):
+    """What a list of figures says, by the name that each stands beside."""
+    rows = page.locator(place).locator("div:has(> dt)")
+    both = "rows => rows.map(row => ['dt', 'dd'].map(part => row.querySelector(part).textContent))"
+    return dict(rows.evaluate_all(both))
+
+
+def row_of(page, table, text):
+    """What a table says in the row with a text, by the heading that each cell stands under."""
+    row = page.locator(f"{table} tbody tr").filter(has_text=text)
+    under = """row => [...row.closest("table").querySelectorAll("thead th")].map(
+        (heading, k) => [heading.textContent, row.cells[k].textContent])"""
+    return dict(row.evaluate(under))

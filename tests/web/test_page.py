@@ -99,6 +99,18 @@ def test_a_stream_that_breaks_and_repeats_itself_leaves_no_gap_and_draws_nothing
     assert indices == list(range(len(indices)))
 
 
+def test_a_move_that_the_unit_felt_otherwise_is_said_while_the_run_goes_on(page, client, go, expect):
+    run = client.post("/api/runs", json={"unit": "MPU-1", "plan": LONG}).raise_for_status().json()
+    says = "Pose 3 at 40°: the stage says that it turned by +40.00°, and the unit felt +39.00°."
+    told = f'event: move_mismatch\nid: 1\ndata: {{"index": 3, "says": "{says}"}}\n\n'
+    headers = {"Content-Type": "text/event-stream"}
+    page.route("**/events", lambda route: route.fulfill(headers=headers, body="retry: 50\n\n" + told))
+    go(f"#/runs/{run['id']}")
+    expect(page.get_by_role("alert").filter(has_text=says)).to_be_visible()
+    expect(page.locator("#mismatches p")).to_have_count(1)
+    client.post(f"/api/runs/{run['id']}/abort").raise_for_status()
+
+
 def test_a_run_is_paused_resumed_and_aborted_and_a_closed_tab_leaves_it_alone(page, client, go, expect):
     run = client.post("/api/runs", json={"unit": "MPU-1", "plan": LONG}).raise_for_status().json()
     go(f"#/runs/{run['id']}")
@@ -125,6 +137,7 @@ def test_a_plan_beyond_the_limits_is_refused_beside_the_button_and_nothing_start
     go("#/")
     page.fill("#unit", "REFUSED")
     page.fill("#stop_deg", "120")
+    expect(page.locator("#plan-summary")).to_contain_text("soft limits")
     page.click("#start")
     expect(page.locator("#start-error")).to_contain_text("soft limits")
     page.fill("#stop_deg", "60")

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from page_help import BACKLASH_DEG, NOISE_DEG, ambiguous_poses
+from page_help import BACKLASH_DEG, NOISE_DEG, ambiguous_poses, figures_of
 from page_help import imported_lines as imported
 
 from calrig.calibration.effects import CATALOGUE
@@ -67,8 +67,12 @@ def test_a_run_is_traced_to_backlash_and_the_effect_put_in_force(page, client, s
     found = client.get(f"/api/runs/{run['id']}/diagnosis").json()
     before, after = found["base"]["held_out_rms_deg"], found["final"]["held_out_rms_deg"]
     assert before > 2 * after
-    for figure in (before, after, found["noise"]["floor_deg"]):
-        expect(page.locator("#before-after")).to_contain_text(f"{figure:#.3g}°")
+    expect(page.locator("#before-after")).to_contain_text("Held-out RMS")
+    assert figures_of(page, "#before-after") == {
+        "Held-out RMS, bias and scale only": f"{before:#.3g}°",
+        "Held-out RMS, with effects": f"{after:#.3g}°",
+        "Noise floor": f"{found['noise']['floor_deg']:#.3g}°",
+    }
     (size,) = (e["parameters"]["backlash_deg"] for e in found["effects"] if e["name"] == "backlash")
     decimals = 1 - int(f"{size['std']:e}".split("e")[1])
     stated = f"{size['value']:.{decimals}f} ± {size['std']:.{decimals}f}°"
@@ -187,6 +191,9 @@ def test_what_is_ambiguous_leads_to_the_run_that_separates_it(page, client, go, 
     assert confirmed["before_rms_deg"] > 2 * confirmed["after_rms_deg"]
     for key in ("before_rms_deg", "after_rms_deg"):
         expect(page.get_by_test_id("diagnosis-verdict")).to_contain_text(f"{confirmed[key]:#.3g}°")
+    figures = figures_of(page, "#before-after")
+    for when in ("before", "after"):
+        assert figures[f"Confirmation, {when}"] == f"{confirmed[f'{when}_rms_deg']:#.3g}°"
     is_drawn(page, "effect-0")
 
 

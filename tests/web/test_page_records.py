@@ -6,7 +6,7 @@ import csv
 import json
 
 import pytest
-from page_help import imported
+from page_help import figures_of, imported, row_of
 from support import DATA
 
 pytestmark = pytest.mark.browser
@@ -39,6 +39,24 @@ def test_units_are_compared_with_their_errors(page, client, go, expect):
     for chart in ("residuals", "bias", "scale", "rms"):
         expect(page.get_by_test_id(f"compare-{chart}").locator(".plot-container")).to_be_visible()
     assert second["unit"] == "D-2"
+
+
+def test_the_error_before_and_after_calibration_stand_each_under_its_own_name(page, client, go, expect):
+    result = imported(client, "NAMED")["result"]
+    assert result["rms_raw_deg"] > 10 * result["rms_calibrated_deg"]
+    named = {
+        "RMS error, raw": f"{result['rms_raw_deg']:#.3g}°",
+        "RMS error, calibrated": f"{result['rms_calibrated_deg']:#.3g}°",
+    }
+    go("#/")
+    expect(page.locator("#runs-table")).to_contain_text("NAMED")
+    assert named.items() <= row_of(page, "#runs-table", "NAMED").items()
+    page.locator("#runs-table tr", has_text="NAMED").get_by_role("link").first.click()
+    expect(page.locator("#result")).to_contain_text("Bias")
+    assert named.items() <= figures_of(page, "#result").items()
+    go("#/compare?unit=NAMED")
+    expect(page.locator("#compare-table")).to_contain_text("NAMED")
+    assert named.items() <= row_of(page, "#compare-table", "NAMED").items()
 
 
 def test_a_run_is_voided_with_a_reason_and_stays_struck_through(page, client, go, expect):

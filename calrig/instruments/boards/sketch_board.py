@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections import Counter
 from typing import Self
 
+from calrig.instruments.boards.reader import reader
 from calrig.instruments.boards.sketch import Sketch
 from calrig.instruments.boards.sketch_lines import Record, SketchReader
 from calrig.instruments.boards.sketch_samples import SketchSamples
 from calrig.instruments.device import recognise
 from calrig.instruments.drivers import known_devices
-from calrig.instruments.errors import BoardError, InstrumentError, PortError
+from calrig.instruments.errors import BoardError, InstrumentError
 from calrig.instruments.ports import Port, open_port
 from calrig.instruments.types import BoardIdentity, Samples
+from calrig.instruments.wanted import require_wanted
 
 READ_TIMEOUT_S = 0.004
 """How long a read gathers: so far is a record's time off."""
@@ -56,7 +58,8 @@ class SketchBoard:
         self._seen_s: list[float] = []  # arrivals without a break, from which the rate is measured
         self._behind = False
         self._arrived_s = self._started_s = self._heard_s = self._clock.now_s()
-        self._thread = self._clock.thread(self._listen, f"reader of {self._name}")
+        read = reader(self._listen, self._fail, self._name)
+        self._thread = self._clock.thread(read, f"reader of {self._name}")
         self._thread.start()
 
     @classmethod
@@ -75,6 +78,7 @@ class SketchBoard:
             self._identified, self._seen_s = False, []
             deadline_s = self._clock.now_s() + self._sketch.starts_in_s + MEASURE_S
             while not self._measured:
+                require_wanted()
                 if self._clock.now_s() > deadline_s or self._looks_like:
                     raise BoardError(f"{self._name} sent no record that can be read: {self._why_none()}")
                 if self._sketch.wake and not self._seen_s:
@@ -163,24 +167,23 @@ class SketchBoard:
 
     def _listen(self) -> None:
         while not self._closing.is_set():
-            try:
-                data = self._port.read(65536)
-                if data:
-                    with self._news:
-                        self._digest(data, max(self._clock.now_s(), self._arrived_s + TICK_S))
-                        self._news.notify_all()
-            except InstrumentError as error:
+            data = self._port.read(65536)
+            if data:
                 with self._news:
-                    self._failure = self._named(error)
+                    self._digest(data, max(self._clock.now_s(), self._arrived_s + TICK_S))
                     self._news.notify_all()
-                return
 
-    def _named(self, error: InstrumentError) -> InstrumentError:
-        return error if isinstance(error, PortError) else BoardError(f"{self._name}: {error}")
+    def _fail(self, error: InstrumentError) -> None:
+        with self._news:
+            self._failure = error
+            self._news.notify_all()
 
     def _digest(self, data: bytes, now_s: float) -> None:
         self._heard_s = now_s
-        found = self._reader.feed(data)
+        try:
+            found = self._reader.feed(data)
+        except BoardError as error:  # of lines, which know no port
+            raise BoardError(f"{self._name}: {error}") from error
         self._behind = len(data) >= BACKLOG_BYTES or (self._behind and len(found) > 1)
         if self._behind:
             self._seen_s.clear()
@@ -213,8 +216,9 @@ class SketchBoard:
         self.faults["board_reset"] += 1
         if self._sketch.zeroes_at_reset:
             raise BoardError(
-                "it was reset while it streamed, and its sketch takes its zero anew at every start: what "
-                "came before and after does not belong together; check power and cable, then run again"
+                f"{self._name} was reset while it streamed, and its sketch takes its zero anew at every "
+                "start: what came before and after does not belong together; "
+                "check power and cable, then run again"
             )
         if self._samples is not None:
             self._samples.restart()

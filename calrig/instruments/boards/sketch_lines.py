@@ -52,7 +52,10 @@ class SketchReader:
         *lines, self._tail = (self._tail + data).split(b"\n")
         found: list[Record | None] = []
         for line in lines:
-            self._take(line.decode("latin-1"), found)
+            if len(line) <= LONGEST_LINE:
+                self._take(line.decode("latin-1"), found)
+            else:
+                self._drop("")
         self._heed_last_words(self._tail.decode("latin-1"))
         if len(self._tail) > LONGEST_LINE:
             self._tail = b""

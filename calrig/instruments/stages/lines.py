@@ -82,14 +82,15 @@ class LineWire:
         return bool(self._tail) and self._now_s() - self._came_s < COMING_S
 
     def old_lines(self) -> list[str]:
-        """What came before anything was asked, half a line dropped."""
+        """What came before anything was asked; half a line is kept for its rest as long as it is coming."""
         deadline_s = self._now_s() + DRAIN_S
         while self._port.waiting() and self._now_s() < deadline_s:
             self._read()
         lines = []
         while (line := self._next()) is not None:
             lines.append(line)
-        self._drop_tail()
+        if not self._is_coming:
+            self._drop_tail()
         return lines
 
     def close(self) -> None:

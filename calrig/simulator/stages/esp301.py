@@ -14,7 +14,6 @@ FIRMWARE = "ESP301 Version 3.0.1 simulated"
 STAGE_NAME = "URS75BCC, SN S0001"
 MOST_ERRORS = 10
 COMMAND = re.compile(r"(\d{0,2})([A-Z]{2})(\?|[-+]?[\d.]+|)")
-GARBLED = bytes(byte ^ 0x55 for byte in range(256))
 UNKNOWN, AXIS_OUT_OF_RANGE, PARAMETER_MISSING = 6, 9, 38
 PARAMETER, FOLLOWING, POSITIVE, NEGATIVE, TOO_FAST, MOTOR_OFF, HOMING_ABORTED = 1, 3, 4, 5, 10, 13, 20
 TEXTS = {
@@ -86,17 +85,13 @@ class Esp301(LineStage):
             self._velocity_dps, self._setpoint_deg = self._options.velocity_dps, 0.0
             self._zero_deg += self._position(now_s)
 
-    def _replies(self, line: bytes) -> bytes:
+    def _replies(self, line: bytes) -> list[str]:
+        parts = line.decode("ascii", "replace").split(";")
         with self._bench.lock:
             now_s = self._now()
             self._advance(now_s)
-            replies = [
-                self._answer(part.strip(), now_s) for part in line.decode("ascii", "replace").split(";")
-            ]
-        body = "".join(f"{reply}\r\n" for reply in replies if reply is not None).encode("ascii", "replace")
-        if self.fault == "garbage":
-            body = b"".join(part.translate(GARBLED) + b"\r\n" for part in body.split(b"\r\n")[:-1])
-        return body
+            replies = [self._answer(part.strip(), now_s) for part in parts]
+        return [reply for reply in replies if reply is not None]
 
     def _answer(self, text: str, now_s: float) -> str | None:
         try:

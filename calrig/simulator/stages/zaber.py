@@ -18,7 +18,6 @@ MICROSTEPS_PER_DEG = 6400.0
 NATIVE_VELOCITY = 1.6384
 """A speed counts 1/1.6384 microsteps per second; an acceleration 10⁴ times that, per second."""
 MESSAGE = re.compile(r"/(?:(\d+)(?: (\d+)(?: (\d+|--))?)?)?\s*(.*?)(?::([0-9A-F]{2}))?")
-GARBLED = bytes(byte ^ 0x55 for byte in range(256))
 
 
 class _Refused(Exception):  # noqa: N818 (a reason of the dialect, caught where it is said)
@@ -56,11 +55,9 @@ class Zaber(LineStage):
             self._tail, self._ends, self._homing, self._referenced = b"", None, False, False
             self._flags.clear()
 
-    def _replies(self, line: bytes) -> bytes:
-        reply = self._answer(line.decode("ascii", "replace")).encode("ascii", "replace")
-        if not reply:
-            return b""
-        return (reply.translate(GARBLED) if self.fault == "garbage" else reply) + b"\r\n"
+    def _replies(self, line: bytes) -> list[str]:
+        reply = self._answer(line.decode("ascii", "replace"))
+        return [reply] if reply else []
 
     def _answer(self, line: str) -> str:
         message = MESSAGE.fullmatch(line)

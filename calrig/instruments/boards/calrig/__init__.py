@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from calrig.instruments.boards.calrig.packets import BAUDRATE, IDENTITY, PacketDecoder
 from calrig.instruments.device import BoardDevice, Identity, Probe
@@ -24,23 +23,25 @@ def _identities(heard: bytes) -> list[str]:
     return [packet[1:].decode("utf-8", "replace") for packet in packets if packet[0] == IDENTITY]
 
 
-def _document(text: str) -> dict[str, Any] | None:
-    try:
-        said = json.loads(text)
-    except ValueError:
-        return None  # its CRC holds, but it is no identity of the contract's
-    return said if isinstance(said, dict) else None
-
-
 def _matches(text: str) -> bool:
-    return _document(text) is not None
+    from calrig.instruments.boards.calrig.words import identity_document
+
+    try:
+        identity_document(text)
+    except ValueError:
+        return False  # its CRC holds, but it is no identity of the contract's
+    return True
 
 
 def _identity(texts: Sequence[str]) -> Identity:
-    said = _document(texts[0]) or {}
-    unit = f"unit {said['serial']}" if said.get("serial") else "no serial number"
-    parts = [unit, said.get("firmware"), said.get("chip")]
-    return Identity(", ".join(str(part) for part in parts if part))
+    from calrig.instruments.boards.calrig.words import read_identity
+
+    try:
+        board = read_identity(texts[0])
+    except ValueError as error:
+        return Identity(f"an identity that cannot be used ({error})")
+    unit = f"unit {board.serial}" if board.serial else "no serial number"
+    return Identity(", ".join(part for part in (unit, board.firmware, board.chip) if part))
 
 
 DEVICE = BoardDevice(

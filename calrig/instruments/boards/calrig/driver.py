@@ -10,10 +10,12 @@ from typing import Self
 from calrig.instruments.boards.calrig.mark import Mark
 from calrig.instruments.boards.calrig.packets import ACKNOWLEDGE, BAUDRATE, IDENTITY, SAMPLES, PacketDecoder
 from calrig.instruments.boards.calrig.sample_stream import SampleStream
-from calrig.instruments.boards.calrig.words import USELESS, read_identity, why_none, why_useless
+from calrig.instruments.boards.calrig.words import USELESS, read_identity, text_of, why_none, why_useless
+from calrig.instruments.boards.reader import reader
 from calrig.instruments.errors import BoardError, InstrumentError, PortError
 from calrig.instruments.ports import Port, open_port
 from calrig.instruments.types import BoardIdentity, Samples
+from calrig.instruments.wanted import require_wanted
 
 READ_EVERY_S = 0.04
 READ_TIMEOUT_S = 0.002
@@ -53,7 +55,7 @@ class CalrigBoard:
         self._identity: BoardIdentity | None = None
         self._stream: SampleStream | None = None
         self._start_line: str | None = None  # what it acknowledged; None again once told to stop
-        self._streaming = False  # whether samples are believed: from the acknowledge of START to that of STOP
+        self._streaming = False  # whether samples are accepted: from the acknowledge of START to that of STOP
         self._period_s = 0.0
         self._asked = ""
         self._answer: tuple[int, str] | None = None
@@ -65,7 +67,8 @@ class CalrigBoard:
         self._may_be_late = False  # whether samples were ever held up on their way since `start`
         self._is_reset = self._awaits_start = False
         self._faults_then: Counter[str] = Counter()
-        self._reader = self._clock.thread(self._listen, f"reader of {self._name}")
+        read = reader(self._listen, self._fail, self._name)
+        self._reader = self._clock.thread(read, f"reader of {self._name}")
         self._reader.start()
 
     @classmethod
@@ -89,7 +92,7 @@ class CalrigBoard:
                 self._news.wait_for(lambda: self._identity or self._failure, ASK_AGAIN_S)
                 self._raise_failure()
             if self._identity is None:
-                why = why_none(self._last_words, self._n_bytes)
+                why = why_none(self._last_words, self._n_bytes, self._decoder.overlong)
                 raise BoardError(f"{self._name} sent no identity in {IDENTIFY_S:g} s: {why}")
             self.faults.clear()
             self._last_words = ""
@@ -161,6 +164,7 @@ class CalrigBoard:
         self._port.close()
 
     def _send(self, line: str) -> None:
+        require_wanted()
         self._port.write(f"{line}\n".encode("ascii"))
 
     def _command(self, line: str) -> None:
@@ -186,15 +190,14 @@ class CalrigBoard:
     def _listen(self) -> None:
         data = b""
         while not self._closing.wait(READ_EVERY_S if len(data) < BACKLOG_BYTES else 0.0):
-            try:
-                data = self._port.read(65536)
-                if data:
-                    self._digest(data)
-            except InstrumentError as error:
-                with self._news:
-                    self._failure = error
-                    self._news.notify_all()
-                return
+            data = self._port.read(65536)
+            if data:
+                self._digest(data)
+
+    def _fail(self, error: InstrumentError) -> None:
+        with self._news:
+            self._failure = error
+            self._news.notify_all()
 
     def _digest(self, data: bytes) -> None:
         with self._news:
@@ -223,13 +226,12 @@ class CalrigBoard:
             self._faults_then = self.faults.copy()
 
     def _listen_to(self, kind: int, payload: bytes) -> None:
-        text = payload.decode("utf-8", "replace")
         if kind == IDENTITY:
-            self._meet(text)
+            self._meet(payload.decode("utf-8", "replace"))
         elif kind == ACKNOWLEDGE:
-            self._follow(text)
+            self._follow(payload.decode("utf-8", "replace"))
         else:
-            self._last_words = text
+            self._last_words = text = text_of(payload)
             if self._start_line is not None:
                 self.faults["board_error"] += 1
             elif self._asked.startswith("START"):
@@ -288,8 +290,7 @@ class CalrigBoard:
         if silent_s > max(ASK_AGAIN_S if self._is_reset else RESTART_S, 3 * self._period_s):
             self._start_again()
         since = self.faults - self._faults_then
-        refused_s = self._period_s * max(since[kind] for kind in USELESS)
-        went_on = refused_s > USELESS_S / 2  # not just the last ones before a reset
+        went_on = self._period_s * max(since[kind] for kind in USELESS) > USELESS_S / 2  # not just the last
         useless_s = now - self._valid_at
         if useless_s <= max(USELESS_S if went_on else SILENCE_S, 3 * self._period_s):
             return

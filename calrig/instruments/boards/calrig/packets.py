@@ -19,29 +19,35 @@ LENGTHS = {
     FILTERED_SAMPLE: 23,
 }
 LONGEST_FRAME = 2048
+BEGINNING = 64
 
 
 class PacketDecoder:
     """Takes bytes as they come, cut anywhere, and gives the packets whose frame, CRC and length are right.
 
     What is not right is counted in `faults` and dropped: `crc`, and `unparsed` for a frame that is no COBS,
-    too short, of unknown type or of the wrong length.
+    too short, too long, of unknown type or of the wrong length. `overlong` is how the last one began that
+    was too long.
     """
 
     def __init__(self, faults: Counter[str] | None = None) -> None:
         self.faults: Counter[str] = Counter() if faults is None else faults
+        self.overlong = b""
         self._tail = b""
+        self._is_overlong = False  # what comes is the rest of a frame that was dropped
 
     def feed(self, data: bytes) -> list[bytes]:
         """The packets completed by `data`, each as its type byte and payload, without the CRC."""
         *frames, self._tail = (self._tail + data).split(b"\0")
-        if len(self._tail) > LONGEST_FRAME:
-            self._tail = b""
-            self.faults["unparsed"] += 1
+        if frames and self._is_overlong:
+            frames[0], self._is_overlong = b"", False
         packets = []
         for frame in frames:
             if not frame:
                 continue  # two delimiters in a row: how a sender ends a line of noise
+            if len(frame) > LONGEST_FRAME:
+                self._drop_overlong(frame)
+                continue
             try:
                 packet = cobs.decode(frame)
             except cobs.DecodeError:
@@ -56,4 +62,12 @@ class PacketDecoder:
                 self.faults["unparsed"] += 1
             else:
                 packets.append(body)
+        if len(self._tail) > LONGEST_FRAME:
+            self._drop_overlong(self._tail)
+            self._tail, self._is_overlong = b"", True
         return packets
+
+    def _drop_overlong(self, frame: bytes) -> None:
+        self.faults["unparsed"] += 1
+        if not self._is_overlong:
+            self.overlong = frame[:BEGINNING]

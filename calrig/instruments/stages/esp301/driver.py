@@ -3,7 +3,7 @@
 Its replies are bare numbers that do not say what they answer. So after every query a fence is sent, `VE?` or
 `1ID?` in turn, whose text was learned when the controller was first asked: replies come in order, so exactly
 one number before the fence is the answer, and none or two are damage, after which the query is asked again.
-A digit that was damaged looks like any other: what matters is believed when it was said twice (`readback`).
+A damaged digit looks like any other: what matters is accepted when two readbacks agree (`readback`).
 
 Nothing tells whether the stage was homed since power came on. It counts as not referenced until this driver
 has homed it, in the way that the stage itself is set up for (`OM`).
@@ -23,6 +23,7 @@ from calrig.instruments.ports import Port, open_port
 from calrig.instruments.stages.esp301.words import BAUDRATE, error_words
 from calrig.instruments.stages.lines import LineWire, plain, unanswered
 from calrig.instruments.types import StageIdentity, StageStatus
+from calrig.instruments.wanted import require_wanted
 
 REPLY_TIMEOUT_S = 0.5
 ATTEMPTS = 4
@@ -268,6 +269,7 @@ class Esp301:
 
     def _catch_up(self) -> None:
         """Drops what has come, and after an answer that never came, what is still on its way."""
+        require_wanted()
         late = self._lines.old_lines()
         if self._in_doubt:
             deadline_s = self._now_s() + REPLY_TIMEOUT_S
@@ -281,7 +283,9 @@ class Esp301:
         """Asks for the two names until each came twice alike; one of them is enough."""
         for query in ("VE?", f"{self._axis}ID?"):
             last = None
-            for _ in range(ATTEMPTS + 1):
+            for attempt in range(ATTEMPTS + 1):
+                if self._lines.halted and (self._fences or (attempt and last is None)):
+                    break  # a stop goes first
                 self._catch_up()
                 self._lines.send(f"{query}\r".encode("ascii"))
                 came = [line for line in self._listen(1, query) if NAME.fullmatch(line)]

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from calrig.instruments.device import Identity, Probe, StageDevice
-from calrig.instruments.stages.grbl.words import BANNER, BAUDRATE, parse_report
+from calrig.instruments.stages.grbl.words import (
+    BANNER,
+    BAUDRATE,
+    VERSION,
+    is_report_before_1_1,
+    parse_report,
+)
 
 if TYPE_CHECKING:
     from calrig.instruments.stages.grbl.driver import Grbl
-
-VERSION = re.compile(r"\[VER:([^:\]]+).*\]")
 
 
 def _open(url: str, *, axis: int, baudrate: int | None) -> Grbl:
@@ -22,13 +25,17 @@ def _open(url: str, *, axis: int, baudrate: int | None) -> Grbl:
 
 
 def _matches(line: str) -> bool:
-    return bool(BANNER.fullmatch(line) or VERSION.fullmatch(line) or parse_report(line))
+    return bool(
+        BANNER.fullmatch(line) or VERSION.fullmatch(line) or parse_report(line) or is_report_before_1_1(line)
+    )
 
 
 def _identity(lines: Sequence[str]) -> Identity:
     names = [banner[1] for line in lines if (banner := BANNER.fullmatch(line))]
-    names += [f"Grbl {version[1]}" for line in lines if (version := VERSION.fullmatch(line))]
+    versions = [version for line in lines if (version := VERSION.fullmatch(line))]
+    names += [f"Grbl {version[1]}{version[2] or ''}" for version in versions]
     states = [f", in {report.state}" for line in lines if (report := parse_report(line))]
+    states += [", older than the 1.1 that calrig speaks" for line in lines if is_report_before_1_1(line)]
     return Identity((names or ["Grbl"])[0] + (states or [""])[-1])
 
 

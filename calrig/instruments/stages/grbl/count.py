@@ -10,9 +10,6 @@ from calrig.instruments.errors import StageError
 from calrig.instruments.readback import AGREE_DEG
 from calrig.instruments.stages.grbl.words import Report
 
-_left_at_deg: dict[str, float] = {}
-"""Where stages without homing were last seen, by port: a count that begins anew elsewhere is no angle."""
-
 
 class Count:
     """One axis's count.
@@ -24,14 +21,13 @@ class Count:
         shown_deg: the last one read.
     """
 
-    def __init__(self, index: int, name: str, port_name: str) -> None:
+    def __init__(self, index: int, name: str) -> None:
         self.unreferenced: str | None = "not homed since its port was opened"
         self.lost = False
         self.offset_deg: float | None = None
         self.shown_deg = 0.0
         self._index = index
         self._name = name
-        self._port_name = port_name
         self._offset_heard: float | None = None
         self._has_moved = False
         self._target_deg: float | None = None
@@ -52,14 +48,10 @@ class Count:
         if target_deg is None:
             self.lost, self.unreferenced = False, "homing has not succeeded"
 
-    def trust(self, report: Report) -> bool:
-        """Counts from where it was switched on, unless that is not where this program left it."""
-        here_deg, left_deg = self.degrees(report), _left_at_deg.get(self._port_name)
-        if left_deg is not None and abs(left_deg - here_deg) > AGREE_DEG:
-            self.lose(f"it was left at {left_deg:g}° and its count now begins at {here_deg:g}°")
-            return False
+    def trust(self, report: Report) -> None:
+        """Counts from where it was switched on; what angle that is, its user must know."""
+        self.degrees(report)
         self.unreferenced = None
-        return True
 
     def degrees(self, report: Report) -> float:
         """A report's angle in work coordinates (StageError where it has no such axis)."""
@@ -79,12 +71,8 @@ class Count:
             self.offset_deg = heard
         self._offset_heard = heard
 
-    def check(self, here_deg: float, *, homing: bool) -> None:
-        """Accepts an angle at which the stage stands.
-
-        Args:
-            here_deg: two reports agree on it.
-            homing: whether the controller can home, and so need not be remembered.
+    def check(self, here_deg: float) -> None:
+        """Accepts an angle at which the stage stands, on which two reports agree.
 
         Raises:
             StageError: the count has jumped, or is no angle any more for another reason.
@@ -95,5 +83,3 @@ class Count:
             raise StageError(f"{self._name} has lost its angle: {self.unreferenced}")
         if self._target_deg is not None and abs(here_deg - self._target_deg) <= AGREE_DEG:
             self._rests_deg = here_deg
-        if self._has_moved and not homing:
-            _left_at_deg[self._port_name] = here_deg

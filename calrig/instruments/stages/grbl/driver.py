@@ -16,11 +16,15 @@ from calrig.instruments import readback
 from calrig.instruments.errors import InstrumentError, StageError
 from calrig.instruments.ports import Port, open_port
 from calrig.instruments.stages.grbl.count import Count
+from calrig.instruments.stages.grbl.modes import MARK, OF_A_MOVE, Modes
+from calrig.instruments.stages.grbl.states import status_of
 from calrig.instruments.stages.grbl.wire import RESET, STOP, GrblWire
 from calrig.instruments.stages.grbl.words import (
     BAUDRATE,
-    LOCKED_UNTIL_RESET,
+    NOT_1_1,
     SOFT_LIMIT,
+    UNTIL_RESET,
+    VERSION,
     Report,
     alarm_words,
     error_words,
@@ -28,14 +32,8 @@ from calrig.instruments.stages.grbl.words import (
 from calrig.instruments.stages.lines import plain, unanswered
 from calrig.instruments.types import StageIdentity, StageStatus
 
-WAKE_TIMEOUT_S = 3.0  # a boot loader listens for two before GRBL does
 LOOKS_FOR_OFFSET = 24  # idle, GRBL adds its offset to every tenth report
 HOMING, SOFT_LIMITS, INCHES = 22, 20, 13
-DISABLED = {
-    "Hold": "HOLD: it stands, and keeps what is left of its move until it is reset",
-    "Door": "DOOR: the safety door is open",
-    "Sleep": "SLEEP: its motors are off",
-}
 
 
 class Grbl:
@@ -49,13 +47,13 @@ class Grbl:
         self._letter = "XYZABC"[self._index]
         self._name = f"stage grbl, axis {self._letter}, on {port.name}"
         self._wire = GrblWire(port, self.faults)
-        self._now_s = port.clock.now_s
-        self._count = Count(self._index, self._name, port.name)
+        self._count = Count(self._index, self._name)
         self._asking = threading.RLock()
         self._settings: dict[int, float] = {}
         self._resets = 0
         self._homing = False
-        self._modes_set = False
+        self._modes = Modes(self._wire, self._name)
+        self._firmware: str | None = None
         self._feed_per_min: float | None = None
 
     @classmethod
@@ -78,19 +76,23 @@ class Grbl:
             travel = self._setting(130) if self._settings.get(SOFT_LIMITS) else None
             return StageIdentity(
                 driver="grbl",
-                firmware=self._wire.firmware,
+                firmware=self._firmware or self._wire.firmware,
                 limits_deg=(-travel - offset_deg, travel - offset_deg) if travel else None,
                 velocity_dps=None if rate is None else rate / 60,
                 acceleration_dps2=self._setting(120),
+                homes=bool(self._settings.get(HOMING)),
             )
 
     def status(self) -> StageStatus:
         """State and alarm in words (StageError if it does not answer)."""
         with self._asking:
-            if not self._homing:
-                return self._status(self._report())
-            report = self._wire.look_in_passing()
-            self._heed()
+            if self._homing:
+                report = self._wire.look_in_passing()
+                self._heed()
+            else:
+                report = self._look()
+            if report is None and self._wire.locked:
+                return StageStatus("not_referenced", f"ALARM ({self._count.unreferenced})")
             if report is None:
                 return StageStatus("homing", "HOME (it answers nothing until it is done)")
             return self._status(report)
@@ -109,7 +111,8 @@ class Grbl:
                     return places_deg[-1]
                 same = len({report.state for report in reports}) == 1
                 if same and readback.agree(min(places_deg), max(places_deg)):
-                    self._count.check(places_deg[-1], homing=bool(self._settings.get(HOMING)))
+                    self._see_that_it_was_not_reset(reports[-1])
+                    self._count.check(places_deg[-1])
                     return places_deg[-1]
         said = ", ".join(f"{place:g}" for place in places_deg)
         raise StageError(f"{self._name}: reports differ ({said}) though it stands: check the serial cable")
@@ -137,16 +140,19 @@ class Grbl:
         """
         with self._asking:
             self._wire.lines.refuse_if_halted("$H", self._name)
-            report = self._report()
+            if not self._settings:
+                self._report()
             if self._settings and not self._settings.get(HOMING):
                 raise StageError(
                     f"{self._name} has no homing ($22=0) and no angle ({self._count.unreferenced}): "
-                    "turn the stage to its zero by hand, switch the controller off and on, and restart calrig"
+                    "turn the stage to a known angle by hand and start a run that says so "
+                    "(calrig run --stage-at DEGREES)"
                 )
+            if self._wire.locked:
+                self._wire.restart()
+            report = self._report()
             if report.state not in ("Idle", "Alarm"):
                 raise StageError(f"{self._name} homes only from Idle and Alarm and is in {report.state}")
-            if self._wire.alarm in LOCKED_UNTIL_RESET:
-                self._wire.restart()
             self._wire.alarm, self._resets = None, self._wire.resets
             self._count.begin(None)
             self._homing = True  # before it is sent: a stop from here on must be one that homing heeds
@@ -169,14 +175,15 @@ class Grbl:
         with self._asking:
             self._wire.lines.refuse_if_halted(command, self._name)
             before = self._report()
+            self._see_that_it_was_not_reset(before)
             if before.state != "Idle" or self._count.unreferenced:
                 raise StageError(f"{self._name} takes no move: it is in {self._status(before).words}")
-            if not self._modes_set:
-                for mode in ("G21", "G90"):
-                    self._require_ok(mode, self._wire.command(mode))
-                self._modes_set = True
+            if not self._modes.marked:
+                self._require_ok(MARK, self._modes.mark())
+            if self._modes.changed:
+                self.faults["modes_changed"] += 1
             self._count.begin(target_deg)
-            answer = self._wire.command(command, moving=self._name)
+            answer = self._wire.command(f"{OF_A_MOVE} {command}", moving=self._name)
             if self._wire.alarm == SOFT_LIMIT:
                 self._unlock(before)
                 raise StageError(f"{self._name} refused {command}: {alarm_words(SOFT_LIMIT)}")
@@ -204,26 +211,34 @@ class Grbl:
 
     def _report(self) -> Report:
         """A report, of a controller that is awake and known (StageError if it does not answer)."""
-        report = self._wire.look() if self._settings else self._wake()
+        report = self._look()
+        if report is None:
+            raise StageError(f"{self._name} has lost its angle: {self._count.unreferenced}; {UNTIL_RESET}")
+        return report
+
+    def _look(self) -> Report | None:
+        """The same; None where an alarm has locked it up."""
+        report = self._wire.look() if self._settings else self._wire.wake()
+        self._heed()
+        if report is None and self._wire.locked:
+            return None
+        if report is None and self._wire.before_1_1:
+            raise StageError(f"{self._name} speaks as {self._wire.firmware or 'a GRBL'} does, {NOT_1_1}")
         if report is None:
             self._settings = {}  # they are read again when it answers again
             raise StageError(unanswered(self._name, "?", self.faults, "power, cable and baud rate"))
-        self._heed()
         self._count.hear_offset(report)
         if not self._settings and report.state in ("Idle", "Alarm") and not self._homing:
             return self._learn(report)
         return report
 
-    def _wake(self) -> Report | None:
-        """Asks until it answers; a controller locked up by an alarm does so only after a reset."""
-        for reset in (False, True):
-            if reset:
-                self._wire.restart()
-            deadline_s = self._now_s() + WAKE_TIMEOUT_S
-            while self._now_s() < deadline_s:
-                if report := self._wire.look(attempts=1):
-                    return report
-        return None
+    def _see_that_it_was_not_reset(self, report: Report) -> None:
+        """Asks an idle one for what no reset leaves as it was (StageError where it does not answer)."""
+        why = self._modes.check() if report.state == "Idle" else None
+        self._heed()
+        if why is not None and not self._count.lost:
+            self._modes.marked = False
+            self._count.lose(why)
 
     def _learn(self, report: Report) -> Report:
         """Reads settings and offset, twice alike each, and whether the count can be an angle."""
@@ -237,15 +252,18 @@ class Grbl:
                 break
             report = self._wire.look() or report
             self._count.hear_offset(report)
+        if (version := self._wire.inquire("$I", VERSION)) is not None:
+            self._firmware = f"Grbl {version}"
         self._settings = settings
         if not settings.get(HOMING) and not self._count.has_moved and report.state == "Idle":
-            self.faults["zero_not_homed"] = int(self._count.trust(report))
+            self._count.trust(report)
+            self.faults["zero_not_homed"] = 1
         return report
 
     def _heed(self) -> None:
         """Draws the consequences of what came unasked."""
         if self._wire.resets != self._resets:
-            self._resets, self._modes_set, self._homing = self._wire.resets, False, False
+            self._resets, self._modes.marked, self._homing = self._wire.resets, False, False
             if self._count.has_moved:
                 self._count.lose("it was reset, and its count with it")
         if self._wire.alarm is not None:
@@ -256,25 +274,12 @@ class Grbl:
             self._count.unreferenced = error_words(self._wire.answers[-1])
 
     def _status(self, report: Report) -> StageStatus:
-        state = report.state
-        if self._homing and state == "Idle" and (self._wire.answers or self._wire.fence()):
+        if self._homing and report.state == "Idle" and (self._wire.answers or self._wire.fence()):
             self._heed()
             if self._homing:
                 self._homing, self._count.unreferenced, self._wire.answers = False, None, []
-        if self._homing or state == "Home":
-            return StageStatus("homing", "HOME")
-        if report.moves:
-            known = bool(self._settings)
-            words = state.upper() if known else f"{state.upper()}, not by calrig"
-            return StageStatus("moving" if known else "homing", words)
-        if state == "Check":
-            return StageStatus("configuration", "CHECK: it moves nothing until $C")
-        if state in DISABLED:
-            return StageStatus("disabled", DISABLED[state])
-        if self._count.unreferenced or state == "Alarm":
-            return StageStatus("not_referenced", f"{state.upper()} ({self._count.unreferenced or 'locked'})")
-        place = "" if self._settings.get(HOMING) else ", counting from where it was switched on"
-        return StageStatus("ready", f"IDLE{place}")
+        why, has_switch = self._count.unreferenced, bool(self._settings.get(HOMING))
+        return status_of(report, self._homing, bool(self._settings), why, has_switch=has_switch)
 
     def _require_ok(self, command: str, answer: str | None) -> None:
         self._heed()
@@ -287,7 +292,8 @@ class Grbl:
     def _unlock(self, before: Report) -> None:
         """After a soft limit alarm, in which no step is lost: reset, compare the count, then unlock."""
         if self._wire.restart():
-            self._wire.alarm, self._resets, self._modes_set = None, self._wire.resets, False
+            self._wire.alarm, self._resets = None, self._wire.resets
+            self._modes.marked = False
             after = self._wire.look()
             if after and self._wire.alarm is None and after.position == before.position:
                 self._require_ok("$X", self._wire.command("$X"))

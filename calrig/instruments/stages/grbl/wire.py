@@ -7,17 +7,32 @@ before the listing is the command's own, and an earlier one, late or doubled, is
 
 from __future__ import annotations
 
-from collections import Counter
+import re
+from collections import Counter, deque
 from collections.abc import Callable
 
 from calrig.instruments.ports import Port
-from calrig.instruments.stages.grbl.words import ALARM, BANNER, REMARK, REPLY, SETTING, Report, parse_report
+from calrig.instruments.stages.grbl.words import (
+    ALARM,
+    BANNER,
+    LOCKED_UNTIL_RESET,
+    REMARK,
+    REPLY,
+    SETTING,
+    Report,
+    is_report_before_1_1,
+    parse_report,
+)
 from calrig.instruments.stages.lines import LineWire
+from calrig.instruments.wanted import require_wanted
 
 REPLY_TIMEOUT_S = 0.5
 GLANCE_S = 0.1
+WAKE_TIMEOUT_S = 3.0
+"""A boot loader listens for two before GRBL does."""
 ATTEMPTS = 4
 MOST_LISTINGS = 6
+MOST_REMARKS = 16
 PERHAPS_DAMAGED = frozenset(
     f"error:{n}" for n in (1, 2, 3, 4, 11, 14, 20, 21, 22, 23, 24, 25, 26, 28, 31, 33, 36)
 )
@@ -37,6 +52,8 @@ class GrblWire:
         firmware: from its banner, None before one was seen.
         resets: how many banners have come.
         alarm: the last alarm that came; None after it was dealt with.
+        locked: an alarm came after which it answers nothing, not even `?`, until it is reset.
+        before_1_1: it reports as GRBL 0.9 and older do.
         answers: `ok` and `error:n` since the last command.
         settings: the last listing, as far as it has come.
     """
@@ -47,10 +64,13 @@ class GrblWire:
         self.firmware: str | None = None
         self.resets = 0
         self.alarm: int | None = None
+        self.locked = False
+        self.before_1_1 = False
         self.answers: list[str] = []
         self.settings: dict[int, float] = {}
         self._faults = faults
         self._report: Report | None = None
+        self._remarks: deque[str] = deque(maxlen=MOST_REMARKS)
         self._listed = False
         self._in_doubt = False
         self._sent = ""
@@ -60,12 +80,25 @@ class GrblWire:
         for _ in range(1 if self.lines.halted else attempts):  # a stop goes first
             self.catch_up()
             self._report = None
+            if self.locked:
+                return None
             self.lines.send(b"?")
-            if self.listen(lambda: self._report is not None):
+            if self.listen(lambda: self._report is not None or self.locked or self.before_1_1):
                 return self._report
             self._in_doubt = True
             if attempts > 1:  # one that is just waking up answers none
                 self._faults["no_reply"] += 1
+        return None
+
+    def wake(self) -> Report | None:
+        """Asks until it answers; a controller locked up by an alarm does so only after a reset."""
+        for reset in (False, True):
+            if reset and not self.before_1_1:
+                self.restart()
+            deadline_s = self._now_s() + WAKE_TIMEOUT_S
+            while self._now_s() < deadline_s and not self.before_1_1:
+                if report := self.look(attempts=1):
+                    return report
         return None
 
     def look_in_passing(self) -> Report | None:
@@ -105,6 +138,34 @@ class GrblWire:
             self._faults["resent"] += 1
         return own if own in PERHAPS_DAMAGED else None
 
+    def inquire(self, line: str, form: re.Pattern[str], sure: re.Pattern[str] | None = None) -> str | None:
+        """Asks for what is answered in brackets; what it says twice alike, or once where that is enough.
+
+        Args:
+            line: the query, without its end.
+            form: of the answer; its first group is what is returned.
+            sure: found in an answer that no damage makes of another.
+
+        Returns:
+            None where it never says the same twice, or does not answer.
+        """
+        last = None
+        for _ in range(1 if self.lines.halted else ATTEMPTS):
+            self.catch_up()
+            self._begin()
+            self._sent = line
+            self.lines.send(f"{line}\n".encode("ascii"))
+            answered = self.listen(lambda: bool(self.answers) or self.locked)
+            self._in_doubt |= not answered
+            said = next((found[1] for remark in self._remarks if (found := form.fullmatch(remark))), None)
+            self.answers = []
+            if said is not None and (said == last or (sure and sure.search(said))):
+                return said
+            last = said
+            if self.locked:
+                return None
+        return None
+
     def begin(self, line: str, moving: str) -> None:
         """Sends a line that is answered when it is done, and never sent again."""
         self.catch_up()
@@ -126,6 +187,7 @@ class GrblWire:
         """The settings, listed twice alike and with those needed among them; {} where they never are."""
         last: dict[int, float] = {}
         for _ in range(MOST_LISTINGS):
+            require_wanted()
             before, last = last, dict(self.settings) if self.fence() else {}
             if last == before and last.keys() >= {*needed}:
                 return last
@@ -149,6 +211,7 @@ class GrblWire:
 
     def catch_up(self) -> None:
         """Takes in what has come; after an answer that never came, also what is still on its way."""
+        require_wanted()
         for line in self.lines.old_lines():
             self._take(line)
         if self._in_doubt:
@@ -158,6 +221,7 @@ class GrblWire:
     def _begin(self) -> None:
         self._count_late(len(self.answers))
         self.answers, self.settings, self._listed = [], {}, False
+        self._remarks.clear()
 
     def _count_late(self, n: int) -> None:
         if n:
@@ -180,10 +244,16 @@ class GrblWire:
             self.settings[int(setting[1])] = float(setting[2])
         elif alarm := ALARM.fullmatch(line):
             self.alarm = int(alarm[1])
+            self.locked = self.alarm in LOCKED_UNTIL_RESET
         elif banner := BANNER.fullmatch(line):
             self.firmware = banner[1]
             self.resets += 1
+            self.locked = False
         elif line in ("$$", self._sent):
             self._faults["echo"] += 1
-        elif line and not REMARK.fullmatch(line):
+        elif is_report_before_1_1(line):
+            self.before_1_1 = True
+        elif REMARK.fullmatch(line):
+            self._remarks.append(line)
+        elif line:
             self._faults["unparsed"] += 1

@@ -14,7 +14,13 @@ _REPORT = re.compile(
 )
 _OFFSET = re.compile(rf"\|WCO:({_NUMBERS})(?=\||$)")
 
+_BEFORE_1_1 = re.compile(r"<(?:Idle|Run|Hold|Home|Alarm|Check|Door|Queue),[MW]Pos:-?\d+\.\d+,[^|<>]*>")
+
 BANNER = re.compile(r"(Grbl \S+) \['\$' for help\]")
+VERSION = re.compile(r"\[VER:([^:\]]+?)(\.\d{8})?:[^\]]*\]")
+"""The answer to `$I`: its version, as the banner has it, and the day of its build."""
+MODES = re.compile(r"\[GC:(G\d[^\[\]]*)\]")
+"""The answer to `$G`: the words in force, G-codes first, then `M`, `T`, `F` and `S`."""
 REPLY = re.compile(r"ok|error:(\d{1,3})")
 ALARM = re.compile(r"ALARM:(\d{1,2})")
 SETTING = re.compile(r"\$(\d{1,3})=(-?\d+(?:\.\d*)?)(?: .*)?")
@@ -22,6 +28,10 @@ REMARK = re.compile(r"\[[^\[\]]*\]|>.*:(?:ok|error:\d+)|\$N\d=.*")
 
 SOFT_LIMIT = 2
 LOCKED_UNTIL_RESET = (1, SOFT_LIMIT)
+UNTIL_RESET = "it answers nothing until it is reset: see what is in the way of the stage, then home it"
+NOT_1_1 = (
+    "and not as GRBL 1.1, which alone calrig knows: put 1.1 on the controller and enter its $ settings again"
+)
 ALARMS = {
     1: "a hard limit switch was hit, and steps are likely lost",
     2: "soft limit: the target lies beyond the travel",
@@ -109,6 +119,11 @@ def parse_report(line: str) -> Report | None:
         return None
     work = _floats(offset[1]) if offset else None
     return Report(state, detail or "", frame == "M", _floats(position), work)
+
+
+def is_report_before_1_1(line: str) -> bool:
+    """Whether a line is a status report as GRBL 0.9 and older write it: commas where 1.1 has bars."""
+    return _BEFORE_1_1.fullmatch(line) is not None
 
 
 def alarm_words(number: int) -> str:

@@ -12,6 +12,7 @@ from collections import Counter
 
 from calrig.instruments.ports import Port
 from calrig.instruments.stages.lines import LineWire
+from calrig.instruments.wanted import require_wanted
 
 REPLY_TIMEOUT_S = 0.5
 ATTEMPTS = 4
@@ -73,6 +74,7 @@ class Smc100Wire:
         return True
 
     def _ask_once(self, query: str, form: re.Pattern[str]) -> re.Match[str] | None:
+        require_wanted()
         for early in self.lines.old_lines():
             self._drop(early)
         self.send(query)

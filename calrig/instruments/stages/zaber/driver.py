@@ -21,6 +21,7 @@ from calrig.instruments.ports import Port, open_port
 from calrig.instruments.stages.lines import LineWire, unanswered
 from calrig.instruments.stages.zaber.words import BAUDRATE, UNREFERENCED, flag_words
 from calrig.instruments.types import StageIdentity, StageStatus
+from calrig.instruments.wanted import require_wanted
 
 REPLY_TIMEOUT_S = 0.5
 ATTEMPTS = 4
@@ -176,6 +177,7 @@ class Zaber:
         errors = self._maker.exceptions
         refusal = ""
         for _ in range(1 if self._lines.halted else attempts):  # a stop goes first
+            require_wanted()
             if motion:
                 self._lines.refuse_if_halted(command, self._name)
             try:

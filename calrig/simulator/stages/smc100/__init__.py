@@ -23,7 +23,6 @@ from calrig.simulator.stages.smc100.codes import (
 
 FIRMWARE = "SMC100CC simulated"
 COMMAND_FORM = re.compile(r"(\d{0,2})([A-Z]{2})(.*)")
-GARBLED = bytes(byte ^ 0x55 for byte in range(256))
 
 
 class _Refused(Exception):  # noqa: N818 (a letter of the dialect, caught where it is remembered)
@@ -80,15 +79,12 @@ class Smc100(LineStage):
             self._advance(self._now())
             self._reset(self._now())
 
-    def _replies(self, line: bytes) -> bytes:
+    def _replies(self, line: bytes) -> list[str]:
         try:
             reply = self._answer(line.decode("ascii", "replace").upper())
         except _Refused as refusal:
             self._memory, reply = refusal.letter, None
-        if reply is None:
-            return b""
-        body = reply.encode("ascii", "replace")
-        return (body.translate(GARBLED) if self.fault == "garbage" else body) + b"\r\n"
+        return [] if reply is None else [reply]
 
     def _answer(self, line: str) -> str | None:
         command = COMMAND_FORM.fullmatch(line)

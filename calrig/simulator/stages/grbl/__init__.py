@@ -1,39 +1,38 @@
-"""The stage's dialect: GRBL 1.1 on an Arduino with a stepper shield (gnea/grbl, doc/markdown).
+"""The stage's dialect: GRBL 1.1 on an Arduino with a stepper shield (gnea/grbl, doc and protocol.c).
 
 It counts steps and never looks at the table: what it loses against an obstruction it does not know. Angles
-it allows lie between the options' limits. Opening a pseudo-terminal cannot reset it; `reset` does.
+it allows lie between the options' limits. Opening a pseudo-terminal cannot reset it; `reset` does. Told to be
+a `0.9j`, it words its reports, alarms and remarks as that did.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from enum import StrEnum
 
 from calrig.simulator.bench import Bench
 from calrig.simulator.config import StageOptions
 from calrig.simulator.stage import Stage
+from calrig.simulator.stages.grbl.modal import Modal
+from calrig.simulator.stages.grbl.words import (
+    HARD_LIMIT,
+    LETTERS,
+    NO_SWITCH,
+    RESET_IN_HOMING,
+    RESET_IN_MOTION,
+    SOFT_LIMIT,
+    STEPS_PER_DEG,
+    State,
+    Words,
+    settings,
+)
 
-LETTERS = "XYZABC"
 LONGEST_LINE = 80
 MOST_KEPT = 128
-"""Bytes that the Arduino's receive buffer holds while it homes and reads none."""
-STEPS_PER_DEG = 200.0
+"""Bytes that the Arduino's receive buffer holds while it homes or holds, and reads none."""
 REAL_TIME = b"?!~\x18\x85"
 GARBLED = bytes(byte ^ 0x15 for byte in range(256))
 WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
-HARD_LIMIT, SOFT_LIMIT, RESET_IN_MOTION, RESET_IN_HOMING, NO_SWITCH = 1, 2, 3, 6, 9
-
-
-class State(StrEnum):
-    """The states this one comes into, as `?` says them."""
-
-    IDLE = "Idle"
-    RUN = "Run"
-    HOLDING = "Hold:1"
-    HOLD = "Hold:0"
-    HOME = "Home"
-    ALARM = "Alarm"
 
 
 class _Refused(Exception):  # noqa: N818 (a number of the dialect, caught where it is said)
@@ -50,20 +49,16 @@ class Grbl(Stage):
     def __init__(self, options: StageOptions, bench: Bench, now: Callable[[], float]) -> None:
         super().__init__(options, bench, now)
         self._index = min(options.axis, len(LETTERS)) - 1
-        self._firmware = options.firmware or "1.1h"
+        self._words = Words(options.firmware or "1.1h")
         self._line = b""
         self._kept = b""
         self._spoken = b""
         self._locked = False
-        self._absolute = True
-        self._rapid = True
-        self._feed_dpm: float | None = None
         self._lost_deg = 0.0
         self._losing_deg = 0.0
         self._target_deg = 0.0
         self._ends: tuple[float, State] | None = None
-        self._state = State.ALARM if options.homing else State.IDLE
-        self._greet()
+        self._begin()
 
     @property
     def state(self) -> State:
@@ -81,8 +76,15 @@ class Grbl(Stage):
             self._ends, self._locked, self._line, self._kept = None, False, b"", b""
             self._lost_deg = -self._encoder_deg(now_s)
             self._target_deg = self._losing_deg = 0.0
-            self._state = State.ALARM if self._options.homing else State.IDLE
-            self._greet()
+            self._begin()
+
+    def close_limit_switch(self) -> None:
+        """Something closes a limit switch: it stops dead, and says nothing more until it is reset."""
+        with self._bench.lock:
+            self._advance()
+            if self._ends:
+                self._bench.mechanics.halt(self._now(), 1e4)
+            self._lock_up(HARD_LIMIT)
 
     def receive(self, data: bytes) -> bytes:
         """Takes what came over the wire; returns what goes back."""
@@ -105,12 +107,16 @@ class Grbl(Stage):
             return b"\r\n".join(line.translate(GARBLED) for line in said.split(b"\r\n"))
         return b"" if self.fault == "hang" else said
 
+    def _begin(self) -> None:
+        self._state = State.ALARM if self._options.homing else State.IDLE
+        self._greet()
+
     def _greet(self) -> None:
         self._say("")
-        self._say(f"Grbl {self._firmware} ['$' for help]")
+        self._say(self._words.banner)
         if self._state == State.ALARM:
-            self._say("[MSG:'$H'|'$X' to unlock]")
-        self._absolute, self._rapid, self._feed_dpm = True, True, None
+            self._say(self._words.remark("'$H'|'$X' to unlock"))
+        self._modal = Modal()
 
     def _say(self, line: str) -> None:
         self._spoken += line.encode("ascii") + b"\r\n"
@@ -118,7 +124,7 @@ class Grbl(Stage):
     def _hear(self, byte: bytes) -> None:
         if byte in REAL_TIME:
             self._real_time(byte)
-        elif self._state == State.HOME:
+        elif self._state in (State.HOME, State.HOLDING, State.HOLD):
             self._kept = (self._kept + byte)[:MOST_KEPT]
         elif byte not in b"\r\n":
             self._line = (self._line + byte)[: LONGEST_LINE + 1]
@@ -139,7 +145,7 @@ class Grbl(Stage):
         elif byte == b"?":
             angles = ["0.000"] * max(3, self._index + 1)
             angles[self._index] = f"{self._count_deg():.3f}"
-            self._say(f"<{self._state}|MPos:{','.join(angles)}|FS:0,0>")
+            self._say(self._words.report(self._state, angles))
         elif byte == b"!" and self._state == State.RUN:
             rest_s = self._bench.mechanics.halt(self._now(), self._options.acceleration_dps2)
             self._state, self._ends = State.HOLDING, (rest_s, State.HOLD)
@@ -148,6 +154,7 @@ class Grbl(Stage):
         elif byte == b"~" and self._state == State.HOLD:
             self._state = State.IDLE
             self._turn_to(self._target_deg)
+            self._hear_kept()
 
     def _soft_reset(self) -> None:
         alarm = {
@@ -158,10 +165,10 @@ class Grbl(Stage):
         if alarm is not None:
             self._bench.mechanics.halt(self._now(), 1e4)
             self._ends, self._state = None, State.ALARM
-            self._say(f"ALARM:{alarm}")
+            self._say(self._words.alarm(alarm))
         elif self._state == State.HOLD:
             self._state = State.IDLE
-        self._locked, self._line = False, b""
+        self._locked, self._line, self._kept = False, b"", b""
         self._target_deg = self._count_deg()
         self._greet()
 
@@ -181,34 +188,24 @@ class Grbl(Stage):
         if line == "$$":
             if self._state not in (State.IDLE, State.ALARM):
                 raise _Refused(8)
-            for number, value in self._settings().items():
+            for number, value in settings(self._options, self._index).items():
                 self._say(f"${number}={value}")
         elif line == "$I":
-            self._say(f"[VER:{self._firmware}.20190830:]\r\n[OPT:V,15,128]")
+            if self._state not in (State.IDLE, State.ALARM):
+                raise _Refused(8)
+            self._say(self._words.build())
+        elif line == "$G":
+            self._say(self._words.modes(str(self._modal)))
         elif line == "$X":
             if self._state == State.ALARM:
                 self._state = State.IDLE
-                self._say("[MSG:Caution: Unlocked]")
+                self._say(self._words.remark("Caution: Unlocked"))
         elif line == "$H":
             self._home()
             return  # its ok comes at the end
         else:
             raise _Refused(3)
         self._say("ok")
-
-    def _settings(self) -> dict[int, str]:
-        options = self._options
-        low, high = options.limits_deg
-        common = {10: "1", 13: "0", 20: str(int(options.homing)), 21: "0", 22: str(int(options.homing))}
-        axes = {
-            100: STEPS_PER_DEG,
-            110: options.velocity_dps * 60,
-            120: options.acceleration_dps2,
-            130: max(-low, high),
-        }
-        return common | {
-            first + axis: f"{value:.3f}" for first, value in axes.items() for axis in range(self._index + 1)
-        }
 
     def _home(self) -> None:
         if not self._options.homing:
@@ -225,38 +222,40 @@ class Grbl(Stage):
         words = WORD.findall(line)
         if "".join(letter + number for letter, number in words) != line:
             raise _Refused(2)
-        turn_deg = None
+        turn = feed = None
         for letter, text in words:
             number = float(text)
-            if letter == "G" and number in (0, 1):
-                self._rapid = number == 0
-            elif letter == "G" and number in (90, 91):
-                self._absolute = number == 90
-            elif letter == "F":
-                self._feed_dpm = number
+            if letter == "F":
+                feed = number
             elif letter == LETTERS[self._index]:
-                turn_deg = number
-            elif (letter, number) != ("G", 21):
+                turn = number
+            elif not self._modal.take(letter, number):
                 raise _Refused(20)
-        if turn_deg is not None:
-            self._move(turn_deg if self._absolute else self._target_deg + turn_deg)
+        if feed is not None:
+            self._modal.feed_dpm = feed * self._modal.unit_deg
+        if turn is not None:
+            self._move(turn * self._modal.unit_deg + (0.0 if self._modal.absolute else self._target_deg))
 
     def _move(self, target_deg: float) -> None:
-        if not self._rapid and self._feed_dpm is None:
+        if not self._modal.rapid and self._modal.feed_dpm is None:
             raise _Refused(22)
         low, high = self._options.limits_deg
         if self._options.homing and not low <= target_deg <= high:
-            self._locked, self._state = True, State.ALARM
-            self._say(f"ALARM:{SOFT_LIMIT}")
-            self._say("[MSG:Reset to continue]")
-            return
-        self._turn_to(target_deg)
+            self._lock_up(SOFT_LIMIT)
+        else:
+            self._turn_to(target_deg)
+
+    def _lock_up(self, alarm: int) -> None:
+        self._locked, self._state, self._ends = True, State.ALARM, None
+        self._say(self._words.alarm(alarm))
+        self._say(self._words.remark("Reset to continue"))
 
     def _turn_to(self, target_deg: float) -> None:
         self._target_deg = round(target_deg * STEPS_PER_DEG) / STEPS_PER_DEG
         now_s = self._now() if self._state != State.RUN or self._ends is None else self._ends[0]
-        feed_dps = (self._feed_dpm or 0.0) / 60
-        velocity = self._options.velocity_dps if self._rapid else min(feed_dps, self._options.velocity_dps)
+        velocity = self._options.velocity_dps
+        if not self._modal.rapid:
+            velocity = min((self._modal.feed_dpm or 0.0) / 60, velocity)
         if self._target_deg == self._count_deg(now_s):
             return
         arrival = self._bench.mechanics.move(
@@ -275,12 +274,15 @@ class Grbl(Stage):
         if homed and self._state == State.IDLE:
             self._lost_deg = self._target_deg = 0.0
             self._say("ok")
-            kept, self._kept = self._kept, b""
-            for byte in kept:
-                self._hear(bytes([byte]))
+            self._hear_kept()
         elif homed:
-            self._say(f"ALARM:{NO_SWITCH}")
+            self._say(self._words.alarm(NO_SWITCH))
             self._greet()
+
+    def _hear_kept(self) -> None:
+        kept, self._kept = self._kept, b""
+        for byte in kept:
+            self._hear(bytes([byte]))
 
     def _count_deg(self, at_s: float | None = None) -> float:
         counted = self._encoder_deg(self._now() if at_s is None else at_s) + self._lost_deg

@@ -1,0 +1,44 @@
+"""What a plan comes to on a rig, so that whoever writes one need not compute it."""
+
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+
+from fastapi import APIRouter
+from pydantic import Field
+
+from calrig.api.context import Context
+from calrig.api.errors import problems
+from calrig.api.models import Answer, Body
+from calrig.plan import Plan
+from calrig.runs.planned import PlanEstimate, estimate
+
+router = APIRouter(tags=["runs"])
+
+
+class PlanOnRig(Body):
+    """A plan, and the rig it is meant for; without `rig`, the first one configured."""
+
+    rig: str | None = None
+    plan: Plan = Plan()
+
+
+class EstimateAnswer(Answer):
+    """`elevations_deg` are those of one sweep; a static log has no poses."""
+
+    n_poses: int
+    elevations_deg: list[float]
+    duration_s: float = Field(description="About, by the board's clock; without a wait for a temperature.")
+
+
+@router.post(
+    "/api/plans/estimate",
+    response_model=EstimateAnswer,
+    responses=problems(404, 413, 422),
+    summary="What a plan comes to",
+)
+def estimate_plan(body: PlanOnRig, context: Context) -> PlanEstimate:
+    """Nothing moves. 422 says why a run of this plan would be refused.
+
+    With `target_std_deg` the duration is the most it takes. The stage's speed is the plan's, else that of the
+    last run which the rig completed.
+    """
+    return estimate(body.plan, context.service.known_rig(body.rig), context.store)

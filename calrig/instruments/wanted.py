@@ -1,0 +1,30 @@
+"""Whether what a thread does with its devices is still wanted: asked before each exchange with one.
+
+So identification, homing and every wait for a device that does not answer end soon after somebody stopped
+the run, and no exchange is left half done: an answer still on its way would be taken for the next one's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+_check: ContextVar[Callable[[], None] | None] = ContextVar("wanted", default=None)
+
+
+@contextmanager
+def while_wanted(check: Callable[[], None]) -> Iterator[None]:
+    """What this thread does with devices meanwhile ends with whatever `check` raises."""
+    token = _check.set(check)
+    try:
+        yield
+    finally:
+        _check.reset(token)
+
+
+def require_wanted() -> None:
+    """Raises what the check raises; drivers call it before they ask, and whenever they ask again."""
+    check = _check.get()
+    if check is not None:
+        check()

@@ -1,0 +1,189 @@
+"""A few processes for heavy work, a queue with a bound before them, and an end in words for each piece.
+
+`concurrent.futures` cannot end a piece that runs, and its pool breaks where a process dies: here each process
+carries out one piece at a time, and is ended and replaced where that piece is given up.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import pickle
+import sys
+from asyncio.subprocess import PIPE, Process
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Protocol, TypeVar
+
+from calrig.processes import child
+
+T = TypeVar("T")
+
+MOST_WAITING = 16
+"""Pieces that wait for a process; more are refused at once."""
+LONGEST_S = 300.0
+MOST_BYTES = 4_000_000_000
+"""Of one process; less on a machine where all of them together would take more than half the memory."""
+ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+BUFFER_BYTES = 1_000_000
+
+
+class WorkError(Exception):
+    """A piece of heavy work has no outcome; the message says why, and what to do."""
+
+
+class WorkRefused(WorkError):  # noqa: N818 (read as words: raise WorkRefused)
+    """Too much is waiting: the same will be done later."""
+
+
+class WorkTooLarge(WorkError):  # noqa: N818
+    """It took more memory or time than a piece may."""
+
+
+class WorkLost(WorkError):  # noqa: N818
+    """Its process was ended by something outside of calrig; another one takes its place."""
+
+
+class Processes:
+    """Carries out functions in processes of their own, which start when they are needed.
+
+    Used in one event loop. A process that has nothing to do waits for the next piece.
+
+    Args:
+        slots: how many at once; without it as many as there are cores, less the one that holds the ports.
+        most_bytes: of memory, each.
+        longest_s: how long a piece may run; that it waits does not count.
+    """
+
+    def __init__(
+        self, slots: int | None = None, *, most_bytes: int | None = None, longest_s: float = LONGEST_S
+    ) -> None:
+        self.slots = slots or max(1, (os.cpu_count() or 1) - 1)
+        self._most_bytes = most_bytes or min(MOST_BYTES, _machine_bytes() // (2 * self.slots))
+        self._longest_s = longest_s
+        self._free = asyncio.Semaphore(self.slots)
+        self._idle: list[Process] = []
+        self._in_hand = 0
+
+    async def run(self, function: Callable[[], T]) -> T:
+        """What the function gives, or raises what it raises; cancelled, its process is ended.
+
+        Args:
+            function: of a module, or a `partial` of one; it, its arguments and what it gives are pickled.
+
+        Raises:
+            WorkRefused: as many as may wait are waiting.
+            WorkTooLarge: it took too much memory or time.
+            WorkLost: its process was killed.
+        """
+        if self._in_hand >= self.slots + MOST_WAITING:
+            raise WorkRefused(
+                f"{self._in_hand} diagnoses, imports and studies are in hand or waiting: try again later"
+            )
+        self._in_hand += 1
+        try:
+            async with self._free:
+                piece = await asyncio.to_thread(pickle.dumps, function, pickle.HIGHEST_PROTOCOL)
+                reply = await self._carried_out(piece)
+                error, given = await asyncio.to_thread(pickle.loads, reply)  # from our own child
+        finally:
+            self._in_hand -= 1
+        if isinstance(error, MemoryError):
+            raise WorkTooLarge(
+                f"it took more than {self._most_bytes / 1e6:.0f} MB of memory and was ended: take fewer "
+                "poses or samples"
+            ) from error
+        if error is not None:
+            raise error
+        return given  # type: ignore[no-any-return]
+
+    async def close(self) -> None:
+        """Ends the processes that wait; those that work end with who waits for them."""
+        while self._idle:
+            await _end(self._idle.pop())
+
+    async def _carried_out(self, piece: bytes) -> bytes:
+        process = await self._process()
+        try:
+            async with asyncio.timeout(self._longest_s):
+                reply = await _asked(process, piece)
+        except TimeoutError as error:
+            await _end(process)
+            raise WorkTooLarge(
+                f"it took longer than {self._longest_s:g} s and was ended: take fewer poses or samples"
+            ) from error
+        except (asyncio.IncompleteReadError, ConnectionError) as error:
+            await _end(process)
+            raise WorkLost(
+                f"its process ended (status {process.returncode}), perhaps for want of memory: try again, "
+                "with fewer poses or samples"
+            ) from error
+        except BaseException:  # whoever waited has left
+            await _end(process)
+            raise
+        self._idle.append(process)
+        return reply
+
+    async def _process(self) -> Process:
+        """One that has nothing to do."""
+        while self._idle:
+            process = self._idle.pop()
+            if not _out(process).at_eof():
+                return process
+            await _end(process)
+        return await asyncio.create_subprocess_exec(
+            *(sys.executable, "-m", child.__name__, str(self._most_bytes), str(os.getpid())),
+            stdin=PIPE,
+            stdout=PIPE,
+            limit=BUFFER_BYTES,
+            env={
+                **os.environ,
+                **dict.fromkeys(ONE_THREAD, "1"),
+                "PYTHONSAFEPATH": "1",  # else `-m` would look into the working directory first
+                "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path),  # noqa: PTH109
+            },
+        )
+
+
+class Apart(Protocol):
+    """How a thread has a function carried out in another process, and waits for it."""
+
+    def __call__(self, function: Callable[[], T], /) -> T:
+        """What it gives, or raises what it raises or a WorkError."""
+
+
+def run_apart(function: Callable[[], T]) -> T:
+    """As `Processes.run`, for a thread that has no event loop: in a process for this piece alone."""
+
+    async def run() -> T:
+        processes = Processes(1)
+        try:
+            return await processes.run(function)
+        finally:
+            await processes.close()
+
+    return asyncio.run(run())
+
+
+async def _asked(process: Process, piece: bytes) -> bytes:
+    assert process.stdin is not None  # noqa: S101 (a pipe)
+    process.stdin.write(len(piece).to_bytes(child.HEAD_BYTES))
+    process.stdin.write(piece)
+    await process.stdin.drain()
+    head = await _out(process).readexactly(child.HEAD_BYTES)
+    return await _out(process).readexactly(int.from_bytes(head))
+
+
+def _out(process: Process) -> asyncio.StreamReader:
+    assert process.stdout is not None  # noqa: S101 (a pipe)
+    return process.stdout
+
+
+async def _end(process: Process) -> None:
+    with suppress(ProcessLookupError):
+        process.kill()
+    await process.wait()
+
+
+def _machine_bytes() -> int:
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")

@@ -1,0 +1,80 @@
+"""Each pose of a run held against what its stage says, as it is taken (`calrig.calibration.move_check`)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from calrig.calibration.move_check import MoveCheck, MoveWatch, gyro_move_std_deg
+from calrig.calibration.pose import Pose
+from calrig.instruments.errors import StageError
+from calrig.instruments.types import Samples
+
+KIND = "move_mismatch"
+"""Of a run's faults, and of the event that tells of one."""
+REPLAYED_STD_DEG = 0.05
+"""Of the gyro over a move whose samples were let go of."""
+FULL_SCALE = 0.98
+"""A rate nearer to the end of the gyro's range may have been cut off."""
+
+
+class FeltMoves:
+    """What the unit has felt of a run's moves. `moves` pairs the stage's turn with the gyro's, degrees."""
+
+    def __init__(self, poses: list[Pose], gyro_range_dps: int | None) -> None:
+        self.moves: list[tuple[float, float]] = []
+        self._range_dps = gyro_range_dps
+        self._watch = MoveWatch()
+        last_deg: float | None = None
+        for pose in poses:
+            turned_deg = None if last_deg is None or pose.stage_deg is None else pose.stage_deg - last_deg
+            self._note(pose, turned_deg, self._watch.take(pose, turned_deg, REPLAYED_STD_DEG))
+            last_deg = pose.stage_deg
+        self._watch.touched()  # nobody saw what happened before the run went on
+
+    def take(
+        self, now: Pose, turned_deg: float | None, move: Samples, bias_std_dps: float | None, dwell_s: float
+    ) -> MoveCheck | None:
+        """Judges the move into a pose by its samples; None where nothing tells of it."""
+        rate_dps = move.gyro_dps[:, 0]
+        felt = now
+        if self._range_dps is not None and np.abs(rate_dps).max(initial=0.0) > FULL_SCALE * self._range_dps:
+            felt = replace(now, gyro_move_deg=None)
+        std_deg = gyro_move_std_deg(move.time_s, rate_dps, bias_std_dps, dwell_s)
+        check = self._watch.take(felt, turned_deg, std_deg if felt.gyro_move_deg is not None else 0.0)
+        self._note(felt, turned_deg, check)
+        return check
+
+    def _note(self, now: Pose, turned_deg: float | None, check: MoveCheck | None) -> None:
+        """A move that was not what the stage says is none to learn the gyro's scale from."""
+        if now.gyro_move_deg is not None and turned_deg is not None and check and check.verdict == "agrees":
+            self.moves.append((turned_deg, now.gyro_move_deg))
+
+
+def told(index: int, pose: Pose, check: MoveCheck) -> tuple[str, dict[str, Any]]:
+    """The event of a move that was felt otherwise."""
+    data = {
+        "index": index,
+        "target_deg": pose.target_deg,
+        "stage_move_deg": check.stage_deg,
+        "felt_move_deg": check.felt_deg,
+        "difference_deg": check.difference_deg,
+        "std_deg": check.std_deg,
+        "gyro_deg": check.gyro_deg,
+        "gravity_deg": check.gravity_deg,
+        "ends_run": check.verdict == "lost",
+        "says": f"Pose {index} at {pose.target_deg:g}°: {check.words()}.",
+    }
+    return KIND, data
+
+
+def lost(index: int, pose: Pose, check: MoveCheck) -> StageError:
+    """The end of a run whose stage is not where it says."""
+    return StageError(
+        f"pose {index} at {pose.target_deg:g}°: {check.words()}. The stage lost steps or slips, or "
+        "the unit came loose, or ratio or sign of the rig is wrong: free the stage, see that the unit sits "
+        "tight, home the stage (without homing: turn it to a known angle and say so with --stage-at), and "
+        "start a new run"
+    )

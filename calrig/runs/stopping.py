@@ -1,0 +1,95 @@
+"""The red button: a rig's stage is told to stop at once, and whoever asked hears whether it was seen to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar
+
+from calrig.analysis.errors import Conflict
+from calrig.instruments.clock import WALL
+from calrig.instruments.errors import InstrumentError
+from calrig.instruments.ports import clock_of
+from calrig.runs.control import End
+from calrig.runs.crew import Crew
+from calrig.runs.errands import Errand, Errands
+from calrig.runs.rig import stop_stage
+from calrig.runs.worker import Worker
+from calrig.settings import RigSettings
+
+SEEN_S = 9.0
+"""How long a run that was told to end may take to see its stage stand, s of the rig's clock."""
+BY_REQUEST = End("aborted", "the stage was stopped by request")
+T = TypeVar("T")
+
+
+class Stops:
+    """Stops of rigs and runs, each in a thread of its own: no rig waits for another, or for anything else."""
+
+    def __init__(self, crew: Crew) -> None:
+        self._crew = crew
+        self._errands = Errands()
+
+    def stop(self, rig: RigSettings, answer: Callable[[], T]) -> Errand[T]:
+        """Stops a rig's stage, whatever runs; who asks while it is being told shares that telling.
+
+        Args:
+            rig: the rig.
+            answer: what came of it, once the stage was seen to stand.
+        """
+
+        def stopped() -> T:
+            if not self._stop_run_on(rig):
+                self._stop_idle(rig)
+            return answer()
+
+        worker = self._crew.on(rig.name)  # a run that began since has to be told anew
+        key = "stop", rig.name, None if worker is None else worker.run_id
+        return self._errands.share(key, WALL if rig.stage is None else clock_of(rig.stage.port), stopped)
+
+    def abort(self, worker: Worker, aborted: Callable[[], T]) -> Errand[T]:
+        """Aborts a run; who asks meanwhile shares that."""
+        return self._errands.share(("abort", worker.run_id), worker.clock, aborted)
+
+    def stop_run(self, worker: Worker, end: End) -> None:
+        """Has a run end and its stage stop, and waits until the stage was seen to stand.
+
+        Raises:
+            Conflict: it is not known to; says why and what to do.
+        """
+        if not _told(worker, end) and self._crew.on(worker.rig.name) is None:
+            self._stop_idle(worker.rig)
+
+    def _stop_run_on(self, rig: RigSettings) -> bool:
+        worker = self._crew.on(rig.name)
+        return worker is not None and _told(worker, BY_REQUEST)
+
+    def _stop_idle(self, rig: RigSettings) -> None:
+        try:
+            stop_stage(rig)
+        except InstrumentError as error:
+            if self._stop_run_on(rig):  # a run may just have taken the port
+                return
+            advice = "" if "cut its motor power" in str(error) else ": cut its motor power"
+            raise Conflict(
+                f"the stage of rig {rig.name!r} cannot be told to stop ({error}){advice}"
+            ) from error
+
+
+def _told(worker: Worker, end: End) -> bool:
+    """Has a run end, and waits until it has looked at its stage; returns whether it did.
+
+    A run that never reached its stage, or had left it when it was told, does not look.
+
+    Raises:
+        Conflict: the stage is not known to stand.
+    """
+    worker.control.end(end)
+    left = worker.control.left(SEEN_S)
+    if left is None:
+        raise Conflict(
+            f"the stage of rig {worker.rig.name!r} was told to stop, and within {SEEN_S:g} s run "
+            f"{worker.run_id} could not see that it stands: cut its motor power"
+        )
+    if left.trouble is not None:
+        raise Conflict(f"rig {worker.rig.name!r}: {left.trouble}")
+    return left.seen

@@ -1,0 +1,29 @@
+"""What a plan comes to, asked over HTTP before anything is started."""
+
+from __future__ import annotations
+
+import pytest
+
+
+def test_the_default_plan_is_told_for_the_first_rig(shared_client):
+    told = shared_client.post("/api/plans/estimate", json={}).raise_for_status().json()
+    assert told["n_poses"] == 52
+    assert told["elevations_deg"] == list(range(-60, 61, 10))
+    assert told["duration_s"] > 52 * 3.0
+
+
+@pytest.mark.parametrize(
+    ("body", "code", "words"),
+    [
+        ({"plan": {"stop_deg": 120}}, 422, "elevation 100° is beyond the rig's soft limits"),
+        ({"plan": {"sweeps": 9999}}, 422, "the most a run takes is 10000"),
+        ({"plan": {"step_deg": None}}, 422, "plan.step_deg"),
+        ({"rig": "elsewhere"}, 404, "no rig 'elsewhere'"),
+    ],
+)
+def test_a_plan_that_a_run_would_be_refused_for_is_refused_alike(shared_client, body, code, words):
+    for path in ("/api/plans/estimate", "/api/runs"):
+        unit = {"unit": "AS-1"} if path == "/api/runs" else {}
+        answer = shared_client.post(path, json={**body, **unit})
+        assert answer.status_code == code
+        assert words in answer.json()["detail"]

@@ -1,0 +1,75 @@
+"""What takes the processor is done beside the service, while somebody waits for it, and within bounds."""
+
+from __future__ import annotations
+
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from typing import Any
+
+import httpx
+import psutil
+import pytest
+from support import imported, wait_for
+
+from calrig.analysis import diagnoses, stored_runs
+from calrig.processes import pool
+
+
+def working() -> list[psutil.Process]:
+    """The processes for heavy work of the service in this process."""
+    found = []
+    for one in psutil.Process().children():
+        with suppress(psutil.NoSuchProcess):
+            if "calrig.processes.child" in one.cmdline():
+                found.append(one)
+    return found
+
+
+def for_ever(*_: Any, **__: Any) -> None:
+    time.sleep(3600.0)
+
+
+def asked_and_left(client: httpx.Client, run: dict[str, Any]) -> None:
+    with pytest.raises(httpx.TimeoutException):
+        client.post(f"/api/runs/{run['id']}/diagnosis", json={}, timeout=0.5)
+
+
+def test_a_diagnosis_stops_when_its_client_leaves(shared_client, monkeypatch):
+    run = imported(shared_client, "AS-1")
+    monkeypatch.setattr(diagnoses, "trace", for_ever)
+    asked_and_left(shared_client, run)
+    wait_for(lambda: not working(), "end of the work")
+
+
+def test_more_than_may_wait_is_429_and_told_when_to_come_back(shared_client, monkeypatch):
+    run = imported(shared_client, "AS-1")
+    monkeypatch.setattr(diagnoses, "trace", for_ever)
+    monkeypatch.setattr(pool, "MOST_WAITING", 0)
+    slots = pool.Processes().slots
+    with ThreadPoolExecutor(slots) as others:
+        for _ in range(slots):
+            others.submit(asked_and_left, shared_client, run)
+        wait_for(lambda: len(working()) == slots, "all processes at work")
+        answer = shared_client.post("/api/imports", files={"file": ("p.csv", "x")}, data={"unit": "A"})
+    assert answer.status_code == 429
+    assert answer.headers["Retry-After"] == "5"
+    assert "try again later" in answer.json()["detail"]
+
+
+def test_a_diagnosis_of_too_many_poses_is_refused_and_says_how_many_it_takes(shared_client, monkeypatch):
+    run = imported(shared_client, "AS-1")
+    monkeypatch.setattr(stored_runs, "MOST_POSES", 3)
+    answer = shared_client.post(f"/api/runs/{run['id']}/diagnosis", json={})
+    assert answer.status_code == 422
+    assert "takes at most 3 poses, and these are 4: import a part" in answer.json()["detail"]
+
+
+def test_poses_come_in_batches_as_they_would_at_once(shared_client):
+    rows = "".join(f"{k % 90},{k % 90 + 0.5},{k}\n" for k in range(2500))
+    run = imported(shared_client, "AS-2", f"target_deg,reading_deg,time_s\n{rows}")
+    poses = shared_client.get(f"/api/runs/{run['id']}/poses").json()
+    assert [(pose["index"], pose["time_s"]) for pose in poses] == [(k, k) for k in range(2500)]
+    text = shared_client.get(f"/api/runs/{run['id']}/poses", params={"format": "csv"}).text
+    again = imported(shared_client, "AS-3", text)
+    assert again["result"] == run["result"]

@@ -1,0 +1,58 @@
+"""Held-out poses are held out: of search and fit alike."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calrig.calibration.candidates import candidates_of
+from calrig.calibration.cross_validation import FOLDS, CrossValidation, cross_validate, folds_of
+from calrig.calibration.fit import rms
+from calrig.calibration.pose import Pose
+from calrig.calibration.responses import Responses, responses_of
+
+FIRST = 0
+"""The fold that is left out first: what the others do is no part of how its search is drawn."""
+
+
+def readings_of_a_stage_with_play(count: int = 48) -> Responses:
+    """Backlash of 0.12° in noise of 0.03°, over random elevations."""
+    rng = np.random.default_rng(7)
+    theta = rng.uniform(-60.0, 60.0, count)
+    approach = np.sign(np.diff(theta, prepend=0.0))
+    readings = 0.8 + 1.002 * theta - 0.06 * approach + rng.normal(0.0, 0.03, count)
+    return responses_of(
+        [
+            [
+                Pose(target_deg=x, reading_deg=y, approach=int(a))
+                for x, y, a in zip(theta.tolist(), readings.tolist(), approach, strict=True)
+            ]
+        ]
+    )
+
+
+def validated(r: Responses) -> CrossValidation:
+    few = [c for c in candidates_of(r) if c.name in {"backlash", "settling"}]
+    return cross_validate(r, few, np.random.default_rng(1))
+
+
+def test_what_a_held_out_pose_reads_changes_its_own_error_by_that_much_and_no_prediction() -> None:
+    r = readings_of_a_stage_with_play()
+    held_out = np.flatnonzero(folds_of(r) == FIRST)
+    shifts_deg = np.random.default_rng(2).normal(0.0, 1.0, len(held_out))
+    values = r.values.copy()
+    values[held_out, 0] += shifts_deg
+    before, after = validated(r), validated(replace(r, values=values))
+    for of_before, of_after in ((before.base_deg, after.base_deg), (before.final_deg, after.final_deg)):
+        assert (of_after - of_before)[held_out] == pytest.approx(shifts_deg, rel=0.01)  # over the scale
+    assert rms(before.final_deg[held_out]) < 0.7 * rms(before.base_deg[held_out]), "nothing was found"
+
+
+def test_every_pose_is_held_out_once_by_a_fold_that_has_both_approaches() -> None:
+    r = readings_of_a_stage_with_play()
+    fold = folds_of(r)
+    assert np.ptp(np.bincount(fold)) <= 1
+    for k in range(FOLDS):
+        assert {-1.0, 1.0} <= set(r.approach[fold == k])

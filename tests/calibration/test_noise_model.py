@@ -1,0 +1,67 @@
+"""The noise model beside the normal density of its own autoregressions, run by run."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag
+from scipy.signal import lfilter
+from scipy.stats import multivariate_normal
+
+from calrig.calibration.noise_model import PRIOR_RHO_STD, fit, noise_of
+from calrig.calibration.pose import Pose
+from calrig.calibration.responses import Responses, responses_of
+
+RHO = 0.6
+LENGTHS = (30, 50, 20)
+
+
+def runs_of_correlated_noise(lengths: tuple[int, ...] = LENGTHS, seed: int = 0) -> Responses:
+    """Readings with noise that each run begins anew: a first-order autoregression of 0.03°."""
+    rng = np.random.default_rng(seed)
+    runs = []
+    for length in lengths:
+        innovations = rng.normal(0.0, math.sqrt(1.0 - RHO**2), length)
+        innovations[0] = rng.normal()
+        noise_deg = 0.03 * lfilter([1.0], [1.0, -RHO], innovations)
+        targets_deg = rng.uniform(-60.0, 60.0, length)
+        runs.append(
+            [
+                Pose(target_deg=float(x), reading_deg=float(0.8 + x + e), time_s=4.0 * k)
+                for k, (x, e) in enumerate(zip(targets_deg, noise_deg, strict=True))
+            ]
+        )
+    return responses_of(runs)
+
+
+def test_the_criterion_is_the_density_of_autoregressions_that_begin_anew_with_each_run() -> None:
+    r = runs_of_correlated_noise()
+    fitted = fit(r, r.base)
+    (rho,) = fitted.noise.rho
+    residuals = fitted.residuals[:, 0]
+    correlation = block_diag(*(rho ** np.abs(np.subtract.outer(range(n), range(n))) for n in LENGTHS))
+    n = len(residuals)
+    variance = residuals @ np.linalg.solve(correlation, residuals) / n  # where the density is largest
+    log_density = multivariate_normal(cov=variance * correlation).logpdf(residuals)
+    expected = -2.0 * log_density - n * (1.0 + math.log(2.0 * math.pi)) + (rho / PRIOR_RHO_STD) ** 2
+    assert fitted.criterion == pytest.approx(expected, rel=1e-9)
+
+
+def test_the_coefficients_are_those_of_generalised_least_squares() -> None:
+    r = runs_of_correlated_noise()
+    columns, y = r.base[:, 0, :], r.values[:, 0]
+    fitted = fit(r, r.base)
+    (rho,) = noise_of(fitted.residuals, r, columns.shape[1]).rho
+    correlation = block_diag(*(rho ** np.abs(np.subtract.outer(range(n), range(n))) for n in LENGTHS))
+    whitened = np.linalg.solve(correlation, columns)
+    beta = np.linalg.solve(columns.T @ whitened, whitened.T @ y)
+    assert fitted.beta == pytest.approx(beta, abs=1e-4)  # it goes on until they hardly change
+
+
+def test_the_correlation_found_is_that_within_the_runs() -> None:
+    """Three hundred short runs: across their ends there is none, and a third of all steps goes across."""
+    r = runs_of_correlated_noise((3,) * 300, seed=1)
+    (rho,) = noise_of(r.values - r.values.mean(axis=0), r, 1.0).rho
+    assert rho == pytest.approx(RHO, abs=0.1)

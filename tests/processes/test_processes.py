@@ -1,0 +1,133 @@
+"""Heavy work in another process: what it may take, how it ends, and that the next piece finds a process."""
+
+from __future__ import annotations
+
+import asyncio
+import operator
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from functools import partial
+
+import psutil
+import pytest
+from support import wait_for
+
+from calrig.processes.pool import MOST_WAITING, Processes, WorkLost, WorkRefused, WorkTooLarge, run_apart
+
+FOR_EVER = partial(time.sleep, 3600.0)
+
+
+def children() -> list[psutil.Process]:
+    return psutil.Process().children()
+
+
+@asynccontextmanager
+async def processes(**bounds: float) -> AsyncIterator[Processes]:
+    one = Processes(1, **bounds)
+    yield one
+    await one.close()
+    assert children() == []
+
+
+def test_every_way_that_a_piece_can_end_leaves_a_process_for_the_next() -> None:
+    async def pieces() -> None:
+        async with processes(most_bytes=500_000_000) as pool:
+            ours = await pool.run(os.getpid)
+            assert ours != os.getpid()
+            with pytest.raises(ValueError, match="invalid literal"):
+                await pool.run(partial(int, "x"))
+            with pytest.raises(WorkTooLarge, match=r"more than 500 MB of memory .* take fewer poses"):
+                await pool.run(partial(bytearray, 10**9))
+            assert await pool.run(os.getpid) == ours, "these end the piece, not the process"
+            with pytest.raises(WorkLost, match="its process ended \\(status -9\\)"):
+                await pool.run(partial(signal.raise_signal, signal.SIGKILL))
+            assert await pool.run(os.getpid) not in {ours, os.getpid()}
+            assert await pool.run(partial(os.getenv, "OPENBLAS_NUM_THREADS")) == "1"
+
+    asyncio.run(pieces())
+
+
+def test_a_process_that_died_while_it_waited_is_replaced() -> None:
+    async def pieces() -> None:
+        async with processes() as pool:
+            idle = psutil.Process(await pool.run(os.getpid))
+            idle.kill()
+            while children():
+                await asyncio.sleep(0.01)
+            for _ in range(3):
+                await asyncio.sleep(0)  # the loop hears that the pipe was closed
+            assert await pool.run(partial(operator.add, 1, 2)) == 3
+
+    asyncio.run(pieces())
+
+
+def test_a_piece_that_takes_too_long_is_ended() -> None:
+    async def pieces() -> None:
+        async with processes(longest_s=0.0) as pool:
+            with pytest.raises(WorkTooLarge, match="longer than 0 s and was ended"):
+                await pool.run(FOR_EVER)
+            assert children() == []
+
+    asyncio.run(pieces())
+
+
+def test_a_piece_that_nobody_waits_for_any_more_stops_at_once_and_the_next_is_carried_out() -> None:
+    async def pieces() -> None:
+        async with processes() as pool:
+            given_up = asyncio.create_task(pool.run(FOR_EVER))
+            while not children():
+                await asyncio.sleep(0.01)
+            (works,) = children()
+            next_one = asyncio.create_task(pool.run(partial(operator.add, 1, 2)))
+            given_up.cancel()
+            assert await next_one == 3
+            assert given_up.cancelled()
+            assert not works.is_running()
+
+    asyncio.run(pieces())
+
+
+def test_more_than_may_wait_are_refused_at_once() -> None:
+    async def pieces() -> None:
+        async with processes() as pool:
+            in_hand = [asyncio.create_task(pool.run(FOR_EVER)) for _ in range(1 + MOST_WAITING)]
+            await asyncio.sleep(0)
+            with pytest.raises(WorkRefused, match=f"{1 + MOST_WAITING} diagnoses.*try again later"):
+                await pool.run(os.getpid)
+            for piece in in_hand:
+                piece.cancel()
+            await asyncio.wait(in_hand)
+
+    asyncio.run(pieces())
+
+
+def test_a_thread_without_a_loop_has_a_process_for_one_piece() -> None:
+    assert run_apart(os.getppid) == os.getpid()
+    assert children() == []
+
+
+PARENT = """
+import asyncio, os, time
+from functools import partial
+from calrig.processes.pool import Processes
+
+async def work():
+    processes = Processes(1)
+    print(await processes.run(os.getpid), flush=True)
+    await processes.run(partial(time.sleep, 3600))
+
+asyncio.run(work())
+"""
+
+
+def test_a_process_does_not_outlive_a_parent_that_was_killed() -> None:
+    with subprocess.Popen([sys.executable, "-c", PARENT], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        worker = psutil.Process(int(parent.stdout.readline()))
+        parent.kill()
+    wait_for(lambda: not worker.is_running() or worker.status() == psutil.STATUS_ZOMBIE, "end of the orphan")

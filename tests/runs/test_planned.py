@@ -1,0 +1,50 @@
+"""What a plan is said to come to, against runs that carry it out in virtual time."""
+
+from __future__ import annotations
+
+import pytest
+from run_rigs import CLOCK, plan
+
+from calrig.analysis.errors import Invalid
+from calrig.runs.planned import HOMING_AND_START_S, estimate
+
+SLOW = {"velocity_dps": 8.0, "acceleration_dps2": 20.0, "homing_velocity_dps": 8.0}
+
+
+@pytest.fixture
+def slow(make_rig):
+    """A rig that takes its time: a second of the clock is one of the board's."""
+    return make_rig("slow", time_scale=1.0, stage=SLOW)
+
+
+def test_the_duration_is_that_of_the_run(slow, serve):
+    service = serve(slow)
+
+    def done(chosen):
+        run = service.wait(service.start(unit="AS-1", plan=chosen).id, 300)
+        assert run.status == "completed", run.error
+        return run
+
+    done(plan(elevations_deg=[5, 0], order="given", rate_hz=20))  # tells the stage's speed; it ends at home
+    for chosen in (
+        plan(elevations_deg=[-10, 10, 0], order="given", sweeps=2, wait_s=2.0, rate_hz=20),
+        plan(elevations_deg=[-8, 0], order="given", velocity_dps=4.0, rate_hz=20),
+        plan(elevations_deg=[10], kind="static", dwell_s=3.0, rate_hz=20),
+    ):
+        expected, began_s = estimate(chosen, slow.settings, service.store), CLOCK.now_s()
+        run = done(chosen)
+        took_s = CLOCK.now_s() - began_s
+        assert expected.n_poses == run.progress["poses_total"]
+        assert took_s == pytest.approx(expected.duration_s - HOMING_AND_START_S, abs=1.0)  # homed already
+
+
+def test_a_stage_that_no_run_has_asked_is_taken_for_an_ordinary_one(make_rig, serve):
+    bench = make_rig("new")
+    expected = estimate(plan(elevations_deg=[-60, 60], sweeps=3), bench.settings, serve(bench).store)
+    assert (expected.n_poses, expected.elevations_deg) == (6, [-60, 60])
+    assert expected.duration_s == pytest.approx(5 + 3.25 + 3 * 6.25 + 6 * 1.62)  # trapezia at 20°/s, 80°/s²
+
+
+def test_a_plan_that_the_rig_would_refuse_is_refused(bench, service):
+    with pytest.raises(Invalid, match=r"rig 'bench-1': elevation 120° is beyond .* limits"):
+        estimate(plan(elevations_deg=[0, 120]), bench.settings, service.store)

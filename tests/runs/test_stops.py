@@ -1,0 +1,101 @@
+"""The red button tells the truth: told whatever the run waits for, and 200 only for a stage that stands."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from run_rigs import CLOCK, ENDLESS, TruthRig, begin, moving, pass_time, plan, until
+from support import lay_empty_store
+
+from calrig.analysis.errors import Conflict
+from calrig.runs.service import RunService
+from calrig.store import Store
+
+ANSWERED_S = 9.5
+"""Within which a stop is answered that cannot be seen to be heeded, s of the rig's clock."""
+MakeRig = Callable[..., TruthRig]
+Serve = Callable[..., RunService]
+
+
+@pytest.mark.parametrize("driver", ["smc100", "esp301", "grbl"])
+def test_a_stop_ends_the_identification_of_a_garbled_stage_and_says_it_is_not_known_to_stand(
+    make_rig: MakeRig, serve: Serve, driver: str
+) -> None:
+    bench = make_rig(stage={"driver": driver, "fault": "garbage"})
+    service = serve(bench)
+    run = begin(service)
+    until(lambda: service.run(run.id).status == "running", "begin")
+    pass_time(bench, 10)
+    asked_s = CLOCK.now_s()
+    with pytest.raises(Conflict, match=r"bench-1.*not known to stand.*cut its motor power"):
+        service.stop("bench-1")
+    assert CLOCK.now_s() - asked_s < ANSWERED_S
+    ended = service.wait(run.id, 3)
+    assert ended.status == "aborted"
+    assert "the stage was stopped by request; " in (ended.error or "")
+    assert "cut its motor power" in (ended.error or "")
+
+
+def test_a_stop_while_a_silent_board_is_waited_for_is_answered_by_a_stage_that_stands(
+    make_rig: MakeRig, serve: Serve
+) -> None:
+    bench = make_rig(board={"fault": "silent"})
+    service = serve(bench)
+    run = begin(service)
+    until(lambda: service.run(run.id).status == "running", "begin")
+    asked_s = CLOCK.now_s()
+    service.stop("bench-1")
+    assert CLOCK.now_s() - asked_s < 1.0
+    assert service.wait(run.id, 2).status == "aborted"
+    assert service.rigs()[0].state == "idle"
+
+
+def test_all_who_press_while_a_stage_is_being_told_share_that_and_no_other_rig_waits(
+    make_rig: MakeRig, serve: Serve
+) -> None:
+    mute = make_rig("mute", stage={"driver": "grbl", "fault": "hang"})
+    other = make_rig("other")
+    service = serve(mute, other)
+    run = begin(service, rig="other")
+    moving(other, service, run)
+    pressed = {service.begin_stop("mute") for _ in range(60)}
+    assert len(pressed) == 1
+    asked_s = CLOCK.now_s()
+    service.stop("other")
+    assert CLOCK.now_s() - asked_s < 0.5
+    assert other.stands_for_good()
+    (errand,) = pressed
+    assert not errand.future.done()
+    with pytest.raises(Conflict, match=r"mute.*cut its motor power"):
+        errand.result()
+    assert service.begin_stop("mute") is not errand
+
+
+def test_a_stop_is_made_and_answered_though_the_store_is_locked(bench: TruthRig, tmp_path: Path) -> None:
+    path = tmp_path / "calrig.db"
+    lay_empty_store(path)
+    with (
+        Store.open(f"sqlite:///{path}", writer="tests", busy_timeout_s=0.1) as store,
+        closing(RunService(store, [bench.settings])) as service,
+    ):
+        run = begin(service, ENDLESS)
+        moving(bench, service, run)
+        with closing(sqlite3.connect(path, isolation_level=None)) as somebody:
+            somebody.execute("BEGIN IMMEDIATE")
+            assert service.abort(run.id).status == "aborted"
+            assert bench.stands_for_good()
+            assert service.stop("bench-1").state == "idle"
+            somebody.execute("ROLLBACK")
+        assert service.wait(run.id, 10).status == "aborted"
+
+
+def test_a_stop_of_a_rig_whose_run_has_just_ended_is_told_to_the_stage_itself(
+    bench: TruthRig, service: RunService
+) -> None:
+    service.wait(begin(service, plan(elevations_deg=[0], dwell_s=0.5)).id, 20)
+    assert service.stop("bench-1").state == "idle"
+    assert bench.stands_for_good()

@@ -1,0 +1,145 @@
+"""A store that somebody wrote by hand: what is in it is read, or said to be damaged, and never a defect."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+import sqlite3
+import zipfile
+import zlib
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from test_store_trouble import filled
+
+from calrig.store import Store, StoreDamagedError, StoreError
+
+
+def sealed(document: dict[str, Any]) -> str:
+    """A document with the checksum that it ought to have: whoever writes by hand can reckon, too."""
+    text = json.dumps(document, ensure_ascii=False, separators=(",", ":"))
+    return json.dumps({**document, " crc32": zlib.crc32(text.encode())}, ensure_ascii=False)
+
+
+N = 500
+ARRAYS = {
+    "time_s": np.arange(N) / 200,
+    "accel_g": np.ones((N, 3)),
+    "gyro_dps": np.ones((N, 3)),
+    "temperature_c": np.ones(N),
+}
+
+
+def packed(**changed: Any) -> bytes:
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **{**ARRAYS, **changed})
+    return buffer.getvalue()
+
+
+def bomb(said: tuple[int, ...], n_bytes: int) -> bytes:
+    """An archive whose first array says that it has a shape, and unpacks to so many bytes."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in ARRAYS:
+            header = io.BytesIO()
+            np.lib.format.write_array_header_1_0(
+                header, {"descr": "<f8", "fortran_order": False, "shape": said}
+            )
+            with archive.open(f"{name}.npy", "w") as file:
+                file.write(header.getvalue())
+                for _ in range(n_bytes // 1_000_000):
+                    file.write(bytes(1_000_000))
+    return buffer.getvalue()
+
+
+JSON_TEXTS = {
+    "nested lists": "[" * 100_000,
+    "nested objects": '{"a":' * 50_000,
+    "a number": "5",
+    "a list": "[1, 2]",
+    "not a number": '{"a": NaN}',
+    "infinite": '{"a": 1e999}',
+    "five thousand digits": f'{{"a": {"9" * 5000}}}',
+    "a lone surrogate": '{"a": "\\ud800"}',
+    "of other types": sealed({"poses_done": "x", "filter": 5, "rate_hz": "x", "reading_deg": []}),
+}
+TEXTS = {"bytes": b"\xff\xfe", "a number": 5}
+NUMBERS = {"text": "abc", "bytes": b"zz", "infinite": float("inf")}
+BLOBS = {
+    "text": "abc",
+    "a number": 5,
+    "no archive": b"PK",
+    "a flat array": packed(accel_g=np.ones(7)),
+    "words": packed(time_s=np.array(["a"] * N)),
+    "complex numbers": packed(time_s=np.ones(N) * 1j),
+    "records": packed(time_s=np.zeros(N, dtype=[("a", "f8")])),
+    "one number": packed(time_s=np.float64(1)),
+    "too few times": packed(time_s=np.arange(3.0)),
+    "a shape beyond memory": bomb((10**13,), 0),
+    "a bomb": bomb((30_000_000,), 240_000_000),
+}
+COLUMNS = {
+    "run": (("plan", "progress", "result", "faults", "provenance"), JSON_TEXTS),
+    "event": (("data",), JSON_TEXTS),
+    "pose": (("covariates",), JSON_TEXTS),
+    "run ": (("unit", "rig", "kind", "status", "note"), {**TEXTS, "a word": "well"}),
+    "run  ": (("created_at",), TEXTS),
+    "event ": (("type", "at"), TEXTS),
+    "pose ": (("reading_deg", "sweep", "n_samples", "crc32"), NUMBERS),
+    "calibration": (("bias_deg", "scale", "crc32"), NUMBERS),
+    "sample_block": (("data",), BLOBS),
+}
+PLANTED = [
+    pytest.param(table.strip(), column, values, id=f"{table.strip()}.{column}")
+    for table, (columns, values) in COLUMNS.items()
+    for column in columns
+]
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    database = tmp_path_factory.mktemp("sound") / "calrig.db"
+    figures = {"bias_deg": 0.25, "scale": 1.0, "rms_raw_deg": 0.2, "rms_calibrated_deg": 0.1}
+    filled(f"sqlite:///{database}", figures, poses=2)
+    return database
+
+
+@pytest.mark.parametrize(("table", "column", "values"), PLANTED)
+def test_what_was_planted_is_read_or_said_to_be_damaged(sound, tmp_path, table, column, values):
+    database = tmp_path / "calrig.db"
+    shutil.copy(sound, database)
+    with (
+        Store.open(f"sqlite:///{database}", writer=None) as store,
+        closing(sqlite3.connect(database)) as by_hand,
+    ):
+        for name, value in values.items():
+            by_hand.execute(f"UPDATE {table} SET {column} = ?", (value,))
+            by_hand.commit()
+            look_at_everything(store, name)
+
+
+def look_at_everything(store: Store, planted: str) -> None:
+    asked = {
+        "run": lambda: store.run("1"),
+        "runs": store.runs,
+        "unit": lambda: store.unit("A"),
+        "poses": lambda: store.poses("1"),
+        "events": lambda: store.events_after("1"),
+        "samples": lambda: store.samples("1"),
+        "blocks": lambda: list(store.sample_blocks("1")),
+        "comparison": store.comparison,
+    }
+    for name, ask in asked.items():
+        try:
+            told = ask()
+        except StoreError as error:
+            assert isinstance(error, StoreDamagedError), (planted, name)
+            assert len(str(error)) < 1000, (planted, name)
+        else:
+            if name in {"run", "runs", "events"}:
+                assert "\\x" not in str(told), f"{planted}: bytes where text belongs"
+                str(told).encode()
