@@ -44,7 +44,27 @@ def bias_tempco(deg_per_c: float) -> Draw:
     def draw(rng: np.random.Generator, when: Timeline) -> Cause:
         mg = math.radians(deg_per_c) * 1e3 * _sign(rng)
         return Cause(
-            "temperature_bias", "sensor", "temperature_c", {"imu": {"accel_bias_mg_per_c": [0.0, mg, 0.0]}}
+            "temperature_offset",
+            "sensor",
+            "temperature_c",
+            {"imu": {"accel_bias_mg_per_c": [0.0, mg, 0.0]}},
+            parameters={"y_mg_per_c": mg, "z_mg_per_c": 0.0},
+        )
+
+    return draw
+
+
+def gain_tempco(pct_per_c: float) -> Draw:
+    """The gain of y moves with temperature, and that of all axes as much again."""
+
+    def draw(rng: np.random.Generator, when: Timeline) -> Cause:
+        pct = pct_per_c * _sign(rng)
+        return Cause(
+            "temperature_gain",
+            "sensor",
+            "temperature_c",
+            {"imu": {"accel_gain_pct_per_c": [pct, 2.0 * pct, pct]}},
+            parameters={"gain_pct_per_c": pct},
         )
 
     return draw
@@ -256,6 +276,7 @@ CELLS = {
         Cell("backlash 0.08°", "one", (backlash(0.08),)),
         Cell("temperature 0.02 °/°C", "one", (package_turn(0.02),)),
         Cell("bias tempco 0.02 °/°C", "one", (bias_tempco(0.02),)),
+        Cell("gain tempco 0.11 %/°C", "one", (gain_tempco(0.11),)),
         Cell("drift 0.12°", "one", (drift(0.12),)),
         Cell("slip 0.12°", "one", (slip(0.12),)),
         Cell("periodic 0.06°", "one", (periodic(0.06),), JITTER_DEG),

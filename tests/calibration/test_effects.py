@@ -96,6 +96,10 @@ CAUSES = {
         sensor_deg=lambda h: 0.02 * h.warmer_c + 0.006 * h.warmer_c**2, truth={"deg_per_c2": 0.006}
     ),
     "temperature_scale": Cause(sensor_deg=lambda h: 4e-4 * h.warmer_c * h.theta, truth={"per_c": 4e-4}),
+    "temperature_offset": Cause(
+        imu={"accel_bias_mg_per_c": (0.0, 0.4, -0.7)}, truth={"y_mg_per_c": 0.4, "z_mg_per_c": -0.7}
+    ),
+    "temperature_gain": Cause(imu={"accel_gain_pct_per_c": (0.0, 0.11, 0.0)}, truth={"gain_pct_per_c": 0.11}),
     "time_drift": Cause(sensor_deg=lambda h: 3e-4 * h.time_s, truth={"deg_per_s": 3e-4}),
     "mount_slip": Cause(sensor_deg=steps_of, truth={"step_deg": 0.15}),
     "settling": Cause(reading_deg=lambda h: -0.003 * h.move_deg, truth={"fraction": 0.003}),
