@@ -98,6 +98,7 @@ class Shape:
         replaces: a base column that the effect's own column takes the place of.
         says: what is to be said of this form beside the effect's name.
         part_of: the form with all parameters, where this one has some of them.
+        alike: names that such poses do not part it from, however much better it fits.
     """
 
     shares: Mapping[str, FloatArray]
@@ -109,6 +110,7 @@ class Shape:
     replaces: str | None = None
     says: str = ""
     part_of: str = ""
+    alike: tuple[str, ...] = ()
 
     @property
     def stated(self) -> frozenset[str]:

@@ -84,7 +84,8 @@ def _rivals(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> tu
     for criterion, c in ranked:
         first = c.members[0]  # of two that only together explain it, the one that leads is the suspect
         more = any(member.label == claimed.label for member in c.members)  # the claimed one, and another
-        if c.named and not more and first.label not in claimed.label and criterion - best < MARGIN:
+        near = criterion - best < MARGIN or c.name in claimed.shape.alike
+        if c.named and not more and first.label not in claimed.label and near:
             others.setdefault(first.label, first)
     if not leader.named:
         others[leader.label] = leader

@@ -119,6 +119,8 @@ class EnvironmentOptions(_Options):
     ambient_period_s: Positive = 3600.0
     hysteresis_c: NotNegative = 0.0
     """Width of the loop: what depends on temperature follows the die's only after half of this."""
+    stress_lag_s: NotNegative = 0.0
+    """R·C of the package: what depends on temperature follows heat that has to reach it first."""
     supply_v: Positive = 3.3
     supply_ripple_v: float = 0.0
     supply_period_s: Positive = 60.0

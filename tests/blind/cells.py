@@ -54,6 +54,20 @@ def bias_tempco(deg_per_c: float) -> Draw:
     return draw
 
 
+def slow_heat(lag_s: float, swing_c: float = 6.0) -> Draw:
+    """Heat reaches the package late: beside a `package_turn`, while the room warms and cools."""
+
+    def draw(rng: np.random.Generator, when: Timeline) -> Cause:
+        around = {
+            "stress_lag_s": lag_s,
+            "ambient_amplitude_c": swing_c,
+            "ambient_period_s": float(when.duration_s * rng.uniform(0.4, 0.9)),
+        }
+        return Cause("thermal_hysteresis", "sensor", "temperature_c", {"environment": around})
+
+    return draw
+
+
 def gain_tempco(pct_per_c: float) -> Draw:
     """The gain of y moves with temperature, and that of all axes as much again."""
 
@@ -294,6 +308,7 @@ CELLS = {
         Cell("slip with temperature", "two", (slip(0.12, sense=1.0), package_turn(0.02, sense=1.0))),
         Cell("slip against temperature", "two", (slip(0.12, sense=1.0), package_turn(0.02, sense=-1.0))),
         Cell("backlash and periodic", "two", (backlash(0.08), periodic(0.06)), JITTER_DEG),
+        Cell("temperature and a delay of 30 s", "two", (package_turn(0.02), slow_heat(30.0))),
         Cell("supply 0.25 °/V", "unnamed", (supply(0.25),)),
         Cell("supply bias 0.25 °/V", "unnamed", (supply_bias(0.25),)),
         Cell("slow cycle 0.06°", "unnamed", (cycle(0.06),)),
