@@ -85,14 +85,17 @@ def gate(
     observed, alternative = trial.gains(r.values[None], ratios)
     null = np.empty((0, observed.shape[1]))
     clear_after = max(FEWEST_DRAWS, bootstraps // CLEAR_SHARE)
-    while True:
-        values = _resampled(r, alternative, noise, rng, min(len(null) + FIRST_DRAWS, bootstraps - len(null)))
+    for draws in sorted(
+        {min(n, bootstraps) for n in (FIRST_DRAWS, clear_after, 2 * clear_after, bootstraps)}
+    ):
+        values = _resampled(r, alternative, noise, rng, draws - len(null))
         null = np.concatenate([null, trial.gains(values, trial.screen.ratios(values))[0]])
         best, of_noise = _above_bars(trial.labels, observed[0], null)
         exceeded = int((of_noise >= best).sum())
-        clear = len(null) >= clear_after and best > of_noise.max() + CLEAR
-        if clear or len(null) >= bootstraps or exceeded >= level * (bootstraps + 1):
-            return Verdict(candidates, ratios[0], float(observed.max()), (1 + exceeded) / (1 + len(null)))
+        is_clear = draws >= clear_after and best > of_noise.max() + CLEAR
+        if is_clear or exceeded >= level * (bootstraps + 1):
+            break
+    return Verdict(candidates, ratios[0], float(observed.max()), (1 + exceeded) / (1 + len(null)))
 
 
 def _above_bars(labels: Sequence[str], observed: FloatArray, null: FloatArray) -> tuple[float, FloatArray]:

@@ -77,7 +77,7 @@ def search(
         columns = model_columns(r, accepted)
         fitted = fit(r, columns)
         verdict = judged(accepted, fitted)
-        wild = outlier(r, accepted, fitted.criterion - verdict.gain) if len(kept) > fewest else None
+        wild = outlier(r, accepted, verdict.gain) if len(kept) > fewest else None
         if wild is not None:
             others = np.delete(np.arange(len(r)), wild)
             kept, r, candidates = kept[others], r.rows(others), [c.rows(others) for c in candidates]
