@@ -77,7 +77,7 @@ def search(
         columns = model_columns(r, accepted)
         fitted = fit(r, columns)
         verdict = judged(accepted, fitted)
-        wild = outlier(r, accepted, fitted.criterion - verdict.gain) if len(kept) > fewest else None
+        wild = outlier(r, accepted, verdict.gain) if len(kept) > fewest else None
         if wild is not None:
             others = np.delete(np.arange(len(r)), wild)
             kept, r, candidates = kept[others], r.rows(others), [c.rows(others) for c in candidates]
@@ -124,7 +124,7 @@ def _reconsidered(r: Responses, candidates: Sequence[Candidate], found: list[Fou
         return found
     for place, one in enumerate(found):
         others = [f.candidate for f in found if f is not one]
-        offered = _offered(candidates, others, set())
+        offered = [c for c in _offered(candidates, others, set()) if c.beside is None]
         columns = model_columns(r, others)
         fitted = fit(r, columns)
         ratios = Screen(r, columns, offered, fitted.noise).ratios(fitted.residuals[None])[0]
