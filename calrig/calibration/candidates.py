@@ -69,14 +69,14 @@ class Candidate:
 
     @property
     def parameters(self) -> int:
-        """How many parameters it adds to a model: coefficients, and two for a place that was scanned.
+        """How many parameters it adds to a model: coefficients, and one or two for a place that was scanned.
 
-        One of n places costs 2·log n in −2 log likelihood, twice a coefficient's log n (Zhang & Siegmund,
-        Biometrics 63, 2007, for change points).
+        One of n instants costs 2·log n in −2 log likelihood, twice a coefficient's log n (Zhang & Siegmund,
+        Biometrics 63, 2007, for change points); a place that a likelihood is smooth in costs log n.
         """
         shapes = [one.shape for one in self.members]
-        scanned = sum(shape.scanned for shape in shapes)
-        return int(self.columns.shape[2]) + 2 * scanned - sum(shape.replaces is not None for shape in shapes)
+        scanned = sum(shape.place_cost for shape in shapes if shape.scanned)
+        return int(self.columns.shape[2]) + scanned - sum(shape.replaces is not None for shape in shapes)
 
     def rows(self, chosen: np.ndarray[tuple[int], np.dtype[np.intp]]) -> Candidate:
         """The same candidate in some of the poses."""

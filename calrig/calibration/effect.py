@@ -94,6 +94,8 @@ class Shape:
         form: which of the effect's forms, where it has several.
         at: parameters that are not coefficients: found by scanning, or a reference.
         scanned: whether the search chose the place among many.
+        place_cost: how many parameters that choice counts as: two where neighbouring places differ as an
+            instant does from the next, one where they go over into each other.
         covariate: where it is not the effect's.
         replaces: a base column that the effect's own column takes the place of.
         says: what is to be said of this form beside the effect's name.
@@ -106,6 +108,7 @@ class Shape:
     form: str = ""
     at: Parameters = field(default_factory=dict)
     scanned: bool = False
+    place_cost: int = 2
     covariate: str = ""
     replaces: str | None = None
     says: str = ""

@@ -61,7 +61,7 @@ def slow_heat(lag_s: float, swing_c: float = 6.0) -> Draw:
         around = {
             "stress_lag_s": lag_s,
             "ambient_amplitude_c": swing_c,
-            "ambient_period_s": float(when.duration_s * rng.uniform(0.4, 0.9)),
+            "ambient_period_s": float(when.duration_s * rng.uniform(0.25, 0.5)),
         }
         return Cause("thermal_hysteresis", "sensor", "temperature_c", {"environment": around})
 

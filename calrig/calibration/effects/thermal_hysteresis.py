@@ -52,7 +52,8 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
         return
     ahead = r.temperature_c - _delayed_c(r.temperature_c, r.time_s, r.starts, lag_s)
     alike = ("temperature_curvature", "time_drift") if one_leg(r) else ()
-    yield Shape(tilted(ahead), ("deg_per_c",), at={"lag_s": lag_s}, scanned=True, alike=alike)
+    at = {"lag_s": lag_s}
+    yield Shape(tilted(ahead), ("deg_per_c",), at=at, scanned=True, place_cost=1, alike=alike)
 
 
 def _delayed_c(temperature_c: FloatArray, time_s: FloatArray, starts: BoolArray, lag_s: float) -> FloatArray:
