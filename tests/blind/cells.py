@@ -68,6 +68,17 @@ def slow_heat(lag_s: float, swing_c: float = 6.0) -> Draw:
     return draw
 
 
+def creep(deg_per_decade: float) -> Draw:
+    """The joint was clamped when the run began."""
+
+    def draw(rng: np.random.Generator, when: Timeline) -> Cause:
+        size = deg_per_decade * _sign(rng)
+        options = {"mount": {"creep_deg_per_decade": size, "creep_began_s": float(when.move_s[0])}}
+        return Cause("mount_creep", "mounting", "time_s", options, parameters={"deg_per_decade": size})
+
+    return draw
+
+
 def gain_tempco(pct_per_c: float) -> Draw:
     """The gain of y moves with temperature, and that of all axes as much again."""
 
@@ -292,6 +303,7 @@ CELLS = {
         Cell("bias tempco 0.02 °/°C", "one", (bias_tempco(0.02),)),
         Cell("gain tempco 0.11 %/°C", "one", (gain_tempco(0.11),)),
         Cell("drift 0.12°", "one", (drift(0.12),)),
+        Cell("creep 0.08° a decade", "one", (creep(0.08),)),
         Cell("slip 0.12°", "one", (slip(0.12),)),
         Cell("periodic 0.06°", "one", (periodic(0.06),), JITTER_DEG),
         Cell("settling 1 %", "one", (settling(0.01),), JITTER_DEG),

@@ -31,8 +31,10 @@ from calrig.calibration.result import circumstances
 from calrig.calibration.search import search
 from calrig.estimation.kalman import KalmanFilter
 from calrig.export.c_header import c_header
-from calrig.simulator.config import ImuOptions
+from calrig.simulator.config import ImuOptions, MountOptions
 from calrig.simulator.imu import Imu, Surroundings
+from calrig.simulator.mount import Mount
+from calrig.simulator.trajectory import Turn
 
 N_POSES = 120
 SETTLE_S, DWELL_S, MOVE_S = 1.0, 2.0, 2.0
@@ -86,6 +88,13 @@ def heated_c(here, lag_s, step_s=0.05):
     return np.interp(here.time_s, clock_s, body_c)
 
 
+def crept_deg(here, deg_per_decade):
+    """A joint of springs and dampers under the load of its clamp since the run began."""
+    mount = Mount(MountOptions(creep_deg_per_decade=deg_per_decade))
+    level = np.zeros(N_POSES)
+    return mount.package(Turn(level, level), here.time_s).angle_deg
+
+
 CAUSES = {
     "backlash": Cause(table_deg=lambda h: -0.04 * h.approach, truth={"backlash_deg": -0.08}),
     "stage_eccentricity": Cause(
@@ -116,6 +125,7 @@ CAUSES = {
     ),
     "time_drift": Cause(sensor_deg=lambda h: 3e-4 * h.time_s, truth={"deg_per_s": 3e-4}),
     "mount_slip": Cause(sensor_deg=steps_of, truth={"step_deg": 0.15}),
+    "mount_creep": Cause(sensor_deg=lambda h: crept_deg(h, 0.08), truth={"deg_per_decade": 0.08}),
     "settling": Cause(reading_deg=lambda h: -0.003 * h.move_deg, truth={"fraction": 0.003}),
     "gyro_scale": Cause(gyro_gain=0.05, truth={"gain_pct": 5.0}, looks_like=("settling",)),
     "latency": Cause(sensor_deg=lambda h: -0.02 * h.velocity_dps, truth={"delay_s": 0.02}),
@@ -135,7 +145,7 @@ def measured(name, seed):
     cause, rng = CAUSES[name], np.random.default_rng([*name.encode(), seed])
     theta = rng.uniform(-60.0, 60.0, N_POSES)
     move = np.diff(theta, prepend=0.0)
-    time_s = (MOVE_S + SETTLE_S + DWELL_S) * np.arange(N_POSES)
+    time_s = (MOVE_S + SETTLE_S + DWELL_S) * np.arange(N_POSES) + MOVE_S + SETTLE_S + 0.5 * DWELL_S
     warmer_c = 4.0 * np.sin(time_s / 60.0 + seed) + 2.0 * np.sin(time_s / 23.0) ** 3
     velocity = np.where(rng.random(N_POSES) < 0.5, 0.0, rng.uniform(-5.0, 5.0, N_POSES))
     here = Circumstance(theta, np.sign(move), time_s, warmer_c, move, velocity)
@@ -237,7 +247,7 @@ def traced(effect, poses):
     r = responses_of([poses])
     offered = [c for c in candidates_of(r) if c.named or effect.follows is None]
     findings = search(r, offered, np.random.default_rng(0), bootstraps=199)
-    return findings, effect_documents(r, findings)
+    return findings, effect_documents(findings.responses, findings)
 
 
 def applied_in_flight(effect, values, folder):

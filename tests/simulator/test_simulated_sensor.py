@@ -230,6 +230,15 @@ def test_a_package_that_heat_reaches_late_follows_the_swing_of_the_room_like_a_f
     np.testing.assert_allclose(warmer_c, expected_c, atol=0.03)
 
 
+def test_a_joint_creeps_by_as_much_in_each_tenfold_of_time_and_the_gyro_feels_how_fast():
+    table = bench(mount={"creep_deg_per_decade": 0.1}, mechanics={"power_up_deg": 0.0})
+    crept_deg = table.true_elevation_deg(np.array([1.0, 10.0, 100.0, 1000.0]))
+    np.testing.assert_allclose(np.diff(crept_deg), 0.1, rtol=0.02)
+    fine_s = np.linspace(5.0, 6.0, 1001)
+    turned_deg = np.trapezoid(table.angular_rate_dps(fine_s)[:, 0], fine_s)
+    assert turned_deg == pytest.approx(np.diff(table.true_elevation_deg(fine_s[[0, -1]]))[0], rel=1e-4)
+
+
 def test_the_demo_rig_hides_effects_but_no_blunder():
     table = Bench(SimulatorSettings.from_options({"preset": "demo"}))
     now_s = table.mechanics.home(0.0, 15.0, 90.0).at_s
