@@ -163,7 +163,7 @@ class Applied:
         angle = np.radians(self.theta_deg)
         return np.sin(angle), np.cos(angle)
 
-    def turn_deg(self, error_y: FloatArray | float, error_z: float) -> FloatArray:
+    def turn_deg(self, error_y: FloatArray | float, error_z: FloatArray | float) -> FloatArray:
         """Angle by which errors of a_y and a_z (g) turn the measured vector (0, s + δ, c + ε)."""
         s, c = self.sin_cos()
         across, along = error_y * c - error_z * s, 1.0 + error_y * s + error_z * c

@@ -149,7 +149,7 @@ class _Trial:
         fitted = fits(self._r, many, self._columns(candidates.ravel()), start)
         criterion = np.array(
             [
-                criterion if self._is_possible(k, beta) else np.inf
+                criterion if self._is_possible(int(k), beta) else np.inf
                 for k, beta, criterion in zip(candidates.flat, fitted.beta, fitted.criterion, strict=True)
             ]
         ).reshape(leading.shape)

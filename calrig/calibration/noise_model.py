@@ -170,8 +170,8 @@ def fits(r: Responses, values: FloatArray, columns: FloatArray, start: NoiseMode
 def _inverse(gram: FloatArray, *, exact: bool) -> FloatArray:
     """Of (b, p, p) products of columns of unit size, some of which may say the same or nothing at all."""
     if exact:
-        return np.linalg.pinv(gram, rcond=1e-10, hermitian=True)
-    return np.linalg.inv(gram + RIDGE * np.eye(gram.shape[1]))
+        return np.asarray(np.linalg.pinv(gram, rcond=1e-10, hermitian=True), dtype=np.float64)
+    return np.asarray(np.linalg.inv(gram + RIDGE * np.eye(gram.shape[1])), dtype=np.float64)
 
 
 def _innovations(rotated: FloatArray, rho: FloatArray, starts: BoolArray) -> FloatArray:
