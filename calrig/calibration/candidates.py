@@ -22,9 +22,10 @@ class Candidate:
         columns: (n, J, p).
         beside: another one whose columns come first, where both are considered as one.
         label: the name, for an unnamed shape with its covariate: what two forms of one thing share.
-        parameters: how many it adds to a model: coefficients, and two for a place that was scanned. One of n
-            places costs 2·log n in −2 log likelihood, twice a coefficient's log n (Zhang & Siegmund,
-            Biometrics 63, 2007, for change points).
+        parameters: how many it adds to a model: coefficients, and one or two for a place that was scanned.
+            One of n instants costs 2·log n in −2 log likelihood, twice a coefficient's log n (Zhang &
+            Siegmund, Biometrics 63, 2007, for change points); a place that a likelihood is smooth in costs
+            log n.
     """
 
     effect: Effect
@@ -36,11 +37,12 @@ class Candidate:
 
     def __post_init__(self) -> None:
         shapes = [self.shape, *([] if self.beside is None else [self.beside.shape])]
-        scanned, replaced = sum(s.scanned for s in shapes), sum(s.replaces is not None for s in shapes)
+        scanned = sum(s.place_cost for s in shapes if s.scanned)
+        replaced = sum(s.replaces is not None for s in shapes)
         own = self.name if self.named else f"{UNNAMED} {self.covariate}"
         label = own if self.beside is None else f"{self.beside.label} + {own}"
         object.__setattr__(self, "label", label)
-        object.__setattr__(self, "parameters", int(self.columns.shape[2]) + 2 * scanned - replaced)
+        object.__setattr__(self, "parameters", int(self.columns.shape[2]) + scanned - replaced)
 
     @property
     def members(self) -> tuple[Candidate, ...]:

@@ -94,10 +94,13 @@ class Shape:
         form: which of the effect's forms, where it has several.
         at: parameters that are not coefficients: found by scanning, or a reference.
         scanned: whether the search chose the place among many.
+        place_cost: how many parameters that choice counts as: two where neighbouring places differ as an
+            instant does from the next, one where they go over into each other.
         covariate: where it is not the effect's.
         replaces: a base column that the effect's own column takes the place of.
         says: what is to be said of this form beside the effect's name.
         part_of: the form with all parameters, where this one has some of them.
+        alike: names that such poses do not part it from, however much better it fits.
     """
 
     shares: Mapping[str, FloatArray]
@@ -105,10 +108,12 @@ class Shape:
     form: str = ""
     at: Parameters = field(default_factory=dict)
     scanned: bool = False
+    place_cost: int = 2
     covariate: str = ""
     replaces: str | None = None
     says: str = ""
     part_of: str = ""
+    alike: tuple[str, ...] = ()
 
     @property
     def stated(self) -> frozenset[str]:

@@ -83,7 +83,9 @@ def _rivals(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> tu
     others: dict[str, Candidate] = {}
     for criterion, c in ranked:
         first = c.members[0]  # of two that only together explain it, the one that leads is the suspect
-        if c.named and first.label not in claimed.label and criterion - best < MARGIN:
+        more = any(member.label == claimed.label for member in c.members)  # the claimed one, and another
+        near = criterion - best < MARGIN or c.name in claimed.shape.alike
+        if c.named and not more and first.label not in claimed.label and near:
             others.setdefault(first.label, first)
     if not leader.named:
         others[leader.label] = leader

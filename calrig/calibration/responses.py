@@ -201,6 +201,12 @@ class _Channels:
         gain = np.where(known, self._move, 0.0) / SCALE_UNIT_DEG
         self.base_columns.append((f"{MOVE}.gain", MOVE, gain))
 
+    def let_gains_warm(self, temperature_c: FloatArray | None) -> None:
+        """Lets |accelerometer| follow temperature: all gains that drift alike leave the angle as it is."""
+        if temperature_c is not None and np.ptp(temperature_c) > 0.0:
+            warmer = (temperature_c - temperature_c.mean()) / np.ptp(temperature_c)
+            self.base_columns.append((f"{NORM}.temperature", NORM, warmer))
+
     def free_first(self) -> None:
         """Lets the first pose of each run lie where it will: the move into it is not known.
 
@@ -239,6 +245,7 @@ def _add_witnesses(
         size_g = 1.0 + float(np.abs(norm).max())
         if np.ptp(norm) > len(norm) * np.finfo(np.float64).eps * size_g:
             table.add(NORM, norm, size_g, bias_each_run=True, scaled=False)
+            table.let_gains_warm(column_of(poses, "temperature_c"))
     felt = np.array([np.nan if p.gyro_move_deg is None else p.gyro_move_deg for p in poses])
     moves = np.isfinite(felt) & ~starts
     if table.turns and moves.sum() >= 0.8 * (~starts).sum() and _left_by_line(move[moves], felt[moves]):

@@ -114,7 +114,7 @@ def _offered(
     taken = len({name for name in r.base_names if name.startswith(READING)})
     room = len(r) - taken - sum(c.columns.shape[2] for c in accepted) - FREEDOM
     present = {c.name for c in accepted}
-    once = {c.label for c in accepted if c.named and not c.shape.at}
+    once = {c.label for c in accepted if c.named and (not c.shape.at or c.shape.place_cost == 1)}
 
     def may_enter(c: Candidate) -> bool:
         if c.columns.shape[2] > room:
@@ -130,13 +130,15 @@ def _reconsidered(r: Responses, candidates: Sequence[Candidate], found: list[Fou
     """Each effect held against its rivals once more, with all the others in the model."""
     if len(found) == 1:
         return found
-    for place, one in enumerate(found):
+    for one in list(found):
         others = [f.candidate for f in found if f is not one]
-        offered = [c for c in _offered(r, candidates, others, set()) if c.beside is None]
+        offered = _offered(r, candidates, others, set())
         columns = model_columns(r, others)
         fitted = fit(r, columns)
         ratios = Screen(r, columns, offered, fitted.noise).ratios(fitted.residuals[None])[0]
-        found[place] = named(r, others, offered, ratios, one.p_value)
+        again = named(r, others, offered, ratios, one.p_value)
+        place = next(k for k, f in enumerate(found) if f is one)
+        found[place : place + 1] = [replace(again, candidate=member) for member in again.candidate.members]
     return found
 
 
