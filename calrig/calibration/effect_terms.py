@@ -19,6 +19,8 @@ from calrig.estimation.angles import FloatArray
 
 DEG = 180.0 / np.pi
 MG = 1e-3
+THE_TURN = "the turn"
+"""The series of a full turn's orders."""
 LEAST_TEMPERATURE_RANGE_C = 0.05
 LARGEST_FLOAT = float(np.finfo(np.float32).max)
 SMALLEST_FLOAT = float(np.finfo(np.float32).tiny)

@@ -11,6 +11,7 @@ from calrig.calibration.candidates import Candidate, candidate_of
 from calrig.calibration.effect import Shape
 from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import fit
+from calrig.calibration.places import refined
 from calrig.calibration.responses import Responses
 from calrig.calibration.screen import Float32Array, Screen
 from calrig.estimation.angles import FloatArray
@@ -68,6 +69,9 @@ def named(
     # A catalogue effect that explains as well outranks the flexible shapes that contain it.
     claimed = (named or near)[0]
     rivals = _rivals(ranked, claimed) if claimed.named else ()
+    if claimed.effect.place and claimed.beside is None:
+        claimed, *others = _alike(r, accepted, claimed)
+        rivals = (*others, *rivals)
     own = min(criterion for criterion, c in ranked if c.label == claimed.label)
     rest = [criterion for criterion, c in ranked if c.label != claimed.label and c.named]
     lead = min(rest) - own if rest else np.inf
@@ -88,6 +92,28 @@ def _rivals(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> tu
     if not leader.named:
         others[leader.label] = leader
     return tuple(others.values())
+
+
+def _alike(r: Responses, accepted: Sequence[Candidate], claimed: Candidate) -> list[Candidate]:
+    """The claimed one at its best place, and the same at places that these poses cannot tell from it.
+
+    The largest of equals comes first: a long period before those that only the spacing makes of it.
+    """
+    effect = claimed.effect
+    best, own = refined(r, accepted, claimed)
+    found = [(best.criterion, own)]
+    for at in effect.look_alikes(r, own.shape):
+        for shape in effect.forms(r, at):
+            fitted, other = refined(r, accepted, candidate_of(r, effect, shape))
+            others = [*accepted, *(c for _, c in found)]
+            apart = all(
+                effect.distinct(r, other.shape, c.shape) for c in others if c.effect.place == effect.place
+            )
+            if apart and other.is_possible(fitted.beta[-other.columns.shape[2] :]):
+                found.append((fitted.criterion, other))
+    least = min(criterion for criterion, _ in found)
+    near = [c for criterion, c in found if criterion - least < MARGIN]
+    return sorted(near, key=lambda c: -c.shape.at[effect.place])
 
 
 def pair(
@@ -163,6 +189,10 @@ def _refined(
     def criterion(shape: Shape) -> float:
         return fit(r, model_columns(r, [*accepted, candidate_of(r, candidate.effect, shape)])).criterion
 
+    if candidate.effect.place and candidate.beside is None and not candidate.shape.series:
+        fitted, candidate = refined(r, accepted, candidate)
+        own = fitted.beta[-candidate.columns.shape[2] :]
+        return fitted.criterion if candidate.is_possible(own) else np.inf, candidate
     refine = candidate.effect.refine if leads and candidate.beside is None else None
     finer = refine and refine(r, candidate.shape, criterion)
     if finer is not None:

@@ -20,7 +20,8 @@ from calrig.estimation.angles import FloatArray
 
 LEVEL = 0.01
 """The nominal rate at which a search of noise alone says something."""
-MOST_EFFECTS = 5
+MOST_EFFECTS, MOST_TERMS = 5, 16
+"""A series, such as the orders of a turn, is one effect of several terms."""
 LEAST_SHARE = 0.05
 """An effect whose part of the reading is smaller than this share of its noise is not worth a correction."""
 
@@ -69,7 +70,7 @@ def search(
         def columns_with(more: Sequence[Candidate]) -> FloatArray:
             return model_columns(r, [*accepted, *more])
 
-        offered = _offered(candidates, accepted, too_small)
+        offered = _offered(r, candidates, accepted, too_small)
         return gate(r, columns_with, fitted, offered, rng, bootstraps, level)
 
     while True:
@@ -83,7 +84,7 @@ def search(
             kept, r, candidates = kept[others], r.rows(others), [c.rows(others) for c in candidates]
             found = [replace(f, candidate=f.candidate.rows(others)) for f in found]
             continue
-        if verdict.p_value > level or len(found) >= MOST_EFFECTS:
+        if verdict.p_value > level or _is_full(accepted):
             least = 1.0 / (bootstraps + 1)
             return Findings(r, kept, tuple(found), fitted, columns, verdict.p_value, least)
         step = named(r, accepted, verdict.candidates, verdict.ratios, verdict.p_value)
@@ -103,8 +104,15 @@ def search(
         found = _reconsidered(r, candidates, [*found, *steps])
 
 
+def _is_full(accepted: Sequence[Candidate]) -> bool:
+    """Whether the model has as many effects as a run is searched for."""
+    series = {c.shape.series for c in accepted if c.shape.series}
+    alone = sum(not c.shape.series for c in accepted)
+    return len(series) + alone >= MOST_EFFECTS or len(accepted) >= MOST_TERMS
+
+
 def _offered(
-    candidates: Sequence[Candidate], accepted: Sequence[Candidate], too_small: set[str]
+    r: Responses, candidates: Sequence[Candidate], accepted: Sequence[Candidate], too_small: set[str]
 ) -> list[Candidate]:
     """The candidates that may enter now: not those that have, nor those that follow on what has not."""
     present = {c.name for c in accepted}
@@ -113,7 +121,9 @@ def _offered(
     def may_enter(c: Candidate) -> bool:
         if c.beside is not None:
             return present.isdisjoint(member.name for member in c.members)
-        return c.label not in once and (c.effect.follows is None or c.effect.follows in present)
+        if c.label in once or not (c.effect.follows is None or c.effect.follows in present):
+            return False
+        return all(c.effect.distinct(r, c.shape, other.shape) for other in accepted)
 
     return [c for c in candidates if c.label not in too_small and may_enter(c)]
 
@@ -124,7 +134,7 @@ def _reconsidered(r: Responses, candidates: Sequence[Candidate], found: list[Fou
         return found
     for place, one in enumerate(found):
         others = [f.candidate for f in found if f is not one]
-        offered = _offered(candidates, others, set())
+        offered = _offered(r, candidates, others, set())
         columns = model_columns(r, others)
         fitted = fit(r, columns)
         ratios = Screen(r, columns, offered, fitted.noise).ratios(fitted.residuals[None])[0]
