@@ -49,7 +49,7 @@ def refined(r: Responses, accepted: Sequence[Candidate], candidate: Candidate) -
         while abs(step) > CLOSE * std and abs(step) < 0.5 * abs(place):
             moved = _moved(r, candidate, {**candidate.shape.at, name: place + step})
             better = fit(r, model_columns(r, [*accepted, moved]))
-            if better.criterion < fitted.criterion:
+            if better.criterion < fitted.criterion and _is_distinct(r, accepted, moved):
                 break
             step /= 4.0
             moved, better = candidate, fitted
@@ -58,6 +58,10 @@ def refined(r: Responses, accepted: Sequence[Candidate], candidate: Candidate) -
         candidate, fitted = moved, better
     _, std = _step(r, accepted, candidate, fitted)
     return _settled(r, accepted, candidate, fitted, {name: std})
+
+
+def _is_distinct(r: Responses, accepted: Sequence[Candidate], candidate: Candidate) -> bool:
+    return all(candidate.effect.distinct(r, candidate.shape, other.shape) for other in accepted)
 
 
 def _step(
@@ -77,8 +81,9 @@ def _settled(
     r: Responses, accepted: Sequence[Candidate], candidate: Candidate, fitted: Fit, std: Parameters
 ) -> tuple[Fit, Candidate]:
     at = candidate.effect.settled(candidate.shape.at, std)
-    if at != candidate.shape.at:
-        candidate = _moved(r, candidate, at)
+    settled = candidate if at == candidate.shape.at else _moved(r, candidate, at)
+    if settled is not candidate and _is_distinct(r, accepted, settled):
+        candidate = settled
         fitted = fit(r, model_columns(r, [*accepted, candidate]))
     return fitted, replace(candidate, shape=replace(candidate.shape, at_std=std))
 

@@ -24,6 +24,8 @@ must pass the gate beside the first: on trial by this margin alone it was wrong 
 """
 LEADING_NAMES = 4
 SHORTLIST = 16
+FARTHEST = 1e9
+"""Of the criterion, where what physics rules out ranks."""
 SAME = 1e-3
 """Of −2 log likelihood: the screen's single precision decides no more, and the first of equals is taken."""
 
@@ -60,14 +62,19 @@ def named(
     offered: Sequence[Candidate],
     ratios: Float32Array,
     p_value: float,
+    incumbent: Candidate | None = None,
 ) -> Found:
-    """The best of the offered candidates by its full likelihood, and those that come too close to it."""
+    """The best of the offered candidates by its full likelihood, and those that come too close to it.
+
+    Of equals, a term of a series stays where it is already in the model: it came with the others.
+    """
     ranked = _ranked(r, accepted, offered, ratios)
     best = ranked[0][0]
     near = [c for criterion, c in ranked if criterion - best < MARGIN]
     named = [c for c in near if c.named]
     # A catalogue effect that explains as well outranks the flexible shapes that contain it.
-    claimed = (named or near)[0]
+    staying = [c for c in named if incumbent is not None and _is_same_term(c, incumbent)]
+    claimed = (staying or named or near)[0]
     rivals = _rivals(ranked, claimed) if claimed.named else ()
     if claimed.effect.place and claimed.beside is None:
         claimed, *others = _alike(r, accepted, claimed)
@@ -79,6 +86,10 @@ def named(
     for criterion, c in ranked:
         considered.setdefault(c.label, round(max(criterion - best, 0.0), 2))
     return Found(claimed, rivals, p_value, float(lead), tuple(considered.items()))
+
+
+def _is_same_term(candidate: Candidate, other: Candidate) -> bool:
+    return candidate.shape.series != "" and candidate.label == other.label and candidate.shape.at == other.shape.at
 
 
 def _rivals(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> tuple[Candidate, ...]:
@@ -173,7 +184,7 @@ def _ranked(
         criterion, candidate = _refined(r, accepted, offered[index], len(ranked) == 0)
         ranked.append((criterion + bic_penalty * candidate.parameters, candidate))
     place = {candidate.label: k for k, candidate in reversed(list(enumerate(offered)))}
-    return sorted(ranked, key=lambda pair: (round(pair[0] / SAME), place[pair[1].label]))
+    return sorted(ranked, key=lambda pair: (round(min(pair[0], FARTHEST) / SAME), place[pair[1].label]))
 
 
 def _first_best(values: FloatArray) -> int:

@@ -16,6 +16,7 @@ from calrig.calibration.outliers import most_outliers, outlier
 from calrig.calibration.ranking import Found, named, pair
 from calrig.calibration.responses import Responses
 from calrig.calibration.screen import Screen
+from calrig.calibration.series import needed, on_their_places
 from calrig.estimation.angles import FloatArray
 
 LEVEL = 0.01
@@ -91,7 +92,10 @@ def search(
         if _share_of_reading(r, accepted, step.candidate) < LEAST_SHARE:
             too_small.add(step.candidate.label)
             continue
-        steps = [replace(step, candidate=member) for member in step.candidate.members]
+        members: Sequence[Candidate] = step.candidate.members
+        if step.candidate.shape.series:
+            members = needed(r, accepted, members)
+        steps = [replace(step, candidate=member) for member in members]
         two = None
         if len(steps) == 1:
             two = pair(r, accepted, verdict.candidates, verdict.ratios, step)
@@ -101,7 +105,7 @@ def search(
             if p_value <= level:
                 beside = replace(step, candidate=second, rivals=(), p_value=p_value)
                 steps = [replace(step, candidate=first, rivals=()), beside]
-        found = _reconsidered(r, candidates, [*found, *steps])
+        found = on_their_places(r, candidates, _reconsidered(r, candidates, [*found, *steps]))
 
 
 def _is_full(accepted: Sequence[Candidate]) -> bool:
@@ -135,10 +139,12 @@ def _reconsidered(r: Responses, candidates: Sequence[Candidate], found: list[Fou
     for place, one in enumerate(found):
         others = [f.candidate for f in found if f is not one]
         offered = _offered(r, candidates, others, set())
+        if one.candidate.shape.series:  # a curve takes a little from every term: the terms come first
+            offered = [c for c in offered if c.named]
         columns = model_columns(r, others)
         fitted = fit(r, columns)
         ratios = Screen(r, columns, offered, fitted.noise).ratios(fitted.residuals[None])[0]
-        found[place] = named(r, others, offered, ratios, one.p_value)
+        found[place] = named(r, others, offered, ratios, one.p_value, one.candidate)
     return found
 
 
