@@ -13,6 +13,9 @@ from calrig.calibration.effects import EFFECTS, UNNAMED, effect_of
 from calrig.calibration.responses import Responses
 from calrig.estimation.angles import FloatArray
 
+LEAST_TURN_DEG = 330.0
+"""Poses over such an arc go round: the orders of a turn come apart."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
@@ -50,7 +53,7 @@ class Candidate:
         if self.beside is None:
             return (self,)
         width = self.beside.columns.shape[2]
-        return self.beside, Candidate(self.effect, self.shape, self.columns[:, :, width:])
+        return *self.beside.members, Candidate(self.effect, self.shape, self.columns[:, :, width:])
 
     def is_possible(self, beta: FloatArray) -> bool:
         """Whether the coefficients (≥ p,), its own first, are any that physics allows."""
@@ -97,8 +100,21 @@ def candidates_of(r: Responses) -> list[Candidate]:
     together = [
         Candidate(b.effect, b.shape, np.concatenate([a.columns, b.columns], axis=2), a) for a, b in pairs
     ]
+    together += _series(r, shown)
     unnamed = sum(not candidate.named for candidate in shown)
     return [*shown[: len(shown) - unnamed], *together, *shown[len(shown) - unnamed :]]
+
+
+def _series(r: Responses, shown: Sequence[Candidate]) -> list[Candidate]:
+    """The first terms of the turn's series as one, so many and more: each alone may look like noise."""
+    if np.ptp(r.theta_deg) < LEAST_TURN_DEG:
+        return []
+    joined: list[Candidate] = []
+    for term in (c for c in shown if c.shape.series and not c.shape.scanned):
+        before = joined[-1] if joined else None
+        columns = term.columns if before is None else np.concatenate([before.columns, term.columns], axis=2)
+        joined.append(Candidate(term.effect, term.shape, columns, before))
+    return joined[1:]
 
 
 def rebuilt(candidate: Candidate, r: Responses, form: str | None = None) -> Candidate | None:
