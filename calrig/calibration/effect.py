@@ -32,7 +32,7 @@ ORIGINS: dict[Origin, str] = {
     "environment": "the surroundings",
     "unknown": "not known",
 }
-HIDDEN = ("pose", "part")
+HIDDEN = ("pose", "part", "order")
 """Places that serve the search alone and are in no document."""
 
 
@@ -101,6 +101,8 @@ class Shape:
         says: what is to be said of this form beside the effect's name.
         part_of: the form with all parameters, where this one has some of them.
         alike: names that such poses do not part it from, however much better it fits.
+        at_std: standard errors of the places that were refined.
+        series: what it is one term of, where several terms make one cause: a search counts them once.
     """
 
     shares: Mapping[str, FloatArray]
@@ -114,6 +116,8 @@ class Shape:
     says: str = ""
     part_of: str = ""
     alike: tuple[str, ...] = ()
+    at_std: Parameters = field(default_factory=dict)
+    series: str = ""
 
     @property
     def stated(self) -> frozenset[str]:
@@ -168,7 +172,7 @@ class Applied:
         angle = np.radians(self.theta_deg)
         return np.sin(angle), np.cos(angle)
 
-    def turn_deg(self, error_y: FloatArray | float, error_z: float) -> FloatArray:
+    def turn_deg(self, error_y: FloatArray | float, error_z: FloatArray | float) -> FloatArray:
         """Angle by which errors of a_y and a_z (g) turn the measured vector (0, s + δ, c + ε)."""
         s, c = self.sin_cos()
         across, along = error_y * c - error_z * s, 1.0 + error_y * s + error_z * c
@@ -232,6 +236,10 @@ class Effect:
         scan: the places that the search tries; without it one, of no parameters.
         refine: the shape at the best place near a leading one's, in the poses given (the leading one may be
             of more), by a shape's criterion; None where there is nothing to refine.
+        place: the parameter among the scanned ones that the likelihood refines between them.
+        settled: the places to take for those refined, by their standard errors: a value that is known.
+        look_alikes: places that these poses may not tell from a shape's, the likeliest first.
+        distinct: whether two shapes at different places can both be in one model of these poses.
         reported: a document's parameters from coefficients and their covariance.
         evidence: sentences about a shape in these poses.
         possible: whether coefficients are any that the physics allows.
@@ -253,6 +261,10 @@ class Effect:
     remedy: str
     scan: Callable[[Responses], Iterator[Parameters]] | None = None
     refine: Callable[[Responses, Shape, Callable[[Shape], float]], Shape | None] | None = None
+    place: str = ""
+    settled: Callable[[Parameters, Parameters], Parameters] = lambda at, _std: at
+    look_alikes: Callable[[Responses, Shape], Iterator[Parameters]] = lambda _r, _shape: iter(())
+    distinct: Callable[[Responses, Shape, Shape], bool] = lambda _r, _shape, _other: True
     reported: Callable[[Shape, FloatArray, FloatArray], Documents] = linear
     evidence: Callable[[Responses, Shape], list[str]] = lambda _r, _shape: []
     possible: Callable[[Shape, FloatArray], bool] = lambda _shape, _beta: True
@@ -279,11 +291,11 @@ class Effect:
             yield from self.forms(r, at)
 
     def documented(self, shape: Shape, beta: FloatArray, covariance: FloatArray) -> dict[str, Any]:
-        """A document's `parameters`: what was fitted with its standard error, and what was not without."""
+        """A document's `parameters`: what was fitted or refined with its standard error, the rest without."""
         found: dict[str, Any] = dict(self.reported(shape, beta, covariance))
         for name, value in shape.at.items():
             if name not in HIDDEN:
-                found[name] = {"value": float(value), "std": None}
+                found[name] = {"value": float(value), "std": shape.at_std.get(name)}
         return found
 
 

@@ -19,6 +19,8 @@ from calrig.estimation.angles import FloatArray
 
 DEG = 180.0 / np.pi
 MG = 1e-3
+THE_TURN = "the turn"
+"""The series of a full turn's orders."""
 LEAST_TEMPERATURE_RANGE_C = 0.05
 LEAST_RETURN = 0.25
 """Of the range of temperature: what tells a delay behind it from a curve of it."""

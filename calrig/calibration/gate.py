@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from calrig.calibration.candidates import Candidate
 from calrig.calibration.effects import UNNAMED
+from calrig.calibration.model import side_by_side
 from calrig.calibration.noise_model import Fit, NoiseModel, fits, noise_of
 from calrig.calibration.responses import Responses
 from calrig.calibration.screen import Float32Array, Screen
@@ -148,7 +149,7 @@ class _Trial:
         fitted = fits(self._r, many, self._columns(candidates.ravel()), start)
         criterion = np.array(
             [
-                criterion if self._is_possible(k, beta) else np.inf
+                criterion if self._is_possible(int(k), beta) else np.inf
                 for k, beta, criterion in zip(candidates.flat, fitted.beta, fitted.criterion, strict=True)
             ]
         ).reshape(leading.shape)
@@ -175,12 +176,8 @@ class _Trial:
     def _columns(self, chosen: Intp) -> FloatArray:
         """(m, n, J, p) of the model with each of the chosen candidates; narrower ones end in zeros."""
         kinds, of_kind = np.unique(chosen, return_inverse=True)
-        each = [self._columns_with([self._candidates[k]]) for k in kinds]
-        width = max(columns.shape[2] for columns in each)
-        padded = np.zeros((len(each), *self._model.shape[:2], width))
-        for k, columns in enumerate(each):
-            padded[k, :, :, : columns.shape[2]] = columns
-        return np.asarray(padded[of_kind.ravel()], dtype=np.float64)
+        each = side_by_side([self._columns_with([self._candidates[k]]) for k in kinds])
+        return np.asarray(each[of_kind.ravel()], dtype=np.float64)
 
 
 def _resampled(

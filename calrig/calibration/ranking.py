@@ -9,8 +9,9 @@ import numpy as np
 
 from calrig.calibration.candidates import Candidate, candidate_of
 from calrig.calibration.effect import Shape
-from calrig.calibration.model import model_columns
-from calrig.calibration.noise_model import fit
+from calrig.calibration.model import model_columns, own_columns, side_by_side
+from calrig.calibration.noise_model import fit, fits
+from calrig.calibration.places import refined
 from calrig.calibration.responses import Responses
 from calrig.calibration.screen import Float32Array, Screen
 from calrig.estimation.angles import FloatArray
@@ -23,6 +24,8 @@ must pass the gate beside the first: on trial by this margin alone it was wrong 
 """
 LEADING_NAMES = 4
 SHORTLIST = 16
+FARTHEST = 1e9
+"""Of the criterion, where what physics rules out ranks."""
 SAME = 1e-3
 """Of −2 log likelihood: the screen's single precision decides no more, and the first of equals is taken."""
 
@@ -59,15 +62,23 @@ def named(
     offered: Sequence[Candidate],
     ratios: Float32Array,
     p_value: float,
+    incumbent: Candidate | None = None,
 ) -> Found:
-    """The best of the offered candidates by its full likelihood, and those that come too close to it."""
+    """The best of the offered candidates by its full likelihood, and those that come too close to it.
+
+    Of equals, a term of a series stays where it is already in the model: it came with the others.
+    """
     ranked = _ranked(r, accepted, offered, ratios)
     best = ranked[0][0]
     near = [c for criterion, c in ranked if criterion - best < MARGIN]
     named = [c for c in near if c.named]
     # A catalogue effect that explains as well outranks the flexible shapes that contain it.
-    claimed = (named or near)[0]
+    staying = [c for c in named if incumbent is not None and _is_same_term(c, incumbent)]
+    claimed = (staying or named or near)[0]
     rivals = _rivals(ranked, claimed) if claimed.named else ()
+    if claimed.effect.place and claimed.beside is None:
+        claimed, *others = _alike(r, accepted, claimed)
+        rivals = (*others, *rivals)
     own = min(criterion for criterion, c in ranked if c.label == claimed.label)
     rest = [criterion for criterion, c in ranked if c.label != claimed.label and c.named]
     lead = min(rest) - own if rest else np.inf
@@ -75,6 +86,14 @@ def named(
     for criterion, c in ranked:
         considered.setdefault(c.label, round(max(criterion - best, 0.0), 2))
     return Found(claimed, rivals, p_value, float(lead), tuple(considered.items()))
+
+
+def _is_same_term(candidate: Candidate, other: Candidate) -> bool:
+    return (
+        candidate.shape.series != ""
+        and candidate.label == other.label
+        and candidate.shape.at == other.shape.at
+    )
 
 
 def _rivals(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> tuple[Candidate, ...]:
@@ -90,6 +109,28 @@ def _rivals(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> tu
     if not leader.named:
         others[leader.label] = leader
     return tuple(others.values())
+
+
+def _alike(r: Responses, accepted: Sequence[Candidate], claimed: Candidate) -> list[Candidate]:
+    """The claimed one at its best place, and the same at places that these poses cannot tell from it.
+
+    The largest of equals comes first: a long period before those that only the spacing makes of it.
+    """
+    effect = claimed.effect
+    best, own = refined(r, accepted, claimed)
+    found = [(best.criterion, own)]
+    for at in effect.look_alikes(r, own.shape):
+        for shape in effect.forms(r, at):
+            fitted, other = refined(r, accepted, candidate_of(r, effect, shape))
+            others = [*accepted, *(c for _, c in found)]
+            apart = all(
+                effect.distinct(r, other.shape, c.shape) for c in others if c.effect.place == effect.place
+            )
+            if apart and other.is_possible(fitted.beta[-other.columns.shape[2] :]):
+                found.append((fitted.criterion, other))
+    least = min(criterion for criterion, _ in found)
+    near = [c for criterion, c in found if criterion - least < MARGIN]
+    return sorted(near, key=lambda c: -c.shape.at[effect.place])
 
 
 def pair(
@@ -144,12 +185,17 @@ def _ranked(
         if key not in best or ratios[index] > ratios[best[key]] + SAME:
             best[key] = index
     order = sorted(best.values(), key=lambda i: bic_penalty * offered[i].parameters - float(ratios[i]))
-    ranked: list[tuple[float, Candidate]] = []
-    for index in order[:SHORTLIST]:
-        criterion, candidate = _refined(r, accepted, offered[index], len(ranked) == 0)
-        ranked.append((criterion + bic_penalty * candidate.parameters, candidate))
+    shortlist = [offered[index] for index in order[:SHORTLIST]]
+    shortlist = [_refined(r, accepted, c, leads=k == 0) for k, c in enumerate(shortlist)]
+    columns = side_by_side([model_columns(r, [*accepted, candidate]) for candidate in shortlist])
+    fitted = fits(r, np.repeat(r.values[None], len(shortlist), axis=0), columns)
+    ranked = []
+    for c, beta, criterion in zip(shortlist, fitted.beta, fitted.criterion, strict=True):
+        own = own_columns(model_columns(r, [*accepted, c]), [*accepted, c])[-1]
+        penalised = float(criterion) + bic_penalty * c.parameters
+        ranked.append((penalised if c.is_possible(beta[own]) else np.inf, c))
     place = {candidate.label: k for k, candidate in reversed(list(enumerate(offered)))}
-    return sorted(ranked, key=lambda pair: (round(pair[0] / SAME), place[pair[1].label]))
+    return sorted(ranked, key=lambda pair: (round(min(pair[0], FARTHEST) / SAME), place[pair[1].label]))
 
 
 def _first_best(values: FloatArray) -> int:
@@ -157,18 +203,14 @@ def _first_best(values: FloatArray) -> int:
     return int(np.flatnonzero(values >= values.max() - SAME)[0])
 
 
-def _refined(
-    r: Responses, accepted: Sequence[Candidate], candidate: Candidate, leads: bool
-) -> tuple[float, Candidate]:
-    """The criterion of a candidate; of a leading one, at the best place between those scanned."""
+def _refined(r: Responses, accepted: Sequence[Candidate], candidate: Candidate, *, leads: bool) -> Candidate:
+    """A leading candidate at the best place between those scanned."""
 
     def criterion(shape: Shape) -> float:
         return fit(r, model_columns(r, [*accepted, candidate_of(r, candidate.effect, shape)])).criterion
 
+    if candidate.effect.place and candidate.beside is None and not candidate.shape.series:
+        return refined(r, accepted, candidate)[1]
     refine = candidate.effect.refine if leads and candidate.beside is None else None
     finer = refine and refine(r, candidate.shape, criterion)
-    if finer is not None:
-        candidate = candidate_of(r, candidate.effect, finer)
-    fitted = fit(r, model_columns(r, [*accepted, candidate]))
-    own = fitted.beta[-candidate.columns.shape[2] :]
-    return fitted.criterion if candidate.is_possible(own) else np.inf, candidate
+    return candidate if finer is None else candidate_of(r, candidate.effect, finer)

@@ -56,7 +56,7 @@ def _document(r: Responses, found: Found, candidate: Candidate, fitted: Fit, at:
         "covariate": candidate.covariate,
         "parameters": effect.documented(candidate.shape, beta, covariance),
         "p_value": found.p_value,
-        "confusable_with": [rival.name for rival in found.rivals],
+        "confusable_with": list(dict.fromkeys(rival.name for rival in found.rivals)),
         "evidence": _evidence(r, found, candidate),
         "remedy": effect.remedy,
         "considered": [
@@ -80,6 +80,18 @@ def _why(found: Found, label: str, behind: float) -> str:
     return f"explains these poses worse: odds about 1 : {math.exp(behind / 2.0):,.0f}"
 
 
+def _same_elsewhere(found: Found, candidate: Candidate) -> list[str]:
+    """The same effect at other places that these poses cannot tell from its own."""
+    place = candidate.effect.place
+    values = [rival.shape.at[place] for rival in found.rivals if rival.name == candidate.name]
+    if not values:
+        return []
+    parameter = next(p for p in candidate.effect.parameters if p.name == place)
+    listed = ", ".join(f"{value:.4g}{parameter.unit}" for value in values)
+    own = f"{candidate.shape.at[place]:.4g}{parameter.unit}"
+    return [f"{parameter.title.lower()}: these poses cannot tell {own} from {listed}; space them unevenly"]
+
+
 def _evidence(r: Responses, found: Found, candidate: Candidate) -> list[str]:
     said = [f"family-wise p-value {found.p_value:.3g}: the chance of so strong an effect in noise alone"]
     witnesses = [
@@ -89,9 +101,10 @@ def _evidence(r: Responses, found: Found, candidate: Candidate) -> list[str]:
         said.append(f"seen by {', '.join(witnesses)} as well as by the reading, as it must be")
     if candidate.shape.says:
         said.append(candidate.shape.says)
+    said += _same_elsewhere(found, candidate)
     if candidate.named and math.isfinite(found.lead):
         if found.rivals:
-            names = ", ".join(rival.name for rival in found.rivals)
+            names = ", ".join(dict.fromkeys(rival.name for rival in found.rivals))
             said.append(f"indistinguishable from {names} by these poses: {found.candidate.effect.apart}")
         else:
             said.append(

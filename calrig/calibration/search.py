@@ -14,13 +14,16 @@ from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import Fit, fit
 from calrig.calibration.outliers import most_outliers, outlier
 from calrig.calibration.ranking import Found, named, pair
-from calrig.calibration.responses import Responses
+from calrig.calibration.responses import READING, Responses
 from calrig.calibration.screen import Screen
+from calrig.calibration.series import needed, on_their_places
 from calrig.estimation.angles import FloatArray
 
 LEVEL = 0.01
 """The nominal rate at which a search of noise alone says something."""
-MOST_EFFECTS = 5
+MOST_EFFECTS, MOST_TERMS = 5, 16
+"""A series, such as the orders of a turn, is one effect of several terms."""
+FREEDOM = 3
 LEAST_SHARE = 0.05
 """An effect whose part of the reading is smaller than this share of its noise is not worth a correction."""
 
@@ -69,7 +72,7 @@ def search(
         def columns_with(more: Sequence[Candidate]) -> FloatArray:
             return model_columns(r, [*accepted, *more])
 
-        offered = _offered(candidates, accepted, too_small)
+        offered = _offered(r, candidates, accepted, too_small)
         return gate(r, columns_with, fitted, offered, rng, bootstraps, level)
 
     while True:
@@ -83,14 +86,17 @@ def search(
             kept, r, candidates = kept[others], r.rows(others), [c.rows(others) for c in candidates]
             found = [replace(f, candidate=f.candidate.rows(others)) for f in found]
             continue
-        if verdict.p_value > level or len(found) >= MOST_EFFECTS:
+        if verdict.p_value > level or _is_full(accepted):
             least = 1.0 / (bootstraps + 1)
             return Findings(r, kept, tuple(found), fitted, columns, verdict.p_value, least)
         step = named(r, accepted, verdict.candidates, verdict.ratios, verdict.p_value)
         if _share_of_reading(r, accepted, step.candidate) < LEAST_SHARE:
             too_small.add(step.candidate.label)
             continue
-        steps = [replace(step, candidate=member) for member in step.candidate.members]
+        members: Sequence[Candidate] = step.candidate.members
+        if step.candidate.shape.series:
+            members = needed(r, accepted, members)
+        steps = [replace(step, candidate=member) for member in members]
         two = None
         if len(steps) == 1:
             two = pair(r, accepted, verdict.candidates, verdict.ratios, step)
@@ -100,20 +106,36 @@ def search(
             if p_value <= level:
                 beside = replace(step, candidate=second, rivals=(), p_value=p_value)
                 steps = [replace(step, candidate=first, rivals=()), beside]
-        found = _reconsidered(r, candidates, [*found, *steps])
+        found = on_their_places(r, candidates, _reconsidered(r, candidates, [*found, *steps]))
+
+
+def _is_full(accepted: Sequence[Candidate]) -> bool:
+    """Whether the model has as many effects as a run is searched for."""
+    series = {c.shape.series for c in accepted if c.shape.series}
+    alone = sum(not c.shape.series for c in accepted)
+    return len(series) + alone >= MOST_EFFECTS or len(accepted) >= MOST_TERMS
 
 
 def _offered(
-    candidates: Sequence[Candidate], accepted: Sequence[Candidate], too_small: set[str]
+    r: Responses, candidates: Sequence[Candidate], accepted: Sequence[Candidate], too_small: set[str]
 ) -> list[Candidate]:
-    """The candidates that may enter now: not those that have, nor those that follow on what has not."""
+    """The candidates that may enter now: not those that have, nor those that follow on what has not.
+
+    Nor those that leave the reading hardly a degree of freedom to judge them by.
+    """
+    taken = len({name for name in r.base_names if name.startswith(READING)})
+    room = len(r) - taken - sum(c.columns.shape[2] for c in accepted) - FREEDOM
     present = {c.name for c in accepted}
     once = {c.label for c in accepted if c.named and (not c.shape.at or c.shape.place_cost == 1)}
 
     def may_enter(c: Candidate) -> bool:
+        if c.columns.shape[2] > room:
+            return False
         if c.beside is not None:
             return present.isdisjoint(member.name for member in c.members)
-        return c.label not in once and (c.effect.follows is None or c.effect.follows in present)
+        if c.label in once or not (c.effect.follows is None or c.effect.follows in present):
+            return False
+        return all(c.effect.distinct(r, c.shape, other.shape) for other in accepted)
 
     return [c for c in candidates if c.label not in too_small and may_enter(c)]
 
@@ -124,11 +146,13 @@ def _reconsidered(r: Responses, candidates: Sequence[Candidate], found: list[Fou
         return found
     for one in list(found):
         others = [f.candidate for f in found if f is not one]
-        offered = _offered(candidates, others, set())
+        offered = _offered(r, candidates, others, set())
+        if one.candidate.shape.series:  # a curve takes a little from every term: the terms come first
+            offered = [c for c in offered if c.named]
         columns = model_columns(r, others)
         fitted = fit(r, columns)
         ratios = Screen(r, columns, offered, fitted.noise).ratios(fitted.residuals[None])[0]
-        again = named(r, others, offered, ratios, one.p_value)
+        again = named(r, others, offered, ratios, one.p_value, one.candidate)
         place = next(k for k, f in enumerate(found) if f is one)
         found[place : place + 1] = [replace(again, candidate=member) for member in again.candidate.members]
     return found
