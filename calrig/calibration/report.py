@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,9 +13,11 @@ from calrig.calibration.candidates import Candidate, rebuilt
 from calrig.calibration.effects import UNNAMED
 from calrig.calibration.model import model_columns, own_columns
 from calrig.calibration.noise_model import Fit, fit
+from calrig.calibration.places import slope
 from calrig.calibration.ranking import MARGIN, Found
 from calrig.calibration.responses import CHANNELS, Responses
 from calrig.calibration.search import Findings
+from calrig.estimation.angles import FloatArray
 
 FAR_WORSE = 40.0
 """So far behind in −2 log likelihood that odds would suggest more precision than there is."""
@@ -25,10 +29,25 @@ def effect_documents(r: Responses, findings: Findings) -> list[dict[str, Any]]:
     columns = model_columns(r, whole)
     fitted = fit(r, columns)
     own = own_columns(columns, whole)
+    fitted = replace(fitted, covariance=_covariance(r, columns, fitted, whole, own))
     return [
         {**_document(r, one, candidate, fitted, at), "least_p_value": findings.least_p_value}
         for one, candidate, at in zip(findings.found, whole, own, strict=True)
     ]
+
+
+def _covariance(
+    r: Responses, columns: FloatArray, fitted: Fit, whole: Sequence[Candidate], own: Sequence[slice]
+) -> FloatArray:
+    """That of the coefficients, with what the places add that were refined and may lie a little elsewhere."""
+    slopes = [
+        slope(r, candidate, fitted.beta[at])
+        for candidate, at in zip(whole, own, strict=True)
+        if candidate.effect.place in candidate.shape.at_std
+    ]
+    if not slopes:
+        return fitted.covariance
+    return fit(r, np.concatenate([columns, *slopes], axis=2)).covariance
 
 
 def model_words(findings: Findings) -> str:
