@@ -32,7 +32,7 @@ ORIGINS: dict[Origin, str] = {
     "environment": "the surroundings",
     "unknown": "not known",
 }
-HIDDEN = ("pose", "part")
+HIDDEN = ("pose", "part", "lag_s")
 """Places that serve the search alone and are in no document."""
 
 

@@ -147,7 +147,7 @@ def _ranked(
         criterion, candidate = _refined(r, accepted, offered[index], len(ranked) == 0)
         ranked.append((criterion + bic_penalty * candidate.parameters, candidate))
     place = {candidate.label: k for k, candidate in reversed(list(enumerate(offered)))}
-    return sorted(ranked, key=lambda pair: (round(pair[0] / SAME), place[pair[1].label]))
+    return sorted(ranked, key=lambda pair: (np.round(pair[0] / SAME), place[pair[1].label]))
 
 
 def _first_best(values: FloatArray) -> int:

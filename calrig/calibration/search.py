@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.candidates import Candidate
+from calrig.calibration.effect import HIDDEN
 from calrig.calibration.gate import Verdict, gate
 from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import Fit, fit
@@ -108,7 +109,7 @@ def _offered(
 ) -> list[Candidate]:
     """The candidates that may enter now: not those that have, nor those that follow on what has not."""
     present = {c.name for c in accepted}
-    once = {c.label for c in accepted if c.named and not c.shape.at}
+    once = {c.label for c in accepted if c.named and c.shape.at.keys() <= set(HIDDEN)}
 
     def may_enter(c: Candidate) -> bool:
         if c.beside is not None:
