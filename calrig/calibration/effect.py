@@ -32,7 +32,7 @@ ORIGINS: dict[Origin, str] = {
     "environment": "the surroundings",
     "unknown": "not known",
 }
-HIDDEN = ("pose", "part", "lag_s")
+HIDDEN = ("pose", "part", "over_s")
 """Places that serve the search alone and are in no document."""
 
 
@@ -98,6 +98,7 @@ class Shape:
         replaces: a base column that the effect's own column takes the place of.
         says: what is to be said of this form beside the effect's name.
         part_of: the form with all parameters, where this one has some of them.
+        beside: covariates that effects in the model must follow before it is offered.
     """
 
     shares: Mapping[str, FloatArray]
@@ -109,6 +110,7 @@ class Shape:
     replaces: str | None = None
     says: str = ""
     part_of: str = ""
+    beside: tuple[str, ...] = ()
 
     @property
     def stated(self) -> frozenset[str]:

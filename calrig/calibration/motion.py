@@ -36,6 +36,15 @@ def has_history(poses: Sequence[Pose]) -> bool:
     return any(_tells(pose, HISTORY) for pose in poses)
 
 
+def is_sorted(poses: Sequence[Pose]) -> bool:
+    """Whether the order of the rows is that of their elevations, and nothing says that it is a history too.
+
+    Readings that differ from row to row by little then are an error of the angle, not noise that wanders.
+    """
+    steps = _steps_deg(poses)[1:]
+    return not has_history(poses) and bool((steps >= 0.0).all() or (steps <= 0.0).all()) and bool(steps.any())
+
+
 def moves_deg(poses: Sequence[Pose]) -> FloatArray:
     """(n,) move into each pose of a run, degrees; NaN where there is none that is known.
 

@@ -18,6 +18,7 @@ from calrig.calibration.motion import (
     Motion,
     approach_of,
     has_history,
+    is_sorted,
     joined,
     motion_of,
     moves_deg,
@@ -51,8 +52,8 @@ NO_HISTORY = (
     "no column (time_s, pass, approach) tells when the poses were taken: the order of the rows was not taken "
     "for a history, so nothing was looked for that moves or time would do"
 )
-"""Noise may be correlated from row to row all the same: a gate that denied it would raise false alarms in a
-table that was measured in its order, and allowing for it names nothing."""
+"""Noise may be correlated from row to row all the same, unless the rows are sorted: a gate that denied it
+would raise false alarms in a table that was measured in its order, and allowing for it names nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +63,7 @@ class Responses:
     Attributes:
         theta_deg: (n,) elevation that each pose stands for.
         move_deg: (n,) θ less that of the pose before; 0 where it is not known.
-        starts: (n,) whether a pose is the first of its run: it follows on nothing.
+        starts: (n,) whether a pose follows on nothing: the first of its run, or any in a table by angle.
         approach, time_s, temperature_c: (n,) or None where not known of every pose.
         motion: of the stage while the readings were taken; None where not known of every pose.
         covariates: (n,) each: columns that calrig has no physics for.
@@ -152,7 +153,7 @@ def responses_of(runs: Sequence[Sequence[Pose]]) -> Responses:
             f"{len(poses)} poses are too few to tell an effect from noise: at least {FEWEST_POSES} are needed"
         )
     run_index = np.repeat(np.arange(len(kept)), [len(run) for run in kept])
-    starts = np.diff(run_index, prepend=-1) > 0
+    starts = (np.diff(run_index, prepend=-1) > 0) | np.concatenate([_alone(run) for run in kept])
     theta = np.array([pose.theta_deg for pose in poses])
     reading = np.array([pose.reading_deg for pose in poses])
     refuse_what_is_no_elevation(theta, reading)
@@ -187,6 +188,11 @@ def responses_of(runs: Sequence[Sequence[Pose]]) -> Responses:
         rounding=len(poses) * float(np.finfo(np.float64).eps) * np.array(table.sizes),
         warnings=(*warnings, *said),
     )
+
+
+def _alone(run: Sequence[Pose]) -> BoolArray:
+    """(n,) whether no pose of a run follows on the one before."""
+    return np.full(len(run), is_sorted(run))
 
 
 class _Channels:
@@ -263,7 +269,8 @@ def _add_witnesses(
             table.add(NORM, norm, size_g, bias_each_run=True, scaled=False)
     felt = np.array([np.nan if p.gyro_move_deg is None else p.gyro_move_deg for p in poses])
     moves = np.isfinite(felt) & ~starts
-    if table.turns and moves.sum() >= 0.8 * (~starts).sum() and _left_by_line(move[moves], felt[moves]):
+    enough = moves.any() and moves.sum() >= 0.8 * (~starts).sum()
+    if table.turns and enough and _left_by_line(move[moves], felt[moves]):
         table.add_moves(felt)
     if all(pose.stage_deg is not None for pose in poses):
         off = theta - np.array([pose.target_deg for pose in poses])

@@ -109,11 +109,14 @@ def _offered(
 ) -> list[Candidate]:
     """The candidates that may enter now: not those that have, nor those that follow on what has not."""
     present = {c.name for c in accepted}
+    followed = {c.covariate for c in accepted}
     once = {c.label for c in accepted if c.named and c.shape.at.keys() <= set(HIDDEN)}
 
     def may_enter(c: Candidate) -> bool:
         if c.beside is not None:
             return present.isdisjoint(member.name for member in c.members)
+        if not followed.issuperset(c.shape.beside):
+            return False
         return c.label not in once and (c.effect.follows is None or c.effect.follows in present)
 
     return [c for c in candidates if c.label not in too_small and may_enter(c)]

@@ -41,7 +41,7 @@ def _scan(r: Responses) -> Iterator[Parameters]:
     beside = np.column_stack([np.ones(len(r)), r.theta_deg, r.motion.velocity_dps])
     delay_s = -float(np.linalg.lstsq(beside, r.values[:, 0], rcond=None)[0][2])
     for factor in AS_SCANNED:
-        yield {"lag_s": float(delay_s * factor)}
+        yield {"over_s": float(delay_s * factor)}
 
 
 def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
@@ -50,8 +50,8 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
         return
     here: Parameters = {}
     if r.motion is not None and _turns_abruptly(r):
-        lag_s = at.get("lag_s", at.get("delay_s", 0.0))
-        velocity, here = r.motion.mean_dps(lag_s), {"lag_s": lag_s}
+        lag_s = at.get("over_s", at.get("delay_s", 0.0))
+        velocity, here = r.motion.mean_dps(lag_s), {"over_s": lag_s}
     yield Shape(tilted(-velocity), ("delay_s",), form="all", at=here)
     if ANGLE in r.channels:
         yield Shape({READING: -velocity}, ("delay_s",), form="filter", at=here)
@@ -61,14 +61,14 @@ def _refine(r: Responses, shape: Shape, criterion: Callable[[Shape], float]) -> 
     if not shape.at:
         return None
     for factors in FINER:
-        lags_s = shape.at["lag_s"] * factors
-        shapes = [s for lag_s in lags_s for s in _forms(r, {"lag_s": float(lag_s)}) if s.form == shape.form]
+        lags_s = shape.at["over_s"] * factors
+        shapes = [s for lag_s in lags_s for s in _forms(r, {"over_s": float(lag_s)}) if s.form == shape.form]
         shape = min([shape, *shapes], key=criterion)
     return shape
 
 
 def _possible(shape: Shape, beta: FloatArray) -> bool:
-    lag_s = shape.at.get("lag_s")
+    lag_s = shape.at.get("over_s")
     return not lag_s or 1.0 / CONSISTENT <= float(beta[0]) / lag_s <= CONSISTENT
 
 
