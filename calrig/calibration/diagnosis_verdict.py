@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from calrig.calibration.effects import EFFECTS, UNNAMED
+from calrig.calibration.effects import EFFECTS, UNNAMED, covariate_of
 
 Document = Mapping[str, Any]
 
@@ -71,9 +71,7 @@ def _of(effects: Sequence[Document], verdict: str) -> list[Document]:
 def _title(effect: Document) -> str:
     """Of the catalogue, as it stands inside a sentence."""
     if effect["name"] == UNNAMED:
-        followed = (e.covariate for e in EFFECTS.values() if e.covariate.name == effect["covariate"])
-        covariate = next(followed, None)
-        return f"something that follows {covariate.title if covariate else effect['covariate']}"
+        return f"something that follows {covariate_of(effect['covariate']).title}"
     title = EFFECTS[effect["name"]].title
     return title[0].lower() + title[1:]
 

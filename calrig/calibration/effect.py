@@ -32,7 +32,7 @@ ORIGINS: dict[Origin, str] = {
     "environment": "the surroundings",
     "unknown": "not known",
 }
-HIDDEN = ("pose", "part", "order")
+HIDDEN = ("pose", "part", "order", "over_s")
 """Places that serve the search alone and are in no document."""
 
 
@@ -103,6 +103,7 @@ class Shape:
         alike: names that such poses do not part it from, however much better it fits.
         at_std: standard errors of the places that were refined.
         series: what it is one term of, where several terms make one cause: a search counts them once.
+        beside: covariates that effects in the model must follow before it is offered.
     """
 
     shares: Mapping[str, FloatArray]
@@ -118,6 +119,7 @@ class Shape:
     alike: tuple[str, ...] = ()
     at_std: Parameters = field(default_factory=dict)
     series: str = ""
+    beside: tuple[str, ...] = ()
 
     @property
     def stated(self) -> frozenset[str]:

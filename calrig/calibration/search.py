@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.candidates import Candidate
+from calrig.calibration.effect import HIDDEN
 from calrig.calibration.gate import Verdict, gate
 from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import Fit, fit
@@ -126,18 +127,26 @@ def _offered(
     taken = len({name for name in r.base_names if name.startswith(READING)})
     room = len(r) - taken - sum(c.columns.shape[2] for c in accepted) - FREEDOM
     present = {c.name for c in accepted}
-    once = {c.label for c in accepted if c.named and (not c.shape.at or c.shape.place_cost == 1)}
+    followed = {c.covariate for c in accepted}
+    once = {c.label for c in accepted if c.named and _enters_once(c)}
 
     def may_enter(c: Candidate) -> bool:
         if c.columns.shape[2] > room:
             return False
         if c.beside is not None:
             return present.isdisjoint(member.name for member in c.members)
+        if not followed.issuperset(c.shape.beside):
+            return False
         if c.label in once or not (c.effect.follows is None or c.effect.follows in present):
             return False
         return all(c.effect.distinct(r, c.shape, other.shape) for other in accepted)
 
     return [c for c in candidates if c.label not in too_small and may_enter(c)]
+
+
+def _enters_once(c: Candidate) -> bool:
+    """Whether a second one of it would say the same: it has no place, or one that its likelihood is smooth in."""
+    return c.shape.at.keys() <= set(HIDDEN) or c.shape.place_cost == 1
 
 
 def _reconsidered(r: Responses, candidates: Sequence[Candidate], found: list[Found]) -> list[Found]:
