@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.effect import Applied, ApplyError, Circumstances, Parameters
+from calrig.calibration.effect import Applied, ApplyError, Circumstances, Effect, Parameters
 from calrig.calibration.effects import effect_of
 from calrig.calibration.fit import MIN_SCALE, Line, fit_line
-from calrig.calibration.sensor_vector import turned_vector
+from calrig.calibration.sensor_vector import TURNS_THE_SENSOR, turned_vector
 from calrig.estimation.angles import FloatArray, wrap_deg
 
 ITERATIONS = 60
@@ -58,15 +58,22 @@ def effects_on_reading_deg(
     """
     felt_deg = theta_deg if felt_deg is None else felt_deg
     total = np.zeros(len(theta_deg))
-    error_y, error_z = np.zeros(len(theta_deg)), np.zeros(len(theta_deg))
+    on_axes: list[tuple[Effect, Parameters]] = []
     for name, parameters in effects:
         effect = effect_of(name)
-        applied = Applied(name, parameters, theta_deg, given or Circumstances(), felt_deg)
         if effect.on_reading_deg is not None:
-            total = total + effect.on_reading_deg(applied)
+            added = effect.on_reading_deg(Applied(name, parameters, theta_deg, given or Circumstances()))
+            total = total + added
+            if effect.origin in TURNS_THE_SENSOR:
+                felt_deg = felt_deg + added
         if effect.on_vector_g is not None:
-            more_y, more_z = effect.on_vector_g(applied)
-            error_y, error_z = error_y + more_y, error_z + more_z
+            on_axes.append((effect, parameters))
+    error_y, error_z = np.zeros(len(theta_deg)), np.zeros(len(theta_deg))
+    for effect, parameters in on_axes:
+        assert effect.on_vector_g is not None  # noqa: S101 (so they were chosen)
+        applied = Applied(effect.name, parameters, theta_deg, given or Circumstances(), felt_deg)
+        more_y, more_z = effect.on_vector_g(applied)
+        error_y, error_z = error_y + more_y, error_z + more_z
     return np.asarray(total + turned_vector(felt_deg, (error_y, error_z))[0], dtype=np.float64)
 
 

@@ -9,10 +9,9 @@ import numpy as np
 
 from calrig.calibration.candidates import Candidate, candidate_of
 from calrig.calibration.effect import Shape
-from calrig.calibration.model import model_columns
-from calrig.calibration.noise_model import fit
 from calrig.calibration.responses import Responses
 from calrig.calibration.screen import Float32Array, Screen
+from calrig.calibration.sensor_model import fitted_model
 from calrig.estimation.angles import FloatArray
 
 MARGIN = 6.0
@@ -105,7 +104,7 @@ def pair(
     bic_penalty = float(np.log(len(r)))
 
     def criterion(*added: Candidate) -> float:
-        fitted = fit(r, model_columns(r, [*accepted, *added]))
+        fitted = fitted_model(r, [*accepted, *added]).fitted
         return fitted.criterion + bic_penalty * sum(c.parameters for c in added)
 
     named = [i for i, c in enumerate(offered) if c.named and c.effect.follows is None]
@@ -115,12 +114,12 @@ def pair(
     to_beat = criterion(step.candidate) - dict(step.considered)[step.candidate.label] - PAIR_MARGIN
     best: tuple[Candidate, Candidate] | None = None
     for first in list(firsts.values())[:LEADING_NAMES]:
-        columns = model_columns(r, [*accepted, first])
+        model = fitted_model(r, [*accepted, first])
         rest = [offered[i] for i in named if offered[i].label != first.label]
         if not rest:
             continue
-        fitted = fit(r, columns)
-        more = Screen(r, columns, rest, fitted.noise).ratios(fitted.residuals[None])[0]
+        screen = Screen(r, model.columns, rest, model.fitted.noise)
+        more = screen.ratios(model.fitted.residuals[None])[0]
         second = rest[_first_best(more - bic_penalty * np.array([c.parameters for c in rest]))]
         together = criterion(first, second)
         if together < to_beat:
@@ -161,12 +160,12 @@ def _refined(
     """The criterion of a candidate; of a leading one, at the best place between those scanned."""
 
     def criterion(shape: Shape) -> float:
-        return fit(r, model_columns(r, [*accepted, candidate_of(r, candidate.effect, shape)])).criterion
+        return fitted_model(r, [*accepted, candidate_of(r, candidate.effect, shape)]).fitted.criterion
 
     refine = candidate.effect.refine if leads and candidate.beside is None else None
     finer = refine and refine(r, candidate.shape, criterion)
     if finer is not None:
         candidate = candidate_of(r, candidate.effect, finer)
-    fitted = fit(r, model_columns(r, [*accepted, candidate]))
+    fitted = fitted_model(r, [*accepted, candidate]).fitted
     own = fitted.beta[-candidate.columns.shape[2] :]
     return fitted.criterion if candidate.is_possible(own) else np.inf, candidate

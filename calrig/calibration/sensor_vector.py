@@ -16,6 +16,9 @@ from calrig.estimation.angles import FloatArray
 VectorError = tuple[FloatArray | float, FloatArray | float]
 """What is added to a_y and to a_z, g: (n,) each, or a number for all."""
 
+TURNS_THE_SENSOR = frozenset({"stage", "mounting", "environment"})
+"""Origins of effects that turn the sensor itself: its axes err at the elevation that they leave."""
+
 
 @dataclass(frozen=True, slots=True)
 class VectorInC:
