@@ -125,7 +125,7 @@ def _reconsidered(r: Responses, candidates: Sequence[Candidate], found: list[Fou
         return found
     for place, one in enumerate(found):
         others = [f.candidate for f in found if f is not one]
-        offered = _offered(candidates, others, set())
+        offered = [c for c in _offered(candidates, others, set()) if c.beside is None]  # in one's place
         model = fitted_model(r, others)
         screen = Screen(r, model.columns, offered, model.fitted.noise)
         ratios = screen.ratios(model.fitted.residuals[None])[0]
