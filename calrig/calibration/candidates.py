@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -21,12 +21,26 @@ class Candidate:
     Attributes:
         columns: (n, J, p).
         beside: another one whose columns come first, where both are considered as one.
+        label: the name, for an unnamed shape with its covariate: what two forms of one thing share.
+        parameters: how many it adds to a model: coefficients, and two for a place that was scanned. One of n
+            places costs 2·log n in −2 log likelihood, twice a coefficient's log n (Zhang & Siegmund,
+            Biometrics 63, 2007, for change points).
     """
 
     effect: Effect
     shape: Shape
     columns: FloatArray
     beside: Candidate | None = None
+    label: str = field(init=False)
+    parameters: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        shapes = [self.shape, *([] if self.beside is None else [self.beside.shape])]
+        scanned, replaced = sum(s.scanned for s in shapes), sum(s.replaces is not None for s in shapes)
+        own = self.name if self.named else f"{UNNAMED} {self.covariate}"
+        label = own if self.beside is None else f"{self.beside.label} + {own}"
+        object.__setattr__(self, "label", label)
+        object.__setattr__(self, "parameters", int(self.columns.shape[2]) + 2 * scanned - replaced)
 
     @property
     def members(self) -> tuple[Candidate, ...]:
@@ -60,23 +74,6 @@ class Candidate:
     def covariate(self) -> str:
         """What it is a function of."""
         return self.shape.covariate or self.effect.covariate.name
-
-    @property
-    def label(self) -> str:
-        """The name, for an unnamed shape with its covariate: what two forms of one thing share."""
-        own = self.name if self.named else f"{UNNAMED} {self.covariate}"
-        return own if self.beside is None else f"{self.beside.label} + {own}"
-
-    @property
-    def parameters(self) -> int:
-        """How many parameters it adds to a model: coefficients, and two for a place that was scanned.
-
-        One of n places costs 2·log n in −2 log likelihood, twice a coefficient's log n (Zhang & Siegmund,
-        Biometrics 63, 2007, for change points).
-        """
-        shapes = [one.shape for one in self.members]
-        scanned = sum(shape.scanned for shape in shapes)
-        return int(self.columns.shape[2]) + 2 * scanned - sum(shape.replaces is not None for shape in shapes)
 
     def rows(self, chosen: np.ndarray[tuple[int], np.dtype[np.intp]]) -> Candidate:
         """The same candidate in some of the poses."""

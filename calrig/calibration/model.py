@@ -29,3 +29,12 @@ def own_columns(columns: FloatArray, accepted: Sequence[Candidate]) -> list[slic
         slice(base + int(end) - c.columns.shape[2], base + int(end))
         for c, end in zip(accepted, ends, strict=True)
     ]
+
+
+def side_by_side(models: Sequence[FloatArray]) -> FloatArray:
+    """(m, n, J, p) of models (n, J, ≤ p); narrower ones end in zeros."""
+    width = max(columns.shape[2] for columns in models)
+    padded = np.zeros((len(models), *models[0].shape[:2], width))
+    for k, columns in enumerate(models):
+        padded[k, :, :, : columns.shape[2]] = columns
+    return padded

@@ -29,17 +29,18 @@ def most_outliers(n: int) -> int:
     return max(1, int(MOST_SHARE * n))
 
 
-def outlier(r: Responses, accepted: Sequence[Candidate], to_beat: float = np.inf) -> int | None:
+def outlier(r: Responses, accepted: Sequence[Candidate], gain_to_beat: float = 0.0) -> int | None:
     """The pose that is best explained by having gone wrong alone; None where there is none.
 
     Args:
         r: the responses.
         accepted: the effects in the model.
-        to_beat: penalised criterion of the best effect that could enter instead.
+        gain_to_beat: of the best effect that could enter instead, in −2 log likelihood with penalties.
     """
     columns = model_columns(_with_first_poses(r), accepted)
-    residuals = fit(r, columns).residuals[:, 0]
-    best: tuple[float, int] | None = None
+    fitted = fit(r, columns)
+    residuals = fitted.residuals[:, 0]
+    most, best = gain_to_beat, None
     for k in np.argsort(-np.abs(residuals), kind="stable")[:SUSPECTS]:
         # each channel of the pose lies where it will: as if it had not been taken
         freed = np.zeros((len(r), len(r.channels), len(r.channels)))
@@ -48,11 +49,11 @@ def outlier(r: Responses, accepted: Sequence[Candidate], to_beat: float = np.inf
         others = np.delete(without.residuals[:, 0], k)
         spread_deg = 1.4826 * float(np.median(np.abs(others - np.median(others))))
         distance_deg = abs(float(without.beta[columns.shape[2]]))
-        criterion = without.criterion + float(np.log(len(r))) * (len(r.channels) + 2)
+        gain = fitted.criterion - without.criterion - float(np.log(len(r))) * (len(r.channels) + 2)
         is_wild = distance_deg > WILD * max(spread_deg, float(r.rounding[0]))
-        if is_wild and criterion < min(to_beat, np.inf if best is None else best[0]):
-            best = criterion, int(k)
-    return None if best is None else best[1]
+        if is_wild and gain > most:
+            most, best = gain, int(k)
+    return best
 
 
 def _with_first_poses(r: Responses) -> Responses:

@@ -11,7 +11,7 @@ from calrig.calibration.candidates import Candidate, candidate_of
 from calrig.calibration.effect import Shape
 from calrig.calibration.responses import Responses
 from calrig.calibration.screen import Float32Array, Screen
-from calrig.calibration.sensor_model import fitted_model
+from calrig.calibration.sensor_model import fitted_beside, fitted_model
 from calrig.estimation.angles import FloatArray
 
 MARGIN = 6.0
@@ -141,10 +141,12 @@ def _ranked(
         if key not in best or ratios[index] > ratios[best[key]] + SAME:
             best[key] = index
     order = sorted(best.values(), key=lambda i: bic_penalty * offered[i].parameters - float(ratios[i]))
-    ranked: list[tuple[float, Candidate]] = []
-    for index in order[:SHORTLIST]:
-        criterion, candidate = _refined(r, accepted, offered[index], len(ranked) == 0)
-        ranked.append((criterion + bic_penalty * candidate.parameters, candidate))
+    shortlist = [offered[index] for index in order[:SHORTLIST]]
+    shortlist[0] = _refined(r, accepted, shortlist[0])
+    ranked = []
+    for c, (criterion, own) in zip(shortlist, fitted_beside(r, accepted, shortlist), strict=True):
+        penalised = criterion + bic_penalty * c.parameters
+        ranked.append((penalised if c.is_possible(own) else np.inf, c))
     place = {candidate.label: k for k, candidate in reversed(list(enumerate(offered)))}
     return sorted(ranked, key=lambda pair: (round(pair[0] / SAME), place[pair[1].label]))
 
@@ -154,18 +156,12 @@ def _first_best(values: FloatArray) -> int:
     return int(np.flatnonzero(values >= values.max() - SAME)[0])
 
 
-def _refined(
-    r: Responses, accepted: Sequence[Candidate], candidate: Candidate, leads: bool
-) -> tuple[float, Candidate]:
-    """The criterion of a candidate; of a leading one, at the best place between those scanned."""
+def _refined(r: Responses, accepted: Sequence[Candidate], candidate: Candidate) -> Candidate:
+    """A leading candidate at the best place between those scanned."""
 
     def criterion(shape: Shape) -> float:
         return fitted_model(r, [*accepted, candidate_of(r, candidate.effect, shape)]).fitted.criterion
 
-    refine = candidate.effect.refine if leads and candidate.beside is None else None
+    refine = candidate.effect.refine if candidate.beside is None else None
     finer = refine and refine(r, candidate.shape, criterion)
-    if finer is not None:
-        candidate = candidate_of(r, candidate.effect, finer)
-    fitted = fitted_model(r, [*accepted, candidate]).fitted
-    own = fitted.beta[-candidate.columns.shape[2] :]
-    return fitted.criterion if candidate.is_possible(own) else np.inf, candidate
+    return candidate if finer is None else candidate_of(r, candidate.effect, finer)

@@ -14,7 +14,7 @@ from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import Fit
 from calrig.calibration.outliers import most_outliers, outlier
 from calrig.calibration.ranking import Found, named, pair
-from calrig.calibration.responses import Responses
+from calrig.calibration.responses import READING, Responses
 from calrig.calibration.screen import Screen
 from calrig.calibration.sensor_model import Model, fitted_model
 from calrig.estimation.angles import FloatArray
@@ -22,6 +22,7 @@ from calrig.estimation.angles import FloatArray
 LEVEL = 0.01
 """The nominal rate at which a search of noise alone says something."""
 MOST_EFFECTS = 5
+FREEDOM = 3
 LEAST_SHARE = 0.05
 """An effect whose part of the reading is smaller than this share of its noise is not worth a correction."""
 
@@ -70,15 +71,14 @@ def search(
         def columns_with(more: Sequence[Candidate]) -> FloatArray:
             return model_columns(model.responses, [*model.accepted, *more])
 
-        offered = _offered(candidates, model.accepted, too_small)
+        offered = _offered(model.responses, candidates, model.accepted, too_small)
         return gate(model.responses, columns_with, model.fitted, offered, rng, bootstraps, level)
 
     while True:
         accepted = [f.candidate for f in found]
         model = fitted_model(r, accepted)
         verdict = judged(model)
-        to_beat = model.fitted.criterion - verdict.gain
-        wild = outlier(model.responses, model.accepted, to_beat) if len(kept) > fewest else None
+        wild = outlier(model.responses, model.accepted, verdict.gain) if len(kept) > fewest else None
         if wild is not None:
             others = np.delete(np.arange(len(r)), wild)
             kept, r, candidates = kept[others], r.rows(others), [c.rows(others) for c in candidates]
@@ -105,13 +105,20 @@ def search(
 
 
 def _offered(
-    candidates: Sequence[Candidate], accepted: Sequence[Candidate], too_small: set[str]
+    r: Responses, candidates: Sequence[Candidate], accepted: Sequence[Candidate], too_small: set[str]
 ) -> list[Candidate]:
-    """The candidates that may enter now: not those that have, nor those that follow on what has not."""
+    """The candidates that may enter now: not those that have, nor those that follow on what has not.
+
+    Nor those that leave the reading hardly a degree of freedom to judge them by.
+    """
+    taken = len({name for name in r.base_names if name.startswith(READING)})
+    room = len(r) - taken - sum(c.columns.shape[2] for c in accepted) - FREEDOM
     present = {c.name for c in accepted}
     once = {c.label for c in accepted if c.named and not c.shape.at}
 
     def may_enter(c: Candidate) -> bool:
+        if c.columns.shape[2] > room:
+            return False
         if c.beside is not None:
             return present.isdisjoint(member.name for member in c.members)
         return c.label not in once and (c.effect.follows is None or c.effect.follows in present)
@@ -125,7 +132,7 @@ def _reconsidered(r: Responses, candidates: Sequence[Candidate], found: list[Fou
         return found
     for place, one in enumerate(found):
         others = [f.candidate for f in found if f is not one]
-        offered = [c for c in _offered(candidates, others, set()) if c.beside is None]  # in one's place
+        offered = [c for c in _offered(r, candidates, others, set()) if c.beside is None]
         model = fitted_model(r, others)
         screen = Screen(r, model.columns, offered, model.fitted.noise)
         ratios = screen.ratios(model.fitted.residuals[None])[0]

@@ -15,8 +15,8 @@ import numpy as np
 
 from calrig.calibration.candidates import Candidate
 from calrig.calibration.effect import Applied, Circumstances
-from calrig.calibration.model import model_columns, own_columns, replaced
-from calrig.calibration.noise_model import Fit, fit
+from calrig.calibration.model import model_columns, own_columns, replaced, side_by_side
+from calrig.calibration.noise_model import Fit, fit, fits
 from calrig.calibration.responses import ANGLE, NORM, READING, Responses
 from calrig.calibration.sensor_vector import TURNS_THE_SENSOR, VectorError, turned_vector
 from calrig.estimation.angles import FloatArray
@@ -45,30 +45,48 @@ class Model:
     fitted: Fit
 
 
-def fitted_model(r: Responses, accepted: Sequence[Candidate]) -> Model:
+def fitted_model(r: Responses, accepted: Sequence[Candidate], start: FloatArray | None = None) -> Model:
     """Fits bias, scale and effects, those on the sensor's axes through atan2.
 
     Args:
         r: the responses as measured.
         accepted: the effects, their columns linear about none.
+        start: (p,) coefficients to begin from; without them the linear fit's.
 
     Returns:
         The linear fit where nothing in the model bends by more than the noise shows, or it cannot be bent.
     """
-    linear = step = _fitted(r, tuple(accepted))
     curve = _Curve(r, accepted)
-    if not curve.bends:
-        return linear
-    size = np.hypot(linear.fitted.residuals.std(axis=0), r.rounding)
+    step = _fitted(r, tuple(accepted)) if start is None else _fitted(*curve.straightened(start))
     for _ in range(STEPS):
         beta = step.fitted.beta
-        if not curve.is_possible(beta):
-            return linear
-        if (np.abs(curve.residuals(beta) - step.fitted.residuals) < NEGLIGIBLE * size).all():
+        if curve.is_near(beta, step.fitted.residuals):
             return step
+        if not curve.is_possible(beta):
+            break
         step = _fitted(*curve.straightened(beta))
-        size = np.hypot(step.fitted.residuals.std(axis=0), r.rounding)
-    return linear
+    return _fitted(r, tuple(accepted))
+
+
+def fitted_beside(
+    r: Responses, accepted: Sequence[Candidate], shortlist: Sequence[Candidate]
+) -> list[tuple[float, FloatArray]]:
+    """Criterion and own coefficients of each of several candidates beside the accepted effects.
+
+    All are fitted at once, linear about what is accepted; once more those that bend.
+    """
+    at = fitted_model(r, accepted)
+    columns = side_by_side([model_columns(at.responses, [*at.accepted, c]) for c in shortlist])
+    fitted = fits(r, np.repeat(at.responses.values[None], len(shortlist), axis=0), columns)
+    found = []
+    for k, candidate in enumerate(shortlist):
+        curve = _Curve(r, [*accepted, candidate])
+        beta, criterion = fitted.beta[k, : curve.width], float(fitted.criterion[k])
+        if not curve.is_near(beta, fitted.residuals[k]) and curve.is_possible(beta):
+            bent = fitted_model(r, [*accepted, candidate], beta).fitted
+            beta, criterion = bent.beta, bent.criterion
+        found.append((criterion, beta[curve.own[-1]]))
+    return found
 
 
 def linear_about(
@@ -115,6 +133,7 @@ class _Curve:
         self.bends = bool(self._on_axes)
         self._names = [name for name in r.base_names if name != replaced(accepted)]
         self._felt, self._size = self._placed()
+        self.width = self._straight.shape[2]
         for _, at in self._on_axes:
             self._straight[:, :, at] = 0.0
 
@@ -132,6 +151,13 @@ class _Curve:
         if NORM in self._r.channels:
             size[:, bound] = self._straight[:, self._r.channels.index(NORM), bound]
         return felt, size
+
+    def is_near(self, beta: FloatArray, residuals: FloatArray) -> bool:
+        """Whether residuals (n, J) of a linear fit are what the model leaves, as far as noise can show."""
+        if not self.bends:
+            return True
+        size = np.hypot(residuals.std(axis=0), self._r.rounding)
+        return bool((np.abs(self.residuals(beta) - residuals) < NEGLIGIBLE * size).all())
 
     def is_possible(self, beta: FloatArray) -> bool:
         """Whether what is left of the vector still says where the sensor points."""

@@ -66,7 +66,8 @@ def test_fewer_poses_than_parameters_are_refused(count: int) -> None:
 
 @pytest.mark.parametrize("count", [8, 9, 12])
 def test_few_poses_are_diagnosed_without_inventing_anything(count: int) -> None:
-    assert told(run_of(sweeps()[::4][:count]), cross_fit=True)["verdict"] == "nothing"
+    """In one draw: one in a hundred has something to say by itself."""
+    assert told(run_of(sweeps()[::4][:count], seed=1), cross_fit=True)["verdict"] == "nothing"
 
 
 def test_all_poses_at_one_angle_have_no_scale_and_no_effect_of_angle() -> None:
@@ -215,7 +216,7 @@ def test_an_outlier_does_not_hide_an_effect() -> None:
 
 
 def test_a_covariate_that_is_the_row_number_is_not_accused() -> None:
-    poses = with_column(run_of(sweeps()), "row", np.arange(100.0))
+    poses = with_column(run_of(sweeps(), seed=1), "row", np.arange(100.0))
     drifting = [replace(p, reading_deg=p.reading_deg + 3e-4 * (p.time_s or 0.0)) for p in poses]
     assert told(poses)["verdict"] == "nothing"
     said = told(drifting)

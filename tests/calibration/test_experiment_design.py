@@ -9,10 +9,12 @@ import pytest
 
 from calrig.calibration.candidates import candidates_of
 from calrig.calibration.experiment_design import LEAST_SEPARATION, FollowUp, design
+from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import fit
 from calrig.calibration.pose import Pose
+from calrig.calibration.ranking import Found
 from calrig.calibration.responses import responses_of
-from calrig.calibration.search import Findings, Found, model_columns
+from calrig.calibration.search import Findings
 
 LIMITS_DEG = (-90.0, 90.0)
 PLAY_DEG, NOISE_DEG = 0.06, 0.025
@@ -37,7 +39,8 @@ def designed(measured: list[Pose]) -> FollowUp:
     (play,), (moves,) = ([c for c in candidates_of(r) if c.name == name] for name in ("backlash", "settling"))
     columns = model_columns(r, [play])
     found = Found(play, (moves,), p_value=0.005, lead=1.0)
-    findings = Findings((found,), fit(r, columns), columns, p_value_left=0.5, least_p_value=0.005)
+    kept = np.arange(len(r))
+    findings = Findings(r, kept, (found,), fit(r, columns), columns, p_value_left=0.5, least_p_value=0.005)
     follow_up = design([measured], findings, LIMITS_DEG)
     assert isinstance(follow_up, FollowUp)
     return follow_up

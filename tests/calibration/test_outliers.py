@@ -1,43 +1,59 @@
-"""Wild poses told from what only looks wild in one order of the poses."""
+"""Outliers told from what only looks wild beside its neighbours."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from calrig.calibration.outliers import without_outliers
+from calrig.calibration.candidates import candidates_of
 from calrig.calibration.pose import Pose
+from calrig.calibration.responses import responses_of
+from calrig.calibration.search import Findings, search
 
-N_POSES = 300
-
-
-def bump(x: np.ndarray, at: float, width: float) -> np.ndarray:
-    """An error of 0.6°, twenty times the noise, that nine poses or so have between them."""
-    return 0.6 * np.exp(-0.5 * ((x - at) / width) ** 2)
+N_POSES = 120
 
 
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("belongs_to", ["an angle", "a while"])
-def test_an_error_that_neighbours_share_is_not_wild_whichever_way_they_are_neighbours(
-    belongs_to: str, seed: int
-) -> None:
-    """A flaw of the graduation is alone in time, a gust is alone in elevation; neither pose is wrong."""
-    rng = np.random.default_rng(seed)
-    theta = rng.uniform(-60.0, 60.0, N_POSES)
-    error = bump(theta, 20.0, 1.5) if belongs_to == "an angle" else bump(np.arange(N_POSES), 200.0, 3.75)
-    readings = 0.8 + 1.002 * theta + error + rng.normal(0.0, 0.03, N_POSES)
-    run = [Pose(target_deg=x, reading_deg=y) for x, y in zip(theta.tolist(), readings.tolist(), strict=True)]
-    assert without_outliers([run]) == ([run], [])
+def searched(run: list[Pose]) -> Findings:
+    r = responses_of([run])
+    return search(r, candidates_of(r), np.random.default_rng(1), bootstraps=99)
 
 
-@pytest.mark.parametrize("at", [0, 150, N_POSES - 1])
-def test_a_pose_that_no_neighbour_agrees_with_is_left_out_of_its_run_alone(at: int) -> None:
-    rng = np.random.default_rng(5)
-    theta = rng.uniform(-60.0, 60.0, N_POSES)
-    readings = 0.8 + theta + rng.normal(0.0, 0.03, N_POSES)
-    calm = [Pose(target_deg=x, reading_deg=y) for x, y in zip(theta.tolist(), readings.tolist(), strict=True)]
-    readings[at] += 0.6
-    run = [Pose(target_deg=x, reading_deg=y) for x, y in zip(theta.tolist(), readings.tolist(), strict=True)]
-    kept, (said,) = without_outliers([calm, run])
-    assert kept == [calm, run[:at] + run[at + 1 :]]
-    assert said.startswith(f"pose {at} of run 1 ")
+def run_of(theta: np.ndarray, error: np.ndarray, seed: int) -> list[Pose]:
+    """0.8° of bias, noise of 0.03°, one pose every four seconds."""
+    readings = 0.8 + 1.002 * theta + error + np.random.default_rng(seed).normal(0.0, 0.03, len(theta))
+    return [
+        Pose(target_deg=x, reading_deg=y, time_s=4.0 * k)
+        for k, (x, y) in enumerate(zip(theta.tolist(), readings.tolist(), strict=True))
+    ]
+
+
+def anywhere(seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-60.0, 60.0, N_POSES)
+
+
+@pytest.mark.parametrize("size_deg", [0.3, 0.6, 3.0])
+def test_the_poses_beside_a_slip_stay_however_large_it_is(size_deg: float) -> None:
+    findings = searched(run_of(anywhere(3), np.where(np.arange(N_POSES) < 47, 0.0, size_deg), seed=3))
+    assert len(findings.kept) == N_POSES
+    assert [f.candidate.name for f in findings.found] == ["mount_slip"]
+
+
+def test_the_ends_of_a_curve_stay() -> None:
+    theta = np.linspace(-60.0, 60.0, N_POSES)
+    findings = searched(run_of(theta, 2e-4 * theta**2, seed=4))
+    assert len(findings.kept) == N_POSES
+
+
+@pytest.mark.parametrize("at", [0, 1, 60, N_POSES - 1])
+def test_a_pose_that_went_wrong_alone_is_set_aside(at: int) -> None:
+    wrong = np.where(np.arange(N_POSES) == at, 3.0, 0.0)
+    findings = searched(run_of(anywhere(6), wrong, seed=6))
+    assert set(range(N_POSES)) - set(findings.kept.tolist()) == {at}
+    assert not findings.found
+
+
+def test_a_pose_that_went_wrong_hides_no_effect_and_is_none() -> None:
+    drifting = 0.3 * np.arange(N_POSES) / N_POSES
+    findings = searched(run_of(anywhere(7), np.where(np.arange(N_POSES) == 30, -3.0, drifting), seed=7))
+    assert [f.candidate.name for f in findings.found] == ["time_drift"]
+    assert 30 not in findings.kept
