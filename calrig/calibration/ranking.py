@@ -9,11 +9,10 @@ import numpy as np
 
 from calrig.calibration.candidates import Candidate, candidate_of
 from calrig.calibration.effect import Shape
-from calrig.calibration.model import model_columns, own_columns, side_by_side
-from calrig.calibration.noise_model import fit, fits
 from calrig.calibration.places import refined
 from calrig.calibration.responses import Responses
 from calrig.calibration.screen import Float32Array, Screen
+from calrig.calibration.sensor_model import fitted_beside, fitted_model
 from calrig.estimation.angles import FloatArray
 
 MARGIN = 6.0
@@ -148,7 +147,7 @@ def pair(
     bic_penalty = float(np.log(len(r)))
 
     def criterion(*added: Candidate) -> float:
-        fitted = fit(r, model_columns(r, [*accepted, *added]))
+        fitted = fitted_model(r, [*accepted, *added]).fitted
         return fitted.criterion + bic_penalty * sum(c.parameters for c in added)
 
     named = [i for i, c in enumerate(offered) if c.named and c.effect.follows is None]
@@ -158,12 +157,12 @@ def pair(
     to_beat = criterion(step.candidate) - dict(step.considered)[step.candidate.label] - PAIR_MARGIN
     best: tuple[Candidate, Candidate] | None = None
     for first in list(firsts.values())[:LEADING_NAMES]:
-        columns = model_columns(r, [*accepted, first])
+        model = fitted_model(r, [*accepted, first])
         rest = [offered[i] for i in named if offered[i].label != first.label]
         if not rest:
             continue
-        fitted = fit(r, columns)
-        more = Screen(r, columns, rest, fitted.noise).ratios(fitted.residuals[None])[0]
+        screen = Screen(r, model.columns, rest, model.fitted.noise)
+        more = screen.ratios(model.fitted.residuals[None])[0]
         second = rest[_first_best(more - bic_penalty * np.array([c.parameters for c in rest]))]
         together = criterion(first, second)
         if together < to_beat:
@@ -187,13 +186,10 @@ def _ranked(
     order = sorted(best.values(), key=lambda i: bic_penalty * offered[i].parameters - float(ratios[i]))
     shortlist = [offered[index] for index in order[:SHORTLIST]]
     shortlist = [_refined(r, accepted, c, leads=k == 0) for k, c in enumerate(shortlist)]
-    columns = side_by_side([model_columns(r, [*accepted, candidate]) for candidate in shortlist])
-    fitted = fits(r, np.repeat(r.values[None], len(shortlist), axis=0), columns)
     ranked = []
-    for c, beta, criterion in zip(shortlist, fitted.beta, fitted.criterion, strict=True):
-        own = own_columns(model_columns(r, [*accepted, c]), [*accepted, c])[-1]
-        penalised = float(criterion) + bic_penalty * c.parameters
-        ranked.append((penalised if c.is_possible(beta[own]) else np.inf, c))
+    for c, (criterion, own) in zip(shortlist, fitted_beside(r, accepted, shortlist), strict=True):
+        penalised = criterion + bic_penalty * c.parameters
+        ranked.append((penalised if c.is_possible(own) else np.inf, c))
     place = {candidate.label: k for k, candidate in reversed(list(enumerate(offered)))}
     return sorted(ranked, key=lambda pair: (round(min(pair[0], FARTHEST) / SAME), place[pair[1].label]))
 
@@ -207,7 +203,7 @@ def _refined(r: Responses, accepted: Sequence[Candidate], candidate: Candidate, 
     """A leading candidate at the best place between those scanned."""
 
     def criterion(shape: Shape) -> float:
-        return fit(r, model_columns(r, [*accepted, candidate_of(r, candidate.effect, shape)])).criterion
+        return fitted_model(r, [*accepted, candidate_of(r, candidate.effect, shape)]).fitted.criterion
 
     if candidate.effect.place and candidate.beside is None and not candidate.shape.series:
         return refined(r, accepted, candidate)[1]

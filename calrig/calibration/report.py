@@ -9,11 +9,12 @@ import numpy as np
 
 from calrig.calibration.candidates import Candidate, rebuilt
 from calrig.calibration.effects import UNNAMED
-from calrig.calibration.model import model_columns, own_columns
-from calrig.calibration.noise_model import Fit, fit
+from calrig.calibration.model import own_columns
+from calrig.calibration.noise_model import Fit
 from calrig.calibration.ranking import MARGIN, Found
 from calrig.calibration.responses import CHANNELS, Responses
 from calrig.calibration.search import Findings
+from calrig.calibration.sensor_model import fitted_model
 
 FAR_WORSE = 40.0
 """So far behind in −2 log likelihood that odds would suggest more precision than there is."""
@@ -22,9 +23,8 @@ FAR_WORSE = 40.0
 def effect_documents(r: Responses, findings: Findings) -> list[dict[str, Any]]:
     """Each effect found, with parameters from a fit of all of them together."""
     whole = [_whole_form(r, f.candidate) for f in findings.found]
-    columns = model_columns(r, whole)
-    fitted = fit(r, columns)
-    own = own_columns(columns, whole)
+    model = fitted_model(r, whole)
+    fitted, own = model.fitted, own_columns(model.columns, whole)
     return [
         {**_document(r, one, candidate, fitted, at), "least_p_value": findings.least_p_value}
         for one, candidate, at in zip(findings.found, whole, own, strict=True)

@@ -9,7 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.correction import effects_on_reading_deg, fit_line_with_effects
+from calrig.calibration.correction import (
+    effects_on_reading_deg,
+    felt_elevation_deg,
+    fit_line_with_effects,
+)
 from calrig.calibration.effect import ApplyError, Circumstances
 from calrig.calibration.filter_share import filter_share
 from calrig.calibration.fit import Line, fit_line, residuals_deg, rms
@@ -150,7 +154,8 @@ def apply_calibration(
         ApplyError: the poses lack what an effect is a function of.
     """
     theta, reading = _angles(poses)
-    without = reading - effects_on_reading_deg(effects, theta, circumstances(poses))
+    felt = felt_elevation_deg(theta, line.bias_deg, line.scale)
+    without = reading - effects_on_reading_deg(effects, theta, circumstances(poses), felt)
     fresh = build_result(poses, gyro)
     return replace(
         fresh,
@@ -192,8 +197,9 @@ def _line_with_effects(
         return None
     given = circumstances(poses)
     try:
-        without = reading - effects_on_reading_deg(effects, theta, given)
         line = fit_line_with_effects(theta, reading, effects, given)
+        felt = felt_elevation_deg(theta, line.bias_deg, line.scale)
+        without = reading - effects_on_reading_deg(effects, theta, given, felt)
     except ApplyError:
         return None
     return line, rms(residuals_deg(theta, without, line.bias_deg, line.scale))
