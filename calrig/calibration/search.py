@@ -81,7 +81,7 @@ def search(
         if wild is not None:
             others = np.delete(np.arange(len(r)), wild)
             kept, r, candidates = kept[others], r.rows(others), [c.rows(others) for c in candidates]
-            found = [replace(f, candidate=f.candidate.rows(others)) for f in found]
+            found = [f.rows(others) for f in found]
             continue
         if verdict.p_value > level or len(found) >= MOST_EFFECTS:
             least = 1.0 / (bootstraps + 1)
