@@ -89,9 +89,10 @@ def _rest(diagnosis: Document) -> list[str]:
 
 def _more_than_noise(diagnosis: Document) -> str:
     noise = diagnosis["noise"]
+    times = f"{_times_pure_error(diagnosis):.1f} times the pure error"
     return (
-        f"more than noise is left: {_deg(noise['std_deg'])}, {_times_pure_error(diagnosis):.1f} times the "
-        f"pure error, with a lag-1 correlation of {noise['lag1_correlation']:.2f}"
+        f"more is left than the noise of a pose: {_deg(noise['std_deg'])}, {times}, "
+        f"with a lag-1 correlation of {noise['lag1_correlation']:.2f}"
     )
 
 

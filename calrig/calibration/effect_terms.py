@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -67,6 +67,20 @@ def warmer_c(r: Responses, at: Parameters) -> tuple[FloatArray, float] | None:
         return None
     reference_c = float(at.get("reference_c", r.temperature_c.mean()))
     return np.asarray(r.temperature_c - reference_c, dtype=np.float64), reference_c
+
+
+def within(**most: float) -> Callable[[Shape, FloatArray], bool]:
+    """Whether coefficients are no larger than the given ones, by the names of their parameters."""
+
+    def possible(shape: Shape, beta: FloatArray) -> bool:
+        return all(abs(b) <= most[name] for name, b in zip(shape.parameters, beta, strict=False))
+
+    return possible
+
+
+def amplitude_within(most_deg: float) -> Callable[[Shape, FloatArray], bool]:
+    """Whether a wave of b₀·sin + b₁·cos has at most this amplitude."""
+    return lambda _shape, beta: float(np.hypot(*beta[:2])) <= most_deg
 
 
 def c_literal(value: float) -> str:

@@ -194,7 +194,7 @@ def warning_of(lack: LackOfFit, *, found: bool) -> str | None:
     """
     if not lack.rejects or lack.pure is None:
         return None
-    rest = f"what {'the effects' if found else 'bias and scale'} leave is no noise"
+    rest = f"{'the effects' if found else 'bias and scale'} leave more than the noise of a pose"
     test = f"F = {lack.f:.3g} with {lack.freedom[0]:.0f} and {lack.freedom[1]:.0f} degrees of freedom"
     return (
         f"lack of fit: {rest}: RMS {lack.residual.std_deg:#.3g}°, {lack.ratio:.1f} times the pure error of "
@@ -203,7 +203,7 @@ def warning_of(lack: LackOfFit, *, found: bool) -> str | None:
     )
 
 
-SLOW = 0.5
+SLOW = 0.3
 WANDERS = 1.5
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from calrig.calibration.backward import parted, tenable
 from calrig.calibration.candidates import Candidate
 from calrig.calibration.gate import Verdict, gate
 from calrig.calibration.model import model_columns
@@ -61,7 +62,7 @@ def search(
         level: of the gate.
     """
     found: list[Found] = []
-    too_small: set[str] = set()
+    refused: set[str] = set()
     kept = np.arange(len(r))
     fewest = len(r) - most_outliers(len(r))
 
@@ -69,7 +70,7 @@ def search(
         def columns_with(more: Sequence[Candidate]) -> FloatArray:
             return model_columns(r, [*accepted, *more])
 
-        offered = _offered(candidates, accepted, too_small)
+        offered = _offered(candidates, accepted, refused)
         return gate(r, columns_with, fitted, offered, rng, bootstraps, level)
 
     while True:
@@ -88,7 +89,7 @@ def search(
             return Findings(r, kept, tuple(found), fitted, columns, verdict.p_value, least)
         step = named(r, accepted, verdict.candidates, verdict.ratios, verdict.p_value)
         if _share_of_reading(r, accepted, step.candidate) < LEAST_SHARE:
-            too_small.add(step.candidate.label)
+            refused.add(step.candidate.label)
             continue
         steps = [replace(step, candidate=member) for member in step.candidate.members]
         two = None
@@ -100,11 +101,16 @@ def search(
             if p_value <= level:
                 beside = replace(step, candidate=second, rivals=(), p_value=p_value)
                 steps = [replace(step, candidate=first, rivals=()), beside]
-        found = _reconsidered(r, candidates, [*found, *steps])
+        entered = _reconsidered(r, candidates, [*found, *steps])
+        if found and not tenable(r, [f.candidate for f in entered]):
+            refused.add(step.candidate.label)
+            continue
+        found, dropped = parted(r, entered)
+        refused.update(dropped)
 
 
 def _offered(
-    candidates: Sequence[Candidate], accepted: Sequence[Candidate], too_small: set[str]
+    candidates: Sequence[Candidate], accepted: Sequence[Candidate], refused: set[str]
 ) -> list[Candidate]:
     """The candidates that may enter now: not those that have, nor those that follow on what has not."""
     present = {c.name for c in accepted}
@@ -115,7 +121,7 @@ def _offered(
             return present.isdisjoint(member.name for member in c.members)
         return c.label not in once and (c.effect.follows is None or c.effect.follows in present)
 
-    return [c for c in candidates if c.label not in too_small and may_enter(c)]
+    return [c for c in candidates if c.label not in refused and may_enter(c)]
 
 
 def _reconsidered(r: Responses, candidates: Sequence[Candidate], found: list[Found]) -> list[Found]:

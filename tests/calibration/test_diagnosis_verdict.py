@@ -81,8 +81,8 @@ def answer(left):
 def test_nothing_found_is_noise_only_where_the_pure_error_allows_it():
     assert answer(noise(1.1)) == "No effect found: the residual is consistent with noise"
     assert answer(noise(3.8, rejected=True)) == (
-        "No effect found, and yet more than noise is left: 0.0760°, 3.8 times the pure error, with a lag-1 "
-        "correlation of 0.93"
+        "No effect found, and yet more is left than the noise of a pose: 0.0760°, 3.8 times the pure error, "
+        "with a lag-1 correlation of 0.93"
     )
     unknown = answer(noise(pure_error_deg=None))
     assert unknown == "No effect found. How large the noise is, neither dwells nor revisited poses tell"
@@ -91,7 +91,7 @@ def test_nothing_found_is_noise_only_where_the_pure_error_allows_it():
 def test_what_effects_do_not_explain_is_said_beside_their_names():
     left = noise(4.0, rejected=True)
     (_, rest, _) = diagnosis_verdict(found("named", effect("backlash"), left=left)).says
-    assert rest.startswith("More than noise is left: 0.0800°, 4.0 times the pure error")
+    assert rest.startswith("More is left than the noise of a pose: 0.0800°, 4.0 times the pure error")
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from calrig.calibration.effect import ELEVATION, Effect, Parameter, Parameters, Shape
-from calrig.calibration.effect_terms import DEG, MG, c_literal, c_turn, one_or_both, sin_cos, turns
+from calrig.calibration.effect_terms import DEG, MG, c_literal, c_turn, one_or_both, sin_cos, turns, within
 from calrig.calibration.responses import Responses
+
+LARGEST_MG = 150.0
+"""MPU-6050 data sheet PS-MPU-6000A-00 rev. 3.4, section 6.2: zero-g output ±50 mg (x, y), ±80 mg (z); as
+much again for soldering and mounting stress."""
 
 
 def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
@@ -36,4 +40,5 @@ EFFECT = Effect(
     in_c=_in_c,
     apart="|accelerometer| changes as y·sin θ + z·cos θ",
     remedy="subtract the offsets in the firmware, or calibrate against gravity",
+    possible=within(y_mg=LARGEST_MG, z_mg=LARGEST_MG),
 )
