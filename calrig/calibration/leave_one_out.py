@@ -17,6 +17,8 @@ from calrig.calibration.noise_model import Fit, fit
 from calrig.calibration.ranking import MARGIN, Found
 from calrig.calibration.responses import Responses
 
+MOST_OF_A_LEAD = 0.5
+"""Of a lead, what must be left without a pose: every pose has some part in it."""
 DECISIVE = 2
 """Poses that speak loudest for a name against a rival, each left out in turn: the others decide less."""
 
@@ -47,15 +49,16 @@ def _doubted(r: Responses, claimed: Found, others: Sequence[Candidate]) -> Found
 def _decisive(
     r: Responses, others: Sequence[Candidate], claimed: Candidate, runner_up: Candidate
 ) -> int | None:
-    """The pose without which the claimed effect no longer leads by `MARGIN`; None where there is none."""
+    """The pose that holds most of the lead, and without which it is less than `MARGIN`; None without one."""
     both = [[*others, claimed], [*others, runner_up]]
     ours, theirs = (fit(r, model_columns(r, effects)) for effects in both)
-    penalty = float(np.log(len(r) - 1)) * (runner_up.parameters - claimed.parameters)
+    penalty = float(np.log(len(r))) * (runner_up.parameters - claimed.parameters)
+    lead = theirs.criterion - ours.criterion + penalty
     for pose in np.argsort(-_for_the_claim(r, ours, theirs), kind="stable")[:DECISIVE]:
         rest = np.delete(np.arange(len(r)), pose)
         seen = r.rows(rest)
         left = [fit(seen, model_columns(seen, [c.rows(rest) for c in effects])) for effects in both]
-        if left[1].criterion - left[0].criterion + penalty < MARGIN:
+        if left[1].criterion - left[0].criterion + penalty < min(MARGIN, MOST_OF_A_LEAD * lead):
             return int(pose)
     return None
 
