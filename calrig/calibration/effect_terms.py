@@ -115,6 +115,20 @@ def _rise(values: FloatArray) -> float:
     return float((values - np.minimum.accumulate(values)).max(initial=0.0))
 
 
+def within(**most: float) -> Callable[[Shape, FloatArray], bool]:
+    """Whether coefficients are no larger than the given ones, by the names of their parameters."""
+
+    def possible(shape: Shape, beta: FloatArray) -> bool:
+        return all(abs(b) <= most[name] for name, b in zip(shape.parameters, beta, strict=False))
+
+    return possible
+
+
+def amplitude_within(most_deg: float) -> Callable[[Shape, FloatArray], bool]:
+    """Whether a wave of b₀·sin + b₁·cos has at most this amplitude."""
+    return lambda _shape, beta: float(np.hypot(*beta[:2])) <= most_deg
+
+
 def c_literal(value: float) -> str:
     """A C `float` constant, in brackets where it is negative.
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from calrig.calibration.candidates import Candidate, candidate_of
 from calrig.calibration.effect import Shape
@@ -17,6 +18,8 @@ from calrig.estimation.angles import FloatArray
 
 MARGIN = 6.0
 """Of the criterion, between a name and the next: held by truth in 94–100 % where the data can decide."""
+FAR_BEHIND = 40.0
+"""So far behind, hardly any single pose brings a rival close; and odds would suggest too much precision."""
 PAIR_MARGIN = 8.0
 """Of the criterion, by which two effects must beat the best one to enter together, and the second of them
 must pass the gate beside the first: on trial by this margin alone it was wrong in 1 % of all runs.
@@ -39,6 +42,9 @@ class Found:
         p_value: of the search that found it, as a whole.
         lead: how much worse the best candidate of another name is, in −2 log likelihood with penalties;
             negative where a rival explains it better.
+        considered: how far behind the best each label came.
+        runners_up: the best candidate of each other name that came near enough for a pose to matter.
+        doubts: why it is claimed no more than it is, in sentences.
     """
 
     candidate: Candidate
@@ -46,6 +52,8 @@ class Found:
     p_value: float
     lead: float
     considered: tuple[tuple[str, float], ...] = ()
+    runners_up: tuple[Candidate, ...] = ()
+    doubts: tuple[str, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -53,6 +61,18 @@ class Found:
         if not self.candidate.named:
             return "unnamed"
         return "ambiguous" if self.rivals else "named"
+
+    def rows(self, chosen: npt.NDArray[np.intp]) -> Found:
+        """The same in some of the poses."""
+        candidate = self.candidate.rows(chosen)
+        rivals, runners_up = (
+            tuple(c.rows(chosen) for c in those) for those in (self.rivals, self.runners_up)
+        )
+        return replace(self, candidate=candidate, rivals=rivals, runners_up=runners_up)
+
+    def against(self, rival: Candidate, doubt: str) -> Found:
+        """With one rival more, and why."""
+        return replace(self, rivals=(*self.rivals, rival), doubts=(*self.doubts, doubt))
 
 
 def named(
@@ -84,7 +104,17 @@ def named(
     considered: dict[str, float] = {}
     for criterion, c in ranked:
         considered.setdefault(c.label, round(max(criterion - best, 0.0), 2))
-    return Found(claimed, rivals, p_value, float(lead), tuple(considered.items()))
+    runners_up = _runners_up(ranked, claimed)
+    return Found(claimed, rivals, p_value, float(lead), tuple(considered.items()), runners_up)
+
+
+def _runners_up(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> tuple[Candidate, ...]:
+    others: dict[str, Candidate] = {}
+    for criterion, c in ranked:
+        apart = c.named and c.beside is None and c.label not in claimed.label
+        if apart and criterion - ranked[0][0] < FAR_BEHIND:
+            others.setdefault(c.label, c)
+    return tuple(others.values())
 
 
 def _is_same_term(candidate: Candidate, other: Candidate) -> bool:

@@ -11,13 +11,10 @@ from calrig.calibration.candidates import Candidate, rebuilt
 from calrig.calibration.effects import UNNAMED
 from calrig.calibration.model import own_columns
 from calrig.calibration.noise_model import Fit
-from calrig.calibration.ranking import MARGIN, Found
+from calrig.calibration.ranking import FAR_BEHIND, MARGIN, Found
 from calrig.calibration.responses import CHANNELS, Responses
 from calrig.calibration.search import Findings
 from calrig.calibration.sensor_model import fitted_model
-
-FAR_WORSE = 40.0
-"""So far behind in −2 log likelihood that odds would suggest more precision than there is."""
 
 
 def effect_documents(r: Responses, findings: Findings) -> list[dict[str, Any]]:
@@ -75,7 +72,7 @@ def _why(found: Found, label: str, behind: float) -> str:
         return "indistinguishable from it by these poses"
     if behind < MARGIN and label.startswith(UNNAMED):
         return "fits as well, but a cause with a name goes first"
-    if behind > FAR_WORSE:
+    if behind > FAR_BEHIND:
         return "explains these poses far worse"
     return f"explains these poses worse: odds about 1 : {math.exp(behind / 2.0):,.0f}"
 
@@ -110,4 +107,4 @@ def _evidence(r: Responses, found: Found, candidate: Candidate) -> list[str]:
             said.append(
                 f"the next best name is worse by {found.lead:.1f} in −2 log likelihood with penalties"
             )
-    return [*said, *candidate.effect.evidence(r, candidate.shape)]
+    return [*said, *found.doubts, *candidate.effect.evidence(r, candidate.shape)]

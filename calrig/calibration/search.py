@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from calrig.calibration.backward import parted, tenable
 from calrig.calibration.candidates import Candidate
 from calrig.calibration.effect import HIDDEN
 from calrig.calibration.gate import Verdict, gate
@@ -66,7 +67,7 @@ def search(
         level: of the gate.
     """
     found: list[Found] = []
-    too_small: set[str] = set()
+    refused: set[str] = set()
     kept = np.arange(len(r))
     fewest = len(r) - most_outliers(len(r))
 
@@ -74,7 +75,7 @@ def search(
         def columns_with(more: Sequence[Candidate]) -> FloatArray:
             return model_columns(model.responses, [*model.accepted, *more])
 
-        offered = _offered(model.responses, candidates, model.accepted, too_small)
+        offered = _offered(model.responses, candidates, model.accepted, refused)
         return gate(model.responses, columns_with, model.fitted, offered, rng, bootstraps, level)
 
     while True:
@@ -85,14 +86,14 @@ def search(
         if wild is not None:
             others = np.delete(np.arange(len(r)), wild)
             kept, r, candidates = kept[others], r.rows(others), [c.rows(others) for c in candidates]
-            found = [replace(f, candidate=f.candidate.rows(others)) for f in found]
+            found = [f.rows(others) for f in found]
             continue
         if verdict.p_value > level or _is_full(accepted):
             least = 1.0 / (bootstraps + 1)
             return Findings(r, kept, tuple(found), model.fitted, model.columns, verdict.p_value, least)
         step = named(r, accepted, verdict.candidates, verdict.ratios, verdict.p_value)
         if _share_of_reading(r, accepted, step.candidate) < LEAST_SHARE:
-            too_small.add(step.candidate.label)
+            refused.add(step.candidate.label)
             continue
         members: Sequence[Candidate] = step.candidate.members
         if step.candidate.shape.series:
@@ -107,7 +108,12 @@ def search(
             if p_value <= level:
                 beside = replace(step, candidate=second, rivals=(), p_value=p_value)
                 steps = [replace(step, candidate=first, rivals=()), beside]
-        found = on_their_places(r, candidates, _reconsidered(r, candidates, [*found, *steps]))
+        entered = on_their_places(r, candidates, _reconsidered(r, candidates, [*found, *steps]))
+        if found and not tenable(r, [f.candidate for f in entered]):
+            refused.add(step.candidate.label)
+            continue
+        found, dropped = parted(r, entered)
+        refused.update(dropped)
 
 
 def _is_full(accepted: Sequence[Candidate]) -> bool:
@@ -118,7 +124,7 @@ def _is_full(accepted: Sequence[Candidate]) -> bool:
 
 
 def _offered(
-    r: Responses, candidates: Sequence[Candidate], accepted: Sequence[Candidate], too_small: set[str]
+    r: Responses, candidates: Sequence[Candidate], accepted: Sequence[Candidate], refused: set[str]
 ) -> list[Candidate]:
     """The candidates that may enter now: not those that have, nor those that follow on what has not.
 
@@ -141,7 +147,7 @@ def _offered(
             return False
         return all(c.effect.distinct(r, c.shape, other.shape) for other in accepted)
 
-    return [c for c in candidates if c.label not in too_small and may_enter(c)]
+    return [c for c in candidates if c.label not in refused and may_enter(c)]
 
 
 def _enters_once(c: Candidate) -> bool:

@@ -94,9 +94,14 @@ def print_diagnosis(found: dict[str, Any]) -> None:
     _print("")
     rows = [
         (name, _number(found["base"][key], "°"), _number(found["final"][key], "°"))
-        for name, key in (("fit", "fit_rms_deg"), ("held-out poses", "held_out_rms_deg"))
+        for name, key in (
+            ("fit", "fit_rms_deg"),
+            ("held-out poses", "held_out_rms_deg"),
+            ("held-out blocks", "blocked_rms_deg"),
+        )
     ]
-    rows.append(("noise floor", "", _number(found["noise"]["floor_deg"], "°")))
+    for name, key in (("noise floor", "floor_deg"), ("pure error", "pure_error_deg")):
+        rows.append((name, "", _number(found["noise"].get(key), "°")))
     _print_table(("RMS", "before", "after"), rows)
     _print_warnings(found["warnings"])
     if found["follow_up"] is not None:

@@ -22,6 +22,9 @@ FINER = (np.linspace(0.8, 1.25, 19), np.linspace(0.98, 1.02, 9))
 CONSISTENT = 3.0
 """The delay that is fitted, and the time over which the velocity was averaged, differ by no larger factor."""
 
+LARGEST_DELAY_S = 10.0
+"""Beyond it readings are of another pose."""
+
 
 def _velocity_dps(r: Responses) -> FloatArray | None:
     return r.covariates.get("velocity_dps", r.motion and r.motion.velocity_dps)
@@ -69,6 +72,8 @@ def _refine(r: Responses, shape: Shape, criterion: Callable[[Shape], float]) -> 
 
 def _possible(shape: Shape, beta: FloatArray) -> bool:
     lag_s = shape.at.get("over_s")
+    if abs(float(beta[0])) > LARGEST_DELAY_S:
+        return False
     return not lag_s or 1.0 / CONSISTENT <= float(beta[0]) / lag_s <= CONSISTENT
 
 
