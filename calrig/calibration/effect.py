@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from calrig.calibration.responses import READING, Responses
+from calrig.calibration.sensor_vector import VectorError, VectorInC, sin_cos
 from calrig.estimation.angles import FloatArray
 
 Origin = Literal["sensor", "stage", "mounting", "process", "environment", "unknown"]
@@ -32,7 +33,7 @@ ORIGINS: dict[Origin, str] = {
     "environment": "the surroundings",
     "unknown": "not known",
 }
-HIDDEN = ("pose", "part", "order")
+HIDDEN = ("pose", "part", "order", "over_s")
 """Places that serve the search alone and are in no document."""
 
 
@@ -103,6 +104,7 @@ class Shape:
         alike: names that such poses do not part it from, however much better it fits.
         at_std: standard errors of the places that were refined.
         series: what it is one term of, where several terms make one cause: a search counts them once.
+        beside: covariates that effects in the model must follow before it is offered.
     """
 
     shares: Mapping[str, FloatArray]
@@ -118,6 +120,7 @@ class Shape:
     alike: tuple[str, ...] = ()
     at_std: Parameters = field(default_factory=dict)
     series: str = ""
+    beside: tuple[str, ...] = ()
 
     @property
     def stated(self) -> frozenset[str]:
@@ -146,12 +149,17 @@ class Circumstances:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Applied:
-    """An effect's parameters at n elevations; what it needs and has not is missed by name."""
+    """An effect's parameters at n elevations; what it needs and has not is missed by name.
+
+    Attributes:
+        felt_deg: (n,) the elevation of the sensor itself, mount and all: θ where it is not known.
+    """
 
     effect: str
     parameters: Parameters
     theta_deg: FloatArray
     given: Circumstances
+    felt_deg: FloatArray | None = None
 
     def value(self, name: str, default: float | None = 0.0) -> float:
         """A parameter; ApplyError where it is absent and has no default."""
@@ -168,15 +176,8 @@ class Applied:
         return values
 
     def sin_cos(self) -> tuple[FloatArray, FloatArray]:
-        """Sine and cosine of θ."""
-        angle = np.radians(self.theta_deg)
-        return np.sin(angle), np.cos(angle)
-
-    def turn_deg(self, error_y: FloatArray | float, error_z: FloatArray | float) -> FloatArray:
-        """Angle by which errors of a_y and a_z (g) turn the measured vector (0, s + δ, c + ε)."""
-        s, c = self.sin_cos()
-        across, along = error_y * c - error_z * s, 1.0 + error_y * s + error_z * c
-        return np.asarray(np.degrees(np.arctan2(across, along)), dtype=np.float64)
+        """What a sensor without errors measures of a_y and a_z, g."""
+        return sin_cos(self.theta_deg if self.felt_deg is None else self.felt_deg)
 
     def warmer_c(self) -> FloatArray:
         """Temperature less the effect's reference."""
@@ -230,7 +231,8 @@ class Effect:
             references are taken from there where they are, else from the poses. None where the poses cannot
             show it. Coefficients among the parameters are ignored: they are fitted.
         on_reading_deg: (n,) the formula, exact where the forms are linear.
-        in_c: its C expression in degrees of `theta`, its sine and cosine `s` and `c`, and `temperature_c`.
+        on_vector_g: instead, what the effect adds to a_y and a_z: all effects turn one vector together.
+        in_c: the same in C, of `theta` in degrees, `temperature_c`, and the sensor's own `s` and `c`.
         apart: what separates it from its look-alikes.
         remedy: what a person can do about it.
         scan: the places that the search tries; without it one, of no parameters.
@@ -255,10 +257,11 @@ class Effect:
     parameters: tuple[Parameter, ...]
     formula: str
     forms: Callable[[Responses, Parameters], Iterator[Shape]]
-    on_reading_deg: Callable[[Applied], FloatArray]
-    in_c: Callable[[Parameters], str] | NotInFlight
+    in_c: Callable[[Parameters], str | VectorInC] | NotInFlight
     apart: str
     remedy: str
+    on_reading_deg: Callable[[Applied], FloatArray] | None = None
+    on_vector_g: Callable[[Applied], VectorError] | None = None
     scan: Callable[[Responses], Iterator[Parameters]] | None = None
     refine: Callable[[Responses, Shape, Callable[[Shape], float]], Shape | None] | None = None
     place: str = ""
@@ -280,6 +283,8 @@ class Effect:
             required = part.default is dataclasses.MISSING
             if required and getattr(self, part.name) in ("", (), None):
                 raise EffectError(f"the effect {self.name!r} lacks its {part.name}")
+        if self.on_reading_deg is None and self.on_vector_g is None:
+            raise EffectError(f"the effect {self.name!r} lacks its on_reading_deg, or its on_vector_g")
         if isinstance(self.in_c, NotInFlight) and not self.in_c.reason:
             raise EffectError(f"the effect {self.name!r} lacks the reason why it is not applied in flight")
         if self.scope != "unit" and not isinstance(self.in_c, NotInFlight):

@@ -9,18 +9,24 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from calrig.calibration.effect import Applied, Parameters, Shape
+from calrig.calibration.effect import Applied, Circumstances, Parameters, Shape
 from calrig.calibration.responses import ANGLE, MOVE, NORM, READING, Responses
+from calrig.calibration.sensor_vector import VectorError
 from calrig.estimation.angles import FloatArray
 
 DEG = 180.0 / np.pi
 MG = 1e-3
 THE_TURN = "the turn"
 """The series of a full turn's orders."""
+SMALL_STEP = 1e-3
+"""Of a parameter, in its own unit: what it changes is a straight line there."""
+ON_VECTOR = (
+    "atan2(a_y, a_z) − φ, one vector for all effects on a_y = sin φ and a_z = cos φ, φ = bias + scale·θ: "
+)
 LEAST_TEMPERATURE_RANGE_C = 0.05
 LEAST_RETURN = 0.25
 """Of the range of temperature: what tells a delay behind it from a curve of it."""
@@ -59,6 +65,28 @@ def one_or_both(
         yield Shape({**tilted(angle[:, k]), NORM: norm[:, k]}, (name,), form=name, part_of="both", at=at)
 
 
+def vector_forms(
+    r: Responses,
+    on_vector_g: Callable[[Applied], VectorError],
+    names: tuple[str, str],
+    at: Parameters | None = None,
+) -> Iterator[Shape]:
+    """Both of two parameters of an effect on a_y and a_z, and each alone, linear about no effect."""
+    s, c = sin_cos(r)
+    given = Circumstances(temperature_c=r.temperature_c)
+
+    def per_unit(name: str, component: int) -> FloatArray:
+        more, less = (
+            on_vector_g(Applied("", {**(at or {}), name: step}, r.theta_deg, given))[component]
+            for step in (SMALL_STEP, -SMALL_STEP)
+        )
+        return np.full(len(r), (more - less) / (2.0 * SMALL_STEP))
+
+    y, z = (np.stack([per_unit(name, component) for name in names], 1) for component in (0, 1))
+    s, c = s[:, None], c[:, None]
+    yield from one_or_both((y * c - z * s) * DEG, y * s + z * c, names, at)
+
+
 def wave_deg(p: Applied, turn: FloatArray) -> FloatArray:
     """amplitude·sin(360°·turn + phase)."""
     phase = 2.0 * np.pi * turn + np.radians(p.value("phase_deg"))
@@ -87,6 +115,20 @@ def _rise(values: FloatArray) -> float:
     return float((values - np.minimum.accumulate(values)).max(initial=0.0))
 
 
+def within(**most: float) -> Callable[[Shape, FloatArray], bool]:
+    """Whether coefficients are no larger than the given ones, by the names of their parameters."""
+
+    def possible(shape: Shape, beta: FloatArray) -> bool:
+        return all(abs(b) <= most[name] for name, b in zip(shape.parameters, beta, strict=False))
+
+    return possible
+
+
+def amplitude_within(most_deg: float) -> Callable[[Shape, FloatArray], bool]:
+    """Whether a wave of b₀·sin + b₁·cos has at most this amplitude."""
+    return lambda _shape, beta: float(np.hypot(*beta[:2])) <= most_deg
+
+
 def c_literal(value: float) -> str:
     """A C `float` constant, in brackets where it is negative.
 
@@ -98,11 +140,6 @@ def c_literal(value: float) -> str:
     text = f"{value if abs(value) >= SMALLEST_FLOAT else 0.0:.9g}"
     text = text if re.search(r"[.e]", text) else f"{text}.0"
     return f"({text}f)" if text.startswith("-") else f"{text}f"
-
-
-def c_turn(across: str, along: str) -> str:
-    """The C expression of `Applied.turn_deg`."""
-    return f"57.29577951f * atan2f({across}, 1.0f + {along})"
 
 
 def c_warmer(p: Parameters) -> str:

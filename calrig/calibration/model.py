@@ -13,8 +13,12 @@ from calrig.estimation.angles import FloatArray
 
 def model_columns(r: Responses, accepted: Sequence[Candidate]) -> FloatArray:
     """(n, J, p) columns of bias and scale, then of the accepted candidates in their order."""
-    replaced = next((c.shape.replaces for c in accepted if c.shape.replaces), None)
-    return np.concatenate([base_without(r, replaced), *[c.columns for c in accepted]], axis=2)
+    return np.concatenate([base_without(r, replaced(accepted)), *[c.columns for c in accepted]], axis=2)
+
+
+def replaced(accepted: Sequence[Candidate]) -> str | None:
+    """The base column that one of the candidates takes the place of."""
+    return next((c.shape.replaces for c in accepted if c.shape.replaces), None)
 
 
 def own_columns(columns: FloatArray, accepted: Sequence[Candidate]) -> list[slice]:

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from calrig.calibration.candidates import Candidate, candidate_of
 from calrig.calibration.effect import Shape
-from calrig.calibration.model import model_columns, own_columns, side_by_side
-from calrig.calibration.noise_model import fit, fits
 from calrig.calibration.places import refined
 from calrig.calibration.responses import Responses
 from calrig.calibration.screen import Float32Array, Screen
+from calrig.calibration.sensor_model import fitted_beside, fitted_model
 from calrig.estimation.angles import FloatArray
 
 MARGIN = 6.0
 """Of the criterion, between a name and the next: held by truth in 94–100 % where the data can decide."""
+FAR_BEHIND = 40.0
+"""So far behind, hardly any single pose brings a rival close; and odds would suggest too much precision."""
 PAIR_MARGIN = 8.0
 """Of the criterion, by which two effects must beat the best one to enter together, and the second of them
 must pass the gate beside the first: on trial by this margin alone it was wrong in 1 % of all runs.
@@ -40,6 +42,9 @@ class Found:
         p_value: of the search that found it, as a whole.
         lead: how much worse the best candidate of another name is, in −2 log likelihood with penalties;
             negative where a rival explains it better.
+        considered: how far behind the best each label came.
+        runners_up: the best candidate of each other name that came near enough for a pose to matter.
+        doubts: why it is claimed no more than it is, in sentences.
     """
 
     candidate: Candidate
@@ -47,6 +52,8 @@ class Found:
     p_value: float
     lead: float
     considered: tuple[tuple[str, float], ...] = ()
+    runners_up: tuple[Candidate, ...] = ()
+    doubts: tuple[str, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -54,6 +61,18 @@ class Found:
         if not self.candidate.named:
             return "unnamed"
         return "ambiguous" if self.rivals else "named"
+
+    def rows(self, chosen: npt.NDArray[np.intp]) -> Found:
+        """The same in some of the poses."""
+        candidate = self.candidate.rows(chosen)
+        rivals, runners_up = (
+            tuple(c.rows(chosen) for c in those) for those in (self.rivals, self.runners_up)
+        )
+        return replace(self, candidate=candidate, rivals=rivals, runners_up=runners_up)
+
+    def against(self, rival: Candidate, doubt: str) -> Found:
+        """With one rival more, and why."""
+        return replace(self, rivals=(*self.rivals, rival), doubts=(*self.doubts, doubt))
 
 
 def named(
@@ -85,7 +104,17 @@ def named(
     considered: dict[str, float] = {}
     for criterion, c in ranked:
         considered.setdefault(c.label, round(max(criterion - best, 0.0), 2))
-    return Found(claimed, rivals, p_value, float(lead), tuple(considered.items()))
+    runners_up = _runners_up(ranked, claimed)
+    return Found(claimed, rivals, p_value, float(lead), tuple(considered.items()), runners_up)
+
+
+def _runners_up(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> tuple[Candidate, ...]:
+    others: dict[str, Candidate] = {}
+    for criterion, c in ranked:
+        apart = c.named and c.beside is None and c.label not in claimed.label
+        if apart and criterion - ranked[0][0] < FAR_BEHIND:
+            others.setdefault(c.label, c)
+    return tuple(others.values())
 
 
 def _is_same_term(candidate: Candidate, other: Candidate) -> bool:
@@ -148,7 +177,7 @@ def pair(
     bic_penalty = float(np.log(len(r)))
 
     def criterion(*added: Candidate) -> float:
-        fitted = fit(r, model_columns(r, [*accepted, *added]))
+        fitted = fitted_model(r, [*accepted, *added]).fitted
         return fitted.criterion + bic_penalty * sum(c.parameters for c in added)
 
     named = [i for i, c in enumerate(offered) if c.named and c.effect.follows is None]
@@ -158,12 +187,12 @@ def pair(
     to_beat = criterion(step.candidate) - dict(step.considered)[step.candidate.label] - PAIR_MARGIN
     best: tuple[Candidate, Candidate] | None = None
     for first in list(firsts.values())[:LEADING_NAMES]:
-        columns = model_columns(r, [*accepted, first])
+        model = fitted_model(r, [*accepted, first])
         rest = [offered[i] for i in named if offered[i].label != first.label]
         if not rest:
             continue
-        fitted = fit(r, columns)
-        more = Screen(r, columns, rest, fitted.noise).ratios(fitted.residuals[None])[0]
+        screen = Screen(r, model.columns, rest, model.fitted.noise)
+        more = screen.ratios(model.fitted.residuals[None])[0]
         second = rest[_first_best(more - bic_penalty * np.array([c.parameters for c in rest]))]
         together = criterion(first, second)
         if together < to_beat:
@@ -187,13 +216,10 @@ def _ranked(
     order = sorted(best.values(), key=lambda i: bic_penalty * offered[i].parameters - float(ratios[i]))
     shortlist = [offered[index] for index in order[:SHORTLIST]]
     shortlist = [_refined(r, accepted, c, leads=k == 0) for k, c in enumerate(shortlist)]
-    columns = side_by_side([model_columns(r, [*accepted, candidate]) for candidate in shortlist])
-    fitted = fits(r, np.repeat(r.values[None], len(shortlist), axis=0), columns)
     ranked = []
-    for c, beta, criterion in zip(shortlist, fitted.beta, fitted.criterion, strict=True):
-        own = own_columns(model_columns(r, [*accepted, c]), [*accepted, c])[-1]
-        penalised = float(criterion) + bic_penalty * c.parameters
-        ranked.append((penalised if c.is_possible(beta[own]) else np.inf, c))
+    for c, (criterion, own) in zip(shortlist, fitted_beside(r, accepted, shortlist), strict=True):
+        penalised = criterion + bic_penalty * c.parameters
+        ranked.append((penalised if c.is_possible(own) else np.inf, c))
     place = {candidate.label: k for k, candidate in reversed(list(enumerate(offered)))}
     return sorted(ranked, key=lambda pair: (round(min(pair[0], FARTHEST) / SAME), place[pair[1].label]))
 
@@ -207,7 +233,7 @@ def _refined(r: Responses, accepted: Sequence[Candidate], candidate: Candidate, 
     """A leading candidate at the best place between those scanned."""
 
     def criterion(shape: Shape) -> float:
-        return fit(r, model_columns(r, [*accepted, candidate_of(r, candidate.effect, shape)])).criterion
+        return fitted_model(r, [*accepted, candidate_of(r, candidate.effect, shape)]).fitted.criterion
 
     if candidate.effect.place and candidate.beside is None and not candidate.shape.series:
         return refined(r, accepted, candidate)[1]

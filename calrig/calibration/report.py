@@ -11,43 +11,38 @@ import numpy as np
 
 from calrig.calibration.candidates import Candidate, rebuilt
 from calrig.calibration.effects import UNNAMED
-from calrig.calibration.model import model_columns, own_columns
+from calrig.calibration.model import own_columns
 from calrig.calibration.noise_model import Fit, fit
 from calrig.calibration.places import slope
-from calrig.calibration.ranking import MARGIN, Found
+from calrig.calibration.ranking import FAR_BEHIND, MARGIN, Found
 from calrig.calibration.responses import CHANNELS, Responses
 from calrig.calibration.search import Findings
+from calrig.calibration.sensor_model import Model, fitted_model
 from calrig.estimation.angles import FloatArray
-
-FAR_WORSE = 40.0
-"""So far behind in −2 log likelihood that odds would suggest more precision than there is."""
 
 
 def effect_documents(r: Responses, findings: Findings) -> list[dict[str, Any]]:
     """Each effect found, with parameters from a fit of all of them together."""
     whole = [_whole_form(r, f.candidate) for f in findings.found]
-    columns = model_columns(r, whole)
-    fitted = fit(r, columns)
-    own = own_columns(columns, whole)
-    fitted = replace(fitted, covariance=_covariance(r, columns, fitted, whole, own))
+    model = fitted_model(r, whole)
+    own = own_columns(model.columns, whole)
+    fitted = replace(model.fitted, covariance=_covariance(model, own))
     return [
         {**_document(r, one, candidate, fitted, at), "least_p_value": findings.least_p_value}
         for one, candidate, at in zip(findings.found, whole, own, strict=True)
     ]
 
 
-def _covariance(
-    r: Responses, columns: FloatArray, fitted: Fit, whole: Sequence[Candidate], own: Sequence[slice]
-) -> FloatArray:
+def _covariance(model: Model, own: Sequence[slice]) -> FloatArray:
     """That of the coefficients, with what the places add that were refined and may lie a little elsewhere."""
     slopes = [
-        slope(r, candidate, fitted.beta[at])
-        for candidate, at in zip(whole, own, strict=True)
+        slope(model.responses, candidate, model.fitted.beta[at])
+        for candidate, at in zip(model.accepted, own, strict=True)
         if candidate.effect.place in candidate.shape.at_std
     ]
     if not slopes:
-        return fitted.covariance
-    return fit(r, np.concatenate([columns, *slopes], axis=2)).covariance
+        return model.fitted.covariance
+    return fit(model.responses, np.concatenate([model.columns, *slopes], axis=2)).covariance
 
 
 def model_words(findings: Findings) -> str:
@@ -94,7 +89,7 @@ def _why(found: Found, label: str, behind: float) -> str:
         return "indistinguishable from it by these poses"
     if behind < MARGIN and label.startswith(UNNAMED):
         return "fits as well, but a cause with a name goes first"
-    if behind > FAR_WORSE:
+    if behind > FAR_BEHIND:
         return "explains these poses far worse"
     return f"explains these poses worse: odds about 1 : {math.exp(behind / 2.0):,.0f}"
 
@@ -129,4 +124,4 @@ def _evidence(r: Responses, found: Found, candidate: Candidate) -> list[str]:
             said.append(
                 f"the next best name is worse by {found.lead:.1f} in −2 log likelihood with penalties"
             )
-    return [*said, *candidate.effect.evidence(r, candidate.shape)]
+    return [*said, *found.doubts, *candidate.effect.evidence(r, candidate.shape)]

@@ -8,14 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from calrig.calibration.backward import parted, tenable
 from calrig.calibration.candidates import Candidate
+from calrig.calibration.effect import HIDDEN
 from calrig.calibration.gate import Verdict, gate
 from calrig.calibration.model import model_columns
-from calrig.calibration.noise_model import Fit, fit
+from calrig.calibration.noise_model import Fit
 from calrig.calibration.outliers import most_outliers, outlier
 from calrig.calibration.ranking import Found, named, pair
 from calrig.calibration.responses import READING, Responses
 from calrig.calibration.screen import Screen
+from calrig.calibration.sensor_model import Model, fitted_model
 from calrig.calibration.series import needed, on_their_places
 from calrig.estimation.angles import FloatArray
 
@@ -64,34 +67,33 @@ def search(
         level: of the gate.
     """
     found: list[Found] = []
-    too_small: set[str] = set()
+    refused: set[str] = set()
     kept = np.arange(len(r))
     fewest = len(r) - most_outliers(len(r))
 
-    def judged(accepted: Sequence[Candidate], fitted: Fit) -> Verdict:
+    def judged(model: Model) -> Verdict:
         def columns_with(more: Sequence[Candidate]) -> FloatArray:
-            return model_columns(r, [*accepted, *more])
+            return model_columns(model.responses, [*model.accepted, *more])
 
-        offered = _offered(r, candidates, accepted, too_small)
-        return gate(r, columns_with, fitted, offered, rng, bootstraps, level)
+        offered = _offered(model.responses, candidates, model.accepted, refused)
+        return gate(model.responses, columns_with, model.fitted, offered, rng, bootstraps, level)
 
     while True:
         accepted = [f.candidate for f in found]
-        columns = model_columns(r, accepted)
-        fitted = fit(r, columns)
-        verdict = judged(accepted, fitted)
-        wild = outlier(r, accepted, verdict.gain) if len(kept) > fewest else None
+        model = fitted_model(r, accepted)
+        verdict = judged(model)
+        wild = outlier(model.responses, model.accepted, verdict.gain) if len(kept) > fewest else None
         if wild is not None:
             others = np.delete(np.arange(len(r)), wild)
             kept, r, candidates = kept[others], r.rows(others), [c.rows(others) for c in candidates]
-            found = [replace(f, candidate=f.candidate.rows(others)) for f in found]
+            found = [f.rows(others) for f in found]
             continue
         if verdict.p_value > level or _is_full(accepted):
             least = 1.0 / (bootstraps + 1)
-            return Findings(r, kept, tuple(found), fitted, columns, verdict.p_value, least)
+            return Findings(r, kept, tuple(found), model.fitted, model.columns, verdict.p_value, least)
         step = named(r, accepted, verdict.candidates, verdict.ratios, verdict.p_value)
         if _share_of_reading(r, accepted, step.candidate) < LEAST_SHARE:
-            too_small.add(step.candidate.label)
+            refused.add(step.candidate.label)
             continue
         members: Sequence[Candidate] = step.candidate.members
         if step.candidate.shape.series:
@@ -102,11 +104,16 @@ def search(
             two = pair(r, accepted, verdict.candidates, verdict.ratios, step)
         if two is not None:
             first, second = two
-            p_value = judged([*accepted, first], fit(r, model_columns(r, [*accepted, first]))).p_value
+            p_value = judged(fitted_model(r, [*accepted, first])).p_value
             if p_value <= level:
                 beside = replace(step, candidate=second, rivals=(), p_value=p_value)
                 steps = [replace(step, candidate=first, rivals=()), beside]
-        found = on_their_places(r, candidates, _reconsidered(r, candidates, [*found, *steps]))
+        entered = on_their_places(r, candidates, _reconsidered(r, candidates, [*found, *steps]))
+        if found and not tenable(r, [f.candidate for f in entered]):
+            refused.add(step.candidate.label)
+            continue
+        found, dropped = parted(r, entered)
+        refused.update(dropped)
 
 
 def _is_full(accepted: Sequence[Candidate]) -> bool:
@@ -117,7 +124,7 @@ def _is_full(accepted: Sequence[Candidate]) -> bool:
 
 
 def _offered(
-    r: Responses, candidates: Sequence[Candidate], accepted: Sequence[Candidate], too_small: set[str]
+    r: Responses, candidates: Sequence[Candidate], accepted: Sequence[Candidate], refused: set[str]
 ) -> list[Candidate]:
     """The candidates that may enter now: not those that have, nor those that follow on what has not.
 
@@ -126,18 +133,26 @@ def _offered(
     taken = len({name for name in r.base_names if name.startswith(READING)})
     room = len(r) - taken - sum(c.columns.shape[2] for c in accepted) - FREEDOM
     present = {c.name for c in accepted}
-    once = {c.label for c in accepted if c.named and (not c.shape.at or c.shape.place_cost == 1)}
+    followed = {c.covariate for c in accepted}
+    once = {c.label for c in accepted if c.named and _enters_once(c)}
 
     def may_enter(c: Candidate) -> bool:
         if c.columns.shape[2] > room:
             return False
         if c.beside is not None:
             return present.isdisjoint(member.name for member in c.members)
+        if not followed.issuperset(c.shape.beside):
+            return False
         if c.label in once or not (c.effect.follows is None or c.effect.follows in present):
             return False
         return all(c.effect.distinct(r, c.shape, other.shape) for other in accepted)
 
-    return [c for c in candidates if c.label not in too_small and may_enter(c)]
+    return [c for c in candidates if c.label not in refused and may_enter(c)]
+
+
+def _enters_once(c: Candidate) -> bool:
+    """Whether a second one of it would say the same: it has no place, or one that its likelihood is smooth in."""
+    return c.shape.at.keys() <= set(HIDDEN) or c.shape.place_cost == 1
 
 
 def _reconsidered(r: Responses, candidates: Sequence[Candidate], found: list[Found]) -> list[Found]:
@@ -149,9 +164,9 @@ def _reconsidered(r: Responses, candidates: Sequence[Candidate], found: list[Fou
         offered = _offered(r, candidates, others, set())
         if one.candidate.shape.series:  # a curve takes a little from every term: the terms come first
             offered = [c for c in offered if c.named]
-        columns = model_columns(r, others)
-        fitted = fit(r, columns)
-        ratios = Screen(r, columns, offered, fitted.noise).ratios(fitted.residuals[None])[0]
+        model = fitted_model(r, others)
+        screen = Screen(r, model.columns, offered, model.fitted.noise)
+        ratios = screen.ratios(model.fitted.residuals[None])[0]
         again = named(r, others, offered, ratios, one.p_value, one.candidate)
         place = next(k for k, f in enumerate(found) if f is one)
         found[place : place + 1] = [replace(again, candidate=member) for member in again.candidate.members]
@@ -160,8 +175,7 @@ def _reconsidered(r: Responses, candidates: Sequence[Candidate], found: list[Fou
 
 def _share_of_reading(r: Responses, accepted: Sequence[Candidate], candidate: Candidate) -> float:
     """What a candidate adds to the reading, bias and scale taken off, over the reading's noise."""
-    columns = model_columns(r, [*accepted, candidate])
-    fitted = fit(r, columns)
+    fitted = fitted_model(r, [*accepted, candidate]).fitted
     width = candidate.columns.shape[2]
     part = candidate.columns[:, 0, :] @ fitted.beta[-width:]
     line = np.column_stack([np.ones(len(r)), r.theta_deg])

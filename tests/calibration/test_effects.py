@@ -18,7 +18,12 @@ from fastapi.testclient import TestClient
 
 from calrig.api.app import api
 from calrig.calibration.candidates import candidates_of, documented_forms, rebuilt
-from calrig.calibration.correction import calibrated_elevation_deg, effect_on_reading_deg, numbers_of
+from calrig.calibration.correction import (
+    calibrated_elevation_deg,
+    effect_on_reading_deg,
+    effects_on_reading_deg,
+    numbers_of,
+)
 from calrig.calibration.diagnosis import diagnose
 from calrig.calibration.effect import Circumstances, EffectError, NotInFlight
 from calrig.calibration.effects import CATALOGUE, EFFECTS
@@ -267,8 +272,8 @@ def applied_in_flight(effect, values, folder):
         pytest.skip("no C compiler (gcc or clang) is installed")
     theta, celsius = (axis.ravel() for axis in np.meshgrid(np.linspace(-60, 60, 25), [20.0, 25.0, 30.0]))
     there = Circumstances(temperature_c=celsius)
-    added = effect_on_reading_deg(effect.name, values, theta, there)
-    reading = calibration["bias_deg"] + calibration["scale"] * theta + added
+    felt = calibration["bias_deg"] + calibration["scale"] * theta
+    reading = felt + effects_on_reading_deg([(effect.name, values)], theta, there, felt)
     in_c = applied_in_c(compiled(header, folder), reading, celsius)
     bias_deg, scale = calibration["bias_deg"], calibration["scale"]
     in_python = calibrated_elevation_deg(reading, bias_deg, scale, [(effect.name, values)], there)

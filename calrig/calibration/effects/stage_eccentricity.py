@@ -15,8 +15,11 @@ from calrig.calibration.effect import (
     Shape,
     amplitude_and_phase,
 )
-from calrig.calibration.effect_terms import THE_TURN, sin_cos, turned, turns, wave_deg
+from calrig.calibration.effect_terms import THE_TURN, amplitude_within, sin_cos, turned, turns, wave_deg
 from calrig.calibration.responses import Responses
+
+LARGEST_AMPLITUDE_DEG = 20.0
+"""The centre off the axis by a third of the radius (amplitude = eccentricity/radius, in radians)."""
 
 
 def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
@@ -40,4 +43,5 @@ EFFECT = Effect(
     apart="the gyro feels it and |accelerometer| does not; a unit turned by 90° on the stage keeps it",
     remedy="re-centre the scale or the mount on the axis, or correct by the rig error map",
     reported=amplitude_and_phase,
+    possible=amplitude_within(LARGEST_AMPLITUDE_DEG),
 )
