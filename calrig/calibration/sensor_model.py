@@ -146,7 +146,7 @@ class _Curve:
             for member, at in zip(self._members, self._member_at, strict=True)
             if member.effect.origin in TURNS_THE_SENSOR
         ]
-        for at in [*bound, *turns]:
+        for at in [*(slice(k, k + 1) for k in bound), *turns]:
             felt[:, at] = self._straight[:, 0, at]
         if NORM in self._r.channels:
             size[:, bound] = self._straight[:, self._r.channels.index(NORM), bound]
