@@ -50,9 +50,16 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
     if r.time_s is None or warmer_c(r, {}) is None or r.temperature_c is None or lag_s <= 0.0:
         return
     ahead = r.temperature_c - _delayed_c(r.temperature_c, r.time_s, r.starts, lag_s)
-    alike = ("temperature_curvature", "time_drift") if one_leg(r) else ()
-    at = {"lag_s": lag_s}
-    yield Shape(tilted(ahead), ("deg_per_c",), at=at, scanned=True, place_cost=1, alike=alike)
+    one_way = one_leg(r)
+    yield Shape(
+        tilted(ahead),
+        ("deg_per_c",),
+        at={"lag_s": lag_s},
+        scanned=True,
+        place_cost=1,
+        alike=("temperature_curvature", "time_drift") if one_way else (),
+        follows="temperature_bias" if one_way else None,  # by itself it is the temperature again
+    )
 
 
 def _delayed_c(temperature_c: FloatArray, time_s: FloatArray, starts: BoolArray, lag_s: float) -> FloatArray:
