@@ -40,6 +40,7 @@ class Found:
         p_value: of the search that found it, as a whole.
         lead: how much worse the best candidate of another name is, in −2 log likelihood with penalties;
             negative where a rival explains it better.
+        alike: the same effect at other places that explain these poses as well, likely or not.
     """
 
     candidate: Candidate
@@ -47,6 +48,7 @@ class Found:
     p_value: float
     lead: float
     considered: tuple[tuple[str, float], ...] = ()
+    alike: tuple[Candidate, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -76,8 +78,9 @@ def named(
     staying = [c for c in named if incumbent is not None and _is_same_term(c, incumbent)]
     claimed = (staying or named or near)[0]
     rivals = _rivals(ranked, claimed) if claimed.named else ()
+    alike: tuple[Candidate, ...] = ()
     if claimed.effect.place and claimed.beside is None:
-        claimed, *others = _alike(r, accepted, claimed)
+        (claimed, *others), alike = _alike(r, accepted, claimed)
         rivals = (*others, *rivals)
     own = min(criterion for criterion, c in ranked if c.label == claimed.label)
     rest = [criterion for criterion, c in ranked if c.label != claimed.label and c.named]
@@ -85,11 +88,15 @@ def named(
     considered: dict[str, float] = {}
     for criterion, c in ranked:
         considered.setdefault(c.label, round(max(criterion - best, 0.0), 2))
-    return Found(claimed, rivals, p_value, float(lead), tuple(considered.items()))
+    return Found(claimed, rivals, p_value, float(lead), tuple(considered.items()), alike)
 
 
 def _is_same_term(candidate: Candidate, other: Candidate) -> bool:
-    return candidate.shape.series != "" and candidate.label == other.label and candidate.shape.at == other.shape.at
+    return (
+        candidate.shape.series != ""
+        and candidate.label == other.label
+        and candidate.shape.at == other.shape.at
+    )
 
 
 def _rivals(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> tuple[Candidate, ...]:
@@ -105,10 +112,13 @@ def _rivals(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> tu
     return tuple(others.values())
 
 
-def _alike(r: Responses, accepted: Sequence[Candidate], claimed: Candidate) -> list[Candidate]:
-    """The claimed one at its best place, and the same at places that these poses cannot tell from it.
+def _alike(
+    r: Responses, accepted: Sequence[Candidate], claimed: Candidate
+) -> tuple[list[Candidate], tuple[Candidate, ...]]:
+    """The claimed one at its best place with its rivals at others, and all that explain these poses as well.
 
-    The largest of equals comes first: a long period before those that only the spacing makes of it.
+    The largest of equals comes first: a long period before those that only the spacing makes of it. A place
+    known beforehand, such as an order of the turn, is likelier than one among many by what a scan costs.
     """
     effect = claimed.effect
     best, own = refined(r, accepted, claimed)
@@ -117,14 +127,16 @@ def _alike(r: Responses, accepted: Sequence[Candidate], claimed: Candidate) -> l
         for shape in effect.forms(r, at):
             fitted, other = refined(r, accepted, candidate_of(r, effect, shape))
             others = [*accepted, *(c for _, c in found)]
-            apart = all(
-                effect.distinct(r, other.shape, c.shape) for c in others if c.effect.place == effect.place
-            )
+            apart = all(effect.distinct(r, other.shape, c.shape) for c in others)
             if apart and other.is_possible(fitted.beta[-other.columns.shape[2] :]):
                 found.append((fitted.criterion, other))
     least = min(criterion for criterion, _ in found)
-    near = [c for criterion, c in found if criterion - least < MARGIN]
-    return sorted(near, key=lambda c: -c.shape.at[effect.place])
+    equal = [c for criterion, c in found if criterion - least < MARGIN]
+    penalised = [(criterion + np.log(len(r)) * c.parameters, c) for criterion, c in found]
+    likeliest = min(criterion for criterion, _ in penalised)
+    near = [c for criterion, c in penalised if criterion - likeliest < MARGIN]
+    near = sorted(near, key=lambda c: -c.shape.at[effect.place])
+    return near, tuple(c for c in equal if c is not near[0])
 
 
 def pair(

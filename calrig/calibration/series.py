@@ -51,9 +51,7 @@ def _beside(r: Responses, candidate: Candidate, known: Sequence[Candidate]) -> C
     if not name or candidate.shape.series:
         return None
     alike = [
-        c
-        for c in known
-        if c.name == candidate.name and not c.effect.distinct(r, c.shape, candidate.shape)
+        c for c in known if c.name == candidate.name and not c.effect.distinct(r, c.shape, candidate.shape)
     ]
     return min(alike, key=lambda c: abs(c.shape.at[name] - candidate.shape.at[name]), default=None)
 
