@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,22 +12,35 @@ import numpy as np
 from calrig.calibration.candidates import Candidate, rebuilt
 from calrig.calibration.effects import UNNAMED
 from calrig.calibration.model import own_columns
-from calrig.calibration.noise_model import Fit
+from calrig.calibration.noise_model import Fit, fit
+from calrig.calibration.places import slope
 from calrig.calibration.ranking import FAR_BEHIND, MARGIN, Found
 from calrig.calibration.responses import CHANNELS, Responses
 from calrig.calibration.search import Findings
-from calrig.calibration.sensor_model import fitted_model
+from calrig.calibration.sensor_model import Model, fitted_model
 
 
 def effect_documents(r: Responses, findings: Findings) -> list[dict[str, Any]]:
     """Each effect found, with parameters from a fit of all of them together."""
     whole = [_whole_form(r, f.candidate) for f in findings.found]
     model = fitted_model(r, whole)
-    fitted, own = model.fitted, own_columns(model.columns, whole)
+    own = own_columns(model.columns, whole)
+    fitted = _fit_with_places(model, own)
     return [
         {**_document(r, one, candidate, fitted, at), "least_p_value": findings.least_p_value}
         for one, candidate, at in zip(findings.found, whole, own, strict=True)
     ]
+
+
+def _fit_with_places(model: Model, own: Sequence[slice]) -> Fit:
+    """The fit, with errors of coefficients that allow for a period's: the phase depends on it most."""
+    r, fitted, width = model.responses, model.fitted, model.columns.shape[2]
+    free = [(c, at) for c, at in zip(model.accepted, own, strict=True) if c.effect.place and not c.shape.series]
+    if not free:
+        return fitted
+    slopes = [slope(r, candidate, fitted.beta[at]) for candidate, at in free]
+    wider = fit(r, np.concatenate([model.columns, *slopes], axis=2)).covariance
+    return replace(fitted, covariance=wider[:width, :width])
 
 
 def model_words(findings: Findings) -> str:
@@ -80,13 +95,13 @@ def _why(found: Found, label: str, behind: float) -> str:
 def _same_elsewhere(found: Found, candidate: Candidate) -> list[str]:
     """The same effect at other places that these poses cannot tell from its own."""
     place = candidate.effect.place
-    values = [rival.shape.at[place] for rival in found.rivals if rival.name == candidate.name]
+    values = sorted((other.shape.at[place] for other in found.alike), reverse=True)
     if not values:
         return []
     parameter = next(p for p in candidate.effect.parameters if p.name == place)
     listed = ", ".join(f"{value:.4g}{parameter.unit}" for value in values)
     own = f"{candidate.shape.at[place]:.4g}{parameter.unit}"
-    return [f"{parameter.title.lower()}: these poses cannot tell {own} from {listed}; space them unevenly"]
+    return [f"a {parameter.title.lower()} of {listed} would look the same as {own} at these poses"]
 
 
 def _evidence(r: Responses, found: Found, candidate: Candidate) -> list[str]:
