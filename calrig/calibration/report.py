@@ -18,6 +18,7 @@ from calrig.calibration.ranking import FAR_BEHIND, MARGIN, Found
 from calrig.calibration.responses import CHANNELS, Responses
 from calrig.calibration.search import Findings
 from calrig.calibration.sensor_model import Model, fitted_model
+from calrig.estimation.angles import FloatArray
 
 
 def effect_documents(r: Responses, findings: Findings) -> list[dict[str, Any]]:
@@ -25,22 +26,23 @@ def effect_documents(r: Responses, findings: Findings) -> list[dict[str, Any]]:
     whole = [_whole_form(r, f.candidate) for f in findings.found]
     model = fitted_model(r, whole)
     own = own_columns(model.columns, whole)
-    fitted = _fit_with_places(model, own)
+    fitted = replace(model.fitted, covariance=_covariance(model, own))
     return [
         {**_document(r, one, candidate, fitted, at), "least_p_value": findings.least_p_value}
         for one, candidate, at in zip(findings.found, whole, own, strict=True)
     ]
 
 
-def _fit_with_places(model: Model, own: Sequence[slice]) -> Fit:
-    """The fit, with errors of coefficients that allow for a period's: the phase depends on it most."""
-    r, fitted, width = model.responses, model.fitted, model.columns.shape[2]
-    free = [(c, at) for c, at in zip(model.accepted, own, strict=True) if c.effect.place and not c.shape.series]
-    if not free:
-        return fitted
-    slopes = [slope(r, candidate, fitted.beta[at]) for candidate, at in free]
-    wider = fit(r, np.concatenate([model.columns, *slopes], axis=2)).covariance
-    return replace(fitted, covariance=wider[:width, :width])
+def _covariance(model: Model, own: Sequence[slice]) -> FloatArray:
+    """That of the coefficients, with what the places add that were refined and may lie a little elsewhere."""
+    slopes = [
+        slope(model.responses, candidate, model.fitted.beta[at])
+        for candidate, at in zip(model.accepted, own, strict=True)
+        if candidate.effect.place in candidate.shape.at_std
+    ]
+    if not slopes:
+        return model.fitted.covariance
+    return fit(model.responses, np.concatenate([model.columns, *slopes], axis=2)).covariance
 
 
 def model_words(findings: Findings) -> str:
