@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from calrig.calibration.ranking import MARGIN, Found
 from calrig.calibration.responses import CHANNELS, Responses
 from calrig.calibration.search import Findings
 from calrig.calibration.sensor_model import fitted_model
+from calrig.calibration.standard_errors import covariance_of
 
 FAR_WORSE = 40.0
 """So far behind in −2 log likelihood that odds would suggest more precision than there is."""
@@ -24,7 +26,8 @@ def effect_documents(r: Responses, findings: Findings) -> list[dict[str, Any]]:
     """Each effect found, with parameters from a fit of all of them together."""
     whole = [_whole_form(r, f.candidate) for f in findings.found]
     model = fitted_model(r, whole)
-    fitted, own = model.fitted, own_columns(model.columns, whole)
+    covariance = covariance_of(model.responses, model.columns, model.fitted)
+    fitted, own = replace(model.fitted, covariance=covariance), own_columns(model.columns, whole)
     return [
         {**_document(r, one, candidate, fitted, at), "least_p_value": findings.least_p_value}
         for one, candidate, at in zip(findings.found, whole, own, strict=True)

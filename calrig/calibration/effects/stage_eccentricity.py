@@ -13,9 +13,8 @@ from calrig.calibration.effect import (
     Parameter,
     Parameters,
     Shape,
-    amplitude_and_phase,
 )
-from calrig.calibration.effect_terms import sin_cos, turned, turns, wave_deg
+from calrig.calibration.effect_terms import amplitude_and_phase, sin_cos, turned, turns, wave_deg
 from calrig.calibration.responses import Responses
 
 
