@@ -112,6 +112,8 @@ function summary(diagnosis) {
   const rows = [
     ["Held-out RMS, bias and scale only", significant(base.held_out_rms_deg, 3, "°")],
     ["Held-out RMS, with effects", significant(final.held_out_rms_deg, 3, "°")],
+    ["In held-out blocks, bias and scale only", significant(base.blocked_rms_deg, 3, "°")],
+    ["In held-out blocks, with effects", significant(final.blocked_rms_deg, 3, "°")],
     ["Noise floor", significant(noise.floor_deg, 3, "°")],
   ];
   if (fresh) {
@@ -136,7 +138,7 @@ function summary(diagnosis) {
       { class: "muted" },
       `Cross-validation over ${plural(heldOut.n_poses, "pose")} of `,
       `${diagnosis.runs.length > 1 ? "runs" : "run"} ${diagnosis.runs.join(", ")}: search and fit were repeated `,
-      `without the poses they predict (${heldOut.how}).`,
+      `without the poses they predict; for blocks, the fit alone (${heldOut.how}).`,
     ),
     h("p", { class: "model" }, diagnosis.final.model),
   );

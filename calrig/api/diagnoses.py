@@ -77,27 +77,51 @@ class HeldOutAnswer(Answer):
     n_poses: int
 
 
+class LackOfFitAnswer(Answer):
+    """The residual's variance over that of the pure error, with the degrees of freedom of both."""
+
+    f: float
+    freedom: tuple[float, float]
+    p_value: float
+    rejected: bool
+
+
 class ReadingNoiseAnswer(Answer):
-    """Noise of the reading; `floor_deg` is its standard error from within the dwells."""
+    """What the final model leaves of the reading, and the pure error that it is held against.
+
+    `floor_deg` is a reading's standard error from within the dwells, `repeat_deg` the scatter of poses
+    revisited on the same side, slow changes included; `pure_error_deg` is of both, without those.
+    """
+
+    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
 
     std_deg: float
     lag1_correlation: float
     floor_deg: float | None
+    repeat_deg: float | None = None  # the last three: null of diagnoses stored before they were kept
+    pure_error_deg: float | None = None
+    lack_of_fit: LackOfFitAnswer | None = None
 
 
 class BaseAnswer(Answer):
-    """Bias and scale alone."""
+    """Bias and scale alone: errors on held-out poses between the others, and in contiguous blocks."""
+
+    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
 
     bias_deg: float
     scale: float | None
     fit_rms_deg: float
     held_out_rms_deg: float | None
+    blocked_rms_deg: float | None = None  # null of diagnoses stored before it was measured
 
 
 class FinalAnswer(Answer):
     """With the effects found."""
 
+    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
+
     held_out_rms_deg: float | None
+    blocked_rms_deg: float | None = None  # in the blocks, of time or of angle, that the effects help less
     fit_rms_deg: float
     model: str
 

@@ -13,6 +13,9 @@ from calrig.calibration.effects import EFFECTS, UNNAMED, effect_of
 from calrig.calibration.responses import Responses
 from calrig.estimation.angles import FloatArray
 
+LEAST_TURN_DEG = 330.0
+"""Poses over such an arc go round: the orders of a turn come apart."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
@@ -22,9 +25,10 @@ class Candidate:
         columns: (n, J, p).
         beside: another one whose columns come first, where both are considered as one.
         label: the name, for an unnamed shape with its covariate: what two forms of one thing share.
-        parameters: how many it adds to a model: coefficients, and two for a place that was scanned. One of n
-            places costs 2·log n in −2 log likelihood, twice a coefficient's log n (Zhang & Siegmund,
-            Biometrics 63, 2007, for change points).
+        parameters: how many it adds to a model: coefficients, and one or two for a place that was scanned.
+            One of n instants costs 2·log n in −2 log likelihood, twice a coefficient's log n (Zhang &
+            Siegmund, Biometrics 63, 2007, for change points); a place that a likelihood is smooth in costs
+            log n.
     """
 
     effect: Effect
@@ -36,11 +40,12 @@ class Candidate:
 
     def __post_init__(self) -> None:
         shapes = [self.shape, *([] if self.beside is None else [self.beside.shape])]
-        scanned, replaced = sum(s.scanned for s in shapes), sum(s.replaces is not None for s in shapes)
+        scanned = sum(s.place_cost for s in shapes if s.scanned)
+        replaced = sum(s.replaces is not None for s in shapes)
         own = self.name if self.named else f"{UNNAMED} {self.covariate}"
         label = own if self.beside is None else f"{self.beside.label} + {own}"
         object.__setattr__(self, "label", label)
-        object.__setattr__(self, "parameters", int(self.columns.shape[2]) + 2 * scanned - replaced)
+        object.__setattr__(self, "parameters", int(self.columns.shape[2]) + scanned - replaced)
 
     @property
     def members(self) -> tuple[Candidate, ...]:
@@ -48,7 +53,7 @@ class Candidate:
         if self.beside is None:
             return (self,)
         width = self.beside.columns.shape[2]
-        return self.beside, Candidate(self.effect, self.shape, self.columns[:, :, width:])
+        return *self.beside.members, Candidate(self.effect, self.shape, self.columns[:, :, width:])
 
     def is_possible(self, beta: FloatArray) -> bool:
         """Whether the coefficients (≥ p,), its own first, are any that physics allows."""
@@ -95,8 +100,21 @@ def candidates_of(r: Responses) -> list[Candidate]:
     together = [
         Candidate(b.effect, b.shape, np.concatenate([a.columns, b.columns], axis=2), a) for a, b in pairs
     ]
+    together += _series(r, shown)
     unnamed = sum(not candidate.named for candidate in shown)
     return [*shown[: len(shown) - unnamed], *together, *shown[len(shown) - unnamed :]]
+
+
+def _series(r: Responses, shown: Sequence[Candidate]) -> list[Candidate]:
+    """The first terms of the turn's series as one, so many and more: each alone may look like noise."""
+    if np.ptp(r.theta_deg) < LEAST_TURN_DEG:
+        return []
+    joined: list[Candidate] = []
+    for term in (c for c in shown if c.shape.series and not c.shape.scanned):
+        before = joined[-1] if joined else None
+        columns = term.columns if before is None else np.concatenate([before.columns, term.columns], axis=2)
+        joined.append(Candidate(term.effect, term.shape, columns, before))
+    return joined[1:]
 
 
 def rebuilt(candidate: Candidate, r: Responses, form: str | None = None) -> Candidate | None:

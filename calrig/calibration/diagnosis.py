@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from calrig.calibration.blocked_folds import BLOCKS, Blocked, blocked, not_predictive, worse
 from calrig.calibration.candidates import candidates_of
 from calrig.calibration.cross_validation import CrossValidation, confirm, cross_validate
 from calrig.calibration.diagnosis_verdict import diagnosis_verdict
 from calrig.calibration.experiment_design import design
 from calrig.calibration.fit import fit_line, residuals_deg, rms
+from calrig.calibration.lack_of_fit import LackOfFit, lack_of_fit, warning_of
+from calrig.calibration.leave_one_out import standing_without_one
 from calrig.calibration.pose import Pose
 from calrig.calibration.pose_columns import complete
 from calrig.calibration.report import effect_documents, model_words
@@ -33,13 +35,16 @@ class Diagnosis:
         runs: the poses it rests on: those that are complete, less outliers.
         findings: the effects, and the fit of the final model.
         held_out: errors on held-out poses, before and after; None where they were not asked for.
+        blocks: the same of poses held out in contiguous blocks; empty where they were not asked for.
+        lack: what the final model leaves, against the pure error.
         warnings: what was left out or looked odd.
     """
 
     runs: tuple[tuple[Pose, ...], ...]
     findings: Findings
     held_out: CrossValidation | None
-    floor_deg: float | None
+    blocks: tuple[Blocked, ...]
+    lack: LackOfFit
     warnings: tuple[str, ...]
 
 
@@ -67,12 +72,34 @@ def diagnose(
     rng = np.random.default_rng(seed)
     findings = search(r, candidates, rng, bootstraps=bootstraps)
     kept, outliers = _parted(whole, findings)
-    held_out = None
+    left = findings.responses
+    findings = replace(findings, found=standing_without_one(left, findings.found))
+    held_out, blocks = None, ()
     if cross_fit:
-        held_out = cross_validate(findings.responses, [c.rows(findings.kept) for c in candidates], rng)
-    errors = [e for run in kept for pose in run if (e := pose.reading_stderr_deg) is not None]
-    floor = math.sqrt(sum(e * e for e in errors) / len(errors)) if errors else None
-    return Diagnosis(kept, findings, held_out, floor, (*outliers, *incomplete, *r.warnings))
+        of_kept = [c.rows(findings.kept) for c in candidates]
+        held_out = cross_validate(left, of_kept, rng)
+        predictive = not_predictive(left, findings.found, findings.fitted, of_kept)
+        findings = replace(findings, found=predictive)
+        blocks = blocked(left, [f.candidate for f in findings.found])
+    lack = _lack_of_fit(kept, findings)
+    said = warning_of(lack, found=bool(findings.found))
+    warnings = (*outliers, *incomplete, *r.warnings, *([] if said is None else [said]))
+    return Diagnosis(kept, findings, held_out, blocks, lack, warnings)
+
+
+def _lack_of_fit(kept: Sequence[Sequence[Pose]], findings: Findings) -> LackOfFit:
+    r = findings.responses
+    residual_deg = _after_deg(findings)
+    freed = "reading.first" in r.base_names
+    of_reading = int(np.any(findings.columns[:, 0, :] != 0.0, axis=0).sum())
+    return lack_of_fit(
+        kept,
+        residual_deg,
+        r.starts & freed,
+        parameters=of_reading - freed * int(r.starts.sum()),
+        lag1_correlation=_lag1(residual_deg, float(r.rounding[0])),
+        rounding_deg=float(r.rounding[0]),
+    )
 
 
 def _parted(
@@ -100,32 +127,31 @@ def document(diagnosis: Diagnosis, run_ids: Sequence[str]) -> dict[str, Any]:
     r = findings.responses
     before = fit_line(r.theta_deg, r.theta_deg + r.values[:, 0])
     before_deg = residuals_deg(r.theta_deg, r.theta_deg + r.values[:, 0], before.bias_deg, before.scale)
-    after_deg = findings.fitted.residuals[:, 0] / _scale(r, findings)
+    after_deg = _after_deg(findings)
     effects = effect_documents(r, findings)
     verdicts = [effect["verdict"] for effect in effects]
-    held_out = diagnosis.held_out
+    held_out, blocks = diagnosis.held_out, diagnosis.blocks
+    blocked_deg = (rms(worst.base_deg), rms(worst.final_deg)) if (worst := worse(blocks)) else (None, None)
     return {
         "runs": list(run_ids),
         "n_poses": len(r),
         "held_out": {
-            "how": "not measured" if held_out is None else f"{held_out.folds} folds",
+            "how": "not measured" if held_out is None else _how(held_out, blocks),
             "n_poses": 0 if held_out is None else len(r),
         },
-        "noise": {
-            "std_deg": _unbiased_std(findings),
-            "lag1_correlation": _lag1(after_deg, float(r.rounding[0])),
-            "floor_deg": diagnosis.floor_deg,
-        },
+        "noise": _noise(diagnosis.lack),
         "base": {
             "bias_deg": before.bias_deg,
             "scale": before.scale,
             "fit_rms_deg": rms(before_deg),
             "held_out_rms_deg": None if held_out is None else rms(held_out.base_deg),
+            "blocked_rms_deg": blocked_deg[0],
         },
         "verdict": next((v for v in WEAKEST_FIRST if v in verdicts), "nothing"),
         "effects": effects,
         "final": {
             "held_out_rms_deg": None if held_out is None else rms(held_out.final_deg),
+            "blocked_rms_deg": blocked_deg[1],
             "fit_rms_deg": rms(after_deg) if findings.found else rms(before_deg),
             "model": model_words(findings),
         },
@@ -135,18 +161,35 @@ def document(diagnosis: Diagnosis, run_ids: Sequence[str]) -> dict[str, Any]:
     }
 
 
+def _how(held_out: CrossValidation, blocks: Sequence[Blocked]) -> str:
+    """How the errors on held-out poses were measured, in words."""
+    along = " and ".join(f"along {one.along}" for one in blocks)
+    return f"{held_out.folds} folds, interleaved; {BLOCKS} contiguous blocks {along}"
+
+
+def _noise(lack: LackOfFit) -> dict[str, Any]:
+    """The residual's noise, and the pure error that it is held against."""
+    tested = {"f": lack.f, "freedom": list(lack.freedom), "p_value": lack.p_value, "rejected": lack.rejects}
+    return {
+        "std_deg": lack.residual.std_deg,
+        "lag1_correlation": lack.lag1_correlation,
+        "floor_deg": None if lack.dwell is None else lack.dwell.std_deg,
+        "repeat_deg": None if lack.repeat is None else lack.repeat.std_deg,
+        "pure_error_deg": None if lack.pure is None else lack.pure.std_deg,
+        "lack_of_fit": None if lack.f is None else tested,
+    }
+
+
+def _after_deg(findings: Findings) -> FloatArray:
+    """(n,) what the final model leaves of the readings, in degrees of elevation."""
+    return np.asarray(findings.fitted.residuals[:, 0] / _scale(findings.responses, findings))
+
+
 def _scale(r: Responses, findings: Findings) -> float:
     names = r.base_names
     if "reading.scale" not in names:
         return 1.0
     return 1.0 + float(findings.fitted.beta[names.index("reading.scale")]) / SCALE_UNIT_DEG
-
-
-def _unbiased_std(findings: Findings) -> float:
-    residuals = findings.fitted.residuals[:, 0]
-    channels = findings.fitted.residuals.shape[1]
-    freedom = max(len(residuals) - findings.columns.shape[2] / channels, 1.0)
-    return math.sqrt(float(residuals @ residuals) / freedom)
 
 
 def _lag1(residual: FloatArray, rounding_deg: float) -> float:

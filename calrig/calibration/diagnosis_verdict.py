@@ -1,4 +1,8 @@
-"""Whether a diagnosis is good news: names count only where the error on held-out poses falls with them."""
+"""Whether a diagnosis is good news: names count only where the error on held-out poses falls with them.
+
+Held-out poses lie between the others, and in blocks of their own: the claim rests on those that the effects
+help less. Noise is called so only where the pure error allows it.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from calrig.calibration.effects import EFFECTS, UNNAMED
+from calrig.calibration.effects import EFFECTS, UNNAMED, covariate_of
+from calrig.calibration.lack_of_fit import SEVERAL
 
 Document = Mapping[str, Any]
 
@@ -16,8 +21,8 @@ class DiagnosisVerdict:
     """What a person should make of a diagnosis.
 
     Attributes:
-        grade: `good`, the effects are named and the error on poses that decided nothing has fallen;
-            `unknown`, no effect was found; else `fair`.
+        grade: `good`, the effects are named, the error on poses that decided nothing has fallen, and what is
+            left is not several times the pure error; `unknown`, no effect was found; else `fair`.
         says: the same in sentences, the answer first.
     """
 
@@ -34,34 +39,95 @@ def diagnosis_verdict(diagnosis: Document, decided: int | None = None) -> Diagno
     """
     fresh = diagnosis["confirmed_by"]
     confirmed = fresh is None or fresh["after_rms_deg"] < fresh["before_rms_deg"]
-    before_deg, after_deg = (diagnosis[model]["held_out_rms_deg"] for model in ("base", "final"))
-    fell = after_deg is None or after_deg < before_deg
+    between, apart = (_errors(diagnosis, key) for key in ("held_out_rms_deg", "blocked_rms_deg"))
     says = [_answer(diagnosis)]
-    if after_deg is None:
+    if diagnosis["effects"]:
+        says += _rest(diagnosis)
+    if between is None:
         says.append("Without cross-validation: the error on held-out poses is not known.")
-    elif diagnosis["effects"] and not fell:
-        says.append(
-            "The error on held-out poses has not decreased: with so few poses the search does not find the "
-            "same effects in every fold."
-        )
+    elif diagnosis["effects"]:
+        says.append(_held_out(between, apart))
+    fell = all(after < before for before, after in filter(None, (between, apart)))
     if fresh is not None:
         says.append(_confirmation(fresh, decided, confirmed=confirmed))
     if diagnosis["verdict"] == "nothing":
         return DiagnosisVerdict("unknown", tuple(says))
-    good = diagnosis["verdict"] == "named" and fell and confirmed
+    explained = (_times_pure_error(diagnosis) or 0.0) < SEVERAL
+    good = diagnosis["verdict"] == "named" and fell and confirmed and explained
     return DiagnosisVerdict("good" if good else "fair", tuple(says))
 
 
 def _answer(diagnosis: Document) -> str:
     effects = diagnosis["effects"]
     if not effects:
-        return "No effect found: the residual is consistent with noise"
+        return _nothing(diagnosis)
     parts = [
         ("Indistinguishable by these poses", "; ".join(map(_suspects, _of(effects, "ambiguous")))),
         ("Not in the catalogue", ", ".join(map(_title, _of(effects, "unnamed")))),
         ("Identified", ", ".join(map(_title, _of(effects, "named")))),
     ]
     return ". ".join(f"{what}: {which}" for what, which in parts if which)
+
+
+def _nothing(diagnosis: Document) -> str:
+    noise = diagnosis["noise"]
+    if noise.get("pure_error_deg") is None:
+        return "No effect found. How large the noise is, neither dwells nor revisited poses tell"
+    if noise["lack_of_fit"]["rejected"]:
+        return f"No effect found, and yet {_more_than_noise(diagnosis)}"
+    return "No effect found: the residual is consistent with noise"
+
+
+def _rest(diagnosis: Document) -> list[str]:
+    """What effects have not explained, where it is more than noise."""
+    tested = diagnosis["noise"].get("lack_of_fit")
+    if not tested or not tested["rejected"]:
+        return []
+    said = _more_than_noise(diagnosis)
+    return [f"{said[0].upper()}{said[1:]}."]
+
+
+def _more_than_noise(diagnosis: Document) -> str:
+    noise = diagnosis["noise"]
+    times = f"{_times_pure_error(diagnosis):.1f} times the pure error"
+    return (
+        f"more is left than the noise of a pose: {_deg(noise['std_deg'])}, {times}, "
+        f"with a lag-1 correlation of {noise['lag1_correlation']:.2f}"
+    )
+
+
+def _times_pure_error(diagnosis: Document) -> float | None:
+    """The residual over the pure error; None where that is not known."""
+    noise = diagnosis["noise"]
+    pure_deg = noise.get("pure_error_deg")
+    return noise["std_deg"] / pure_deg if pure_deg else None
+
+
+def _errors(diagnosis: Document, key: str) -> tuple[float, float] | None:
+    """RMS before and after in degrees; None where they were not measured."""
+    before, after = (diagnosis[model].get(key) for model in ("base", "final"))
+    return None if before is None or after is None else (before, after)
+
+
+def _held_out(between: tuple[float, float], apart: tuple[float, float] | None) -> str:
+    """The error on held-out poses, by the folds that the effects help less."""
+    if between[1] >= between[0]:
+        return (
+            "The error on held-out poses has not decreased: with so few poses the search does not find the "
+            "same effects in every fold."
+        )
+    if apart is not None and apart[1] >= apart[0]:
+        return (
+            f"What was found interpolates: RMS {_fall(between)} on held-out poses between the others, but "
+            f"{_fall(apart)} on contiguous blocks of them."
+        )
+    if apart is not None and apart[1] / apart[0] > between[1] / between[0]:
+        return f"RMS on held-out poses: {_fall(apart)} on contiguous blocks, the harder test."
+    return f"RMS on held-out poses: {_fall(between)}."
+
+
+def _fall(errors: tuple[float, float]) -> str:
+    return f"{_deg(errors[0])} before and {_deg(errors[1])} after"
 
 
 def _of(effects: Sequence[Document], verdict: str) -> list[Document]:
@@ -71,9 +137,7 @@ def _of(effects: Sequence[Document], verdict: str) -> list[Document]:
 def _title(effect: Document) -> str:
     """Of the catalogue, as it stands inside a sentence."""
     if effect["name"] == UNNAMED:
-        followed = (e.covariate for e in EFFECTS.values() if e.covariate.name == effect["covariate"])
-        covariate = next(followed, None)
-        return f"something that follows {covariate.title if covariate else effect['covariate']}"
+        return f"something that follows {covariate_of(effect['covariate']).title}"
     title = EFFECTS[effect["name"]].title
     return title[0].lower() + title[1:]
 

@@ -33,7 +33,7 @@ ORIGINS: dict[Origin, str] = {
     "environment": "the surroundings",
     "unknown": "not known",
 }
-HIDDEN = ("pose", "part")
+HIDDEN = ("pose", "part", "order", "over_s")
 """Places that serve the search alone and are in no document."""
 
 
@@ -95,10 +95,16 @@ class Shape:
         form: which of the effect's forms, where it has several.
         at: parameters that are not coefficients: found by scanning, or a reference.
         scanned: whether the search chose the place among many.
+        place_cost: how many parameters that choice counts as: two where neighbouring places differ as an
+            instant does from the next, one where they go over into each other.
         covariate: where it is not the effect's.
         replaces: a base column that the effect's own column takes the place of.
         says: what is to be said of this form beside the effect's name.
         part_of: the form with all parameters, where this one has some of them.
+        alike: names that such poses do not part it from, however much better it fits.
+        at_std: standard errors of the places that were refined.
+        series: what it is one term of, where several terms make one cause: a search counts them once.
+        beside: covariates that effects in the model must follow before it is offered.
     """
 
     shares: Mapping[str, FloatArray]
@@ -106,10 +112,15 @@ class Shape:
     form: str = ""
     at: Parameters = field(default_factory=dict)
     scanned: bool = False
+    place_cost: int = 2
     covariate: str = ""
     replaces: str | None = None
     says: str = ""
     part_of: str = ""
+    alike: tuple[str, ...] = ()
+    at_std: Parameters = field(default_factory=dict)
+    series: str = ""
+    beside: tuple[str, ...] = ()
 
     @property
     def stated(self) -> frozenset[str]:
@@ -213,6 +224,10 @@ class Effect:
         scan: the places that the search tries; without it one, of no parameters.
         refine: the shape at the best place near a leading one's, in the poses given (the leading one may be
             of more), by a shape's criterion; None where there is nothing to refine.
+        place: the parameter among the scanned ones that the likelihood refines between them.
+        settled: the places to take for those refined, by their standard errors: a value that is known.
+        look_alikes: places that these poses may not tell from a shape's, the likeliest first.
+        distinct: whether two shapes at different places can both be in one model of these poses.
         reported: a document's parameters from coefficients and their covariance.
         evidence: sentences about a shape in these poses.
         possible: whether coefficients are any that the physics allows.
@@ -235,6 +250,10 @@ class Effect:
     on_vector_g: Callable[[Applied], VectorError] | None = None
     scan: Callable[[Responses], Iterator[Parameters]] | None = None
     refine: Callable[[Responses, Shape, Callable[[Shape], float]], Shape | None] | None = None
+    place: str = ""
+    settled: Callable[[Parameters, Parameters], Parameters] = lambda at, _std: at
+    look_alikes: Callable[[Responses, Shape], Iterator[Parameters]] = lambda _r, _shape: iter(())
+    distinct: Callable[[Responses, Shape, Shape], bool] = lambda _r, _shape, _other: True
     reported: Callable[[Shape, FloatArray, FloatArray], Documents] = linear
     evidence: Callable[[Responses, Shape], list[str]] = lambda _r, _shape: []
     possible: Callable[[Shape, FloatArray], bool] = lambda _shape, _beta: True
@@ -263,11 +282,11 @@ class Effect:
             yield from self.forms(r, at)
 
     def documented(self, shape: Shape, beta: FloatArray, covariance: FloatArray) -> dict[str, Any]:
-        """A document's `parameters`: what was fitted with its standard error, and what was not without."""
+        """A document's `parameters`: what was fitted or refined with its standard error, the rest without."""
         found: dict[str, Any] = dict(self.reported(shape, beta, covariance))
         for name, value in shape.at.items():
             if name not in HIDDEN:
-                found[name] = {"value": float(value), "std": None}
+                found[name] = {"value": float(value), "std": shape.at_std.get(name)}
         return found
 
 

@@ -20,6 +20,8 @@ from calrig.estimation.angles import FloatArray
 
 DEG = 180.0 / np.pi
 MG = 1e-3
+THE_TURN = "the turn"
+"""The series of a full turn's orders."""
 SMALL_STEP = 1e-3
 """Of a parameter, in its own unit: what it changes is a straight line there."""
 ON_VECTOR = (
@@ -28,6 +30,8 @@ ON_VECTOR = (
 PHASE_UNKNOWN_DEG = 180.0 / math.sqrt(3.0)
 """Standard deviation of an angle of which nothing is known."""
 LEAST_TEMPERATURE_RANGE_C = 0.05
+LEAST_RETURN = 0.25
+"""Of the range of temperature: what tells a delay behind it from a curve of it."""
 LARGEST_FLOAT = float(np.finfo(np.float32).max)
 SMALLEST_FLOAT = float(np.finfo(np.float32).tiny)
 
@@ -121,6 +125,34 @@ def warmer_c(r: Responses, at: Parameters) -> tuple[FloatArray, float] | None:
         return None
     reference_c = float(at.get("reference_c", r.temperature_c.mean()))
     return np.asarray(r.temperature_c - reference_c, dtype=np.float64), reference_c
+
+
+def one_leg(r: Responses) -> bool:
+    """Whether no run's temperature came back, by a share of its range, from where it had gone."""
+    if r.temperature_c is None:
+        return True
+    runs = np.split(r.temperature_c, np.flatnonzero(r.starts))
+    least_c = LEAST_RETURN * float(np.ptp(r.temperature_c))
+    return not any(min(_rise(run), _rise(-run)) >= least_c for run in runs if len(run))
+
+
+def _rise(values: FloatArray) -> float:
+    """The most that a series ever lies above what it was before."""
+    return float((values - np.minimum.accumulate(values)).max(initial=0.0))
+
+
+def within(**most: float) -> Callable[[Shape, FloatArray], bool]:
+    """Whether coefficients are no larger than the given ones, by the names of their parameters."""
+
+    def possible(shape: Shape, beta: FloatArray) -> bool:
+        return all(abs(b) <= most[name] for name, b in zip(shape.parameters, beta, strict=False))
+
+    return possible
+
+
+def amplitude_within(most_deg: float) -> Callable[[Shape, FloatArray], bool]:
+    """Whether a wave of b₀·sin + b₁·cos has at most this amplitude."""
+    return lambda _shape, beta: float(np.hypot(*beta[:2])) <= most_deg
 
 
 def c_literal(value: float) -> str:

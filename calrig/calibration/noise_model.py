@@ -21,7 +21,10 @@ from calrig.calibration.responses import BoolArray, Responses
 from calrig.estimation.angles import FloatArray
 
 ITERATIONS = 4
-ITERATIONS_FROM_A_START = 2
+STRONG_RHO = 0.75
+"""Correlation beyond which coefficients and noise agree slowly; below it one step from the noise that the
+responses were drawn from leaves the criterion where four would (quantiles of its gain alike to 0.5).
+"""
 RIDGE = 1e-9
 """Added to products of columns of unit size, so that two that say the same need no eigenvectors."""
 LARGEST_RHO = 0.95
@@ -130,7 +133,7 @@ def fits(r: Responses, values: FloatArray, columns: FloatArray, start: NoiseMode
         r: the responses, for what their poses have in common.
         values: (b, n, J).
         columns: (b, n, J, p), or (1, n, J, p) where all have the same.
-        start: noise to begin with, from which a few iterations suffice; without it from white noise.
+        start: noise that they were drawn from, to begin with; without it from white noise.
     """
     b, n, channels = values.shape
     columns = np.broadcast_to(columns, (b, *columns.shape[1:]))
@@ -143,7 +146,7 @@ def fits(r: Responses, values: FloatArray, columns: FloatArray, start: NoiseMode
         rho = np.broadcast_to(start.rho, (b, channels))
     by_channel = np.ascontiguousarray(np.moveaxis(columns, 2, 1)).reshape(b, channels, n * p)
     taken = max(1.0, p / channels)
-    for _ in range(ITERATIONS if start is None else ITERATIONS_FROM_A_START):
+    for _ in range(1 if start is not None and start.rho.max() < STRONG_RHO else ITERATIONS):
         turned = (np.swapaxes(rotation, 1, 2) @ by_channel).reshape(b, channels, n, p)
         design = _innovations(turned, rho, r.starts).reshape(b, channels * n, p)
         target = _innovations(np.swapaxes(values @ rotation, 1, 2)[..., None], rho, r.starts)

@@ -96,8 +96,7 @@ def _forms(r: Responses, document: Document) -> list[Candidate]:
 
 
 def _column(r: Responses, covariate: str) -> FloatArray:
-    known = covariate_of(covariate)
-    column = r.covariates.get(covariate) if known is None else known.of(r)
+    column = covariate_of(covariate).of(r)
     if column is None:
         raise DiagnosisError(f"these poses have no {covariate}: diagnose them again")
     return column

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from calrig.calibration.candidates import Candidate, candidate_of
 from calrig.calibration.effect import Shape
+from calrig.calibration.places import refined
 from calrig.calibration.responses import Responses
 from calrig.calibration.screen import Float32Array, Screen
 from calrig.calibration.sensor_model import fitted_beside, fitted_model
@@ -16,12 +18,16 @@ from calrig.estimation.angles import FloatArray
 
 MARGIN = 6.0
 """Of the criterion, between a name and the next: held by truth in 94–100 % where the data can decide."""
+FAR_BEHIND = 40.0
+"""So far behind, hardly any single pose brings a rival close; and odds would suggest too much precision."""
 PAIR_MARGIN = 8.0
 """Of the criterion, by which two effects must beat the best one to enter together, and the second of them
 must pass the gate beside the first: on trial by this margin alone it was wrong in 1 % of all runs.
 """
 LEADING_NAMES = 4
 SHORTLIST = 16
+FARTHEST = 1e9
+"""Of the criterion, where what physics rules out ranks."""
 SAME = 1e-3
 """Of −2 log likelihood: the screen's single precision decides no more, and the first of equals is taken."""
 
@@ -36,6 +42,9 @@ class Found:
         p_value: of the search that found it, as a whole.
         lead: how much worse the best candidate of another name is, in −2 log likelihood with penalties;
             negative where a rival explains it better.
+        considered: how far behind the best each label came.
+        runners_up: the best candidate of each other name that came near enough for a pose to matter.
+        doubts: why it is claimed no more than it is, in sentences.
     """
 
     candidate: Candidate
@@ -43,6 +52,8 @@ class Found:
     p_value: float
     lead: float
     considered: tuple[tuple[str, float], ...] = ()
+    runners_up: tuple[Candidate, ...] = ()
+    doubts: tuple[str, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -51,6 +62,18 @@ class Found:
             return "unnamed"
         return "ambiguous" if self.rivals else "named"
 
+    def rows(self, chosen: npt.NDArray[np.intp]) -> Found:
+        """The same in some of the poses."""
+        candidate = self.candidate.rows(chosen)
+        rivals, runners_up = (
+            tuple(c.rows(chosen) for c in those) for those in (self.rivals, self.runners_up)
+        )
+        return replace(self, candidate=candidate, rivals=rivals, runners_up=runners_up)
+
+    def against(self, rival: Candidate, doubt: str) -> Found:
+        """With one rival more, and why."""
+        return replace(self, rivals=(*self.rivals, rival), doubts=(*self.doubts, doubt))
+
 
 def named(
     r: Responses,
@@ -58,22 +81,48 @@ def named(
     offered: Sequence[Candidate],
     ratios: Float32Array,
     p_value: float,
+    incumbent: Candidate | None = None,
 ) -> Found:
-    """The best of the offered candidates by its full likelihood, and those that come too close to it."""
+    """The best of the offered candidates by its full likelihood, and those that come too close to it.
+
+    Of equals, a term of a series stays where it is already in the model: it came with the others.
+    """
     ranked = _ranked(r, accepted, offered, ratios)
     best = ranked[0][0]
     near = [c for criterion, c in ranked if criterion - best < MARGIN]
     named = [c for c in near if c.named]
     # A catalogue effect that explains as well outranks the flexible shapes that contain it.
-    claimed = (named or near)[0]
+    staying = [c for c in named if incumbent is not None and _is_same_term(c, incumbent)]
+    claimed = (staying or named or near)[0]
     rivals = _rivals(ranked, claimed) if claimed.named else ()
+    if claimed.effect.place and claimed.beside is None:
+        claimed, *others = _alike(r, accepted, claimed)
+        rivals = (*others, *rivals)
     own = min(criterion for criterion, c in ranked if c.label == claimed.label)
     rest = [criterion for criterion, c in ranked if c.label != claimed.label and c.named]
     lead = min(rest) - own if rest else np.inf
     considered: dict[str, float] = {}
     for criterion, c in ranked:
         considered.setdefault(c.label, round(max(criterion - best, 0.0), 2))
-    return Found(claimed, rivals, p_value, float(lead), tuple(considered.items()))
+    runners_up = _runners_up(ranked, claimed)
+    return Found(claimed, rivals, p_value, float(lead), tuple(considered.items()), runners_up)
+
+
+def _runners_up(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> tuple[Candidate, ...]:
+    others: dict[str, Candidate] = {}
+    for criterion, c in ranked:
+        apart = c.named and c.beside is None and c.label not in claimed.label
+        if apart and criterion - ranked[0][0] < FAR_BEHIND:
+            others.setdefault(c.label, c)
+    return tuple(others.values())
+
+
+def _is_same_term(candidate: Candidate, other: Candidate) -> bool:
+    return (
+        candidate.shape.series != ""
+        and candidate.label == other.label
+        and candidate.shape.at == other.shape.at
+    )
 
 
 def _rivals(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> tuple[Candidate, ...]:
@@ -82,11 +131,35 @@ def _rivals(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> tu
     others: dict[str, Candidate] = {}
     for criterion, c in ranked:
         first = c.members[0]  # of two that only together explain it, the one that leads is the suspect
-        if c.named and first.label not in claimed.label and criterion - best < MARGIN:
+        more = any(member.label == claimed.label for member in c.members)  # the claimed one, and another
+        near = criterion - best < MARGIN or c.name in claimed.shape.alike
+        if c.named and not more and first.label not in claimed.label and near:
             others.setdefault(first.label, first)
     if not leader.named:
         others[leader.label] = leader
     return tuple(others.values())
+
+
+def _alike(r: Responses, accepted: Sequence[Candidate], claimed: Candidate) -> list[Candidate]:
+    """The claimed one at its best place, and the same at places that these poses cannot tell from it.
+
+    The largest of equals comes first: a long period before those that only the spacing makes of it.
+    """
+    effect = claimed.effect
+    best, own = refined(r, accepted, claimed)
+    found = [(best.criterion, own)]
+    for at in effect.look_alikes(r, own.shape):
+        for shape in effect.forms(r, at):
+            fitted, other = refined(r, accepted, candidate_of(r, effect, shape))
+            others = [*accepted, *(c for _, c in found)]
+            apart = all(
+                effect.distinct(r, other.shape, c.shape) for c in others if c.effect.place == effect.place
+            )
+            if apart and other.is_possible(fitted.beta[-other.columns.shape[2] :]):
+                found.append((fitted.criterion, other))
+    least = min(criterion for criterion, _ in found)
+    near = [c for criterion, c in found if criterion - least < MARGIN]
+    return sorted(near, key=lambda c: -c.shape.at[effect.place])
 
 
 def pair(
@@ -142,13 +215,13 @@ def _ranked(
             best[key] = index
     order = sorted(best.values(), key=lambda i: bic_penalty * offered[i].parameters - float(ratios[i]))
     shortlist = [offered[index] for index in order[:SHORTLIST]]
-    shortlist[0] = _refined(r, accepted, shortlist[0])
+    shortlist = [_refined(r, accepted, c, leads=k == 0) for k, c in enumerate(shortlist)]
     ranked = []
     for c, (criterion, own) in zip(shortlist, fitted_beside(r, accepted, shortlist), strict=True):
         penalised = criterion + bic_penalty * c.parameters
         ranked.append((penalised if c.is_possible(own) else np.inf, c))
     place = {candidate.label: k for k, candidate in reversed(list(enumerate(offered)))}
-    return sorted(ranked, key=lambda pair: (round(pair[0] / SAME), place[pair[1].label]))
+    return sorted(ranked, key=lambda pair: (round(min(pair[0], FARTHEST) / SAME), place[pair[1].label]))
 
 
 def _first_best(values: FloatArray) -> int:
@@ -156,12 +229,14 @@ def _first_best(values: FloatArray) -> int:
     return int(np.flatnonzero(values >= values.max() - SAME)[0])
 
 
-def _refined(r: Responses, accepted: Sequence[Candidate], candidate: Candidate) -> Candidate:
+def _refined(r: Responses, accepted: Sequence[Candidate], candidate: Candidate, *, leads: bool) -> Candidate:
     """A leading candidate at the best place between those scanned."""
 
     def criterion(shape: Shape) -> float:
         return fitted_model(r, [*accepted, candidate_of(r, candidate.effect, shape)]).fitted.criterion
 
-    refine = candidate.effect.refine if candidate.beside is None else None
+    if candidate.effect.place and candidate.beside is None and not candidate.shape.series:
+        return refined(r, accepted, candidate)[1]
+    refine = candidate.effect.refine if leads and candidate.beside is None else None
     finer = refine and refine(r, candidate.shape, criterion)
     return candidate if finer is None else candidate_of(r, candidate.effect, finer)

@@ -12,14 +12,11 @@ from calrig.calibration.candidates import Candidate, rebuilt
 from calrig.calibration.effects import UNNAMED
 from calrig.calibration.model import own_columns
 from calrig.calibration.noise_model import Fit
-from calrig.calibration.ranking import MARGIN, Found
+from calrig.calibration.ranking import FAR_BEHIND, MARGIN, Found
 from calrig.calibration.responses import CHANNELS, Responses
 from calrig.calibration.search import Findings
 from calrig.calibration.sensor_model import fitted_model
 from calrig.calibration.standard_errors import covariance_of
-
-FAR_WORSE = 40.0
-"""So far behind in −2 log likelihood that odds would suggest more precision than there is."""
 
 
 def effect_documents(r: Responses, findings: Findings) -> list[dict[str, Any]]:
@@ -59,7 +56,7 @@ def _document(r: Responses, found: Found, candidate: Candidate, fitted: Fit, at:
         "covariate": candidate.covariate,
         "parameters": effect.documented(candidate.shape, beta, covariance),
         "p_value": found.p_value,
-        "confusable_with": [rival.name for rival in found.rivals],
+        "confusable_with": list(dict.fromkeys(rival.name for rival in found.rivals)),
         "evidence": _evidence(r, found, candidate),
         "remedy": effect.remedy,
         "considered": [
@@ -78,9 +75,21 @@ def _why(found: Found, label: str, behind: float) -> str:
         return "indistinguishable from it by these poses"
     if behind < MARGIN and label.startswith(UNNAMED):
         return "fits as well, but a cause with a name goes first"
-    if behind > FAR_WORSE:
+    if behind > FAR_BEHIND:
         return "explains these poses far worse"
     return f"explains these poses worse: odds about 1 : {math.exp(behind / 2.0):,.0f}"
+
+
+def _same_elsewhere(found: Found, candidate: Candidate) -> list[str]:
+    """The same effect at other places that these poses cannot tell from its own."""
+    place = candidate.effect.place
+    values = [rival.shape.at[place] for rival in found.rivals if rival.name == candidate.name]
+    if not values:
+        return []
+    parameter = next(p for p in candidate.effect.parameters if p.name == place)
+    listed = ", ".join(f"{value:.4g}{parameter.unit}" for value in values)
+    own = f"{candidate.shape.at[place]:.4g}{parameter.unit}"
+    return [f"{parameter.title.lower()}: these poses cannot tell {own} from {listed}; space them unevenly"]
 
 
 def _evidence(r: Responses, found: Found, candidate: Candidate) -> list[str]:
@@ -92,12 +101,13 @@ def _evidence(r: Responses, found: Found, candidate: Candidate) -> list[str]:
         said.append(f"seen by {', '.join(witnesses)} as well as by the reading, as it must be")
     if candidate.shape.says:
         said.append(candidate.shape.says)
+    said += _same_elsewhere(found, candidate)
     if candidate.named and math.isfinite(found.lead):
         if found.rivals:
-            names = ", ".join(rival.name for rival in found.rivals)
+            names = ", ".join(dict.fromkeys(rival.name for rival in found.rivals))
             said.append(f"indistinguishable from {names} by these poses: {found.candidate.effect.apart}")
         else:
             said.append(
                 f"the next best name is worse by {found.lead:.1f} in −2 log likelihood with penalties"
             )
-    return [*said, *candidate.effect.evidence(r, candidate.shape)]
+    return [*said, *found.doubts, *candidate.effect.evidence(r, candidate.shape)]

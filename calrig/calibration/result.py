@@ -17,6 +17,7 @@ from calrig.calibration.correction import (
 from calrig.calibration.effect import ApplyError, Circumstances
 from calrig.calibration.filter_share import filter_share
 from calrig.calibration.fit import Line, fit_line, residuals_deg, rms
+from calrig.calibration.motion import approach_of, motion_of, moves_deg
 from calrig.calibration.pose import Pose
 from calrig.calibration.uncertainty import Reference, ReferenceKind, reference_part
 from calrig.estimation.angles import FloatArray, wrap_deg
@@ -177,13 +178,13 @@ def circumstances(poses: Sequence[Pose]) -> Circumstances:
     def column(values: list[float | None]) -> FloatArray | None:
         return None if None in values else np.array(values, dtype=np.float64)
 
-    theta = np.array([pose.theta_deg for pose in poses])
+    motion = motion_of(poses)
     return Circumstances(
-        approach=column([pose.approach for pose in poses]),
+        approach=approach_of(poses),
         temperature_c=column([pose.temperature_c for pose in poses]),
         time_s=column([pose.time_s for pose in poses]),
-        move_deg=np.diff(theta, prepend=np.nan),
-        velocity_dps=column([pose.covariates.get("velocity_dps") for pose in poses]),
+        move_deg=moves_deg(poses),
+        velocity_dps=motion.velocity_dps if motion else None,
         kappa=filter_share(poses),
     )
 

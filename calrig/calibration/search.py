@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from calrig.calibration.backward import parted, tenable
 from calrig.calibration.candidates import Candidate
+from calrig.calibration.effect import HIDDEN
 from calrig.calibration.gate import Verdict, gate
 from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import Fit
@@ -17,11 +19,13 @@ from calrig.calibration.ranking import Found, named, pair
 from calrig.calibration.responses import READING, Responses
 from calrig.calibration.screen import Screen
 from calrig.calibration.sensor_model import Model, fitted_model
+from calrig.calibration.series import needed, on_their_places
 from calrig.estimation.angles import FloatArray
 
 LEVEL = 0.01
 """The nominal rate at which a search of noise alone says something."""
-MOST_EFFECTS = 5
+MOST_EFFECTS, MOST_TERMS = 5, 16
+"""A series, such as the orders of a turn, is one effect of several terms."""
 FREEDOM = 3
 LEAST_SHARE = 0.05
 """An effect whose part of the reading is smaller than this share of its noise is not worth a correction."""
@@ -63,7 +67,7 @@ def search(
         level: of the gate.
     """
     found: list[Found] = []
-    too_small: set[str] = set()
+    refused: set[str] = set()
     kept = np.arange(len(r))
     fewest = len(r) - most_outliers(len(r))
 
@@ -71,7 +75,7 @@ def search(
         def columns_with(more: Sequence[Candidate]) -> FloatArray:
             return model_columns(model.responses, [*model.accepted, *more])
 
-        offered = _offered(model.responses, candidates, model.accepted, too_small)
+        offered = _offered(model.responses, candidates, model.accepted, refused)
         return gate(model.responses, columns_with, model.fitted, offered, rng, bootstraps, level)
 
     while True:
@@ -82,16 +86,25 @@ def search(
         if wild is not None:
             others = np.delete(np.arange(len(r)), wild)
             kept, r, candidates = kept[others], r.rows(others), [c.rows(others) for c in candidates]
-            found = [replace(f, candidate=f.candidate.rows(others)) for f in found]
+            found = [f.rows(others) for f in found]
             continue
-        if verdict.p_value > level or len(found) >= MOST_EFFECTS:
+        if verdict.p_value > level or _is_full(accepted):
             least = 1.0 / (bootstraps + 1)
             return Findings(r, kept, tuple(found), model.fitted, model.columns, verdict.p_value, least)
         step = named(r, accepted, verdict.candidates, verdict.ratios, verdict.p_value)
         if _share_of_reading(r, accepted, step.candidate) < LEAST_SHARE:
-            too_small.add(step.candidate.label)
+            refused.add(step.candidate.label)
             continue
-        steps = [replace(step, candidate=member) for member in step.candidate.members]
+        if step.candidate.beside is not None and not all(
+            judged(fitted_model(r, [*accepted, member])).p_value <= level for member in step.candidate.members
+        ):  # one says nothing beside the other: two fit any noise a little better than one
+            single = [k for k, c in enumerate(verdict.candidates) if c.beside is None]
+            offered = [verdict.candidates[k] for k in single]
+            step = named(r, accepted, offered, verdict.ratios[single], verdict.p_value)
+        members: Sequence[Candidate] = step.candidate.members
+        if step.candidate.shape.series:
+            members = needed(r, accepted, members)
+        steps = [replace(step, candidate=member) for member in members]
         two = None
         if len(steps) == 1:
             two = pair(r, accepted, verdict.candidates, verdict.ratios, step)
@@ -101,11 +114,23 @@ def search(
             if p_value <= level:
                 beside = replace(step, candidate=second, rivals=(), p_value=p_value)
                 steps = [replace(step, candidate=first, rivals=()), beside]
-        found = _reconsidered(r, candidates, [*found, *steps])
+        entered = on_their_places(r, candidates, _reconsidered(r, candidates, [*found, *steps]))
+        if found and not tenable(r, [f.candidate for f in entered]):
+            refused.add(step.candidate.label)
+            continue
+        found, dropped = parted(r, entered)
+        refused.update(dropped)
+
+
+def _is_full(accepted: Sequence[Candidate]) -> bool:
+    """Whether the model has as many effects as a run is searched for."""
+    series = {c.shape.series for c in accepted if c.shape.series}
+    alone = sum(not c.shape.series for c in accepted)
+    return len(series) + alone >= MOST_EFFECTS or len(accepted) >= MOST_TERMS
 
 
 def _offered(
-    r: Responses, candidates: Sequence[Candidate], accepted: Sequence[Candidate], too_small: set[str]
+    r: Responses, candidates: Sequence[Candidate], accepted: Sequence[Candidate], refused: set[str]
 ) -> list[Candidate]:
     """The candidates that may enter now: not those that have, nor those that follow on what has not.
 
@@ -114,29 +139,43 @@ def _offered(
     taken = len({name for name in r.base_names if name.startswith(READING)})
     room = len(r) - taken - sum(c.columns.shape[2] for c in accepted) - FREEDOM
     present = {c.name for c in accepted}
-    once = {c.label for c in accepted if c.named and not c.shape.at}
+    followed = {c.covariate for c in accepted}
+    once = {c.label for c in accepted if c.named and _enters_once(c)}
 
     def may_enter(c: Candidate) -> bool:
         if c.columns.shape[2] > room:
             return False
         if c.beside is not None:
             return present.isdisjoint(member.name for member in c.members)
-        return c.label not in once and (c.effect.follows is None or c.effect.follows in present)
+        if not followed.issuperset(c.shape.beside):
+            return False
+        if c.label in once or not (c.effect.follows is None or c.effect.follows in present):
+            return False
+        return all(c.effect.distinct(r, c.shape, other.shape) for other in accepted)
 
-    return [c for c in candidates if c.label not in too_small and may_enter(c)]
+    return [c for c in candidates if c.label not in refused and may_enter(c)]
+
+
+def _enters_once(c: Candidate) -> bool:
+    """Whether a second one of it would say the same: it has no place, or one that its likelihood is smooth in."""
+    return c.shape.at.keys() <= set(HIDDEN) or c.shape.place_cost == 1
 
 
 def _reconsidered(r: Responses, candidates: Sequence[Candidate], found: list[Found]) -> list[Found]:
     """Each effect held against its rivals once more, with all the others in the model."""
     if len(found) == 1:
         return found
-    for place, one in enumerate(found):
+    for one in list(found):
         others = [f.candidate for f in found if f is not one]
-        offered = [c for c in _offered(r, candidates, others, set()) if c.beside is None]
+        offered = _offered(r, candidates, others, set())
+        if one.candidate.shape.series:  # a curve takes a little from every term: the terms come first
+            offered = [c for c in offered if c.named]
         model = fitted_model(r, others)
         screen = Screen(r, model.columns, offered, model.fitted.noise)
         ratios = screen.ratios(model.fitted.residuals[None])[0]
-        found[place] = named(r, others, offered, ratios, one.p_value)
+        again = named(r, others, offered, ratios, one.p_value, one.candidate)
+        place = next(k for k, f in enumerate(found) if f is one)
+        found[place : place + 1] = [replace(again, candidate=member) for member in again.candidate.members]
     return found
 
 

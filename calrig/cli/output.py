@@ -94,9 +94,14 @@ def print_diagnosis(found: dict[str, Any]) -> None:
     _print("")
     rows = [
         (name, _number(found["base"][key], "°"), _number(found["final"][key], "°"))
-        for name, key in (("fit", "fit_rms_deg"), ("held-out poses", "held_out_rms_deg"))
+        for name, key in (
+            ("fit", "fit_rms_deg"),
+            ("held-out poses", "held_out_rms_deg"),
+            ("held-out blocks", "blocked_rms_deg"),
+        )
     ]
-    rows.append(("noise floor", "", _number(found["noise"]["floor_deg"], "°")))
+    for name, key in (("noise floor", "floor_deg"), ("pure error", "pure_error_deg")):
+        rows.append((name, "", _number(found["noise"].get(key), "°")))
     _print_table(("RMS", "before", "after"), rows)
     _print_warnings(found["warnings"])
     if found["follow_up"] is not None:
@@ -192,12 +197,11 @@ def _print_effect(effect: dict[str, Any]) -> None:
 
     known, covariate = EFFECTS[effect["name"]], covariate_of(effect["covariate"])
     titles = [known.title, *(EFFECTS[rival].title for rival in effect["confusable_with"])]
-    against = f"against {covariate.title if covariate else effect['covariate']}"
+    against = f"against {covariate.title}" + (f" in {covariate.unit}" if covariate.unit else "")
     _print(f"\n{', or '.join(titles)} ({effect['verdict']}; {ORIGINS[known.origin]}; {against})")
-    of_covariate = covariate.unit if covariate else ""
     for one in known.parameters:
         if not one.flag:
-            unit = of_covariate if one.unit is None else one.unit
+            unit = covariate.unit if one.unit is None else one.unit
             _print_parameter(one.title, effect["parameters"].get(one.name), unit)
     for sentence in (*effect["evidence"], effect["remedy"]):
         _print(f"  · {sentence}")

@@ -13,14 +13,34 @@ def effect(name, verdict="named", *rivals):
     return {"name": name, "verdict": verdict, "covariate": "approach", "confusable_with": list(rivals)}
 
 
-def found(verdict, *effects, before_deg=0.1, after_deg=0.02, fresh_deg=None):
-    """A diagnosis; `fresh_deg` are the errors before and after on a fresh run."""
+def noise(times=1.0, *, rejected=False, pure_error_deg=0.02):
+    """A residual of so many times the pure error, None where that is not known."""
+    known = pure_error_deg is not None
+    return {
+        "std_deg": times * (pure_error_deg or 0.02),
+        "lag1_correlation": 0.93,
+        "pure_error_deg": pure_error_deg,
+        "lack_of_fit": {"rejected": rejected} if known else None,
+    }
+
+
+def found(
+    verdict,
+    *effects,
+    before_deg=0.1,
+    after_deg=0.02,
+    blocked_deg=(None, None),
+    fresh_deg=None,
+    left=None,
+):
+    """A diagnosis; `blocked_deg`, `fresh_deg`: errors before and after on blocks and on a fresh run."""
     fresh = fresh_deg and {"run_id": "9", "before_rms_deg": fresh_deg[0], "after_rms_deg": fresh_deg[1]}
     return {
         "verdict": verdict,
         "effects": list(effects),
-        "base": {"held_out_rms_deg": before_deg},
-        "final": {"held_out_rms_deg": after_deg},
+        "noise": left or noise(),
+        "base": {"held_out_rms_deg": before_deg, "blocked_rms_deg": blocked_deg[0]},
+        "final": {"held_out_rms_deg": after_deg, "blocked_rms_deg": blocked_deg[1]},
         "confirmed_by": fresh,
     }
 
@@ -34,6 +54,10 @@ def found(verdict, *effects, before_deg=0.1, after_deg=0.02, fresh_deg=None):
         (found("named", effect("backlash"), fresh_deg=(0.1, 0.02)), "good"),
         (found("named", effect("backlash"), fresh_deg=(0.1, 0.11)), "fair"),
         (found("named", effect("backlash"), after_deg=0.1), "fair"),
+        (found("named", effect("time_drift"), blocked_deg=(0.1, 0.03)), "good"),
+        (found("named", effect("time_drift"), blocked_deg=(0.1, 0.2)), "fair"),
+        (found("named", effect("backlash"), left=noise(4.0, rejected=True)), "fair"),
+        (found("named", effect("backlash"), left=noise(1.3, rejected=True)), "good"),
         (found("ambiguous", effect("backlash", "ambiguous", "settling")), "fair"),
         (found("unnamed", NO_NAME), "fair"),
     ],
@@ -44,10 +68,51 @@ def test_a_name_is_good_news_where_the_error_on_held_out_poses_falls(diagnosis, 
 
 def test_the_answer_names_what_was_found_the_weakest_first():
     several = (effect("backlash", "ambiguous", "settling"), NO_NAME, effect("time_drift"))
-    assert diagnosis_verdict(found("ambiguous", *several)).says == (
+    assert diagnosis_verdict(found("ambiguous", *several)).says[0] == (
         "Indistinguishable by these poses: backlash or settling. "
-        "Not in the catalogue: something that follows time. Identified: drift in time",
+        "Not in the catalogue: something that follows time. Identified: drift in time"
     )
+
+
+def answer(left):
+    return diagnosis_verdict(found("nothing", after_deg=0.1, left=left)).says[0]
+
+
+def test_nothing_found_is_noise_only_where_the_pure_error_allows_it():
+    assert answer(noise(1.1)) == "No effect found: the residual is consistent with noise"
+    assert answer(noise(3.8, rejected=True)) == (
+        "No effect found, and yet more is left than the noise of a pose: 0.0760°, 3.8 times the pure error, "
+        "with a lag-1 correlation of 0.93"
+    )
+    unknown = answer(noise(pure_error_deg=None))
+    assert unknown == "No effect found. How large the noise is, neither dwells nor revisited poses tell"
+
+
+def test_what_effects_do_not_explain_is_said_beside_their_names():
+    left = noise(4.0, rejected=True)
+    (_, rest, _) = diagnosis_verdict(found("named", effect("backlash"), left=left)).says
+    assert rest.startswith("More is left than the noise of a pose: 0.0800°, 4.0 times the pure error")
+
+
+@pytest.mark.parametrize(
+    ("blocked_deg", "said"),
+    [
+        ((None, None), "RMS on held-out poses: 0.100° before and 0.0200° after."),
+        ((0.1, 0.01), "RMS on held-out poses: 0.100° before and 0.0200° after."),
+        (
+            (0.1, 0.05),
+            "RMS on held-out poses: 0.100° before and 0.0500° after on contiguous blocks, the harder test.",
+        ),
+        (
+            (0.1, 0.3),
+            "What was found interpolates: RMS 0.100° before and 0.0200° after on held-out poses between the "
+            "others, but 0.100° before and 0.300° after on contiguous blocks of them.",
+        ),
+    ],
+)
+def test_the_claim_rests_on_the_folds_that_the_effects_help_less(blocked_deg, said):
+    diagnosis = found("named", effect("time_drift"), blocked_deg=blocked_deg)
+    assert diagnosis_verdict(diagnosis).says[1] == said
 
 
 def test_an_error_that_has_not_fallen_or_is_not_known_is_said():
@@ -59,7 +124,7 @@ def test_an_error_that_has_not_fallen_or_is_not_known_is_said():
 
 def test_a_confirmation_says_on_how_many_other_poses_it_was_decided():
     fresh = found("named", effect("backlash"), fresh_deg=(0.1, 0.02))
-    (_, confirmed) = diagnosis_verdict(fresh, decided=1).says
+    (_, _, confirmed) = diagnosis_verdict(fresh, decided=1).says
     assert confirmed == (
         "Confirmed on poses of run 9 that were not used for the decision (1 pose decided): "
         "RMS 0.100° before and 0.0200° after."

@@ -71,6 +71,8 @@ def test_a_run_is_traced_to_backlash_and_the_effect_put_in_force(page, client, s
     assert figures_of(page, "#before-after") == {
         "Held-out RMS, bias and scale only": f"{before:#.3g}°",
         "Held-out RMS, with effects": f"{after:#.3g}°",
+        "In held-out blocks, bias and scale only": f"{found['base']['blocked_rms_deg']:#.3g}°",
+        "In held-out blocks, with effects": f"{found['final']['blocked_rms_deg']:#.3g}°",
         "Noise floor": f"{found['noise']['floor_deg']:#.3g}°",
     }
     (size,) = (e["parameters"]["backlash_deg"] for e in found["effects"] if e["name"] == "backlash")

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from calrig.calibration.effect import (
-    ELEVATION,
-    Applied,
-    Effect,
-    Parameter,
-    Parameters,
-    Shape,
-)
-from calrig.calibration.effect_terms import MG, ON_VECTOR, c_literal, turns, vector_forms
+from calrig.calibration.effect import ELEVATION, Applied, Effect, Parameter, Parameters, Shape
+from calrig.calibration.effect_terms import MG, ON_VECTOR, c_literal, turns, vector_forms, within
 from calrig.calibration.responses import Responses
 from calrig.calibration.sensor_vector import VectorError, VectorInC
+
+LARGEST_MG = 150.0
+"""MPU-6050 data sheet PS-MPU-6000A-00 rev. 3.4, section 6.2: zero-g output ±50 mg (x, y), ±80 mg (z); as
+much again for soldering and mounting stress."""
 
 
 def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
@@ -43,4 +40,5 @@ EFFECT = Effect(
     in_c=_in_c,
     apart="|accelerometer| changes as y·sin θ + z·cos θ",
     remedy="subtract the offsets in the firmware, or calibrate against gravity",
+    possible=within(y_mg=LARGEST_MG, z_mg=LARGEST_MG),
 )

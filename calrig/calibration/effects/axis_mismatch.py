@@ -7,17 +7,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calrig.calibration.effect import (
-    ELEVATION,
-    Applied,
-    Effect,
-    Parameter,
-    Parameters,
-    Shape,
-)
-from calrig.calibration.effect_terms import ON_VECTOR, c_literal, turns, vector_forms
+from calrig.calibration.effect import ELEVATION, Applied, Effect, Parameter, Parameters, Shape
+from calrig.calibration.effect_terms import ON_VECTOR, c_literal, turns, vector_forms, within
 from calrig.calibration.responses import Responses
 from calrig.calibration.sensor_vector import VectorError, VectorInC
+
+LARGEST_GAIN_PCT, LARGEST_SKEW_DEG = 10.0, 5.0
+"""MPU-6050 data sheet PS-MPU-6000A-00 rev. 3.4, section 6.2: ±3 % of gain an axis, ±2 % (1.1°) across axes;
+other parts have up to ±10 % (ADXL345 data sheet: 230 to 282 LSB/g)."""
 
 
 def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
@@ -50,4 +47,5 @@ EFFECT = Effect(
     in_c=_in_c,
     apart="|accelerometer| changes as gain·sin² θ and skew·sin θ·cos θ",
     remedy="correct gain and skew of the two axes in the firmware",
+    possible=within(gain_pct=LARGEST_GAIN_PCT, skew_deg=LARGEST_SKEW_DEG),
 )

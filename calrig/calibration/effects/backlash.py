@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from calrig.calibration.effect import APPROACH, Effect, NotInFlight, Parameter, Parameters, Shape
-from calrig.calibration.effect_terms import turned
+from calrig.calibration.effect_terms import turned, within
 from calrig.calibration.responses import Responses
+
+LARGEST_DEG = 30.0
+"""A tooth of a gear of twelve: beyond it the teeth do not meet any more."""
 
 
 def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
@@ -27,4 +30,5 @@ EFFECT = Effect(
     in_c=NotInFlight("it belongs to the rig's stage"),
     apart="random order tells it from settling, reversals smaller than it from hysteresis of the mount",
     remedy="approach every elevation from the same side, or preload the gear with a spring",
+    possible=within(backlash_deg=LARGEST_DEG),
 )

@@ -7,7 +7,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from calrig.calibration.effect import LAST_MOVE, Effect, NotInFlight, Parameter, Parameters, Shape
+from calrig.calibration.effect_terms import within
 from calrig.calibration.responses import MOVE, READING, Responses
+
+LARGEST_GAIN_PCT = 15.0
+"""MPU-6050 data sheet PS-MPU-6000A-00 rev. 3.4, section 6.1: ±3 %, and ±2 % over temperature; three times
+their sum."""
 
 
 def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
@@ -29,4 +34,5 @@ EFFECT = Effect(
     in_c=NotInFlight("it is seen only after a move: a standing unit needs no correction for it"),
     apart="the gyro's own integral over the move is wrong by the same factor",
     remedy="correct the gyro's scale in the filter, or settle longer",
+    possible=within(gain_pct=LARGEST_GAIN_PCT),
 )

@@ -11,11 +11,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from calrig.calibration.effect import LAST_MOVE, Effect, NotInFlight, Parameter, Parameters, Shape
-from calrig.calibration.effect_terms import tilted
+from calrig.calibration.effect_terms import tilted, within
 from calrig.calibration.responses import ANGLE, MOVE, READING, Responses
 
 LEFT_AT_THE_END = (0.1, 0.5, 0.9)
 """Of what the dwell lacks in the mean, for time constants of 0.3, 0.8 and 5 dwells."""
+
+LARGEST_FRACTION = 0.5
+"""A mean that lacks half the move, or overshoots by as much, is of the move and not of a dwell."""
 
 
 def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
@@ -45,4 +48,5 @@ EFFECT = Effect(
     in_c=NotInFlight("it is of the procedure that measured, not of the unit"),
     apart="proportional to the last move; unequal steps in random order tell it from backlash",
     remedy="settle longer before the dwell",
+    possible=within(fraction=LARGEST_FRACTION),
 )

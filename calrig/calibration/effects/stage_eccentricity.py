@@ -1,4 +1,4 @@
-"""A scale or a mount off the stage's axis of rotation."""
+"""A scale or a mount off the stage's axis of rotation: order 1 of the full turn, whatever the poses' range."""
 
 from __future__ import annotations
 
@@ -14,14 +14,26 @@ from calrig.calibration.effect import (
     Parameters,
     Shape,
 )
-from calrig.calibration.effect_terms import amplitude_and_phase, sin_cos, turned, turns, wave_deg
+from calrig.calibration.effect_terms import (
+    THE_TURN,
+    amplitude_and_phase,
+    amplitude_within,
+    sin_cos,
+    turned,
+    turns,
+    wave_deg,
+)
 from calrig.calibration.responses import Responses
+
+LARGEST_AMPLITUDE_DEG = 20.0
+"""The centre off the axis by a third of the radius (amplitude = eccentricity/radius, in radians)."""
 
 
 def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
     if turns(r):
         s, c = sin_cos(r)
-        yield Shape(turned(r, np.stack([s, c], 1)), ("amplitude_deg", "phase_deg"))
+        columns = np.stack([s, c], 1)
+        yield Shape(turned(r, columns), ("amplitude_deg", "phase_deg"), series=THE_TURN)
 
 
 EFFECT = Effect(
@@ -38,4 +50,5 @@ EFFECT = Effect(
     apart="the gyro feels it and |accelerometer| does not; a unit turned by 90° on the stage keeps it",
     remedy="re-centre the scale or the mount on the axis, or correct by the rig error map",
     reported=amplitude_and_phase,
+    possible=amplitude_within(LARGEST_AMPLITUDE_DEG),
 )

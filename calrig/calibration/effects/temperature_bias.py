@@ -23,10 +23,15 @@ from calrig.calibration.effect_terms import (
     c_warmer,
     tilted,
     warmer_c,
+    within,
 )
 from calrig.calibration.responses import Responses
 from calrig.calibration.sensor_vector import VectorError, VectorInC
 from calrig.estimation.angles import FloatArray
+
+LARGEST_DEG_PER_C = 1.0
+"""MPU-6050 data sheet PS-MPU-6000A-00 rev. 3.4, section 6.2: zero-g output ±60 mg over 70 °C, 0.05°/°C;
+twenty times as much, for mounts that turn with temperature."""
 
 
 def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
@@ -70,4 +75,5 @@ EFFECT = Effect(
     in_c=_in_c,
     apart="a second warm-up, or cooling back, tells temperature from time",
     remedy="wait until the unit is warm, or correct by its own thermometer",
+    possible=within(deg_per_c=LARGEST_DEG_PER_C),
 )

@@ -22,11 +22,15 @@ from calrig.calibration.effect_terms import (
     turns,
     vector_forms,
     warmer_c,
+    within,
 )
 from calrig.calibration.responses import Responses
 from calrig.calibration.sensor_vector import VectorError, VectorInC
 
 NAMES = ("gain_pct_per_c", "skew_deg_per_c")
+
+LARGEST_PCT_PER_C, LARGEST_SKEW_DEG_PER_C = 1.0, 0.1
+"""MPU-6050 data sheet PS-MPU-6000A-00 rev. 3.4, section 6.2: ±0.02 %/°C; fifty times as much."""
 
 
 def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
@@ -65,4 +69,5 @@ EFFECT = Effect(
     apart="|accelerometer| changes with temperature as gain·sin² θ and skew·sin θ·cos θ",
     remedy="wait until the unit is warm, or correct the gains by its own thermometer",
     together_with=("axis_mismatch",),
+    possible=within(gain_pct_per_c=LARGEST_PCT_PER_C, skew_deg_per_c=LARGEST_SKEW_DEG_PER_C),
 )

@@ -20,9 +20,14 @@ from calrig.calibration.effect_terms import (
     turns,
     vector_forms,
     warmer_c,
+    within,
 )
 from calrig.calibration.responses import Responses
 from calrig.calibration.sensor_vector import VectorError, VectorInC
+
+LARGEST_MG_PER_C = 10.0
+"""MPU-6050 data sheet PS-MPU-6000A-00 rev. 3.4, section 6.2: ±60 mg over 70 °C, 0.9 mg/°C;
+ten times as much."""
 
 
 def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
@@ -59,4 +64,5 @@ EFFECT = Effect(
     apart="|accelerometer| changes with temperature as y·sin θ + z·cos θ",
     remedy="wait until the unit is warm, or correct the offsets by its own thermometer",
     together_with=("accelerometer_offset",),
+    possible=within(y_mg_per_c=LARGEST_MG_PER_C, z_mg_per_c=LARGEST_MG_PER_C),
 )

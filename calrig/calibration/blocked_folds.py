@@ -1,0 +1,163 @@
+"""Held-out poses that lie apart: contiguous blocks in time, and in angle.
+
+Held-out poses between the others are interpolation: a curve of time predicts them that says nothing of the
+next hour (Roberts et al., Ecography 40, 2017). A block of neighbours left out asks more. What was found
+in all poses is fitted again without each block; only bias, scale and the effects' coefficients are, so names
+and places are those of a search that had seen the block. The interleaved folds repeat the search.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import chi2
+
+from calrig.calibration.candidates import Candidate
+from calrig.calibration.cross_validation import errors_deg
+from calrig.calibration.fit import rms
+from calrig.calibration.model import model_columns, own_columns
+from calrig.calibration.noise_model import Fit, fit
+from calrig.calibration.ranking import Found
+from calrig.calibration.responses import Responses
+from calrig.calibration.sensor_model import fitted_model
+from calrig.estimation.angles import FloatArray
+
+BLOCKS = 4
+UNSTABLE = 1e-4
+"""Chance that the coefficients of a true effect differ as much between the whole and a part of the poses."""
+ESTIMABLE = 1e-4
+"""Of a column, what the others must leave of it: a slip in the block left out is a bias in all the others."""
+Intp = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True)
+class Blocked:
+    """Errors (n,) in degrees of elevation of poses held out in blocks that are contiguous in one thing.
+
+    Attributes:
+        along: `time` or `angle`.
+        base_deg, final_deg: without and with the effects found.
+    """
+
+    along: str
+    base_deg: FloatArray
+    final_deg: FloatArray
+
+    @property
+    def ratio(self) -> float:
+        """RMS with the effects over that without."""
+        base = rms(self.base_deg)
+        return rms(self.final_deg) / base if base > 0.0 else 1.0
+
+
+def blocked(r: Responses, accepted: Sequence[Candidate]) -> tuple[Blocked, ...]:
+    """Predicts every pose once along time, and once along angle where the poses turn."""
+    return tuple(
+        Blocked(along, _errors(r, [], fold), _errors(r, accepted, fold)) for along, fold in _folds(r).items()
+    )
+
+
+def worse(several: Sequence[Blocked]) -> Blocked | None:
+    """The one that the effects help least; None where there is none."""
+    return max(several, key=lambda one: one.ratio, default=None)
+
+
+def not_predictive(
+    r: Responses, found: Sequence[Found], whole: Fit, offered: Sequence[Candidate]
+) -> tuple[Found, ...]:
+    """The same effects; a name that fails the blocks it has not seen is no longer claimed alone.
+
+    It fails where the blocks' error is smaller without it and its coefficients, from the rest of the poses,
+    contradict those from all of them (Hausman, Econometrica 46, 1978). A block that the rest cannot foretell,
+    the effect being true, contradicts nothing.
+
+    Args:
+        r: the poses.
+        found: all effects of the model.
+        whole: the fit of them all.
+        offered: candidates of these poses; a shape without a name among them becomes the rival.
+    """
+    accepted = [f.candidate for f in found]
+
+    def judged(place: int, one: Found) -> Found:
+        others = [c for c in accepted if c is not one.candidate]
+        rival = _nameless(one.candidate, offered) if one.candidate.named else None
+        if rival is None:
+            return one
+        for along, fold in _folds(r).items():
+            helps = rms(_errors(r, accepted, fold)) < rms(_errors(r, others, fold))
+            if not helps and _contradicts(r, accepted, place, whole, fold):
+                return one.against(rival, f"it does not foretell poses of a block of {along} left out")
+        return one
+
+    return tuple(judged(place, one) for place, one in enumerate(found))
+
+
+def _folds(r: Responses) -> dict[str, Intp]:
+    """(n,) block of each pose, for each way to lay them: along every run, and over the elevations."""
+    first = np.flatnonzero(r.starts)
+    length = np.diff([*first, len(r)])
+    since = np.arange(len(r)) - np.repeat(first, length)
+    folds = {"time": since * BLOCKS // np.repeat(length, length)}
+    places = np.unique(np.round(r.theta_deg))
+    if len(places) >= 2 * BLOCKS:
+        edges = places[np.arange(1, BLOCKS) * len(places) // BLOCKS]
+        folds["angle"] = np.searchsorted(edges, np.round(r.theta_deg), side="right")
+    return folds
+
+
+def _errors(r: Responses, accepted: Sequence[Candidate], fold: Intp) -> FloatArray:
+    errors = np.zeros(len(r))
+    model = fitted_model(r, accepted)
+    r, accepted = model.responses, model.accepted
+    for k in range(BLOCKS):
+        train, test = np.flatnonzero(fold != k), np.flatnonzero(fold == k)
+        shown = _shown(r, accepted, train)
+        beta = fit(r.rows(train), model_columns(r, shown)[train]).beta
+        errors[test] = errors_deg(r, shown, beta, test)
+    return errors
+
+
+def _shown(r: Responses, accepted: Sequence[Candidate], train: Intp) -> list[Candidate]:
+    """The effects that some of the poses can show beside bias, scale and the effects before."""
+    shown: list[Candidate] = []
+    for candidate in accepted:
+        before = _flat(model_columns(r, shown)[train])
+        own = _flat(candidate.columns[train])
+        left = own - before @ np.linalg.lstsq(before, own, rcond=None)[0]
+        if np.linalg.norm(left) > ESTIMABLE * np.linalg.norm(own):
+            shown.append(candidate)
+    return shown
+
+
+def _flat(columns: FloatArray) -> FloatArray:
+    return columns.reshape(-1, columns.shape[2])
+
+
+def _contradicts(r: Responses, accepted: Sequence[Candidate], place: int, whole: Fit, fold: Intp) -> bool:
+    """Whether coefficients without some block differ from the whole's by more than their errors allow."""
+    model = fitted_model(r, accepted)
+    r, accepted, columns = model.responses, model.accepted, model.columns
+    at = own_columns(columns, accepted)[place]
+    for k in range(BLOCKS):
+        train = np.flatnonzero(fold != k)
+        if len(_shown(r, accepted, train)) < len(accepted):
+            continue
+        part = fit(r.rows(train), columns[train])
+        change = part.beta[at] - whole.beta[at]
+        variance = part.covariance[at, at] - whole.covariance[at, at]
+        values, vectors = np.linalg.eigh(variance)
+        # what the whole knows no better than the part is no evidence either way
+        known = values > ESTIMABLE * np.trace(whole.covariance[at, at])
+        z = (vectors.T @ change)[known]
+        if known.any() and chi2.sf(float((z**2 / values[known]).sum()), int(known.sum())) < UNSTABLE:
+            return True
+    return False
+
+
+def _nameless(claimed: Candidate, offered: Sequence[Candidate]) -> Candidate | None:
+    """A shape without a name that follows the same column as the claimed effect, the smoothest first."""
+    return next((c for c in offered if not c.named and c.covariate == claimed.covariate), None)

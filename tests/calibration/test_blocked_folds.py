@@ -1,0 +1,87 @@
+"""Blocks left out whole: what interpolates is told from what foretells."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calrig.calibration.blocked_folds import blocked, not_predictive
+from calrig.calibration.candidates import Candidate, candidates_of
+from calrig.calibration.fit import rms
+from calrig.calibration.model import model_columns
+from calrig.calibration.noise_model import fit
+from calrig.calibration.pose import Pose
+from calrig.calibration.ranking import Found
+from calrig.calibration.responses import Responses, responses_of
+
+N_POSES = 96
+NOISE_DEG = 0.01
+TIMES_S = 5.0 * np.arange(N_POSES)
+ALONG = ("time", "angle")
+
+
+def run_of(error_deg: np.ndarray, seed: int = 3) -> Responses:
+    """A run over random elevations whose readings err by so much."""
+    rng = np.random.default_rng(seed)
+    theta_deg = rng.uniform(-60.0, 60.0, N_POSES)
+    readings = 0.5 + 1.001 * theta_deg + error_deg + rng.normal(0.0, NOISE_DEG, N_POSES)
+    return responses_of(
+        [
+            [
+                Pose(target_deg=x, reading_deg=y, time_s=t)
+                for x, y, t in zip(theta_deg.tolist(), readings.tolist(), TIMES_S.tolist(), strict=True)
+            ]
+        ]
+    )
+
+
+def one(r: Responses, name: str, form: str = "") -> Candidate:
+    """A candidate that follows time."""
+    return next(c for c in candidates_of(r) if (c.name, c.shape.form, c.covariate) == (name, form, "time_s"))
+
+
+def judged(r: Responses, candidate: Candidate) -> str:
+    """The verdict on a name that stood alone, once it has to foretell blocks."""
+    whole = fit(r, model_columns(r, [candidate]))
+    (found,) = not_predictive(r, [Found(candidate, (), 0.001, 50.0)], whole, candidates_of(r))
+    return found.verdict
+
+
+def test_a_true_drift_foretells_every_block() -> None:
+    r = run_of(4e-4 * TIMES_S)
+    drift = one(r, "time_drift")
+    errors = {b.along: (rms(b.base_deg), rms(b.final_deg)) for b in blocked(r, [drift])}
+    assert tuple(errors) == ALONG
+    for before_deg, after_deg in errors.values():
+        assert after_deg < 1.5 * NOISE_DEG < 3.0 * NOISE_DEG < before_deg
+    assert judged(r, drift) == "named"
+
+
+def test_a_line_through_what_wanders_and_comes_back_is_not_claimed() -> None:
+    """It rises, and falls again: a drift explains part of that, and foretells its end wrongly."""
+    r = run_of(0.2 * np.sin(np.linspace(0.0, 4.0, N_POSES)))
+    assert judged(r, one(r, "time_drift")) == "ambiguous"
+
+
+def test_a_curve_of_time_is_good_between_poses_and_bad_beyond_them() -> None:
+    r = run_of(np.cumsum(np.random.default_rng(8).normal(0.0, 0.03, N_POSES)))
+    in_time, in_angle = blocked(r, [one(r, "unnamed", "smooth 5")])
+    assert (in_time.along, in_angle.along) == ALONG
+    assert rms(in_angle.final_deg) < 0.6 * rms(in_angle.base_deg)
+    assert rms(in_time.final_deg) > rms(in_time.base_deg)
+
+
+def test_a_block_that_hides_an_effect_is_predicted_without_it() -> None:
+    """A slip after the eighth pose: without the first block it is a bias like any other."""
+    r = run_of(0.3 * (TIMES_S > 37.0))
+    slip = next(c for c in candidates_of(r) if c.name == "mount_slip" and 35.0 < c.shape.at["at_s"] < 40.0)
+    in_time = blocked(r, [slip])[0]
+    first = np.arange(N_POSES) < N_POSES // 4
+    assert in_time.final_deg[first] == pytest.approx(in_time.base_deg[first], abs=0.01)
+    assert rms(in_time.final_deg[~first]) < 0.5 * rms(in_time.base_deg[~first])
+
+
+def test_poses_at_one_elevation_are_blocked_in_time_alone() -> None:
+    run = [Pose(target_deg=20.0, reading_deg=20.0 + 1e-3 * t, time_s=t) for t in TIMES_S.tolist()]
+    r = responses_of([run])
+    assert [b.along for b in blocked(r, [one(r, "time_drift")])] == ["time"]

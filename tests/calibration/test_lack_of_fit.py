@@ -1,0 +1,93 @@
+"""Lack of fit: what is several times the pure error is said to be no noise; what is noise, hardly ever."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calrig.calibration.lack_of_fit import LEVEL, LackOfFit, lack_of_fit, warning_of
+from calrig.calibration.pose import Pose
+
+SWEEP_DEG = np.linspace(-60.0, 60.0, 25)
+TARGETS_DEG = np.concatenate([SWEEP_DEG, SWEEP_DEG[::-1], SWEEP_DEG, SWEEP_DEG[::-1]])
+APPROACH = np.repeat([1, -1, 1, -1], len(SWEEP_DEG))
+NOISE_DEG = 0.02
+
+
+def held(residual_deg: np.ndarray, *, targets_deg: np.ndarray = TARGETS_DEG, dwell_deg: float | None = None):
+    """A residual after bias and scale, held against the pure error."""
+    line = np.polyfit(targets_deg, residual_deg, 1)
+    left_deg = residual_deg - np.polyval(line, targets_deg)
+    run = [
+        Pose(target_deg=t, reading_deg=t + e, approach=int(a), reading_stderr_deg=dwell_deg)
+        for t, e, a in zip(targets_deg.tolist(), left_deg.tolist(), APPROACH, strict=True)
+    ]
+    lag1 = float(left_deg[1:] @ left_deg[:-1] / (left_deg @ left_deg))
+    return lack_of_fit(
+        [run],
+        left_deg,
+        np.zeros(len(run), dtype=bool),
+        parameters=2,
+        lag1_correlation=lag1,
+        rounding_deg=1e-12,
+    )
+
+
+def noise(seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).normal(0.0, NOISE_DEG, len(TARGETS_DEG))
+
+
+def drift() -> np.ndarray:
+    """Of 0.2° over the run, as a warm-up does it."""
+    return 0.2 * (1.0 - np.exp(-np.linspace(0.0, 3.0, len(TARGETS_DEG))))
+
+
+@pytest.mark.parametrize("dwell_deg", [None, NOISE_DEG])
+def test_noise_lacks_nothing_at_the_nominal_rate(dwell_deg: float | None) -> None:
+    runs = 600
+    rejected = sum(held(noise(seed), dwell_deg=dwell_deg).rejects for seed in range(runs))
+    assert rejected <= LEVEL * runs + 3.0 * (LEVEL * runs) ** 0.5
+
+
+def test_noise_of_poses_that_are_never_revisited_is_held_against_the_dwells() -> None:
+    jittered = TARGETS_DEG + np.random.default_rng(1).uniform(-2.0, 2.0, len(TARGETS_DEG))
+    lack = held(noise(2), targets_deg=jittered, dwell_deg=NOISE_DEG)
+    assert (lack.repeat, lack.rejects) == (None, False)
+    assert lack.pure is not None
+    assert lack.pure.std_deg == pytest.approx(NOISE_DEG)
+
+
+def experiment(lack: LackOfFit) -> str:
+    said = warning_of(lack, found=False)
+    assert said is not None
+    return said.rsplit("; ", 1)[1]
+
+
+@pytest.mark.parametrize("dwell_deg", [None, NOISE_DEG])
+def test_a_drift_that_moves_revisits_apart_is_not_taken_for_what_the_rig_repeats_to(
+    dwell_deg: float | None,
+) -> None:
+    lack = held(noise(3) + drift(), dwell_deg=dwell_deg)
+    assert lack.pure is not None
+    assert lack.pure.std_deg == pytest.approx(NOISE_DEG, rel=0.3)
+    assert lack.rejects
+    assert "warm the unit up once more" in experiment(lack)
+
+
+def test_a_shape_of_the_elevation_is_told_by_what_repeats() -> None:
+    lack = held(noise(4) + 0.1 * np.sin(np.radians(9.0 * TARGETS_DEG)))
+    assert lack.rejects
+    assert "turn the unit on the stage" in experiment(lack)
+
+
+def test_a_rig_that_does_not_repeat_is_worse_than_its_dwells_say_and_lacks_no_effect() -> None:
+    lack = held(noise(5), dwell_deg=NOISE_DEG / 5.0)
+    assert lack.pure is not None
+    assert lack.pure.std_deg == pytest.approx(NOISE_DEG, rel=0.3)
+    assert not lack.rejects
+
+
+def test_where_neither_dwells_nor_revisits_tell_the_pure_error_nothing_is_claimed() -> None:
+    jittered = TARGETS_DEG + np.random.default_rng(6).uniform(-2.0, 2.0, len(TARGETS_DEG))
+    lack = held(noise(7), targets_deg=jittered)
+    assert (lack.pure, lack.p_value, lack.rejects) == (None, None, False)
