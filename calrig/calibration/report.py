@@ -18,6 +18,7 @@ from calrig.calibration.ranking import FAR_BEHIND, MARGIN, Found
 from calrig.calibration.responses import CHANNELS, Responses
 from calrig.calibration.search import Findings
 from calrig.calibration.sensor_model import Model, fitted_model
+from calrig.calibration.standard_errors import covariance_of
 from calrig.estimation.angles import FloatArray
 
 
@@ -40,9 +41,11 @@ def _covariance(model: Model, own: Sequence[slice]) -> FloatArray:
         for candidate, at in zip(model.accepted, own, strict=True)
         if candidate.effect.place in candidate.shape.at_std
     ]
-    if not slopes:
-        return model.fitted.covariance
-    return fit(model.responses, np.concatenate([model.columns, *slopes], axis=2)).covariance
+    r, columns, fitted = model.responses, model.columns, model.fitted
+    if slopes:
+        columns = np.concatenate([columns, *slopes], axis=2)
+        fitted = fit(r, columns)
+    return covariance_of(r, columns, fitted)
 
 
 def model_words(findings: Findings) -> str:

@@ -97,6 +97,12 @@ def search(
         if not _is_worth_a_name(r, accepted, step):
             refused.add(step.candidate.label)
             continue
+        if step.candidate.beside is not None and not all(
+            judged(fitted_model(r, [*accepted, member])).p_value <= level for member in step.candidate.members
+        ):  # one says nothing beside the other: two fit any noise a little better than one
+            single = [k for k, c in enumerate(verdict.candidates) if c.beside is None]
+            offered = [verdict.candidates[k] for k in single]
+            step = named(r, accepted, offered, verdict.ratios[single], verdict.p_value)
         members: Sequence[Candidate] = step.candidate.members
         if step.candidate.shape.series:
             members = needed(r, accepted, members)

@@ -13,9 +13,8 @@ from calrig.calibration.effect import (
     Parameter,
     Parameters,
     Shape,
-    amplitude_and_phase,
 )
-from calrig.calibration.effect_terms import THE_TURN, wave_deg
+from calrig.calibration.effect_terms import THE_TURN, amplitude_and_phase, wave_deg
 from calrig.calibration.responses import ANGLE, MOVE, READING, Responses
 from calrig.calibration.spectral_window import window_peaks
 from calrig.estimation.angles import FloatArray
