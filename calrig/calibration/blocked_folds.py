@@ -113,6 +113,8 @@ def _folds(r: Responses) -> dict[str, Intp]:
 
 def _errors(r: Responses, accepted: Sequence[Candidate], fold: Intp) -> FloatArray:
     errors = np.zeros(len(r))
+    model = fitted_model(r, accepted)
+    r, accepted = model.responses, model.accepted
     for k in range(BLOCKS):
         train, test = np.flatnonzero(fold != k), np.flatnonzero(fold == k)
         shown = _shown(r, accepted, train)
@@ -139,7 +141,8 @@ def _flat(columns: FloatArray) -> FloatArray:
 
 def _contradicts(r: Responses, accepted: Sequence[Candidate], place: int, whole: Fit, fold: Intp) -> bool:
     """Whether coefficients without some block differ from the whole's by more than their errors allow."""
-    columns = model_columns(r, accepted)
+    model = fitted_model(r, accepted)
+    r, accepted, columns = model.responses, model.accepted, model.columns
     at = own_columns(columns, accepted)[place]
     for k in range(BLOCKS):
         train = np.flatnonzero(fold != k)

@@ -205,20 +205,6 @@ def linear(shape: Shape, beta: FloatArray, covariance: FloatArray) -> Documents:
     }
 
 
-def amplitude_and_phase(_shape: Shape, beta: FloatArray, covariance: FloatArray) -> Documents:
-    """A·sin(x + φ) of b₀·sin x + b₁·cos x, with errors by the law of propagation."""
-    amplitude = float(np.hypot(*beta))
-    along = beta / amplitude
-    across = np.array([-along[1], along[0]])
-    return {
-        "amplitude_deg": {"value": amplitude, "std": math.sqrt(float(along @ covariance @ along))},
-        "phase_deg": {
-            "value": math.degrees(math.atan2(beta[1], beta[0])),
-            "std": math.degrees(math.sqrt(float(across @ covariance @ across)) / amplitude),
-        },
-    }
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Effect:
     """One entry of the catalogue.

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from calrig.calibration.effect import Applied, Circumstances, Parameters, Shape
+from calrig.calibration.effect import Applied, Circumstances, Documents, Parameters, Shape
 from calrig.calibration.responses import ANGLE, MOVE, NORM, READING, Responses
 from calrig.calibration.sensor_vector import VectorError
 from calrig.estimation.angles import FloatArray
@@ -27,6 +27,8 @@ SMALL_STEP = 1e-3
 ON_VECTOR = (
     "atan2(a_y, a_z) − φ, one vector for all effects on a_y = sin φ and a_z = cos φ, φ = bias + scale·θ: "
 )
+PHASE_UNKNOWN_DEG = 180.0 / math.sqrt(3.0)
+"""Standard deviation of an angle of which nothing is known."""
 LEAST_TEMPERATURE_RANGE_C = 0.05
 LEAST_RETURN = 0.25
 """Of the range of temperature: what tells a delay behind it from a curve of it."""
@@ -91,6 +93,30 @@ def wave_deg(p: Applied, turn: FloatArray) -> FloatArray:
     """amplitude·sin(360°·turn + phase)."""
     phase = 2.0 * np.pi * turn + np.radians(p.value("phase_deg"))
     return np.asarray(p.value("amplitude_deg") * np.sin(phase), dtype=np.float64)
+
+
+def amplitude_and_phase(_shape: Shape, beta: FloatArray, covariance: FloatArray) -> Documents:
+    """A·sin(x + φ) of b₀·sin x + b₁·cos x, with root mean square errors to second order.
+
+    An error ε across the vector (b₀, b₁) lengthens it by ε²/2A, whatever its sign (GUM 5.1.2, note): of an
+    eccentricity within ±60° the sine is much less well known than the cosine, and this most of the error.
+    """
+    amplitude = max(float(np.hypot(*beta)), SMALLEST_FLOAT)
+    along = beta / amplitude
+    turn = np.array([along, [-along[1], along[0]]])
+    (radial, mixed), (_, across) = turn @ covariance @ turn.T / amplitude**2
+    # the true one is shorter than what was found by what it was lengthened
+    phase = math.sqrt((across + radial * across + mixed**2) / max(1.0 - across, SMALLEST_FLOAT))
+    return {
+        "amplitude_deg": {
+            "value": float(np.hypot(*beta)),
+            "std": amplitude * math.sqrt(radial + 0.75 * across**2),
+        },
+        "phase_deg": {
+            "value": math.degrees(math.atan2(beta[1], beta[0])),
+            "std": min(math.degrees(phase), PHASE_UNKNOWN_DEG),
+        },
+    }
 
 
 def warmer_c(r: Responses, at: Parameters) -> tuple[FloatArray, float] | None:

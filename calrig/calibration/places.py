@@ -17,6 +17,7 @@ from calrig.calibration.effect import Parameters
 from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import Fit, fit
 from calrig.calibration.responses import Responses
+from calrig.calibration.sensor_model import fitted_model
 from calrig.estimation.angles import FloatArray
 
 STEPS = 5
@@ -41,6 +42,8 @@ def refined(r: Responses, accepted: Sequence[Candidate], candidate: Candidate) -
     A term of a series stays where it is: its place is known.
     """
     name = candidate.effect.place
+    model = fitted_model(r, accepted)
+    r, accepted = model.responses, model.accepted
     fitted = fit(r, model_columns(r, [*accepted, candidate]))
     for _ in range(0 if candidate.shape.series else STEPS):
         step, std = _step(r, accepted, candidate, fitted)

@@ -18,6 +18,7 @@ from calrig.calibration.ranking import FAR_BEHIND, MARGIN, Found
 from calrig.calibration.responses import CHANNELS, Responses
 from calrig.calibration.search import Findings
 from calrig.calibration.sensor_model import Model, fitted_model
+from calrig.calibration.standard_errors import covariance_of
 from calrig.estimation.angles import FloatArray
 
 
@@ -40,9 +41,11 @@ def _covariance(model: Model, own: Sequence[slice]) -> FloatArray:
         for candidate, at in zip(model.accepted, own, strict=True)
         if candidate.effect.place in candidate.shape.at_std
     ]
-    if not slopes:
-        return model.fitted.covariance
-    return fit(model.responses, np.concatenate([model.columns, *slopes], axis=2)).covariance
+    r, columns, fitted = model.responses, model.columns, model.fitted
+    if slopes:
+        columns = np.concatenate([columns, *slopes], axis=2)
+        fitted = fit(r, columns)
+    return covariance_of(r, columns, fitted)
 
 
 def model_words(findings: Findings) -> str:
@@ -97,13 +100,13 @@ def _why(found: Found, label: str, behind: float) -> str:
 def _same_elsewhere(found: Found, candidate: Candidate) -> list[str]:
     """The same effect at other places that these poses cannot tell from its own."""
     place = candidate.effect.place
-    values = [rival.shape.at[place] for rival in found.rivals if rival.name == candidate.name]
+    values = sorted((other.shape.at[place] for other in found.alike), reverse=True)
     if not values:
         return []
     parameter = next(p for p in candidate.effect.parameters if p.name == place)
     listed = ", ".join(f"{value:.4g}{parameter.unit}" for value in values)
     own = f"{candidate.shape.at[place]:.4g}{parameter.unit}"
-    return [f"{parameter.title.lower()}: these poses cannot tell {own} from {listed}; space them unevenly"]
+    return [f"a {parameter.title.lower()} of {listed} would look the same as {own} at these poses"]
 
 
 def _evidence(r: Responses, found: Found, candidate: Candidate) -> list[str]:

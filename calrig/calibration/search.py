@@ -24,8 +24,8 @@ from calrig.estimation.angles import FloatArray
 
 LEVEL = 0.01
 """The nominal rate at which a search of noise alone says something."""
-MOST_EFFECTS, MOST_TERMS = 5, 16
-"""A series, such as the orders of a turn, is one effect of several terms."""
+MOST_EFFECTS, MOST_COLUMNS = 5, 0.35
+"""A series, such as the orders of a turn, is one effect of several terms; so many columns to a pose at most."""
 FREEDOM = 3
 LEAST_SHARE = 0.05
 """An effect whose part of the reading is smaller than this share of its noise is not worth a correction."""
@@ -97,6 +97,12 @@ def search(
         if not _is_worth_a_name(r, accepted, step):
             refused.add(step.candidate.label)
             continue
+        if step.candidate.beside is not None and not all(
+            judged(fitted_model(r, [*accepted, member])).p_value <= level for member in step.candidate.members
+        ):  # one says nothing beside the other: two fit any noise a little better than one
+            single = [k for k, c in enumerate(verdict.candidates) if c.beside is None]
+            offered = [verdict.candidates[k] for k in single]
+            step = named(r, accepted, offered, verdict.ratios[single], verdict.p_value)
         members: Sequence[Candidate] = step.candidate.members
         if step.candidate.shape.series:
             members = needed(r, accepted, members)
@@ -120,9 +126,12 @@ def search(
 
 def _is_full(accepted: Sequence[Candidate]) -> bool:
     """Whether the model has as many effects as a run is searched for."""
+    if not accepted:
+        return False
     series = {c.shape.series for c in accepted if c.shape.series}
     alone = sum(not c.shape.series for c in accepted)
-    return len(series) + alone >= MOST_EFFECTS or len(accepted) >= MOST_TERMS
+    columns = sum(c.columns.shape[2] for c in accepted)
+    return len(series) + alone >= MOST_EFFECTS or columns > MOST_COLUMNS * len(accepted[0].columns)
 
 
 def _offered(

@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from calrig.calibration.candidates import Candidate
-from calrig.calibration.model import model_columns
-from calrig.calibration.noise_model import fit
 from calrig.calibration.ranking import MARGIN, Found
 from calrig.calibration.responses import Responses
+from calrig.calibration.sensor_model import fitted_model
 
 
 def needed(r: Responses, accepted: Sequence[Candidate], terms: Sequence[Candidate]) -> list[Candidate]:
@@ -59,4 +58,4 @@ def _beside(r: Responses, candidate: Candidate, known: Sequence[Candidate]) -> C
 def _criterion(r: Responses, model: Sequence[Candidate]) -> float:
     """−2 log likelihood plus log n for each parameter."""
     parameters = sum(c.parameters for c in model)
-    return fit(r, model_columns(r, model)).criterion + float(np.log(len(r))) * parameters
+    return fitted_model(r, model).fitted.criterion + float(np.log(len(r))) * parameters

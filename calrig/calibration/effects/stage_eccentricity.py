@@ -13,9 +13,16 @@ from calrig.calibration.effect import (
     Parameter,
     Parameters,
     Shape,
-    amplitude_and_phase,
 )
-from calrig.calibration.effect_terms import THE_TURN, amplitude_within, sin_cos, turned, turns, wave_deg
+from calrig.calibration.effect_terms import (
+    THE_TURN,
+    amplitude_and_phase,
+    amplitude_within,
+    sin_cos,
+    turned,
+    turns,
+    wave_deg,
+)
 from calrig.calibration.responses import Responses
 
 LARGEST_AMPLITUDE_DEG = 20.0

@@ -32,10 +32,9 @@ from calrig.calibration.effect import (
     Parameter,
     Parameters,
     Shape,
-    amplitude_and_phase,
     size_deg,
 )
-from calrig.calibration.effect_terms import tilted, turned, turns
+from calrig.calibration.effect_terms import amplitude_and_phase, tilted, turned, turns
 from calrig.calibration.responses import MOVE, Responses
 from calrig.estimation.angles import FloatArray
 
