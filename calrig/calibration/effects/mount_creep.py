@@ -32,9 +32,11 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
     if r.time_s is None or np.ptp(r.time_s) == 0.0 or r.time_s.min() < 0.0:
         return
     began_s = at.get("began_s", 0.0)
-    shares, place = tilted(_decades(r.time_s, began_s)), {"began_s": began_s}
-    # with the run, a mount that was just touched, is no place that was searched for
-    yield Shape(shares, ("deg_per_decade",), at=place, scanned=began_s != 0.0, place_cost=1)
+    shares, at = tilted(_decades(r.time_s, began_s)), {"began_s": began_s}
+    if began_s == 0.0:  # of a mount that was just touched: no place that was searched for
+        yield Shape(shares, ("deg_per_decade",), form="with the run", at=at, place_cost=1)
+    else:
+        yield Shape(shares, ("deg_per_decade",), form="before it", at=at, scanned=True, place_cost=1)
 
 
 def _decades(time_s: FloatArray, began_s: float) -> FloatArray:
