@@ -22,7 +22,7 @@ from calrig.estimation.angles import FloatArray
 LEVEL = 0.01
 """The nominal rate at which a search of noise alone says something."""
 MOST_EFFECTS, MOST_COLUMNS = 5, 0.35
-"""A series, such as the orders of a turn, is one effect of several terms; so many columns to a pose at most."""
+"""A series, such as the orders of a turn, is one effect of several terms; columns to a pose at most."""
 LEAST_SHARE = 0.05
 """An effect whose part of the reading is smaller than this share of its noise is not worth a correction."""
 
