@@ -78,7 +78,7 @@ def parted(r: Responses, found: Sequence[Found]) -> tuple[list[Found], list[str]
     kept, dropped = list(found), []
     while len(kept) > 1:
         whole = fitted_model(r, [f.candidate for f in kept]).fitted.criterion
-        followed = {f.candidate.effect.follows for f in kept}
+        followed = {f.candidate.follows for f in kept}
         free = [
             k
             for k, f in enumerate(kept[:-1])

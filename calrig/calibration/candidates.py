@@ -68,6 +68,11 @@ class Candidate:
         return True
 
     @property
+    def follows(self) -> str | None:
+        """The effect that has to be in the model before it is offered by itself."""
+        return self.effect.follows or self.shape.follows
+
+    @property
     def name(self) -> str:
         """Its name in the catalogue, or `unnamed`."""
         return self.effect.name

@@ -102,6 +102,7 @@ class Shape:
         says: what is to be said of this form beside the effect's name.
         part_of: the form with all parameters, where this one has some of them.
         alike: names that such poses do not part it from, however much better it fits.
+        follows: as the effect's, in such poses alone.
         at_std: standard errors of the places that were refined.
         series: what it is one term of, where several terms make one cause: a search counts them once.
         beside: covariates that effects in the model must follow before it is offered.
@@ -118,6 +119,7 @@ class Shape:
     says: str = ""
     part_of: str = ""
     alike: tuple[str, ...] = ()
+    follows: str | None = None
     at_std: Parameters = field(default_factory=dict)
     series: str = ""
     beside: tuple[str, ...] = ()

@@ -136,6 +136,13 @@ def one_leg(r: Responses) -> bool:
     return not any(min(_rise(run), _rise(-run)) >= least_c for run in runs if len(run))
 
 
+def said_of_one_leg(r: Responses, _shape: Shape) -> list[str]:
+    """Of what temperature alone cannot tell: evidence of an effect."""
+    if not one_leg(r):
+        return []
+    return ["the temperature went one way only: a delay, a curve of it and a drift in time look the same"]
+
+
 def _rise(values: FloatArray) -> float:
     """The most that a series ever lies above what it was before."""
     return float((values - np.minimum.accumulate(values)).max(initial=0.0))

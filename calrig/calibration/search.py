@@ -158,7 +158,7 @@ def _offered(
             return present.isdisjoint(member.name for member in c.members)
         if not followed.issuperset(c.shape.beside):
             return False
-        if c.label in once or not (c.effect.follows is None or c.effect.follows in present):
+        if c.label in once or not (c.follows is None or c.follows in present):
             return False
         return all(c.effect.distinct(r, c.shape, other.shape) for other in accepted)
 

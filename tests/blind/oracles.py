@@ -26,7 +26,7 @@ def set_size(r: Responses, noise: Noise) -> int:
     bic_penalty = float(np.log(len(r)))
     best: dict[str, float] = {}
     for candidate in candidates_of(r):
-        if not candidate.named or candidate.effect.follows:
+        if not candidate.named or candidate.follows:
             continue
         design = stacked(known, r.starts, model_columns(r, [candidate]))
         left = target - design @ np.linalg.lstsq(design, target, rcond=1e-9)[0]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from calrig.calibration.effect import TEMPERATURE, Effect, Parameter, Parameters, Shape
-from calrig.calibration.effect_terms import c_literal, c_warmer, one_leg, tilted, warmer_c
+from calrig.calibration.effect_terms import c_literal, c_warmer, one_leg, said_of_one_leg, tilted, warmer_c
 from calrig.calibration.responses import Responses
 
 
@@ -38,6 +38,7 @@ EFFECT = Effect(
     in_c=lambda p: f"{c_literal(p.get('deg_per_c2', 0.0))} * {c_warmer(p)} * {c_warmer(p)}",
     apart="what is left once the linear coefficient is taken out; cooling back parts it from a delay",
     remedy="correct by the unit's own thermometer with both terms",
+    evidence=said_of_one_leg,
     follows="temperature_bias",
     together_with=("temperature_bias",),
 )

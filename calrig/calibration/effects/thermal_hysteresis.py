@@ -21,7 +21,7 @@ from calrig.calibration.effect import (
     Parameters,
     Shape,
 )
-from calrig.calibration.effect_terms import one_leg, tilted, warmer_c
+from calrig.calibration.effect_terms import one_leg, said_of_one_leg, tilted, warmer_c
 from calrig.calibration.responses import BoolArray, Responses
 from calrig.estimation.angles import FloatArray
 
@@ -50,9 +50,16 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
     if r.time_s is None or warmer_c(r, {}) is None or r.temperature_c is None or lag_s <= 0.0:
         return
     ahead = r.temperature_c - _delayed_c(r.temperature_c, r.time_s, r.starts, lag_s)
-    alike = ("temperature_curvature", "time_drift") if one_leg(r) else ()
-    at = {"lag_s": lag_s}
-    yield Shape(tilted(ahead), ("deg_per_c",), at=at, scanned=True, place_cost=1, alike=alike)
+    one_way = one_leg(r)
+    yield Shape(
+        tilted(ahead),
+        ("deg_per_c",),
+        at={"lag_s": lag_s},
+        scanned=True,
+        place_cost=1,
+        alike=("temperature_curvature", "time_drift") if one_way else (),
+        follows="temperature_bias" if one_way else None,  # by itself it is the temperature again
+    )
 
 
 def _delayed_c(temperature_c: FloatArray, time_s: FloatArray, starts: BoolArray, lag_s: float) -> FloatArray:
@@ -75,12 +82,6 @@ def _on_reading_deg(p: Applied) -> FloatArray:
     return np.asarray(p.value("deg_per_c") * ahead, dtype=np.float64)
 
 
-def _evidence(r: Responses, _shape: Shape) -> list[str]:
-    if not one_leg(r):
-        return []
-    return ["the temperature went one way only: a delay, a curve of it and a drift in time look the same"]
-
-
 EFFECT = Effect(
     name="thermal_hysteresis",
     title="Delay behind the thermometer",
@@ -101,7 +102,7 @@ EFFECT = Effect(
     ),
     apart="warming and cooling differ at one temperature: let it cool back as well",
     remedy="wait until the temperature stands still, or change it slowly against the delay",
-    evidence=_evidence,
+    evidence=said_of_one_leg,
     possible=lambda _shape, beta: bool(abs(beta[0]) <= LARGEST_DEG_PER_C),
     together_with=("temperature_bias",),
 )
