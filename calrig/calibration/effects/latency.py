@@ -24,7 +24,9 @@ CONSISTENT = 3.0
 
 
 def _velocity_dps(r: Responses) -> FloatArray | None:
-    return r.covariates.get("velocity_dps", r.motion and r.motion.velocity_dps)
+    if r.motion is not None:
+        return r.motion.velocity_dps
+    return r.covariates.get("velocity_dps")
 
 
 VELOCITY = Covariate("velocity", "velocity", "°/s", _velocity_dps)
