@@ -20,7 +20,9 @@ AS_SCANNED = np.geomspace(0.4, 2.5, 9)
 FINER = (np.linspace(0.8, 1.25, 19), np.linspace(0.98, 1.02, 9))
 """Of the delay that a straight line through the errors against the velocity tells; of the one that leads."""
 CONSISTENT = 3.0
-"""The delay that is fitted, and the time over which the velocity was averaged, differ by no larger factor."""
+"""Times the delay over which the velocity was averaged, a fitted one is another: two terms that cancel.
+Smaller ones and those of the other sign are allowed, as noise has them: the gate counts on it.
+"""
 
 
 def _velocity_dps(r: Responses) -> FloatArray | None:
@@ -71,7 +73,7 @@ def _refine(r: Responses, shape: Shape, criterion: Callable[[Shape], float]) -> 
 
 def _possible(shape: Shape, beta: FloatArray) -> bool:
     lag_s = shape.at.get("over_s")
-    return not lag_s or 1.0 / CONSISTENT <= float(beta[0]) / lag_s <= CONSISTENT
+    return not lag_s or abs(float(beta[0])) <= CONSISTENT * abs(lag_s)
 
 
 EFFECT = Effect(
