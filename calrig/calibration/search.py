@@ -30,7 +30,7 @@ FREEDOM = 3
 LEAST_SHARE = 0.05
 """An effect whose part of the reading is smaller than this share of its noise is not worth a correction."""
 LEAST_STANDARD_ERRORS = 4.0
-"""Of the parameters that reach the reading, together: an effect is not named for what a witness alone shows."""
+"""Of the parameters that reach the reading, together: what a witness alone shows is not named."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +166,7 @@ def _offered(
 
 
 def _enters_once(c: Candidate) -> bool:
-    """Whether a second one of it would say the same: it has no place, or one that its likelihood is smooth in."""
+    """Whether a second would say the same: it has no place, or one that its likelihood is smooth in."""
     return c.shape.at.keys() <= set(HIDDEN) or c.shape.place_cost == 1
 
 
