@@ -1,8 +1,8 @@
 """Errors of the sensor's axes of any size: measured, applied, and nothing named beside them.
 
 MPU-6050, PS-MPU-6000A rev. 3.4, section 6.2: offsets of ±50 mg (x, y) and ±80 mg (z), gains of ±3 %,
-cross-axis sensitivity of ±2 %. The poses are the simulator's: a mount 0.8° off level, a stage that turns 0.2 %
-too far.
+cross-axis sensitivity of ±2 %. The poses are the simulator's: a mount 0.8° off level, a stage 0.2 %
+too far round.
 """
 
 from __future__ import annotations
