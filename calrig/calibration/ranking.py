@@ -26,6 +26,8 @@ must pass the gate beside the first: on trial by this margin alone it was wrong 
 """
 LEADING_NAMES = 4
 SHORTLIST = 16
+FARTHEST = 1e9
+"""Of the criterion, where what physics rules out ranks."""
 SAME = 1e-3
 """Of −2 log likelihood: the screen's single precision decides no more, and the first of equals is taken."""
 
@@ -177,7 +179,7 @@ def _ranked(
         criterion, candidate = _refined(r, accepted, offered[index], len(ranked) == 0)
         ranked.append((criterion + bic_penalty * candidate.parameters, candidate))
     place = {candidate.label: k for k, candidate in reversed(list(enumerate(offered)))}
-    return sorted(ranked, key=lambda pair: (round(pair[0] / SAME), place[pair[1].label]))
+    return sorted(ranked, key=lambda pair: (round(min(pair[0], FARTHEST) / SAME), place[pair[1].label]))
 
 
 def _first_best(values: FloatArray) -> int:
