@@ -11,10 +11,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from calrig.calibration.candidates import Candidate
-from calrig.calibration.model import model_columns, own_columns
-from calrig.calibration.noise_model import Fit, fit, stacked
+from calrig.calibration.model import own_columns
+from calrig.calibration.noise_model import Fit, stacked
 from calrig.calibration.ranking import Found
 from calrig.calibration.responses import Responses
+from calrig.calibration.sensor_model import fitted_model
 from calrig.estimation.angles import FloatArray
 
 LARGEST_CONDITION = 30.0
@@ -33,8 +34,8 @@ def tenable(r: Responses, accepted: Sequence[Candidate]) -> bool:
         r: the responses.
         accepted: the effects of a model.
     """
-    columns = model_columns(r, accepted)
-    fitted = fit(r, columns)
+    model = fitted_model(r, accepted)
+    columns, fitted, r = model.columns, model.fitted, model.responses
     own = own_columns(columns, accepted)
     if not all(c.effect.possible(c.shape, fitted.beta[at]) for c, at in zip(accepted, own, strict=True)):
         return False
@@ -76,9 +77,13 @@ def parted(r: Responses, found: Sequence[Found]) -> tuple[list[Found], list[str]
     """
     kept, dropped = list(found), []
     while len(kept) > 1:
-        whole = fit(r, model_columns(r, [f.candidate for f in kept])).criterion
+        whole = fitted_model(r, [f.candidate for f in kept]).fitted.criterion
         followed = {f.candidate.effect.follows for f in kept}
-        free = [k for k, f in enumerate(kept[:-1]) if f.candidate.name not in followed]
+        free = [
+            k
+            for k, f in enumerate(kept[:-1])
+            if f.candidate.name not in followed and not f.candidate.effect.place
+        ]
         worth = {k: _worth(r, kept, k, whole) for k in free}
         least = min(worth, key=worth.__getitem__, default=None)
         if least is None or worth[least] >= 0.0:
@@ -91,4 +96,4 @@ def _worth(r: Responses, found: Sequence[Found], place: int, whole: float) -> fl
     """By how much the penalised criterion would be worse without an effect."""
     without = [f.candidate for k, f in enumerate(found) if k != place]
     penalty = float(np.log(len(r))) * found[place].candidate.parameters
-    return fit(r, model_columns(r, without)).criterion - whole - penalty
+    return fitted_model(r, without).fitted.criterion - whole - penalty

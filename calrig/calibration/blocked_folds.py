@@ -22,6 +22,7 @@ from calrig.calibration.model import model_columns, own_columns
 from calrig.calibration.noise_model import Fit, fit
 from calrig.calibration.ranking import Found
 from calrig.calibration.responses import Responses
+from calrig.calibration.sensor_model import fitted_model
 from calrig.estimation.angles import FloatArray
 
 BLOCKS = 4
@@ -100,7 +101,9 @@ def _folds(r: Responses) -> dict[str, Intp]:
     first = np.flatnonzero(r.starts)
     length = np.diff([*first, len(r)])
     since = np.arange(len(r)) - np.repeat(first, length)
-    folds = {"time": since * BLOCKS // np.repeat(length, length)}
+    folds = {}
+    if length.min() >= 2 * BLOCKS:  # a table without history has none to part
+        folds["time"] = since * BLOCKS // np.repeat(length, length)
     places = np.unique(np.round(r.theta_deg))
     if len(places) >= 2 * BLOCKS:
         edges = places[np.arange(1, BLOCKS) * len(places) // BLOCKS]
@@ -110,10 +113,13 @@ def _folds(r: Responses) -> dict[str, Intp]:
 
 def _errors(r: Responses, accepted: Sequence[Candidate], fold: Intp) -> FloatArray:
     errors = np.zeros(len(r))
+    model = fitted_model(r, accepted)
+    r, accepted = model.responses, model.accepted
     for k in range(BLOCKS):
         train, test = np.flatnonzero(fold != k), np.flatnonzero(fold == k)
-        columns = model_columns(r, _shown(r, accepted, train))
-        errors[test] = errors_deg(r, columns, fit(r.rows(train), columns[train]).beta, test)
+        shown = _shown(r, accepted, train)
+        seen = fitted_model(r.rows(train), [c.rows(train) for c in shown])
+        errors[test] = errors_deg(r, shown, seen.fitted.beta, test)
     return errors
 
 
@@ -135,7 +141,8 @@ def _flat(columns: FloatArray) -> FloatArray:
 
 def _contradicts(r: Responses, accepted: Sequence[Candidate], place: int, whole: Fit, fold: Intp) -> bool:
     """Whether coefficients without some block differ from the whole's by more than their errors allow."""
-    columns = model_columns(r, accepted)
+    model = fitted_model(r, accepted)
+    r, accepted, columns = model.responses, model.accepted, model.columns
     at = own_columns(columns, accepted)[place]
     for k in range(BLOCKS):
         train = np.flatnonzero(fold != k)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,6 +12,11 @@ from calrig.calibration.effect import HIDDEN, Effect, Parameters, Shape
 from calrig.calibration.effects import EFFECTS, UNNAMED, effect_of
 from calrig.calibration.responses import Responses
 from calrig.estimation.angles import FloatArray
+
+LEAST_TURN_DEG = 330.0
+"""Poses over such an arc go round: the orders of a turn come apart."""
+MOST_COLUMNS = 0.2
+"""To a pose, of a series offered as one: more of them explain any poses at all."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,12 +26,28 @@ class Candidate:
     Attributes:
         columns: (n, J, p).
         beside: another one whose columns come first, where both are considered as one.
+        label: the name, for an unnamed shape with its covariate: what two forms of one thing share.
+        parameters: how many it adds to a model: coefficients, and one or two for a place that was scanned.
+            One of n instants costs 2·log n in −2 log likelihood, twice a coefficient's log n (Zhang &
+            Siegmund, Biometrics 63, 2007, for change points); a place that a likelihood is smooth in costs
+            log n.
     """
 
     effect: Effect
     shape: Shape
     columns: FloatArray
     beside: Candidate | None = None
+    label: str = field(init=False)
+    parameters: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        shapes = [self.shape, *([] if self.beside is None else [self.beside.shape])]
+        scanned = sum(s.place_cost for s in shapes if s.scanned)
+        replaced = sum(s.replaces is not None for s in shapes)
+        own = self.name if self.named else f"{UNNAMED} {self.covariate}"
+        label = own if self.beside is None else f"{self.beside.label} + {own}"
+        object.__setattr__(self, "label", label)
+        object.__setattr__(self, "parameters", int(self.columns.shape[2]) + scanned - replaced)
 
     @property
     def members(self) -> tuple[Candidate, ...]:
@@ -34,7 +55,7 @@ class Candidate:
         if self.beside is None:
             return (self,)
         width = self.beside.columns.shape[2]
-        return self.beside, Candidate(self.effect, self.shape, self.columns[:, :, width:])
+        return *self.beside.members, Candidate(self.effect, self.shape, self.columns[:, :, width:])
 
     def is_possible(self, beta: FloatArray) -> bool:
         """Whether the coefficients (≥ p,), its own first, are any that physics allows."""
@@ -61,23 +82,6 @@ class Candidate:
         """What it is a function of."""
         return self.shape.covariate or self.effect.covariate.name
 
-    @property
-    def label(self) -> str:
-        """The name, for an unnamed shape with its covariate: what two forms of one thing share."""
-        own = self.name if self.named else f"{UNNAMED} {self.covariate}"
-        return own if self.beside is None else f"{self.beside.label} + {own}"
-
-    @property
-    def parameters(self) -> int:
-        """How many parameters it adds to a model: coefficients, and two for a place that was scanned.
-
-        One of n places costs 2·log n in −2 log likelihood, twice a coefficient's log n (Zhang & Siegmund,
-        Biometrics 63, 2007, for change points).
-        """
-        shapes = [one.shape for one in self.members]
-        scanned = sum(shape.scanned for shape in shapes)
-        return int(self.columns.shape[2]) + 2 * scanned - sum(shape.replaces is not None for shape in shapes)
-
     def rows(self, chosen: np.ndarray[tuple[int], np.dtype[np.intp]]) -> Candidate:
         """The same candidate in some of the poses."""
         beside = self.beside and self.beside.rows(chosen)
@@ -98,8 +102,21 @@ def candidates_of(r: Responses) -> list[Candidate]:
     together = [
         Candidate(b.effect, b.shape, np.concatenate([a.columns, b.columns], axis=2), a) for a, b in pairs
     ]
+    together += _series(r, shown)
     unnamed = sum(not candidate.named for candidate in shown)
     return [*shown[: len(shown) - unnamed], *together, *shown[len(shown) - unnamed :]]
+
+
+def _series(r: Responses, shown: Sequence[Candidate]) -> list[Candidate]:
+    """The first terms of the turn's series as one, so many and more: each alone may look like noise."""
+    if np.ptp(r.theta_deg) < LEAST_TURN_DEG:
+        return []
+    joined: list[Candidate] = []
+    for term in (c for c in shown if c.shape.series and not c.shape.scanned):
+        before = joined[-1] if joined else None
+        columns = term.columns if before is None else np.concatenate([before.columns, term.columns], axis=2)
+        joined.append(Candidate(term.effect, term.shape, columns, before))
+    return [c for c in joined[1:] if c.columns.shape[2] <= MOST_COLUMNS * len(r)]
 
 
 def rebuilt(candidate: Candidate, r: Responses, form: str | None = None) -> Candidate | None:

@@ -20,6 +20,7 @@ from calrig.calibration.noise_model import fit
 from calrig.calibration.pose import Pose
 from calrig.calibration.responses import SCALE_UNIT_DEG, Responses, responses_of
 from calrig.calibration.search import Findings, search
+from calrig.calibration.sensor_model import fitted_model, linear_about
 from calrig.estimation.angles import FloatArray
 
 FOLDS = 4
@@ -46,14 +47,14 @@ def cross_validate(
     for k in range(int(fold.max()) + 1):
         train, test = np.flatnonzero(fold != k), np.flatnonzero(fold == k)
         seen = r.rows(train)
-        base[test] = errors_deg(r, r.base, fit(seen, seen.base).beta, test)
+        base[test] = errors_deg(r, (), fit(seen, seen.base).beta, test)
         findings = search(seen, [c.rows(train) for c in candidates], rng, bootstraps=BOOTSTRAPS)
         if not findings.found:
             final[test] = base[test]
             continue
         # a fold's model in all poses; a refined period exists in the fold's alone
         whole = [rebuilt(f.candidate, r) or f.candidate for f in findings.found]
-        final[test] = errors_deg(r, model_columns(r, whole), findings.fitted.beta, test)
+        final[test] = errors_deg(*linear_about(r, whole, findings.fitted.beta), findings.fitted.beta, test)
     return CrossValidation(base, final, int(fold.max()) + 1)
 
 
@@ -69,18 +70,21 @@ def folds_of(r: Responses) -> npt.NDArray[np.intp]:
     return fold
 
 
-def errors_deg(r: Responses, columns: FloatArray, beta: FloatArray, test: npt.NDArray[np.intp]) -> FloatArray:
+def errors_deg(
+    r: Responses, accepted: Sequence[Candidate], beta: FloatArray, test: npt.NDArray[np.intp]
+) -> FloatArray:
     """(m,) reading less prediction of some poses, over the scale, in degrees of elevation.
 
     Args:
         r: all poses.
-        columns: (n, J, p) of the model, in all poses.
+        accepted: the effects in the model, in all poses.
         beta: (p,) as fitted elsewhere.
         test: (m,) the poses to predict.
     """
     scale_at = r.base_names.index("reading.scale") if "reading.scale" in r.base_names else None
     scale = 1.0 if scale_at is None else 1.0 + beta[scale_at] / SCALE_UNIT_DEG
-    return np.asarray((r.values[test, 0] - columns[test, 0, :] @ beta) / scale, dtype=np.float64)
+    columns = model_columns(r, accepted)[test, 0, :]
+    return np.asarray((r.values[test, 0] - columns @ beta) / scale, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,8 +119,8 @@ def confirm(
         return None
     train = np.setdiff1d(np.arange(len(r)), test)
     seen = r.rows(train)
-    errors = [
-        errors_deg(r, columns, fit(seen, columns[train]).beta, test)
-        for columns in (r.base, model_columns(r, accepted))
-    ]
+    errors = []
+    for effects_in in ((), accepted):
+        beta = fitted_model(seen, [effect.rows(train) for effect in effects_in]).fitted.beta
+        errors.append(errors_deg(*linear_about(r, effects_in, beta), beta, test))
     return Confirmation(rms(errors[0]), rms(errors[1]), len(test))

@@ -10,10 +10,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from calrig.calibration.effects import EFFECTS, UNNAMED
+from calrig.calibration.effects import EFFECTS, UNNAMED, covariate_of
 from calrig.calibration.lack_of_fit import SEVERAL
 
 Document = Mapping[str, Any]
+ELSEWHERE = "the same at another period"
+"""An effect that is confusable with itself: only the spacing of the poses could tell."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,15 +139,14 @@ def _of(effects: Sequence[Document], verdict: str) -> list[Document]:
 def _title(effect: Document) -> str:
     """Of the catalogue, as it stands inside a sentence."""
     if effect["name"] == UNNAMED:
-        followed = (e.covariate for e in EFFECTS.values() if e.covariate.name == effect["covariate"])
-        covariate = next(followed, None)
-        return f"something that follows {covariate.title if covariate else effect['covariate']}"
+        return f"something that follows {covariate_of(effect['covariate']).title}"
     title = EFFECTS[effect["name"]].title
     return title[0].lower() + title[1:]
 
 
 def _suspects(effect: Document) -> str:
-    return " or ".join(name.replace("_", " ") for name in (effect["name"], *effect["confusable_with"]))
+    others = (ELSEWHERE if name == effect["name"] else name for name in effect["confusable_with"])
+    return " or ".join(name.replace("_", " ") for name in (effect["name"], *others))
 
 
 def _confirmation(fresh: Document, decided: int | None, *, confirmed: bool) -> str:

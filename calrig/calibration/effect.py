@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from calrig.calibration.responses import READING, Responses
+from calrig.calibration.sensor_vector import VectorError, VectorInC, sin_cos
 from calrig.estimation.angles import FloatArray
 
 Origin = Literal["sensor", "stage", "mounting", "process", "environment", "unknown"]
@@ -32,7 +33,7 @@ ORIGINS: dict[Origin, str] = {
     "environment": "the surroundings",
     "unknown": "not known",
 }
-HIDDEN = ("pose", "part")
+HIDDEN = ("pose", "part", "order", "over_s")
 """Places that serve the search alone and are in no document."""
 
 
@@ -94,10 +95,16 @@ class Shape:
         form: which of the effect's forms, where it has several.
         at: parameters that are not coefficients: found by scanning, or a reference.
         scanned: whether the search chose the place among many.
+        place_cost: how many parameters that choice counts as: two where neighbouring places differ as an
+            instant does from the next, one where they go over into each other.
         covariate: where it is not the effect's.
         replaces: a base column that the effect's own column takes the place of.
         says: what is to be said of this form beside the effect's name.
         part_of: the form with all parameters, where this one has some of them.
+        alike: names that such poses do not part it from, however much better it fits.
+        at_std: standard errors of the places that were refined.
+        series: what it is one term of, where several terms make one cause: a search counts them once.
+        beside: covariates that effects in the model must follow before it is offered.
     """
 
     shares: Mapping[str, FloatArray]
@@ -105,10 +112,15 @@ class Shape:
     form: str = ""
     at: Parameters = field(default_factory=dict)
     scanned: bool = False
+    place_cost: int = 2
     covariate: str = ""
     replaces: str | None = None
     says: str = ""
     part_of: str = ""
+    alike: tuple[str, ...] = ()
+    at_std: Parameters = field(default_factory=dict)
+    series: str = ""
+    beside: tuple[str, ...] = ()
 
     @property
     def stated(self) -> frozenset[str]:
@@ -137,12 +149,17 @@ class Circumstances:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Applied:
-    """An effect's parameters at n elevations; what it needs and has not is missed by name."""
+    """An effect's parameters at n elevations; what it needs and has not is missed by name.
+
+    Attributes:
+        felt_deg: (n,) the elevation of the sensor itself, mount and all: θ where it is not known.
+    """
 
     effect: str
     parameters: Parameters
     theta_deg: FloatArray
     given: Circumstances
+    felt_deg: FloatArray | None = None
 
     def value(self, name: str, default: float | None = 0.0) -> float:
         """A parameter; ApplyError where it is absent and has no default."""
@@ -159,15 +176,8 @@ class Applied:
         return values
 
     def sin_cos(self) -> tuple[FloatArray, FloatArray]:
-        """Sine and cosine of θ."""
-        angle = np.radians(self.theta_deg)
-        return np.sin(angle), np.cos(angle)
-
-    def turn_deg(self, error_y: FloatArray | float, error_z: float) -> FloatArray:
-        """Angle by which errors of a_y and a_z (g) turn the measured vector (0, s + δ, c + ε)."""
-        s, c = self.sin_cos()
-        across, along = error_y * c - error_z * s, 1.0 + error_y * s + error_z * c
-        return np.asarray(np.degrees(np.arctan2(across, along)), dtype=np.float64)
+        """What a sensor without errors measures of a_y and a_z, g."""
+        return sin_cos(self.theta_deg if self.felt_deg is None else self.felt_deg)
 
     def warmer_c(self) -> FloatArray:
         """Temperature less the effect's reference."""
@@ -193,20 +203,6 @@ def linear(shape: Shape, beta: FloatArray, covariance: FloatArray) -> Documents:
     }
 
 
-def amplitude_and_phase(_shape: Shape, beta: FloatArray, covariance: FloatArray) -> Documents:
-    """A·sin(x + φ) of b₀·sin x + b₁·cos x, with errors by the law of propagation."""
-    amplitude = float(np.hypot(*beta))
-    along = beta / amplitude
-    across = np.array([-along[1], along[0]])
-    return {
-        "amplitude_deg": {"value": amplitude, "std": math.sqrt(float(along @ covariance @ along))},
-        "phase_deg": {
-            "value": math.degrees(math.atan2(beta[1], beta[0])),
-            "std": math.degrees(math.sqrt(float(across @ covariance @ across)) / amplitude),
-        },
-    }
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Effect:
     """One entry of the catalogue.
@@ -221,12 +217,17 @@ class Effect:
             references are taken from there where they are, else from the poses. None where the poses cannot
             show it. Coefficients among the parameters are ignored: they are fitted.
         on_reading_deg: (n,) the formula, exact where the forms are linear.
-        in_c: its C expression in degrees of `theta`, its sine and cosine `s` and `c`, and `temperature_c`.
+        on_vector_g: instead, what the effect adds to a_y and a_z: all effects turn one vector together.
+        in_c: the same in C, of `theta` in degrees, `temperature_c`, and the sensor's own `s` and `c`.
         apart: what separates it from its look-alikes.
         remedy: what a person can do about it.
         scan: the places that the search tries; without it one, of no parameters.
         refine: the shape at the best place near a leading one's, in the poses given (the leading one may be
             of more), by a shape's criterion; None where there is nothing to refine.
+        place: the parameter among the scanned ones that the likelihood refines between them.
+        settled: the places to take for those refined, by their standard errors: a value that is known.
+        look_alikes: places that these poses may not tell from a shape's, the likeliest first.
+        distinct: whether two shapes at different places can both be in one model of these poses.
         reported: a document's parameters from coefficients and their covariance.
         evidence: sentences about a shape in these poses.
         possible: whether coefficients are any that the physics allows.
@@ -242,12 +243,17 @@ class Effect:
     parameters: tuple[Parameter, ...]
     formula: str
     forms: Callable[[Responses, Parameters], Iterator[Shape]]
-    on_reading_deg: Callable[[Applied], FloatArray]
-    in_c: Callable[[Parameters], str] | NotInFlight
+    in_c: Callable[[Parameters], str | VectorInC] | NotInFlight
     apart: str
     remedy: str
+    on_reading_deg: Callable[[Applied], FloatArray] | None = None
+    on_vector_g: Callable[[Applied], VectorError] | None = None
     scan: Callable[[Responses], Iterator[Parameters]] | None = None
     refine: Callable[[Responses, Shape, Callable[[Shape], float]], Shape | None] | None = None
+    place: str = ""
+    settled: Callable[[Parameters, Parameters], Parameters] = lambda at, _std: at
+    look_alikes: Callable[[Responses, Shape], Iterator[Parameters]] = lambda _r, _shape: iter(())
+    distinct: Callable[[Responses, Shape, Shape], bool] = lambda _r, _shape, _other: True
     reported: Callable[[Shape, FloatArray, FloatArray], Documents] = linear
     evidence: Callable[[Responses, Shape], list[str]] = lambda _r, _shape: []
     possible: Callable[[Shape, FloatArray], bool] = lambda _shape, _beta: True
@@ -263,6 +269,8 @@ class Effect:
             required = part.default is dataclasses.MISSING
             if required and getattr(self, part.name) in ("", (), None):
                 raise EffectError(f"the effect {self.name!r} lacks its {part.name}")
+        if self.on_reading_deg is None and self.on_vector_g is None:
+            raise EffectError(f"the effect {self.name!r} lacks its on_reading_deg, or its on_vector_g")
         if isinstance(self.in_c, NotInFlight) and not self.in_c.reason:
             raise EffectError(f"the effect {self.name!r} lacks the reason why it is not applied in flight")
         if self.scope != "unit" and not isinstance(self.in_c, NotInFlight):
@@ -274,11 +282,11 @@ class Effect:
             yield from self.forms(r, at)
 
     def documented(self, shape: Shape, beta: FloatArray, covariance: FloatArray) -> dict[str, Any]:
-        """A document's `parameters`: what was fitted with its standard error, and what was not without."""
+        """A document's `parameters`: what was fitted or refined with its standard error, the rest without."""
         found: dict[str, Any] = dict(self.reported(shape, beta, covariance))
         for name, value in shape.at.items():
             if name not in HIDDEN:
-                found[name] = {"value": float(value), "std": None}
+                found[name] = {"value": float(value), "std": shape.at_std.get(name)}
         return found
 
 

@@ -13,13 +13,25 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from calrig.calibration.effect import Applied, Parameters, Shape
+from calrig.calibration.effect import Applied, Circumstances, Documents, Parameters, Shape
 from calrig.calibration.responses import ANGLE, MOVE, NORM, READING, Responses
+from calrig.calibration.sensor_vector import VectorError
 from calrig.estimation.angles import FloatArray
 
 DEG = 180.0 / np.pi
 MG = 1e-3
+THE_TURN = "the turn"
+"""The series of a full turn's orders."""
+SMALL_STEP = 1e-3
+"""Of a parameter, in its own unit: what it changes is a straight line there."""
+ON_VECTOR = (
+    "atan2(a_y, a_z) − φ, one vector for all effects on a_y = sin φ and a_z = cos φ, φ = bias + scale·θ: "
+)
+PHASE_UNKNOWN_DEG = 180.0 / math.sqrt(3.0)
+"""Standard deviation of an angle of which nothing is known."""
 LEAST_TEMPERATURE_RANGE_C = 0.05
+LEAST_RETURN = 0.25
+"""Of the range of temperature: what tells a delay behind it from a curve of it."""
 LARGEST_FLOAT = float(np.finfo(np.float32).max)
 SMALLEST_FLOAT = float(np.finfo(np.float32).tiny)
 
@@ -55,10 +67,56 @@ def one_or_both(
         yield Shape({**tilted(angle[:, k]), NORM: norm[:, k]}, (name,), form=name, part_of="both", at=at)
 
 
+def vector_forms(
+    r: Responses,
+    on_vector_g: Callable[[Applied], VectorError],
+    names: tuple[str, str],
+    at: Parameters | None = None,
+) -> Iterator[Shape]:
+    """Both of two parameters of an effect on a_y and a_z, and each alone, linear about no effect."""
+    s, c = sin_cos(r)
+    given = Circumstances(temperature_c=r.temperature_c)
+
+    def per_unit(name: str, component: int) -> FloatArray:
+        more, less = (
+            on_vector_g(Applied("", {**(at or {}), name: step}, r.theta_deg, given))[component]
+            for step in (SMALL_STEP, -SMALL_STEP)
+        )
+        return np.full(len(r), (more - less) / (2.0 * SMALL_STEP))
+
+    y, z = (np.stack([per_unit(name, component) for name in names], 1) for component in (0, 1))
+    s, c = s[:, None], c[:, None]
+    yield from one_or_both((y * c - z * s) * DEG, y * s + z * c, names, at)
+
+
 def wave_deg(p: Applied, turn: FloatArray) -> FloatArray:
     """amplitude·sin(360°·turn + phase)."""
     phase = 2.0 * np.pi * turn + np.radians(p.value("phase_deg"))
     return np.asarray(p.value("amplitude_deg") * np.sin(phase), dtype=np.float64)
+
+
+def amplitude_and_phase(_shape: Shape, beta: FloatArray, covariance: FloatArray) -> Documents:
+    """A·sin(x + φ) of b₀·sin x + b₁·cos x, with root mean square errors to second order.
+
+    An error ε across the vector (b₀, b₁) lengthens it by ε²/2A, whatever its sign (GUM 5.1.2, note): of an
+    eccentricity within ±60° the sine is much less well known than the cosine, and this most of the error.
+    """
+    amplitude = max(float(np.hypot(*beta)), SMALLEST_FLOAT)
+    along = beta / amplitude
+    turn = np.array([along, [-along[1], along[0]]])
+    (radial, mixed), (_, across) = turn @ covariance @ turn.T / amplitude**2
+    # the true one is shorter than what was found by what it was lengthened
+    phase = math.sqrt((across + radial * across + mixed**2) / max(1.0 - across, SMALLEST_FLOAT))
+    return {
+        "amplitude_deg": {
+            "value": float(np.hypot(*beta)),
+            "std": amplitude * math.sqrt(radial + 0.75 * across**2),
+        },
+        "phase_deg": {
+            "value": math.degrees(math.atan2(beta[1], beta[0])),
+            "std": min(math.degrees(phase), PHASE_UNKNOWN_DEG),
+        },
+    }
 
 
 def warmer_c(r: Responses, at: Parameters) -> tuple[FloatArray, float] | None:
@@ -67,6 +125,20 @@ def warmer_c(r: Responses, at: Parameters) -> tuple[FloatArray, float] | None:
         return None
     reference_c = float(at.get("reference_c", r.temperature_c.mean()))
     return np.asarray(r.temperature_c - reference_c, dtype=np.float64), reference_c
+
+
+def one_leg(r: Responses) -> bool:
+    """Whether no run's temperature came back, by a share of its range, from where it had gone."""
+    if r.temperature_c is None:
+        return True
+    runs = np.split(r.temperature_c, np.flatnonzero(r.starts))
+    least_c = LEAST_RETURN * float(np.ptp(r.temperature_c))
+    return not any(min(_rise(run), _rise(-run)) >= least_c for run in runs if len(run))
+
+
+def _rise(values: FloatArray) -> float:
+    """The most that a series ever lies above what it was before."""
+    return float((values - np.minimum.accumulate(values)).max(initial=0.0))
 
 
 def within(**most: float) -> Callable[[Shape, FloatArray], bool]:
@@ -94,11 +166,6 @@ def c_literal(value: float) -> str:
     text = f"{value if abs(value) >= SMALLEST_FLOAT else 0.0:.9g}"
     text = text if re.search(r"[.e]", text) else f"{text}.0"
     return f"({text}f)" if text.startswith("-") else f"{text}f"
-
-
-def c_turn(across: str, along: str) -> str:
-    """The C expression of `Applied.turn_deg`."""
-    return f"57.29577951f * atan2f({across}, 1.0f + {along})"
 
 
 def c_warmer(p: Parameters) -> str:

@@ -241,7 +241,7 @@ def _waits(runs: Sequence[Sequence[Pose]], suspects: Sequence[Candidate]) -> lis
     """Between two sweeps, where time is a suspect: half of what the runs took, as long, and twice."""
     times = [pose.time_s for run in runs for pose in run if pose.time_s is not None]
     followed = [covariate_of(suspect.covariate) for suspect in suspects]
-    if not times or not any(covariate is not None and covariate.needs_time for covariate in followed):
+    if not times or not any(covariate.needs_time for covariate in followed):
         return []
     took_s = max(times) - min(times)
     return [round(share * took_s, 1) for share in (0.5, 1.0, 2.0)]

@@ -12,10 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.candidates import Candidate
-from calrig.calibration.model import model_columns
-from calrig.calibration.noise_model import Fit, fit
+from calrig.calibration.noise_model import Fit
 from calrig.calibration.ranking import MARGIN, Found
 from calrig.calibration.responses import Responses
+from calrig.calibration.sensor_model import fitted_model
 
 MOST_OF_A_LEAD = 0.5
 """Of a lead, what must be left without a pose: every pose has some part in it."""
@@ -51,13 +51,13 @@ def _decisive(
 ) -> int | None:
     """The pose that holds most of the lead, and without which it is less than `MARGIN`; None without one."""
     both = [[*others, claimed], [*others, runner_up]]
-    ours, theirs = (fit(r, model_columns(r, effects)) for effects in both)
+    ours, theirs = (fitted_model(r, effects).fitted for effects in both)
     penalty = float(np.log(len(r))) * (runner_up.parameters - claimed.parameters)
     lead = theirs.criterion - ours.criterion + penalty
     for pose in np.argsort(-_for_the_claim(r, ours, theirs), kind="stable")[:DECISIVE]:
         rest = np.delete(np.arange(len(r)), pose)
         seen = r.rows(rest)
-        left = [fit(seen, model_columns(seen, [c.rows(rest) for c in effects])) for effects in both]
+        left = [fitted_model(seen, [c.rows(rest) for c in effects]).fitted for effects in both]
         if left[1].criterion - left[0].criterion + penalty < min(MARGIN, MOST_OF_A_LEAD * lead):
             return int(pose)
     return None

@@ -21,6 +21,12 @@ from calrig.calibration.responses import BoolArray, Responses
 from calrig.estimation.angles import FloatArray
 
 ITERATIONS = 4
+STRONG_RHO = 0.75
+"""Correlation beyond which coefficients and noise agree slowly; below it one step from the noise that the
+responses were drawn from leaves the criterion where four would (quantiles of its gain alike to 0.5).
+"""
+RIDGE = 1e-9
+"""Added to products of columns of unit size, so that two that say the same need no eigenvectors."""
 LARGEST_RHO = 0.95
 SMALLEST_RHO = -0.5
 ALIKE = 1e-12
@@ -120,23 +126,27 @@ class Fits:
     criterion: FloatArray
 
 
-def fits(r: Responses, values: FloatArray, columns: FloatArray) -> Fits:
+def fits(r: Responses, values: FloatArray, columns: FloatArray, start: NoiseModel | None = None) -> Fits:
     """Fits b sets of responses at once: a bootstrap judges its best candidates by their full likelihood.
 
     Args:
         r: the responses, for what their poses have in common.
         values: (b, n, J).
         columns: (b, n, J, p), or (1, n, J, p) where all have the same.
+        start: noise that they were drawn from, to begin with; without it from white noise.
     """
     b, n, channels = values.shape
     columns = np.broadcast_to(columns, (b, *columns.shape[1:]))
     p = columns.shape[3]
-    spread = np.hypot(values.std(axis=1), r.rounding)
-    rotation = np.eye(channels) / spread[:, None, :]
-    rho = np.zeros((b, channels))
+    if start is None:
+        spread = np.hypot(values.std(axis=1), r.rounding)
+        rotation, rho = np.eye(channels) / spread[:, None, :], np.zeros((b, channels))
+    else:
+        rotation = np.broadcast_to(start.rotation, (b, channels, channels))
+        rho = np.broadcast_to(start.rho, (b, channels))
     by_channel = np.ascontiguousarray(np.moveaxis(columns, 2, 1)).reshape(b, channels, n * p)
     taken = max(1.0, p / channels)
-    for _ in range(ITERATIONS):
+    for _ in range(1 if start is not None and start.rho.max() < STRONG_RHO else ITERATIONS):
         turned = (np.swapaxes(rotation, 1, 2) @ by_channel).reshape(b, channels, n, p)
         design = _innovations(turned, rho, r.starts).reshape(b, channels * n, p)
         target = _innovations(np.swapaxes(values @ rotation, 1, 2)[..., None], rho, r.starts)
@@ -145,7 +155,7 @@ def fits(r: Responses, values: FloatArray, columns: FloatArray) -> Fits:
         power = np.einsum("bpp->bp", gram)
         size = np.sqrt(np.where(power > 0.0, power, 1.0))
         sizes = size[:, :, None] * size[:, None, :]
-        covariance = np.linalg.pinv(gram / sizes, rcond=1e-10, hermitian=True) / sizes
+        covariance = _inverse(gram / sizes, exact=start is None) / sizes
         beta = (covariance @ (across @ target.reshape(b, channels * n, 1)))[..., 0]
         residuals = (values - (columns @ beta[:, None, :, None])[..., 0]) * r.known
         rotation, rho = _noises(residuals, r, taken)
@@ -160,13 +170,20 @@ def fits(r: Responses, values: FloatArray, columns: FloatArray) -> Fits:
     return Fits(beta, covariance, residuals, rotation, rho, criterion)
 
 
+def _inverse(gram: FloatArray, *, exact: bool) -> FloatArray:
+    """Of (b, p, p) products of columns of unit size, some of which may say the same or nothing at all."""
+    if exact:
+        return np.asarray(np.linalg.pinv(gram, rcond=1e-10, hermitian=True), dtype=np.float64)
+    return np.asarray(np.linalg.inv(gram + RIDGE * np.eye(gram.shape[1])), dtype=np.float64)
+
+
 def _innovations(rotated: FloatArray, rho: FloatArray, starts: BoolArray) -> FloatArray:
     """Innovations (b, J, n, p) of rotated channels with correlations (b, J)."""
-    of_each = rho[:, :, None, None]
-    white = rotated.copy()
-    white[:, :, 1:] -= of_each * rotated[:, :, :-1]
-    white[:, :, 1:] /= np.sqrt(1.0 - of_each**2)
+    gain = 1.0 / np.sqrt(1.0 - rho**2)
+    white: FloatArray = rotated * gain[:, :, None, None]
+    white[:, :, 1:] -= rotated[:, :, :-1] * (rho * gain)[:, :, None, None]
     white[:, :, starts] = rotated[:, :, starts]
+    white[:, :, 0] = rotated[:, :, 0]
     return white
 
 

@@ -17,11 +17,10 @@ import numpy as np
 from calrig.calibration.candidates import Candidate, documented_forms
 from calrig.calibration.correction import numbers_of
 from calrig.calibration.effects import EFFECTS, covariate_of
-from calrig.calibration.model import model_columns, own_columns
-from calrig.calibration.noise_model import fit
 from calrig.calibration.outliers import most_outliers, outlier
 from calrig.calibration.pose import DiagnosisError, Pose
 from calrig.calibration.responses import Responses, responses_of
+from calrig.calibration.sensor_model import fitted_model, parts_deg
 from calrig.estimation.angles import FloatArray
 
 Document = Mapping[str, Any]
@@ -58,15 +57,14 @@ def partial_residuals(runs: Sequence[Sequence[Pose]], effects: Sequence[Document
     """
     r = responses_of(runs)
     chosen = _chosen(r, [_forms(r, effect) for effect in effects])
-    columns = model_columns(r, chosen)
     for _ in range(most_outliers(len(r))):
-        if (wild := outlier(r, chosen)) is not None:
+        model = fitted_model(r, chosen)
+        if (wild := outlier(model.responses, model.accepted)) is not None:
             others = np.delete(np.arange(len(r)), wild)
-            r, columns, chosen = r.rows(others), columns[others], [c.rows(others) for c in chosen]
-    fitted = fit(r, columns)
+            r, chosen = r.rows(others), [c.rows(others) for c in chosen]
+    fitted = fitted_model(r, chosen).fitted
     partial = []
-    for candidate, place in zip(chosen, own_columns(columns, chosen), strict=True):
-        own = candidate.columns[:, 0, :] @ fitted.beta[place]
+    for candidate, own in zip(chosen, parts_deg(r, chosen, fitted.beta), strict=True):
         at = _column(r, candidate.covariate)
         residual_deg = fitted.residuals[:, 0] + own
         partial.append(PartialResidual(candidate.covariate, at, r.theta_deg, residual_deg, own))
@@ -80,7 +78,7 @@ def _chosen(r: Responses, forms: Sequence[Sequence[Candidate]]) -> list[Candidat
     for k, options in enumerate(forms):
         if len(options) > 1:
             criteria = [
-                fit(r, model_columns(r, [*chosen[:k], option, *chosen[k + 1 :]])).criterion
+                fitted_model(r, [*chosen[:k], option, *chosen[k + 1 :]]).fitted.criterion
                 + bic_penalty * option.parameters
                 for option in options
             ]
@@ -98,8 +96,7 @@ def _forms(r: Responses, document: Document) -> list[Candidate]:
 
 
 def _column(r: Responses, covariate: str) -> FloatArray:
-    known = covariate_of(covariate)
-    column = r.covariates.get(covariate) if known is None else known.of(r)
+    column = covariate_of(covariate).of(r)
     if column is None:
         raise DiagnosisError(f"these poses have no {covariate}: diagnose them again")
     return column

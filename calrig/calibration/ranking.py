@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from calrig.calibration.candidates import Candidate, candidate_of
 from calrig.calibration.effect import Shape
-from calrig.calibration.model import model_columns
-from calrig.calibration.noise_model import fit
+from calrig.calibration.places import refined
 from calrig.calibration.responses import Responses
 from calrig.calibration.screen import Float32Array, Screen
+from calrig.calibration.sensor_model import fitted_beside, fitted_model
 from calrig.estimation.angles import FloatArray
 
 MARGIN = 6.0
@@ -45,6 +45,7 @@ class Found:
         considered: how far behind the best each label came.
         runners_up: the best candidate of each other name that came near enough for a pose to matter.
         doubts: why it is claimed no more than it is, in sentences.
+        alike: the same effect at other places that explain these poses as well, likely or not.
     """
 
     candidate: Candidate
@@ -54,6 +55,7 @@ class Found:
     considered: tuple[tuple[str, float], ...] = ()
     runners_up: tuple[Candidate, ...] = ()
     doubts: tuple[str, ...] = ()
+    alike: tuple[Candidate, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -81,15 +83,24 @@ def named(
     offered: Sequence[Candidate],
     ratios: Float32Array,
     p_value: float,
+    incumbent: Candidate | None = None,
 ) -> Found:
-    """The best of the offered candidates by its full likelihood, and those that come too close to it."""
+    """The best of the offered candidates by its full likelihood, and those that come too close to it.
+
+    Of equals, a term of a series stays where it is already in the model: it came with the others.
+    """
     ranked = _ranked(r, accepted, offered, ratios)
     best = ranked[0][0]
     near = [c for criterion, c in ranked if criterion - best < MARGIN]
     named = [c for c in near if c.named]
     # A catalogue effect that explains as well outranks the flexible shapes that contain it.
-    claimed = (named or near)[0]
+    staying = [c for c in named if incumbent is not None and _is_same_term(c, incumbent)]
+    claimed = (staying or named or near)[0]
     rivals = _rivals(ranked, claimed) if claimed.named else ()
+    alike: tuple[Candidate, ...] = ()
+    if claimed.effect.place and claimed.beside is None:
+        (claimed, *others), alike = _alike(r, accepted, claimed)
+        rivals = (*others, *rivals)
     own = min(criterion for criterion, c in ranked if c.label == claimed.label)
     rest = [criterion for criterion, c in ranked if c.label != claimed.label and c.named]
     lead = min(rest) - own if rest else np.inf
@@ -97,7 +108,8 @@ def named(
     for criterion, c in ranked:
         considered.setdefault(c.label, round(max(criterion - best, 0.0), 2))
     runners_up = _runners_up(ranked, claimed)
-    return Found(claimed, rivals, p_value, float(lead), tuple(considered.items()), runners_up)
+    told = tuple(considered.items())
+    return Found(claimed, rivals, p_value, float(lead), told, runners_up, alike=alike)
 
 
 def _runners_up(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> tuple[Candidate, ...]:
@@ -109,17 +121,54 @@ def _runners_up(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -
     return tuple(others.values())
 
 
+def _is_same_term(candidate: Candidate, other: Candidate) -> bool:
+    return (
+        candidate.shape.series != ""
+        and candidate.label == other.label
+        and candidate.shape.at == other.shape.at
+    )
+
+
 def _rivals(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> tuple[Candidate, ...]:
     """The best of each other name within `MARGIN` of the best, and a shape without a name that leads."""
     best, leader = ranked[0]
     others: dict[str, Candidate] = {}
     for criterion, c in ranked:
         first = c.members[0]  # of two that only together explain it, the one that leads is the suspect
-        if c.named and first.label not in claimed.label and criterion - best < MARGIN:
+        more = any(member.label == claimed.label for member in c.members)  # the claimed one, and another
+        near = criterion - best < MARGIN or c.name in claimed.shape.alike
+        if c.named and not more and first.label not in claimed.label and near:
             others.setdefault(first.label, first)
     if not leader.named:
         others[leader.label] = leader
     return tuple(others.values())
+
+
+def _alike(
+    r: Responses, accepted: Sequence[Candidate], claimed: Candidate
+) -> tuple[list[Candidate], tuple[Candidate, ...]]:
+    """The claimed one at its best place with its rivals at others, and all that explain these poses as well.
+
+    The largest of equals comes first: a long period before those that only the spacing makes of it. A place
+    known beforehand, such as an order of the turn, is likelier than one among many by what a scan costs.
+    """
+    effect = claimed.effect
+    best, own = refined(r, accepted, claimed)
+    found = [(best.criterion, own)]
+    for at in effect.look_alikes(r, own.shape):
+        for shape in effect.forms(r, at):
+            fitted, other = refined(r, accepted, candidate_of(r, effect, shape))
+            others = [*accepted, *(c for _, c in found)]
+            apart = all(effect.distinct(r, other.shape, c.shape) for c in others)
+            if apart and other.is_possible(fitted.beta[-other.columns.shape[2] :]):
+                found.append((fitted.criterion, other))
+    least = min(criterion for criterion, _ in found)
+    equal = [c for criterion, c in found if criterion - least < MARGIN]
+    penalised = [(criterion + np.log(len(r)) * c.parameters, c) for criterion, c in found]
+    likeliest = min(criterion for criterion, _ in penalised)
+    near = [c for criterion, c in penalised if criterion - likeliest < MARGIN]
+    near = sorted(near, key=lambda c: -c.shape.at[effect.place])
+    return near, tuple(c for c in equal if c is not near[0])
 
 
 def pair(
@@ -137,7 +186,7 @@ def pair(
     bic_penalty = float(np.log(len(r)))
 
     def criterion(*added: Candidate) -> float:
-        fitted = fit(r, model_columns(r, [*accepted, *added]))
+        fitted = fitted_model(r, [*accepted, *added]).fitted
         return fitted.criterion + bic_penalty * sum(c.parameters for c in added)
 
     named = [i for i, c in enumerate(offered) if c.named and c.effect.follows is None]
@@ -147,12 +196,12 @@ def pair(
     to_beat = criterion(step.candidate) - dict(step.considered)[step.candidate.label] - PAIR_MARGIN
     best: tuple[Candidate, Candidate] | None = None
     for first in list(firsts.values())[:LEADING_NAMES]:
-        columns = model_columns(r, [*accepted, first])
+        model = fitted_model(r, [*accepted, first])
         rest = [offered[i] for i in named if offered[i].label != first.label]
         if not rest:
             continue
-        fitted = fit(r, columns)
-        more = Screen(r, columns, rest, fitted.noise).ratios(fitted.residuals[None])[0]
+        screen = Screen(r, model.columns, rest, model.fitted.noise)
+        more = screen.ratios(model.fitted.residuals[None])[0]
         second = rest[_first_best(more - bic_penalty * np.array([c.parameters for c in rest]))]
         together = criterion(first, second)
         if together < to_beat:
@@ -174,10 +223,12 @@ def _ranked(
         if key not in best or ratios[index] > ratios[best[key]] + SAME:
             best[key] = index
     order = sorted(best.values(), key=lambda i: bic_penalty * offered[i].parameters - float(ratios[i]))
-    ranked: list[tuple[float, Candidate]] = []
-    for index in order[:SHORTLIST]:
-        criterion, candidate = _refined(r, accepted, offered[index], len(ranked) == 0)
-        ranked.append((criterion + bic_penalty * candidate.parameters, candidate))
+    shortlist = [offered[index] for index in order[:SHORTLIST]]
+    shortlist = [_refined(r, accepted, c, leads=k == 0) for k, c in enumerate(shortlist)]
+    ranked = []
+    for c, (criterion, own) in zip(shortlist, fitted_beside(r, accepted, shortlist), strict=True):
+        penalised = criterion + bic_penalty * c.parameters
+        ranked.append((penalised if c.is_possible(own) else np.inf, c))
     place = {candidate.label: k for k, candidate in reversed(list(enumerate(offered)))}
     return sorted(ranked, key=lambda pair: (round(min(pair[0], FARTHEST) / SAME), place[pair[1].label]))
 
@@ -187,18 +238,14 @@ def _first_best(values: FloatArray) -> int:
     return int(np.flatnonzero(values >= values.max() - SAME)[0])
 
 
-def _refined(
-    r: Responses, accepted: Sequence[Candidate], candidate: Candidate, leads: bool
-) -> tuple[float, Candidate]:
-    """The criterion of a candidate; of a leading one, at the best place between those scanned."""
+def _refined(r: Responses, accepted: Sequence[Candidate], candidate: Candidate, *, leads: bool) -> Candidate:
+    """A leading candidate at the best place between those scanned."""
 
     def criterion(shape: Shape) -> float:
-        return fit(r, model_columns(r, [*accepted, candidate_of(r, candidate.effect, shape)])).criterion
+        return fitted_model(r, [*accepted, candidate_of(r, candidate.effect, shape)]).fitted.criterion
 
+    if candidate.effect.place and candidate.beside is None and not candidate.shape.series:
+        return refined(r, accepted, candidate)[1]
     refine = candidate.effect.refine if leads and candidate.beside is None else None
     finer = refine and refine(r, candidate.shape, criterion)
-    if finer is not None:
-        candidate = candidate_of(r, candidate.effect, finer)
-    fitted = fit(r, model_columns(r, [*accepted, candidate]))
-    own = fitted.beta[-candidate.columns.shape[2] :]
-    return fitted.criterion if candidate.is_possible(own) else np.inf, candidate
+    return candidate if finer is None else candidate_of(r, candidate.effect, finer)

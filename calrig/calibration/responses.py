@@ -14,6 +14,15 @@ import numpy.typing as npt
 
 from calrig.calibration.filter_share import filter_share
 from calrig.calibration.fit import reading_error_deg
+from calrig.calibration.motion import (
+    Motion,
+    approach_of,
+    has_history,
+    is_sorted,
+    joined,
+    motion_of,
+    moves_deg,
+)
 from calrig.calibration.pose import DiagnosisError, Pose
 from calrig.calibration.pose_columns import (
     column_of,
@@ -39,6 +48,12 @@ SCALE_UNIT_DEG = 60.0
 """Elevation enters the base in units of this, so that all its columns are of order 1."""
 FEWEST_POSES = 8
 ONE_ANGLE_DEG = 1e-6
+NO_HISTORY = (
+    "no column (time_s, pass, approach) tells when the poses were taken: the order of the rows was not taken "
+    "for a history, so nothing was looked for that moves or time would do"
+)
+"""Noise may be correlated from row to row all the same, unless the rows are sorted: a gate that denied it
+would raise false alarms in a table that was measured in its order, and allowing for it names nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,9 +62,10 @@ class Responses:
 
     Attributes:
         theta_deg: (n,) elevation that each pose stands for.
-        move_deg: (n,) θ less that of the pose before; 0 where `moved_known` is False.
-        starts: (n,) whether a pose is the first of its run: it follows on nothing.
+        move_deg: (n,) θ less that of the pose before; 0 where it is not known.
+        starts: (n,) whether a pose follows on nothing: the first of its run, or any in a table by angle.
         approach, time_s, temperature_c: (n,) or None where not known of every pose.
+        motion: of the stage while the readings were taken; None where not known of every pose.
         covariates: (n,) each: columns that calrig has no physics for.
         channels: names of the J responses, the reading first.
         values: (n, J) response less θ (angles, degrees), less 1 g (|accelerometer|, g), less the stage's
@@ -59,6 +75,8 @@ class Responses:
         base_names: of the p columns, such as `reading.bias`, `gyro_move.gain`, `reading.first`.
         kappa: (n,) share of a gyro scale error times the move that the filter still shows.
         rounding: (J,) what arithmetic alone may leave of each response: below it there is nothing to judge.
+        across_g: (n,) acceleration along the stage's axis, where the accelerometer has a third one. It says
+            how far askew a unit sits, as each does: no response, for it would name effects that are none.
     """
 
     theta_deg: FloatArray
@@ -67,6 +85,7 @@ class Responses:
     approach: FloatArray | None
     time_s: FloatArray | None
     temperature_c: FloatArray | None
+    motion: Motion | None
     covariates: dict[str, FloatArray]
     channels: tuple[str, ...]
     values: FloatArray
@@ -76,6 +95,7 @@ class Responses:
     kappa: FloatArray
     rounding: FloatArray
     warnings: tuple[str, ...] = field(default=())
+    across_g: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.theta_deg)
@@ -94,11 +114,13 @@ class Responses:
             approach=pick(self.approach),
             time_s=pick(self.time_s),
             temperature_c=pick(self.temperature_c),
+            motion=self.motion and self.motion.rows(chosen),
             covariates={name: column[chosen] for name, column in self.covariates.items()},
             values=self.values[chosen],
             known=self.known[chosen],
             base=self.base[chosen],
             kappa=self.kappa[chosen],
+            across_g=pick(self.across_g),
         )
 
     def columns(self, shares: Mapping[str, FloatArray]) -> FloatArray:
@@ -135,26 +157,31 @@ def responses_of(runs: Sequence[Sequence[Pose]]) -> Responses:
             f"{len(poses)} poses are too few to tell an effect from noise: at least {FEWEST_POSES} are needed"
         )
     run_index = np.repeat(np.arange(len(kept)), [len(run) for run in kept])
-    starts = np.diff(run_index, prepend=-1) > 0
+    starts = (np.diff(run_index, prepend=-1) > 0) | np.concatenate([_alone(run) for run in kept])
     theta = np.array([pose.theta_deg for pose in poses])
     reading = np.array([pose.reading_deg for pose in poses])
     refuse_what_is_no_elevation(theta, reading)
     if np.abs(reading - theta).max() > 180.0:
         warnings.append("some readings are a whole turn away from the stage: they were taken on its turn")
-    move = np.where(starts, 0.0, np.diff(theta, prepend=theta[0]))
+    move = np.nan_to_num(np.concatenate([moves_deg(run) for run in kept]))
     table = _Channels(theta, move, starts, run_index)
     error = reading_error_deg(theta, reading)
     table.add(READING, error, _turn_size(theta, reading), bias_each_run=True, scaled=True)
     _add_witnesses(table, poses, theta, move, starts)
-    table.free_first()
+    if has_history(poses):
+        table.free_first()
+    else:
+        warnings.append(NO_HISTORY)
+    senses = [sense for run in kept if (sense := approach_of(run)) is not None]
     covariates, said = covariates_of(poses, theta, reading)
     return Responses(
         theta_deg=theta,
         move_deg=move,
         starts=starts,
-        approach=column_of(poses, "approach"),
+        approach=np.concatenate(senses) if len(senses) == len(kept) else None,
         time_s=column_of(poses, "time_s"),
         temperature_c=column_of(poses, "temperature_c"),
+        motion=joined([motion_of(run) for run in kept]),
         covariates=covariates,
         channels=tuple(table.names),
         values=np.stack(table.values, axis=1),
@@ -164,7 +191,13 @@ def responses_of(runs: Sequence[Sequence[Pose]]) -> Responses:
         kappa=filter_share(poses),
         rounding=len(poses) * float(np.finfo(np.float64).eps) * np.array(table.sizes),
         warnings=(*warnings, *said),
+        across_g=column_of(poses, "accel_x_g"),
     )
+
+
+def _alone(run: Sequence[Pose]) -> BoolArray:
+    """(n,) whether no pose of a run follows on the one before."""
+    return np.full(len(run), is_sorted(run))
 
 
 class _Channels:
@@ -200,6 +233,12 @@ class _Channels:
         self.base_columns.append((f"{MOVE}.bias", MOVE, known.astype(float)))
         gain = np.where(known, self._move, 0.0) / SCALE_UNIT_DEG
         self.base_columns.append((f"{MOVE}.gain", MOVE, gain))
+
+    def let_gains_warm(self, temperature_c: FloatArray | None) -> None:
+        """Lets |accelerometer| follow temperature: all gains that drift alike leave the angle as it is."""
+        if temperature_c is not None and np.ptp(temperature_c) > 0.0:
+            warmer = (temperature_c - temperature_c.mean()) / np.ptp(temperature_c)
+            self.base_columns.append((f"{NORM}.temperature", NORM, warmer))
 
     def free_first(self) -> None:
         """Lets the first pose of each run lie where it will: the move into it is not known.
@@ -239,9 +278,11 @@ def _add_witnesses(
         size_g = 1.0 + float(np.abs(norm).max())
         if np.ptp(norm) > len(norm) * np.finfo(np.float64).eps * size_g:
             table.add(NORM, norm, size_g, bias_each_run=True, scaled=False)
+            table.let_gains_warm(column_of(poses, "temperature_c"))
     felt = np.array([np.nan if p.gyro_move_deg is None else p.gyro_move_deg for p in poses])
     moves = np.isfinite(felt) & ~starts
-    if table.turns and moves.sum() >= 0.8 * (~starts).sum() and _left_by_line(move[moves], felt[moves]):
+    enough = moves.any() and moves.sum() >= 0.8 * (~starts).sum()
+    if table.turns and enough and _left_by_line(move[moves], felt[moves]):
         table.add_moves(felt)
     if all(pose.stage_deg is not None for pose in poses):
         off = theta - np.array([pose.target_deg for pose in poses])

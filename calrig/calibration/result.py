@@ -9,10 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.correction import effects_on_reading_deg, fit_line_with_effects
+from calrig.calibration.correction import (
+    effects_on_reading_deg,
+    felt_elevation_deg,
+    fit_line_with_effects,
+)
 from calrig.calibration.effect import ApplyError, Circumstances
 from calrig.calibration.filter_share import filter_share
 from calrig.calibration.fit import Line, fit_line, residuals_deg, rms
+from calrig.calibration.motion import approach_of, motion_of, moves_deg
 from calrig.calibration.pose import Pose
 from calrig.calibration.uncertainty import Reference, ReferenceKind, reference_part
 from calrig.estimation.angles import FloatArray, wrap_deg
@@ -149,7 +154,8 @@ def apply_calibration(
         ApplyError: the poses lack what an effect is a function of.
     """
     theta, reading = _angles(poses)
-    without = reading - effects_on_reading_deg(effects, theta, circumstances(poses))
+    felt = felt_elevation_deg(theta, line.bias_deg, line.scale)
+    without = reading - effects_on_reading_deg(effects, theta, circumstances(poses), felt)
     fresh = build_result(poses, gyro)
     return replace(
         fresh,
@@ -172,13 +178,13 @@ def circumstances(poses: Sequence[Pose]) -> Circumstances:
     def column(values: list[float | None]) -> FloatArray | None:
         return None if None in values else np.array(values, dtype=np.float64)
 
-    theta = np.array([pose.theta_deg for pose in poses])
+    motion = motion_of(poses)
     return Circumstances(
-        approach=column([pose.approach for pose in poses]),
+        approach=approach_of(poses),
         temperature_c=column([pose.temperature_c for pose in poses]),
         time_s=column([pose.time_s for pose in poses]),
-        move_deg=np.diff(theta, prepend=np.nan),
-        velocity_dps=column([pose.covariates.get("velocity_dps") for pose in poses]),
+        move_deg=moves_deg(poses),
+        velocity_dps=motion.velocity_dps if motion else None,
         kappa=filter_share(poses),
     )
 
@@ -191,8 +197,9 @@ def _line_with_effects(
         return None
     given = circumstances(poses)
     try:
-        without = reading - effects_on_reading_deg(effects, theta, given)
         line = fit_line_with_effects(theta, reading, effects, given)
+        felt = felt_elevation_deg(theta, line.bias_deg, line.scale)
+        without = reading - effects_on_reading_deg(effects, theta, given, felt)
     except ApplyError:
         return None
     return line, rms(residuals_deg(theta, without, line.bias_deg, line.scale))

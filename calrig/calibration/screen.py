@@ -13,7 +13,7 @@ from calrig.calibration.noise_model import PRIOR_RHO_STD, NoiseModel, Real
 from calrig.calibration.responses import Responses
 from calrig.estimation.angles import FloatArray
 
-SHARES = (0.0, 0.4, 0.75, 1.0)
+SHARES = (0.0, 0.5, 1.0)
 """Of the correlation found under the null: an alternative may explain as much of it as it can."""
 SMALLEST = 1e-6
 BATCH = 250

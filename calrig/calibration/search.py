@@ -10,20 +10,27 @@ import numpy.typing as npt
 
 from calrig.calibration.backward import parted, tenable
 from calrig.calibration.candidates import Candidate
+from calrig.calibration.effect import HIDDEN
 from calrig.calibration.gate import Verdict, gate
 from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import Fit, fit
 from calrig.calibration.outliers import most_outliers, outlier
 from calrig.calibration.ranking import Found, named, pair
-from calrig.calibration.responses import Responses
+from calrig.calibration.responses import READING, Responses
 from calrig.calibration.screen import Screen
+from calrig.calibration.sensor_model import Model, fitted_model
+from calrig.calibration.series import needed, on_their_places
 from calrig.estimation.angles import FloatArray
 
 LEVEL = 0.01
 """The nominal rate at which a search of noise alone says something."""
-MOST_EFFECTS = 5
+MOST_EFFECTS, MOST_COLUMNS = 5, 0.35
+"""A series, such as the orders of a turn, is one effect of several terms; so many columns to a pose at most."""
+FREEDOM = 3
 LEAST_SHARE = 0.05
 """An effect whose part of the reading is smaller than this share of its noise is not worth a correction."""
+LEAST_STANDARD_ERRORS = 4.0
+"""Of the parameters that reach the reading, together: an effect is not named for what a witness alone shows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,42 +73,50 @@ def search(
     kept = np.arange(len(r))
     fewest = len(r) - most_outliers(len(r))
 
-    def judged(accepted: Sequence[Candidate], fitted: Fit) -> Verdict:
+    def judged(model: Model) -> Verdict:
         def columns_with(more: Sequence[Candidate]) -> FloatArray:
-            return model_columns(r, [*accepted, *more])
+            return model_columns(model.responses, [*model.accepted, *more])
 
-        offered = _offered(candidates, accepted, refused)
-        return gate(r, columns_with, fitted, offered, rng, bootstraps, level)
+        offered = _offered(model.responses, candidates, model.accepted, refused)
+        return gate(model.responses, columns_with, model.fitted, offered, rng, bootstraps, level)
 
     while True:
         accepted = [f.candidate for f in found]
-        columns = model_columns(r, accepted)
-        fitted = fit(r, columns)
-        verdict = judged(accepted, fitted)
-        wild = outlier(r, accepted, verdict.gain) if len(kept) > fewest else None
+        model = fitted_model(r, accepted)
+        verdict = judged(model)
+        wild = outlier(model.responses, model.accepted, verdict.gain) if len(kept) > fewest else None
         if wild is not None:
             others = np.delete(np.arange(len(r)), wild)
             kept, r, candidates = kept[others], r.rows(others), [c.rows(others) for c in candidates]
             found = [f.rows(others) for f in found]
             continue
-        if verdict.p_value > level or len(found) >= MOST_EFFECTS:
+        if verdict.p_value > level or _is_full(accepted):
             least = 1.0 / (bootstraps + 1)
-            return Findings(r, kept, tuple(found), fitted, columns, verdict.p_value, least)
+            return Findings(r, kept, tuple(found), model.fitted, model.columns, verdict.p_value, least)
         step = named(r, accepted, verdict.candidates, verdict.ratios, verdict.p_value)
-        if _share_of_reading(r, accepted, step.candidate) < LEAST_SHARE:
+        if not _is_worth_a_name(r, accepted, step):
             refused.add(step.candidate.label)
             continue
-        steps = [replace(step, candidate=member) for member in step.candidate.members]
+        if step.candidate.beside is not None and not all(
+            judged(fitted_model(r, [*accepted, member])).p_value <= level for member in step.candidate.members
+        ):  # one says nothing beside the other: two fit any noise a little better than one
+            single = [k for k, c in enumerate(verdict.candidates) if c.beside is None]
+            offered = [verdict.candidates[k] for k in single]
+            step = named(r, accepted, offered, verdict.ratios[single], verdict.p_value)
+        members: Sequence[Candidate] = step.candidate.members
+        if step.candidate.shape.series:
+            members = needed(r, accepted, members)
+        steps = [replace(step, candidate=member) for member in members]
         two = None
         if len(steps) == 1:
             two = pair(r, accepted, verdict.candidates, verdict.ratios, step)
         if two is not None:
             first, second = two
-            p_value = judged([*accepted, first], fit(r, model_columns(r, [*accepted, first]))).p_value
+            p_value = judged(fitted_model(r, [*accepted, first])).p_value
             if p_value <= level:
                 beside = replace(step, candidate=second, rivals=(), p_value=p_value)
                 steps = [replace(step, candidate=first, rivals=()), beside]
-        entered = _reconsidered(r, candidates, [*found, *steps])
+        entered = on_their_places(r, candidates, _reconsidered(r, candidates, [*found, *steps]))
         if found and not tenable(r, [f.candidate for f in entered]):
             refused.add(step.candidate.label)
             continue
@@ -109,41 +124,84 @@ def search(
         refused.update(dropped)
 
 
+def _is_full(accepted: Sequence[Candidate]) -> bool:
+    """Whether the model has as many effects as a run is searched for."""
+    if not accepted:
+        return False
+    series = {c.shape.series for c in accepted if c.shape.series}
+    alone = sum(not c.shape.series for c in accepted)
+    columns = sum(c.columns.shape[2] for c in accepted)
+    return len(series) + alone >= MOST_EFFECTS or columns > MOST_COLUMNS * len(accepted[0].columns)
+
+
 def _offered(
-    candidates: Sequence[Candidate], accepted: Sequence[Candidate], refused: set[str]
+    r: Responses, candidates: Sequence[Candidate], accepted: Sequence[Candidate], refused: set[str]
 ) -> list[Candidate]:
-    """The candidates that may enter now: not those that have, nor those that follow on what has not."""
+    """The candidates that may enter now: not those that have, nor those that follow on what has not.
+
+    Nor those that leave the reading hardly a degree of freedom to judge them by.
+    """
+    taken = len({name for name in r.base_names if name.startswith(READING)})
+    room = len(r) - taken - sum(c.columns.shape[2] for c in accepted) - FREEDOM
     present = {c.name for c in accepted}
-    once = {c.label for c in accepted if c.named and not c.shape.at}
+    followed = {c.covariate for c in accepted}
+    once = {c.label for c in accepted if c.named and _enters_once(c)}
 
     def may_enter(c: Candidate) -> bool:
+        if c.columns.shape[2] > room:
+            return False
         if c.beside is not None:
             return present.isdisjoint(member.name for member in c.members)
-        return c.label not in once and (c.effect.follows is None or c.effect.follows in present)
+        if not followed.issuperset(c.shape.beside):
+            return False
+        if c.label in once or not (c.effect.follows is None or c.effect.follows in present):
+            return False
+        return all(c.effect.distinct(r, c.shape, other.shape) for other in accepted)
 
     return [c for c in candidates if c.label not in refused and may_enter(c)]
+
+
+def _enters_once(c: Candidate) -> bool:
+    """Whether a second one of it would say the same: it has no place, or one that its likelihood is smooth in."""
+    return c.shape.at.keys() <= set(HIDDEN) or c.shape.place_cost == 1
 
 
 def _reconsidered(r: Responses, candidates: Sequence[Candidate], found: list[Found]) -> list[Found]:
     """Each effect held against its rivals once more, with all the others in the model."""
     if len(found) == 1:
         return found
-    for place, one in enumerate(found):
+    for one in list(found):
         others = [f.candidate for f in found if f is not one]
-        offered = _offered(candidates, others, set())
-        columns = model_columns(r, others)
-        fitted = fit(r, columns)
-        ratios = Screen(r, columns, offered, fitted.noise).ratios(fitted.residuals[None])[0]
-        found[place] = named(r, others, offered, ratios, one.p_value)
+        offered = _offered(r, candidates, others, set())
+        if one.candidate.shape.series:  # a curve takes a little from every term: the terms come first
+            offered = [c for c in offered if c.named]
+        model = fitted_model(r, others)
+        screen = Screen(r, model.columns, offered, model.fitted.noise)
+        ratios = screen.ratios(model.fitted.residuals[None])[0]
+        again = named(r, others, offered, ratios, one.p_value, one.candidate)
+        place = next(k for k, f in enumerate(found) if f is one)
+        found[place : place + 1] = [replace(again, candidate=member) for member in again.candidate.members]
     return found
 
 
-def _share_of_reading(r: Responses, accepted: Sequence[Candidate], candidate: Candidate) -> float:
-    """What a candidate adds to the reading, bias and scale taken off, over the reading's noise."""
-    columns = model_columns(r, [*accepted, candidate])
-    fitted = fit(r, columns)
-    width = candidate.columns.shape[2]
-    part = candidate.columns[:, 0, :] @ fitted.beta[-width:]
+def _is_worth_a_name(r: Responses, accepted: Sequence[Candidate], step: Found) -> bool:
+    """Whether what a step adds to the reading, bias and scale taken off, is worth a correction, and sure.
+
+    What a witness alone shows, names no effect of the reading: parameters that reach the reading are some
+    standard errors large, and where the effect is named, the reading is not left worse than without it.
+    """
+    candidate = step.candidate
+    before = fit(r, model_columns(r, accepted))
+    fitted = fit(r, model_columns(r, [*accepted, candidate]))
+    own = np.arange(-candidate.columns.shape[2], 0)
+    part = candidate.columns[:, 0, :] @ fitted.beta[own]
     line = np.column_stack([np.ones(len(r)), r.theta_deg])
     part = part - line @ np.linalg.lstsq(line, part, rcond=None)[0]
-    return float(part.std() / np.hypot(fitted.residuals[:, 0].std(), r.rounding[0]))
+    left_deg, left_before_deg = (
+        float(np.hypot(one.residuals[:, 0].std(), r.rounding[0])) for one in (fitted, before)
+    )
+    reaching = own[np.ptp(candidate.columns[:, 0, :], axis=0) > 0.0]
+    beta, covariance = fitted.beta[reaching], fitted.covariance[np.ix_(reaching, reaching)]
+    sure = float(np.sqrt(beta @ np.linalg.pinv(covariance, hermitian=True) @ beta))
+    helps = step.verdict != "named" or left_deg <= left_before_deg
+    return part.std() >= LEAST_SHARE * left_deg and sure >= LEAST_STANDARD_ERRORS and helps

@@ -197,12 +197,11 @@ def _print_effect(effect: dict[str, Any]) -> None:
 
     known, covariate = EFFECTS[effect["name"]], covariate_of(effect["covariate"])
     titles = [known.title, *(EFFECTS[rival].title for rival in effect["confusable_with"])]
-    against = f"against {covariate.title if covariate else effect['covariate']}"
+    against = f"against {covariate.title}" + (f" in {covariate.unit}" if covariate.unit else "")
     _print(f"\n{', or '.join(titles)} ({effect['verdict']}; {ORIGINS[known.origin]}; {against})")
-    of_covariate = covariate.unit if covariate else ""
     for one in known.parameters:
         if not one.flag:
-            unit = of_covariate if one.unit is None else one.unit
+            unit = covariate.unit if one.unit is None else one.unit
             _print_parameter(one.title, effect["parameters"].get(one.name), unit)
     for sentence in (*effect["evidence"], effect["remedy"]):
         _print(f"  · {sentence}")

@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.correction import effects_on_reading_deg, numbers_of
+from calrig.calibration.correction import effects_on_reading_deg, felt_elevation_deg, numbers_of
 from calrig.calibration.effect import TEMPERATURE, ApplyError, Circumstances, NotInFlight, Parameters
 from calrig.calibration.effect_terms import c_literal
 from calrig.calibration.effects import EFFECTS, UNNAMED, effect_of
+from calrig.calibration.sensor_vector import VectorInC
 from calrig.estimation.angles import FloatArray
 
 CLOSE_DEG = 1e-6
@@ -25,6 +26,7 @@ BEYOND_C = (40.0, 20.0, 10.0, 0.0)
 STEP_DEG = 0.5
 LONGEST_LINE = 160
 Effects = list[tuple[str, Parameters]]
+Terms = list[str | VectorInC]
 
 
 def c_header(document: Mapping[str, Any]) -> str:
@@ -62,7 +64,7 @@ def c_header(document: Mapping[str, Any]) -> str:
             "",
             "#include <math.h>",
             "",
-            *(_effects_function(terms) if terms else []),
+            *(_effects_function(bias_deg, scale, terms) if terms else []),
             "static inline float calrig_elevation_deg(float reading_deg, float temperature_c)",
             "{",
             *body,
@@ -89,7 +91,7 @@ def _sorted_out(document: Mapping[str, Any]) -> tuple[Effects, list[str]]:
     return taken, left_out
 
 
-def _term(name: str, parameters: Parameters) -> str:
+def _term(name: str, parameters: Parameters) -> str | VectorInC:
     in_c = effect_of(name).in_c
     assert not isinstance(in_c, NotInFlight)  # noqa: S101 (left out before)
     return in_c(parameters)
@@ -102,10 +104,10 @@ def _rounds(document: Mapping[str, Any], effects: Effects) -> tuple[int, tuple[f
     known = [value for value in (document.get("temperature_c") or {}).values() if value is not None]
     known += [parameters["reference_c"] for _, parameters in effects if "reference_c" in parameters]
     coldest, warmest = min(known, default=0.0), max(known, default=0.0)
-    scale = _finite(document, "scale")
+    line = _finite(document, "bias_deg"), _finite(document, "scale")
     for beyond in BEYOND_C:
         reached = coldest - beyond, warmest + beyond
-        needed = [_rounds_at(theta, scale, effects, float(celsius)) for celsius in np.linspace(*reached, 5)]
+        needed = [_rounds_at(theta, line, effects, float(celsius)) for celsius in np.linspace(*reached, 5)]
         if None not in needed:
             return max(n for n in needed if n is not None), reached
     raise ApplyError(
@@ -115,12 +117,13 @@ def _rounds(document: Mapping[str, Any], effects: Effects) -> tuple[int, tuple[f
     )
 
 
-def _rounds_at(theta: FloatArray, scale: float, effects: Effects, celsius: float) -> int | None:
+def _rounds_at(theta: FloatArray, line: tuple[float, float], effects: Effects, celsius: float) -> int | None:
     """The rounds at one temperature; None where so few do not get there, or the reading hardly changes."""
+    scale = line[1]
     given = Circumstances(temperature_c=np.full(len(theta), celsius))
 
     def added(at: FloatArray) -> FloatArray:
-        return effects_on_reading_deg(effects, at, given)
+        return effects_on_reading_deg(effects, at, given, felt_elevation_deg(at, *line))
 
     def slope(at: FloatArray) -> FloatArray:
         change = (added(at + STEP_DEG) - added(at - STEP_DEG)) / (2.0 * STEP_DEG)
@@ -137,21 +140,37 @@ def _rounds_at(theta: FloatArray, scale: float, effects: Effects, celsius: float
     return None
 
 
-def _effects_function(terms: list[str]) -> list[str]:
+def _effects_function(bias_deg: float, scale: float, terms: Terms) -> list[str]:
     """The sum of the terms, each of which may use s, c, theta and temperature_c."""
-    angles = any(re.search(r"\b[sc]\b", term) for term in terms)
-    unused = [n for n in ("theta", "temperature_c") if not any(re.search(rf"\b{n}\b", t) for t in terms)]
+    added = [term for term in terms if isinstance(term, str)]
+    vectors = [term for term in terms if isinstance(term, VectorInC)]
+    used = " ".join(
+        [*added, *(f"{one.y_g} {one.z_g}" for one in vectors), *("s c theta" for _ in vectors[:1])]
+    )
+    unused = [n for n in ("theta", "temperature_c") if not re.search(rf"\b{n}\b", used)]
+    felt = f"({c_literal(bias_deg)} + {c_literal(scale)} * theta) * 0.01745329252f"
     return [
         "static inline float calrig_effects_deg(float theta, float temperature_c)",
         "{",
         "    float effects = 0.0f;",
-        *(["    const float s = sinf(theta * 0.01745329252f);"] if angles else []),
-        *(["    const float c = cosf(theta * 0.01745329252f);"] if angles else []),
-        *(f"    (void){name};" for name in unused if name != "theta" or not angles),
-        *(f"    effects += {term};" for term in terms),
+        *(_turned_vector(felt, vectors) if vectors else []),
+        *(f"    (void){name};" for name in unused),
+        *(f"    effects += {term};" for term in added),
         "    return effects;",
         "}",
         "",
+    ]
+
+
+def _turned_vector(felt: str, vectors: list[VectorInC]) -> list[str]:
+    """What errors of both axes together turn: they add up first (`sensor_vector.turned_vector`)."""
+    return [
+        f"    const float s = sinf({felt});",
+        f"    const float c = cosf({felt});",
+        "    float y = 0.0f;",
+        "    float z = 0.0f;",
+        *(f"    {axis} += {term};" for one in vectors for axis, term in (("y", one.y_g), ("z", one.z_g))),
+        "    effects += 57.29577951f * atan2f(y * c - z * s, 1.0f + y * s + z * c);",
     ]
 
 

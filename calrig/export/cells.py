@@ -47,11 +47,12 @@ def _shortened(text: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """One column: its name, its texts, and the line each stands in."""
+    """One column: its name, its texts, the line each stands in, and the sign before their decimals."""
 
     name: str
     texts: Sequence[str]
     lines: Sequence[int]
+    decimal: str = "."
 
     def numbers(self) -> list[float | None]:
         """The cells as numbers; None where blank or `nan`.
@@ -65,14 +66,13 @@ class Cells:
         stripped = text.strip()
         if stripped.lower() in _UNKNOWN:
             return None
-        if not NUMBER.fullmatch(stripped):
-            hint = (
-                " (decimals are written with a point)"
-                if re.fullmatch(r"[+-]?[0-9]+,[0-9]+", stripped)
-                else ""
-            )
+        other, sign = (",", "point") if self.decimal == "." else (".", "comma")
+        number = stripped.replace(",", ".") if self.decimal == "," else stripped
+        if other in stripped or not NUMBER.fullmatch(number):
+            is_other = re.fullmatch(rf"[+-]?[0-9]+{re.escape(other)}[0-9]+", stripped)
+            hint = f" (decimals are written with a {sign})" if is_other else ""
             raise CsvError(f"'{_shortened(text)}' is not a number{hint}", line=line, column=self.name)
-        value = float(stripped)
+        value = float(number)
         if not math.fabs(value) <= LARGEST:
             raise CsvError(f"'{_shortened(text)}' is beyond ±{LARGEST:g}", line=line, column=self.name)
         return value

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import io
+import re
 from array import array
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from calrig.export.cells import NUMBER, Cells, CsvError, from_spreadsheet
+from calrig.export.csv_dialect import COMMAS, Dialect, dialect_of
 
 MAX_BYTES = 50_000_000
 MAX_COLUMNS = 200
@@ -16,6 +19,7 @@ MAX_ROWS = 100_000
 MAX_CELLS = 2_000_000
 """Bounds what a file of short cells takes in memory."""
 MAX_ROW_CHARACTERS = 1_000_000
+MOST_NAMED = 30
 BATCH_CELLS = 50_000
 """Held as texts at once, which take ten times the memory of numbers."""
 
@@ -28,14 +32,18 @@ class Table:
     header_line: int
     rows: list[list[str]]
     lines: Sequence[int]
+    dialect: Dialect = COMMAS
 
     def column(self, place: int) -> Cells:
         """The cells of one column."""
-        return Cells(self.header[place], [row[place] for row in self.rows], self.lines)
+        texts = [row[place] for row in self.rows]
+        return Cells(self.header[place], texts, self.lines, self.dialect.decimal)
 
 
 def read_tables(data: bytes, required: Sequence[str], *, max_rows: int = MAX_ROWS) -> Iterator[Table]:
     """Reads UTF-8 CSV with a header row; BOM, CRLF and blank lines are accepted.
+
+    Cells are separated by commas, or by semicolons or tabs, which allow of decimal commas (`dialect_of`).
 
     Yields:
         The rows in the order of the file, some at a time, each time under the same header.
@@ -46,13 +54,14 @@ def read_tables(data: bytes, required: Sequence[str], *, max_rows: int = MAX_ROW
     """
     if len(data) > MAX_BYTES:
         raise CsvError(f"the file has {len(data)} bytes; at most {MAX_BYTES} are read")
-    rows = _parsed(data, 0, 1, "utf-8-sig")
+    dialect = _dialect(data, required)
+    rows = _parsed(data, 0, 1, dialect, "utf-8-sig")
     line, names = next(rows, (0, []))
     if not names:
         raise CsvError("the file is empty")
     header = _header(names, line, required)
     n = 0
-    for table in _batches(rows, header, line):
+    for table in _batches(rows, header, line, dialect):
         n += len(table.rows)
         if n > max_rows:
             at = table.lines[len(table.rows) - (n - max_rows)]
@@ -65,17 +74,28 @@ def read_tables(data: bytes, required: Sequence[str], *, max_rows: int = MAX_ROW
         raise CsvError("the file has a header and no rows", line=line)
 
 
-def read_header(line_of_names: bytes, line: int) -> list[str]:
+def _dialect(data: bytes, required: Sequence[str]) -> Dialect:
+    """The dialect of a whole file, by the names that it must have."""
+    start = data[: MAX_ROW_CHARACTERS + 1].removeprefix(codecs.BOM_UTF8).lstrip(b"\r\n")
+    lines = re.split(rb"\r\n|\r|\n", start, maxsplit=1)
+    return dialect_of(lines[0].decode(errors="replace"), b"".join(lines[1:]), lambda name: name in required)
+
+
+def read_header(line_of_names: bytes, line: int, dialect: Dialect) -> list[str]:
     """The column names in a header row that stands in this line, checked as `read_tables` does."""
-    return _header(next(_parsed(line_of_names, 0, line))[1], line, ())
+    return _header(next(_parsed(line_of_names, 0, line, dialect))[1], line, ())
 
 
-def read_rows(data: bytes, first: int, header: list[str], first_line: int) -> Iterator[Table]:
+def read_rows(
+    data: bytes, first: int, header: list[str], first_line: int, dialect: Dialect
+) -> Iterator[Table]:
     """Reads rows under a header read before, from byte `first` on, which begins line `first_line`."""
-    return _batches(_parsed(data, first, first_line), header, first_line)
+    return _batches(_parsed(data, first, first_line, dialect), header, first_line, dialect)
 
 
-def _batches(rows: Iterator[tuple[int, list[str]]], header: list[str], header_line: int) -> Iterator[Table]:
+def _batches(
+    rows: Iterator[tuple[int, list[str]]], header: list[str], header_line: int, dialect: Dialect
+) -> Iterator[Table]:
     most = max(1, BATCH_CELLS // len(header))
     held: list[list[str]] = []
     lines = array("q")
@@ -84,18 +104,18 @@ def _batches(rows: Iterator[tuple[int, list[str]]], header: list[str], header_li
         held.append(row)
         lines.append(line)
         if len(held) == most:
-            yield Table(header, header_line, held, lines)
+            yield Table(header, header_line, held, lines, dialect)
             held, lines = [], array("q")
     if held:
-        yield Table(header, header_line, held, lines)
+        yield Table(header, header_line, held, lines, dialect)
 
 
 def _parsed(
-    data: bytes, first: int, first_line: int, encoding: str = "utf-8"
+    data: bytes, first: int, first_line: int, dialect: Dialect, encoding: str = "utf-8"
 ) -> Iterator[tuple[int, list[str]]]:
     """Rows that are not blank, each with the line it ends in."""
     lines = _Lines(data, first, first_line, encoding)
-    reader = csv.reader(lines, strict=True)
+    reader = csv.reader(lines, delimiter=dialect.separator, strict=True)
     try:
         for row in reader:
             if row:
@@ -157,11 +177,16 @@ def _header(row: list[str], line: int, required: Sequence[str]) -> list[str]:
 
 
 def _hint(names: list[str]) -> str:
-    if len(names) == 1 and (";" in names[0] or "\t" in names[0]):
-        return ": separate cells by `,` and write decimals with `.`"
     if all(NUMBER.fullmatch(name) for name in names):
         return ": the first line holds numbers, and the column names must come before it"
-    return ""
+    return f"; {there_are(names)}"
+
+
+def there_are(names: Sequence[str]) -> str:
+    """The columns that a file has, in so many words as a message bears."""
+    shown = ", ".join(name for name in names[:MOST_NAMED] if name) or "none with a name"
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    return f"there are: {shown}{more} (calrig/docs/poses.md tells what columns a file may have)"
 
 
 def _check_row(row: list[str], width: int, line: int) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 
 from calrig.estimation.angles import FloatArray
 from calrig.export.cells import LARGEST, CsvError
+from calrig.export.csv_dialect import COMMAS, EXAMINED_BYTES, Dialect, dialect_of
 from calrig.export.csv_table import MAX_ROW_CHARACTERS, read_header, read_rows
 
 PIECE_BYTES = 2_000_000
@@ -69,13 +70,13 @@ def read_log_table(
     """
     if len(data) > max_bytes:
         raise CsvError(f"the file has {len(data)} bytes; at most {max_bytes} are read")
-    header, header_line, body = _header_of(data)
+    header, header_line, body, dialect = _header_of(data, wanted)
     places = [place for place, name in enumerate(header) if wanted(name)]
     most = data.count(b"\n", body) + data.count(b"\r", body) + 1
     most = min(most, max_rows, (len(data) - body) // len(header) + 1)  # a cell takes a byte with its comma
     values = np.empty((len(places), most))
     n, first_rows, lines = 0, [], []
-    for end, read, at in _read(data, body, header, header_line + 1, places):
+    for end, read, at in _read(data, body, header, header_line + 1, places, dialect):
         if n + len(at) > max_rows:
             raise CsvError(f"the file has more than {max_rows} rows", line=at[max_rows - n])
         values[:, n : n + len(at)] = read
@@ -90,8 +91,8 @@ def read_log_table(
     return LogTable(header, header_line, columns, first_rows, lines)
 
 
-def _header_of(data: bytes) -> tuple[list[str], int, int]:
-    """The names, the line they stand in, and where the rows begin."""
+def _header_of(data: bytes, wanted: Callable[[str], bool]) -> tuple[list[str], int, int, Dialect]:
+    """The names, the line they stand in, where the rows begin, and how cells are written."""
     first = len(_BOM) if data.startswith(_BOM) else 0
     line = 1
     while data[first : first + 1] in (b"\n", b"\r"):
@@ -102,42 +103,52 @@ def _header_of(data: bytes) -> tuple[list[str], int, int]:
     ends = [end for end in (data.find(b"\n", first), data.find(b"\r", first)) if end >= 0]
     end = min(ends, default=len(data))
     begin = end + (2 if data.startswith(b"\r\n", end) else 1)
-    return read_header(data[first:end], line), line, begin
+    names, rows = data[first:end], data[begin : begin + EXAMINED_BYTES]
+    dialect = dialect_of(names.decode(errors="replace"), rows, wanted)
+    return read_header(names, line, dialect), line, begin, dialect
 
 
 Read = tuple[int, FloatArray, Sequence[int]]
 """Where it ends in the file, its (columns, rows) numbers, and the line of each row."""
 
 
-def _read(data: bytes, first: int, header: list[str], line: int, places: list[int]) -> Iterator[Read]:
+def _read(
+    data: bytes, first: int, header: list[str], line: int, places: list[int], dialect: Dialect
+) -> Iterator[Read]:
     """The rows from byte `first` on, which begins this line."""
     if b'"' in data or data.count(b"\r") != data.count(b"\r\n"):  # lines may end where no LF is, or not there
-        yield from _read_exactly(data, first, header, line, places)
+        yield from _read_exactly(data, first, header, line, places, dialect)
         return
     while first < len(data):
         end = data.rfind(b"\n", first, first + PIECE_BYTES) + 1 or data.find(b"\n", first) + 1 or len(data)
         if end - first > max(PIECE_BYTES, 4 * MAX_ROW_CHARACTERS):  # as bytes of UTF-8
             raise CsvError(f"the row is longer than {MAX_ROW_CHARACTERS} characters", line=line)
         piece = data[first:end]
-        plain = _plain(piece, len(header))
+        plain = _plain(piece, len(header), dialect)
         if plain is not None:
             yield end, plain.T[places], range(line, line + len(plain))
         else:
-            for _, read, at in _read_exactly(piece, 0, header, line, places):
+            for _, read, at in _read_exactly(piece, 0, header, line, places, dialect):
                 yield end, read, at
         first = end
         line += piece.count(b"\n")
 
 
-def _read_exactly(data: bytes, first: int, header: list[str], line: int, places: list[int]) -> Iterator[Read]:
-    for table in read_rows(data, first, header, line):
+def _read_exactly(
+    data: bytes, first: int, header: list[str], line: int, places: list[int], dialect: Dialect
+) -> Iterator[Read]:
+    for table in read_rows(data, first, header, line, dialect):
         numbers = [table.column(place).numbers() for place in places]
         read = np.array(numbers, dtype=np.float64).reshape(len(places), len(table.rows))
         yield len(data), read, table.lines
 
 
-def _plain(piece: bytes, width: int) -> FloatArray | None:
+def _plain(piece: bytes, width: int, dialect: Dialect) -> FloatArray | None:
     """(rows, width) numbers, if the piece is nothing but lines of so many plain numbers and blanks."""
+    if dialect != COMMAS:
+        if (b"," if dialect.decimal == "." else b".") in piece:
+            return None
+        piece = piece.replace(b",", b".").replace(dialect.separator.encode(), b",")
     text = piece.replace(b"\r\n", b"\n").removesuffix(b"\n")
     if not text.strip(b"\n") or text.translate(None, _PLAIN) or any(sign in text for sign in _SIGNED_NAN):
         return None

@@ -11,6 +11,7 @@ import numpy as np
 
 from calrig.estimation.angles import FloatArray
 from calrig.export.cells import CsvError
+from calrig.export.csv_table import there_are
 from calrig.export.log_table import LogTable, read_log_table
 
 STANDARD_GRAVITY_MPS2 = 9.80665
@@ -91,7 +92,7 @@ def read_static(
     if not channels:
         raise CsvError(
             "there is no channel of a log (accel_x_g, gyro_x_dps, temperature_c, …; also accel_x_mps2, "
-            "gyro_x_rps, accel_x_lsb)",
+            f"gyro_x_rps, accel_x_lsb); {there_are(table.header)}",
             line=table.header_line,
         )
     ordered = {name: channels[name] for name in sorted(channels, key=_order)}
@@ -143,7 +144,10 @@ def accel_g_of(log: StaticLog) -> FloatArray:
                 column=f"accel_{axis}_lsb",
             )
     missing = next(name for axis in AXES if (name := f"accel_{axis}_g") not in log.channels)
-    raise CsvError("there is no such column: gravity needs all three axes", column=missing)
+    raise CsvError(
+        f"there is no such column: gravity needs all three axes; {there_are(list(log.channels))}",
+        column=missing,
+    )
 
 
 def _is_known(name: str) -> bool:

@@ -77,12 +77,12 @@ def partial_residual(found: PartialResidual) -> Figure:
     return {"data": [points, _fitted(found, at)], "layout": layout}
 
 
-def _axis(covariate: str) -> str:
-    """The title of the axis of a covariate, one that calrig has no physics for by its column's name."""
-    known = covariate_of(covariate)
-    if known is None:
-        return covariate
-    return f"{known.title} ({known.unit})" if known.unit else f"{known.title}, spread by elevation"
+def _axis(name: str) -> str:
+    """The title of the axis of a covariate, with its unit."""
+    covariate = covariate_of(name)
+    if name == "approach":
+        return f"{covariate.title}, spread by elevation"
+    return f"{covariate.title} ({covariate.unit})" if covariate.unit else covariate.title
 
 
 def error_map(

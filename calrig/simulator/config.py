@@ -92,7 +92,8 @@ class MountOptions(_Options):
 
     A cable of mass `cable_mass_kg` hangs on an arm `cable_arm_m` that is horizontal at
     `cable_horizontal_deg`, and winds up with `cable_stiffness_nm_per_deg`; what its torque bends is
-    `compliance_deg_per_nm`.
+    `compliance_deg_per_nm`. Under the clamp's own load, from `creep_began_s` on, the joint gives way by
+    `creep_deg_per_decade` in each tenfold of time.
     """
 
     offset_deg: float = 0.0
@@ -102,6 +103,8 @@ class MountOptions(_Options):
     slip_deg: float = 0.0
     slip_at_s: NotNegative = 0.0
     slip_s: Positive = 0.05
+    creep_deg_per_decade: float = 0.0
+    creep_began_s: float = 0.0
     cable_mass_kg: NotNegative = 0.0
     cable_arm_m: NotNegative = 0.05
     cable_horizontal_deg: float = 0.0
@@ -119,6 +122,8 @@ class EnvironmentOptions(_Options):
     ambient_period_s: Positive = 3600.0
     hysteresis_c: NotNegative = 0.0
     """Width of the loop: what depends on temperature follows the die's only after half of this."""
+    stress_lag_s: NotNegative = 0.0
+    """R·C of the package: what depends on temperature follows heat that has to reach it first."""
     supply_v: Positive = 3.3
     supply_ripple_v: float = 0.0
     supply_period_s: Positive = 60.0

@@ -17,6 +17,7 @@ class Environment:
     def __init__(self, options: EnvironmentOptions) -> None:
         self._options = options
         self._stress_c = [options.start_c]
+        self._body_c = [options.start_c]
 
     def die_c(self, times_s: FloatArray) -> FloatArray:
         """The die's temperature."""
@@ -27,21 +28,34 @@ class Environment:
         return temperature
 
     def stress_c(self, times_s: FloatArray) -> FloatArray:
-        """The temperature that the package's stress answers to: the die's, through a play of `hysteresis_c`.
+        """The temperature that the package's stress answers to: its body's, through a play of `hysteresis_c`.
 
         Between two turning points the play's output is its last value, clipped to within half its width of
         the input; it is carried from second to second.
         """
-        die_c = self.die_c(times_s)
+        body_c = self.body_c(times_s)
         if not self._options.hysteresis_c or not np.size(times_s):
-            return die_c
+            return body_c
         index = np.maximum(times_s // STRESS_STEP_S, 0).astype(np.intp)
         self._carry_to(int(index.max()))
         half = 0.5 * self._options.hysteresis_c
         first = int(index.min())
         carried = np.array(self._stress_c[first : int(index.max()) + 1])[index - first]
-        stress: FloatArray = np.clip(carried, die_c - half, die_c + half)
+        stress: FloatArray = np.clip(carried, body_c - half, body_c + half)
         return stress
+
+    def body_c(self, times_s: FloatArray) -> FloatArray:
+        """The temperature of the package's body: heat flows into it from the die, a little every second."""
+        if not self._options.stress_lag_s or not np.size(times_s):
+            return self.die_c(times_s)
+        last = int(np.ceil(np.max(times_s) / STRESS_STEP_S))
+        seconds = STRESS_STEP_S * np.arange(len(self._body_c), last + 1, dtype=np.float64)
+        stays = np.exp(-STRESS_STEP_S / self._options.stress_lag_s)
+        for die_c in self.die_c(seconds - 0.5 * STRESS_STEP_S).tolist():
+            self._body_c.append(die_c + stays * (self._body_c[-1] - die_c))
+        known_s = STRESS_STEP_S * np.arange(len(self._body_c))
+        body: FloatArray = np.interp(times_s, known_s, self._body_c)
+        return body
 
     def supply_v(self, times_s: FloatArray) -> FloatArray:
         """The supply's voltage."""
@@ -58,6 +72,6 @@ class Environment:
             return
         half = 0.5 * self._options.hysteresis_c
         stress_c = self._stress_c[-1]
-        for die_c in self.die_c(STRESS_STEP_S * np.arange(known, index + 1, dtype=np.float64)).tolist():
-            stress_c = min(max(stress_c, die_c - half), die_c + half)
+        for body_c in self.body_c(STRESS_STEP_S * np.arange(known, index + 1, dtype=np.float64)).tolist():
+            stress_c = min(max(stress_c, body_c - half), body_c + half)
             self._stress_c.append(stress_c)

@@ -10,6 +10,8 @@ from calrig.simulator.config import MountOptions
 from calrig.simulator.trajectory import FloatArray, Turn
 
 STANDARD_GRAVITY_MPS2 = 9.80665
+RELAXATIONS_S = np.logspace(-2.0, 8.0, 21)
+"""Retardation times of a joint's springs and dampers, two a decade: it creeps from 10 ms to years."""
 
 
 class Mount:
@@ -24,11 +26,9 @@ class Mount:
 
     def package(self, table: Turn, times_s: FloatArray) -> Turn:
         """The package's turn about the stage's axis."""
-        sag, slip = self._sag(table), self._slip(times_s)
-        return Turn(
-            table.angle_deg + self._options.offset_deg + sag.angle_deg + slip.angle_deg,
-            table.rate_dps + sag.rate_dps + slip.rate_dps,
-        )
+        parts = table, self._sag(table), self._slip(times_s), self._creep(times_s)
+        angle_deg = sum((part.angle_deg for part in parts), np.full_like(times_s, self._options.offset_deg))
+        return Turn(angle_deg, sum((part.rate_dps for part in parts), np.zeros_like(times_s)))
 
     def specific_force_g(self, angle_deg: FloatArray) -> FloatArray:
         """Gravity's reaction along the package's axes, (n, 3): the vertical turned, its length always 1 g."""
@@ -61,4 +61,18 @@ class Mount:
         return Turn(
             options.slip_deg * done**2 * (3 - 2 * done),
             options.slip_deg / options.slip_s * 6 * done * (1 - done),
+        )
+
+    def _creep(self, times_s: FloatArray) -> Turn:
+        """Kelvin-Voigt elements in a row, all under the clamp's constant load: a spring and a damper each."""
+        options = self._options
+        if not options.creep_deg_per_decade:
+            return Turn(np.zeros_like(times_s), np.zeros_like(times_s))
+        under_load_s = np.maximum(times_s - options.creep_began_s, 0.0)[..., None]
+        gives_deg = options.creep_deg_per_decade * math.log10(RELAXATIONS_S[1] / RELAXATIONS_S[0])
+        left = np.exp(-under_load_s / RELAXATIONS_S)
+        loaded = under_load_s > 0.0
+        return Turn(
+            (gives_deg * (1.0 - left)).sum(axis=-1),
+            (gives_deg * loaded * left / RELAXATIONS_S).sum(axis=-1),
         )

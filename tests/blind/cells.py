@@ -44,7 +44,67 @@ def bias_tempco(deg_per_c: float) -> Draw:
     def draw(rng: np.random.Generator, when: Timeline) -> Cause:
         mg = math.radians(deg_per_c) * 1e3 * _sign(rng)
         return Cause(
-            "temperature_bias", "sensor", "temperature_c", {"imu": {"accel_bias_mg_per_c": [0.0, mg, 0.0]}}
+            "temperature_offset",
+            "sensor",
+            "temperature_c",
+            {"imu": {"accel_bias_mg_per_c": [0.0, mg, 0.0]}},
+            parameters={"y_mg_per_c": mg, "z_mg_per_c": 0.0},
+        )
+
+    return draw
+
+
+def slow_heat(lag_s: float, swing_c: float = 6.0) -> Draw:
+    """Heat reaches the package late: beside a `package_turn`, while the room warms and cools."""
+
+    def draw(rng: np.random.Generator, when: Timeline) -> Cause:
+        around = {
+            "stress_lag_s": lag_s,
+            "ambient_amplitude_c": swing_c,
+            "ambient_period_s": float(when.duration_s * rng.uniform(0.25, 0.5)),
+        }
+        return Cause("thermal_hysteresis", "sensor", "temperature_c", {"environment": around})
+
+    return draw
+
+
+def creep(deg_per_decade: float) -> Draw:
+    """The joint was clamped when the run began."""
+
+    def draw(rng: np.random.Generator, when: Timeline) -> Cause:
+        size = deg_per_decade * _sign(rng)
+        options = {"mount": {"creep_deg_per_decade": size, "creep_began_s": float(when.move_s[0])}}
+        return Cause("mount_creep", "mounting", "time_s", options, parameters={"deg_per_decade": size})
+
+    return draw
+
+
+def askew(cross_deg: float, tilt_deg: float) -> Draw:
+    """The stage's axis is out of level, and the unit not square to it, either way."""
+
+    def draw(rng: np.random.Generator, when: Timeline) -> Cause:
+        turn = rng.uniform(0.0, 2.0 * math.pi)
+        options = {
+            "yaw_deg": cross_deg * math.cos(turn),
+            "pitch_deg": cross_deg * math.sin(turn),
+            "axis_tilt_deg": tilt_deg * _sign(rng),
+        }
+        return Cause("axis_tilt", "mounting", "target_deg", {"mount": options})
+
+    return draw
+
+
+def gain_tempco(pct_per_c: float) -> Draw:
+    """The gain of y moves with temperature, and that of all axes as much again."""
+
+    def draw(rng: np.random.Generator, when: Timeline) -> Cause:
+        pct = pct_per_c * _sign(rng)
+        return Cause(
+            "temperature_gain",
+            "sensor",
+            "temperature_c",
+            {"imu": {"accel_gain_pct_per_c": [pct, 2.0 * pct, pct]}},
+            parameters={"gain_pct_per_c": pct},
         )
 
     return draw
@@ -256,7 +316,10 @@ CELLS = {
         Cell("backlash 0.08°", "one", (backlash(0.08),)),
         Cell("temperature 0.02 °/°C", "one", (package_turn(0.02),)),
         Cell("bias tempco 0.02 °/°C", "one", (bias_tempco(0.02),)),
+        Cell("gain tempco 0.11 %/°C", "one", (gain_tempco(0.11),)),
         Cell("drift 0.12°", "one", (drift(0.12),)),
+        Cell("creep 0.08° a decade", "one", (creep(0.08),)),
+        Cell("askew by 5°, 2° out of level", "one", (askew(5.0, 2.0),)),
         Cell("slip 0.12°", "one", (slip(0.12),)),
         Cell("periodic 0.06°", "one", (periodic(0.06),), JITTER_DEG),
         Cell("settling 1 %", "one", (settling(0.01),), JITTER_DEG),
@@ -273,6 +336,7 @@ CELLS = {
         Cell("slip with temperature", "two", (slip(0.12, sense=1.0), package_turn(0.02, sense=1.0))),
         Cell("slip against temperature", "two", (slip(0.12, sense=1.0), package_turn(0.02, sense=-1.0))),
         Cell("backlash and periodic", "two", (backlash(0.08), periodic(0.06)), JITTER_DEG),
+        Cell("temperature and a delay of 30 s", "two", (package_turn(0.02), slow_heat(30.0))),
         Cell("supply 0.25 °/V", "unnamed", (supply(0.25),)),
         Cell("supply bias 0.25 °/V", "unnamed", (supply_bias(0.25),)),
         Cell("slow cycle 0.06°", "unnamed", (cycle(0.06),)),

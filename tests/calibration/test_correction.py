@@ -169,7 +169,8 @@ def test_the_elevation_comes_back_from_a_reading_to_a_billionth_of_a_degree(
         ("temperature_scale", {"per_c": per_c, "reference_c": 20.0}),
         ("nonlinearity", {"deg_per_deg2": 2e-5, "deg_per_deg3": 1e-6}),
     ]
-    reading_deg = bias_deg + scale * THETA_DEG + effects_on_reading_deg(effects, THETA_DEG, GIVEN)
+    felt_deg = bias_deg + scale * THETA_DEG
+    reading_deg = felt_deg + effects_on_reading_deg(effects, THETA_DEG, GIVEN, felt_deg)
     reading_deg = np.degrees(np.angle(np.exp(1j * np.radians(reading_deg))))
 
     found_deg = calibrated_elevation_deg(reading_deg, bias_deg, scale, effects, GIVEN)

@@ -6,9 +6,10 @@ import math
 
 import pytest
 from blind.cells import Cell, bias_tempco, package_turn
+from blind.physics import Cause
 
 from calrig.calibration.correction import numbers_of
-from calrig.calibration.diagnosis import trace
+from calrig.calibration.diagnosis import diagnose, trace
 from calrig.calibration.partial_residuals import partial_residuals
 from calrig.calibration.result import build_result
 
@@ -29,25 +30,30 @@ def applied_rms_deg(poses, effects):
 def test_an_offset_of_the_y_axis_that_moves_with_temperature_is_applied_as_it_was_fitted():
     poses, found = traced(bias_tempco(DEG_PER_C))
     (effect,) = found["effects"]
-    assert (effect["name"], effect["verdict"]) == ("temperature_bias", "named")
-    assert any("y axis" in sentence for sentence in effect["evidence"])
-    slope = effect["parameters"]["deg_per_c"]
-    assert abs(slope["value"]) == pytest.approx(DEG_PER_C, abs=3.0 * slope["std"])
+    assert (effect["name"], effect["verdict"]) == ("temperature_offset", "named")
+    of_y = effect["parameters"]["y_mg_per_c"]
+    mg_per_c = 1e3 * math.radians(DEG_PER_C)
+    assert abs(of_y["value"]) == pytest.approx(mg_per_c, abs=3.0 * of_y["std"])
 
     accepted = numbers_of(effect["parameters"])
     promised_deg = found["final"]["held_out_rms_deg"]
     assert promised_deg == pytest.approx(NOISE_DEG, rel=0.2)
     assert applied_rms_deg(poses, [(effect["name"], accepted)]) == pytest.approx(promised_deg, rel=0.08)
-    everywhere_alike = {**accepted, "of_axis_y": 0.0}
-    assert applied_rms_deg(poses, [(effect["name"], everywhere_alike)]) > 1.2 * promised_deg
+    everywhere_alike = {
+        "deg_per_c": math.degrees(accepted["y_mg_per_c"] / 1e3),
+        "reference_c": accepted["reference_c"],
+    }
+    assert applied_rms_deg(poses, [("temperature_bias", everywhere_alike)]) > 1.2 * promised_deg
 
     (drawn,) = partial_residuals([poses], found["effects"])
     level = min(range(len(poses)), key=lambda k: abs(drawn.theta_deg[k]))
     steep = max(range(len(poses)), key=lambda k: abs(drawn.theta_deg[k]))
     for k in (level, steep):
-        warmer_c = poses[k].temperature_c - accepted["reference_c"]
-        falls = math.cos(math.radians(drawn.theta_deg[k]))
-        assert drawn.effect_deg[k] == pytest.approx(accepted["deg_per_c"] * warmer_c * falls, rel=1e-6)
+        error_g = 1e-3 * (poses[k].temperature_c - accepted["reference_c"])
+        s, c = math.sin(math.radians(drawn.theta_deg[k])), math.cos(math.radians(drawn.theta_deg[k]))
+        y, z = s + accepted["y_mg_per_c"] * error_g, c + accepted["z_mg_per_c"] * error_g
+        turned_deg = math.degrees(math.atan2(y, z)) - drawn.theta_deg[k]
+        assert drawn.effect_deg[k] == pytest.approx(turned_deg, rel=0.01)  # drawn to first order
 
 
 def test_a_package_that_turns_with_temperature_says_nothing_of_an_axis():
@@ -56,3 +62,11 @@ def test_a_package_that_turns_with_temperature_says_nothing_of_an_axis():
     assert set(effect["parameters"]) == {"deg_per_c", "reference_c"}
     accepted = [(effect["name"], numbers_of(effect["parameters"]))]
     assert applied_rms_deg(poses, accepted) == pytest.approx(found["final"]["held_out_rms_deg"], rel=0.08)
+
+
+def test_gains_that_all_drift_alike_turn_no_reading_and_are_no_effect_of_it():
+    def every_gain(_rng, _when):
+        return Cause("none", "sensor", "temperature_c", {"imu": {"accel_gain_pct_per_c": [0.1, 0.1, 0.1]}})
+
+    poses = Cell("gains alike", "one", (every_gain,)).run(seed=1).poses
+    assert diagnose([poses], bootstraps=199, cross_fit=False).findings.found == ()

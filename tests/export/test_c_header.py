@@ -49,7 +49,8 @@ def test_the_compiled_header_gives_pythons_elevation_to_a_ten_thousandth_of_a_de
         axis.ravel() for axis in np.meshgrid(np.linspace(*calibration["range_deg"], 121), [0.0, 24.3, 60.0])
     )
     given = Circumstances(temperature_c=temperature_c)
-    reading_deg = bias_deg + scale * theta_deg + effects_on_reading_deg(effects, theta_deg, given)
+    felt_deg = bias_deg + scale * theta_deg
+    reading_deg = felt_deg + effects_on_reading_deg(effects, theta_deg, given, felt_deg)
     reading_deg = np.degrees(np.angle(np.exp(1j * np.radians(reading_deg))))
 
     found_deg = applied(compiled(c_header(calibration), tmp_path), reading_deg, temperature_c)

@@ -67,6 +67,24 @@ def outcome(read, data):
 
 
 @pytest.mark.usefixtures("small_pieces")
+@given(
+    rows=st.lists(st.tuples(st.floats(-1e3, 1e3), st.none() | st.integers(-9, 9)), min_size=2, max_size=30)
+)
+@pytest.mark.parametrize(("separator", "decimal"), [(";", "."), (";", ","), ("\t", "."), ("\t", ",")])
+def test_a_log_is_the_same_whatever_separates_its_cells(rows, separator, decimal):
+    def text(separator, decimal):
+        cells = ((f"{a:.3f}".replace(".", decimal), "" if b is None else str(b)) for a, b in rows)
+        return "\n".join(["a" + separator + "b", *map(separator.join, cells)]).encode()
+
+    tables = [
+        read_log_table(t, {"a", "b"}.__contains__, **LIMITS)
+        for t in (text(",", "."), text(separator, decimal))
+    ]
+    for place in (0, 1):
+        np.testing.assert_array_equal(tables[0].columns[place], tables[1].columns[place])
+
+
+@pytest.mark.usefixtures("small_pieces")
 def test_reading_says_how_far_it_is():
     shares = []
     read_log_table(b"a\n" + b"1\n" * 100, lambda _: True, **LIMITS, progress=shares.append)

@@ -115,6 +115,31 @@ def test_a_name_that_a_spreadsheet_would_compute_is_text_in_the_file_and_itself_
     assert read_poses(write_poses(written).encode()).poses == written
 
 
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"target_deg;reading_deg;lux\r\n10;10.25;1e3\r\n-20;;\r\n".replace(b";;", b";-20.5;"),
+        b"target_deg;reading_deg;lux\n10;10,25;1e3\n-20; -20,5 ;\n",
+        b"\xef\xbb\xbftarget_deg\treading_deg\tlux\n10\t10.25\t1e3\n-20\t-20.5\t\n",
+        b"target_deg\treading_deg\tlux\r\n10,0\t10,25\t1000\r\n-20,\t-20,5\t\r\n",
+        b'\n"target_deg";"reading_deg";"lux"\n"10";"10,25";"1000"\n"-20";"-20,5";""\n',
+    ],
+    ids=["semicolons", "decimal commas", "tabs", "tabs and decimal commas", "quoted"],
+)
+def test_semicolons_tabs_and_decimal_commas_are_read_as_they_are_meant(data):
+    imported = read_poses(data)
+    assert imported.warnings == []
+    assert imported.poses == [
+        Pose(10.0, 10.25, covariates={"lux": 1000.0}),
+        Pose(-20.0, -20.5, covariates={"lux": None}),
+    ]
+
+
+def test_a_name_with_a_semicolon_in_it_does_not_make_one_the_separator():
+    imported = read_poses(b"target_deg,reading_deg,a;b;c;d\n1,2,3\n")
+    assert imported.poses == [Pose(1.0, 2.0, covariates={"a;b;c;d": 3.0})]
+
+
 def test_quoted_cells_may_hold_commas_and_line_breaks():
     imported = read_poses(b'note,target_deg,"reading_deg"\n"one, two\nthree","1","2"\n,3,4\n')
     assert [(p.target_deg, p.reading_deg) for p in imported.poses] == [(1.0, 2.0), (3.0, 4.0)]
@@ -150,7 +175,16 @@ def test_rows_whose_time_is_partly_unknown_stay_where_they_are_with_a_warning():
         (b"target_deg,reading_deg\n", 1, None, "no rows"),
         (b"target_deg,reading_deg\n1,2\n\xff,3\n", 3, None, "not UTF-8"),
         (b"reading_deg,time_s\n1,2\n", 1, "target_deg", "no such column"),
-        (b"target_deg;reading_deg\n1,5;2,5\n", 1, "target_deg", "separate cells by `,` and write decimals"),
+        (
+            b"tilt_deg,reading_deg\n1,2\n",
+            1,
+            "target_deg",
+            "there are: tilt_deg, reading_deg (calrig/docs/poses.md",
+        ),
+        (b"target_deg;tilt;lux\n1;2;3\n", 1, "reading_deg", "there are: target_deg, tilt, lux"),
+        (b"target_deg;reading_deg\n1,5;2.5\n", 2, "target_deg", "decimals are written with a point"),
+        (b"target_deg;reading_deg\n1,5;2,5\n1;1,234,567\n", 3, "reading_deg", "'1,234,567' is not a number"),
+        (b"target_deg\treading_deg\n1\t2\n1,5\t2\t3\n", 3, None, "3 cells where the header has 2"),
         (b"1.0,2.0\n3.0,4.0\n", 1, "target_deg", "the first line holds numbers"),
         (b"target_deg,reading_deg,lux,lux\n1,2,3,4\n", 1, "lux", "twice"),
         (b"target_deg,reading_deg\n1,2\n1,2,3\n", 3, None, "3 cells where the header has 2"),

@@ -218,6 +218,27 @@ def test_hysteresis_separates_warming_from_cooling_by_its_width():
     assert offset_mg == pytest.approx([5.0, -5.0], abs=0.1)
 
 
+def test_a_package_that_heat_reaches_late_follows_the_swing_of_the_room_like_a_first_order_lag():
+    lag_s, period_s = 80.0, 1000.0
+    swing = {"ambient_amplitude_c": 10.0, "ambient_period_s": period_s, "stress_lag_s": lag_s}
+    level = {"power_up_deg": 0.0}
+    table = bench(environment=swing, mechanics=level, imu={"accel_bias_mg_per_c": [0, 5, 0]})
+    times_s = 2000.0 + np.arange(0.0, period_s, 50.0)  # long after the start
+    warmer_c = table.counts(times_s)[:, AY] / 16.384 / 5.0
+    behind = 2 * np.pi * lag_s / period_s
+    expected_c = 10.0 / np.hypot(1.0, behind) * np.sin(2 * np.pi * times_s / period_s - np.arctan(behind))
+    np.testing.assert_allclose(warmer_c, expected_c, atol=0.03)
+
+
+def test_a_joint_creeps_by_as_much_in_each_tenfold_of_time_and_the_gyro_feels_how_fast():
+    table = bench(mount={"creep_deg_per_decade": 0.1}, mechanics={"power_up_deg": 0.0})
+    crept_deg = table.true_elevation_deg(np.array([1.0, 10.0, 100.0, 1000.0]))
+    np.testing.assert_allclose(np.diff(crept_deg), 0.1, rtol=0.02)
+    fine_s = np.linspace(5.0, 6.0, 1001)
+    turned_deg = np.trapezoid(table.angular_rate_dps(fine_s)[:, 0], fine_s)
+    assert turned_deg == pytest.approx(np.diff(table.true_elevation_deg(fine_s[[0, -1]]))[0], rel=1e-4)
+
+
 def test_the_demo_rig_hides_effects_but_no_blunder():
     table = Bench(SimulatorSettings.from_options({"preset": "demo"}))
     now_s = table.mechanics.home(0.0, 15.0, 90.0).at_s

@@ -5,7 +5,12 @@ from __future__ import annotations
 from importlib import import_module
 from pkgutil import iter_modules
 
+import numpy as np
+
+from calrig.calibration.column_units import TIMES, unit_of_column
 from calrig.calibration.effect import ApplyError, Covariate, Effect, EffectError
+from calrig.calibration.responses import Responses
+from calrig.estimation.angles import FloatArray
 
 UNNAMED = "unnamed"
 
@@ -33,6 +38,16 @@ def effect_of(name: str) -> Effect:
     return EFFECTS[name]
 
 
-def covariate_of(name: str) -> Covariate | None:
-    """The covariate of a name in documents; None for a column that no effect of the catalogue follows."""
-    return next((effect.covariate for effect in CATALOGUE if effect.covariate.name == name), None)
+def covariate_of(name: str) -> Covariate:
+    """The covariate of a name in documents: an effect's, else a column, with the unit that its name has."""
+    known = (effect.covariate for effect in CATALOGUE if effect.covariate.name == name)
+    return next(known, None) or Covariate(name, name, unit_of_column(name), lambda r: _column(r, name))
+
+
+def _column(r: Responses, name: str) -> FloatArray | None:
+    """(n,) a column of that name, or the product of those that it is made of."""
+    if name in r.covariates or TIMES not in name:
+        return r.covariates.get(name)
+    factors = [covariate_of(factor).of(r) for factor in name.split(TIMES)]
+    known = [factor for factor in factors if factor is not None]
+    return np.asarray(np.prod(known, axis=0), dtype=np.float64) if len(known) == len(factors) else None

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from calrig.calibration.effect import ELEVATION, Applied, Effect, Parameter, Parameters, Shape
-from calrig.calibration.effect_terms import DEG, c_literal, c_turn, one_or_both, sin_cos, turns, within
+from calrig.calibration.effect_terms import ON_VECTOR, c_literal, turns, vector_forms, within
 from calrig.calibration.responses import Responses
-from calrig.estimation.angles import FloatArray
+from calrig.calibration.sensor_vector import VectorError, VectorInC
 
 LARGEST_GAIN_PCT, LARGEST_SKEW_DEG = 10.0, 5.0
 """MPU-6050 data sheet PS-MPU-6000A-00 rev. 3.4, section 6.2: ±3 % of gain an axis, ±2 % (1.1°) across axes;
@@ -19,23 +19,19 @@ other parts have up to ±10 % (ADXL345 data sheet: 230 to 282 LSB/g)."""
 
 def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
     if turns(r):
-        s, c = sin_cos(r)
-        angle = np.stack([s * c * DEG / 100.0, c * c], 1)
-        norm = np.stack([s * s / 100.0, s * c / DEG], 1)
-        yield from one_or_both(angle, norm, ("gain_pct", "skew_deg"))
+        yield from vector_forms(r, _on_vector_g, ("gain_pct", "skew_deg"))
 
 
-def _on_reading_deg(p: Applied) -> FloatArray:
+def _on_vector_g(p: Applied) -> VectorError:
     s, c = p.sin_cos()
     gain = 1.0 + p.value("gain_pct") / 100.0
-    return p.turn_deg(gain * (s + c * np.sin(np.radians(p.value("skew_deg")))) - s, 0.0)
+    return gain * (s + c * np.sin(np.radians(p.value("skew_deg")))) - s, 0.0
 
 
-def _in_c(p: Parameters) -> str:
+def _in_c(p: Parameters) -> VectorInC:
     gain = p.get("gain_pct", 0.0) / 100.0
     skew = (1.0 + gain) * math.sin(math.radians(p.get("skew_deg", 0.0)))
-    error = f"({c_literal(gain)} * s + {c_literal(skew)} * c)"
-    return c_turn(f"{error} * c", f"{error} * s")
+    return VectorInC(f"{c_literal(gain)} * s + {c_literal(skew)} * c", "0.0f")
 
 
 EFFECT = Effect(
@@ -45,9 +41,9 @@ EFFECT = Effect(
     scope="unit",
     covariate=ELEVATION,
     parameters=(Parameter("gain_pct", "Gain error", "%"), Parameter("skew_deg", "Skew", "°")),
-    formula="atan2(δ·cos θ, 1 + δ·sin θ), δ = (1 + gain_pct/100)·(sin θ + cos θ·sin skew_deg) − sin θ",
+    formula=ON_VECTOR + "a_y → (1 + gain_pct/100)·(a_y + a_z·sin skew_deg)",
     forms=_forms,
-    on_reading_deg=_on_reading_deg,
+    on_vector_g=_on_vector_g,
     in_c=_in_c,
     apart="|accelerometer| changes as gain·sin² θ and skew·sin θ·cos θ",
     remedy="correct gain and skew of the two axes in the firmware",

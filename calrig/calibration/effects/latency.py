@@ -1,23 +1,82 @@
-"""Readings taken on the move (a column velocity_dps) that come late."""
+"""Readings taken on the move that come late: those of the filter alone, or the accelerometer's with them.
+
+The velocity is the column `velocity_dps`, or what times and elevations tell where the poses did not stand
+(`calrig.calibration.motion`). A reading that comes τ late differs from the elevation by τ times the mean
+velocity over the time τ before it: next to a reversal that is not the velocity at the reading.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+
+import numpy as np
 
 from calrig.calibration.effect import Covariate, Effect, NotInFlight, Parameter, Parameters, Shape
-from calrig.calibration.effect_terms import tilted, within
-from calrig.calibration.responses import Responses
+from calrig.calibration.effect_terms import tilted
+from calrig.calibration.responses import ANGLE, READING, Responses
+from calrig.estimation.angles import FloatArray
 
-VELOCITY = Covariate("velocity", "velocity", "°/s", lambda r: r.covariates.get("velocity_dps"))
+AS_SCANNED = np.geomspace(0.4, 2.5, 9)
+FINER = (np.linspace(0.8, 1.25, 19), np.linspace(0.98, 1.02, 9))
+"""Of the delay that a straight line through the errors against the velocity tells; of the one that leads."""
+CONSISTENT = 3.0
+"""The delay that is fitted, and the time over which the velocity was averaged, differ by no larger factor."""
 
 LARGEST_DELAY_S = 10.0
 """Beyond it readings are of another pose."""
 
 
-def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
-    velocity = VELOCITY.of(r)
-    if velocity is not None:
-        yield Shape(tilted(-velocity), ("delay_s",))
+def _velocity_dps(r: Responses) -> FloatArray | None:
+    if "velocity_dps" in r.covariates:
+        return r.covariates["velocity_dps"]
+    return None if r.motion is None else r.motion.velocity_dps
+
+
+VELOCITY = Covariate("velocity", "velocity", "°/s", _velocity_dps)
+
+
+def _turns_abruptly(r: Responses) -> bool:
+    return r.motion is not None and bool(np.isfinite([r.motion.since_s, r.motion.until_s]).any())
+
+
+def _scan(r: Responses) -> Iterator[Parameters]:
+    if r.motion is None or not _turns_abruptly(r):
+        yield {}
+        return
+    beside = np.column_stack([np.ones(len(r)), r.theta_deg, r.motion.velocity_dps])
+    delay_s = -float(np.linalg.lstsq(beside, r.values[:, 0], rcond=None)[0][2])
+    for factor in AS_SCANNED:
+        yield {"over_s": float(delay_s * factor)}
+
+
+def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
+    velocity = _velocity_dps(r)
+    if velocity is None or np.ptp(velocity) == 0.0:
+        return
+    here: Parameters = {}
+    if r.motion is not None and _turns_abruptly(r):
+        lag_s = at.get("over_s", at.get("delay_s", 0.0))
+        velocity, here = r.motion.mean_dps(lag_s), {"over_s": lag_s}
+    yield Shape(tilted(-velocity), ("delay_s",), form="all", at=here)
+    if ANGLE in r.channels:
+        yield Shape({READING: -velocity}, ("delay_s",), form="filter", at=here)
+
+
+def _refine(r: Responses, shape: Shape, criterion: Callable[[Shape], float]) -> Shape | None:
+    if not shape.at:
+        return None
+    for factors in FINER:
+        lags_s = shape.at["over_s"] * factors
+        shapes = [s for lag_s in lags_s for s in _forms(r, {"over_s": float(lag_s)}) if s.form == shape.form]
+        shape = min([shape, *shapes], key=criterion)
+    return shape
+
+
+def _possible(shape: Shape, beta: FloatArray) -> bool:
+    lag_s = shape.at.get("over_s")
+    if abs(float(beta[0])) > LARGEST_DELAY_S:
+        return False
+    return not lag_s or 1.0 / CONSISTENT <= float(beta[0]) / lag_s <= CONSISTENT
 
 
 EFFECT = Effect(
@@ -29,9 +88,11 @@ EFFECT = Effect(
     parameters=(Parameter("delay_s", "Delay", "s"),),
     formula="−delay_s·velocity",
     forms=_forms,
+    scan=_scan,
+    refine=_refine,
+    possible=_possible,
     on_reading_deg=lambda p: -p.value("delay_s") * p.column("velocity_dps"),
     in_c=NotInFlight("it is of the procedure that measured, not of the unit"),
     apart="proportional to the velocity at the time of the reading",
     remedy="read standing still, or advance the readings by the delay",
-    possible=within(delay_s=LARGEST_DELAY_S),
 )

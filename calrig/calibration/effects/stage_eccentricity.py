@@ -1,4 +1,4 @@
-"""A scale or a mount off the stage's axis of rotation."""
+"""A scale or a mount off the stage's axis of rotation: order 1 of the full turn, whatever the poses' range."""
 
 from __future__ import annotations
 
@@ -13,9 +13,16 @@ from calrig.calibration.effect import (
     Parameter,
     Parameters,
     Shape,
-    amplitude_and_phase,
 )
-from calrig.calibration.effect_terms import amplitude_within, sin_cos, turned, turns, wave_deg
+from calrig.calibration.effect_terms import (
+    THE_TURN,
+    amplitude_and_phase,
+    amplitude_within,
+    sin_cos,
+    turned,
+    turns,
+    wave_deg,
+)
 from calrig.calibration.responses import Responses
 
 LARGEST_AMPLITUDE_DEG = 20.0
@@ -25,7 +32,8 @@ LARGEST_AMPLITUDE_DEG = 20.0
 def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
     if turns(r):
         s, c = sin_cos(r)
-        yield Shape(turned(r, np.stack([s, c], 1)), ("amplitude_deg", "phase_deg"))
+        columns = np.stack([s, c], 1)
+        yield Shape(turned(r, columns), ("amplitude_deg", "phase_deg"), series=THE_TURN)
 
 
 EFFECT = Effect(

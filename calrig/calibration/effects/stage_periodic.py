@@ -1,8 +1,8 @@
-"""A worm's or a scale's error, one period each."""
+"""A worm's, a motor's or a scale's error, one period each: any period, or an order of the full turn."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -13,30 +13,63 @@ from calrig.calibration.effect import (
     Parameter,
     Parameters,
     Shape,
-    amplitude_and_phase,
 )
-from calrig.calibration.effect_terms import wave_deg
+from calrig.calibration.effect_terms import THE_TURN, amplitude_and_phase, wave_deg
 from calrig.calibration.responses import ANGLE, MOVE, READING, Responses
+from calrig.calibration.spectral_window import window_peaks
 from calrig.estimation.angles import FloatArray
 
-SHORTEST_PERIOD_DEG = 2.0
-LONGEST_PERIOD_DEG = 60.0
-SHORTEST_ALIAS_DEG = 1.0
-REFINEMENTS = 12
+TURN_DEG = 360.0
+USUAL_ORDERS = (2, 3, 4, 6, 8, 12, 16)
+"""Of the turn: what unequal channels, poles and phases make of an axis. Order 1 is an eccentricity."""
+SHORTEST_PERIOD_DEG = 1.75
+"""Unless the poses lie closer: the full step of a common motor on the axis itself is 1.8°."""
+LEAST_LEFT = 0.3
+"""Of a wave's power beside bias and scale, at its worst phase: longer periods are not resolved from them."""
+PLACES, MOST_PLACES, PLACES_A_POSE = (3.0, 2.0), 400, 12.0
+"""Frequencies scanned to a resolution of 1/arc: fewer where there are many; so many to a pose at most."""
+APART = 0.75
+"""Of a resolution: two waves closer than that are one, and cancel each other where both are fitted."""
+SAME_POWER, ALIKE_POWER, MOST_ALIKE = 0.9, 0.4, 12
+"""Of the spectral window: where spacing is as good as even, and where two periods may be taken for one."""
+SURE = 2.0
+"""Standard errors within which a period is an order of the turn, where orders lie far enough apart."""
 
 
 def _scan(r: Responses) -> Iterator[Parameters]:
     arc = float(np.ptp(r.theta_deg))
-    if arc < 3 * SHORTEST_PERIOD_DEG:
+    if arc < 3.0 * SHORTEST_PERIOD_DEG:
         return
-    shortest = SHORTEST_PERIOD_DEG
-    step = grid_step_deg(r.theta_deg)
-    if step is not None:
-        shortest = max(shortest, 2.0 * step)  # shorter ones look like longer ones on an exact grid
-    longest = min(LONGEST_PERIOD_DEG, arc / 1.5)
-    if longest > shortest:
-        for frequency in np.arange(1.0 / longest, 1.0 / shortest + 1e-9, 1.0 / (3.0 * arc)):
-            yield {"period_deg": float(1.0 / frequency)}
+    frequencies = _scanned(r.theta_deg, arc)
+    orders = np.array(USUAL_ORDERS) / TURN_DEG
+    if len(frequencies):
+        orders = orders[orders <= frequencies[-1]]
+    periods = 1.0 / np.concatenate([orders, frequencies])
+    resolved = _left_beside(r.base[:, 0, :], r.theta_deg, periods) >= LEAST_LEFT
+    for k in np.flatnonzero(resolved):
+        order = {"order": float(USUAL_ORDERS[k])} if k < len(orders) else {}
+        yield {"period_deg": float(periods[k]), **order}
+
+
+def _scanned(theta_deg: FloatArray, arc: float) -> FloatArray:
+    """Frequencies in cycles per degree, from the turn's second order or so to what the spacing resolves."""
+    shortest = min(SHORTEST_PERIOD_DEG, 2.0 * arc / len(np.unique(theta_deg)))
+    lowest, highest = 1.0 / TURN_DEG + APART / arc, 1.0 / shortest
+    even, _ = window_peaks(theta_deg, highest, SAME_POWER)
+    if len(even):
+        highest = min(highest, float(even[0]) / 2.0)
+    finer = next((f for f in PLACES if (highest - lowest) * f * arc <= MOST_PLACES), PLACES[-1])
+    most = min(1.5 * MOST_PLACES, PLACES_A_POSE * len(theta_deg))
+    return np.arange(lowest, min(highest, lowest + most / (finer * arc)) + 1e-9, 1.0 / (finer * arc))
+
+
+def _left_beside(base: FloatArray, theta_deg: FloatArray, periods: FloatArray) -> FloatArray:
+    """Share of a wave's power that columns (n, p) leave of it at its worst phase, for each of m periods (m,)."""
+    basis, _ = np.linalg.qr(base[:, base.any(axis=0)])
+    phase = 2.0 * np.pi * theta_deg[:, None] / periods
+    sines, cosines = (w - basis @ (basis.T @ w) for w in (np.sin(phase), np.cos(phase)))
+    ss, cc, sc = (sines**2).sum(0), (cosines**2).sum(0), (sines * cosines).sum(0)
+    return np.asarray((ss + cc - np.hypot(ss - cc, 2.0 * sc)) / len(theta_deg), dtype=np.float64)
 
 
 def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
@@ -46,7 +79,19 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
     here = _waves(r.theta_deg, period_deg)
     felt = here - _waves(r.theta_deg - r.move_deg, period_deg)
     shares = {READING: here, ANGLE: here, MOVE: felt}
-    yield Shape(shares, ("amplitude_deg", "phase_deg"), at={"period_deg": period_deg}, scanned=True)
+    names = ("amplitude_deg", "phase_deg")
+    if "order" not in at:
+        yield Shape(shares, names, at={"period_deg": period_deg}, scanned=True)
+        return
+    yield Shape(
+        shares,
+        names,
+        form="order of the turn",
+        at={"period_deg": period_deg, "order": at["order"]},
+        scanned=at["order"] not in USUAL_ORDERS,
+        says=f"order {at['order']:g} of the turn",
+        series=THE_TURN,
+    )
 
 
 def _waves(theta_deg: FloatArray, period_deg: float) -> FloatArray:
@@ -54,40 +99,40 @@ def _waves(theta_deg: FloatArray, period_deg: float) -> FloatArray:
     return np.stack([np.sin(phase), np.cos(phase)], axis=1)
 
 
-def _refine(r: Responses, shape: Shape, criterion: Callable[[Shape], float]) -> Shape:
-    """The best period between the neighbours of the one scanned."""
-    step = 1.0 / (3.0 * float(np.ptp(r.theta_deg)))
-    offsets = np.linspace(-1.0, 1.0, REFINEMENTS)
-    scanned = shape.at["period_deg"]
-    periods = [scanned, *(1.0 / (1.0 / scanned + offset * step) for offset in offsets)]
-    return min((finer for period in periods for finer in _forms(r, {"period_deg": period})), key=criterion)
+def _settled(at: Parameters, std: Parameters) -> Parameters:
+    """The order of the turn that a period is, where its standard error leaves one and no other."""
+    order = TURN_DEG / at["period_deg"]
+    order_std = order * std["period_deg"] / at["period_deg"]
+    nearest = round(order)
+    if nearest > 1 and abs(order - nearest) <= SURE * order_std <= 0.25:
+        return {"period_deg": TURN_DEG / nearest, "order": float(nearest)}
+    return at
 
 
-def _evidence(r: Responses, shape: Shape) -> list[str]:
-    """Periods that an exact grid of elevations confuses with the one found."""
-    step = grid_step_deg(r.theta_deg)
-    if step is None:
-        return []
-    periods = {
-        1.0 / frequency
-        for k in range(1, 6)
-        for sign in (1.0, -1.0)
-        if 1.0 / (frequency := abs(sign / shape.at["period_deg"] + k / step)) >= SHORTEST_ALIAS_DEG
-    }
-    if not periods:
-        return []
-    listed = ", ".join(f"{p:.2f}°" for p in sorted(periods, reverse=True))
-    return [f"on this exact grid of {step:g}° periods of {listed} look the same: jitter the elevations"]
+def _look_alikes(r: Responses, shape: Shape) -> Iterator[Parameters]:
+    """Periods that the spacing of the poses may take for the one found, the longest first."""
+    found = 1.0 / shape.at["period_deg"]
+    highest = max(1.0 / SHORTEST_PERIOD_DEG, found)
+    peaks, power = window_peaks(r.theta_deg, 2.0 * highest, ALIKE_POWER)
+    peaks = peaks[np.argsort(-power, kind="stable")]
+    alike = np.unique(np.round(np.abs(np.stack([peaks - found, peaks + found], 1).ravel()), 9)[:MOST_ALIKE])
+    lowest = 1.0 / TURN_DEG + APART / float(np.ptp(r.theta_deg))
+    for frequency in alike:
+        if lowest <= frequency <= highest:
+            yield {"period_deg": float(1.0 / frequency)}
 
 
-def grid_step_deg(theta_deg: FloatArray) -> float | None:
-    """The step of an exact grid of elevations, None where they lie on no grid."""
-    places = np.unique(np.round(theta_deg, 2))
-    if len(places) < 3 or len(places) > 0.6 * len(theta_deg):
-        return None
-    steps = np.diff(places)
-    step = float(steps.min())
-    return step if np.abs(steps / step - np.round(steps / step)).max() < 0.05 else None
+def _apart(r: Responses, shape: Shape, other: Shape) -> bool:
+    """Whether the poses resolve two waves from each other; an order 1 is an eccentricity."""
+    periods = [s.at.get("period_deg", TURN_DEG if s.series == THE_TURN else 0.0) for s in (shape, other)]
+    if 0.0 in periods:
+        return True
+    return abs(1.0 / periods[0] - 1.0 / periods[1]) >= APART / float(np.ptp(r.theta_deg))
+
+
+def _possible(shape: Shape, beta: FloatArray) -> bool:
+    """An axis that turns on as its stage does: a steeper wave would turn it back."""
+    return bool(2.0 * np.pi * np.hypot(*beta) < shape.at["period_deg"])
 
 
 EFFECT = Effect(
@@ -104,11 +149,14 @@ EFFECT = Effect(
     formula="amplitude_deg·sin(360°·θ/period_deg + phase_deg)",
     forms=_forms,
     scan=_scan,
-    refine=_refine,
     on_reading_deg=lambda p: wave_deg(p, p.theta_deg / p.value("period_deg", None)),
     in_c=NotInFlight("it belongs to the rig's stage"),
-    apart="its period: jittered elevations tell the periods apart that an exact grid confuses",
-    remedy="correct by the rig error map; look at the worm and its preload",
+    apart="its period: jittered elevations tell the periods apart that an even spacing confuses",
+    remedy="correct by the rig error map; look at the worm and its preload, at the motor's steps or the scale",
     reported=amplitude_and_phase,
-    evidence=_evidence,
+    possible=_possible,
+    place="period_deg",
+    settled=_settled,
+    look_alikes=_look_alikes,
+    distinct=_apart,
 )

@@ -10,16 +10,23 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calrig.calibration.effect import TEMPERATURE, Applied, Effect, Parameter, Parameters, Shape
+from calrig.calibration.effect import (
+    TEMPERATURE,
+    Applied,
+    Effect,
+    Parameter,
+    Parameters,
+    Shape,
+)
 from calrig.calibration.effect_terms import (
     c_literal,
-    c_turn,
     c_warmer,
     tilted,
     warmer_c,
     within,
 )
 from calrig.calibration.responses import Responses
+from calrig.calibration.sensor_vector import VectorError, VectorInC
 from calrig.estimation.angles import FloatArray
 
 LARGEST_DEG_PER_C = 1.0
@@ -36,16 +43,18 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
 
 
 def _on_reading_deg(p: Applied) -> FloatArray:
-    turn_deg = p.value("deg_per_c") * p.warmer_c()
-    return p.turn_deg(np.radians(turn_deg), 0.0) if p.value("of_axis_y") else turn_deg
+    return p.value("deg_per_c") * p.warmer_c() * (not p.value("of_axis_y"))
 
 
-def _in_c(p: Parameters) -> str:
+def _on_vector_g(p: Applied) -> VectorError:
+    return np.radians(p.value("deg_per_c")) * p.warmer_c() * bool(p.value("of_axis_y")), 0.0
+
+
+def _in_c(p: Parameters) -> str | VectorInC:
     deg_per_c = p.get("deg_per_c", 0.0)
     if not p.get("of_axis_y"):
         return f"{c_literal(deg_per_c)} * {c_warmer(p)}"
-    y = f"{c_literal(math.radians(deg_per_c))} * {c_warmer(p)}"
-    return c_turn(f"{y} * c", f"{y} * s")
+    return VectorInC(f"{c_literal(math.radians(deg_per_c))} * {c_warmer(p)}", "0.0f")
 
 
 EFFECT = Effect(
@@ -59,9 +68,10 @@ EFFECT = Effect(
         Parameter("reference_c", "Reference temperature", "°C"),
         Parameter("of_axis_y", "Of the y axis", "", flag=True),
     ),
-    formula="β = deg_per_c·(T − reference_c); with of_axis_y, atan2(β·cos θ, 1 + β·sin θ), β in radians",
+    formula="β = deg_per_c·(T − reference_c); with of_axis_y, a_y + β·π/180 instead",
     forms=_forms,
     on_reading_deg=_on_reading_deg,
+    on_vector_g=_on_vector_g,
     in_c=_in_c,
     apart="a second warm-up, or cooling back, tells temperature from time",
     remedy="wait until the unit is warm, or correct by its own thermometer",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from calrig.calibration.effect import TEMPERATURE, Effect, Parameter, Parameters, Shape
-from calrig.calibration.effect_terms import c_literal, c_warmer, tilted, warmer_c
+from calrig.calibration.effect_terms import c_literal, c_warmer, one_leg, tilted, warmer_c
 from calrig.calibration.responses import Responses
 
 
@@ -18,7 +18,8 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
         # about where the square says nothing of the linear coefficient, which keeps its value
         shift = float((warmer**3).sum() / (2.0 * (warmer**2).sum()))
         warmer, reference_c = warmer - shift, reference_c + shift
-    yield Shape(tilted(warmer**2), ("deg_per_c2",), at={"reference_c": reference_c})
+    alike = ("thermal_hysteresis",) if one_leg(r) else ()
+    yield Shape(tilted(warmer**2), ("deg_per_c2",), at={"reference_c": reference_c}, alike=alike)
 
 
 EFFECT = Effect(
@@ -35,7 +36,7 @@ EFFECT = Effect(
     forms=_forms,
     on_reading_deg=lambda p: p.value("deg_per_c2") * p.warmer_c() ** 2,
     in_c=lambda p: f"{c_literal(p.get('deg_per_c2', 0.0))} * {c_warmer(p)} * {c_warmer(p)}",
-    apart="what is left once the linear coefficient is taken out",
+    apart="what is left once the linear coefficient is taken out; cooling back parts it from a delay",
     remedy="correct by the unit's own thermometer with both terms",
     follows="temperature_bias",
     together_with=("temperature_bias",),

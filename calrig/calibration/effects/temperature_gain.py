@@ -7,20 +7,25 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calrig.calibration.effect import TEMPERATURE, Applied, Effect, Parameter, Parameters, Shape
+from calrig.calibration.effect import (
+    TEMPERATURE,
+    Applied,
+    Effect,
+    Parameter,
+    Parameters,
+    Shape,
+)
 from calrig.calibration.effect_terms import (
-    DEG,
+    ON_VECTOR,
     c_literal,
-    c_turn,
     c_warmer,
-    one_or_both,
-    sin_cos,
     turns,
+    vector_forms,
     warmer_c,
     within,
 )
 from calrig.calibration.responses import Responses
-from calrig.estimation.angles import FloatArray
+from calrig.calibration.sensor_vector import VectorError, VectorInC
 
 NAMES = ("gain_pct_per_c", "skew_deg_per_c")
 
@@ -31,24 +36,19 @@ LARGEST_PCT_PER_C, LARGEST_SKEW_DEG_PER_C = 1.0, 0.1
 def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
     found = warmer_c(r, at)
     if found is not None and turns(r):
-        warmer, reference_c = found
-        s, c = sin_cos(r)
-        angle = np.stack([s * c * DEG / 100.0, c * c], 1) * warmer[:, None]
-        norm = np.stack([s * s / 100.0, s * c / DEG], 1) * warmer[:, None]
-        yield from one_or_both(angle, norm, NAMES, {"reference_c": reference_c})
+        yield from vector_forms(r, _on_vector_g, NAMES, {"reference_c": found[1]})
 
 
-def _on_reading_deg(p: Applied) -> FloatArray:
+def _on_vector_g(p: Applied) -> VectorError:
     s, c = p.sin_cos()
     gain = p.value(NAMES[0]) / 100.0 * p.warmer_c()
     skew = np.radians(p.value(NAMES[1])) * p.warmer_c()
-    return p.turn_deg(gain * s + skew * c, 0.0)
+    return gain * s + skew * c, 0.0
 
 
-def _in_c(p: Parameters) -> str:
+def _in_c(p: Parameters) -> VectorInC:
     gain, skew = p.get(NAMES[0], 0.0) / 100.0, math.radians(p.get(NAMES[1], 0.0))
-    error = f"{c_warmer(p)} * ({c_literal(gain)} * s + {c_literal(skew)} * c)"
-    return c_turn(f"{error} * c", f"{error} * s")
+    return VectorInC(f"{c_warmer(p)} * ({c_literal(gain)} * s + {c_literal(skew)} * c)", "0.0f")
 
 
 EFFECT = Effect(
@@ -62,10 +62,9 @@ EFFECT = Effect(
         Parameter(NAMES[1], "Temperature coefficient of the skew", "°/°C"),
         Parameter("reference_c", "Reference temperature", "°C"),
     ),
-    formula="atan2(δ·cos θ, 1 + δ·sin θ), "
-    "δ = (T − reference_c)·(gain_pct_per_c/100·sin θ + skew_deg_per_c·π/180·cos θ)",
+    formula=ON_VECTOR + "a_y + (T − reference_c)·(gain_pct_per_c/100·a_y + skew_deg_per_c·π/180·a_z)",
     forms=_forms,
-    on_reading_deg=_on_reading_deg,
+    on_vector_g=_on_vector_g,
     in_c=_in_c,
     apart="|accelerometer| changes with temperature as gain·sin² θ and skew·sin θ·cos θ",
     remedy="wait until the unit is warm, or correct the gains by its own thermometer",

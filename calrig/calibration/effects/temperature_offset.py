@@ -4,23 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
-
-from calrig.calibration.effect import TEMPERATURE, Applied, Effect, Parameter, Parameters, Shape
+from calrig.calibration.effect import (
+    TEMPERATURE,
+    Applied,
+    Effect,
+    Parameter,
+    Parameters,
+    Shape,
+)
 from calrig.calibration.effect_terms import (
-    DEG,
     MG,
+    ON_VECTOR,
     c_literal,
-    c_turn,
     c_warmer,
-    one_or_both,
-    sin_cos,
     turns,
+    vector_forms,
     warmer_c,
     within,
 )
 from calrig.calibration.responses import Responses
-from calrig.estimation.angles import FloatArray
+from calrig.calibration.sensor_vector import VectorError, VectorInC
 
 LARGEST_MG_PER_C = 10.0
 """MPU-6050 data sheet PS-MPU-6000A-00 rev. 3.4, section 6.2: ±60 mg over 70 °C, 0.9 mg/°C;
@@ -30,22 +33,17 @@ ten times as much."""
 def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
     found = warmer_c(r, at)
     if found is not None and turns(r):
-        warmer, reference_c = found
-        s, c = sin_cos(r)
-        angle = np.stack([warmer * c, -warmer * s], 1) * DEG * MG
-        norm = np.stack([warmer * s, warmer * c], 1) * MG
-        at = {"reference_c": reference_c}
-        yield from one_or_both(angle, norm, ("y_mg_per_c", "z_mg_per_c"), at)
+        yield from vector_forms(r, _on_vector_g, ("y_mg_per_c", "z_mg_per_c"), {"reference_c": found[1]})
 
 
-def _on_reading_deg(p: Applied) -> FloatArray:
-    y, z = (p.value(name) / 1e3 * p.warmer_c() for name in ("y_mg_per_c", "z_mg_per_c"))
-    return p.turn_deg(y, z)
+def _on_vector_g(p: Applied) -> VectorError:
+    warmer = p.warmer_c() * MG
+    return p.value("y_mg_per_c") * warmer, p.value("z_mg_per_c") * warmer
 
 
-def _in_c(p: Parameters) -> str:
-    y, z = (f"{c_literal(p.get(name, 0.0) / 1e3)} * {c_warmer(p)}" for name in ("y_mg_per_c", "z_mg_per_c"))
-    return c_turn(f"{y} * c - {z} * s", f"{y} * s + {z} * c")
+def _in_c(p: Parameters) -> VectorInC:
+    coefficients = (c_literal(p.get(name, 0.0) * MG) for name in ("y_mg_per_c", "z_mg_per_c"))
+    return VectorInC(*(f"{coefficient} * {c_warmer(p)}" for coefficient in coefficients))
 
 
 EFFECT = Effect(
@@ -59,10 +57,9 @@ EFFECT = Effect(
         Parameter("z_mg_per_c", "Temperature coefficient of z", "mg/°C"),
         Parameter("reference_c", "Reference temperature", "°C"),
     ),
-    formula="atan2(y·cos θ − z·sin θ, 1 + y·sin θ + z·cos θ), "
-    "y = y_mg_per_c/1000·(T − reference_c), z = z_mg_per_c/1000·(T − reference_c)",
+    formula=ON_VECTOR + "a_y + y_mg_per_c/1000·(T − reference_c), a_z + z_mg_per_c/1000·(T − reference_c)",
     forms=_forms,
-    on_reading_deg=_on_reading_deg,
+    on_vector_g=_on_vector_g,
     in_c=_in_c,
     apart="|accelerometer| changes with temperature as y·sin θ + z·cos θ",
     remedy="wait until the unit is warm, or correct the offsets by its own thermometer",

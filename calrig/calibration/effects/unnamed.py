@@ -1,4 +1,8 @@
-"""Structure that no catalogue entry explains, against any covariate: smooth, kink, step, cycle in time."""
+"""Structure that no catalogue entry explains, against any covariate: smooth, kink, step, cycle in time.
+
+A column that nobody knew is tried as what its name says that it is: an angle is a circle; where times are
+known its rate and its delay as well; the product of two columns once both are in the model.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +11,17 @@ from dataclasses import replace
 
 import numpy as np
 
+from calrig.calibration.column_forms import (
+    LEAST_ARC_DEG,
+    arc_deg,
+    circle,
+    delayed,
+    delays_s,
+    products,
+    rate,
+    standardised,
+)
+from calrig.calibration.column_units import is_circle, unit_of_column
 from calrig.calibration.effect import (
     Applied,
     ApplyError,
@@ -19,11 +34,12 @@ from calrig.calibration.effect import (
     Shape,
     size_deg,
 )
-from calrig.calibration.effect_terms import tilted, turned, turns
+from calrig.calibration.effect_terms import amplitude_and_phase, tilted, turned, turns
 from calrig.calibration.responses import MOVE, Responses
 from calrig.estimation.angles import FloatArray
 
 KNOTS = (3, 5)
+CIRCLE, CIRCLE_2 = "circle, order 1", "circle, orders 1 and 2"
 PLACES = np.linspace(0.06, 0.94, 23)
 FEWEST_VALUES = 8
 MOST_CYCLES = 60.0
@@ -31,7 +47,7 @@ MOST_CYCLES = 60.0
 Shares = Callable[[FloatArray], Mapping[str, FloatArray]]
 
 
-def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
+def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
     """Every covariate's flexible shapes; whoever knows the place of one takes the nearest."""
     if turns(r):
         yield from _of_one(r.theta_deg, "target_deg", tilted)
@@ -41,8 +57,14 @@ def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
     if r.temperature_c is not None and np.ptp(r.temperature_c) > 0.0:
         yield from _of_one(r.temperature_c, "temperature_c", tilted)
     for name, column in r.covariates.items():
-        yield _shape(tilted((column - column.mean()) / column.std()), name, "linear")
+        if is_circle(name) and arc_deg(column) >= LEAST_ARC_DEG:
+            yield replace(_shape(tilted(circle(column, 1)), name, CIRCLE), at={"period": 360.0})
+            yield replace(_shape(tilted(circle(column, 2)), name, CIRCLE_2), at={"period": 360.0})
+        yield _shape(tilted(standardised(column)), name, "linear")
         yield from _of_one(column, name, tilted)
+        yield from _in_time(r, name, at)
+    for name, factors, columns in products(r):
+        yield replace(_shape(tilted(columns), name, "product"), beside=factors)
     if r.time_s is not None and np.ptp(r.time_s) > 0.0:
         for count in KNOTS:
             yield _shape(tilted(natural_spline(r.time_s, count)), "time_s", f"smooth {count}")
@@ -75,6 +97,17 @@ def _of_one(z: FloatArray, name: str, seen_by: Shares) -> Iterator[Shape]:
         yield _shape(seen_by((z >= place).astype(float)), name, "step", at)
 
 
+def _in_time(r: Responses, name: str, at: Parameters) -> Iterator[Shape]:
+    """A column's rate, and the column behind a first-order lag."""
+    change = rate(r, name)
+    if change is not None and np.ptp(change) > 0.0:
+        yield _shape(tilted(standardised(change)), name, "rate")
+    for lag_s in [at["lag_s"]] if "lag_s" in at else delays_s(r):
+        behind = delayed(r, name, float(lag_s))
+        if behind is not None and np.ptp(behind) > 0.0:
+            yield _shape(tilted(standardised(behind)), name, "delayed", {"lag_s": float(lag_s)})
+
+
 def _cycles(r: Responses, time_s: FloatArray) -> Iterator[Shape]:
     span = float(np.ptp(time_s))
     most = min(0.45 * len(r), MOST_CYCLES)
@@ -104,7 +137,23 @@ def natural_spline(z: FloatArray, count: int) -> FloatArray:
 
 
 def _reported(shape: Shape, beta: FloatArray, covariance: FloatArray) -> Documents:
-    return {"size_deg": size_deg(shape, beta, covariance), "period": None, "at": None}
+    found: Documents = {"size_deg": size_deg(shape, beta, covariance), "period": None, "at": None}
+    if shape.form == CIRCLE:
+        found["at"] = amplitude_and_phase(shape, beta[::-1], covariance[::-1, ::-1])["phase_deg"]
+    return found
+
+
+def _evidence(r: Responses, shape: Shape) -> list[str]:
+    said = [f"shape: {shape.form}; no effect of the catalogue explains it as well"]
+    column, unit = r.covariates.get(shape.covariate), unit_of_column(shape.covariate)
+    if column is not None:
+        of_unit = f" {unit}" if unit else ", of no unit that its name tells"
+        said.append(f"{shape.covariate} went from {column.min():.5g} to {column.max():.5g}{of_unit}")
+    if shape.form == CIRCLE:
+        said.append(
+            f"`at` is where it is largest, in the {unit} of the column; size_deg is from there to the least"
+        )
+    return said
 
 
 def _on_reading_deg(p: Applied) -> FloatArray:
@@ -121,13 +170,14 @@ EFFECT = Effect(
         Parameter("size_deg", "Size (peak to peak)", "°"),
         Parameter("period", "Period", None),
         Parameter("at", "At", None),
+        Parameter("lag_s", "Delay", "s"),
     ),
     formula="a smooth curve, kink, step or cycle that no effect of the catalogue explains",
     forms=_forms,
     on_reading_deg=_on_reading_deg,
     in_c=NotInFlight("it has no formula of its own that a header could hold"),
     reported=_reported,
-    evidence=lambda _r, shape: [f"shape: {shape.form}; no effect of the catalogue explains it as well"],
+    evidence=_evidence,
     apart="what the column stands for, once somebody has looked",
     remedy="look at what changes with this column",
 )

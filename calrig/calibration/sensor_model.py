@@ -1,0 +1,222 @@
+"""The model fitted through atan2 itself: what errors of the sensor's axes do together, of any size.
+
+To first order an offset of 80 mg is wrong by 0.18°, by another 0.06° where the mount is 0.8° off level, and
+by 0.14° beside a gain of 3 %. Gauss and Newton's iteration (Björck, Numerical Methods for Least Squares
+Problems, 1996, section 9.2): columns linear about the parameters found, and responses less what is not linear
+there, so that search, ranking and report go on with a linear fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calrig.calibration.candidates import Candidate
+from calrig.calibration.effect import Applied, Circumstances
+from calrig.calibration.model import model_columns, own_columns, replaced, side_by_side
+from calrig.calibration.noise_model import Fit, fit, fits
+from calrig.calibration.responses import ANGLE, NORM, READING, Responses
+from calrig.calibration.sensor_vector import TURNS_THE_SENSOR, VectorError, turned_vector
+from calrig.estimation.angles import FloatArray
+
+STEPS = 8
+NEGLIGIBLE = 0.03
+"""Of a channel's residuals: what is less than that from being linear is as good as linear."""
+LARGEST_G = 0.5
+"""Of an axis' error; a vector with more says nothing of the angle, and the fit stays linear."""
+STEP = 1e-3
+"""By which a parameter changes the reading (°) or |accelerometer| (g) to see what it does there."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Model:
+    """A model with its fit, linear about the parameters found.
+
+    Attributes:
+        responses, accepted: as the last step saw them; their columns are `columns` (n, J, p).
+        fitted: of those; its residuals are those of the measured responses.
+    """
+
+    responses: Responses
+    accepted: tuple[Candidate, ...]
+    columns: FloatArray
+    fitted: Fit
+
+
+def fitted_model(r: Responses, accepted: Sequence[Candidate], start: FloatArray | None = None) -> Model:
+    """Fits bias, scale and effects, those on the sensor's axes through atan2.
+
+    Args:
+        r: the responses as measured.
+        accepted: the effects, their columns linear about none.
+        start: (p,) coefficients to begin from; without them the linear fit's.
+
+    Returns:
+        The linear fit where nothing in the model bends by more than the noise shows, or it cannot be bent.
+    """
+    curve = _Curve(r, accepted)
+    step = _fitted(r, tuple(accepted)) if start is None else _fitted(*curve.straightened(start))
+    for _ in range(STEPS):
+        beta = step.fitted.beta
+        if curve.is_near(beta, step.fitted.residuals):
+            return step
+        if not curve.is_possible(beta):
+            break
+        step = _fitted(*curve.straightened(beta))
+    return _fitted(r, tuple(accepted))
+
+
+def fitted_beside(
+    r: Responses, accepted: Sequence[Candidate], shortlist: Sequence[Candidate]
+) -> list[tuple[float, FloatArray]]:
+    """Criterion and own coefficients of each of several candidates beside the accepted effects.
+
+    All are fitted at once, linear about what is accepted; once more those that bend.
+    """
+    at = fitted_model(r, accepted)
+    columns = side_by_side([model_columns(at.responses, [*at.accepted, c]) for c in shortlist])
+    fitted = fits(r, np.repeat(at.responses.values[None], len(shortlist), axis=0), columns)
+    found = []
+    for k, candidate in enumerate(shortlist):
+        curve = _Curve(r, [*accepted, candidate])
+        beta, criterion = fitted.beta[k, : curve.width], float(fitted.criterion[k])
+        if not curve.is_near(beta, fitted.residuals[k]) and curve.is_possible(beta):
+            bent = fitted_model(r, [*accepted, candidate], beta).fitted
+            beta, criterion = bent.beta, bent.criterion
+        found.append((criterion, beta[curve.own[-1]]))
+    return found
+
+
+def linear_about(
+    r: Responses, accepted: Sequence[Candidate], beta: FloatArray
+) -> tuple[Responses, tuple[Candidate, ...]]:
+    """Responses and effects whose linear model is exact at some coefficients (p,), fitted elsewhere."""
+    curve = _Curve(r, accepted)
+    if not curve.bends or not curve.is_possible(beta):
+        return r, tuple(accepted)
+    return curve.straightened(beta)
+
+
+def parts_deg(r: Responses, accepted: Sequence[Candidate], beta: FloatArray) -> list[FloatArray]:
+    """(n,) what each of the effects adds to the readings, beside all the others."""
+    curve = _Curve(r, accepted)
+    whole = curve.of_effects(beta)[:, 0]
+    parts = []
+    for own in curve.own:
+        without = beta.copy()
+        without[own] = 0.0
+        parts.append(whole - curve.of_effects(without)[:, 0])
+    return parts
+
+
+def _fitted(r: Responses, accepted: tuple[Candidate, ...]) -> Model:
+    columns = model_columns(r, accepted)
+    return Model(r, accepted, columns, fit(r, columns))
+
+
+class _Curve:
+    """The responses as the function of all coefficients (p,) that they are."""
+
+    def __init__(self, r: Responses, accepted: Sequence[Candidate]) -> None:
+        self._r, self._accepted = r, tuple(accepted)
+        self._members = [member for candidate in accepted for member in candidate.members]
+        self._straight = model_columns(r, accepted)
+        self.own = own_columns(self._straight, accepted)
+        self._member_at = own_columns(self._straight, self._members)
+        self._on_axes = [
+            (member, at)
+            for member, at in zip(self._members, self._member_at, strict=True)
+            if member.effect.on_vector_g is not None and member.effect.on_reading_deg is None
+        ]
+        self.bends = bool(self._on_axes)
+        self._names = [name for name in r.base_names if name != replaced(accepted)]
+        self._felt, self._size = self._placed()
+        self.width = self._straight.shape[2]
+        for _, at in self._on_axes:
+            self._straight[:, :, at] = 0.0
+
+    def _placed(self) -> tuple[FloatArray, FloatArray]:
+        """(n, p) what turns the sensor itself, degrees, and what its vector is longer by, g."""
+        felt, size = np.zeros((2, len(self._r), self._straight.shape[2]))
+        bound = [k for k, name in enumerate(self._names) if not name.endswith(".first")]
+        turns = [
+            at
+            for member, at in zip(self._members, self._member_at, strict=True)
+            if member.effect.origin in TURNS_THE_SENSOR
+        ]
+        for at in [*(slice(k, k + 1) for k in bound), *turns]:
+            felt[:, at] = self._straight[:, 0, at]
+        if NORM in self._r.channels:
+            size[:, bound] = self._straight[:, self._r.channels.index(NORM), bound]
+        return felt, size
+
+    def is_near(self, beta: FloatArray, residuals: FloatArray) -> bool:
+        """Whether residuals (n, J) of a linear fit are what the model leaves, as far as noise can show."""
+        if not self.bends:
+            return True
+        size = np.hypot(residuals.std(axis=0), self._r.rounding)
+        return bool((np.abs(self.residuals(beta) - residuals) < NEGLIGIBLE * size).all())
+
+    def is_possible(self, beta: FloatArray) -> bool:
+        """Whether what is left of the vector still says where the sensor points."""
+        return all(bool((np.abs(error) < LARGEST_G).all()) for error in self._error(beta))
+
+    def of_effects(self, beta: FloatArray) -> FloatArray:
+        """(n, J) all effects together."""
+        base = len(self._names)
+        return np.asarray(self._straight[:, :, base:] @ beta[base:] + self._on_axes_of(beta))
+
+    def residuals(self, beta: FloatArray) -> FloatArray:
+        """(n, J) what the model leaves of the measured responses."""
+        left = self._r.values - self._straight @ beta - self._on_axes_of(beta)
+        return np.asarray(left * self._r.known)
+
+    def straightened(self, beta: FloatArray) -> tuple[Responses, tuple[Candidate, ...]]:
+        """Responses and effects whose linear model is the exact one, and its derivative, at beta."""
+        slope = self._slope(beta)
+        columns = self._straight + slope
+        values = self._r.values - self._on_axes_of(beta) + slope @ beta
+        base = self._r.base.copy()
+        for k, name in enumerate(self._names):
+            base[:, :, self._r.base_names.index(name)] = columns[:, :, k]
+        accepted = tuple(
+            replace(candidate, columns=columns[:, :, at])
+            for candidate, at in zip(self._accepted, self.own, strict=True)
+        )
+        return replace(self._r, values=values, base=base), accepted
+
+    def _error(self, beta: FloatArray) -> VectorError:
+        felt_deg = self._felt_deg(beta)
+        error_y, error_z = np.zeros((2, len(self._r)))
+        given = Circumstances(temperature_c=self._r.temperature_c)
+        for member, at in self._on_axes:
+            values = dict(zip(member.shape.parameters, beta[at].tolist(), strict=True))
+            parameters = {**values, **member.shape.at}
+            applied = Applied(member.name, parameters, self._r.theta_deg, given, felt_deg)
+            assert member.effect.on_vector_g is not None  # noqa: S101 (so they were chosen)
+            more_y, more_z = member.effect.on_vector_g(applied)
+            error_y, error_z = error_y + more_y, error_z + more_z
+        return error_y, error_z
+
+    def _felt_deg(self, beta: FloatArray) -> FloatArray:
+        return np.asarray(self._r.theta_deg + self._felt @ beta)
+
+    def _on_axes_of(self, beta: FloatArray) -> FloatArray:
+        """(n, J) what the effects on the sensor's axes do together."""
+        turn_deg, length = turned_vector(self._felt_deg(beta), self._error(beta))
+        size = 1.0 + self._size @ beta
+        return self._r.columns({READING: turn_deg, ANGLE: turn_deg, NORM: size * (length - 1.0)})[:, :, 0]
+
+    def _slope(self, beta: FloatArray) -> FloatArray:
+        """(n, J, p) its derivative, by central differences."""
+        slope = np.zeros_like(self._straight)
+        matters = [k for k in range(len(beta)) if self._felt[:, k].any() or self._size[:, k].any()]
+        largest = np.abs(model_columns(self._r, self._accepted)).max(axis=(0, 1))
+        for k in [*matters, *(k for _, at in self._on_axes for k in range(at.start, at.stop))]:
+            change = np.zeros(len(beta))
+            change[k] = STEP / (largest[k] or 1.0)
+            more, less = self._on_axes_of(beta + change), self._on_axes_of(beta - change)
+            slope[:, :, k] = (more - less) / (2.0 * change[k])
+        return slope

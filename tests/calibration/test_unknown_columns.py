@@ -1,0 +1,138 @@
+"""Columns that calrig has no physics for: what they may act as, and how they are spoken of."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calrig.calibration.candidates import candidates_of, rebuilt
+from calrig.calibration.column_forms import arc_deg, delayed
+from calrig.calibration.column_units import is_circle, unit_of_column
+from calrig.calibration.diagnosis import diagnose, document
+from calrig.calibration.pose import Pose
+from calrig.calibration.responses import responses_of
+
+N = 90
+TIME_S = 20.0 * np.arange(N)
+NOISE_DEG = 0.01
+
+
+def run_with(error_deg, **columns):
+    """Poses in random order, with an error of the reading that follows some columns."""
+    rng = np.random.default_rng(4)
+    theta = rng.uniform(-60.0, 60.0, N)
+    reading = 0.5 + 1.001 * theta + error_deg + rng.normal(0.0, NOISE_DEG, N)
+    return [
+        Pose(
+            target_deg=float(theta[k]),
+            reading_deg=float(reading[k]),
+            time_s=float(TIME_S[k]),
+            settle_s=1.0,
+            covariates={name: float(column[k]) for name, column in columns.items()},
+        )
+        for k in range(N)
+    ]
+
+
+def found_in(poses):
+    effects = document(diagnose([poses], bootstraps=199, cross_fit=False), ["1"])["effects"]
+    return [(e["name"], e["covariate"], e["evidence"][1].partition(";")[0]) for e in effects], effects
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("azimuth_deg", "°"),
+        ("supply_v", "V"),
+        ("motor_temperature_c", "°C"),
+        ("warming_c_per_min", "°C/min"),
+        ("load_nm", "N·m"),
+        ("azimuth_deg·supply_v", "°·V"),
+        ("azimuth_deg·lamp", ""),
+        ("lamp", ""),
+        ("c", ""),
+        ("_c", ""),
+    ],
+)
+def test_a_unit_is_read_off_the_name(name, unit):
+    assert unit_of_column(name) == unit
+    assert is_circle(name) is (unit == "°")
+
+
+def test_an_angle_is_a_circle_and_where_it_is_largest_is_told():
+    azimuth_deg = np.mod(250.0 + np.random.default_rng(1).uniform(0.0, 300.0, N), 360.0)
+    found, (effect,) = found_in(
+        run_with(0.05 * np.cos(np.radians(azimuth_deg - 98.0)), azimuth_deg=azimuth_deg)
+    )
+    assert found == [("unnamed", "azimuth_deg", "shape: circle, order 1")]
+    at, size = effect["parameters"]["at"], effect["parameters"]["size_deg"]
+    assert at["value"] == pytest.approx(98.0, abs=4.0 * at["std"])
+    assert size["value"] == pytest.approx(0.1, abs=0.01)
+    assert effect["parameters"]["period"]["value"] == 360.0
+    assert any("°" in said and "azimuth_deg went from" in said for said in effect["evidence"])
+
+
+def test_an_arc_is_what_the_widest_gap_leaves_of_the_circle():
+    assert arc_deg(np.array([350.0, 5.0, 20.0])) == pytest.approx(30.0)
+    assert arc_deg(np.array([-170.0, 170.0])) == pytest.approx(20.0)
+
+
+LOAD_KG = np.repeat(np.random.default_rng(9).uniform(0.0, 2.0, N // 9), 9)
+
+
+def behind_a_lag(column, lag_s):
+    """y' = (z − y)/lag by Euler's steps of a hundredth of a second, z straight between poses."""
+    fine_s = np.arange(0.0, TIME_S[-1] + 0.01, 0.01)
+    z = np.interp(fine_s, TIME_S, column)
+    y = z[0]
+    stepped = [y := y + 0.01 * (between - y) / lag_s for between in (z[1:] + z[:-1]) / 2.0]
+    return np.interp(TIME_S, fine_s, [z[0], *stepped])
+
+
+def test_a_residual_that_follows_the_rate_of_a_column_is_traced_to_its_rate():
+    """The derivative as mathematics has it, not as differences do."""
+    w = 2.0 * np.pi / 900.0
+    load_kg = np.sin(w * TIME_S) + 0.3 * np.sin(3.3 * w * TIME_S)
+    rate = w * np.cos(w * TIME_S) + 0.99 * w * np.cos(3.3 * w * TIME_S)
+    assert found_in(run_with(0.05 * rate / rate.std(), load_kg=load_kg))[0] == [
+        ("unnamed", "load_kg", "shape: rate")
+    ]
+
+
+def test_a_lag_is_that_of_its_differential_equation():
+    r = responses_of([run_with(0.0, load_kg=LOAD_KG)])
+    np.testing.assert_allclose(delayed(r, "load_kg", 60.0), behind_a_lag(LOAD_KG, 60.0), atol=1e-4)
+
+
+def test_a_residual_that_follows_a_column_late_is_traced_to_its_delay():
+    found, effects = found_in(run_with(0.1 * behind_a_lag(LOAD_KG, 100.0), load_kg=LOAD_KG))
+    assert found[0] == ("unnamed", "load_kg", "shape: delayed")
+    assert effects[0]["parameters"]["lag_s"]["value"] == pytest.approx(100.0, rel=0.5)
+
+
+def test_two_columns_act_as_a_product_once_both_are_in_the_model():
+    rng = np.random.default_rng(7)
+    supply_v, load_kg = rng.normal(5.0, 0.2, N), rng.normal(2.0, 0.3, N)
+    s, w = (supply_v - 5.0) / 0.2, (load_kg - 2.0) / 0.3
+    names, _ = found_in(run_with(0.05 * s + 0.05 * w + 0.04 * s * w, supply_v=supply_v, load_kg=load_kg))
+    assert sorted(covariate for _, covariate, _ in names[:2]) == ["load_kg", "supply_v"]
+    assert names[2] == ("unnamed", "supply_v·load_kg", "shape: product")
+
+
+def test_a_product_alone_is_no_candidate_of_its_own():
+    rng = np.random.default_rng(7)
+    s, w = rng.normal(0.0, 1.0, N), rng.normal(0.0, 1.0, N)
+    names, _ = found_in(run_with(0.05 * s * w, supply_v=s, load_kg=w))
+    assert not [name for name in names if "·" in name[1]]
+
+
+def test_every_form_of_a_column_is_rebuilt_in_other_poses():
+    rng = np.random.default_rng(2)
+    columns = {"azimuth_deg": rng.uniform(0.0, 360.0, N), "load_kg": LOAD_KG}
+    r = responses_of([run_with(0.0, **columns)])
+    fewer = responses_of([run_with(0.0, **columns)[:70]])
+    for candidate in candidates_of(r):
+        if candidate.covariate in {"azimuth_deg", "load_kg", "azimuth_deg·load_kg"}:
+            again = rebuilt(candidate, fewer)
+            assert again is not None
+            assert (again.label, again.shape.form) == (candidate.label, candidate.shape.form)
