@@ -26,7 +26,7 @@ from calrig.calibration.sensor_model import fitted_model
 from calrig.estimation.angles import FloatArray
 
 BLOCKS = 4
-UNSTABLE = 1e-4
+UNSTABLE = 1e-3
 """Chance that the coefficients of a true effect differ as much between the whole and a part of the poses."""
 ESTIMABLE = 1e-4
 """Of a column, what the others must leave of it: a slip in the block left out is a bias in all the others."""
