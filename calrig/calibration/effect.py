@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from calrig.calibration.responses import READING, Responses
+from calrig.calibration.responses import Responses
 from calrig.calibration.sensor_vector import VectorError, VectorInC, sin_cos
 from calrig.estimation.angles import FloatArray
 
@@ -296,12 +296,3 @@ def _of_the_catalogue(name: str) -> Effect:
     from calrig.calibration.effects import effect_of
 
     return effect_of(name)
-
-
-def size_deg(shape: Shape, beta: FloatArray, covariance: FloatArray) -> dict[str, float | None]:
-    """Peak to peak of what a shape adds to the reading, over its poses, with its standard error."""
-    columns = shape.shares[READING].reshape(-1, len(beta))
-    fitted = columns @ beta
-    swing = columns[int(np.argmax(fitted))] - columns[int(np.argmin(fitted))]
-    variance = max(float(swing @ covariance @ swing), 0.0)
-    return {"value": float(fitted.max() - fitted.min()), "std": math.sqrt(variance)}

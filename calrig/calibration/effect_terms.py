@@ -178,3 +178,12 @@ def c_literal(value: float) -> str:
 def c_warmer(p: Parameters) -> str:
     """The C expression of the temperature less its reference."""
     return f"(temperature_c - {c_literal(p['reference_c'])})"
+
+
+def size_deg(shape: Shape, beta: FloatArray, covariance: FloatArray) -> dict[str, float | None]:
+    """Peak to peak of what a shape adds to the reading, over its poses, with its standard error."""
+    columns = shape.shares[READING].reshape(-1, len(beta))
+    fitted = columns @ beta
+    swing = columns[int(np.argmax(fitted))] - columns[int(np.argmin(fitted))]
+    variance = max(float(swing @ covariance @ swing), 0.0)
+    return {"value": float(fitted.max() - fitted.min()), "std": math.sqrt(variance)}

@@ -27,7 +27,7 @@ AT_A_POSE = 1e-2
 ABRUPT = 0.2
 """Of the largest velocity: a change that no smooth motion makes between two readings."""
 SHORTEST_LAG_S = 1e-6
-SHORTEST_STOP_S = 2.0
+SHORTEST_STOP_S = 1.0
 """Between poses, to move on, settle and take a mean: readings that follow faster were taken on the move."""
 
 

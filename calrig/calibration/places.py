@@ -1,7 +1,8 @@
 """Places that no coefficient gives, such as a period: refined by the likelihood, with their standard errors.
 
-Gauss-Newton: the model's change with the place, at the coefficients fitted, is one more column; its coefficient
-is the step to take, and its variance the place's (Seber & Wild, Nonlinear Regression, 1989, section 2.1).
+Gauss-Newton: the model's change with the place, at the coefficients fitted, is one more column; its
+coefficient is the step to take, and its variance the place's (Seber & Wild, Nonlinear Regression, 1989,
+section 2.1).
 """
 
 from __future__ import annotations

@@ -106,7 +106,8 @@ def named(
     lead = min(rest) - own if rest else np.inf
     considered: dict[str, float] = {}
     for criterion, c in ranked:
-        considered.setdefault(c.label, round(max(criterion - best, 0.0), 2))
+        if np.isfinite(criterion):  # what physics rules out was not considered
+            considered.setdefault(c.label, round(max(criterion - best, 0.0), 2))
     runners_up = _runners_up(ranked, claimed)
     told = tuple(considered.items())
     return Found(claimed, rivals, p_value, float(lead), told, runners_up, alike=alike)

@@ -15,7 +15,7 @@ from calrig.calibration.gate import Verdict, gate
 from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import Fit, fit
 from calrig.calibration.outliers import most_outliers, outlier
-from calrig.calibration.ranking import Found, named, pair
+from calrig.calibration.ranking import MARGIN, Found, named, pair
 from calrig.calibration.responses import READING, Responses
 from calrig.calibration.screen import Screen
 from calrig.calibration.sensor_model import Model, fitted_model
@@ -25,12 +25,12 @@ from calrig.estimation.angles import FloatArray
 LEVEL = 0.01
 """The nominal rate at which a search of noise alone says something."""
 MOST_EFFECTS, MOST_COLUMNS = 5, 0.35
-"""A series, such as the orders of a turn, is one effect of several terms; so many columns to a pose at most."""
+"""A series, such as the orders of a turn, is one effect of several terms; columns to a pose at most."""
 FREEDOM = 3
 LEAST_SHARE = 0.05
 """An effect whose part of the reading is smaller than this share of its noise is not worth a correction."""
 LEAST_STANDARD_ERRORS = 4.0
-"""Of the parameters that reach the reading, together: an effect is not named for what a witness alone shows."""
+"""Of the parameters that reach the reading, together: what a witness alone shows is not named."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,9 +97,7 @@ def search(
         if not _is_worth_a_name(r, accepted, step):
             refused.add(step.candidate.label)
             continue
-        if step.candidate.beside is not None and not all(
-            judged(fitted_model(r, [*accepted, member])).p_value <= level for member in step.candidate.members
-        ):  # one says nothing beside the other: two fit any noise a little better than one
+        if step.candidate.beside is not None and _says_no_more(step):
             single = [k for k, c in enumerate(verdict.candidates) if c.beside is None]
             offered = [verdict.candidates[k] for k in single]
             step = named(r, accepted, offered, verdict.ratios[single], verdict.p_value)
@@ -122,6 +120,12 @@ def search(
             continue
         found, dropped = parted(r, entered)
         refused.update(dropped)
+
+
+def _says_no_more(step: Found) -> bool:
+    """Whether one of several effects offered as one explains the poses nearly as well by itself."""
+    behind = dict(step.considered)
+    return any(behind.get(member.label, np.inf) < MARGIN for member in step.candidate.members)
 
 
 def _is_full(accepted: Sequence[Candidate]) -> bool:
@@ -162,7 +166,7 @@ def _offered(
 
 
 def _enters_once(c: Candidate) -> bool:
-    """Whether a second one of it would say the same: it has no place, or one that its likelihood is smooth in."""
+    """Whether a second would say the same: it has no place, or one that its likelihood is smooth in."""
     return c.shape.at.keys() <= set(HIDDEN) or c.shape.place_cost == 1
 
 

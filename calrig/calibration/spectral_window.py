@@ -1,8 +1,8 @@
 """The spectral window of some angles: which two periods these angles show as one.
 
-A wave of frequency f, taken at angles θ alone, is that of f ± p wherever |Σ exp(2πi·p·θ)|/n is near 1 (Deeming,
-Astrophysics and Space Science 36, 1975). An exact grid has such p at every multiple of 1/step; jitter takes
-them away.
+A wave of frequency f, taken at angles θ alone, is that of f ± p wherever |Σ exp(2πi·p·θ)|/n is near 1
+(Deeming, Astrophysics and Space Science 36, 1975). An exact grid has such p at every multiple of 1/step;
+jitter takes them away.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def spectral_window(theta_deg: FloatArray, highest: float) -> tuple[FloatArray, 
 
 
 def window_peaks(theta_deg: FloatArray, highest: float, least: float) -> tuple[FloatArray, FloatArray]:
-    """Frequencies (k,) of the window's peaks beyond its first, of at least some power, and their powers (k,)."""
+    """Frequencies (k,) of the window's peaks of at least some power, and their powers (k,)."""
     frequencies, power = spectral_window(theta_deg, highest)
     inner = np.arange(1, len(power) - 1)
     is_peak = (power[inner] >= power[inner - 1]) & (power[inner] > power[inner + 1]) & (power[inner] >= least)

@@ -9,13 +9,16 @@ from typing import Annotated, Any
 import typer
 
 from calrig.cli.input_files import names_a_file, read_log_file, read_poses_file
-from calrig.cli.options import AccelRange, Db, Json
+from calrig.cli.options import COLUMNS, AccelRange, Db, Json
 from calrig.errors import InputError
 
 
 def diagnose(
     sources: Annotated[
-        list[str], typer.Argument(metavar="FILE.csv|RUN_ID...", help="Poses of one unit, or ids of its runs.")
+        list[str],
+        typer.Argument(
+            metavar="FILE.csv|RUN_ID...", help=f"Poses of one unit, or ids of its runs. {COLUMNS}"
+        ),
     ],
     as_json: Json = False,
     db: Db = None,
@@ -38,7 +41,9 @@ def diagnose(
 
 
 def gravity(
-    file: Annotated[Path, typer.Argument(metavar="FILE.csv", help="A log with many static poses.")],
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE.csv", help=f"A log with many static poses. {COLUMNS}")
+    ],
     as_json: Json = False,
     accel_range: AccelRange = None,
 ) -> None:

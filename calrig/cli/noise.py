@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calrig.cli.input_files import names_a_file, read_log_file
-from calrig.cli.options import AccelRange, Db, GyroRange, Json, Plot, Rate
+from calrig.cli.options import COLUMNS, AccelRange, Db, GyroRange, Json, Plot, Rate
 from calrig.errors import InputError
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ READING = 0.4
 
 
 def noise(
-    file: Annotated[Path, typer.Argument(metavar="FILE.csv", help="A log, one row a sample.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE.csv", help=f"A log, one row a sample. {COLUMNS}")],
     rate: Rate = None,
     accel_range: AccelRange = None,
     gyro_range: GyroRange = None,
@@ -55,7 +55,10 @@ def noise(
 
 def filters(
     source: Annotated[
-        str, typer.Argument(metavar="FILE.csv|RUN_ID", help="A log with rest and motion, or a run's id.")
+        str,
+        typer.Argument(
+            metavar="FILE.csv|RUN_ID", help=f"A log with rest and motion, or a run's id. {COLUMNS}"
+        ),
     ],
     as_json: Json = False,
     accel_range: AccelRange = None,

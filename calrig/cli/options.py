@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+COLUMNS = "Columns: calrig/docs/poses.md."
 Db = Annotated[str | None, typer.Option(metavar="FILE", help="Store: a path or a URL [CALRIG_DB].")]
 Config = Annotated[str | None, typer.Option(metavar="FILE", help="Configuration [CALRIG_CONFIG].")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]

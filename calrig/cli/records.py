@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from calrig.cli.input_files import in_utf8, read_bytes
-from calrig.cli.options import Db, Rig, UnitSerial
+from calrig.cli.options import COLUMNS, Db, Rig, UnitSerial
 from calrig.errors import InputError, WorkError
 
 
@@ -23,7 +23,7 @@ class Format(StrEnum):
 
 
 def import_(
-    file: Annotated[Path, typer.Argument(metavar="FILE.csv", help="Poses, one row each.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE.csv", help=f"Poses, one row each. {COLUMNS}")],
     unit: UnitSerial,
     rig: Rig = None,
     db: Db = None,

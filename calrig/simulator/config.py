@@ -71,6 +71,10 @@ class MechanicsOptions(_Options):
     worm_deg: float = 0.0
     worm_period_deg: Positive = 7.2
     worm_phase_deg: float = 0.0
+    motor_step_deg: Positive = 1.8
+    """Full step of the motor, at the table: step angle over the gear's ratio."""
+    detent_share: float = Field(default=0.0, ge=0, le=0.2)
+    """Torque of the motor's detents over its holding torque; a microstepped motor stands off by it."""
     following_lag_s: NotNegative = 0.0
     following_std_deg: NotNegative = 0.0
     creep_fraction: float = Field(default=0.0, ge=0, lt=1)

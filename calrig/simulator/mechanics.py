@@ -16,6 +16,9 @@ from calrig.simulator.trajectory import FloatArray, Segment, Trajectory, Turn, b
 HOMING_RUN_UP_DEG = 1.0
 """Homing passes its switch by this much and comes back to it upward, whichever side it began on."""
 
+DETENT_STEPS = 12
+"""Of Newton's method: from where the currents point it has converged well before."""
+
 
 class Arrival(NamedTuple):
     """When the motor stands still, and whether that is short of its target because something blocked it."""
@@ -129,6 +132,7 @@ class Mechanics:
             behind = self._follower.behind(times_s)
             angle_deg = angle_deg - options.creep_fraction * behind.angle_deg
             rate_dps = rate_dps - options.creep_fraction * behind.rate_dps
+        angle_deg, rate_dps = self._detained(angle_deg, rate_dps)
         turns = 2 * np.pi / options.worm_period_deg
         phase = turns * angle_deg + np.radians(options.worm_phase_deg)
         ratio = 1 + 0.01 * options.scale_error_pct
@@ -136,6 +140,25 @@ class Mechanics:
             ratio * angle_deg + options.worm_deg * np.sin(phase),
             rate_dps * (ratio + options.worm_deg * turns * np.cos(phase)),
         )
+
+    def _detained(self, angle_deg: FloatArray, rate_dps: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Where the currents hold the rotor against its detents.
+
+        Four full steps are a cycle φ of the currents, and the detents have four to it: the rotor rests where
+        sin(φ − φ₀) + share·sin 4φ = 0 (Kenjo & Sugawara, Stepping Motors, 1994, chapter 3).
+        """
+        share = self._options.detent_share
+        if not share:
+            return angle_deg, rate_dps
+        cycle_deg = 4.0 * self._options.motor_step_deg
+        commanded = 2.0 * np.pi * angle_deg / cycle_deg
+        phi = commanded
+        for _ in range(DETENT_STEPS):
+            held, detents = np.sin(phi - commanded), share * np.sin(4.0 * phi)
+            phi = phi - (held + detents) / (np.cos(phi - commanded) + 4.0 * share * np.cos(4.0 * phi))
+        stiffness = np.cos(phi - commanded)
+        follows = stiffness / (stiffness + 4.0 * share * np.cos(4.0 * phi))
+        return phi * cycle_deg / (2.0 * np.pi), rate_dps * follows
 
     def _encoder(self, times_s: FloatArray) -> FloatArray:
         seen = self._motor.at(times_s) if self._options.encoder_on == "motor" else self._geared(times_s)

@@ -150,6 +150,17 @@ def periodic(size_deg: float) -> Draw:
     return draw
 
 
+def motor_steps(step_deg: float, detent_share: float) -> Draw:
+    """A microstepped motor that its detents hold off: a wave of its full step at the table."""
+
+    def draw(rng: np.random.Generator, when: Timeline) -> Cause:
+        options = {"mechanics": {"motor_step_deg": step_deg, "detent_share": detent_share}}
+        size_deg = detent_share * step_deg * 2.0 / math.pi
+        return Cause("stage_periodic", "stage", "target_deg", options, parameters={"amplitude_deg": size_deg})
+
+    return draw
+
+
 def settling(share: float) -> Draw:
     """A filter too slow for the settling time, or a mount that creeps; about `share` of a move is missing."""
 
@@ -322,6 +333,7 @@ CELLS = {
         Cell("askew by 5°, 2° out of level", "one", (askew(5.0, 2.0),)),
         Cell("slip 0.12°", "one", (slip(0.12),)),
         Cell("periodic 0.06°", "one", (periodic(0.06),), JITTER_DEG),
+        Cell("motor steps of 1.8°", "one", (motor_steps(1.8, 0.08),), JITTER_DEG),
         Cell("settling 1 %", "one", (settling(0.01),), JITTER_DEG),
         Cell("offset 2.1 mg", "one", (offset(2.1),)),
         Cell("offset 2.1 mg any axis", "one", (offset_anywhere(2.1),)),

@@ -1,4 +1,4 @@
-"""Periods of a stage: orders of the full turn, periods that the spacing confuses, and how well each is known."""
+"""Periods of a stage: orders of the turn, periods that the spacing confuses, how well each is known."""
 
 from __future__ import annotations
 

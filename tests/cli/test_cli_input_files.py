@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import resource
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
-from command_line import reason
+from command_line import calrig, reason
+
+from calrig.calibration.pose import COLUMNS
 
 LARGE, ROOM = 2_000_000_000, 1_000_000_000
 """Bytes: of the file, and what is left to the process."""
@@ -38,3 +41,25 @@ def test_a_file_of_two_gigabytes_is_not_read(folder, little_memory, command):
         opened.write(b"target_deg,reading_deg,accel_x_g\n1,2,3\n")
         opened.truncate(LARGE)  # sparse: it takes no room
     assert "large.csv: has more than" in reason(*command, status=2)
+
+
+@pytest.mark.parametrize("command", ["import", "diagnose", "gravity", "noise", "filters"])
+def test_help_of_what_takes_a_file_says_where_its_columns_are_told(command):
+    said = " ".join(calrig(command, "--help").stdout.replace("│", " ").split())
+    assert "calrig/docs/poses.md" in said
+
+
+def test_every_column_that_poses_and_logs_may_have_is_told():
+    told = files("calrig").joinpath("docs/poses.md").read_text(encoding="utf-8")
+    logged = [
+        f"{sensor}_{axis}_{unit}" for sensor, unit in (("accel", "g"), ("gyro", "dps")) for axis in "xyz"
+    ]
+    assert [name for name in (*COLUMNS, *logged, "velocity_dps") if f"`{name}`" not in told] == []
+
+
+def test_a_missing_column_is_told_with_those_that_are_there(folder):
+    (folder / "poses.csv").write_text("tilt_deg;reading_deg;lux\n1;2;3\n")
+    said = reason("diagnose", "poses.csv", status=2)
+    assert "column target_deg: there is no such column; there are: tilt_deg, reading_deg, lux" in said
+    (folder / "log.csv").write_text("time_s\taccel_z_g\n0\t1\n0.1\t1\n")
+    assert "gravity needs all three axes; there are: accel_z_g" in reason("gravity", "log.csv", status=2)

@@ -122,6 +122,7 @@ def test_creep_is_a_first_order_lag_of_the_motion():
         {"backlash_deg": 0.5},
         {"eccentricity_deg": 0.4, "eccentricity_phase_deg": 50.0},
         {"worm_deg": 0.05, "worm_period_deg": 7.2},
+        {"detent_share": 0.1, "motor_step_deg": 1.8},
         {"creep_fraction": 0.1, "creep_s": 0.5},
     ],
 )
@@ -151,6 +152,19 @@ def test_the_worm_repeats_every_period_and_vanishes_twice_in_it():
         now_s = stage.move(now_s, target, 90.0, 900.0).at_s
         errors_deg.append(stage.table(np.array([now_s])).angle_deg[0] - target)
     np.testing.assert_allclose(errors_deg, [0, 0.04, 0, -0.04, 0, 0.04], atol=1e-12)
+
+
+def test_detents_hold_a_motor_off_by_a_wave_of_a_full_step():
+    """Balance of torques: to first order by share·step·2/π at most, and not at all on a step."""
+    stage = mechanics(detent_share=0.08, motor_step_deg=1.8)
+    now_s = stage.home(0.0, 90.0, 900.0).at_s
+    off_deg = []
+    for target in np.linspace(0.0, 3.6, 33):
+        now_s = stage.move(now_s, target, 90.0, 900.0).at_s
+        off_deg.append(stage.table(np.array([now_s])).angle_deg[0] - target)
+    assert max(off_deg) == pytest.approx(0.08 * 1.8 * 2.0 / np.pi, rel=0.1)
+    np.testing.assert_allclose(off_deg[:17], off_deg[16:], atol=1e-9)
+    np.testing.assert_allclose(off_deg[::16], 0.0, atol=1e-9)
 
 
 def test_an_encoder_on_the_motor_sees_no_backlash_and_one_on_the_table_does():

@@ -20,16 +20,18 @@ AS_SCANNED = np.geomspace(0.4, 2.5, 9)
 FINER = (np.linspace(0.8, 1.25, 19), np.linspace(0.98, 1.02, 9))
 """Of the delay that a straight line through the errors against the velocity tells; of the one that leads."""
 CONSISTENT = 3.0
-"""The delay that is fitted, and the time over which the velocity was averaged, differ by no larger factor."""
+"""Times the delay over which the velocity was averaged, a fitted one is another: two terms that cancel.
+Smaller ones and those of the other sign are allowed, as noise has them: the gate counts on it.
+"""
 
 LARGEST_DELAY_S = 10.0
 """Beyond it readings are of another pose."""
 
 
 def _velocity_dps(r: Responses) -> FloatArray | None:
-    if "velocity_dps" in r.covariates:
-        return r.covariates["velocity_dps"]
-    return None if r.motion is None else r.motion.velocity_dps
+    if r.motion is not None:
+        return r.motion.velocity_dps
+    return r.covariates.get("velocity_dps")
 
 
 VELOCITY = Covariate("velocity", "velocity", "°/s", _velocity_dps)
@@ -76,7 +78,7 @@ def _possible(shape: Shape, beta: FloatArray) -> bool:
     lag_s = shape.at.get("over_s")
     if abs(float(beta[0])) > LARGEST_DELAY_S:
         return False
-    return not lag_s or 1.0 / CONSISTENT <= float(beta[0]) / lag_s <= CONSISTENT
+    return not lag_s or abs(float(beta[0])) <= CONSISTENT * abs(lag_s)
 
 
 EFFECT = Effect(

@@ -1,4 +1,4 @@
-"""A scale or a mount off the stage's axis of rotation: order 1 of the full turn, whatever the poses' range."""
+"""A scale or a mount off the stage's axis of rotation: order 1 of the turn at any range of poses."""
 
 from __future__ import annotations
 

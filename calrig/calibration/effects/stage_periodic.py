@@ -64,7 +64,7 @@ def _scanned(theta_deg: FloatArray, arc: float) -> FloatArray:
 
 
 def _left_beside(base: FloatArray, theta_deg: FloatArray, periods: FloatArray) -> FloatArray:
-    """Share of a wave's power that columns (n, p) leave of it at its worst phase, for each of m periods (m,)."""
+    """Share of a wave's power that columns (n, p) leave of it at its worst phase, for m periods (m,)."""
     basis, _ = np.linalg.qr(base[:, base.any(axis=0)])
     phase = 2.0 * np.pi * theta_deg[:, None] / periods
     sines, cosines = (w - basis @ (basis.T @ w) for w in (np.sin(phase), np.cos(phase)))
@@ -152,7 +152,7 @@ EFFECT = Effect(
     on_reading_deg=lambda p: wave_deg(p, p.theta_deg / p.value("period_deg", None)),
     in_c=NotInFlight("it belongs to the rig's stage"),
     apart="its period: jittered elevations tell the periods apart that an even spacing confuses",
-    remedy="correct by the rig error map; look at the worm and its preload, at the motor's steps or the scale",
+    remedy="correct by the rig error map; look at the worm, its preload, the motor's steps",
     reported=amplitude_and_phase,
     possible=_possible,
     place="period_deg",

@@ -5,11 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from calrig.calibration.effect import TEMPERATURE, Effect, Parameter, Parameters, Shape
-from calrig.calibration.effect_terms import c_literal, c_warmer, tilted, turns, warmer_c, within
+from calrig.calibration.effect_terms import c_literal, c_warmer, tilted, turns, warmer_c
 from calrig.calibration.responses import Responses
-
-LARGEST_PER_C = 0.01
-"""MPU-6050 data sheet PS-MPU-6000A-00 rev. 3.4, section 6.2: ±0.02 %/°C; fifty times as much."""
 
 
 def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
@@ -35,5 +32,4 @@ EFFECT = Effect(
     in_c=lambda p: f"{c_literal(p.get('per_c', 0.0))} * {c_warmer(p)} * theta",
     apart="grows with elevation and temperature together",
     remedy="wait until the unit is warm, or correct by its own thermometer",
-    possible=within(per_c=LARGEST_PER_C),
 )

@@ -32,9 +32,8 @@ from calrig.calibration.effect import (
     Parameter,
     Parameters,
     Shape,
-    size_deg,
 )
-from calrig.calibration.effect_terms import amplitude_and_phase, tilted, turned, turns
+from calrig.calibration.effect_terms import amplitude_and_phase, size_deg, tilted, turned, turns
 from calrig.calibration.responses import MOVE, Responses
 from calrig.estimation.angles import FloatArray
 

@@ -1,0 +1,49 @@
+"""A stated standard error is what the estimate scatters by."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from blind.cells import Cell, eccentricity
+
+from calrig.calibration.candidates import documented_forms
+from calrig.calibration.effect_terms import amplitude_and_phase
+from calrig.calibration.responses import responses_of
+from calrig.calibration.sensor_model import fitted_model
+from calrig.calibration.standard_errors import covariance_of
+
+
+@pytest.mark.statistical
+def test_the_amplitude_of_an_eccentricity_is_off_by_what_its_standard_error_says():
+    """Its sine is as good as the scale within ±60°, and its noise was estimated from 100 poses."""
+    pulls = []
+    for seed in range(60):
+        r = responses_of([Cell("eccentric", "one", (eccentricity(0.3),)).run(seed).poses])
+        (wave,) = documented_forms(
+            r, "stage_eccentricity", "target_deg", {"amplitude_deg": 0.3, "phase_deg": 0.0}
+        )
+        model = fitted_model(r, [wave])
+        covariance = covariance_of(model.responses, model.columns, model.fitted)
+        stated = wave.effect.documented(wave.shape, model.fitted.beta[-2:], covariance[-2:, -2:])
+        pulls.append((stated["amplitude_deg"]["value"] - 0.3) / stated["amplitude_deg"]["std"])
+    # of 60 pulls the root mean square scatters by 0.09
+    assert math.sqrt(np.mean(np.square(pulls))) == pytest.approx(1.0, abs=0.3)
+
+
+def test_what_lies_across_a_wave_lengthens_it_and_its_amplitude_is_no_better_known():
+    rng = np.random.default_rng(1)
+    covariance = np.diag([0.001**2, 0.06**2])
+    drawn = np.array([0.3, 0.0]) + rng.normal(0.0, [0.001, 0.06], (4000, 2))
+    true_error = math.sqrt(np.mean((np.hypot(*drawn.T) - 0.3) ** 2))
+
+    stated = amplitude_and_phase(None, np.array([0.3, 0.0]), covariance)
+
+    assert stated["amplitude_deg"]["std"] == pytest.approx(true_error, rel=0.1)
+    assert true_error > 8.0 * 0.001
+
+
+def test_a_phase_of_which_nothing_is_known_has_the_spread_of_a_whole_turn():
+    stated = amplitude_and_phase(None, np.array([0.01, 0.0]), np.diag([1.0, 1.0]))
+    assert stated["phase_deg"]["std"] == pytest.approx(180.0 / math.sqrt(3.0))
