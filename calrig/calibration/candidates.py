@@ -15,6 +15,8 @@ from calrig.estimation.angles import FloatArray
 
 LEAST_TURN_DEG = 330.0
 """Poses over such an arc go round: the orders of a turn come apart."""
+MOST_COLUMNS = 0.2
+"""To a pose, of a series offered as one: more of them explain any poses at all."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,7 +116,7 @@ def _series(r: Responses, shown: Sequence[Candidate]) -> list[Candidate]:
         before = joined[-1] if joined else None
         columns = term.columns if before is None else np.concatenate([before.columns, term.columns], axis=2)
         joined.append(Candidate(term.effect, term.shape, columns, before))
-    return joined[1:]
+    return [c for c in joined[1:] if c.columns.shape[2] <= MOST_COLUMNS * len(r)]
 
 
 def rebuilt(candidate: Candidate, r: Responses, form: str | None = None) -> Candidate | None:

@@ -74,7 +74,8 @@ def diagnose(
     kept, outliers = _parted(whole, findings)
     left = findings.responses
     findings = replace(findings, found=standing_without_one(left, findings.found))
-    held_out, blocks = None, ()
+    held_out: CrossValidation | None = None
+    blocks: tuple[Blocked, ...] = ()
     if cross_fit:
         of_kept = [c.rows(findings.kept) for c in candidates]
         held_out = cross_validate(left, of_kept, rng)

@@ -14,6 +14,8 @@ from calrig.calibration.effects import EFFECTS, UNNAMED, covariate_of
 from calrig.calibration.lack_of_fit import SEVERAL
 
 Document = Mapping[str, Any]
+ELSEWHERE = "the same at another period"
+"""An effect that is confusable with itself: only the spacing of the poses could tell."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +145,8 @@ def _title(effect: Document) -> str:
 
 
 def _suspects(effect: Document) -> str:
-    return " or ".join(name.replace("_", " ") for name in (effect["name"], *effect["confusable_with"]))
+    others = (ELSEWHERE if name == effect["name"] else name for name in effect["confusable_with"])
+    return " or ".join(name.replace("_", " ") for name in (effect["name"], *others))
 
 
 def _confirmation(fresh: Document, decided: int | None, *, confirmed: bool) -> str:

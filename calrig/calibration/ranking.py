@@ -45,6 +45,7 @@ class Found:
         considered: how far behind the best each label came.
         runners_up: the best candidate of each other name that came near enough for a pose to matter.
         doubts: why it is claimed no more than it is, in sentences.
+        alike: the same effect at other places that explain these poses as well, likely or not.
     """
 
     candidate: Candidate
@@ -54,6 +55,7 @@ class Found:
     considered: tuple[tuple[str, float], ...] = ()
     runners_up: tuple[Candidate, ...] = ()
     doubts: tuple[str, ...] = ()
+    alike: tuple[Candidate, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -95,8 +97,9 @@ def named(
     staying = [c for c in named if incumbent is not None and _is_same_term(c, incumbent)]
     claimed = (staying or named or near)[0]
     rivals = _rivals(ranked, claimed) if claimed.named else ()
+    alike: tuple[Candidate, ...] = ()
     if claimed.effect.place and claimed.beside is None:
-        claimed, *others = _alike(r, accepted, claimed)
+        (claimed, *others), alike = _alike(r, accepted, claimed)
         rivals = (*others, *rivals)
     own = min(criterion for criterion, c in ranked if c.label == claimed.label)
     rest = [criterion for criterion, c in ranked if c.label != claimed.label and c.named]
@@ -105,7 +108,8 @@ def named(
     for criterion, c in ranked:
         considered.setdefault(c.label, round(max(criterion - best, 0.0), 2))
     runners_up = _runners_up(ranked, claimed)
-    return Found(claimed, rivals, p_value, float(lead), tuple(considered.items()), runners_up)
+    told = tuple(considered.items())
+    return Found(claimed, rivals, p_value, float(lead), told, runners_up, alike=alike)
 
 
 def _runners_up(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> tuple[Candidate, ...]:
@@ -140,10 +144,13 @@ def _rivals(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> tu
     return tuple(others.values())
 
 
-def _alike(r: Responses, accepted: Sequence[Candidate], claimed: Candidate) -> list[Candidate]:
-    """The claimed one at its best place, and the same at places that these poses cannot tell from it.
+def _alike(
+    r: Responses, accepted: Sequence[Candidate], claimed: Candidate
+) -> tuple[list[Candidate], tuple[Candidate, ...]]:
+    """The claimed one at its best place with its rivals at others, and all that explain these poses as well.
 
-    The largest of equals comes first: a long period before those that only the spacing makes of it.
+    The largest of equals comes first: a long period before those that only the spacing makes of it. A place
+    known beforehand, such as an order of the turn, is likelier than one among many by what a scan costs.
     """
     effect = claimed.effect
     best, own = refined(r, accepted, claimed)
@@ -152,14 +159,16 @@ def _alike(r: Responses, accepted: Sequence[Candidate], claimed: Candidate) -> l
         for shape in effect.forms(r, at):
             fitted, other = refined(r, accepted, candidate_of(r, effect, shape))
             others = [*accepted, *(c for _, c in found)]
-            apart = all(
-                effect.distinct(r, other.shape, c.shape) for c in others if c.effect.place == effect.place
-            )
+            apart = all(effect.distinct(r, other.shape, c.shape) for c in others)
             if apart and other.is_possible(fitted.beta[-other.columns.shape[2] :]):
                 found.append((fitted.criterion, other))
     least = min(criterion for criterion, _ in found)
-    near = [c for criterion, c in found if criterion - least < MARGIN]
-    return sorted(near, key=lambda c: -c.shape.at[effect.place])
+    equal = [c for criterion, c in found if criterion - least < MARGIN]
+    penalised = [(criterion + np.log(len(r)) * c.parameters, c) for criterion, c in found]
+    likeliest = min(criterion for criterion, _ in penalised)
+    near = [c for criterion, c in penalised if criterion - likeliest < MARGIN]
+    near = sorted(near, key=lambda c: -c.shape.at[effect.place])
+    return near, tuple(c for c in equal if c is not near[0])
 
 
 def pair(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,24 +12,40 @@ import numpy as np
 from calrig.calibration.candidates import Candidate, rebuilt
 from calrig.calibration.effects import UNNAMED
 from calrig.calibration.model import own_columns
-from calrig.calibration.noise_model import Fit
+from calrig.calibration.noise_model import Fit, fit
+from calrig.calibration.places import slope
 from calrig.calibration.ranking import FAR_BEHIND, MARGIN, Found
 from calrig.calibration.responses import CHANNELS, Responses
 from calrig.calibration.search import Findings
-from calrig.calibration.sensor_model import fitted_model
+from calrig.calibration.sensor_model import Model, fitted_model
 from calrig.calibration.standard_errors import covariance_of
+from calrig.estimation.angles import FloatArray
 
 
 def effect_documents(r: Responses, findings: Findings) -> list[dict[str, Any]]:
     """Each effect found, with parameters from a fit of all of them together."""
     whole = [_whole_form(r, f.candidate) for f in findings.found]
     model = fitted_model(r, whole)
-    covariance = covariance_of(model.responses, model.columns, model.fitted)
-    fitted, own = replace(model.fitted, covariance=covariance), own_columns(model.columns, whole)
+    own = own_columns(model.columns, whole)
+    fitted = replace(model.fitted, covariance=_covariance(model, own))
     return [
         {**_document(r, one, candidate, fitted, at), "least_p_value": findings.least_p_value}
         for one, candidate, at in zip(findings.found, whole, own, strict=True)
     ]
+
+
+def _covariance(model: Model, own: Sequence[slice]) -> FloatArray:
+    """That of the coefficients, with what the places add that were refined and may lie a little elsewhere."""
+    slopes = [
+        slope(model.responses, candidate, model.fitted.beta[at])
+        for candidate, at in zip(model.accepted, own, strict=True)
+        if candidate.effect.place in candidate.shape.at_std
+    ]
+    r, columns, fitted = model.responses, model.columns, model.fitted
+    if slopes:
+        columns = np.concatenate([columns, *slopes], axis=2)
+        fitted = fit(r, columns)
+    return covariance_of(r, columns, fitted)
 
 
 def model_words(findings: Findings) -> str:
@@ -83,13 +100,13 @@ def _why(found: Found, label: str, behind: float) -> str:
 def _same_elsewhere(found: Found, candidate: Candidate) -> list[str]:
     """The same effect at other places that these poses cannot tell from its own."""
     place = candidate.effect.place
-    values = [rival.shape.at[place] for rival in found.rivals if rival.name == candidate.name]
+    values = sorted((other.shape.at[place] for other in found.alike), reverse=True)
     if not values:
         return []
     parameter = next(p for p in candidate.effect.parameters if p.name == place)
     listed = ", ".join(f"{value:.4g}{parameter.unit}" for value in values)
     own = f"{candidate.shape.at[place]:.4g}{parameter.unit}"
-    return [f"{parameter.title.lower()}: these poses cannot tell {own} from {listed}; space them unevenly"]
+    return [f"a {parameter.title.lower()} of {listed} would look the same as {own} at these poses"]
 
 
 def _evidence(r: Responses, found: Found, candidate: Candidate) -> list[str]:

@@ -75,6 +75,8 @@ class Responses:
         base_names: of the p columns, such as `reading.bias`, `gyro_move.gain`, `reading.first`.
         kappa: (n,) share of a gyro scale error times the move that the filter still shows.
         rounding: (J,) what arithmetic alone may leave of each response: below it there is nothing to judge.
+        across_g: (n,) acceleration along the stage's axis, where the accelerometer has a third one. It says
+            how far askew a unit sits, as each does: no response, for it would name effects that are none.
     """
 
     theta_deg: FloatArray
@@ -93,6 +95,7 @@ class Responses:
     kappa: FloatArray
     rounding: FloatArray
     warnings: tuple[str, ...] = field(default=())
+    across_g: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.theta_deg)
@@ -117,6 +120,7 @@ class Responses:
             known=self.known[chosen],
             base=self.base[chosen],
             kappa=self.kappa[chosen],
+            across_g=pick(self.across_g),
         )
 
     def columns(self, shares: Mapping[str, FloatArray]) -> FloatArray:
@@ -187,6 +191,7 @@ def responses_of(runs: Sequence[Sequence[Pose]]) -> Responses:
         kappa=filter_share(poses),
         rounding=len(poses) * float(np.finfo(np.float64).eps) * np.array(table.sizes),
         warnings=(*warnings, *said),
+        across_g=column_of(poses, "accel_x_g"),
     )
 
 

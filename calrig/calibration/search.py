@@ -13,7 +13,7 @@ from calrig.calibration.candidates import Candidate
 from calrig.calibration.effect import HIDDEN
 from calrig.calibration.gate import Verdict, gate
 from calrig.calibration.model import model_columns
-from calrig.calibration.noise_model import Fit
+from calrig.calibration.noise_model import Fit, fit
 from calrig.calibration.outliers import most_outliers, outlier
 from calrig.calibration.ranking import Found, named, pair
 from calrig.calibration.responses import READING, Responses
@@ -24,11 +24,13 @@ from calrig.estimation.angles import FloatArray
 
 LEVEL = 0.01
 """The nominal rate at which a search of noise alone says something."""
-MOST_EFFECTS, MOST_TERMS = 5, 16
-"""A series, such as the orders of a turn, is one effect of several terms."""
+MOST_EFFECTS, MOST_COLUMNS = 5, 0.35
+"""A series, such as the orders of a turn, is one effect of several terms; so many columns to a pose at most."""
 FREEDOM = 3
 LEAST_SHARE = 0.05
 """An effect whose part of the reading is smaller than this share of its noise is not worth a correction."""
+LEAST_STANDARD_ERRORS = 4.0
+"""Of the parameters that reach the reading, together: an effect is not named for what a witness alone shows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +94,7 @@ def search(
             least = 1.0 / (bootstraps + 1)
             return Findings(r, kept, tuple(found), model.fitted, model.columns, verdict.p_value, least)
         step = named(r, accepted, verdict.candidates, verdict.ratios, verdict.p_value)
-        if _share_of_reading(r, accepted, step.candidate) < LEAST_SHARE:
+        if not _is_worth_a_name(r, accepted, step):
             refused.add(step.candidate.label)
             continue
         if step.candidate.beside is not None and not all(
@@ -124,9 +126,12 @@ def search(
 
 def _is_full(accepted: Sequence[Candidate]) -> bool:
     """Whether the model has as many effects as a run is searched for."""
+    if not accepted:
+        return False
     series = {c.shape.series for c in accepted if c.shape.series}
     alone = sum(not c.shape.series for c in accepted)
-    return len(series) + alone >= MOST_EFFECTS or len(accepted) >= MOST_TERMS
+    columns = sum(c.columns.shape[2] for c in accepted)
+    return len(series) + alone >= MOST_EFFECTS or columns > MOST_COLUMNS * len(accepted[0].columns)
 
 
 def _offered(
@@ -179,11 +184,24 @@ def _reconsidered(r: Responses, candidates: Sequence[Candidate], found: list[Fou
     return found
 
 
-def _share_of_reading(r: Responses, accepted: Sequence[Candidate], candidate: Candidate) -> float:
-    """What a candidate adds to the reading, bias and scale taken off, over the reading's noise."""
-    fitted = fitted_model(r, [*accepted, candidate]).fitted
-    width = candidate.columns.shape[2]
-    part = candidate.columns[:, 0, :] @ fitted.beta[-width:]
+def _is_worth_a_name(r: Responses, accepted: Sequence[Candidate], step: Found) -> bool:
+    """Whether what a step adds to the reading, bias and scale taken off, is worth a correction, and sure.
+
+    What a witness alone shows, names no effect of the reading: parameters that reach the reading are some
+    standard errors large, and where the effect is named, the reading is not left worse than without it.
+    """
+    candidate = step.candidate
+    before = fit(r, model_columns(r, accepted))
+    fitted = fit(r, model_columns(r, [*accepted, candidate]))
+    own = np.arange(-candidate.columns.shape[2], 0)
+    part = candidate.columns[:, 0, :] @ fitted.beta[own]
     line = np.column_stack([np.ones(len(r)), r.theta_deg])
     part = part - line @ np.linalg.lstsq(line, part, rcond=None)[0]
-    return float(part.std() / np.hypot(fitted.residuals[:, 0].std(), r.rounding[0]))
+    left_deg, left_before_deg = (
+        float(np.hypot(one.residuals[:, 0].std(), r.rounding[0])) for one in (fitted, before)
+    )
+    reaching = own[np.ptp(candidate.columns[:, 0, :], axis=0) > 0.0]
+    beta, covariance = fitted.beta[reaching], fitted.covariance[np.ix_(reaching, reaching)]
+    sure = float(np.sqrt(beta @ np.linalg.pinv(covariance, hermitian=True) @ beta))
+    helps = step.verdict != "named" or left_deg <= left_before_deg
+    return part.std() >= LEAST_SHARE * left_deg and sure >= LEAST_STANDARD_ERRORS and helps

@@ -146,8 +146,7 @@ class _Curve:
             for member, at in zip(self._members, self._member_at, strict=True)
             if member.effect.origin in TURNS_THE_SENSOR
         ]
-        felt[:, bound] = self._straight[:, 0, bound]
-        for at in turns:
+        for at in [*(slice(k, k + 1) for k in bound), *turns]:
             felt[:, at] = self._straight[:, 0, at]
         if NORM in self._r.channels:
             size[:, bound] = self._straight[:, self._r.channels.index(NORM), bound]

@@ -25,7 +25,8 @@ def spectral_window(theta_deg: FloatArray, highest: float) -> tuple[FloatArray, 
     window = np.fft.rfft(counts, length)
     frequencies = np.fft.rfftfreq(length, bin_deg)
     wanted = frequencies <= highest
-    return frequencies[wanted], np.abs(window[wanted] / len(theta_deg)) ** 2
+    power = np.abs(window[wanted] / len(theta_deg)) ** 2
+    return np.asarray(frequencies[wanted], dtype=np.float64), np.asarray(power, dtype=np.float64)
 
 
 def window_peaks(theta_deg: FloatArray, highest: float, least: float) -> tuple[FloatArray, FloatArray]:

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from calrig.calibration.diagnosis_verdict import ELSEWHERE
+
 CONFIDENCE = 0.99
 """Noise alone is accused of leaving more than noise in one run of a hundred, as by the diagnosis' gate."""
 FEW_POSES = 6
@@ -170,7 +172,8 @@ def _diagnosed(diagnosis: Document | None, left: str | None) -> list[str]:
 def _found(effect: Document) -> str:
     if effect["verdict"] == "unnamed":
         return "The diagnosis finds an effect that is not in its catalogue."
-    names = [name.replace("_", " ") for name in (effect["name"], *effect["confusable_with"])]
+    rivals = (ELSEWHERE if name == effect["name"] else name for name in effect["confusable_with"])
+    names = [name.replace("_", " ") for name in (effect["name"], *rivals)]
     if effect["verdict"] == "named":
         return f"The diagnosis names {names[0]}, which has not been accepted."
     return f"The diagnosis cannot distinguish {' from '.join(names)}."

@@ -9,6 +9,7 @@ import numpy as np
 
 from calrig.estimation.angles import FloatArray, wrap_deg
 from calrig.noise.allan import AllanCurve, allan_curve
+from calrig.noise.at_rest import LEAST_TURN_DEG, turn_deg
 from calrig.noise.coefficients import Coefficients, coefficients
 from calrig.noise.colour import Colour, colour_of
 from calrig.noise.distribution import Distribution, distribution_of
@@ -60,7 +61,7 @@ class Noise:
         duration_s: of the log, gaps included.
         gaps: how often samples were missing.
         not_finite: samples left out since one of their values was not known.
-        notes: what was done to put the log's samples on a uniform grid.
+        notes: what was done to put the log's samples on a uniform grid, and whether the sensor moved.
         channels: by name; the log's in its order, then `elevation_deg`.
     """
 
@@ -103,7 +104,19 @@ def analyse(
         analysed[name] = _channel(log, name)
         if progress is not None:
             progress(done / len(names))
-    return Noise(log.rate_hz, log.duration_s, log.gaps, log.not_finite, log.notes, analysed)
+    notes = (*log.notes, *_of_rest(log))
+    return Noise(log.rate_hz, log.duration_s, log.gaps, log.not_finite, notes, analysed)
+
+
+def _of_rest(log: UniformLog) -> tuple[str, ...]:
+    """What is to be said of a log that is not of a sensor at rest."""
+    turn = turn_deg(log.channels, log.rate_hz, log.segments)
+    if turn is None or turn < LEAST_TURN_DEG:
+        return ()
+    return (
+        f"This is no sensor at rest: gravity turns by {turn:.0f}° in it, so what follows is of its motion, "
+        "not of its noise. Cut out a stretch in which it stood still.",
+    )
 
 
 def _channel(log: UniformLog, name: str) -> ChannelNoise:

@@ -28,6 +28,9 @@ CANCELLED = 1e-10
 """Share of a variance below which the digits are gone once a ramp is taken off."""
 MOST_FILTERED = 8
 """Octaves at the short end that may be left out since the sensor's own filter bends the curve there."""
+LONGEST_FILTERED_S = 1.0
+"""And no longer τ: a low-pass of 1 Hz, as slow as sensors have, is all but done with by then. What rises at
+longer τ is a drift, and white noise of its size at long τ would show at short ones."""
 LINE_ERROR = 0.2
 """Share of a spectral line's part in a variance that stays uncertain when it is taken off."""
 
@@ -110,8 +113,9 @@ def _fits(
 
     if whole := fits(used, filtered=False):
         return whole, used
+    filterable = min(MOST_FILTERED, int((curve.tau_s[used] < LONGEST_FILTERED_S).sum()))
     for dropped in range(1, len(used) - MIN_OCTAVES + 1):
-        if dropped <= MOST_FILTERED and fits(used[dropped:], filtered=True):
+        if dropped <= filterable and fits(used[dropped:], filtered=True):
             further = used[min(dropped + 1, len(used) - MIN_OCTAVES) :]  # a filter reaches on unseen
             return fits(further, filtered=True), further
         if short := fits(used[:-dropped], filtered=False):

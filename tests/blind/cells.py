@@ -79,6 +79,21 @@ def creep(deg_per_decade: float) -> Draw:
     return draw
 
 
+def askew(cross_deg: float, tilt_deg: float) -> Draw:
+    """The stage's axis is out of level, and the unit not square to it, either way."""
+
+    def draw(rng: np.random.Generator, when: Timeline) -> Cause:
+        turn = rng.uniform(0.0, 2.0 * math.pi)
+        options = {
+            "yaw_deg": cross_deg * math.cos(turn),
+            "pitch_deg": cross_deg * math.sin(turn),
+            "axis_tilt_deg": tilt_deg * _sign(rng),
+        }
+        return Cause("axis_tilt", "mounting", "target_deg", {"mount": options})
+
+    return draw
+
+
 def gain_tempco(pct_per_c: float) -> Draw:
     """The gain of y moves with temperature, and that of all axes as much again."""
 
@@ -304,6 +319,7 @@ CELLS = {
         Cell("gain tempco 0.11 %/°C", "one", (gain_tempco(0.11),)),
         Cell("drift 0.12°", "one", (drift(0.12),)),
         Cell("creep 0.08° a decade", "one", (creep(0.08),)),
+        Cell("askew by 5°, 2° out of level", "one", (askew(5.0, 2.0),)),
         Cell("slip 0.12°", "one", (slip(0.12),)),
         Cell("periodic 0.06°", "one", (periodic(0.06),), JITTER_DEG),
         Cell("settling 1 %", "one", (settling(0.01),), JITTER_DEG),

@@ -27,6 +27,8 @@ SAMPLES = 20
 FILTER_RATE_HZ = 100.0
 LIMITS_DEG = (-90.0, 90.0)
 WARM_UP_C = 6.0
+ACROSS_MG = 0.3
+"""Noise of the axis along the stage's."""
 
 
 class Timeline(NamedTuple):
@@ -266,6 +268,7 @@ class _Clean:
         columns = dict(nuisance)
         if "supply_v" in _covariates(self._causes):
             columns["supply_v"] = self._environment.supply_v(middle_s)
+        across = self.accel_g[:, 0] + rng.normal(0.0, ACROSS_MG * 1e-3, len(reading))
         sweeps = [pose.sweep for pose in plan.poses(LIMITS_DEG)]
         return [
             Pose(
@@ -276,7 +279,7 @@ class _Clean:
                 time_s=float(middle_s[k] - self.when.move_s[0]),
                 temperature_c=float(die_c[k]),
                 stage_deg=float(self.when.target_deg[k]),
-                accel_x_g=float(self.accel_g[k, 0]),
+                accel_x_g=float(across[k]),
                 accel_y_g=float(norm[k] * math.sin(angle[k])),
                 accel_z_g=float(norm[k] * math.cos(angle[k])),
                 gyro_move_deg=None if k == 0 else float(moved[k]),

@@ -13,6 +13,7 @@ import pytest
 from support import DATA
 
 from calrig.calibration.diagnosis import diagnose, document
+from calrig.calibration.diagnosis_verdict import diagnosis_verdict
 from calrig.calibration.pose import DiagnosisError, Pose
 from calrig.export.poses_csv import read_poses
 
@@ -82,6 +83,25 @@ def test_a_drift_at_one_angle_is_found() -> None:
     stated = effect["parameters"]["deg_per_s"]
     assert effect["name"] == "time_drift"
     assert abs(stated["value"] - 1e-3) < 4 * stated["std"]
+
+
+def test_nothing_found_in_four_times_the_noise_is_said_to_be_that() -> None:
+    """Something wanders from pose to pose, which no effect and no column of the file follows."""
+    rng = np.random.default_rng(9)
+    wander_deg = np.zeros(100)
+    for k in range(1, 100):
+        wander_deg[k] = 0.7 * wander_deg[k - 1] + rng.normal(0.0, 0.1)
+    poses = [
+        replace(p, reading_deg=p.reading_deg + float(off), reading_stderr_deg=NOISE_DEG)
+        for p, off in zip(run_of(sweeps()), wander_deg, strict=True)
+    ]
+    said = told(poses)
+    assert (said["verdict"], said["noise"]["floor_deg"]) == ("nothing", pytest.approx(NOISE_DEG))
+    (warning,) = said["warnings"]
+    assert warning.startswith("lack of fit: bias and scale leave more than the noise of a pose")
+    answer, *_ = diagnosis_verdict({**said, "confirmed_by": None}).says
+    assert "more is left than the noise of a pose" in answer
+    assert "consistent with noise" not in answer
 
 
 CONSTANT: dict[str, Callable[[list[Pose]], list[Pose]]] = {

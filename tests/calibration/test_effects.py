@@ -74,6 +74,7 @@ class Cause:
     reading_deg: object = still
     y_turns_deg: object = still
     imu: dict = dataclasses.field(default_factory=dict)
+    mount: dict = dataclasses.field(default_factory=dict)
     gyro_gain: float = 0.0
     truth: dict = dataclasses.field(default_factory=dict)
     looks_like: tuple = ()
@@ -131,6 +132,10 @@ CAUSES = {
     "time_drift": Cause(sensor_deg=lambda h: 3e-4 * h.time_s, truth={"deg_per_s": 3e-4}),
     "mount_slip": Cause(sensor_deg=steps_of, truth={"step_deg": 0.15}),
     "mount_creep": Cause(sensor_deg=lambda h: crept_deg(h, 0.08), truth={"deg_per_decade": 0.08}),
+    "axis_tilt": Cause(
+        mount={"yaw_deg": 5.0, "axis_tilt_deg": 2.0},
+        truth={"amplitude_deg": math.degrees(math.radians(5.0) ** 2 / 4), "phase_deg": 180.0},
+    ),
     "settling": Cause(reading_deg=lambda h: -0.003 * h.move_deg, truth={"fraction": 0.003}),
     "gyro_scale": Cause(gyro_gain=0.05, truth={"gain_pct": 5.0}, looks_like=("settling",)),
     "latency": Cause(sensor_deg=lambda h: -0.02 * h.velocity_dps, truth={"delay_s": 0.02}),
@@ -156,8 +161,8 @@ def measured(name, seed):
     here = Circumstance(theta, np.sign(move), time_s, warmer_c, move, velocity)
     table = theta + cause.table_deg(here)
     turned = np.radians(table + cause.sensor_deg(here))
-    force = np.column_stack([np.zeros(N_POSES), np.sin(turned), np.cos(turned)])
-    force[:, 1] = np.tan(turned + np.radians(cause.y_turns_deg(here))) * np.cos(turned)
+    force = Mount(MountOptions(**cause.mount)).specific_force_g(np.degrees(turned))
+    force[:, 1] += (np.tan(turned + np.radians(cause.y_turns_deg(here))) - np.tan(turned)) * np.cos(turned)
     around = Surroundings(25.0 + warmer_c, 25.0 + warmer_c, np.zeros(N_POSES))
     accel = Imu(ImuOptions(reference_c=25.0, **cause.imu)).accel_g(force, around)
     noise = rng.normal(0.0, NOISE_DEG, N_POSES)
@@ -166,6 +171,7 @@ def measured(name, seed):
     reading = elevation + cause.reading_deg(here) + cause.gyro_gain * shown_by_the_filter() * move + noise
     seen = np.radians(elevation + 0.87 * noise + rng.normal(0.0, 0.5 * NOISE_DEG, N_POSES))
     felt = (1.0 + cause.gyro_gain) * np.diff(table, prepend=0.0) + rng.normal(0.0, 0.02, N_POSES)
+    across = accel[:, 0] + rng.normal(0.0, 3e-4, N_POSES)
     extra = {"velocity_dps": velocity} if name == "latency" else {}
     return [
         Pose(
@@ -174,7 +180,7 @@ def measured(name, seed):
             approach=int(here.approach[k]),
             time_s=float(time_s[k]),
             temperature_c=25.0 + float(warmer_c[k]),
-            accel_x_g=0.0,
+            accel_x_g=float(across[k]),
             accel_y_g=float(size[k] * math.sin(seen[k])),
             accel_z_g=float(size[k] * math.cos(seen[k])),
             gyro_move_deg=float(felt[k]),

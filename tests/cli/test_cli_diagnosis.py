@@ -33,7 +33,7 @@ def test_a_file_is_diagnosed_and_a_run_made_of_it_likewise(warming):
     shown = calrig("diagnose", "1").stdout
     assert shown.startswith("named: reading = bias + scale·θ + temperature_bias")
     before, after = (f"{of_file[model]['held_out_rms_deg']:.4f}°" for model in ("base", "final"))
-    assert re.search(rf"held-out poses │ +{before} │ +{after}", shown)
+    assert re.search(rf"held-out poses +│ +{before} │ +{after}", shown)
 
 
 def test_gravity_finds_that_the_axes_are_not_square(folder):

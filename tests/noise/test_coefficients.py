@@ -183,6 +183,38 @@ def test_a_warm_up_costs_the_white_noise_nothing_and_is_no_steady_ramp():
     assert found.white.value == pytest.approx(1.0, rel=0.02)
 
 
+def chamber(seed, rate_hz, size):
+    """71 minutes of a part that follows a chamber through cold and heat, with white noise of N = 1."""
+    time_s = np.arange(71.0 * 60.0 * rate_hz) / rate_hz
+    air_c = np.interp(time_s, [0.0, 1100.0, 2800.0, 4260.0], [51.0, -17.0, 74.0, 0.0])
+    decay = math.exp(-1.0 / (200.0 * rate_hz))
+    body_c = lfilter([1.0 - decay], [1.0, -decay], air_c - air_c[0])
+    return size * body_c + math.sqrt(rate_hz) * np.random.default_rng(seed).standard_normal(len(time_s))
+
+
+def naive_deviation(values, m):
+    """The overlapping Allan deviation as it is defined: of means of m neighbours, one after the other."""
+    means = np.convolve(values, np.ones(m) / m, "valid")
+    return math.sqrt(np.mean((means[m:] - means[:-m]) ** 2) / 2.0)
+
+
+@pytest.mark.parametrize(("rate_hz", "size"), [(2.0, 0.3), (2.0, 1.2)])
+def test_a_drift_at_long_tau_is_no_white_noise_of_a_filtered_sensor(rate_hz, size):
+    """A drift of 30 to 120 times the noise bends the curve for minutes, which no sensor's filter does."""
+    values = chamber(0, rate_hz, size)
+    found = found_in(values, rate_hz=rate_hz)
+    assert found.white.value == pytest.approx(1.0, rel=0.05)
+    assert found.white.value * math.sqrt(rate_hz) == pytest.approx(naive_deviation(values, 1), rel=0.05)
+
+
+@pytest.mark.parametrize(("rate_hz", "size"), [(1.0 / 15.0, 12.0), (2.0, 12.0), (2.0, 100.0)])
+def test_white_noise_is_never_named_beyond_what_the_shortest_tau_shows(rate_hz, size):
+    values = chamber(1, rate_hz, size)
+    white_found = found_in(values, rate_hz=rate_hz).white
+    longest = naive_deviation(values, 1) / math.sqrt(rate_hz)
+    assert white_found is None or white_found.value <= 1.2 * longest
+
+
 @pytest.mark.statistical
 def test_two_kinds_that_the_log_cannot_tell_apart_are_not_named():
     """Just above the white noise at the very end, flicker and random walk look the same."""

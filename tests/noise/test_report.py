@@ -126,3 +126,13 @@ def test_it_says_how_far_it_is_and_what_was_left_out():
 def test_the_document_is_that_of_the_analysis():
     log = {name: channel for name, channel in still_log(1000).items() if name.startswith("gyro_x")}
     assert noise_document(analyse(log, rate_hz=RATE_HZ)) == report(log, rate_hz=RATE_HZ)
+
+
+def test_a_log_of_a_sensor_that_was_turned_is_said_to_be_no_log_of_noise():
+    turned = still_log(4000)
+    for axis, now in (("y", 0.0), ("z", 1.0)):
+        name = f"accel_{axis}_g"
+        turned[name][2000:] += now - turned[name][2000:].mean()
+    time_s = np.arange(4000) / RATE_HZ
+    assert any("no sensor at rest" in said for said in report(turned, time_s)["summary"])
+    assert not any("no sensor at rest" in said for said in report(still_log(4000), time_s)["summary"])

@@ -27,7 +27,9 @@ LARGEST_DELAY_S = 10.0
 
 
 def _velocity_dps(r: Responses) -> FloatArray | None:
-    return r.covariates.get("velocity_dps", r.motion and r.motion.velocity_dps)
+    if "velocity_dps" in r.covariates:
+        return r.covariates["velocity_dps"]
+    return None if r.motion is None else r.motion.velocity_dps
 
 
 VELOCITY = Covariate("velocity", "velocity", "°/s", _velocity_dps)

@@ -1,8 +1,8 @@
 """A mount that goes on giving way after it was fastened: by as much in each tenfold of the time.
 
 Glue, plastic and bolted joints relax with many time constants, of about equal share in each decade: together
-they creep with the logarithm of time (Andrade, Proc. Royal Society A 84, 1910, for shorter times; Findley, Lai
-& Onaran, Creep and Relaxation of Nonlinear Viscoelastic Materials, 1976, chapter 5).
+they creep with the logarithm of time (Findley, Lai & Onaran, Creep and Relaxation of Nonlinear Viscoelastic
+Materials, 1976, chapter 5).
 """
 
 from __future__ import annotations
@@ -69,6 +69,6 @@ EFFECT = Effect(
     refine=_refine,
     on_reading_deg=_on_reading_deg,
     in_c=NotInFlight("the mount is fastened anew for flight"),
-    apart="fast at first and slower ever after, whatever the temperature does: measure again without touching it",
-    remedy="fasten the mount and wait before measuring, ten times as long as a run takes; or clamp it stiffer",
+    apart="fast at first and ever slower, whatever the temperature does: measure again without touching it",
+    remedy="wait between fastening and measuring, ten times as long as a run takes; or clamp it stiffer",
 )

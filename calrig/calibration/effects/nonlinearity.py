@@ -13,9 +13,12 @@ from calrig.calibration.responses import Responses
 STEEPEST_DEG = 80.0
 """Beyond it a_y says next to nothing of the angle, and tan θ nothing of a_y."""
 
+WIDEST_DEG = 180.0
+"""Over more than half a turn a_y takes each value twice, and a polynomial of θ is not one of a_y."""
+
 
 def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
-    if turns(r):
+    if turns(r) and np.ptp(r.theta_deg) <= WIDEST_DEG:
         angle = np.stack([r.theta_deg**2, r.theta_deg**3], 1)
         # an error of a_y that turns the angle by f lengthens the vector by f·tan θ
         tangent = np.tan(np.radians(np.clip(r.theta_deg, -STEEPEST_DEG, STEEPEST_DEG)))

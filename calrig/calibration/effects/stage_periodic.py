@@ -22,8 +22,8 @@ from calrig.estimation.angles import FloatArray
 TURN_DEG = 360.0
 USUAL_ORDERS = (2, 3, 4, 6, 8, 12, 16)
 """Of the turn: what unequal channels, poles and phases make of an axis. Order 1 is an eccentricity."""
-SHORTEST_PERIOD_DEG = 2.0
-"""Unless the poses lie closer."""
+SHORTEST_PERIOD_DEG = 1.75
+"""Unless the poses lie closer: the full step of a common motor on the axis itself is 1.8°."""
 LEAST_LEFT = 0.3
 """Of a wave's power beside bias and scale, at its worst phase: longer periods are not resolved from them."""
 PLACES, MOST_PLACES, PLACES_A_POSE = (3.0, 2.0), 400, 12.0

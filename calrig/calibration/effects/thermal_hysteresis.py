@@ -8,7 +8,7 @@ temperature came back.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -26,7 +26,6 @@ from calrig.calibration.responses import BoolArray, Responses
 from calrig.estimation.angles import FloatArray
 
 LAGS = 10
-REFINEMENTS = 12
 LARGEST_DEG_PER_C = 1.0
 """Two orders of magnitude above what packages do: more is a lag too short to be seen."""
 
@@ -69,18 +68,6 @@ def _delayed_c(temperature_c: FloatArray, time_s: FloatArray, starts: BoolArray,
     return delayed
 
 
-def _refine(r: Responses, shape: Shape, criterion: Callable[[Shape], float]) -> Shape | None:
-    """The best lag between the neighbours of the one scanned."""
-    if r.time_s is None:
-        return None
-    lags_s = _lags_s(r.time_s, r.starts)
-    if len(lags_s) < 2:
-        return None
-    ratio = float(lags_s[1] / lags_s[0])
-    finer = [shape.at["lag_s"] * ratio**part for part in np.linspace(-1.0, 1.0, REFINEMENTS + 1)]
-    return min((one for lag_s in finer for one in _forms(r, {"lag_s": float(lag_s)})), key=criterion)
-
-
 def _on_reading_deg(p: Applied) -> FloatArray:
     temperature_c, time_s = p.column("temperature_c"), p.column("time_s")
     starts = np.zeros(len(time_s), dtype=bool)
@@ -107,7 +94,7 @@ EFFECT = Effect(
     formula="deg_per_c·(T − D), D the temperature T through a first-order lag of lag_s: lag_s·dD/dt = T − D",
     forms=_forms,
     scan=_scan,
-    refine=_refine,
+    place="lag_s",
     on_reading_deg=_on_reading_deg,
     in_c=NotInFlight(
         "it depends on the temperatures before, and on how heat reaches the unit where it flies"

@@ -1,0 +1,124 @@
+"""Periods of a stage: orders of the full turn, periods that the spacing confuses, and how well each is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calrig.calibration.candidates import candidate_of
+from calrig.calibration.diagnosis import diagnose, document
+from calrig.calibration.effects import EFFECTS
+from calrig.calibration.places import refined
+from calrig.calibration.pose import Pose
+from calrig.calibration.responses import responses_of
+from calrig.calibration.spectral_window import window_peaks
+
+NOISE_DEG = 0.05
+
+
+def measured(targets_deg, waves, rng, *, seconds_a_pose=None):
+    """Poses of a stage whose table is off by waves (period, amplitude, phase), read with noise."""
+    table = targets_deg + sum(a * np.sin(np.radians(360.0 * targets_deg / p + f)) for p, a, f in waves)
+    readings = 0.5 + table + rng.normal(0.0, NOISE_DEG, len(table))
+    return [
+        Pose(
+            target_deg=float(target),
+            reading_deg=float(reading),
+            time_s=None if seconds_a_pose is None else seconds_a_pose * k,
+        )
+        for k, (target, reading) in enumerate(zip(targets_deg, readings, strict=True))
+    ]
+
+
+def effects_in(poses):
+    return document(diagnose([poses], bootstraps=199, cross_fit=False), ["a run"])["effects"]
+
+
+def periods_in(effects):
+    """The period that each effect states, or 360 for what only order 1 explains."""
+    return {e["parameters"].get("period_deg", {"value": 360.0})["value"] for e in effects}
+
+
+def test_four_waves_a_turn_at_irregular_poses_are_order_4_of_the_turn():
+    rng = np.random.default_rng(1)
+    (effect,) = effects_in(measured(np.sort(rng.uniform(0.0, 360.0, 160)), [(90.0, 1.0, 30.0)], rng))
+    assert (effect["name"], effect["verdict"]) == ("stage_periodic", "named")
+    assert effect["parameters"]["period_deg"]["value"] == 90.0
+    assert "order 4 of the turn" in effect["evidence"]
+
+
+def test_a_series_of_more_orders_than_a_search_takes_effects_is_found_whole():
+    rng = np.random.default_rng(2)
+    orders = (1, 2, 3, 4, 8, 12, 16)
+    waves = [(360.0 / k, 0.4, 50.0 * k) for k in orders]
+    effects = effects_in(measured(rng.uniform(0.0, 360.0, 160), waves, rng))
+    assert periods_in(effects) == {360.0 / k for k in orders}
+
+
+def test_orders_at_nearly_even_poses_are_not_taken_for_what_the_spacing_makes_of_them():
+    rng = np.random.default_rng(3)
+    targets = 6.0 * np.arange(60) + rng.uniform(-0.3, 0.3, 60)
+    effects = effects_in(measured(targets, [(90.0, 1.0, 10.0), (45.0, 0.5, 80.0)], rng))
+    assert periods_in(effects) == {90.0, 45.0}
+
+
+def test_a_worm_between_the_steps_of_an_exact_grid_is_one_of_a_set_the_longest_first():
+    """On a grid of 5° the waves of 9° and 11.25° are one: 1/9 + 1/11.25 = 1/5."""
+    rng = np.random.default_rng(4)
+    grid = np.tile(np.arange(-60.0, 60.1, 5.0), 4)
+    (effect,) = effects_in(measured(grid, [(9.0, 0.2, 0.0)], rng))
+    assert (effect["verdict"], effect["confusable_with"]) == ("ambiguous", ["stage_periodic"])
+    stated = effect["parameters"]["period_deg"]
+    assert stated["value"] == pytest.approx(11.25, abs=5.0 * stated["std"])
+    (said,) = (said for said in effect["evidence"] if "would look the same" in said)
+    longest_but_one = float(said.removeprefix("a period of ").partition("°")[0])
+    assert longest_but_one == pytest.approx(9.0, abs=0.05)
+
+
+def test_jitter_tells_the_same_worm_from_its_aliases():
+    rng = np.random.default_rng(5)
+    targets = np.tile(np.arange(-60.0, 60.1, 5.0), 4) + rng.uniform(-2.0, 2.0, 100)
+    (effect,) = effects_in(measured(targets, [(9.0, 0.2, 0.0)], rng))
+    assert (effect["verdict"], effect["confusable_with"]) == ("named", [])
+    stated = effect["parameters"]["period_deg"]
+    assert stated["value"] == pytest.approx(9.0, abs=5.0 * stated["std"])
+
+
+def test_at_constant_speed_a_wave_of_the_angle_is_no_cycle_of_time():
+    rng = np.random.default_rng(6)
+    targets = np.linspace(0.0, 720.0, 200)
+    waves = [(180.0, 0.5, 20.0), (90.0, 0.3, 70.0)]
+    effects = effects_in(measured(targets, waves, rng, seconds_a_pose=0.5))
+    assert {e["covariate"] for e in effects} == {"target_deg"}
+    assert periods_in(effects) == {180.0, 90.0}
+
+
+def test_the_standard_error_of_a_period_is_its_scatter():
+    rng = np.random.default_rng(7)
+    effect = EFFECTS["stage_periodic"]
+    targets = rng.uniform(-60.0, 60.0, 80)
+    periods, errors = [], []
+    for _ in range(60):
+        r = responses_of([measured(targets, [(7.3, 0.2, 0.0)], rng)])
+        (shape,) = effect.forms(r, {"period_deg": 7.25})
+        _, found = refined(r, [], candidate_of(r, effect, shape))
+        periods.append(found.shape.at["period_deg"])
+        errors.append(found.shape.at_std["period_deg"])
+    assert np.mean(periods) == pytest.approx(7.3, abs=4.0 * np.std(periods) / np.sqrt(60))
+    assert np.std(periods) == pytest.approx(np.mean(errors), rel=0.3)
+
+
+@pytest.mark.parametrize(("jitter_deg", "expected"), [(0.0, [0.2, 0.4]), (2.5, [])])
+def test_the_spectral_window_shows_the_spacing_and_jitter_takes_it_away(jitter_deg, expected):
+    rng = np.random.default_rng(8)
+    targets = np.arange(-180.0, 180.0, 5.0) + rng.uniform(-jitter_deg, jitter_deg, 72)
+    peaks, _ = window_peaks(targets, 0.5, 0.5)
+    assert peaks == pytest.approx(expected, abs=1e-3)
+
+
+def test_a_wave_so_steep_that_the_axis_would_turn_back_is_not_possible():
+    effect = EFFECTS["stage_periodic"]
+    r = responses_of([measured(np.linspace(0.0, 350.0, 60), [(90.0, 1.0, 0.0)], np.random.default_rng(9))])
+    (shape,) = effect.forms(r, {"period_deg": 6.0})
+    assert effect.possible(shape, np.array([0.5, 0.5]))
+    assert not effect.possible(shape, np.array([1.0, 1.0]))
