@@ -22,7 +22,7 @@ from calrig.calibration.model import model_columns, own_columns
 from calrig.calibration.noise_model import Fit, fit
 from calrig.calibration.ranking import Found
 from calrig.calibration.responses import Responses
-from calrig.calibration.sensor_model import fitted_model
+from calrig.calibration.sensor_model import fitted_model, linear_about
 from calrig.estimation.angles import FloatArray
 
 BLOCKS = 4
@@ -113,13 +113,11 @@ def _folds(r: Responses) -> dict[str, Intp]:
 
 def _errors(r: Responses, accepted: Sequence[Candidate], fold: Intp) -> FloatArray:
     errors = np.zeros(len(r))
-    model = fitted_model(r, accepted)
-    r, accepted = model.responses, model.accepted
     for k in range(BLOCKS):
         train, test = np.flatnonzero(fold != k), np.flatnonzero(fold == k)
         shown = _shown(r, accepted, train)
-        seen = fitted_model(r.rows(train), [c.rows(train) for c in shown])
-        errors[test] = errors_deg(r, shown, seen.fitted.beta, test)
+        beta = fitted_model(r.rows(train), [c.rows(train) for c in shown]).fitted.beta
+        errors[test] = errors_deg(*linear_about(r, shown, beta), beta, test)
     return errors
 
 

@@ -15,7 +15,7 @@ from calrig.calibration.gate import Verdict, gate
 from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import Fit, fit
 from calrig.calibration.outliers import most_outliers, outlier
-from calrig.calibration.ranking import MARGIN, Found, named, pair
+from calrig.calibration.ranking import Found, named, pair
 from calrig.calibration.responses import READING, Responses
 from calrig.calibration.screen import Screen
 from calrig.calibration.sensor_model import Model, fitted_model
@@ -29,6 +29,10 @@ MOST_EFFECTS, MOST_COLUMNS = 5, 0.35
 FREEDOM = 3
 LEAST_SHARE = 0.05
 """An effect whose part of the reading is smaller than this share of its noise is not worth a correction."""
+COMPANION_MARGIN = 3.0
+"""Of the criterion, by which an effect must pay for the one companion that it is declared to have: with the
+penalty a likelihood ratio beyond 7, which one parameter reaches in noise in less than 1 of 100.
+"""
 LEAST_STANDARD_ERRORS = 4.0
 """Of the parameters that reach the reading, together: what a witness alone shows is not named."""
 
@@ -125,7 +129,7 @@ def search(
 def _says_no_more(step: Found) -> bool:
     """Whether one of several effects offered as one explains the poses nearly as well by itself."""
     behind = dict(step.considered)
-    return any(behind.get(member.label, np.inf) < MARGIN for member in step.candidate.members)
+    return any(behind.get(member.label, np.inf) < COMPANION_MARGIN for member in step.candidate.members)
 
 
 def _is_full(accepted: Sequence[Candidate]) -> bool:
