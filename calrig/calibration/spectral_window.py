@@ -26,7 +26,7 @@ def spectral_window(theta_deg: FloatArray, highest: float) -> tuple[FloatArray, 
     frequencies = np.fft.rfftfreq(length, bin_deg)
     wanted = frequencies <= highest
     power = np.abs(window[wanted] / len(theta_deg)) ** 2
-    return frequencies[wanted], np.asarray(power, dtype=np.float64)
+    return np.asarray(frequencies[wanted], dtype=np.float64), np.asarray(power, dtype=np.float64)
 
 
 def window_peaks(theta_deg: FloatArray, highest: float, least: float) -> tuple[FloatArray, FloatArray]:
