@@ -101,7 +101,7 @@ def search(
         if not _is_worth_a_name(r, accepted, step):
             refused.add(step.candidate.label)
             continue
-        if step.candidate.beside is not None and _says_no_more(step):
+        if step.candidate.beside is not None and _says_no_more(step, verdict.candidates):
             single = [k for k, c in enumerate(verdict.candidates) if c.beside is None]
             offered = [verdict.candidates[k] for k in single]
             step = named(r, accepted, offered, verdict.ratios[single], verdict.p_value)
@@ -126,10 +126,15 @@ def search(
         refused.update(dropped)
 
 
-def _says_no_more(step: Found) -> bool:
-    """Whether one of several effects offered as one explains the poses nearly as well by itself."""
+def _says_no_more(step: Found, offered: Sequence[Candidate]) -> bool:
+    """Whether one of several effects offered as one explains the poses nearly as well by itself.
+
+    The more forms the two have together, the more of them fit noise a little better than one.
+    """
     behind = dict(step.considered)
-    return any(behind.get(member.label, np.inf) < COMPANION_MARGIN for member in step.candidate.members)
+    forms = sum(c.label == step.candidate.label for c in offered)
+    margin = COMPANION_MARGIN + 2.0 * float(np.log(max(forms, 1)))
+    return any(behind.get(member.label, np.inf) < margin for member in step.candidate.members)
 
 
 def _is_full(accepted: Sequence[Candidate]) -> bool:
