@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from page_help import line_x, readings, until_pose
+from .page_help import line_x, readings, until_pose
 from support import LONG, wait_for
 
 pytestmark = pytest.mark.browser

@@ -6,8 +6,8 @@ import re
 
 import numpy as np
 import pytest
-from page_help import BACKLASH_DEG, NOISE_DEG, ambiguous_poses, figures_of
-from page_help import imported_lines as imported
+from .page_help import BACKLASH_DEG, NOISE_DEG, ambiguous_poses, figures_of
+from .page_help import imported_lines as imported
 
 from calrig.calibration.effects import CATALOGUE
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import httpx
 import pytest
-from page_help import imported
+from .page_help import imported
 from support import LONG, serving
 
 from calrig.api.access import Access

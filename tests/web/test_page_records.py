@@ -6,7 +6,7 @@ import csv
 import json
 
 import pytest
-from page_help import figures_of, imported, row_of
+from .page_help import figures_of, imported, row_of
 from support import DATA
 
 pytestmark = pytest.mark.browser
