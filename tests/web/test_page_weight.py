@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+
 from .page_help import ambiguous_poses, imported_lines
 
 pytestmark = pytest.mark.browser
