@@ -184,15 +184,29 @@ class Database:
             raise StoreUnavailableError(f"{self.path}: a writer has taken it while it was read: try again")
 
     @contextmanager
-    def writing(self) -> Iterator[Session]:
+    def staging(self) -> Iterator[Connection]:
+        """A connection with temporary tables of its own, which are gone when the block ends.
+
+        What is laid there keeps nobody from writing; `writing(on=it)` then takes it over in little time.
+        """
+        with self._in_words(), self._engine.connect() as connection:
+            connection.detach()  # it is closed in earnest
+            yield connection
+
+    @contextmanager
+    def writing(self, on: Connection | None = None) -> Iterator[Session]:
         """A session whose changes are on the disk when the block ends, or none of them where it raises.
+
+        Args:
+            on: what `staging` gave; without it any connection.
 
         Raises:
             StoreError: it cannot be written; of waiting for a lock, what `require_wanted` raises as well.
         """
         if self._lock is None:
             raise StoreError(f"{self.path}: was opened for reading only")
-        with self._in_words(), self._turn(), Session(self._write_engine) as session, session.begin():
+        where = self._write_engine if on is None else on.execution_options(calrig_writes=True)
+        with self._in_words(), self._turn(), Session(where) as session, session.begin():
             yield session
 
     @contextmanager
@@ -208,7 +222,7 @@ class Database:
     def _begin(self, connection: Connection) -> None:
         # A transaction that will write says so at once: turning a read into a write can fail midway.
         if connection.get_execution_options().get("calrig_writes"):
-            self._lock_for_writing(cast(sqlite3.Connection, connection.connection.driver_connection))
+            self._lock_for_writing(cast(sqlite3.Connection, connection.connection.dbapi_connection))
         else:
             connection.exec_driver_sql("BEGIN")
 
