@@ -28,7 +28,7 @@ _STAGED = Table(
 
 @contextmanager
 def staged(database: Database, poses: Sequence[Pose]) -> Iterator[Connection]:
-    """The poses, as those of no run yet, on a connection for `Database.writing`; a locked store is no matter."""
+    """The poses, as those of no run yet, on a connection for `Database.writing`; locks nothing."""
     with database.staging() as connection:
         with connection.begin():
             _STAGED.create(connection)

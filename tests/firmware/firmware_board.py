@@ -112,7 +112,7 @@ class FirmwareBoard:
 
 
 class InStep:
-    """The board as a device of `sim://`: it lives by a virtual clock, so that no busy machine makes it late."""
+    """The board as a device of `sim://`, in virtual time: no busy machine makes it late."""
 
     interval_s = 0.005
 
