@@ -171,7 +171,13 @@ def _first_problem(error: ValidationError, document: dict[str, Any]) -> str:
 
 
 def store_url(db: str | None = None) -> str:
-    """The store's SQLAlchemy URL: `db` (a path or a URL), else CALRIG_DB, else the user's data folder."""
+    """The store's SQLAlchemy URL: `db` (a path or a URL), else CALRIG_DB, else the user's data folder.
+
+    Raises:
+        SettingsError: `db` is empty, as a script's variable may be that was never set.
+    """
+    if db is not None and not db.strip():
+        raise SettingsError("--db is empty: name a file, or leave --db out for the store in your data folder")
     named = db or os.environ.get("CALRIG_DB")
     if not named:
         named = str(platformdirs.user_data_path("calrig", ensure_exists=True) / "calrig.db")

@@ -8,8 +8,10 @@ from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.calibration.pose import Pose
 from calrig.store import AT_REST, Run, Store
 
-MOST_POSES = 10_000
-"""Of one diagnosis: a hundred name an effect of the size of the noise."""
+MOST_POSES = 4_000
+"""Of one diagnosis: a hundred name an effect of the size of the noise. Each thousand takes 10–20 s of a core
+and 140 MB, a few times as long on a small machine: these fit what a piece of heavy work may take.
+"""
 
 
 def stored_run(store: Store, run_id: str) -> Run:

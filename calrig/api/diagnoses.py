@@ -185,7 +185,7 @@ class ErrorMapAnswer(Answer):
 async def diagnose(run: KnownRun, body: Diagnose, context: Context, heavy: Heavy) -> dict[str, Any]:
     """With more runs of the unit where `runs` names them. The document is kept with the run.
 
-    At most 10,000 poses. It is given up where its client leaves; 429 where many are waiting already.
+    At most 4,000 poses. It is given up where its client leaves; 429 where many are waiting already.
     """
     question = await run_in_threadpool(context.diagnoses.question, run.id, body.runs)
     try:

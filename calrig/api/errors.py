@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from tempfile import gettempdir
 from typing import Any
 
 from fastapi import FastAPI, Request
@@ -30,8 +31,8 @@ WORDS = {
     413: "The body is too large",
     422: "Invalid",
     429: "Too many wrong tokens came from there, or too much heavy work is waiting",
-    503: "The store is full, locked or read-only, too many uploads or event streams are in hand, "
-    "or a process was killed",
+    503: "The store or the disk is full, the store locked or read-only, too many uploads or event streams "
+    "are in hand, or a process was killed",
 }
 
 
@@ -98,9 +99,19 @@ async def _validation_error(_request: Request, error: Exception) -> JSONResponse
 
 async def _http_error(_request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, HTTPException)  # noqa: S101 (as registered)
-    # The framework calls a body that it cannot read 400; to the contract it is one more invalid request.
+    # The framework calls a body that it cannot read 400; to the contract it is one more invalid request,
+    # unless it was this machine that could not lay an upload on its disk.
+    if error.status_code == 400 and isinstance(error.__cause__, OSError):
+        reason = error.__cause__.strerror
+        log.error("an upload cannot be laid in %s: %s", gettempdir(), reason)
+        return JSONResponse({"detail": no_room(reason)}, status_code=503)
     status = 422 if error.status_code == 400 else error.status_code
     return JSONResponse({"detail": error.detail}, status_code=status, headers=error.headers)
+
+
+def no_room(reason: str | None) -> str:
+    """What is said where an upload cannot be kept until it is read."""
+    return f"{gettempdir()}: a file cannot be laid there ({reason}): make room there"
 
 
 def in_words(problems: Sequence[Any]) -> str:

@@ -12,7 +12,7 @@ from contextlib import ExitStack, asynccontextmanager
 from functools import partial
 from pathlib import Path
 from shutil import copyfileobj
-from tempfile import NamedTemporaryFile, gettempdir
+from tempfile import NamedTemporaryFile
 from typing import IO
 
 from fastapi import UploadFile
@@ -21,6 +21,7 @@ from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from calrig.api.errors import no_room
 from calrig.api.lingering import CLOSE
 
 JSON_BYTES = 1_000_000
@@ -169,8 +170,7 @@ async def on_disk(write: Callable[[IO[bytes]], object]) -> AsyncIterator[Path]:
             await run_in_threadpool(write, file.file)
             file.flush()
         except OSError as error:
-            reason = f"{gettempdir()}: a file cannot be laid there ({error.strerror}): make room there"
-            raise HTTPException(503, reason) from error
+            raise HTTPException(503, no_room(error.strerror)) from error
         yield Path(file.name)
 
 

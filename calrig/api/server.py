@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
+import sys
 from collections.abc import Callable
 
 import uvicorn
@@ -16,6 +17,8 @@ WAITING = 2048
 """Connections that may wait to be taken: one beyond them would try again a second later."""
 DRAIN_S = 1
 """How long answers under way may take once the service was told to stop."""
+SWITCH_S = 0.0005
+"""How long one thread may compute while others wait: a stop passes through several on its way."""
 
 
 class Server(uvicorn.Server):
@@ -40,6 +43,7 @@ class Server(uvicorn.Server):
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Starts, then says so."""
+        sys.setswitchinterval(SWITCH_S)
         await super().startup(sockets)
         for listener in sockets or ():
             listener.listen(WAITING)  # asyncio takes as many at once as may wait: those are two numbers

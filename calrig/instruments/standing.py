@@ -15,6 +15,9 @@ IN_MOTION = ("moving", "homing")
 def stop_until_it_stands(stage: Stage, clock: Clock, timeout_s: float) -> None:
     """Halts a stage, and goes on sending stop until two looks in a row find it standing at one angle.
 
+    One that stood when it was first seen is looked at once more, however late that was: opening its port may
+    have reset its controller, which answers nothing until it has woken up.
+
     Raises:
         StageError: it still moves, whatever it says of itself, or does not answer, after timeout_s: only
             cutting its power is left.
@@ -35,6 +38,8 @@ def stop_until_it_stands(stage: Stage, clock: Clock, timeout_s: float) -> None:
                 before_deg = None
             elif before_deg is None:
                 before_deg = here_deg
+                clock.sleep(LOOKS_APART_S)
+                continue
             elif agree(before_deg, here_deg):
                 return
             else:

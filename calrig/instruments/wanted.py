@@ -2,10 +2,12 @@
 
 So identification, homing and every wait for a device that does not answer end soon after somebody stopped
 the run, and no exchange is left half done: an answer still on its way would be taken for the next one's.
+The store asks as well, while what a run has to write waits for another program's lock.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -28,3 +30,14 @@ def require_wanted() -> None:
     check = _check.get()
     if check is not None:
         check()
+
+
+def for_at_most(duration_s: float, late: Exception) -> Callable[[], None]:
+    """A check that raises `late` once so many seconds of the wall's have gone by."""
+    give_up_s = time.monotonic() + duration_s
+
+    def check() -> None:
+        if time.monotonic() > give_up_s:
+            raise late
+
+    return check

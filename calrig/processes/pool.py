@@ -26,6 +26,8 @@ MOST_BYTES = 4_000_000_000
 """Of one process; less on a machine where all of them together would take more than half the memory."""
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 BUFFER_BYTES = 1_000_000
+ENDS_S = 5.0
+"""How long a process may take to end once its pipe is closed."""
 
 
 class WorkError(Exception):
@@ -113,7 +115,7 @@ class Processes:
                 f"it took longer than {self._longest_s:g} s and was ended: take fewer poses or samples"
             ) from error
         except (asyncio.IncompleteReadError, ConnectionError) as error:
-            await _end(process)
+            await _see_off(process)
             raise WorkLost(
                 f"its process ended (status {process.returncode}), perhaps for want of memory: try again, "
                 "with fewer poses or samples"
@@ -130,7 +132,7 @@ class Processes:
             process = self._idle.pop()
             if not _out(process).at_eof():
                 return process
-            await _end(process)
+            await _see_off(process)
         return await asyncio.create_subprocess_exec(
             *(sys.executable, "-m", child.__name__, str(self._most_bytes), str(os.getpid())),
             stdin=PIPE,
@@ -177,6 +179,14 @@ async def _asked(process: Process, piece: bytes) -> bytes:
 def _out(process: Process) -> asyncio.StreamReader:
     assert process.stdout is not None  # noqa: S101 (a pipe)
     return process.stdout
+
+
+async def _see_off(process: Process) -> None:
+    """Waits for one that is ending by itself: to kill it before that would take its own status away."""
+    with suppress(TimeoutError):
+        async with asyncio.timeout(ENDS_S):
+            await process.wait()
+    await _end(process)
 
 
 async def _end(process: Process) -> None:

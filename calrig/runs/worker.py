@@ -19,6 +19,7 @@ from calrig.instruments.clock import WALL
 from calrig.instruments.errors import BoardError, InstrumentError, LimitError
 from calrig.instruments.ports import clock_of
 from calrig.instruments.transcript import Tape, taped
+from calrig.instruments.wanted import for_at_most, while_wanted
 from calrig.runs.bus import Bus
 from calrig.runs.control import Control, End, Ended, Left
 from calrig.runs.execution import Execution
@@ -30,7 +31,7 @@ from calrig.runs.rig import Rig, open_rig
 from calrig.runs.stage_place import StagePlace
 from calrig.runs.static_log import keep_log
 from calrig.runs.task import Task
-from calrig.store import Run, RunChanges, Status, Store, StoreError
+from calrig.store import Run, RunChanges, Status, Store, StoreError, StoreUnavailableError
 
 log = logging.getLogger(__name__)
 
@@ -170,7 +171,8 @@ class Worker:
             if self._concluded:
                 return True
             try:
-                write()
+                with while_wanted(for_at_most(TRY_AGAIN_S, StoreUnavailableError("it is locked"))):
+                    write()
             except StoreError as error:
                 if self.untold is None:
                     ended = f"run {self.run_id} ended as {fields['status']}: {fields['error'] or 'no error'}"

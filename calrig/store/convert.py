@@ -21,7 +21,7 @@ from calrig.store.records import Progress, RawSamples, Run, SampleBlock, Status,
 from calrig.store.tables import CalibrationTable, PoseTable, RunTable
 
 _POSE_FIELDS = tuple(field.name for field in dataclasses.fields(Pose) if field.name != "filtering")
-_NUMBERS = tuple(name for name in _POSE_FIELDS if name != "covariates")
+POSE_NUMBERS = tuple(name for name in _POSE_FIELDS if name != "covariates")
 FIGURES = tuple(name for name in CalibrationTable.model_fields if name not in {"run_id", "crc32"})
 """The columns of a result in comparisons."""
 _ARRAYS = ("time_s", "accel_g", "gyro_dps", "temperature_c")
@@ -105,14 +105,14 @@ def result_part(figures: Sequence[float | None]) -> dict[str, Any]:
 def pose_values(run_id: int, index: int, pose: Pose) -> dict[str, Any]:
     """A pose as the columns of its table."""
     values = {name: getattr(pose, name) for name in _POSE_FIELDS}
-    crc32 = checksums.of_numbers((run_id, index, *(values[name] for name in _NUMBERS)))
+    crc32 = checksums.of_numbers((run_id, index, *(values[name] for name in POSE_NUMBERS)))
     return {"run_id": run_id, "pose_index": index, **values, "crc32": crc32}
 
 
 def pose_of(row: PoseTable, filtering: Filtering | None) -> StoredPose:
     """The pose of a row, read through the run's filter."""
     what = f"pose {row.pose_index} of run {row.run_id}"
-    numbers = (getattr(row, name) for name in _NUMBERS)
+    numbers = (getattr(row, name) for name in POSE_NUMBERS)
     checksums.check_numbers(row.crc32, (row.run_id, row.pose_index, *numbers), what)
     pose = Pose(**{name: getattr(row, name) for name in _POSE_FIELDS}, filtering=filtering)
     return StoredPose(index=row.pose_index, pose=pose, excluded=row.excluded_reason)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import sqlite3
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
@@ -15,6 +16,7 @@ from sqlalchemy import Connection, QueuePool, create_engine, event, make_url
 from sqlalchemy.exc import ArgumentError, StatementError
 from sqlmodel import Session
 
+from calrig.instruments.wanted import require_wanted
 from calrig.store import file_system, migrate
 from calrig.store.checksums import from_json, to_json
 from calrig.store.connecting import connect, is_a_table
@@ -24,6 +26,8 @@ from calrig.store.lock import WriterLock
 from calrig.store.records import UNFINISHED, Size
 
 BUSY_TIMEOUT_S = 10.0
+LOOK_S = 0.1
+"""How soon a write that waits for its turn notices that it is not wanted any more."""
 
 
 def database_path(url: str) -> Path:
@@ -91,8 +95,8 @@ class Database:
             pool_size=8,
             max_overflow=-1,  # a thread never waits for a connection, only for the write lock
         )
-        event.listen(self._engine, "begin", _begin)
-        self._write_engine = self._engine.execution_options(calrig_begin="BEGIN IMMEDIATE")
+        event.listen(self._engine, "begin", self._begin)
+        self._write_engine = self._engine.execution_options(calrig_writes=True)
         self._uri = path.as_uri()
         if writer:
             file_system.refuse_network(path)
@@ -180,16 +184,68 @@ class Database:
             raise StoreUnavailableError(f"{self.path}: a writer has taken it while it was read: try again")
 
     @contextmanager
-    def writing(self) -> Iterator[Session]:
-        """A session whose changes are on the disk when the block ends, or none of them where it raises."""
+    def staging(self) -> Iterator[Connection]:
+        """A connection with temporary tables of its own, which are gone when the block ends.
+
+        What is laid there keeps nobody from writing; `writing(on=it)` then takes it over in little time.
+        """
+        with self._in_words(), self._engine.connect() as connection:
+            connection.detach()  # it is closed in earnest
+            yield connection
+
+    @contextmanager
+    def writing(self, on: Connection | None = None) -> Iterator[Session]:
+        """A session whose changes are on the disk when the block ends, or none of them where it raises.
+
+        Args:
+            on: what `staging` gave; without it any connection.
+
+        Raises:
+            StoreError: it cannot be written; of waiting for a lock, what `require_wanted` raises as well.
+        """
         if self._lock is None:
             raise StoreError(f"{self.path}: was opened for reading only")
-        with self._in_words(), self._writes, Session(self._write_engine) as session, session.begin():
+        where = self._write_engine if on is None else on.execution_options(calrig_writes=True)
+        with self._in_words(), self._turn(), Session(where) as session, session.begin():
             yield session
+
+    @contextmanager
+    def _turn(self) -> Iterator[None]:
+        """One write at a time; who waits for another one's end gives up once nobody wants his own."""
+        while not self._writes.acquire(timeout=LOOK_S):
+            require_wanted()
+        try:
+            yield
+        finally:
+            self._writes.release()
+
+    def _begin(self, connection: Connection) -> None:
+        # A transaction that will write says so at once: turning a read into a write can fail midway.
+        if connection.get_execution_options().get("calrig_writes"):
+            self._lock_for_writing(cast(sqlite3.Connection, connection.connection.dbapi_connection))
+        else:
+            connection.exec_driver_sql("BEGIN")
+
+    def _lock_for_writing(self, raw: sqlite3.Connection) -> None:
+        """Waits for another program's lock in short stretches, as long as somebody wants the write."""
+        give_up_s = time.monotonic() + self._timeout_s
+        raw.execute(f"PRAGMA busy_timeout = {1000 * min(LOOK_S, self._timeout_s):.0f}")
+        try:
+            while True:
+                try:
+                    raw.execute("BEGIN IMMEDIATE")
+                    return
+                except sqlite3.OperationalError as error:
+                    is_busy = error.sqlite_errorname.startswith("SQLITE_BUSY")
+                    if not is_busy or time.monotonic() >= give_up_s:
+                        raise
+                require_wanted()
+        finally:
+            raw.execute(f"PRAGMA busy_timeout = {1000 * self._timeout_s:.0f}")
 
     def give_back_space(self) -> None:
         """Shortens the file by the pages that deletions left empty."""
-        with self._in_words(), self._writes, self._engine.connect() as connection:
+        with self._in_words(), self._turn(), self._engine.connect() as connection:
             raw = cast(sqlite3.Connection, connection.connection.driver_connection)
             raw.executescript("PRAGMA incremental_vacuum")  # `execute` steps once: one page
 
@@ -237,8 +293,3 @@ class Part:
 
     def __init__(self, database: Database) -> None:
         self._database = database
-
-
-def _begin(connection: Connection) -> None:
-    # A transaction that will write says so at once: turning a read into a write can fail midway.
-    connection.exec_driver_sql(connection.get_execution_options().get("calrig_begin", "BEGIN"))

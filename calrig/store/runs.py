@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from typing import Unpack, get_args
 
-from sqlmodel import Session, col, func, insert, select
+from sqlmodel import Session, col, func, select
 
 from calrig.calibration.pose import Pose
-from calrig.store import event_log
-from calrig.store.convert import figures_of, pose_values, run_number, run_of, run_row
+from calrig.store import event_log, staging
+from calrig.store.convert import figures_of, run_number, run_of, run_row
 from calrig.store.database import Part
 from calrig.store.event_log import Announced
 from calrig.store.records import TERMINAL, UNFINISHED, Document, Run, RunChanges, Status
-from calrig.store.tables import CalibrationTable, PoseTable, RunTable, UnitTable
+from calrig.store.tables import CalibrationTable, RunTable, UnitTable
 
 POSES_AT_ONCE = 1000
-"""Handed to SQLite, or read, together: an import has a hundred thousand."""
+"""Read together: an import has a hundred thousand."""
 
 
 class Runs(Part):
@@ -40,10 +41,13 @@ class Runs(Part):
     ) -> Run:
         """Makes a run and, where it is the first of its unit, the unit; announces the run's state.
 
-        An import gives `poses`, `result` and the status `completed` at once: all is stored or nothing.
+        An import gives `poses`, `result` and the status `completed` at once: all is stored or nothing. Nobody
+        waits meanwhile for longer than the copying of what was made ready takes.
         """
         now = datetime.now(UTC)
-        with self._database.writing() as session:
+        with ExitStack() as stack:
+            staged = stack.enter_context(staging.staged(self._database, poses)) if poses else None
+            session = stack.enter_context(self._database.writing(on=staged))
             if session.get(UnitTable, unit) is None:
                 session.add(UnitTable(serial=unit, created_at=now))
                 session.flush()
@@ -64,9 +68,8 @@ class Runs(Part):
             _stamp(row, now)
             session.add(row)
             session.flush()
-            for first in range(0, len(poses), POSES_AT_ONCE):
-                some = enumerate(poses[first : first + POSES_AT_ONCE], start=first)
-                session.execute(insert(PoseTable), [pose_values(row.id, index, pose) for index, pose in some])
+            if staged is not None:
+                staging.take_over(session, row.id)
             replace_result(session, row, result)
             event_log.append(session, row, [event_log.state(row)])
             return run_of(row)

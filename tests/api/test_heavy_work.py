@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -63,6 +64,19 @@ def test_a_diagnosis_of_too_many_poses_is_refused_and_says_how_many_it_takes(sha
     answer = shared_client.post(f"/api/runs/{run['id']}/diagnosis", json={})
     assert answer.status_code == 422
     assert "takes at most 3 poses, and these are 4: import a part" in answer.json()["detail"]
+
+
+def test_an_upload_that_this_machine_has_no_room_for_is_503_and_says_where(
+    shared_client, monkeypatch, tmp_path
+):
+    gone = tmp_path / "no such folder"
+    monkeypatch.setattr(tempfile, "tempdir", str(gone))
+    for size in (10, 2_000_000):  # a small one is laid there for the other process, a large one as it comes
+        file = {"file": ("p.csv", b"target_deg,reading_deg\n" + b"1,1\n" * size)}
+        answer = shared_client.post("/api/imports", files=file, data={"unit": "A"})
+        assert answer.status_code == 503, answer.text
+        assert str(gone) in answer.json()["detail"]
+        assert "make room there" in answer.json()["detail"]
 
 
 def test_poses_come_in_batches_as_they_would_at_once(shared_client):

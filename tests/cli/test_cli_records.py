@@ -110,3 +110,8 @@ def test_names_of_another_encoding_are_taken_or_refused_in_words(folder):
     assert "UTF-8" in reason("import", "poses.csv", "--unit", "A", "--rig", odd, status=1)
     calrig("import", "poses.csv", "--unit", "A")
     assert "UTF-8" in reason("export", "--unit", odd, status=1)
+
+
+@pytest.mark.parametrize("empty", ["", " "])
+def test_an_empty_name_of_a_store_is_2_and_no_other_store_is_taken(folder, empty):
+    assert "--db is empty" in reason("import", "poses.csv", "--unit", "A", "--db", empty, status=2)

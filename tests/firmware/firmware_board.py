@@ -27,6 +27,7 @@ from calrig.instruments.boards.calrig.packets import (
     PacketDecoder,
 )
 from calrig.instruments.boards.calrig.sample_stream import RECORD
+from calrig.simulator.virtual_clock import VirtualClock
 
 Counts = Callable[[float], np.ndarray]
 """The sensor's seven registers at an instant, in seconds since the board was switched on."""
@@ -37,7 +38,10 @@ JITTER_US = 40
 
 
 class FirmwareBoard:
-    """The simulated board, on from `with` to its end; `port` is its pseudo-terminal."""
+    """The simulated board, on from `with` to its end; `port` is its pseudo-terminal.
+
+    At speed 0 it does not use that, and runs as far as `run_until` tells it.
+    """
 
     def __init__(self, harness: Path, elf: Path, counts: Counts, speed: float = 1.0) -> None:
         self._counts = counts
@@ -68,6 +72,13 @@ class FirmwareBoard:
         self._process.stdin.flush()
         return float(self._said())
 
+    def run_until(self, time_s: float, heard: bytes) -> bytes:
+        """Goes on to that time of its own; gives what it sent, and hears `heard` from there on."""
+        assert self._process.stdin is not None
+        self._process.stdin.write(f"until {time_s:.6f} {heard.hex()}\n")
+        self._process.stdin.flush()
+        return bytes.fromhex(self._line())
+
     def __enter__(self) -> Self:
         return self
 
@@ -86,14 +97,37 @@ class FirmwareBoard:
         stdout = self._process.stdout
         assert stdout is not None
         assert select.select([stdout], [], [], DEADLINE_S)[0], "the harness says nothing"
-        line = stdout.readline().strip()
+        return self._line()
+
+    def _line(self) -> str:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
         assert line, "the harness has ended"
-        return line
+        return line.strip()
 
     def _measure(self) -> None:
         while asked := self._physics.recv(CLOCK.size):
             counts = self._counts(*CLOCK.unpack(asked))
             self._physics.sendall(np.asarray(counts, "<i2").tobytes())
+
+
+class InStep:
+    """The board as a device of `sim://`, in virtual time: no busy machine makes it late."""
+
+    interval_s = 0.005
+
+    def __init__(self, board: FirmwareBoard, clock: VirtualClock) -> None:
+        self._board = board
+        self._now_s = clock.now_s
+        self._began_s = clock.now_s()
+
+    def receive(self, data: bytes) -> bytes:
+        """Takes what came; returns what it has sent up to now."""
+        return self._board.run_until(self._now_s() - self._began_s, data)
+
+    def emit(self) -> bytes:
+        """What it has sent up to now."""
+        return self.receive(b"")
 
 
 class Line:

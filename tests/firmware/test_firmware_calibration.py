@@ -1,4 +1,7 @@
-"""From end to end: a unit calibrated through the sketch while the simulated stage turns its sensor."""
+"""From end to end: a unit calibrated through the sketch while the simulated stage turns its sensor.
+
+Everybody lives in virtual time, the simulated processor too: no machine is so busy that an answer is late.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +9,16 @@ from contextlib import ExitStack
 
 import numpy as np
 import pytest
-from firmware_board import FirmwareBoard
+from firmware_board import FirmwareBoard, InStep
 from support import running_service
 
 from calrig.plan import Plan
 from calrig.settings import BoardSettings, ReferenceSettings, RigSettings, StageSettings
 from calrig.simulator.bench import Bench
 from calrig.simulator.config import SimulatorSettings
-from calrig.simulator.ports import open_port
 from calrig.simulator.stages.smc100 import Smc100
-from calrig.simulator.wire import Wire
+from calrig.simulator.virtual_clock import VirtualClock
+from calrig.simulator.world import SimWire
 
 
 def test_a_unit_is_calibrated_through_the_firmware_on_the_simulated_stage(built, tmp_path):
@@ -35,15 +38,18 @@ def test_a_unit_is_calibrated_through_the_firmware_on_the_simulated_stage(built,
 
     plan = Plan.model_validate({"elevations_deg": [-40, 0, 40], "sweeps": 2, "settle_s": 1.0, "dwell_s": 1.0})
     with ExitStack() as stack:
-        board = stack.enter_context(FirmwareBoard(built.harness, built.elf(115200), counts, speed=4.0))
-        # A socket: on a busy machine a pseudo-terminal may hold bytes back for longer than a stage may take.
-        wire = Wire(Smc100(physics.stage, table, board.clock), open_port("tcp"), "simulated stage")
-        stack.callback(wire.stop)
-        wire.start()
+        clock = VirtualClock()
+        board = stack.enter_context(FirmwareBoard(built.harness, built.elf(115200), counts, speed=0.0))
+        stage_wire = SimWire(Smc100(physics.stage, table, board.clock), "stage", clock)
+        board_wire = SimWire(InStep(board, clock), "firmware", clock)
+        for wire in (stage_wire, board_wire):
+            stack.callback(wire.stop)
+            wire.start()
+        stack.callback(clock.stop)
         rig = RigSettings(
             name="firmware",
-            stage=StageSettings(driver="smc100", port=wire.url),
-            imu=BoardSettings(driver="calrig", port=board.port),
+            stage=StageSettings(driver="smc100", port=stage_wire.url),
+            imu=BoardSettings(driver="calrig", port=board_wire.url),
             reference=ReferenceSettings(std_deg=0.29),
         )
         with running_service(tmp_path / "calrig.db", rig) as service:

@@ -251,6 +251,20 @@ def test_a_silent_controller_is_reset_once_and_then_given_up_in_words(controller
     with pytest.raises(StageError, match=f"on {port.name} does not answer .*check power"):
         stage.status()
     assert port.sent.count(b"\x18") == 1
+    assert port.clock.now_s() < 6.0, "whoever presses Stop waits for it"
+
+
+def test_a_controller_behind_a_boot_loader_is_waited_for(controller, port, stage):
+    controller.silent = True
+    receive = controller.receive
+
+    def receive_once_it_runs(data):
+        controller.silent = port.clock.now_s() < 2.5
+        return receive(data)
+
+    controller.receive = receive_once_it_runs
+    assert stage.status().state == "not_referenced"
+    assert controller.resets == 0
 
 
 def test_a_stop_sends_hold_and_jog_cancel_and_no_motion_after_it(controller, port, referenced):

@@ -283,6 +283,18 @@ def test_a_stage_that_does_not_stop_is_to_be_cut_from_power(axis, stage, clock):
     assert stage.sent == ["ST", "ST"]
 
 
+def test_a_stage_that_wakes_late_and_stands_is_looked_at_once_more(axis, stage, clock):
+    status, asleep_s = stage.status, [2.5]
+
+    def status_once_awake():
+        clock.at_s += asleep_s.pop() if asleep_s else 0.0
+        return status()
+
+    stage.status = status_once_awake
+    axis.confirm_stopped(timeout_s=2.0)
+    assert stage.sent == ["ST", "ST"]
+
+
 def test_a_stage_that_says_it_stands_and_moves_on_is_to_be_cut_from_power(axis, stage, clock):
     stage.glimpse_deg = lambda: 1.0 * clock.at_s  # it creeps at 1°/s
     with pytest.raises(StageError, match=r"says READY, and turned by 0.05° meanwhile.*cut its motor power"):

@@ -47,6 +47,47 @@ def block(index: int, phase: str, n: int = 3, first_s: float = 0.0) -> SampleBlo
     )
 
 
+class Rows(list):
+    """Poses of an import; each time some are asked for, something else happens."""
+
+    def __init__(self, poses, meanwhile):
+        super().__init__(poses)
+        self.meanwhile = meanwhile
+
+    def __getitem__(self, some):
+        self.meanwhile()
+        return super().__getitem__(some)
+
+
+def test_a_run_stores_its_poses_while_an_import_is_read(store, new_run):
+    run = new_run()
+    others = []
+
+    def measured():
+        store.add_pose(run.id, len(others), replace(FULL, target_deg=float(len(others))))
+        others.append(run.id)
+
+    poses = [replace(FULL, target_deg=0.01 * k) for k in range(2500)]
+    made = new_run(unit="B", status="completed", poses=Rows(poses, measured))
+    assert [(stored.index, stored.pose) for stored in store.poses(made.id)] == list(enumerate(poses))
+    assert [stored.index for stored in store.poses(run.id)] == list(range(len(others))) != []
+
+
+def test_an_import_that_breaks_off_stores_nothing(store, new_run):
+    calls = []
+
+    def break_off():
+        calls.append(None)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        new_run(unit="B", status="completed", poses=Rows([FULL] * 2500, break_off))
+    assert store.runs() == ([], None)
+    made = new_run(unit="B", status="completed", poses=[FULL])
+    assert [stored.pose for stored in store.poses(made.id)] == [FULL]
+
+
 def test_a_pose_comes_back_exactly(store, new_run):
     run = new_run()
     store.add_pose(run.id, 0, FULL)

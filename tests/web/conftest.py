@@ -26,7 +26,10 @@ DESK = {"width": 1280, "height": 900}
 
 @pytest.fixture(scope="package")
 def browser() -> Iterator[Any]:
-    """The system's Chromium with a fresh profile; without one the tests of the page skip."""
+    """The system's Chromium with a fresh profile; without one the tests of the page skip.
+
+    It ends with this package: as long as Playwright runs, its thread has a loop that no other may be beside.
+    """
     api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: page not driven")
     if not CHROMIUM.exists():
         pytest.skip(f"no browser at {CHROMIUM}: page not driven")

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from page_help import line_x, readings, until_pose
 from support import LONG, wait_for
+
+from .page_help import line_x, readings, until_pose
 
 pytestmark = pytest.mark.browser
 

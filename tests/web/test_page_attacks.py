@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from page_help import imported, until_pose
 from support import LONG, QUICK, ended, running_service, serving
 
 from calrig.api.access import Access
+
+from .page_help import imported, until_pose
 
 pytestmark = pytest.mark.browser
 

@@ -6,10 +6,11 @@ import re
 
 import numpy as np
 import pytest
-from page_help import BACKLASH_DEG, NOISE_DEG, ambiguous_poses, figures_of
-from page_help import imported_lines as imported
 
 from calrig.calibration.effects import CATALOGUE
+
+from .page_help import BACKLASH_DEG, NOISE_DEG, ambiguous_poses, figures_of
+from .page_help import imported_lines as imported
 
 pytestmark = pytest.mark.browser
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import httpx
 import pytest
-from page_help import imported
 from support import LONG, serving
 
 from calrig.api.access import Access
+
+from .page_help import imported
 
 pytestmark = pytest.mark.browser
 

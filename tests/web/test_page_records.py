@@ -6,8 +6,9 @@ import csv
 import json
 
 import pytest
-from page_help import figures_of, imported, row_of
 from support import DATA
+
+from .page_help import figures_of, imported, row_of
 
 pytestmark = pytest.mark.browser
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import pytest
-from page_help import ambiguous_poses, imported, imported_lines
 from support import LONG, ended, running_service, serving
 
 from calrig.settings import BoardSettings, RigSettings, StageSettings
+
+from .page_help import ambiguous_poses, imported, imported_lines
 
 pytestmark = pytest.mark.browser
 

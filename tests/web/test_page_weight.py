@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from page_help import ambiguous_poses, imported_lines
+
+from .page_help import ambiguous_poses, imported_lines
 
 pytestmark = pytest.mark.browser
 

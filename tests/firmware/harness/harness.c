@@ -4,8 +4,11 @@
  * Its UART is a pseudo-terminal, whose name is the first line on standard output. On its I2C bus is an
  * MPU-6050 (mpu.c), whose measurements are asked for on the socket PHYSICS_FD: time in seconds since the
  * start as a double, answered by seven 16-bit counts. That time also stands in the shared memory CLOCK_FD, so
- * that a simulated stage may live by the board's clock however busy the machine is. Lines on standard input break things, each answered
- * by the board's time at which it took effect; the end of the input ends the program.
+ * that a simulated stage may live by the board's clock however busy the machine is. Lines on standard input
+ * break things, each answered by the board's time at which it took effect; the end of the input ends the program.
+ *
+ * At SPEED 0 it runs only as far as it is told, by `until SECONDS [HEX]`: it goes on to that time of its own,
+ * answers with the bytes that its UART sent meanwhile, in hexadecimal, and hears those of HEX from there on.
  */
 #define _GNU_SOURCE
 #include <errno.h>
@@ -37,6 +40,8 @@ static volatile double *clock_s;
 static int line; /* the pseudo-terminal's near end */
 static uint8_t out[1 << 18]; /* seconds of a slow reader beyond what the terminal keeps */
 static size_t n_out;
+static uint8_t in[1 << 10]; /* of `until`, not heard yet */
+static size_t n_in;
 
 static void on_byte(struct avr_irq_t *irq, uint32_t value, void *param)
 {
@@ -55,13 +60,17 @@ static void send_bytes(void)
 	}
 }
 
+static void hear(const uint8_t *bytes, ssize_t n)
+{
+	for (ssize_t k = 0; k < n; ++k)
+		avr_raise_irq(uart_irq + UART_IRQ_INPUT, bytes[k]);
+}
+
 static void receive_bytes(void)
 {
-	uint8_t in[IN_A_SLICE]; /* fewer than the line carries in a slice, so none is overrun */
-	ssize_t n = read(line, in, sizeof in);
+	uint8_t bytes[IN_A_SLICE]; /* fewer than the line carries in a slice, so none is overrun */
 
-	for (ssize_t k = 0; k < n; ++k)
-		avr_raise_irq(uart_irq + UART_IRQ_INPUT, in[k]);
+	hear(bytes, read(line, bytes, sizeof bytes));
 }
 
 /* simavr counts a parity bit that 8N1 does not have: its lines are a tenth too slow. */
@@ -72,10 +81,53 @@ static void correct_line_rate(void)
 	uart->cycles_per_byte = BITS_8N1 * divider * (avr->data[UCSR0A] & U2X0 ? 8 : 16);
 }
 
+static void run_slice(void)
+{
+	avr_cycle_count_t slice_end = avr->cycle + SLICE;
+
+	while (avr->cycle < slice_end) {
+		int state = avr_run(avr);
+		if (state == cpu_Done || state == cpu_Crashed) {
+			fprintf(stderr, "harness: the program crashed\n");
+			exit(1);
+		}
+	}
+	*clock_s = (double)avr->cycle / HZ;
+	correct_line_rate();
+}
+
+static void run_until(double end_s, const char *hex)
+{
+	unsigned byte;
+
+	while ((double)avr->cycle / HZ < end_s) {
+		size_t n = n_in < IN_A_SLICE ? n_in : IN_A_SLICE;
+
+		run_slice();
+		hear(in, n);
+		n_in -= n;
+		memmove(in, in + n, n_in);
+	}
+	for (; sscanf(hex, "%2x", &byte) == 1 && n_in < sizeof in; hex += 2)
+		in[n_in++] = byte;
+	for (size_t k = 0; k < n_out; ++k)
+		printf("%02x", out[k]);
+	n_out = 0;
+	printf("\n");
+	fflush(stdout);
+}
+
 static void obey(const char *command)
 {
 	int value = 0;
+	double end_s = 0;
+	static char hex[2 * sizeof in];
 
+	hex[0] = 0;
+	if (sscanf(command, "until %lf %2047s", &end_s, hex) >= 1) {
+		run_until(end_s, hex);
+		return;
+	}
 	if (sscanf(command, "silent %i", &value) == 1)
 		mpu.silent = value;
 	else if (sscanf(command, "frozen %i", &value) == 1)
@@ -102,7 +154,7 @@ static void obey(const char *command)
 
 static void obey_lines(void)
 {
-	static char text[256];
+	static char text[sizeof in * 2 + 64];
 	static size_t length;
 	ssize_t n = read(STDIN_FILENO, text + length, sizeof text - 1 - length);
 	char *end;
@@ -193,18 +245,11 @@ int main(int argc, char **argv)
 	avr_cycle_count_t first = avr->cycle;
 	struct pollfd commands = {.fd = STDIN_FILENO, .events = POLLIN};
 
+	while (cycles_per_s == 0)
+		if (poll(&commands, 1, -1) > 0)
+			obey_lines();
 	for (;;) {
-		avr_cycle_count_t slice_end = avr->cycle + SLICE;
-
-		while (avr->cycle < slice_end) {
-			int state = avr_run(avr);
-			if (state == cpu_Done || state == cpu_Crashed) {
-				fprintf(stderr, "harness: the program crashed\n");
-				return 1;
-			}
-		}
-		*clock_s = (double)avr->cycle / HZ;
-		correct_line_rate();
+		run_slice();
 		send_bytes();
 		receive_bytes();
 

@@ -30,6 +30,8 @@ REPLY_TIMEOUT_S = 0.5
 GLANCE_S = 0.1
 WAKE_TIMEOUT_S = 3.0
 """A boot loader listens for two before GRBL does."""
+WAKE_AGAIN_S = 1.0
+"""No boot loader follows on a reset by wire: the banner comes at once."""
 ATTEMPTS = 4
 MOST_LISTINGS = 6
 MOST_REMARKS = 16
@@ -92,13 +94,17 @@ class GrblWire:
 
     def wake(self) -> Report | None:
         """Asks until it answers; a controller locked up by an alarm does so only after a reset."""
-        for reset in (False, True):
-            if reset and not self.before_1_1:
-                self.restart()
-            deadline_s = self._now_s() + WAKE_TIMEOUT_S
-            while self._now_s() < deadline_s and not self.before_1_1:
-                if report := self.look(attempts=1):
-                    return report
+        report = self._look_for(WAKE_TIMEOUT_S)
+        if report is None and not self.before_1_1:
+            self.restart()
+            report = self._look_for(WAKE_AGAIN_S)
+        return report
+
+    def _look_for(self, timeout_s: float) -> Report | None:
+        deadline_s = self._now_s() + timeout_s
+        while self._now_s() < deadline_s and not self.before_1_1:
+            if report := self.look(attempts=1):
+                return report
         return None
 
     def look_in_passing(self) -> Report | None:
