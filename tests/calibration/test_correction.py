@@ -116,6 +116,9 @@ def poses_with_everything():
             time_s=10.0 * k,
             temperature_c=20 + k / 9,
             gyro_move_deg=m + e,
+            accel_x_g=0.02 + 0.01 * math.cos(math.radians(t)) + 1e-4 * e,
+            accel_y_g=math.sin(math.radians(t + e)),
+            accel_z_g=math.cos(math.radians(t + e)),
         )
         for k, (t, m, e) in enumerate(zip(theta_deg, move_deg, rng.normal(0.0, 0.03, 40), strict=True))
     ]
