@@ -197,7 +197,7 @@ def _fill_disk(process: psutil.Process) -> None:
     process.rlimit(psutil.RLIMIT_FSIZE, (1, 1))
 
 
-def _row(what: str, client: Client, crowd: int, rigs: list[RigSettings], number: int) -> Count:
+def _row(what: str, client: Client, crowd: int, rigs: list[RigSettings], extent: Extent) -> Count:
     with _served(rigs) as bench:
         process = psutil.Process(bench.served.process.pid)
         imported = _imported(bench.served)
@@ -208,13 +208,16 @@ def _row(what: str, client: Client, crowd: int, rigs: list[RigSettings], number:
         memory.start()
         with loaded(client, crowd, bench.target(imported)) as end:
             threading.Event().wait(WARM_UP_S)
-            stops = bench.stops(number)
+            stops = bench.stops(extent.of(STOPS))
             heard = end()
         memory.end()
-    return _count(what, unloaded, stops, memory, heard)
+    return _count(what, unloaded, stops, memory, heard, whole=extent.share >= 1.0)
 
 
-def _count(what: str, unloaded: Stops, stops: Stops, memory: _Memory, heard: dict[str, int]) -> Count:
+def _count(
+    what: str, unloaded: Stops, stops: Stops, memory: _Memory, heard: dict[str, int], *, whole: bool
+) -> Count:
+    """A row. Ten stops have no 99th percentile: of a share the longest is told, and judged are the answers."""
     beyond_s = stops.beyond_s(unloaded)
     p99_s = beyond_s[math.ceil(0.99 * len(beyond_s)) - 1] if beyond_s else math.inf
     answers = ", ".join(f"{count} {status}" for status, count in sorted(heard.items()))
@@ -226,7 +229,9 @@ def _count(what: str, unloaded: Stops, stops: Stops, memory: _Memory, heard: dic
         f"p99 ≤ {P99_S:g} s, 0 refused, ≤ {MOST_MB:g} MB",
         f"p99 {p99_s:.3f} s, longest {max(beyond_s, default=math.inf):.3f} s, {len(stops.refused)} refused, "
         f"{memory.most_mb:.0f} MB, children {memory.children_mb:.0f} MB",
-        p99_s <= P99_S and not stops.refused and not unloaded.refused and memory.most_mb <= MOST_MB,
+        (not whole or p99_s <= P99_S)
+        and not (stops.refused or unloaded.refused)
+        and memory.most_mb <= MOST_MB,
         tuple([f"alone: {line}" for line in unloaded.refused] + stops.refused[:5]),
     )
 
@@ -234,4 +239,4 @@ def _count(what: str, unloaded: Stops, stops: Stops, memory: _Memory, heard: dic
 def trial(extent: Extent) -> list[Count]:
     """This share of 200 stops beside each load."""
     with benches(3) as rigs:
-        return [_row(what, client, crowd, rigs, extent.of(STOPS)) for what, client, crowd in LOADS]
+        return [_row(what, client, crowd, rigs, extent) for what, client, crowd in LOADS]
