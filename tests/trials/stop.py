@@ -217,7 +217,7 @@ def _row(what: str, client: Client, crowd: int, rigs: list[RigSettings], extent:
 def _count(
     what: str, unloaded: Stops, stops: Stops, memory: _Memory, heard: dict[str, int], *, whole: bool
 ) -> Count:
-    """A row. Ten stops have no 99th percentile: of a share the longest is told, and judged are the answers."""
+    """A row. Ten stops have no 99th percentile: of a share the answers are judged, and the time is told."""
     beyond_s = stops.beyond_s(unloaded)
     p99_s = beyond_s[math.ceil(0.99 * len(beyond_s)) - 1] if beyond_s else math.inf
     answers = ", ".join(f"{count} {status}" for status, count in sorted(heard.items()))
