@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import tempfile
 import time
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import ExitStack, closing, suppress
+from http.client import HTTPConnection
 from typing import Any
 
 import httpx
@@ -36,6 +36,14 @@ def asked_and_left(client: httpx.Client, run: dict[str, Any]) -> None:
         client.post(f"/api/runs/{run['id']}/diagnosis", json={}, timeout=0.5)
 
 
+def asking(client: httpx.Client, run: dict[str, Any]) -> closing[HTTPConnection]:
+    """Somebody who asks for a diagnosis and stays until the end of the block."""
+    connection = HTTPConnection(client.base_url.host, client.base_url.port or 80)
+    body, kind = b"{}", {"Content-Type": "application/json"}
+    connection.request("POST", f"/api/runs/{run['id']}/diagnosis", body, kind)
+    return closing(connection)
+
+
 def test_a_diagnosis_stops_when_its_client_leaves(shared_client, monkeypatch):
     run = imported(shared_client, "AS-1")
     monkeypatch.setattr(diagnoses, "trace", for_ever)
@@ -48,9 +56,9 @@ def test_more_than_may_wait_is_429_and_told_when_to_come_back(shared_client, mon
     monkeypatch.setattr(diagnoses, "trace", for_ever)
     monkeypatch.setattr(pool, "MOST_WAITING", 0)
     slots = pool.Processes().slots
-    with ThreadPoolExecutor(slots) as others:
+    with ExitStack() as others:
         for _ in range(slots):
-            others.submit(asked_and_left, shared_client, run)
+            others.enter_context(asking(shared_client, run))
         wait_for(lambda: len(working()) == slots, "all processes at work")
         answer = shared_client.post("/api/imports", files={"file": ("p.csv", "x")}, data={"unit": "A"})
     assert answer.status_code == 429

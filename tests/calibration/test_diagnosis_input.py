@@ -262,4 +262,6 @@ def test_a_measured_warm_up_is_traced_to_temperature_and_not_to_time(warm_up: di
 
 def test_a_measured_warm_up_before_and_after(warm_up: dict[str, Any]) -> None:
     assert warm_up["base"]["fit_rms_deg"] == pytest.approx(0.062, abs=0.001)
-    assert warm_up["final"]["held_out_rms_deg"] <= 0.008
+    assert warm_up["final"]["fit_rms_deg"] <= 0.0064
+    # one fold in four cannot tell the second-order term from noise that wanders, and does without
+    assert warm_up["final"]["held_out_rms_deg"] <= 0.009

@@ -38,7 +38,8 @@ def unsettled_poses():
     rng = np.random.default_rng(1)
     theta = rng.uniform(-60, 60, 24).round(2)
     reading = 0.8 + theta - 0.02 * np.diff(theta, prepend=theta[0]) + rng.normal(0, NOISE_DEG, 24)
-    return ["target_deg,reading_deg", *(f"{x},{y:.4f}" for x, y in zip(theta, reading, strict=True))]
+    rows = (f"{x},{y:.4f},{4 * k}" for k, (x, y) in enumerate(zip(theta, reading, strict=True)))
+    return ["target_deg,reading_deg,time_s", *rows]
 
 
 def noise_alone(seed=0):
