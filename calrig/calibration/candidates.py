@@ -10,7 +10,8 @@ import numpy as np
 
 from calrig.calibration.effect import HIDDEN, Effect, Parameters, Shape
 from calrig.calibration.effects import EFFECTS, UNNAMED, effect_of
-from calrig.calibration.responses import Responses
+from calrig.calibration.responses import Change, Responses
+from calrig.calibration.run_changes import in_words, only_in_later_runs, shapes_of
 from calrig.estimation.angles import FloatArray
 
 
@@ -41,7 +42,10 @@ class Candidate:
         first = 0
         for one in self.members:
             width = one.columns.shape[2]
-            if not one.effect.possible(one.shape, beta[first : first + width]):
+            own = beta[first : first + width]
+            # of a difference either sign: what a parameter may not be by itself, it may have lost
+            senses = (own,) if one.changed is None else (own, -own)
+            if not any(one.effect.possible(one.shape, sense) for sense in senses):
                 return False
             first += width
         return True
@@ -62,10 +66,20 @@ class Candidate:
         return self.shape.covariate or self.effect.covariate.name
 
     @property
-    def label(self) -> str:
-        """The name, for an unnamed shape with its covariate: what two forms of one thing share."""
+    def changed(self) -> Change | None:
+        """Between which runs, where it is only in the later ones."""
+        return self.shape.changed
+
+    @property
+    def kind(self) -> str:
+        """The name, for an unnamed shape with its covariate: what it is, whenever it came."""
         own = self.name if self.named else f"{UNNAMED} {self.covariate}"
-        return own if self.beside is None else f"{self.beside.label} + {own}"
+        return own if self.beside is None else f"{self.beside.kind} + {own}"
+
+    @property
+    def label(self) -> str:
+        """The kind, and between which runs it changed: what two forms of one thing share."""
+        return f"{self.kind}{in_words(self.changed)}"
 
     @property
     def parameters(self) -> int:
@@ -92,9 +106,14 @@ def candidate_of(r: Responses, effect: Effect, shape: Shape) -> Candidate:
 def candidates_of(r: Responses) -> list[Candidate]:
     """Every candidate that these poses can show, those without a name last."""
     effects = sorted(EFFECTS.values(), key=lambda effect: effect.name == UNNAMED)
-    found = [candidate_of(r, effect, shape) for effect in effects for shape in effect.shapes(r)]
+    found = [
+        candidate_of(r, effect, shape)
+        for effect in effects
+        for shape in shapes_of(r, effect, named=effect.name != UNNAMED)
+    ]
     shown = [candidate for candidate in found if np.ptp(candidate.columns[:, 0, 0]) > 0.0]
-    pairs = [(a, b) for b in shown for a in shown if a.name in b.effect.together_with]
+    all_along = [candidate for candidate in shown if candidate.changed is None]
+    pairs = [(a, b) for b in all_along for a in all_along if a.name in b.effect.together_with]
     together = [
         Candidate(b.effect, b.shape, np.concatenate([a.columns, b.columns], axis=2), a) for a, b in pairs
     ]
@@ -111,16 +130,19 @@ def rebuilt(candidate: Candidate, r: Responses, form: str | None = None) -> Cand
         form: another form of it.
     """
     wanted = candidate.shape.form if form is None else form
+    shapes = list(candidate.effect.forms(r, candidate.shape.at))
     forms = [
         shape
-        for shape in candidate.effect.forms(r, candidate.shape.at)
+        for shape in only_in_later_runs(r, candidate.changed, shapes)
         if shape.form == wanted and shape.covariate == candidate.shape.covariate
     ]
     nearest = _nearest(forms, candidate.shape.at)
     return candidate_of(r, candidate.effect, nearest[0]) if nearest else None
 
 
-def documented_forms(r: Responses, name: str, covariate: str, parameters: Parameters) -> list[Candidate]:
+def documented_forms(
+    r: Responses, name: str, covariate: str, parameters: Parameters, changed: Change | None = None
+) -> list[Candidate]:
     """The forms that an effect of a document may have had: those with all its parameters, at its places.
 
     Args:
@@ -128,6 +150,7 @@ def documented_forms(r: Responses, name: str, covariate: str, parameters: Parame
         name: of the effect.
         covariate: that the document has it follow.
         parameters: values of those that are known.
+        changed: between which runs, where it is a difference.
 
     Returns:
         None of them where these poses cannot show it.
@@ -135,7 +158,7 @@ def documented_forms(r: Responses, name: str, covariate: str, parameters: Parame
     effect = effect_of(name)
     shapes = [
         shape
-        for shape in effect.forms(r, parameters)
+        for shape in only_in_later_runs(r, changed, list(effect.forms(r, parameters)))
         if (shape.covariate or effect.covariate.name) == covariate and shape.stated <= set(parameters)
     ]
     widest = max((len(shape.stated) for shape in shapes), default=0)

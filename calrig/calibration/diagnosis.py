@@ -45,6 +45,7 @@ class Diagnosis:
 
 def diagnose(
     runs: Sequence[Sequence[Pose]],
+    run_ids: Sequence[str] | None = None,
     *,
     seed: int = 0,
     bootstraps: int = BOOTSTRAPS,
@@ -54,6 +55,7 @@ def diagnose(
 
     Args:
         runs: the poses of one or several runs of a unit, in the order measured, none excluded.
+        run_ids: what the runs are called, for what changed between two of them; else counted from 0.
         seed: of the bootstrap: the same poses and seed give the same diagnosis.
         bootstraps: of each step of the search.
         cross_fit: whether the errors before and after are measured on held-out poses.
@@ -62,7 +64,7 @@ def diagnose(
         DiagnosisError: the poses cannot be diagnosed; the message says why.
     """
     whole, incomplete = complete(runs)
-    r = responses_of(whole)
+    r = responses_of(runs, run_ids)
     candidates = candidates_of(r)
     rng = np.random.default_rng(seed)
     findings = search(r, candidates, rng, bootstraps=bootstraps)
@@ -179,7 +181,7 @@ def trace(
     used = [list(run) for run in runs]
     if deciding is not None:
         used[-1] = [used[-1][k] for k in deciding]
-    diagnosis = diagnose(used)
+    diagnosis = diagnose(used, run_ids)
     found = document(diagnosis, run_ids)
     if deciding is not None:
         confirmation = confirm(runs[:-1], runs[-1], deciding, diagnosis.findings)

@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from calrig.calibration.responses import READING, Responses
+from calrig.calibration.responses import READING, Change, Responses
 from calrig.estimation.angles import FloatArray
 
 Origin = Literal["sensor", "stage", "mounting", "process", "environment", "unknown"]
@@ -98,6 +98,7 @@ class Shape:
         replaces: a base column that the effect's own column takes the place of.
         says: what is to be said of this form beside the effect's name.
         part_of: the form with all parameters, where this one has some of them.
+        changed: between which runs, where it is only in the later ones.
     """
 
     shares: Mapping[str, FloatArray]
@@ -109,6 +110,7 @@ class Shape:
     replaces: str | None = None
     says: str = ""
     part_of: str = ""
+    changed: Change | None = None
 
     @property
     def stated(self) -> frozenset[str]:

@@ -84,7 +84,7 @@ def gate(
     ratios = trial.screen.ratios(fitted.residuals[None])
     observed, alternative = trial.gains(r.values[None], ratios)
     null = np.empty((0, observed.shape[1]))
-    clear_after = max(FEWEST_DRAWS, bootstraps // CLEAR_SHARE)
+    clear_after = max(FEWEST_DRAWS, round(1.0 / level) - 1, bootstraps // CLEAR_SHARE)
     while True:
         values = _resampled(r, alternative, noise, rng, min(len(null) + FIRST_DRAWS, bootstraps - len(null)))
         null = np.concatenate([null, trial.gains(values, trial.screen.ratios(values))[0]])

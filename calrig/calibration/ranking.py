@@ -12,6 +12,7 @@ from calrig.calibration.effect import Shape
 from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import fit
 from calrig.calibration.responses import Responses
+from calrig.calibration.run_changes import only_in_later_runs
 from calrig.calibration.screen import Float32Array, Screen
 from calrig.estimation.angles import FloatArray
 
@@ -69,7 +70,7 @@ def named(
     claimed = (named or near)[0]
     rivals = _rivals(ranked, claimed) if claimed.named else ()
     own = min(criterion for criterion, c in ranked if c.label == claimed.label)
-    rest = [criterion for criterion, c in ranked if c.label != claimed.label and c.named]
+    rest = [criterion for criterion, c in ranked if c.kind != claimed.kind and c.named]
     lead = min(rest) - own if rest else np.inf
     considered: dict[str, float] = {}
     for criterion, c in ranked:
@@ -83,7 +84,7 @@ def _rivals(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> tu
     others: dict[str, Candidate] = {}
     for criterion, c in ranked:
         first = c.members[0]  # of two that only together explain it, the one that leads is the suspect
-        if c.named and first.label not in claimed.label and criterion - best < MARGIN:
+        if c.named and first.kind not in claimed.kind and criterion - best < MARGIN:
             others.setdefault(first.label, first)
     if not leader.named:
         others[leader.label] = leader
@@ -160,13 +161,17 @@ def _refined(
 ) -> tuple[float, Candidate]:
     """The criterion of a candidate; of a leading one, at the best place between those scanned."""
 
+    def of(shape: Shape) -> Candidate:
+        (here,) = only_in_later_runs(r, candidate.changed, [shape])
+        return candidate_of(r, candidate.effect, here)
+
     def criterion(shape: Shape) -> float:
-        return fit(r, model_columns(r, [*accepted, candidate_of(r, candidate.effect, shape)])).criterion
+        return fit(r, model_columns(r, [*accepted, of(shape)])).criterion
 
     refine = candidate.effect.refine if leads and candidate.beside is None else None
     finer = refine and refine(r, candidate.shape, criterion)
     if finer is not None:
-        candidate = candidate_of(r, candidate.effect, finer)
+        candidate = of(finer)
     fitted = fit(r, model_columns(r, [*accepted, candidate]))
     own = fitted.beta[-candidate.columns.shape[2] :]
     return fitted.criterion if candidate.is_possible(own) else np.inf, candidate

@@ -15,6 +15,7 @@ from calrig.calibration.noise_model import Fit, fit
 from calrig.calibration.outliers import most_outliers, outlier
 from calrig.calibration.ranking import Found, named, pair
 from calrig.calibration.responses import Responses
+from calrig.calibration.run_changes import is_level, with_free_levels
 from calrig.calibration.screen import Screen
 from calrig.estimation.angles import FloatArray
 
@@ -53,6 +54,9 @@ def search(
 ) -> Findings:
     """Finds the effects in some poses, and leaves outliers among those aside.
 
+    Of several runs first those that show within them, each run with a bias of its own, then what the biases
+    differ by, at half the level each.
+
     Args:
         r: the responses.
         candidates: of these poses (`candidates_of`).
@@ -60,7 +64,32 @@ def search(
         bootstraps: how many a step.
         level: of the gate.
     """
-    found: list[Found] = []
+    if len(r.run_ids) < 2:
+        return _search(r, candidates, rng, bootstraps, level)
+    levels = [is_level(r, c.columns) for c in candidates]
+    shapes = [c for c, of_level in zip(candidates, levels, strict=True) if not of_level]
+    within = _search(with_free_levels(r), shapes, rng, bootstraps, level / 2.0)
+    kept = within.kept
+    # what a place was scanned for shows within the runs or not at all
+    between = [
+        c.rows(kept)
+        for c, of_level in zip(candidates, levels, strict=True)
+        if of_level or not any(member.shape.scanned for member in c.members)
+    ]
+    whole = _search(r.rows(kept), between, rng, bootstraps, level / 2.0, within.found)
+    return replace(whole, kept=kept[whole.kept])
+
+
+def _search(
+    r: Responses,
+    candidates: Sequence[Candidate],
+    rng: np.random.Generator,
+    bootstraps: int,
+    level: float,
+    known: Sequence[Found] = (),
+) -> Findings:
+    """The search in one base, with effects in the model that are known already."""
+    found = list(known)
     too_small: set[str] = set()
     kept = np.arange(len(r))
     fewest = len(r) - most_outliers(len(r))
@@ -83,7 +112,7 @@ def search(
             kept, r, candidates = kept[others], r.rows(others), [c.rows(others) for c in candidates]
             found = [replace(f, candidate=f.candidate.rows(others)) for f in found]
             continue
-        if verdict.p_value > level or len(found) >= MOST_EFFECTS:
+        if verdict.p_value > level or len(found) - len(known) >= MOST_EFFECTS:
             least = 1.0 / (bootstraps + 1)
             return Findings(r, kept, tuple(found), fitted, columns, verdict.p_value, least)
         step = named(r, accepted, verdict.candidates, verdict.ratios, verdict.p_value)
@@ -100,7 +129,7 @@ def search(
             if p_value <= level:
                 beside = replace(step, candidate=second, rivals=(), p_value=p_value)
                 steps = [replace(step, candidate=first, rivals=()), beside]
-        found = _reconsidered(r, candidates, [*found, *steps])
+        found = _reconsidered(r, candidates, [*found, *steps], len(known))
 
 
 def _offered(
@@ -118,11 +147,13 @@ def _offered(
     return [c for c in candidates if c.label not in too_small and may_enter(c)]
 
 
-def _reconsidered(r: Responses, candidates: Sequence[Candidate], found: list[Found]) -> list[Found]:
-    """Each effect held against its rivals once more, with all the others in the model."""
-    if len(found) == 1:
+def _reconsidered(
+    r: Responses, candidates: Sequence[Candidate], found: list[Found], known: int
+) -> list[Found]:
+    """Each effect but the first known ones against its rivals once more, with all the others in the model."""
+    if len(found) == known + 1:
         return found
-    for place, one in enumerate(found):
+    for place, one in list(enumerate(found))[known:]:
         others = [f.candidate for f in found if f is not one]
         offered = _offered(candidates, others, set())
         columns = model_columns(r, others)
