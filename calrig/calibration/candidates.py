@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calrig.calibration.effect import HIDDEN, Effect, Parameters, Shape
 from calrig.calibration.effects import EFFECTS, UNNAMED, effect_of
 from calrig.calibration.responses import Change, Responses
-from calrig.calibration.run_changes import in_words, only_in_later_runs, shapes_of
+from calrig.calibration.run_changes import changed_shapes, in_words, shapes_of
 from calrig.estimation.angles import FloatArray
 
 
@@ -133,7 +133,7 @@ def rebuilt(candidate: Candidate, r: Responses, form: str | None = None) -> Cand
     shapes = list(candidate.effect.forms(r, candidate.shape.at))
     forms = [
         shape
-        for shape in only_in_later_runs(r, candidate.changed, shapes)
+        for shape in changed_shapes(r, candidate.changed, shapes)
         if shape.form == wanted and shape.covariate == candidate.shape.covariate
     ]
     nearest = _nearest(forms, candidate.shape.at)
@@ -156,9 +156,13 @@ def documented_forms(
         None of them where these poses cannot show it.
     """
     effect = effect_of(name)
+    forms = list(effect.forms(r, parameters))
+    # the difference is the same whether something began, or what there was before ended
+    changes = [changed] if changed is None else [replace(changed, ended=ended) for ended in (False, True)]
     shapes = [
         shape
-        for shape in only_in_later_runs(r, changed, list(effect.forms(r, parameters)))
+        for change in changes
+        for shape in changed_shapes(r, change, forms)
         if (shape.covariate or effect.covariate.name) == covariate and shape.stated <= set(parameters)
     ]
     widest = max((len(shape.stated) for shape in shapes), default=0)

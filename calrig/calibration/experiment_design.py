@@ -19,7 +19,6 @@ from calrig.calibration.pose import Pose
 from calrig.calibration.ranking import SAME, Found
 from calrig.calibration.responses import Responses, responses_of
 from calrig.calibration.run_changes import with_free_levels
-from calrig.calibration.run_changes import with_free_levels
 from calrig.calibration.search import Findings
 from calrig.estimation.angles import FloatArray
 

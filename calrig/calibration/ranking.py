@@ -12,7 +12,7 @@ from calrig.calibration.effect import Shape
 from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import fit
 from calrig.calibration.responses import Responses
-from calrig.calibration.run_changes import only_in_later_runs
+from calrig.calibration.run_changes import changed_shapes
 from calrig.calibration.screen import Float32Array, Screen
 from calrig.estimation.angles import FloatArray
 
@@ -162,7 +162,7 @@ def _refined(
     """The criterion of a candidate; of a leading one, at the best place between those scanned."""
 
     def of(shape: Shape) -> Candidate:
-        (here,) = only_in_later_runs(r, candidate.changed, [shape])
+        (here,) = changed_shapes(r, candidate.changed, [shape])
         return candidate_of(r, candidate.effect, here)
 
     def criterion(shape: Shape) -> float:

@@ -43,11 +43,17 @@ ONE_ANGLE_DEG = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """Between two consecutive runs: `run` is the index of the later one, `before` and `after` their names."""
+    """Between two consecutive runs something began, or ended.
+
+    Attributes:
+        run: index of the later one.
+        before, after: what the two are called.
+    """
 
     run: int
     before: str
     after: str
+    ended: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,8 @@
-"""What differs from run to run: an effect of the later runs alone, its parameters the later less the earlier.
+"""What differs from run to run: an effect that began or ended, its parameters the later less the earlier.
 
-The level of a run (how it was clamped, where the stage was homed) is free while the shapes within the runs are
-searched: what a drift or a warm-up has left behind by the next run is not known. The levels are compared after
-that, in a base that has one bias for all.
+The level of a run (how it was clamped, where the stage was homed) is free while the shapes within the runs
+are searched: what a drift or a warm-up has left behind by the next run is not known. The levels are compared
+after that, in a base that has one bias for all.
 """
 
 from __future__ import annotations
@@ -22,30 +22,52 @@ FEW_CHANGES = 2
 """Where runs are more, a change between two of them is looked for among effects with a name and no place."""
 
 
-def changes_of(r: Responses) -> list[Change]:
-    """Between which runs something may have changed."""
-    names = r.run_ids
-    return [Change(k, names[k - 1], names[k]) for k in range(1, len(names))]
-
-
 def shapes_of(r: Responses, effect: Effect, *, named: bool) -> Iterator[Shape]:
-    """The shapes that an effect takes in some poses: in all of them, and in those after a change alone."""
+    """The shapes that an effect takes in some poses: in all of them, and before or after a change alone."""
     shapes = list(effect.shapes(r))
-    if effect.covariate is not RUN:
-        yield from shapes
-    changes = changes_of(r)
-    for change in changes:
-        for shape in shapes:
-            at_one_time = shape.scanned and effect.covariate is TIME  # in one run as it is
-            if not at_one_time and (len(changes) <= FEW_CHANGES or (named and not shape.scanned)):
-                yield changed(r, shape, change)
+    if effect.covariate is RUN:  # what ends is the same as what begins, but for bias and scale
+        for change in _changes(r, ended=False):
+            yield from changed_shapes(r, change, shapes)
+        return
+    yield from shapes
+    few = len(r.run_ids) - 1 <= FEW_CHANGES
+    if few or named:
+        moving = [shape for shape in shapes if _may_change(effect, shape, few=few)]
+        for change in (*_changes(r, ended=False), *_changes(r, ended=True)):
+            yield from changed_shapes(r, change, moving)
 
 
-def changed(r: Responses, shape: Shape, change: Change) -> Shape:
-    """A shape in the runs after a change alone."""
-    later = (r.run >= change.run).astype(np.float64)
-    shares = {channel: (share.T * later).T for channel, share in shape.shares.items()}
-    return replace(shape, shares=shares, replaces=None, changed=change)
+def _may_change(effect: Effect, shape: Shape, *, few: bool) -> bool:
+    return not shape.scanned or (few and effect.covariate is not TIME)  # what has an instant is of one run
+
+
+def _changes(r: Responses, *, ended: bool) -> list[Change]:
+    names = r.run_ids
+    return [Change(k, names[k - 1], names[k], ended) for k in range(1, len(names))]
+
+
+def changed_shapes(r: Responses, change: Change | None, shapes: Sequence[Shape]) -> list[Shape]:
+    """Shapes as they are where nothing changed, else what they add to the runs after a change.
+
+    Of what ended the coefficients are negative: nothing less what there was before.
+    """
+    if change is None:
+        return list(shapes)
+    later = (r.run >= change.run).astype(np.float64) - float(change.ended)
+    return [
+        replace(
+            shape,
+            shares={channel: (share.T * later).T for channel, share in shape.shares.items()},
+            replaces=None,
+            changed=change,
+        )
+        for shape in shapes
+    ]
+
+
+def in_words(change: Change | None) -> str:
+    """Such as ` from run 17 to run 18`; empty where nothing changed."""
+    return "" if change is None else f" from run {change.before} to run {change.after}"
 
 
 def is_level(r: Responses, columns: FloatArray) -> bool:
@@ -66,13 +88,3 @@ def with_free_levels(r: Responses) -> Responses:
         freed[:, r.channels.index(name), place] = r.run >= run
     base_names = (*r.base_names, *(f"{name}.level" for name, _ in names))
     return replace(r, base=np.concatenate([r.base, freed], axis=2), base_names=base_names)
-
-
-def in_words(change: Change | None) -> str:
-    """Such as ` from run 17 to run 18`; empty where nothing changed."""
-    return "" if change is None else f" from run {change.before} to run {change.after}"
-
-
-def only_in_later_runs(r: Responses, change: Change | None, shapes: Sequence[Shape]) -> list[Shape]:
-    """Shapes as they are where nothing changed, else in the runs after the change alone."""
-    return list(shapes) if change is None else [changed(r, shape, change) for shape in shapes]
