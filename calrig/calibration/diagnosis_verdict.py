@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from calrig.calibration.effects import EFFECTS, UNNAMED
+from calrig.calibration.verdict import between_runs
 
 Document = Mapping[str, Any]
 
@@ -73,13 +74,15 @@ def _title(effect: Document) -> str:
     if effect["name"] == UNNAMED:
         followed = (e.covariate for e in EFFECTS.values() if e.covariate.name == effect["covariate"])
         covariate = next(followed, None)
-        return f"something that follows {covariate.title if covariate else effect['covariate']}"
+        column = covariate.title if covariate else effect["covariate"]
+        return f"something that follows {column}{between_runs(effect)}"
     title = EFFECTS[effect["name"]].title
-    return title[0].lower() + title[1:]
+    return title[0].lower() + title[1:] + between_runs(effect)
 
 
 def _suspects(effect: Document) -> str:
-    return " or ".join(name.replace("_", " ") for name in (effect["name"], *effect["confusable_with"]))
+    names = " or ".join(name.replace("_", " ") for name in (effect["name"], *effect["confusable_with"]))
+    return names + between_runs(effect)
 
 
 def _confirmation(fresh: Document, decided: int | None, *, confirmed: bool) -> str:

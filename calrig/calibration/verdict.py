@@ -167,10 +167,18 @@ def _diagnosed(diagnosis: Document | None, left: str | None) -> list[str]:
     return [_found(effect) for effect in open_ones]
 
 
+def between_runs(effect: Document) -> str:
+    """Such as `, changed from run 17 to run 18`; empty of what was the same in all runs."""
+    changed = effect.get("changed")
+    return f", changed from run {changed['from']} to run {changed['to']}" if changed else ""
+
+
 def _found(effect: Document) -> str:
     if effect["verdict"] == "unnamed":
         return "The diagnosis finds an effect that is not in its catalogue."
     names = [name.replace("_", " ") for name in (effect["name"], *effect["confusable_with"])]
+    if effect["verdict"] == "named" and effect.get("changed"):
+        return f"The diagnosis names {names[0]}{between_runs(effect)}."
     if effect["verdict"] == "named":
         return f"The diagnosis names {names[0]}, which has not been accepted."
     return f"The diagnosis cannot distinguish {' from '.join(names)}."

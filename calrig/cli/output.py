@@ -189,11 +189,13 @@ def _print_effect(effect: dict[str, Any]) -> None:
     """Prints an effect of a diagnosis in the catalogue's words."""
     from calrig.calibration.effect import ORIGINS
     from calrig.calibration.effects import EFFECTS, covariate_of
+    from calrig.calibration.verdict import between_runs
 
     known, covariate = EFFECTS[effect["name"]], covariate_of(effect["covariate"])
     titles = [known.title, *(EFFECTS[rival].title for rival in effect["confusable_with"])]
     against = f"against {covariate.title if covariate else effect['covariate']}"
-    _print(f"\n{', or '.join(titles)} ({effect['verdict']}; {ORIGINS[known.origin]}; {against})")
+    heading = f"{', or '.join(titles)}{between_runs(effect)}"
+    _print(f"\n{heading} ({effect['verdict']}; {ORIGINS[known.origin]}; {against})")
     of_covariate = covariate.unit if covariate else ""
     for one in known.parameters:
         if not one.flag:

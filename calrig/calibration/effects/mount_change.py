@@ -1,4 +1,4 @@
-"""Another angle between stage and sensor than in the run before: reading and accelerometer turned together."""
+"""Another angle of the unit on the stage than in the run before: reading and accelerometer turned alike."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ EFFECT = Effect(
     forms=_forms,
     on_reading_deg=lambda p: np.full(len(p.theta_deg), p.value("deg")),
     in_c=NotInFlight("it is the angle at which the unit was clamped to a stage"),
-    apart="the accelerometer turned as the reading did; clamped anew, homed anew or a package that turned look "
-    "the same: clamp the unit and home the stage several times to know how well either repeats",
+    apart="the accelerometer turned as the reading did; clamped anew, homed anew or a package that turned "
+    "look the same: clamp the unit and home the stage several times to know how well either repeats",
     remedy="calibrate with the clamping repeated; fly the bias of the mount that flies",
 )
