@@ -5,13 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
+from itertools import combinations
 
 import numpy as np
 
 from calrig.calibration.effect import HIDDEN, Effect, Parameters, Shape
 from calrig.calibration.effects import EFFECTS, UNNAMED, effect_of
 from calrig.calibration.responses import Change, Responses
-from calrig.calibration.run_changes import changed_shapes, in_words, shapes_of
+from calrig.calibration.run_changes import (
+    MANY_CHANGES,
+    RUN,
+    SOME_CHANGES,
+    changed_shapes,
+    in_words,
+    shapes_of,
+)
 from calrig.estimation.angles import FloatArray
 
 
@@ -35,7 +44,7 @@ class Candidate:
         if self.beside is None:
             return (self,)
         width = self.beside.columns.shape[2]
-        return self.beside, Candidate(self.effect, self.shape, self.columns[:, :, width:])
+        return *self.beside.members, Candidate(self.effect, self.shape, self.columns[:, :, width:])
 
     def is_possible(self, beta: FloatArray) -> bool:
         """Whether the coefficients (≥ p,), its own first, are any that physics allows."""
@@ -79,7 +88,11 @@ class Candidate:
     @property
     def label(self) -> str:
         """The kind, and between which runs it changed: what two forms of one thing share."""
-        return f"{self.kind}{in_words(self.changed)}"
+        if self.beside is None:
+            return f"{self.kind}{in_words(self.changed)}"
+        if len(self.members) > 2:
+            return f"{self.name} between all runs"
+        return " + ".join(one.label for one in self.members)
 
     @property
     def parameters(self) -> int:
@@ -114,11 +127,29 @@ def candidates_of(r: Responses) -> list[Candidate]:
     shown = [candidate for candidate in found if np.ptp(candidate.columns[:, 0, 0]) > 0.0]
     all_along = [candidate for candidate in shown if candidate.changed is None]
     pairs = [(a, b) for b in all_along for a in all_along if a.name in b.effect.together_with]
-    together = [
-        Candidate(b.effect, b.shape, np.concatenate([a.columns, b.columns], axis=2), a) for a, b in pairs
-    ]
+    together = [_together(a, b) for a, b in pairs] + _several_changes(shown, len(r.run_ids) - 1)
     unnamed = sum(not candidate.named for candidate in shown)
     return [*shown[: len(shown) - unnamed], *together, *shown[len(shown) - unnamed :]]
+
+
+def _together(a: Candidate, b: Candidate) -> Candidate:
+    return Candidate(b.effect, b.shape, np.concatenate([a.columns, b.columns], axis=2), a)
+
+
+def _several_changes(shown: Sequence[Candidate], changes: int) -> list[Candidate]:
+    """A level that changes and comes back, or changes between all runs: each change alone explains little.
+
+    Two at a time as in circular binary segmentation (Olshen, Venkatraman, Lucito & Wigler, Biostatistics 5,
+    2004).
+    """
+    found = []
+    for effect in {c.effect.name: c.effect for c in shown if c.effect.covariate is RUN}.values():
+        own = [c for c in shown if c.effect is effect]  # in the order of the runs
+        if 2 <= changes <= SOME_CHANGES:
+            found += [_together(a, b) for a, b in combinations(own, 2)]
+        if 3 <= changes <= MANY_CHANGES:
+            found.append(reduce(_together, own))
+    return found
 
 
 def rebuilt(candidate: Candidate, r: Responses, form: str | None = None) -> Candidate | None:

@@ -12,7 +12,7 @@ from calrig.calibration.effect import Shape
 from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import fit
 from calrig.calibration.responses import Responses
-from calrig.calibration.run_changes import changed_shapes
+from calrig.calibration.run_changes import RUN, changed_shapes
 from calrig.calibration.screen import Float32Array, Screen
 from calrig.estimation.angles import FloatArray
 
@@ -89,6 +89,22 @@ def _rivals(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> tu
     if not leader.named:
         others[leader.label] = leader
     return tuple(others.values())
+
+
+def needed(r: Responses, accepted: Sequence[Candidate], together: Candidate) -> list[Candidate]:
+    """The members of a candidate, of several changes between runs those that are worth a parameter each."""
+    members = list(together.members)
+    bic_penalty = float(np.log(len(r)))
+
+    def criterion(kept: Sequence[Candidate]) -> float:
+        return fit(r, model_columns(r, [*accepted, *kept])).criterion + bic_penalty * len(kept)
+
+    while len(members) > 1 and together.effect.covariate is RUN:
+        fewer = min(([m for m in members if m is not one] for one in members), key=criterion)
+        if criterion(fewer) > criterion(members):
+            break
+        members = fewer
+    return members
 
 
 def pair(

@@ -20,6 +20,10 @@ RUN = Covariate("run", "run", "", lambda r: r.run.astype(np.float64))
 """Of effects that are nothing but a difference between runs: within one they are its bias or scale."""
 FEW_CHANGES = 2
 """Where runs are more, a change between two of them is looked for among effects with a name and no place."""
+SOME_CHANGES = 8
+"""Where runs are still more, only what they differ by in bias and scale is looked for."""
+MANY_CHANGES = 20
+"""Where runs are still more, one change at a time."""
 
 
 def shapes_of(r: Responses, effect: Effect, *, named: bool) -> Iterator[Shape]:
@@ -30,8 +34,9 @@ def shapes_of(r: Responses, effect: Effect, *, named: bool) -> Iterator[Shape]:
             yield from changed_shapes(r, change, shapes)
         return
     yield from shapes
-    few = len(r.run_ids) - 1 <= FEW_CHANGES
-    if few or named:
+    changes = len(r.run_ids) - 1
+    few = changes <= FEW_CHANGES
+    if few or (named and changes <= SOME_CHANGES):
         moving = [shape for shape in shapes if _may_change(effect, shape, few=few)]
         for change in (*_changes(r, ended=False), *_changes(r, ended=True)):
             yield from changed_shapes(r, change, moving)

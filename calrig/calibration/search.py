@@ -13,7 +13,7 @@ from calrig.calibration.gate import Verdict, gate
 from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import Fit, fit
 from calrig.calibration.outliers import most_outliers, outlier
-from calrig.calibration.ranking import Found, named, pair
+from calrig.calibration.ranking import Found, named, needed, pair
 from calrig.calibration.responses import Responses
 from calrig.calibration.run_changes import is_level, with_free_levels
 from calrig.calibration.screen import Screen
@@ -119,9 +119,9 @@ def _search(
         if _share_of_reading(r, accepted, step.candidate) < LEAST_SHARE:
             too_small.add(step.candidate.label)
             continue
-        steps = [replace(step, candidate=member) for member in step.candidate.members]
+        steps = [replace(step, candidate=member) for member in needed(r, accepted, step.candidate)]
         two = None
-        if len(steps) == 1:
+        if step.candidate.beside is None:
             two = pair(r, accepted, verdict.candidates, verdict.ratios, step)
         if two is not None:
             first, second = two
@@ -137,11 +137,12 @@ def _offered(
 ) -> list[Candidate]:
     """The candidates that may enter now: not those that have, nor those that follow on what has not."""
     present = {c.name for c in accepted}
+    always = {c.name for c in accepted if c.changed is None}
     once = {c.label for c in accepted if c.named and not c.shape.at}
 
     def may_enter(c: Candidate) -> bool:
         if c.beside is not None:
-            return present.isdisjoint(member.name for member in c.members)
+            return not any(one.label in once or (one.name in always) for one in c.members)
         return c.label not in once and (c.effect.follows is None or c.effect.follows in present)
 
     return [c for c in candidates if c.label not in too_small and may_enter(c)]
