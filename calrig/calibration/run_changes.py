@@ -39,7 +39,9 @@ def shapes_of(r: Responses, effect: Effect, *, named: bool) -> Iterator[Shape]:
     if few or (named and changes <= SOME_CHANGES):
         moving = [shape for shape in shapes if _may_change(effect, shape, few=few)]
         for change in (*_changes(r, ended=False), *_changes(r, ended=True)):
-            yield from changed_shapes(r, change, moving)
+            own = r.rows(np.flatnonzero((r.run < change.run) == change.ended))
+            if next(effect.shapes(own), None) is not None:  # those runs by themselves can show it
+                yield from changed_shapes(r, change, moving)
 
 
 def _may_change(effect: Effect, shape: Shape, *, few: bool) -> bool:
