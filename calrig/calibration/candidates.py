@@ -99,10 +99,11 @@ class Candidate:
         """How many parameters it adds to a model: coefficients, and two for a place that was scanned.
 
         One of n places costs 2·log n in −2 log likelihood, twice a coefficient's log n (Zhang & Siegmund,
-        Biometrics 63, 2007, for change points).
+        Biometrics 63, 2007, for change points). So does the choice of the runs that have an effect.
         """
         shapes = [one.shape for one in self.members]
         scanned = sum(shape.scanned for shape in shapes)
+        scanned += sum(one.changed is not None and one.effect.covariate is not RUN for one in self.members)
         return int(self.columns.shape[2]) + 2 * scanned - sum(shape.replaces is not None for shape in shapes)
 
     def rows(self, chosen: np.ndarray[tuple[int], np.dtype[np.intp]]) -> Candidate:

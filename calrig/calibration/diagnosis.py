@@ -12,7 +12,7 @@ import numpy as np
 from calrig.calibration.candidates import candidates_of
 from calrig.calibration.cross_validation import CrossValidation, confirm, cross_validate
 from calrig.calibration.diagnosis_verdict import diagnosis_verdict
-from calrig.calibration.experiment_design import design
+from calrig.calibration.experiment_design import ambiguous_of, design
 from calrig.calibration.fit import fit_line, residuals_deg, rms
 from calrig.calibration.pose import Pose
 from calrig.calibration.pose_columns import complete
@@ -190,7 +190,7 @@ def trace(
             "before_rms_deg": confirmation.before_rms_deg,
             "after_rms_deg": confirmation.after_rms_deg,
         }
-    if found["verdict"] == "ambiguous":
+    if ambiguous_of(diagnosis.findings) is not None:
         elevations = [pose.theta_deg for run in used for pose in run]
         designed = design(
             diagnosis.runs, diagnosis.findings, limits_deg or (min(elevations), max(elevations))

@@ -77,8 +77,9 @@ class FollowUp:
 
 
 def ambiguous_of(findings: Findings) -> Found | None:
-    """The first effect that is indistinguishable from its rivals."""
-    return next((f for f in findings.found if f.verdict == "ambiguous"), None)
+    """The first effect that is indistinguishable from its rivals; no run repeats what changed between two."""
+    suspected = (f for f in findings.found if f.verdict == "ambiguous" and f.candidate.changed is None)
+    return next(suspected, None)
 
 
 def design(

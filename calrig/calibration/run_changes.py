@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from calrig.calibration.effect import TIME, Covariate, Effect, Shape
-from calrig.calibration.responses import ANGLE, READING, Change, Responses
+from calrig.calibration.responses import ANGLE, FEWEST_POSES, READING, Change, Responses
 from calrig.estimation.angles import FloatArray
 
 RUN = Covariate("run", "run", "", lambda r: r.run.astype(np.float64))
@@ -40,7 +40,8 @@ def shapes_of(r: Responses, effect: Effect, *, named: bool) -> Iterator[Shape]:
         moving = [shape for shape in shapes if _may_change(effect, shape, few=few)]
         for change in (*_changes(r, ended=False), *_changes(r, ended=True)):
             own = r.rows(np.flatnonzero((r.run < change.run) == change.ended))
-            if next(effect.shapes(own), None) is not None:  # those runs by themselves can show it
+            enough = FEWEST_POSES <= len(own) <= len(r) - FEWEST_POSES
+            if enough and next(effect.shapes(own), None) is not None:  # those runs by themselves show it
                 yield from changed_shapes(r, change, moving)
 
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from calrig.calibration.candidates import Candidate
 from calrig.calibration.gate import Verdict, gate
 from calrig.calibration.model import model_columns
-from calrig.calibration.noise_model import Fit, fit
+from calrig.calibration.noise_model import Fit, NoiseModel, fit, noise_of
 from calrig.calibration.outliers import most_outliers, outlier
 from calrig.calibration.ranking import Found, named, needed, pair
 from calrig.calibration.responses import Responses
@@ -76,7 +76,10 @@ def search(
         for c, of_level in zip(candidates, levels, strict=True)
         if of_level or not any(member.shape.scanned for member in c.members)
     ]
-    whole = _search(r.rows(kept), between, rng, bootstraps, level / 2.0, within.found)
+    # levels that differ look like noise that wanders: what wanders within the runs is the measure of it
+    of_each = max(1.0, within.columns.shape[2] / len(r.channels))
+    noise = noise_of(within.fitted.residuals, within.responses, of_each, unbiased=True)
+    whole = _search(r.rows(kept), between, rng, bootstraps, level / 2.0, within.found, noise)
     return replace(whole, kept=kept[whole.kept])
 
 
@@ -87,8 +90,9 @@ def _search(
     bootstraps: int,
     level: float,
     known: Sequence[Found] = (),
+    noise: NoiseModel | None = None,
 ) -> Findings:
-    """The search in one base, with effects in the model that are known already."""
+    """The search in one base, with effects in the model, and the null's noise, that are known already."""
     found = list(known)
     too_small: set[str] = set()
     kept = np.arange(len(r))
@@ -99,7 +103,7 @@ def _search(
             return model_columns(r, [*accepted, *more])
 
         offered = _offered(candidates, accepted, too_small)
-        return gate(r, columns_with, fitted, offered, rng, bootstraps, level)
+        return gate(r, columns_with, fitted, offered, rng, bootstraps, level, noise)
 
     while True:
         accepted = [f.candidate for f in found]
