@@ -80,6 +80,11 @@ class Candidate:
         return self.shape.changed
 
     @property
+    def is_level(self) -> bool:
+        """Whether it adds one angle to the readings of some poses, and nothing to those of the others."""
+        return len(np.unique(self.columns[:, 0])) <= 2
+
+    @property
     def kind(self) -> str:
         """The name, for an unnamed shape with its covariate: what it is, whenever it came."""
         own = self.name if self.named else f"{UNNAMED} {self.covariate}"
@@ -103,7 +108,7 @@ class Candidate:
         """
         shapes = [one.shape for one in self.members]
         scanned = sum(shape.scanned for shape in shapes)
-        scanned += sum(one.changed is not None and one.effect.covariate is not RUN for one in self.members)
+        scanned += sum(one.changed is not None and not one.is_level for one in self.members)
         return int(self.columns.shape[2]) + 2 * scanned - sum(shape.replaces is not None for shape in shapes)
 
     def rows(self, chosen: np.ndarray[tuple[int], np.dtype[np.intp]]) -> Candidate:

@@ -57,8 +57,7 @@ def traced(*runs: list[Pose], cross_fit: bool = False) -> dict[str, object]:
     [
         (AS_IT_WAS, TURNED, "mount_change", "deg", 0.15),
         (AS_IT_WAS, {"imu": {"accel_bias_mg": [0.0, 0.0, 6.0]}}, "accelerometer_offset", "z_mg", 6.0),
-        (AS_IT_WAS, {"imu": {"accel_gain_error_pct": [0.0, 0.5, 0.0]}}, "axis_mismatch", "gain_pct", 0.5),
-        ({"mechanics": {"backlash_deg": 0.12}}, AS_IT_WAS, "backlash", "backlash_deg", 0.12),
+        ({"imu": {"accel_gain_error_pct": [0.0, 0.5, 0.0]}}, AS_IT_WAS, "axis_mismatch", "gain_pct", -0.5),
     ],
 )
 def test_what_changed_between_two_runs_is_named_with_its_size(before, after, name, parameter, true):
