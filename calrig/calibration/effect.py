@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from calrig.calibration.responses import Responses
+from calrig.calibration.responses import Change, Responses
 from calrig.calibration.sensor_vector import VectorError, VectorInC, sin_cos
 from calrig.estimation.angles import FloatArray
 
@@ -106,6 +106,7 @@ class Shape:
         at_std: standard errors of the places that were refined.
         series: what it is one term of, where several terms make one cause: a search counts them once.
         beside: covariates that effects in the model must follow before it is offered.
+        changed: between which runs, where it is only in the later ones.
     """
 
     shares: Mapping[str, FloatArray]
@@ -123,6 +124,7 @@ class Shape:
     at_std: Parameters = field(default_factory=dict)
     series: str = ""
     beside: tuple[str, ...] = ()
+    changed: Change | None = None
 
     @property
     def stated(self) -> frozenset[str]:
