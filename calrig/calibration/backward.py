@@ -37,7 +37,7 @@ def tenable(r: Responses, accepted: Sequence[Candidate]) -> bool:
     model = fitted_model(r, accepted)
     columns, fitted, r = model.columns, model.fitted, model.responses
     own = own_columns(columns, accepted)
-    if not all(c.effect.possible(c.shape, fitted.beta[at]) for c, at in zip(accepted, own, strict=True)):
+    if not all(c.is_possible(fitted.beta[at]) for c, at in zip(accepted, own, strict=True)):
         return False
     if len(accepted) < 2:
         return True
