@@ -28,6 +28,8 @@ Options = dict[str, dict[str, object]]
 AS_IT_WAS: Options = {}
 TURNED: Options = {"mount": {"offset_deg": 0.95}}
 """The mount of these rigs lies at 0.8°."""
+OFF_BY_80_MG: Options = {"imu": {"accel_bias_mg": [0.0, 0.0, 80.0]}}
+"""So large that the angle is no straight line of it."""
 
 
 def run_of(wrong: Options, seed: int, noise: Noise = WHITE) -> list[Pose]:
@@ -58,6 +60,8 @@ def traced(*runs: list[Pose], cross_fit: bool = False) -> dict[str, object]:
         (AS_IT_WAS, TURNED, "mount_change", "deg", 0.15),
         (AS_IT_WAS, {"imu": {"accel_bias_mg": [0.0, 0.0, 6.0]}}, "accelerometer_offset", "z_mg", 6.0),
         ({"imu": {"accel_gain_error_pct": [0.0, 0.5, 0.0]}}, AS_IT_WAS, "axis_mismatch", "gain_pct", -0.5),
+        (AS_IT_WAS, OFF_BY_80_MG, "accelerometer_offset", "z_mg", 80.0),
+        (OFF_BY_80_MG, AS_IT_WAS, "accelerometer_offset", "z_mg", -80.0),
     ],
 )
 def test_what_changed_between_two_runs_is_named_with_its_size(before, after, name, parameter, true):
