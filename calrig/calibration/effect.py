@@ -6,10 +6,9 @@ correction, C header, figures, the page and the rule of acceptance know no effec
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import MISSING, dataclass, field, fields
 from typing import Any, Literal
 
 import numpy as np
@@ -269,8 +268,8 @@ class Effect:
         return _of_the_catalogue, (self.name,)
 
     def __post_init__(self) -> None:
-        for part in dataclasses.fields(self):
-            required = part.default is dataclasses.MISSING
+        for part in fields(self):
+            required = part.default is MISSING
             if required and getattr(self, part.name) in ("", (), None):
                 raise EffectError(f"the effect {self.name!r} lacks its {part.name}")
         if self.on_reading_deg is None and self.on_vector_g is None:
