@@ -31,6 +31,7 @@ export function effectCard(effect, k, { path, run }, signal) {
       "div",
       {},
       h("h3", {}, title, h("span", { class: `pill ${effect.verdict}` }, effect.verdict)),
+      change(effect),
       figures(effect),
       suspects(effect),
       h(
@@ -40,7 +41,7 @@ export function effectCard(effect, k, { path, run }, signal) {
       ),
       h("p", {}, h("strong", {}, "What to do: "), `${effect.remedy}.`),
       considered(effect),
-      effect.verdict === "named" && acceptance(effect, title, path, run),
+      effect.verdict === "named" && !effect.changed && acceptance(effect, title, path, run),
     ),
     chart.element,
   );
@@ -60,6 +61,13 @@ function figures(effect) {
     rows.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))),
     formula && h("div", { class: "formula" }, h("dt", {}, "Added to the reading"), h("dd", {}, formula)),
   );
+}
+
+/** Between which runs it changed; nothing of what was the same in all of them. */
+function change({ changed }) {
+  if (!changed) return null;
+  const words = `Changed from run ${changed.from} to run ${changed.to}: the values are the later less the earlier ones.`;
+  return h("p", { class: "changed", "data-testid": "changed" }, words);
 }
 
 function pValue({ p_value: p, least_p_value: least }) {

@@ -25,8 +25,9 @@ export function effectTitle({ name, covariate }) {
 
 /** A candidate's name, such as `unnamed time_s`, inside a sentence or a table. */
 export function candidateWords(label) {
-  const [, covariate] = /^unnamed (.*)$/.exec(label) ?? [];
-  return covariate === undefined ? words(label) : `a shape of ${covariateWords(covariate)}`;
+  const [, kind, changed = ""] = /^(.*?)( from run .* to run .*)?$/.exec(label);
+  const [, covariate] = /^unnamed (.*)$/.exec(kind) ?? [];
+  return (covariate === undefined ? words(kind) : `a shape of ${covariateWords(covariate)}`) + changed;
 }
 
 export function covariateWords(covariate) {

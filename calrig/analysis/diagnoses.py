@@ -70,7 +70,7 @@ class Diagnoses:
         latest = self._store.poses(run_id, include_excluded=False)
         runs.append([s.pose for s in latest if decided_on is None or s.index in decided_on])
         try:
-            return partial_residuals(runs, found["effects"])
+            return partial_residuals(runs, found["effects"], found["runs"])
         except DiagnosisError as error:
             raise Conflict(f"run {run_id}: {error}") from error
 
@@ -82,7 +82,8 @@ class Diagnoses:
             Conflict: an effect is not in the diagnosis, or is none that later runs could be corrected for.
         """
         run, found = stored_run(self._store, run_id), self.last(run_id)
-        known = {effect["name"]: effect for effect in found["effects"]}
+        # what was the same in all runs goes before what changed between two of them
+        known = {effect["name"]: effect for effect in sorted(found["effects"], key=_is_change, reverse=True)}
         accepted = []
         for name in names:
             if name not in known:
@@ -117,6 +118,10 @@ def _keep_accepted(before: dict[str, Any] | None, found: dict[str, Any]) -> None
                 effect["accepted_at"] = earlier.get("accepted_at")
 
 
+def _is_change(effect: dict[str, Any]) -> bool:
+    return effect.get("changed") is not None
+
+
 def _limits_of(run: Run) -> tuple[float, float] | None:
     """The soft limits a run was made under; None for an imported one."""
     limits = (run.provenance.get("rig") or {}).get("limits_deg")
@@ -129,6 +134,8 @@ def _accepted(run: Run, effect: dict[str, Any]) -> AcceptedEffect:
         raise Conflict(f"{name} is {effect['verdict']}, not named: separate it from its look-alikes first")
     if name not in EFFECTS:
         raise Conflict(f"{name} is not in the catalogue of this version of calrig: diagnose the run again")
+    if _is_change(effect):
+        raise Conflict(f"{name} changed between two runs: diagnose the latest alone, for the values in force")
     scope = EFFECTS[name].scope
     if scope == "run":
         raise Conflict(f"{name} ({origin}) cannot correct later runs: {effect['remedy']}")

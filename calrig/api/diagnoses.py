@@ -51,6 +51,13 @@ class ConsideredAnswer(Answer):
     why: str | None = None  # of diagnoses stored before it was kept: null
 
 
+class ChangedAnswer(Answer):
+    """Between which two runs something changed: parameters are those of the later less the earlier."""
+
+    from_: str = Field(alias="from")
+    to: str
+
+
 class EffectAnswer(Answer):
     """An effect that was found; `accepted_at` is null until a person has put it in force."""
 
@@ -62,6 +69,7 @@ class EffectAnswer(Answer):
     covariate: str
     parameters: dict[str, ParameterAnswer | None]
     p_value: float
+    changed: ChangedAnswer | None = None  # null of what was the same in all runs
     confusable_with: list[str]
     evidence: list[str]
     remedy: str

@@ -37,7 +37,7 @@ def tenable(r: Responses, accepted: Sequence[Candidate]) -> bool:
     model = fitted_model(r, accepted)
     columns, fitted, r = model.columns, model.fitted, model.responses
     own = own_columns(columns, accepted)
-    if not all(c.effect.possible(c.shape, fitted.beta[at]) for c, at in zip(accepted, own, strict=True)):
+    if not all(c.is_possible(fitted.beta[at]) for c, at in zip(accepted, own, strict=True)):
         return False
     if len(accepted) < 2:
         return True
@@ -65,7 +65,7 @@ def _cancel(columns: FloatArray, fitted: Fit, own: Sequence[slice]) -> bool:
     return int((beside.std(axis=1) > CANCELS * together).sum()) >= 2
 
 
-def parted(r: Responses, found: Sequence[Found]) -> tuple[list[Found], list[str]]:
+def parted(r: Responses, found: Sequence[Found], known: int = 0) -> tuple[list[Found], list[str]]:
     """The effects that the others do not make superfluous, and the labels of those that they do.
 
     An effect is worth its place where the model without it is worse by more than log n a parameter. One
@@ -74,6 +74,7 @@ def parted(r: Responses, found: Sequence[Found]) -> tuple[list[Found], list[str]
     Args:
         r: the responses.
         found: the effects of a model; the last to enter has passed the gate and stays.
+        known: how many of the first were found in another base, and stay.
     """
     kept, dropped = list(found), []
     while len(kept) > 1:
@@ -82,7 +83,7 @@ def parted(r: Responses, found: Sequence[Found]) -> tuple[list[Found], list[str]
         free = [
             k
             for k, f in enumerate(kept[:-1])
-            if f.candidate.name not in followed and not f.candidate.effect.place
+            if k >= known and f.candidate.name not in followed and not f.candidate.effect.place
         ]
         worth = {k: _worth(r, kept, k, whole) for k in free}
         least = min(worth, key=worth.__getitem__, default=None)

@@ -4,19 +4,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import reduce
+from itertools import accumulate, combinations
 
 import numpy as np
 
 from calrig.calibration.effect import HIDDEN, Effect, Parameters, Shape
 from calrig.calibration.effects import EFFECTS, UNNAMED, effect_of
-from calrig.calibration.responses import Responses
+from calrig.calibration.responses import Change, Responses
+from calrig.calibration.run_changes import (
+    MANY_CHANGES,
+    RUN,
+    SOME_CHANGES,
+    changed_shapes,
+    in_words,
+    shapes_of,
+)
 from calrig.estimation.angles import FloatArray
 
 LEAST_TURN_DEG = 330.0
 """Poses over such an arc go round: the orders of a turn come apart."""
 MOST_COLUMNS = 0.2
 """To a pose, of a series offered as one: more of them explain any poses at all."""
+CHOICE_OF_RUNS = 2
+"""Parameters that it counts as, to choose the runs that have an effect."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,28 +38,39 @@ class Candidate:
     Attributes:
         columns: (n, J, p).
         beside: another one whose columns come first, where both are considered as one.
-        label: the name, for an unnamed shape with its covariate: what two forms of one thing share.
+        kind: the name, for an unnamed shape with its covariate: what it is, whenever it came.
+        label: the kind, and between which runs it changed: what two forms of one thing share.
         parameters: how many it adds to a model: coefficients, and one or two for a place that was scanned.
             One of n instants costs 2·log n in −2 log likelihood, twice a coefficient's log n (Zhang &
-            Siegmund, Biometrics 63, 2007, for change points); a place that a likelihood is smooth in costs
-            log n.
+            Siegmund, Biometrics 63, 2007, for change points), and so does the choice of the runs that have
+            an effect; a place that a likelihood is smooth in costs log n.
     """
 
     effect: Effect
     shape: Shape
     columns: FloatArray
     beside: Candidate | None = None
+    kind: str = field(init=False)
     label: str = field(init=False)
     parameters: int = field(init=False)
 
     def __post_init__(self) -> None:
-        shapes = [self.shape, *([] if self.beside is None else [self.beside.shape])]
-        scanned = sum(s.place_cost for s in shapes if s.scanned)
-        replaced = sum(s.replaces is not None for s in shapes)
-        own = self.name if self.named else f"{UNNAMED} {self.covariate}"
-        label = own if self.beside is None else f"{self.beside.label} + {own}"
+        kind = self.name if self.named else f"{UNNAMED} {self.covariate}"
+        label = f"{kind}{in_words(self.changed)}"
+        before = 0 if self.beside is None else self.beside.columns.shape[2]
+        own = self.columns[:, :, before:]
+        parameters = int(own.shape[2]) + (self.shape.place_cost if self.shape.scanned else 0)
+        parameters -= self.shape.replaces is not None
+        if self.changed is not None and not _is_level(own):
+            parameters += CHOICE_OF_RUNS
+        if self.beside is not None:
+            kind, label = f"{self.beside.kind} + {kind}", f"{self.beside.label} + {label}"
+            parameters += self.beside.parameters
+            if self.changed is not None and self.beside.beside is not None:
+                label = f"{self.name} between all runs"
+        object.__setattr__(self, "kind", kind)
         object.__setattr__(self, "label", label)
-        object.__setattr__(self, "parameters", int(self.columns.shape[2]) + scanned - replaced)
+        object.__setattr__(self, "parameters", parameters)
 
     @property
     def members(self) -> tuple[Candidate, ...]:
@@ -62,7 +85,10 @@ class Candidate:
         first = 0
         for one in self.members:
             width = one.columns.shape[2]
-            if not one.effect.possible(one.shape, beta[first : first + width]):
+            own = beta[first : first + width]
+            # of a difference either sign: what a parameter may not be by itself, it may have lost
+            senses = (own,) if one.changed is None else (own, -own)
+            if not any(one.effect.possible(one.shape, sense) for sense in senses):
                 return False
             first += width
         return True
@@ -87,10 +113,25 @@ class Candidate:
         """What it is a function of."""
         return self.shape.covariate or self.effect.covariate.name
 
+    @property
+    def changed(self) -> Change | None:
+        """Between which runs, where it is only in the later ones."""
+        return self.shape.changed
+
+    def is_distinct(self, r: Responses, other: Candidate) -> bool:
+        """Whether both can be in one model: in other runs, or at places that these poses tell apart."""
+        elsewhen = in_words(self.changed) != in_words(other.changed)
+        return elsewhen or self.effect.distinct(r, self.shape, other.shape)
+
     def rows(self, chosen: np.ndarray[tuple[int], np.dtype[np.intp]]) -> Candidate:
         """The same candidate in some of the poses."""
         beside = self.beside and self.beside.rows(chosen)
         return Candidate(self.effect, self.shape, self.columns[chosen], beside)
+
+
+def _is_level(columns: FloatArray) -> bool:
+    """Whether columns add one angle to the readings of some poses, and nothing to those of the others."""
+    return len(np.unique(columns[:, 0])) <= 2
 
 
 def candidate_of(r: Responses, effect: Effect, shape: Shape) -> Candidate:
@@ -98,30 +139,56 @@ def candidate_of(r: Responses, effect: Effect, shape: Shape) -> Candidate:
     return Candidate(effect, shape, r.columns(shape.shares))
 
 
+def candidate_at(r: Responses, candidate: Candidate, shape: Shape) -> Candidate:
+    """Another shape of a candidate's effect, with a change between the same runs."""
+    (here,) = changed_shapes(r, candidate.changed, [shape])
+    return candidate_of(r, candidate.effect, here)
+
+
 def candidates_of(r: Responses) -> list[Candidate]:
     """Every candidate that these poses can show, those without a name last."""
     effects = sorted(EFFECTS.values(), key=lambda effect: effect.name == UNNAMED)
-    found = [candidate_of(r, effect, shape) for effect in effects for shape in effect.shapes(r)]
-    shown = [candidate for candidate in found if np.ptp(candidate.columns[:, 0, 0]) > 0.0]
-    pairs = [(a, b) for b in shown for a in shown if a.name in b.effect.together_with]
-    together = [
-        Candidate(b.effect, b.shape, np.concatenate([a.columns, b.columns], axis=2), a) for a, b in pairs
+    found = [
+        candidate_of(r, effect, shape)
+        for effect in effects
+        for shape in shapes_of(r, effect, named=effect.name != UNNAMED)
     ]
-    together += _series(r, shown)
+    shown = [candidate for candidate in found if np.ptp(candidate.columns[:, 0, 0]) > 0.0]
+    all_along = [candidate for candidate in shown if candidate.changed is None]
+    pairs = [(a, b) for b in all_along for a in all_along if a.name in b.effect.together_with]
+    together = [_together(a, b) for a, b in pairs] + _several_changes(shown, len(r.run_ids) - 1)
+    together += _series(r, all_along)
     unnamed = sum(not candidate.named for candidate in shown)
     return [*shown[: len(shown) - unnamed], *together, *shown[len(shown) - unnamed :]]
+
+
+def _together(a: Candidate, b: Candidate) -> Candidate:
+    return Candidate(b.effect, b.shape, np.concatenate([a.columns, b.columns], axis=2), a)
 
 
 def _series(r: Responses, shown: Sequence[Candidate]) -> list[Candidate]:
     """The first terms of the turn's series as one, so many and more: each alone may look like noise."""
     if np.ptp(r.theta_deg) < LEAST_TURN_DEG:
         return []
-    joined: list[Candidate] = []
-    for term in (c for c in shown if c.shape.series and not c.shape.scanned):
-        before = joined[-1] if joined else None
-        columns = term.columns if before is None else np.concatenate([before.columns, term.columns], axis=2)
-        joined.append(Candidate(term.effect, term.shape, columns, before))
+    terms = (c for c in shown if c.shape.series and not c.shape.scanned)
+    joined = list(accumulate(terms, _together))
     return [c for c in joined[1:] if c.columns.shape[2] <= MOST_COLUMNS * len(r)]
+
+
+def _several_changes(shown: Sequence[Candidate], changes: int) -> list[Candidate]:
+    """A level that changes and comes back, or changes between all runs: each change alone explains little.
+
+    Two at a time as in circular binary segmentation (Olshen, Venkatraman, Lucito & Wigler, Biostatistics 5,
+    2004).
+    """
+    found = []
+    for effect in {c.effect.name: c.effect for c in shown if c.effect.covariate is RUN}.values():
+        own = [c for c in shown if c.effect is effect]  # in the order of the runs
+        if 2 <= changes <= SOME_CHANGES:
+            found += [_together(a, b) for a, b in combinations(own, 2)]
+        if 3 <= changes <= MANY_CHANGES:
+            found.append(reduce(_together, own))
+    return found
 
 
 def rebuilt(candidate: Candidate, r: Responses, form: str | None = None) -> Candidate | None:
@@ -133,16 +200,19 @@ def rebuilt(candidate: Candidate, r: Responses, form: str | None = None) -> Cand
         form: another form of it.
     """
     wanted = candidate.shape.form if form is None else form
+    shapes = list(candidate.effect.forms(r, candidate.shape.at))
     forms = [
         shape
-        for shape in candidate.effect.forms(r, candidate.shape.at)
+        for shape in changed_shapes(r, candidate.changed, shapes)
         if shape.form == wanted and shape.covariate == candidate.shape.covariate
     ]
     nearest = _nearest(forms, candidate.shape.at)
     return candidate_of(r, candidate.effect, nearest[0]) if nearest else None
 
 
-def documented_forms(r: Responses, name: str, covariate: str, parameters: Parameters) -> list[Candidate]:
+def documented_forms(
+    r: Responses, name: str, covariate: str, parameters: Parameters, changed: Change | None = None
+) -> list[Candidate]:
     """The forms that an effect of a document may have had: those with all its parameters, at its places.
 
     Args:
@@ -150,14 +220,19 @@ def documented_forms(r: Responses, name: str, covariate: str, parameters: Parame
         name: of the effect.
         covariate: that the document has it follow.
         parameters: values of those that are known.
+        changed: between which runs, where it is a difference.
 
     Returns:
         None of them where these poses cannot show it.
     """
     effect = effect_of(name)
+    forms = list(effect.forms(r, parameters))
+    # the difference is the same whether something began, or what there was before ended
+    changes = [changed] if changed is None else [replace(changed, ended=ended) for ended in (False, True)]
     shapes = [
         shape
-        for shape in effect.forms(r, parameters)
+        for change in changes
+        for shape in changed_shapes(r, change, forms)
         if (shape.covariate or effect.covariate.name) == covariate and shape.stated <= set(parameters)
     ]
     widest = max((len(shape.stated) for shape in shapes), default=0)

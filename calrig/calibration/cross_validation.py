@@ -19,6 +19,7 @@ from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import fit
 from calrig.calibration.pose import Pose
 from calrig.calibration.responses import SCALE_UNIT_DEG, Responses, responses_of
+from calrig.calibration.run_changes import with_free_levels
 from calrig.calibration.search import Findings, search
 from calrig.calibration.sensor_model import fitted_model, linear_about
 from calrig.estimation.angles import FloatArray
@@ -110,7 +111,7 @@ def confirm(
     Returns:
         None where no pose is left to confirm with, or an effect cannot show in these poses.
     """
-    r = responses_of([*runs, fresh])
+    r = with_free_levels(responses_of([*runs, fresh]))
     before = len(r) - len(fresh)
     test = np.array([before + k for k in range(len(fresh)) if k not in set(deciding)], dtype=np.intp)
     effects = [predicted(f.candidate, r) for f in findings.found]

@@ -12,14 +12,14 @@ from calrig.calibration.blocked_folds import BLOCKS, Blocked, blocked, not_predi
 from calrig.calibration.candidates import candidates_of
 from calrig.calibration.cross_validation import CrossValidation, confirm, cross_validate
 from calrig.calibration.diagnosis_verdict import diagnosis_verdict
-from calrig.calibration.experiment_design import design
+from calrig.calibration.experiment_design import ambiguous_of, design
 from calrig.calibration.fit import fit_line, residuals_deg, rms
 from calrig.calibration.lack_of_fit import LackOfFit, lack_of_fit, warning_of
 from calrig.calibration.leave_one_out import standing_without_one
 from calrig.calibration.pose import Pose
 from calrig.calibration.pose_columns import complete
 from calrig.calibration.report import effect_documents, model_words
-from calrig.calibration.responses import SCALE_UNIT_DEG, Responses, responses_of
+from calrig.calibration.responses import SCALE_UNIT_DEG, Responses, names_of, responses_of
 from calrig.calibration.search import Findings, search
 from calrig.estimation.angles import FloatArray
 
@@ -50,6 +50,7 @@ class Diagnosis:
 
 def diagnose(
     runs: Sequence[Sequence[Pose]],
+    run_ids: Sequence[str] | None = None,
     *,
     seed: int = 0,
     bootstraps: int = BOOTSTRAPS,
@@ -59,6 +60,7 @@ def diagnose(
 
     Args:
         runs: the poses of one or several runs of a unit, in the order measured, none excluded.
+        run_ids: what the runs are called, for what changed between two of them; else counted from 0.
         seed: of the bootstrap: the same poses and seed give the same diagnosis.
         bootstraps: of each step of the search.
         cross_fit: whether the errors before and after are measured on held-out poses.
@@ -67,7 +69,7 @@ def diagnose(
         DiagnosisError: the poses cannot be diagnosed; the message says why.
     """
     whole, incomplete = complete(runs)
-    r = responses_of(whole)
+    r = responses_of(whole, names_of(runs, whole, run_ids))
     candidates = candidates_of(r)
     rng = np.random.default_rng(seed)
     findings = search(r, candidates, rng, bootstraps=bootstraps)
@@ -223,7 +225,7 @@ def trace(
     used = [list(run) for run in runs]
     if deciding is not None:
         used[-1] = [used[-1][k] for k in deciding]
-    diagnosis = diagnose(used)
+    diagnosis = diagnose(used, run_ids)
     found = document(diagnosis, run_ids)
     if deciding is not None:
         confirmation = confirm(runs[:-1], runs[-1], deciding, diagnosis.findings)
@@ -232,7 +234,7 @@ def trace(
             "before_rms_deg": confirmation.before_rms_deg,
             "after_rms_deg": confirmation.after_rms_deg,
         }
-    if found["verdict"] == "ambiguous":
+    if ambiguous_of(diagnosis.findings) is not None:
         elevations = [pose.theta_deg for run in used for pose in run]
         designed = design(
             diagnosis.runs, diagnosis.findings, limits_deg or (min(elevations), max(elevations))

@@ -139,14 +139,21 @@ def _of(effects: Sequence[Document], verdict: str) -> list[Document]:
 def _title(effect: Document) -> str:
     """Of the catalogue, as it stands inside a sentence."""
     if effect["name"] == UNNAMED:
-        return f"something that follows {covariate_of(effect['covariate']).title}"
+        return f"something that follows {covariate_of(effect['covariate']).title}{between_runs(effect)}"
     title = EFFECTS[effect["name"]].title
-    return title[0].lower() + title[1:]
+    return title[0].lower() + title[1:] + between_runs(effect)
 
 
 def _suspects(effect: Document) -> str:
     others = (ELSEWHERE if name == effect["name"] else name for name in effect["confusable_with"])
-    return " or ".join(name.replace("_", " ") for name in (effect["name"], *others))
+    names = " or ".join(name.replace("_", " ") for name in (effect["name"], *others))
+    return names + between_runs(effect)
+
+
+def between_runs(effect: Document) -> str:
+    """Such as `, changed from run 17 to run 18`; empty of what was the same in all runs."""
+    changed = effect.get("changed")
+    return f", changed from run {changed['from']} to run {changed['to']}" if changed else ""
 
 
 def _confirmation(fresh: Document, decided: int | None, *, confirmed: bool) -> str:

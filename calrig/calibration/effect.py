@@ -6,15 +6,14 @@ correction, C header, figures, the page and the rule of acceptance know no effec
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import MISSING, dataclass, field, fields
 from typing import Any, Literal
 
 import numpy as np
 
-from calrig.calibration.responses import Responses
+from calrig.calibration.responses import Change, Responses
 from calrig.calibration.sensor_vector import VectorError, VectorInC, sin_cos
 from calrig.estimation.angles import FloatArray
 
@@ -106,6 +105,7 @@ class Shape:
         at_std: standard errors of the places that were refined.
         series: what it is one term of, where several terms make one cause: a search counts them once.
         beside: covariates that effects in the model must follow before it is offered.
+        changed: between which runs, where it is only in the later ones.
     """
 
     shares: Mapping[str, FloatArray]
@@ -123,6 +123,7 @@ class Shape:
     at_std: Parameters = field(default_factory=dict)
     series: str = ""
     beside: tuple[str, ...] = ()
+    changed: Change | None = None
 
     @property
     def stated(self) -> frozenset[str]:
@@ -267,8 +268,8 @@ class Effect:
         return _of_the_catalogue, (self.name,)
 
     def __post_init__(self) -> None:
-        for part in dataclasses.fields(self):
-            required = part.default is dataclasses.MISSING
+        for part in fields(self):
+            required = part.default is MISSING
             if required and getattr(self, part.name) in ("", (), None):
                 raise EffectError(f"the effect {self.name!r} lacks its {part.name}")
         if self.on_reading_deg is None and self.on_vector_g is None:

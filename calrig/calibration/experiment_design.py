@@ -18,6 +18,7 @@ from calrig.calibration.noise_model import NoiseModel, fit, stacked
 from calrig.calibration.pose import Pose
 from calrig.calibration.ranking import SAME, Found
 from calrig.calibration.responses import Responses, responses_of
+from calrig.calibration.run_changes import with_free_levels
 from calrig.calibration.search import Findings
 from calrig.estimation.angles import FloatArray
 
@@ -76,8 +77,9 @@ class FollowUp:
 
 
 def ambiguous_of(findings: Findings) -> Found | None:
-    """The first effect that is indistinguishable from its rivals."""
-    return next((f for f in findings.found if f.verdict == "ambiguous"), None)
+    """The first effect that is indistinguishable from its rivals; no run repeats what changed between two."""
+    suspected = (f for f in findings.found if f.verdict == "ambiguous" and f.candidate.changed is None)
+    return next(suspected, None)
 
 
 def design(
@@ -138,7 +140,7 @@ class _Trial:
         self._runs = [list(run) for run in runs]
         self._noise: NoiseModel = findings.fitted.noise
         self._others, self._suspects = others, suspects
-        r = responses_of(self._runs)
+        r = with_free_levels(responses_of(self._runs))
         self._sizes = [self._size(r, suspect) for suspect in suspects]
         self.pairs = list(combinations(range(len(suspects)), 2))
         last = self._runs[-1][-1]
@@ -175,7 +177,7 @@ class _Trial:
 
     def _distances(self, elevations_deg: Sequence[float], wait_s: float) -> dict[tuple[int, int], float]:
         """Of each pair, with the one true that is the harder to tell."""
-        r = responses_of([*self._runs, self._imagined(elevations_deg, wait_s)])
+        r = with_free_levels(responses_of([*self._runs, self._imagined(elevations_deg, wait_s)]))
         others = [c for c in (predicted(o, r) for o in self._others) if c is not None]
         suspects = [predicted(s, r) for s in self._suspects]
         found: dict[tuple[int, int], float] = {}

@@ -65,6 +65,7 @@ def gate(
     rng: np.random.Generator,
     bootstraps: int,
     level: float,
+    noise: NoiseModel | None = None,
 ) -> Verdict:
     """Judges the best of all candidates against its distribution under the current model.
 
@@ -78,16 +79,18 @@ def gate(
         rng: of the bootstrap.
         bootstraps: how many at most.
         level: of the decision that the p-value is for.
+        noise: of the null, where a larger model tells it better than what the current one leaves.
     """
     if not candidates:
         return Verdict(candidates, np.empty(0, dtype=np.float32), 0.0, 1.0)
     model = columns_with(())
-    noise = noise_of(fitted.residuals, r, max(1.0, model.shape[2] / len(r.channels)), unbiased=True)
+    if noise is None:
+        noise = noise_of(fitted.residuals, r, max(1.0, model.shape[2] / len(r.channels)), unbiased=True)
     trial = _Trial(r, columns_with, candidates, Screen(r, model, candidates, noise))
     ratios = trial.screen.ratios(fitted.residuals[None])
     observed, alternative = trial.gains(r.values[None], ratios)
     null = np.empty((0, observed.shape[1]))
-    clear_after = max(FEWEST_DRAWS, bootstraps // CLEAR_SHARE)
+    clear_after = max(FEWEST_DRAWS, round(1.0 / level) - 1, bootstraps // CLEAR_SHARE)
     steps = (FIRST_DRAWS, clear_after, 2 * clear_after, bootstraps)
     for draws in sorted({min(step, bootstraps) for step in steps}):
         values = _resampled(r, alternative, noise, rng, draws - len(null))

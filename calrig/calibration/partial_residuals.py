@@ -19,7 +19,7 @@ from calrig.calibration.correction import numbers_of
 from calrig.calibration.effects import EFFECTS, covariate_of
 from calrig.calibration.outliers import most_outliers, outlier
 from calrig.calibration.pose import DiagnosisError, Pose
-from calrig.calibration.responses import Responses, responses_of
+from calrig.calibration.responses import Change, Responses, responses_of
 from calrig.calibration.sensor_model import fitted_model, parts_deg
 from calrig.estimation.angles import FloatArray
 
@@ -45,17 +45,20 @@ class PartialResidual:
     effect_deg: FloatArray
 
 
-def partial_residuals(runs: Sequence[Sequence[Pose]], effects: Sequence[Document]) -> list[PartialResidual]:
+def partial_residuals(
+    runs: Sequence[Sequence[Pose]], effects: Sequence[Document], run_ids: Sequence[str] | None = None
+) -> list[PartialResidual]:
     """The partial residual of each effect of a diagnosis, from one fit of all of them together.
 
     Args:
         runs: the poses that were diagnosed, as `diagnose` took them.
         effects: the `effects` of the document; what was scanned for is taken from it, not searched again.
+        run_ids: of the runs, as the document has them where something changed between two.
 
     Raises:
         DiagnosisError: the poses cannot show an effect (any more).
     """
-    r = responses_of(runs)
+    r = responses_of(runs, run_ids)
     chosen = _chosen(r, [_forms(r, effect) for effect in effects])
     for _ in range(most_outliers(len(r))):
         model = fitted_model(r, chosen)
@@ -89,10 +92,21 @@ def _chosen(r: Responses, forms: Sequence[Sequence[Candidate]]) -> list[Candidat
 def _forms(r: Responses, document: Document) -> list[Candidate]:
     name, covariate = document["name"], document["covariate"]
     known = name in EFFECTS
-    forms = documented_forms(r, name, covariate, numbers_of(document["parameters"])) if known else []
+    numbers = numbers_of(document["parameters"])
+    forms = documented_forms(r, name, covariate, numbers, _change(r, document)) if known else []
     if not forms:
         raise DiagnosisError(f"these poses cannot show {name} against {covariate}: diagnose them again")
     return forms
+
+
+def _change(r: Responses, document: Document) -> Change | None:
+    """Between which of these runs an effect changed; DiagnosisError where they are others."""
+    changed = document.get("changed")
+    if changed is None:
+        return None
+    if changed["to"] not in r.run_ids:
+        raise DiagnosisError(f"run {changed['to']}, in which {document['name']} changed, has no poses left")
+    return Change(r.run_ids.index(changed["to"]), changed["from"], changed["to"])
 
 
 def _column(r: Responses, covariate: str) -> FloatArray:

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calrig.calibration.candidates import Candidate, candidate_of
+from calrig.calibration.candidates import Candidate, candidate_at
 from calrig.calibration.effect import Parameters
 from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import Fit, fit
@@ -65,7 +65,7 @@ def refined(r: Responses, accepted: Sequence[Candidate], candidate: Candidate) -
 
 
 def _is_distinct(r: Responses, accepted: Sequence[Candidate], candidate: Candidate) -> bool:
-    return all(candidate.effect.distinct(r, candidate.shape, other.shape) for other in accepted)
+    return all(candidate.is_distinct(r, other) for other in accepted)
 
 
 def _step(
@@ -95,4 +95,4 @@ def _settled(
 def _moved(r: Responses, candidate: Candidate, at: Parameters) -> Candidate:
     """The same form at another place."""
     (shape,) = candidate.effect.forms(r, at)
-    return candidate_of(r, candidate.effect, shape)
+    return candidate_at(r, candidate, shape)

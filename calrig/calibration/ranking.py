@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from calrig.calibration.candidates import Candidate, candidate_of
+from calrig.calibration.candidates import Candidate, candidate_at
 from calrig.calibration.effect import Shape
 from calrig.calibration.places import refined
 from calrig.calibration.responses import Responses
@@ -102,7 +102,7 @@ def named(
         (claimed, *others), alike = _alike(r, accepted, claimed)
         rivals = (*others, *rivals)
     own = min(criterion for criterion, c in ranked if c.label == claimed.label)
-    rest = [criterion for criterion, c in ranked if c.label != claimed.label and c.named]
+    rest = [criterion for criterion, c in ranked if c.kind != claimed.kind and c.named]
     lead = min(rest) - own if rest else np.inf
     considered: dict[str, float] = {}
     for criterion, c in ranked:
@@ -116,7 +116,7 @@ def named(
 def _runners_up(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> tuple[Candidate, ...]:
     others: dict[str, Candidate] = {}
     for criterion, c in ranked:
-        apart = c.named and c.beside is None and c.label not in claimed.label
+        apart = c.named and c.beside is None and c.kind not in claimed.kind
         if apart and criterion - ranked[0][0] < FAR_BEHIND:
             others.setdefault(c.label, c)
     return tuple(others.values())
@@ -136,9 +136,10 @@ def _rivals(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> tu
     others: dict[str, Candidate] = {}
     for criterion, c in ranked:
         first = c.members[0]  # of two that only together explain it, the one that leads is the suspect
-        more = any(member.label == claimed.label for member in c.members)  # the claimed one, and another
+        # the claimed one, and another; what it is, whenever it came
+        more = any(member.kind == claimed.kind for member in c.members)
         near = criterion - best < MARGIN or c.name in claimed.shape.alike
-        if c.named and not more and first.label not in claimed.label and near:
+        if c.named and not more and first.kind not in claimed.kind and near:
             others.setdefault(first.label, first)
     if not leader.named:
         others[leader.label] = leader
@@ -158,9 +159,9 @@ def _alike(
     found = [(best.criterion, own)]
     for at in effect.look_alikes(r, own.shape):
         for shape in effect.forms(r, at):
-            fitted, other = refined(r, accepted, candidate_of(r, effect, shape))
+            fitted, other = refined(r, accepted, candidate_at(r, claimed, shape))
             others = [*accepted, *(c for _, c in found)]
-            apart = all(effect.distinct(r, other.shape, c.shape) for c in others)
+            apart = all(other.is_distinct(r, c) for c in others)
             if apart and other.is_possible(fitted.beta[-other.columns.shape[2] :]):
                 found.append((fitted.criterion, other))
     least = min(criterion for criterion, _ in found)
@@ -242,11 +243,14 @@ def _first_best(values: FloatArray) -> int:
 def _refined(r: Responses, accepted: Sequence[Candidate], candidate: Candidate, *, leads: bool) -> Candidate:
     """A leading candidate at the best place between those scanned."""
 
+    def of(shape: Shape) -> Candidate:
+        return candidate_at(r, candidate, shape)
+
     def criterion(shape: Shape) -> float:
-        return fitted_model(r, [*accepted, candidate_of(r, candidate.effect, shape)]).fitted.criterion
+        return fitted_model(r, [*accepted, of(shape)]).fitted.criterion
 
     if candidate.effect.place and candidate.beside is None and not candidate.shape.series:
         return refined(r, accepted, candidate)[1]
     refine = candidate.effect.refine if leads and candidate.beside is None else None
     finer = refine and refine(r, candidate.shape, criterion)
-    return candidate if finer is None else candidate_of(r, candidate.effect, finer)
+    return candidate if finer is None else of(finer)

@@ -16,6 +16,7 @@ from calrig.calibration.noise_model import Fit, fit
 from calrig.calibration.places import slope
 from calrig.calibration.ranking import FAR_BEHIND, MARGIN, Found
 from calrig.calibration.responses import CHANNELS, Responses
+from calrig.calibration.run_changes import in_words
 from calrig.calibration.search import Findings
 from calrig.calibration.sensor_model import Model, fitted_model
 from calrig.calibration.standard_errors import covariance_of
@@ -73,6 +74,7 @@ def _document(r: Responses, found: Found, candidate: Candidate, fitted: Fit, at:
         "covariate": candidate.covariate,
         "parameters": effect.documented(candidate.shape, beta, covariance),
         "p_value": found.p_value,
+        "changed": candidate.changed and {"from": candidate.changed.before, "to": candidate.changed.after},
         "confusable_with": list(dict.fromkeys(rival.name for rival in found.rivals)),
         "evidence": _evidence(r, found, candidate),
         "remedy": effect.remedy,
@@ -116,6 +118,8 @@ def _evidence(r: Responses, found: Found, candidate: Candidate) -> list[str]:
     ]
     if witnesses:
         said.append(f"seen by {', '.join(witnesses)} as well as by the reading, as it must be")
+    if candidate.changed is not None:
+        said.append(f"changed{in_words(candidate.changed)}: the values are the later less the earlier ones")
     if candidate.shape.says:
         said.append(candidate.shape.says)
     said += _same_elsewhere(found, candidate)

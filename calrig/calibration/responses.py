@@ -57,10 +57,26 @@ would raise false alarms in a table that was measured in its order, and allowing
 
 
 @dataclass(frozen=True, slots=True)
+class Change:
+    """Between two consecutive runs something began, or ended.
+
+    Attributes:
+        run: index of the later one.
+        before, after: what the two are called.
+    """
+
+    run: int
+    before: str
+    after: str
+    ended: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class Responses:
     """n poses with J responses ("channels"), and the covariates that effects are functions of.
 
     Attributes:
+        run: (n,) index of the run that each pose is of, into `run_ids`.
         theta_deg: (n,) elevation that each pose stands for.
         move_deg: (n,) θ less that of the pose before; 0 where it is not known.
         starts: (n,) whether a pose follows on nothing: the first of its run, or any in a table by angle.
@@ -79,6 +95,8 @@ class Responses:
             how far askew a unit sits, as each does: no response, for it would name effects that are none.
     """
 
+    run: npt.NDArray[np.intp]
+    run_ids: tuple[str, ...]
     theta_deg: FloatArray
     move_deg: FloatArray
     starts: BoolArray
@@ -106,11 +124,13 @@ class Responses:
         def pick(column: FloatArray | None) -> FloatArray | None:
             return None if column is None else column[chosen]
 
+        run = self.run[chosen]
         return replace(
             self,
+            run=run,
             theta_deg=self.theta_deg[chosen],
             move_deg=self.move_deg[chosen],
-            starts=self.starts[chosen],
+            starts=self.starts[chosen] | (np.diff(run, prepend=run[:1]) != 0),
             approach=pick(self.approach),
             time_s=pick(self.time_s),
             temperature_c=pick(self.temperature_c),
@@ -141,11 +161,13 @@ class Responses:
         return change
 
 
-def responses_of(runs: Sequence[Sequence[Pose]]) -> Responses:
+def responses_of(runs: Sequence[Sequence[Pose]], run_ids: Sequence[str] | None = None) -> Responses:
     """The poses of one or several runs of a unit as responses.
 
     Args:
-        runs: each run's poses in the order measured (none excluded). Several have a bias each.
+        runs: each run's poses in the order measured (none excluded). All have one bias; |accelerometer| one
+            a run, since gains that moved alike leave no trace in the angle.
+        run_ids: what the runs are called, in the same order; counted from 0 where they have no names.
 
     Raises:
         DiagnosisError: too few poses, or readings that cannot be degrees of elevation.
@@ -166,7 +188,7 @@ def responses_of(runs: Sequence[Sequence[Pose]]) -> Responses:
     move = np.nan_to_num(np.concatenate([moves_deg(run) for run in kept]))
     table = _Channels(theta, move, starts, run_index)
     error = reading_error_deg(theta, reading)
-    table.add(READING, error, _turn_size(theta, reading), bias_each_run=True, scaled=True)
+    table.add(READING, error, _turn_size(theta, reading), bias_each_run=False, scaled=True)
     _add_witnesses(table, poses, theta, move, starts)
     if has_history(poses):
         table.free_first()
@@ -175,6 +197,8 @@ def responses_of(runs: Sequence[Sequence[Pose]]) -> Responses:
     senses = [sense for run in kept if (sense := approach_of(run)) is not None]
     covariates, said = covariates_of(poses, theta, reading)
     return Responses(
+        run=run_index,
+        run_ids=names_of(runs, kept, run_ids),
         theta_deg=theta,
         move_deg=move,
         starts=starts,
@@ -198,6 +222,14 @@ def responses_of(runs: Sequence[Sequence[Pose]]) -> Responses:
 def _alone(run: Sequence[Pose]) -> BoolArray:
     """(n,) whether no pose of a run follows on the one before."""
     return np.full(len(run), is_sorted(run))
+
+
+def names_of(
+    runs: Sequence[Sequence[Pose]], kept: Sequence[Sequence[Pose]], run_ids: Sequence[str] | None
+) -> tuple[str, ...]:
+    """What the runs are called that have poses left."""
+    given = iter(zip(runs, run_ids or map(str, range(len(runs))), strict=True))
+    return tuple(next(name for run, name in given if any(p is left[0] for p in run)) for left in kept)
 
 
 class _Channels:
@@ -273,7 +305,7 @@ def _add_witnesses(
     if y is not None and z is not None:
         angle = reading_error_deg(theta, np.degrees(np.arctan2(y, z)))
         if not same(angle, table.values[0]) and _left_by_line(theta, angle):
-            table.add(ANGLE, angle, _turn_size(theta), bias_each_run=True, scaled=True)
+            table.add(ANGLE, angle, _turn_size(theta), bias_each_run=False, scaled=True)
         norm = np.sqrt(y**2 + z**2 + (0.0 if x is None else x**2)) - 1.0
         size_g = 1.0 + float(np.abs(norm).max())
         if np.ptp(norm) > len(norm) * np.finfo(np.float64).eps * size_g:

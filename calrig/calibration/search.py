@@ -13,13 +13,14 @@ from calrig.calibration.candidates import Candidate
 from calrig.calibration.effect import HIDDEN
 from calrig.calibration.gate import Verdict, gate
 from calrig.calibration.model import model_columns
-from calrig.calibration.noise_model import Fit, fit
+from calrig.calibration.noise_model import Fit, NoiseModel, fit, noise_of
 from calrig.calibration.outliers import most_outliers, outlier
 from calrig.calibration.ranking import Found, named, pair
 from calrig.calibration.responses import READING, Responses
+from calrig.calibration.run_changes import is_level, with_free_levels
 from calrig.calibration.screen import Screen
 from calrig.calibration.sensor_model import Model, fitted_model
-from calrig.calibration.series import needed, on_their_places
+from calrig.calibration.series import needed, needed_changes, on_their_places
 from calrig.estimation.angles import FloatArray
 
 LEVEL = 0.01
@@ -65,6 +66,9 @@ def search(
 ) -> Findings:
     """Finds the effects in some poses, and leaves outliers among those aside.
 
+    Of several runs first those that show within them, each run with a bias of its own, then what the biases
+    differ by, at half the level each.
+
     Args:
         r: the responses.
         candidates: of these poses (`candidates_of`).
@@ -72,7 +76,36 @@ def search(
         bootstraps: how many a step.
         level: of the gate.
     """
-    found: list[Found] = []
+    if len(r.run_ids) < 2:
+        return _search(r, candidates, rng, bootstraps, level)
+    levels = [is_level(r, c.columns) for c in candidates]
+    shapes = [c for c, of_level in zip(candidates, levels, strict=True) if not of_level]
+    within = _search(with_free_levels(r), shapes, rng, bootstraps, level / 2.0)
+    kept = within.kept
+    # what a place was scanned for shows within the runs or not at all
+    between = [
+        c.rows(kept)
+        for c, of_level in zip(candidates, levels, strict=True)
+        if of_level or not any(member.shape.scanned for member in c.members)
+    ]
+    # levels that differ look like noise that wanders: what wanders within the runs is the measure of it
+    of_each = max(1.0, within.columns.shape[2] / len(r.channels))
+    noise = noise_of(within.fitted.residuals, within.responses, of_each, unbiased=True)
+    whole = _search(r.rows(kept), between, rng, bootstraps, level / 2.0, within.found, noise)
+    return replace(whole, kept=kept[whole.kept])
+
+
+def _search(
+    r: Responses,
+    candidates: Sequence[Candidate],
+    rng: np.random.Generator,
+    bootstraps: int,
+    level: float,
+    known: Sequence[Found] = (),
+    noise: NoiseModel | None = None,
+) -> Findings:
+    """The search in one base, with effects in the model, and the null's noise, that are known already."""
+    found = list(known)
     refused: set[str] = set()
     kept = np.arange(len(r))
     fewest = len(r) - most_outliers(len(r))
@@ -82,7 +115,7 @@ def search(
             return model_columns(model.responses, [*model.accepted, *more])
 
         offered = _offered(model.responses, candidates, model.accepted, refused)
-        return gate(model.responses, columns_with, model.fitted, offered, rng, bootstraps, level)
+        return gate(model.responses, columns_with, model.fitted, offered, rng, bootstraps, level, noise)
 
     while True:
         accepted = [f.candidate for f in found]
@@ -94,7 +127,7 @@ def search(
             kept, r, candidates = kept[others], r.rows(others), [c.rows(others) for c in candidates]
             found = [f.rows(others) for f in found]
             continue
-        if verdict.p_value > level or _is_full(accepted):
+        if verdict.p_value > level or _is_full(accepted, len(known)):
             least = 1.0 / (bootstraps + 1)
             return Findings(r, kept, tuple(found), model.fitted, model.columns, verdict.p_value, least)
         step = named(r, accepted, verdict.candidates, verdict.ratios, verdict.p_value)
@@ -105,12 +138,12 @@ def search(
             single = [k for k, c in enumerate(verdict.candidates) if c.beside is None]
             offered = [verdict.candidates[k] for k in single]
             step = named(r, accepted, offered, verdict.ratios[single], verdict.p_value)
-        members: Sequence[Candidate] = step.candidate.members
+        members: Sequence[Candidate] = needed_changes(r, accepted, step.candidate)
         if step.candidate.shape.series:
             members = needed(r, accepted, members)
         steps = [replace(step, candidate=member) for member in members]
         two = None
-        if len(steps) == 1:
+        if step.candidate.beside is None:
             two = pair(r, accepted, verdict.candidates, verdict.ratios, step)
         if two is not None:
             first, second = two
@@ -118,11 +151,12 @@ def search(
             if p_value <= level:
                 beside = replace(step, candidate=second, rivals=(), p_value=p_value)
                 steps = [replace(step, candidate=first, rivals=()), beside]
-        entered = on_their_places(r, candidates, _reconsidered(r, candidates, [*found, *steps]))
+        entered = _reconsidered(r, candidates, [*found, *steps], len(known))
+        entered = on_their_places(r, candidates, entered)
         if found and not tenable(r, [f.candidate for f in entered]):
             refused.add(step.candidate.label)
             continue
-        found, dropped = parted(r, entered)
+        found, dropped = parted(r, entered, len(known))
         refused.update(dropped)
 
 
@@ -137,12 +171,13 @@ def _says_no_more(step: Found, offered: Sequence[Candidate]) -> bool:
     return any(behind.get(member.label, np.inf) < margin for member in step.candidate.members)
 
 
-def _is_full(accepted: Sequence[Candidate]) -> bool:
-    """Whether the model has as many effects as a run is searched for."""
-    if not accepted:
+def _is_full(accepted: Sequence[Candidate], known: int) -> bool:
+    """Whether the model has as many effects, but the first known ones, as a run is searched for."""
+    if len(accepted) == known:
         return False
-    series = {c.shape.series for c in accepted if c.shape.series}
-    alone = sum(not c.shape.series for c in accepted)
+    own = accepted[known:]
+    series = {c.shape.series for c in own if c.shape.series}
+    alone = sum(not c.shape.series for c in own)
     columns = sum(c.columns.shape[2] for c in accepted)
     return len(series) + alone >= MOST_EFFECTS or columns > MOST_COLUMNS * len(accepted[0].columns)
 
@@ -154,22 +189,23 @@ def _offered(
 
     Nor those that leave the reading hardly a degree of freedom to judge them by.
     """
-    taken = len({name for name in r.base_names if name.startswith(READING)})
+    taken = sum(name.startswith(READING) for name in r.base_names)
     room = len(r) - taken - sum(c.columns.shape[2] for c in accepted) - FREEDOM
     present = {c.name for c in accepted}
     followed = {c.covariate for c in accepted}
+    always = {c.name for c in accepted if c.changed is None}
     once = {c.label for c in accepted if c.named and _enters_once(c)}
 
     def may_enter(c: Candidate) -> bool:
         if c.columns.shape[2] > room:
             return False
         if c.beside is not None:
-            return present.isdisjoint(member.name for member in c.members)
+            return not any(one.label in once or one.name in always for one in c.members)
         if not followed.issuperset(c.shape.beside):
             return False
         if c.label in once or not (c.follows is None or c.follows in present):
             return False
-        return all(c.effect.distinct(r, c.shape, other.shape) for other in accepted)
+        return all(c.is_distinct(r, other) for other in accepted)
 
     return [c for c in candidates if c.label not in refused and may_enter(c)]
 
@@ -179,11 +215,13 @@ def _enters_once(c: Candidate) -> bool:
     return c.shape.at.keys() <= set(HIDDEN) or c.shape.place_cost == 1
 
 
-def _reconsidered(r: Responses, candidates: Sequence[Candidate], found: list[Found]) -> list[Found]:
-    """Each effect held against its rivals once more, with all the others in the model."""
-    if len(found) == 1:
+def _reconsidered(
+    r: Responses, candidates: Sequence[Candidate], found: list[Found], known: int
+) -> list[Found]:
+    """Each effect but the first known ones against its rivals once more, with all the others in the model."""
+    if len(found) == known + 1:
         return found
-    for one in list(found):
+    for one in found[known:]:
         others = [f.candidate for f in found if f is not one]
         offered = _offered(r, candidates, others, set())
         if one.candidate.shape.series:  # a curve takes a little from every term: the terms come first

@@ -18,6 +18,7 @@ from calrig.calibration.effect import Applied, Circumstances
 from calrig.calibration.model import model_columns, own_columns, replaced, side_by_side
 from calrig.calibration.noise_model import Fit, fit, fits
 from calrig.calibration.responses import ANGLE, NORM, READING, Responses
+from calrig.calibration.run_changes import since
 from calrig.calibration.sensor_vector import TURNS_THE_SENSOR, VectorError, turned_vector
 from calrig.estimation.angles import FloatArray
 
@@ -131,7 +132,8 @@ class _Curve:
             if member.effect.on_vector_g is not None and member.effect.on_reading_deg is None
         ]
         self.bends = bool(self._on_axes)
-        self._names = [name for name in r.base_names if name != replaced(accepted)]
+        self._base_at = [k for k, name in enumerate(r.base_names) if name != replaced(accepted)]
+        self._names = [r.base_names[k] for k in self._base_at]
         self._felt, self._size = self._placed()
         self.width = self._straight.shape[2]
         for _, at in self._on_axes:
@@ -180,8 +182,7 @@ class _Curve:
         columns = self._straight + slope
         values = self._r.values - self._on_axes_of(beta) + slope @ beta
         base = self._r.base.copy()
-        for k, name in enumerate(self._names):
-            base[:, :, self._r.base_names.index(name)] = columns[:, :, k]
+        base[:, :, self._base_at] = columns[:, :, : len(self._base_at)]
         accepted = tuple(
             replace(candidate, columns=columns[:, :, at])
             for candidate, at in zip(self._accepted, self.own, strict=True)
@@ -193,12 +194,15 @@ class _Curve:
         error_y, error_z = np.zeros((2, len(self._r)))
         given = Circumstances(temperature_c=self._r.temperature_c)
         for member, at in self._on_axes:
-            values = dict(zip(member.shape.parameters, beta[at].tolist(), strict=True))
+            # of what ended the coefficients are those of the runs before, less
+            own = -beta[at] if member.changed is not None and member.changed.ended else beta[at]
+            values = dict(zip(member.shape.parameters, own.tolist(), strict=True))
             parameters = {**values, **member.shape.at}
             applied = Applied(member.name, parameters, self._r.theta_deg, given, felt_deg)
             assert member.effect.on_vector_g is not None  # noqa: S101 (so they were chosen)
             more_y, more_z = member.effect.on_vector_g(applied)
-            error_y, error_z = error_y + more_y, error_z + more_z
+            there = 1.0 if member.changed is None else np.abs(since(self._r, member.changed))
+            error_y, error_z = error_y + there * more_y, error_z + there * more_z
         return error_y, error_z
 
     def _felt_deg(self, beta: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Terms of a series, such as the orders of a turn: which of them a model needs, and which it means."""
+"""Terms of a series, such as the orders of a turn or changes from run to run: which of them a model needs."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from calrig.calibration.candidates import Candidate
 from calrig.calibration.ranking import MARGIN, Found
 from calrig.calibration.responses import Responses
+from calrig.calibration.run_changes import RUN
 from calrig.calibration.sensor_model import fitted_model
 
 
@@ -24,6 +25,22 @@ def needed(r: Responses, accepted: Sequence[Candidate], terms: Sequence[Candidat
             break
         del kept[least]
     return kept
+
+
+def needed_changes(r: Responses, accepted: Sequence[Candidate], together: Candidate) -> list[Candidate]:
+    """The members of a candidate, of several changes between runs those that are worth a parameter each."""
+    members = list(together.members)
+    bic_penalty = float(np.log(len(r)))
+
+    def criterion(kept: Sequence[Candidate]) -> float:
+        return fitted_model(r, [*accepted, *kept]).fitted.criterion + bic_penalty * len(kept)
+
+    while len(members) > 1 and together.effect.covariate is RUN:
+        fewer = min(([m for m in members if m is not one] for one in members), key=criterion)
+        if criterion(fewer) > criterion(members):
+            break
+        members = fewer
+    return members
 
 
 def on_their_places(r: Responses, candidates: Sequence[Candidate], found: list[Found]) -> list[Found]:
@@ -49,9 +66,7 @@ def _beside(r: Responses, candidate: Candidate, known: Sequence[Candidate]) -> C
     name = candidate.effect.place
     if not name or candidate.shape.series:
         return None
-    alike = [
-        c for c in known if c.name == candidate.name and not c.effect.distinct(r, c.shape, candidate.shape)
-    ]
+    alike = [c for c in known if c.label == candidate.label and not c.is_distinct(r, candidate)]
     return min(alike, key=lambda c: abs(c.shape.at[name] - candidate.shape.at[name]), default=None)
 
 

@@ -10,6 +10,7 @@ from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import fit
 from calrig.calibration.pose import Pose
 from calrig.calibration.responses import responses_of
+from calrig.calibration.run_changes import with_free_levels
 from calrig.calibration.search import Findings
 
 ERROR_RATE = 0.01
@@ -36,7 +37,7 @@ class SequentialTest:
         """Whether one suspect leads all others by more than the test's bound, with the new poses taken in."""
         if len(poses) < FEWEST_POSES or len(self._suspects) < 2:
             return False
-        r = responses_of([*self._runs, list(poses)])
+        r = with_free_levels(responses_of([*self._runs, list(poses)]))
         others = [again for other in self._others if (again := predicted(other, r)) is not None]
         criteria = sorted(
             fit(r, model_columns(r, [*others, suspect])).criterion

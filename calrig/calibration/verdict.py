@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from calrig.calibration.diagnosis_verdict import ELSEWHERE
+from calrig.calibration.diagnosis_verdict import ELSEWHERE, between_runs
 
 CONFIDENCE = 0.99
 """Noise alone is accused of leaving more than noise in one run of a hundred, as by the diagnosis' gate."""
@@ -174,6 +174,8 @@ def _found(effect: Document) -> str:
         return "The diagnosis finds an effect that is not in its catalogue."
     rivals = (ELSEWHERE if name == effect["name"] else name for name in effect["confusable_with"])
     names = [name.replace("_", " ") for name in (effect["name"], *rivals)]
+    if effect["verdict"] == "named" and effect.get("changed"):
+        return f"The diagnosis names {names[0]}{between_runs(effect)}."
     if effect["verdict"] == "named":
         return f"The diagnosis names {names[0]}, which has not been accepted."
     return f"The diagnosis cannot distinguish {' from '.join(names)}."

@@ -192,13 +192,15 @@ def _print_table(
 
 def _print_effect(effect: dict[str, Any]) -> None:
     """Prints an effect of a diagnosis in the catalogue's words."""
+    from calrig.calibration.diagnosis_verdict import between_runs
     from calrig.calibration.effect import ORIGINS
     from calrig.calibration.effects import EFFECTS, covariate_of
 
     known, covariate = EFFECTS[effect["name"]], covariate_of(effect["covariate"])
     titles = [known.title, *(EFFECTS[rival].title for rival in effect["confusable_with"])]
     against = f"against {covariate.title}" + (f" in {covariate.unit}" if covariate.unit else "")
-    _print(f"\n{', or '.join(titles)} ({effect['verdict']}; {ORIGINS[known.origin]}; {against})")
+    heading = f"{', or '.join(titles)}{between_runs(effect)}"
+    _print(f"\n{heading} ({effect['verdict']}; {ORIGINS[known.origin]}; {against})")
     for one in known.parameters:
         if not one.flag:
             unit = covariate.unit if one.unit is None else one.unit

@@ -62,8 +62,11 @@ def test_a_follow_up_decides_between_the_suspects_and_confirms_on_poses_of_its_o
         assert second.follows == first.id
         assert after["runs"] == [first.id, second.id]
         assert second.progress["poses_done"] < len(before["follow_up"]["plan"]["elevations_deg"])
-        (effect,) = after["effects"]
-        assert (effect["name"], effect["verdict"]) == ("backlash", "named")
+        effect, moved = after["effects"]
+        assert (effect["name"], effect["verdict"], effect["changed"]) == ("backlash", "named", None)
+        # the rig's mount lies at 0.8°, that of the poses before it at 0°
+        assert moved["changed"] == {"from": first.id, "to": second.id}
+        assert abs(moved["parameters"]["deg"]["value"] - 0.8) < 0.1
         found = effect["parameters"]["backlash_deg"]
         assert abs(found["value"] + PLAY_DEG) < 3 * found["std"]
         assert after["confirmed_by"]["run_id"] == second.id

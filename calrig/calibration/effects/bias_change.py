@@ -1,0 +1,31 @@
+"""Another bias of the reading than in the run before, of which the accelerometer knows nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calrig.calibration.effect import Effect, NotInFlight, Parameter, Parameters, Shape
+from calrig.calibration.responses import READING, Responses
+from calrig.calibration.run_changes import RUN
+
+
+def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
+    yield Shape({READING: np.ones(len(r))}, ("deg",))
+
+
+EFFECT = Effect(
+    name="bias_change",
+    title="Another bias of the reading",
+    origin="process",
+    scope="run",
+    covariate=RUN,
+    parameters=(Parameter("deg", "Bias (later − earlier)", "°"),),
+    formula="deg in the later runs",
+    forms=_forms,
+    on_reading_deg=lambda p: np.full(len(p.theta_deg), p.value("deg")),
+    in_c=NotInFlight("the bias that is fitted holds it"),
+    apart="the reading moved and the accelerometer did not: the filter, its offsets or its gyro bias",
+    remedy="look at what filters the reading: its offsets, its level at start-up, the bias of its gyro",
+)

@@ -1,0 +1,33 @@
+"""Another angle of the unit on the stage than in the run before: reading and accelerometer turned alike."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calrig.calibration.effect import Effect, NotInFlight, Parameter, Parameters, Shape
+from calrig.calibration.effect_terms import tilted
+from calrig.calibration.responses import Responses
+from calrig.calibration.run_changes import RUN
+
+
+def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
+    yield Shape(tilted(np.ones(len(r))), ("deg",))
+
+
+EFFECT = Effect(
+    name="mount_change",
+    title="Unit at another angle to the stage",
+    origin="mounting",
+    scope="run",
+    covariate=RUN,
+    parameters=(Parameter("deg", "Angle (later − earlier)", "°"),),
+    formula="deg in the later runs",
+    forms=_forms,
+    on_reading_deg=lambda p: np.full(len(p.theta_deg), p.value("deg")),
+    in_c=NotInFlight("it is the angle at which the unit was clamped to a stage"),
+    apart="the accelerometer turned as the reading did; clamped anew, homed anew or a package that turned "
+    "look the same: clamp the unit and home the stage several times to know how well either repeats",
+    remedy="calibrate with the clamping repeated; fly the bias of the mount that flies",
+)

@@ -1,0 +1,31 @@
+"""Another scale of the angle than in the run before: another stage, or another ratio of its gear."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from calrig.calibration.effect import Effect, NotInFlight, Parameter, Parameters, Shape
+from calrig.calibration.effect_terms import turned, turns
+from calrig.calibration.responses import Responses
+from calrig.calibration.run_changes import RUN
+
+
+def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
+    if turns(r):
+        yield Shape(turned(r, r.theta_deg), ("scale",))
+
+
+EFFECT = Effect(
+    name="scale_change",
+    title="Another scale of the stage",
+    origin="stage",
+    scope="run",
+    covariate=RUN,
+    parameters=(Parameter("scale", "Scale (later − earlier)", ""),),
+    formula="scale·θ in the later runs",
+    forms=_forms,
+    on_reading_deg=lambda p: p.value("scale") * p.theta_deg,
+    in_c=NotInFlight("an elevation by atan2 has no scale of its own: it belongs to the stage"),
+    apart="the gyro feels it and |accelerometer| does not; an offset along z changes |accelerometer|",
+    remedy="compare the stages, or the steps per degree that they are set to",
+)
