@@ -49,9 +49,13 @@ def damaged_log(rng: random.Random) -> bytes:
 def rows_of(data: bytes) -> tuple[list[str], list[list[float | str | None]]]:
     """The names and the cells that a file holds: numbers, None where not known, text where it is text.
 
-    A name that begins with quotes and a sign is written so against spreadsheets: one quote is not part of it.
+    Cells are apart by the mark of which the names hold most. A name that begins with quotes and a sign is
+    written so against spreadsheets: one quote is not part of it.
     """
-    lines = [row for row in csv.reader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True) if row]
+    text = data.decode("utf-8-sig")
+    names = next((line for line in text.splitlines() if line.strip()), "")
+    mark = max(",;\t", key=names.count)
+    lines = [row for row in csv.reader(io.StringIO(text, newline=""), strict=True, delimiter=mark) if row]
     header = [_name(name.strip()) for name in lines[0]]
     return header, [[_value(cell.strip()) for cell in row] for row in lines[1:]]
 
