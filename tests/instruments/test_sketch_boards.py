@@ -6,15 +6,13 @@ import itertools
 
 import numpy as np
 import pytest
-from instrument_fakes import CLOCK, SimulatedEnd
+from instrument_fakes import CLOCK, TAKES, SimulatedEnd, take_n
 from sketch_texts import BANNERS, BY_DRIVER
 
 from calrig.instruments import drivers
 from calrig.instruments.boards.sketch_board import READ_TIMEOUT_S, SketchBoard
 from calrig.instruments.errors import BoardError, PortError
-from calrig.instruments.types import Samples
 
-TAKES = 100
 RAW, LIGHT = BY_DRIVER["i2cdev-raw"], BY_DRIVER["mpu6050-light"]
 
 
@@ -59,15 +57,6 @@ def take_until_it_fails(board):
     return str(failure.value)
 
 
-def taken(board, n):
-    blocks = []
-    for _ in range(TAKES):
-        blocks.append(board.take(0.1))
-        if sum(map(len, blocks)) >= n:
-            return Samples.join(blocks)
-    raise AssertionError((sum(map(len, blocks)), board.faults))
-
-
 def test_it_says_what_it_is_and_measures_its_one_rate(wire):
     wire.keep_sending(counting(RAW))
     board = drivers.open_board("i2cdev-raw", wire.path)
@@ -81,7 +70,7 @@ def test_it_says_what_it_is_and_measures_its_one_rate(wire):
 def test_its_time_is_that_of_arrival(wire, opened):
     board, _ = started(wire, opened, RAW)
     before_s = CLOCK.now_s()
-    block = taken(board, 40)
+    block = take_n(board, 40)
     np.testing.assert_allclose(np.diff(block.time_s), 0.01, atol=READ_TIMEOUT_S)
     assert block.time_s[-1] == pytest.approx(CLOCK.now_s() - before_s, abs=READ_TIMEOUT_S)
     assert not board.faults
@@ -89,11 +78,11 @@ def test_its_time_is_that_of_arrival(wire, opened):
 
 def test_records_that_come_in_one_read_are_spread_evenly(wire, opened):
     board, enough = started(wire, opened, RAW)
-    taken(board, 3)
+    take_n(board, 3)
     enough.set()
     board.start(200)
     wire.send(b"".join(itertools.islice(counting(RAW, 10), 8)))
-    block = taken(board, 8)
+    block = take_n(board, 8)
     np.testing.assert_allclose(np.diff(block.time_s[-8:]), np.diff(block.time_s[-8:])[0], rtol=1e-6)
 
 
@@ -120,14 +109,14 @@ def test_a_sketch_that_waits_for_a_character_is_given_one(wire, opened):
 def test_a_clone_whose_data_are_good_is_a_fault_and_no_end(wire, opened):
     said = b"Initializing I2C devices...\r\nTesting device connections...\r\nMPU6050 connection failed\r\n"
     board, _ = started(wire, opened, RAW, itertools.chain([said], counting(RAW)))
-    assert len(taken(board, 5)) >= 5
+    assert len(take_n(board, 5)) >= 5
     assert board.faults == {"board_error": 1}
 
 
 def test_half_lines_are_dropped_and_counted(wire, opened):
     lines = (line if k % 10 else line[: len(line) // 2] for k, line in enumerate(counting(RAW)))
     board, _ = started(wire, opened, RAW, lines)
-    block = taken(board, 40)
+    block = take_n(board, 40)
     assert set((block.accel_g[:, 1:] * 16384).flat) == {1.0}
     assert set(board.faults) == {"unparsed"}
 
@@ -146,7 +135,7 @@ def test_half_lines_are_dropped_and_counted(wire, opened):
 )
 def test_what_goes_wrong_in_the_stream_is_named_and_is_no_sample(wire, opened, text, piece, words):
     board, enough = started(wire, opened, text)
-    taken(board, 5)
+    take_n(board, 5)
     enough.set()
     wire.keep_sending(itertools.chain([b"\r\n"], itertools.repeat(piece)))
     board.start(200)
@@ -187,10 +176,10 @@ def test_the_last_words_of_one_that_fell_silent_are_told(wire, opened):
 
 def test_a_reset_is_counted_and_a_raw_board_goes_on(wire, opened):
     board, enough = started(wire, opened, RAW)
-    taken(board, 3)
+    take_n(board, 3)
     enough.set()
     wire.keep_sending(itertools.chain([b"a/g:\t1\t2", BANNERS["i2cdev-raw"]], counting(RAW)))
-    taken(board, 20)
+    take_n(board, 20)
     assert board.faults["board_reset"] == 1
 
 
@@ -198,7 +187,7 @@ def test_a_reset_is_counted_and_a_raw_board_goes_on(wire, opened):
 def test_a_reset_ends_the_stream_of_a_sketch_that_takes_its_zero_anew(wire, opened, driver):
     text = BY_DRIVER[driver]
     board, enough = started(wire, opened, text)
-    taken(board, 3)
+    take_n(board, 3)
     enough.set()
     wire.keep_sending(itertools.chain([BANNERS[driver]], counting(text)))
     assert "takes its zero anew at every start" in take_until_it_fails(board)
@@ -219,7 +208,7 @@ def test_it_must_be_identified_before_it_is_started(wire, opened):
 
 def test_after_stop_nothing_more_is_taken(wire, opened):
     board, _ = started(wire, opened, RAW)
-    taken(board, 3)
+    take_n(board, 3)
     board.stop()
     board.take(0.0)
     assert len(board.take(0.1)) == 0
