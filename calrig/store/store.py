@@ -12,10 +12,11 @@ from calrig.store.places import Places
 from calrig.store.poses import Poses
 from calrig.store.records import Size
 from calrig.store.runs import Runs
+from calrig.store.trail import Trail
 from calrig.store.units import Units
 
 
-class Store(Runs, Poses, EventLog, Units, Places):
+class Store(Runs, Poses, EventLog, Units, Places, Trail):
     """An open store, shared by threads. Each method is one transaction, on the disk when it returns.
 
     A run that does not exist raises `NotFound` where it is not said otherwise; what SQLite cannot do raises
