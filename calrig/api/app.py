@@ -14,6 +14,7 @@ from starlette.types import Lifespan
 
 import calrig
 from calrig.api import (
+    calibrations,
     compare,
     diagnoses,
     effects,
@@ -48,13 +49,14 @@ PARTS = (
     measurements,
     noise,
     figures,
+    calibrations,
     units,
     compare,
     imports,
     login,
     metrics,
 )
-"""Figures before units: `/api/units/{serial:path}` would take their paths for serial numbers."""
+"""Figures, calibrations before units: `/api/units/{serial:path}` would take their paths for serial numbers."""
 EVERYBODY = Access()
 
 

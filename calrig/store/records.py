@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any, Literal, NamedTuple, TypedDict
 
@@ -138,7 +138,7 @@ class LeftAt:
 class AcceptedEffect:
     """An effect that a person accepted, of a unit or of a rig (the other is None), and the run it is from.
 
-    `parameters` are CONTRACT section 5's by name, numbers or null.
+    `parameters` are CONTRACT section 5's by name, numbers or null; `id` is the store's, of one that it gave.
     """
 
     run_id: str
@@ -147,6 +147,7 @@ class AcceptedEffect:
     name: str
     origin: str
     parameters: dict[str, float | None]
+    id: int | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
