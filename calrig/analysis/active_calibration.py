@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 from calrig.analysis.basis import why_none, why_not_now
 from calrig.analysis.errors import Conflict, Unknown
-from calrig.analysis.results import as_applied
+from calrig.analysis.results import as_applied, pose_residuals_deg
 from calrig.analysis.stored_runs import stored_run
 from calrig.calibration.correction import numbers_of
 from calrig.calibration.effect import ApplyError
@@ -20,10 +21,11 @@ from calrig.calibration.result import (
     ReferenceFigures,
     Result,
     apply_calibration,
+    corrected_residuals_deg,
 )
 from calrig.export.c_header import c_header
 from calrig.export.calibration_json import line_of
-from calrig.store import Store
+from calrig.store import Run, Store
 from calrig.store.issued import Revision
 from calrig.store.records import reference_of
 
@@ -96,6 +98,14 @@ class ActiveCalibration:
         except ApplyError:
             return apply_calibration(poses, gyro, self.line, (), self.reference)
 
+    def left_deg(self, poses: Sequence[Pose]) -> list[float | None]:
+        """As found against the document: calibrated elevation less the stage's, of each pose."""
+        try:
+            left = corrected_residuals_deg(poses, self.line, self.effects)
+        except ApplyError:
+            left = corrected_residuals_deg(poses, self.line, ())
+        return [value if math.isfinite(value) else None for value in left.tolist()]
+
 
 def active_calibration(store: Store, unit: str, rig: str | None, number: int | None) -> ActiveCalibration:
     """The revision that a verification of a unit applies: bias, scale and effects as the document has them.
@@ -124,3 +134,15 @@ def active_calibration(store: Store, unit: str, rig: str | None, number: int | N
         parts = worth["reference_bias_deg"], worth["reference_scale"]
         reference = ReferenceFigures(stage.std_deg, stage.kind, *parts)
     return ActiveCalibration(found.revision, found.run_id, line_of(document), [*of_unit, *of_rig], reference)
+
+
+def left_of_poses_deg(store: Store, run: Run, poses: Sequence[Pose]) -> list[float | None]:
+    """What is left of each pose of a run, degrees.
+
+    Of a verification, by the revision that it applied, effects taken out; of any other run, by its own bias
+    and scale. None throughout before there is a result.
+    """
+    number = run.provenance.get("verifies_revision")
+    if number is None or store.revision(run.unit, number) is None:
+        return pose_residuals_deg(run, poses)
+    return active_calibration(store, run.unit, run.rig, number).left_deg(poses)

@@ -56,7 +56,7 @@ PARTS = (
     login,
     metrics,
 )
-"""Figures, calibrations before units: `/api/units/{serial:path}` would take their paths for serial numbers."""
+"""Figures before units: `/api/units/{serial:path}` would take their paths for serial numbers."""
 EVERYBODY = Access()
 
 

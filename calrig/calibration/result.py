@@ -154,8 +154,7 @@ def apply_calibration(
         ApplyError: the poses lack what an effect is a function of.
     """
     theta, reading = _angles(poses)
-    felt = felt_elevation_deg(theta, line.bias_deg, line.scale)
-    without = reading - effects_on_reading_deg(effects, theta, circumstances(poses), felt)
+    left = corrected_residuals_deg(poses, line, effects)
     fresh = build_result(poses, gyro)
     return replace(
         fresh,
@@ -164,12 +163,26 @@ def apply_calibration(
         scale=line.scale,
         scale_std=line.scale_std,
         rms_calibrated_deg=_known(rms(residuals_deg(theta, reading, line.bias_deg, line.scale))),
-        rms_with_effects_deg=_known(rms(residuals_deg(theta, without, line.bias_deg, line.scale)))
-        if effects
-        else None,
+        rms_with_effects_deg=_known(rms(left)) if effects else None,
         reference=reference,
         line=line,
     )
+
+
+def corrected_residuals_deg(
+    poses: Sequence[Pose], line: Line, effects: Sequence[AppliedEffect]
+) -> FloatArray:
+    """(n,) calibrated elevation of each pose, effects taken out, less the stage's.
+
+    NaN where the scale is smaller than `MIN_SCALE`.
+
+    Raises:
+        ApplyError: the poses lack what an effect is a function of.
+    """
+    theta, reading = _angles(poses)
+    felt = felt_elevation_deg(theta, line.bias_deg, line.scale)
+    without = reading - effects_on_reading_deg(effects, theta, circumstances(poses), felt)
+    return residuals_deg(theta, without, line.bias_deg, line.scale)
 
 
 def circumstances(poses: Sequence[Pose]) -> Circumstances:
