@@ -66,7 +66,8 @@ class CalibrationAnswer(Answer):
     rms_calibrated_deg: float | None
     rms_with_effects_deg: float | None
     expanded_uncertainty_deg: float | None
-    coverage_factor: float
+    coverage_factor: float | None
+    coverage: float
     uncertainty: UncertaintyAnswer
     temperature_c: Extremes | None
     provenance: dict[str, Any]

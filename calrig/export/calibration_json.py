@@ -12,7 +12,7 @@ from calrig.calibration.correction import numbers_of
 from calrig.calibration.effects import effect_of
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import build_result
-from calrig.calibration.uncertainty import COVERAGE_FACTOR, uncertainty
+from calrig.calibration.uncertainty import uncertainty
 from calrig.store.records import AcceptedEffect, Run, reference_of
 
 SCHEMA = "calrig.calibration/1"
@@ -62,7 +62,8 @@ def calibration_document(
         "rms_calibrated_deg": result["rms_calibrated_deg"],
         "rms_with_effects_deg": built.rms_with_effects_deg,
         "expanded_uncertainty_deg": worth.expanded_deg,
-        "coverage_factor": COVERAGE_FACTOR,
+        "coverage_factor": worth.coverage_factor,
+        "coverage": worth.coverage,
         "uncertainty": worth.to_dict(),
         "temperature_c": result["temperature_c"],
         "provenance": run.provenance,

@@ -73,7 +73,8 @@ def test_the_document_has_the_contracts_names_and_is_json():
         "rms_calibrated_deg": 0.03,
         "rms_with_effects_deg": None,
         "expanded_uncertainty_deg": None,
-        "coverage_factor": 2,
+        "coverage_factor": None,
+        "coverage": 0.95,
         "uncertainty": {
             "type_a_deg": document["uncertainty"]["type_a_deg"],
             "type_b_deg": None,
@@ -99,8 +100,9 @@ def test_what_the_stage_is_worth_enters_whole_however_many_poses_there_are():
         parts = document["uncertainty"]
         assert parts["reference_deg"] == parts["type_b_deg"] == 0.29
         assert document["expanded_uncertainty_deg"] == pytest.approx(
-            2 * math.hypot(parts["type_a_deg"], 0.29)
+            document["coverage_factor"] * math.hypot(parts["type_a_deg"], 0.29)
         )
+        assert document["coverage_factor"] == pytest.approx(1.65, abs=0.01)
 
 
 def test_the_stages_part_of_bias_and_scale_is_told_apart():
