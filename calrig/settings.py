@@ -53,10 +53,14 @@ class BoardSettings(_Strict):
 
 
 class ReferenceSettings(_Strict):
-    """What the stage's own angle is worth: its standard uncertainty and how it is shared among poses."""
+    """What the stage's own angle is worth: its standard uncertainty and how it is shared among poses.
+
+    `distribution`: a maker's limit of ±a is rectangular, with std_deg = a/√3; a certificate's U/k normal.
+    """
 
     std_deg: float = Field(gt=0)
     kind: Literal["setting", "harmonic", "common"] = "harmonic"
+    distribution: Literal["rectangular", "normal"] = "rectangular"
     certificate: str | None = None
 
 

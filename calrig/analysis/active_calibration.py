@@ -132,7 +132,7 @@ def active_calibration(store: Store, unit: str, rig: str | None, number: int | N
     reference = None
     if stage is not None and worth["reference_bias_deg"] is not None:
         parts = worth["reference_bias_deg"], worth["reference_scale"]
-        reference = ReferenceFigures(stage.std_deg, stage.kind, *parts)
+        reference = ReferenceFigures(stage.std_deg, stage.kind, *parts, stage.distribution)
     return ActiveCalibration(found.revision, found.run_id, line_of(document), [*of_unit, *of_rig], reference)
 
 

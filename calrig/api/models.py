@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from calrig.calibration.over_range import OverRange
 from calrig.calibration.verdict import Verdict
 from calrig.plan import Plan
 
@@ -101,6 +102,7 @@ class ReferenceAnswer(Answer):
     kind: Literal["setting", "harmonic", "common"]
     bias_std_deg: float
     scale_std: float | None
+    distribution: Literal["rectangular", "normal"] = "rectangular"
 
 
 class LineAnswer(Answer):
@@ -125,6 +127,7 @@ class ResultAnswer(LineAnswer):
     temperature_c: Extremes | None
     gyro: GyroAnswer
     reference: ReferenceAnswer | None = None  # of runs stored before it was computed: null
+    over_range: OverRange | None = None  # likewise
 
 
 class VoidedAnswer(Answer):

@@ -11,7 +11,7 @@ from calrig.calibration.effects import effect_of
 from calrig.calibration.fit import Line
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import Result
-from calrig.calibration.uncertainty import COVERAGE_FACTOR, Reference, uncertainty
+from calrig.calibration.uncertainty import Reference, uncertainty
 from calrig.store.records import AcceptedEffect, Document
 
 SCHEMA = "calrig.calibration/2"
@@ -67,8 +67,8 @@ def calibration_content(
         "rms_calibrated_deg": result.rms_calibrated_deg,
         "rms_with_effects_deg": result.rms_with_effects_deg,
         "expanded_uncertainty_deg": worth.expanded_deg,
-        "coverage_factor": COVERAGE_FACTOR,
-        "coverage": 0.95,
+        "coverage_factor": worth.coverage_factor,
+        "coverage": worth.coverage,
         "level_known": False,
         "level_std_deg": None,
         "accelerometer": None,

@@ -52,7 +52,7 @@ def test_the_content_has_the_contracts_names_and_is_json():
         "gyro": {"bias_dps": [0.1, -0.2, 0.3], "scale": 1.001},
         "rms_with_effects_deg": None,
         "expanded_uncertainty_deg": None,
-        "coverage_factor": 2,
+        "coverage_factor": None,
         "coverage": 0.95,
         "level_known": False,
         "level_std_deg": None,
@@ -75,8 +75,9 @@ def test_what_the_stage_is_worth_enters_whole_however_many_poses_there_are():
         parts = document["uncertainty"]
         assert parts["reference_deg"] == parts["type_b_deg"] == 0.29
         assert document["expanded_uncertainty_deg"] == pytest.approx(
-            2 * math.hypot(parts["type_a_deg"], 0.29)
+            document["coverage_factor"] * math.hypot(parts["type_a_deg"], 0.29)
         )
+        assert document["coverage_factor"] == pytest.approx(1.65, abs=0.01)
 
 
 def test_the_stages_part_of_bias_and_scale_is_told_apart():
