@@ -15,6 +15,10 @@ class NotFound(StoreError):  # noqa: N818 (an answer, not a fault)
     """There is no such run, or the run has no such pose."""
 
 
+class Refused(StoreError):  # noqa: N818 (an answer, not a fault)
+    """What is stored does not allow this; the message says why and what to do."""
+
+
 class StoreUnavailableError(StoreError):
     """The store cannot be used now: the disk is full, the file locked or read-only. Once mended, it can."""
 

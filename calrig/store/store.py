@@ -14,9 +14,10 @@ from calrig.store.records import Size
 from calrig.store.runs import Runs
 from calrig.store.trail import Trail
 from calrig.store.units import Units
+from calrig.store.users import Users
 
 
-class Store(Runs, Poses, EventLog, Units, Places, Trail):
+class Store(Runs, Poses, EventLog, Units, Places, Trail, Users):
     """An open store, shared by threads. Each method is one transaction, on the disk when it returns.
 
     A run that does not exist raises `NotFound` where it is not said otherwise; what SQLite cannot do raises
