@@ -11,6 +11,7 @@ from starlette.concurrency import run_in_threadpool
 
 from calrig.analysis.error_map import error_map
 from calrig.analysis.errors import Invalid
+from calrig.api.callers import requires
 from calrig.api.context import Context, KnownRun
 from calrig.api.errors import problems
 from calrig.api.heavy import Heavy
@@ -186,6 +187,7 @@ class ErrorMapAnswer(Answer):
 
 @router.post(
     "/api/runs/{run_id}/diagnosis",
+    dependencies=[requires("operator")],
     response_model=DiagnosisAnswer,
     responses=problems(404, 409, 413, 422),
     summary="Trace what bias and scale leave of a run",
@@ -216,6 +218,7 @@ def last_diagnosis(run: KnownRun, context: Context) -> dict[str, Any]:
 
 @router.post(
     "/api/runs/{run_id}/diagnosis/accept",
+    dependencies=[requires("releaser")],
     response_model=RunAnswer,
     responses=problems(404, 409, 413, 422),
     summary="Put effects of a diagnosis in force",
@@ -227,6 +230,7 @@ def accept(run: KnownRun, body: Accept, context: Context) -> Run:
 
 @router.post(
     "/api/runs/{run_id}/follow-up",
+    dependencies=[requires("operator")],
     status_code=201,
     response_model=RunAnswer,
     responses=problems(404, 409),

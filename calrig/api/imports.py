@@ -6,6 +6,7 @@ from fastapi import APIRouter, File, Form, UploadFile
 from starlette.concurrency import run_in_threadpool
 
 from calrig.analysis.errors import Invalid
+from calrig.api.callers import requires
 from calrig.api.context import Context
 from calrig.api.errors import problems
 from calrig.api.heavy import Heavy
@@ -19,6 +20,7 @@ router = APIRouter(tags=["runs"])
 
 @router.post(
     "/api/imports",
+    dependencies=[requires("operator")],
     max_body_size=UPLOAD_BYTES,
     status_code=201,
     response_model=RunAnswer,

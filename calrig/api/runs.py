@@ -10,6 +10,7 @@ from pydantic import Field
 
 import calrig
 from calrig.analysis.errors import Invalid
+from calrig.api.callers import requires
 from calrig.api.context import Context, KnownRun
 from calrig.api.errands import answer_of
 from calrig.api.errors import problems
@@ -55,7 +56,12 @@ def rigs(context: Context) -> object:
     return context.service.rigs()
 
 
-@router.post("/api/rigs/scan", response_model=ScanAnswer, summary="Look who answers on which port")
+@router.post(
+    "/api/rigs/scan",
+    dependencies=[requires("operator")],
+    response_model=ScanAnswer,
+    summary="Look who answers on which port",
+)
 def scan(context: Context) -> object:
     """Moves nothing, but resets most boards; ports of this service's rigs and those in use are left alone.
 
@@ -81,6 +87,7 @@ async def stop(name: str, context: Context) -> object:
 
 @router.post(
     "/api/runs",
+    dependencies=[requires("operator")],
     status_code=201,
     response_model=RunAnswer,
     responses=problems(404, 409, 413, 422),
@@ -137,6 +144,7 @@ async def abort_run(run_id: str, context: Context) -> Run:
 
 @router.post(
     "/api/runs/{run_id}/pause",
+    dependencies=[requires("operator")],
     response_model=RunAnswer,
     responses=problems(404, 409),
     summary="Finish the pose in hand and hold",
@@ -148,6 +156,7 @@ def pause_run(run: KnownRun, context: Context) -> Run:
 
 @router.post(
     "/api/runs/{run_id}/resume",
+    dependencies=[requires("operator")],
     response_model=RunAnswer,
     responses=problems(404, 409),
     summary="Go on with a paused or interrupted run",
@@ -163,6 +172,7 @@ def resume_run(run: KnownRun, context: Context) -> Run:
 
 @router.post(
     "/api/runs/{run_id}/void",
+    dependencies=[requires("releaser")],
     response_model=RunAnswer,
     responses=problems(404, 409, 413, 422),
     summary="Keep a run, out of every comparison",
@@ -174,6 +184,7 @@ def void_run(run: KnownRun, body: Reason, context: Context) -> Run:
 
 @router.post(
     "/api/runs/{run_id}/poses/{index}/exclude",
+    dependencies=[requires("operator")],
     response_model=RunAnswer,
     responses=problems(404, 409, 413, 422),
     summary="Keep a pose, out of the result",
