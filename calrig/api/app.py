@@ -14,6 +14,7 @@ from starlette.types import Lifespan
 
 import calrig
 from calrig.api import (
+    amendments,
     compare,
     diagnoses,
     effects,
@@ -28,6 +29,7 @@ from calrig.api import (
     pages,
     plans,
     runs,
+    trail,
     units,
     users,
 )
@@ -43,6 +45,7 @@ from calrig.settings import packed
 
 PARTS = (
     runs,
+    amendments,
     plans,
     diagnoses,
     effects,
@@ -55,6 +58,7 @@ PARTS = (
     imports,
     login,
     users,
+    trail,
     metrics,
 )
 """Figures before units: `/api/units/{serial:path}` would take their paths for serial numbers."""

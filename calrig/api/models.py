@@ -39,12 +39,6 @@ class StartRun(Body):
     )
 
 
-class Reason(Body):
-    """Why something measured is not to count."""
-
-    reason: str
-
-
 class Problem(Answer):
     """Every error."""
 

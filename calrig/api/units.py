@@ -11,6 +11,7 @@ from fastapi.responses import PlainTextResponse
 from pydantic import Field
 
 from calrig.analysis.active_calibration import active_run, document_of, header_of
+from calrig.api.callers import Who, requires
 from calrig.api.context import Context, KnownUnit
 from calrig.api.errors import problems
 from calrig.api.models import Answer, Extremes, UnitAnswer, UnitWithRuns
@@ -103,3 +104,15 @@ def show_unit(unit: KnownUnit, context: Context) -> object:
     runs, _ = context.store.runs(unit=unit.serial, limit=EVERY_RUN)
     active = context.store.latest_calibration_run(unit.serial)
     return {**asdict(unit), "runs": runs, "active_run_id": active and active.id}
+
+
+@router.delete(
+    "/api/units/{serial:path}",
+    dependencies=[requires("releaser")],
+    status_code=204,
+    responses=problems(404, 409),
+    summary="Remove a unit that nothing is known of",
+)
+def remove_unit(serial: str, context: Context, who: Who) -> None:
+    """As one is left whose runs were moved to their right serial number. 409 where it has runs."""
+    context.store.remove_unit(serial, who=who)
