@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import platformdirs
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, IPvAnyNetwork, ValidationError, model_validator
 
 CONFIG_NAME = "calrig.toml"
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+_.-]*://")
@@ -99,6 +99,10 @@ class Settings(_Strict):
     rig: tuple[RigSettings, ...] = ()
     hosts: tuple[Annotated[str, Field(pattern=r"^[\w.-]+$", max_length=253)], ...] = ()
     """Names besides its own address that `serve` answers to, such as the one of a proxy in front of it."""
+    trusted_proxies: tuple[IPvAnyNetwork, ...] = ()
+    """Addresses or networks of proxies that say whom they let in; what others say of that is dropped."""
+    user_header: Annotated[str, Field(pattern=r"^[A-Za-z0-9-]+$", max_length=64)] = "X-Forwarded-User"
+    """The header in which they say it."""
     keep_samples_days: float | None = Field(default=None, gt=0)
     """Raw samples of runs older than this are deleted when the service starts; null keeps them for ever."""
 

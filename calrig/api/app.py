@@ -14,6 +14,7 @@ from starlette.types import Lifespan
 
 import calrig
 from calrig.api import (
+    amendments,
     calibrations,
     compare,
     diagnoses,
@@ -29,19 +30,23 @@ from calrig.api import (
     pages,
     plans,
     runs,
+    trail,
     units,
+    users,
 )
 from calrig.api.access import Access
 from calrig.api.authentication import Authentication
 from calrig.api.context import ApiContext
 from calrig.api.limits import JSON_BYTES, BodyPatience
 from calrig.api.origin_check import OriginCheck
+from calrig.api.proxies import TrustedProxies
 from calrig.api.request_log import RequestLog
 from calrig.runs.service import RunService
 from calrig.settings import packed
 
 PARTS = (
     runs,
+    amendments,
     plans,
     diagnoses,
     effects,
@@ -54,6 +59,8 @@ PARTS = (
     compare,
     imports,
     login,
+    users,
+    trail,
     metrics,
 )
 """Figures before units: `/api/units/{serial:path}` would take their paths for serial numbers."""
@@ -77,10 +84,11 @@ def create_app(service: RunService, *, web: Path | None = None, access: Access =
 
     app = api(lifespan)
     app.state.context = ApiContext(service, service.store)
-    app.state.authentication = Authentication(access)
+    app.state.authentication = Authentication(access, service.store.users)
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=6)  # event streams never
     app.add_middleware(OriginCheck, app.state.authentication)
-    app.add_middleware(RequestLog)  # the last one added is the first to look
+    app.add_middleware(RequestLog)
+    app.add_middleware(TrustedProxies, access)  # the last one added is the first to look
     pages.install(app, packed("web") if web is None else web)
     return app
 

@@ -8,6 +8,7 @@ from typing import Annotated
 
 from fastapi import Depends, FastAPI, Request
 
+from calrig.analysis.acceptance import Acceptance
 from calrig.analysis.amendments import Records
 from calrig.analysis.diagnoses import Diagnoses
 from calrig.analysis.errors import Unknown
@@ -60,12 +61,17 @@ class ApiContext:
     @property
     def diagnoses(self) -> Diagnoses:
         """What calibration left of stored runs."""
-        return Diagnoses(self.store, self.service.issuer)
+        return Diagnoses(self.store)
 
     @property
     def issuer(self) -> Issuer:
         """Drafts, releases and withdrawals of calibrations."""
         return self.service.issuer
+
+    @property
+    def acceptance(self) -> Acceptance:
+        """What of diagnoses is in force."""
+        return Acceptance(self.store, self.service.issuer)
 
     @property
     def records(self) -> Records:

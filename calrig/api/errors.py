@@ -16,15 +16,17 @@ from calrig.analysis.errors import Conflict, Invalid, RunsError, Unknown
 from calrig.api.models import Problem
 from calrig.api.origin_check import HEADERS, NOT_KEPT
 from calrig.processes.pool import WorkLost, WorkRefused, WorkTooLarge
-from calrig.store.errors import NotFound, StoreError, StoreUnavailableError
+from calrig.store.errors import NotFound, Refused, StoreError, StoreUnavailableError
 
 log = logging.getLogger(__name__)
 
 STATUS: dict[type[RunsError], int] = {Unknown: 404, Conflict: 409, Invalid: 422}
+STORE_STATUS: dict[type[StoreError], int] = {NotFound: 404, Refused: 409, StoreUnavailableError: 503}
 
 WORDS = {
     401: "No token or session was shown, or a wrong one",
-    403: "The request came by a name that is not the service's, or from a page elsewhere",
+    403: "Who asks may not do this; or the request came by a name that is not the service's, or from a page "
+    "elsewhere",
     404: "Unknown",
     408: "The body came too slowly",
     409: "The rig is busy, the run's state does not allow this, or the stage was not seen to stand",
@@ -66,8 +68,8 @@ async def _runs_error(_request: Request, error: Exception) -> JSONResponse:
 
 async def _store_error(_request: Request, error: Exception) -> JSONResponse:
     # Full, locked or read-only is the operator's to mend, and then the same request will do.
-    status = 404 if isinstance(error, NotFound) else 503 if isinstance(error, StoreUnavailableError) else 500
-    if status != 404:
+    status = next((code for kind, code in STORE_STATUS.items() if isinstance(error, kind)), 500)
+    if status >= 500:
         log.error("%s", error)
     return JSONResponse({"detail": str(error)}, status_code=status)
 

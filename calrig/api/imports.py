@@ -6,6 +6,7 @@ from fastapi import APIRouter, File, Form, UploadFile
 from starlette.concurrency import run_in_threadpool
 
 from calrig.analysis.errors import Invalid
+from calrig.api.callers import Who, requires
 from calrig.api.context import Context
 from calrig.api.errors import problems
 from calrig.api.heavy import Heavy
@@ -19,6 +20,7 @@ router = APIRouter(tags=["runs"])
 
 @router.post(
     "/api/imports",
+    dependencies=[requires("operator")],
     max_body_size=UPLOAD_BYTES,
     status_code=201,
     response_model=RunAnswer,
@@ -28,6 +30,7 @@ router = APIRouter(tags=["runs"])
 async def import_poses(
     context: Context,
     heavy: Heavy,
+    who: Who,
     file: Annotated[UploadFile, File(description="CONTRACT section 4's CSV")],
     unit: Annotated[str, Form()],
     rig: Annotated[str | None, Form()] = None,
@@ -42,5 +45,5 @@ async def import_poses(
         except CsvError as error:
             raise Invalid(f"{name}: {error}") from error
     return await run_in_threadpool(
-        context.records.keep_imported, imported, unit=unit, rig=rig, file_name=name, operator=operator
+        context.records.keep_imported, imported, unit=unit, rig=rig, file_name=name, operator=who or operator
     )

@@ -91,9 +91,11 @@ class RunService:
         """
         check_serial(unit)
         settings = self._rig(rig)
-        return self._begin(settings, unit, plan, operator=operator, note=note, stage_at_deg=stage_at_deg)
+        return self._begin(
+            settings, unit, plan, operator=operator, who=operator, note=note, stage_at_deg=stage_at_deg
+        )
 
-    def follow_up(self, run_id: str, apart: Apart = run_apart) -> Run:
+    def follow_up(self, run_id: str, apart: Apart = run_apart, who: str | None = None) -> Run:
         """Starts the run that best separates what the diagnosis of a run (and those before it) could not.
 
         Raises:
@@ -105,8 +107,15 @@ class RunService:
             raise Conflict(f"run {run_id} was imported: no rig is known to follow it up on")
         settings = self._rig(run.rig)
         follow_up = FollowUpRun.designed(unresolved(self.store, run_id, apart), settings.limits_deg, apart)
+        operator = who or run.operator
         return self._begin(
-            settings, run.unit, follow_up.plan, operator=run.operator, follows=run_id, follow_up=follow_up
+            settings,
+            run.unit,
+            follow_up.plan,
+            operator=operator,
+            who=who,
+            follows=run_id,
+            follow_up=follow_up,
         )
 
     def _begin(
@@ -116,6 +125,7 @@ class RunService:
         plan: Plan,
         *,
         operator: str | None = None,
+        who: str | None = None,
         note: str | None = None,
         follows: str | None = None,
         follow_up: FollowUpRun | None = None,
@@ -135,6 +145,7 @@ class RunService:
                 plan=plan.model_dump(mode="json"),
                 status="queued",
                 operator=operator,
+                who=who,
                 note=note,
                 follows=follows,
                 provenance={

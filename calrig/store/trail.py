@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Literal
 
-from sqlmodel import Session, col, select
+from sqlmodel import Session, col, func, or_, select
 
 from calrig.store.checksums import to_json
 from calrig.store.database import Part
@@ -85,13 +85,21 @@ class Trail(Part):
         unit: str | None = None,
         what: Sequence[What] = (),
         since: datetime | None = None,
-        after: int = 0,
+        after: int | None = None,
+        newest_first: bool = False,
         limit: int = 1000,
     ) -> list[Entry]:
-        """Entries, oldest first: of a unit, of some kinds, from a time on, after a number."""
-        wanted = select(TrailTable).where(col(TrailTable.seq) > after).order_by(col(TrailTable.seq))
+        """Entries, oldest first: of a unit, of some kinds, from a time on, after a number in this order.
+
+        Of a unit are the entries of runs that were moved away from it, too.
+        """
+        seq = col(TrailTable.seq)
+        wanted = select(TrailTable).order_by(seq.desc() if newest_first else seq)
+        if after is not None:
+            wanted = wanted.where(seq < after if newest_first else seq > after)
         if unit is not None:
-            wanted = wanted.where(TrailTable.unit == unit)
+            moved_away = func.json_extract(col(TrailTable.detail), "$.from") == unit
+            wanted = wanted.where(or_(col(TrailTable.unit) == unit, moved_away))
         if what:
             wanted = wanted.where(col(TrailTable.what).in_(what))
         if since is not None:
