@@ -36,6 +36,7 @@ from calrig.api.context import ApiContext
 from calrig.api.limits import JSON_BYTES, BodyPatience
 from calrig.api.origin_check import OriginCheck
 from calrig.api.request_log import RequestLog
+from calrig.api.turns import BeginInTurn
 from calrig.runs.service import RunService
 from calrig.settings import packed
 
@@ -78,7 +79,8 @@ def create_app(service: RunService, *, web: Path | None = None, access: Access =
     app.state.authentication = Authentication(access)
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=6)  # event streams never
     app.add_middleware(OriginCheck, app.state.authentication)
-    app.add_middleware(RequestLog)  # the last one added is the first to look
+    app.add_middleware(RequestLog)
+    app.add_middleware(BeginInTurn)  # the last one added is the first to look
     pages.install(app, packed("web") if web is None else web)
     return app
 
