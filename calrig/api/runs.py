@@ -78,7 +78,8 @@ async def scan(context: Context) -> object:
 async def stop(name: str, context: Context) -> object:
     """Whatever runs on it is aborted; a stage that stands by itself is told as well.
 
-    200 once the stage was seen to stand, twice at one angle; else 409 within ten seconds.
+    200 once the stage was seen to stand, twice at one angle; else 409 within ten seconds, within two where
+    its port does not open.
     """
     return await answer_of(context.service.begin_stop(name), f"the stage of rig {name!r}")
 
