@@ -21,6 +21,7 @@ from calrig.api import (
     events,
     figures,
     imports,
+    jobs,
     login,
     measurements,
     metrics,
@@ -52,6 +53,7 @@ PARTS = (
     units,
     compare,
     imports,
+    jobs,
     login,
     metrics,
 )
@@ -72,6 +74,7 @@ def create_app(service: RunService, *, web: Path | None = None, access: Access =
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
         yield
         await asyncio.to_thread(service.close)  # by no thread of those that answer requests
+        await _app.state.context.jobs.close()
         await _app.state.context.processes.close()
 
     app = api(lifespan)

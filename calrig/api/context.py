@@ -8,6 +8,7 @@ from fastapi import Depends, FastAPI, Request
 from calrig.analysis.amendments import Records
 from calrig.analysis.diagnoses import Diagnoses
 from calrig.analysis.errors import Unknown
+from calrig.api.job import Jobs
 from calrig.api.streams import Streams
 from calrig.processes.pool import Processes
 from calrig.runs.errands import Errands
@@ -19,7 +20,7 @@ from calrig.store import Run, Store, Unit
 class ApiContext:
     """The service behind the API, its store to read from, open event streams, processes for heavy work.
 
-    `scans` are looks at the ports, one at a time.
+    `scans` are looks at the ports, one at a time; `jobs` heavy work that no request waits for.
     """
 
     service: RunService
@@ -27,6 +28,7 @@ class ApiContext:
     streams: Streams = field(default_factory=Streams)
     processes: Processes = field(default_factory=Processes)
     scans: Errands = field(default_factory=Errands)
+    jobs: Jobs = field(default_factory=Jobs)
 
     @property
     def diagnoses(self) -> Diagnoses:
