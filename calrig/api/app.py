@@ -23,6 +23,7 @@ from calrig.api import (
     events,
     figures,
     imports,
+    jobs,
     login,
     measurements,
     metrics,
@@ -41,6 +42,7 @@ from calrig.api.limits import JSON_BYTES, BodyPatience
 from calrig.api.origin_check import OriginCheck
 from calrig.api.proxies import TrustedProxies
 from calrig.api.request_log import RequestLog
+from calrig.api.turns import BeginInTurn
 from calrig.runs.service import RunService
 from calrig.settings import packed
 
@@ -58,6 +60,7 @@ PARTS = (
     units,
     compare,
     imports,
+    jobs,
     login,
     users,
     trail,
@@ -80,6 +83,7 @@ def create_app(service: RunService, *, web: Path | None = None, access: Access =
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
         yield
         await asyncio.to_thread(service.close)  # by no thread of those that answer requests
+        await _app.state.context.jobs.close()
         await _app.state.context.processes.close()
 
     app = api(lifespan)
@@ -88,7 +92,8 @@ def create_app(service: RunService, *, web: Path | None = None, access: Access =
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=6)  # event streams never
     app.add_middleware(OriginCheck, app.state.authentication)
     app.add_middleware(RequestLog)
-    app.add_middleware(TrustedProxies, access)  # the last one added is the first to look
+    app.add_middleware(TrustedProxies, access)
+    app.add_middleware(BeginInTurn)  # the last one added is the first to look
     pages.install(app, packed("web") if web is None else web)
     return app
 

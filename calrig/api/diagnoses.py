@@ -14,7 +14,8 @@ from calrig.analysis.errors import Invalid
 from calrig.api.callers import Who, requires
 from calrig.api.context import Context, KnownRun
 from calrig.api.errors import problems
-from calrig.api.heavy import Heavy
+from calrig.api.heavy import ACCEPTED, Heavy, Wait
+from calrig.api.job import Job
 from calrig.api.models import Answer, Body, RunAnswer
 from calrig.calibration.effect import Origin
 from calrig.calibration.pose import DiagnosisError
@@ -195,20 +196,26 @@ class ErrorMapAnswer(Answer):
     "/api/runs/{run_id}/diagnosis",
     dependencies=[requires("operator")],
     response_model=DiagnosisAnswer,
-    responses=problems(404, 409, 413, 422),
+    responses=ACCEPTED | problems(404, 409, 413, 422),
     summary="Trace what bias and scale leave of a run",
 )
-async def diagnose(run: KnownRun, body: Diagnose, context: Context, heavy: Heavy) -> dict[str, Any]:
+async def diagnose(run: KnownRun, body: Diagnose, context: Context, heavy: Heavy, wait: Wait = True) -> Any:
     """With more runs of the unit where `runs` names them. The document is kept with the run.
 
-    At most 4,000 poses. It is given up where its client leaves; 429 where many are waiting already.
+    At most 4,000 poses. It is given up where its client leaves; 429 where many are waiting already. The
+    `fraction` of its job is the share of searches done: over all poses, and in each fold of the
+    cross-validation.
     """
-    question = await run_in_threadpool(context.diagnoses.question, run.id, body.runs)
-    try:
-        found = await heavy(question)
-    except DiagnosisError as error:
-        raise Invalid(f"run {run.id}: {error}") from error
-    return await run_in_threadpool(context.diagnoses.keep, run.id, found)
+
+    async def work(job: Job) -> dict[str, Any]:
+        question = await run_in_threadpool(context.diagnoses.question, run.id, body.runs)
+        try:
+            found = await job.run(question, tells_progress=True)
+        except DiagnosisError as error:
+            raise Invalid(f"run {run.id}: {error}") from error
+        return await run_in_threadpool(context.diagnoses.keep, run.id, found)
+
+    return await heavy.answer(work, wait=wait, kept_at=lambda _: f"/api/runs/{run.id}/diagnosis")
 
 
 @router.get(

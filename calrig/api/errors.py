@@ -15,13 +15,15 @@ from starlette.responses import JSONResponse
 from calrig.analysis.errors import Conflict, Invalid, RunsError, Unknown
 from calrig.api.models import Problem
 from calrig.api.origin_check import HEADERS, NOT_KEPT
-from calrig.processes.pool import WorkLost, WorkRefused, WorkTooLarge
+from calrig.processes.pool import WorkError, WorkLost, WorkRefused, WorkTooLarge
 from calrig.store.errors import NotFound, Refused, StoreError, StoreUnavailableError
 
 log = logging.getLogger(__name__)
 
 STATUS: dict[type[RunsError], int] = {Unknown: 404, Conflict: 409, Invalid: 422}
 STORE_STATUS: dict[type[StoreError], int] = {NotFound: 404, Refused: 409, StoreUnavailableError: 503}
+
+DEFECT = "calrig failed inside; the service's log says where"
 
 WORDS = {
     401: "No token or session was shown, or a wrong one",
@@ -89,9 +91,7 @@ async def _work_lost(_request: Request, error: Exception) -> JSONResponse:
 
 async def _defect(_request: Request, _error: Exception) -> JSONResponse:
     # This answer is given outside of every middleware, the origin check too.
-    return JSONResponse(
-        {"detail": "calrig failed inside; the service's log says where"}, 500, HEADERS | NOT_KEPT
-    )
+    return JSONResponse({"detail": DEFECT}, 500, HEADERS | NOT_KEPT)
 
 
 async def _validation_error(_request: Request, error: Exception) -> JSONResponse:
@@ -109,6 +109,13 @@ async def _http_error(_request: Request, error: Exception) -> JSONResponse:
         return JSONResponse({"detail": no_room(reason)}, status_code=503)
     status = 422 if error.status_code == 400 else error.status_code
     return JSONResponse({"detail": error.detail}, status_code=status, headers=error.headers)
+
+
+def reason_of(error: BaseException) -> str:
+    """What an answer would say of an error, for work whose end no answer tells."""
+    if isinstance(error, HTTPException):
+        return str(error.detail)
+    return str(error) if isinstance(error, RunsError | StoreError | WorkError) else DEFECT
 
 
 def no_room(reason: str | None) -> str:

@@ -3,6 +3,7 @@
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
 import asyncio
+from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Query
@@ -16,6 +17,7 @@ from calrig.api.errands import answer_of
 from calrig.api.errors import problems
 from calrig.api.models import Answer, Health, RigAnswer, RunAnswer, RunList, StartRun, Status
 from calrig.instruments import scan as ports
+from calrig.instruments.clock import WALL
 from calrig.instruments.scan import Kind
 from calrig.instruments.scan_stanza import stanza
 from calrig.store import Run
@@ -62,12 +64,14 @@ def rigs(context: Context) -> object:
     response_model=ScanAnswer,
     summary="Look who answers on which port",
 )
-def scan(context: Context) -> object:
+async def scan(context: Context) -> object:
     """Moves nothing, but resets most boards; ports of this service's rigs and those in use are left alone.
 
-    It takes some seven seconds.
+    It takes some seven seconds. Who asks meanwhile shares the answer: two at once would find each port in
+    use by the other.
     """
-    found = ports.scan(ours=context.service.ports())
+    looking = context.scans.share("scan", WALL, partial(ports.scan, ours=context.service.ports()))
+    found = await asyncio.shield(asyncio.wrap_future(looking.future))
     return {"found": found, "stanza": stanza(found, {rig.name for rig in context.service.rigs()})}
 
 
@@ -80,7 +84,8 @@ def scan(context: Context) -> object:
 async def stop(name: str, context: Context) -> object:
     """Whatever runs on it is aborted; a stage that stands by itself is told as well.
 
-    200 once the stage was seen to stand, twice at one angle; else 409 within ten seconds.
+    200 once the stage was seen to stand, twice at one angle; else 409 within ten seconds, within two where
+    its port does not open.
     """
     return await answer_of(context.service.begin_stop(name), f"the stage of rig {name!r}")
 
