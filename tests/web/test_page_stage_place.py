@@ -1,4 +1,4 @@
-"""A stage without homing that has lost its place: the page asks where it stands, and a run begins from there."""
+"""A stage without homing has lost its place: the page asks where it stands, and a run begins from there."""
 
 from __future__ import annotations
 
