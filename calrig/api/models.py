@@ -41,7 +41,7 @@ class StartRun(Body):
 
 
 class Reason(Body):
-    """Why something measured is not to count."""
+    """Why something is done: it stays with what is done."""
 
     reason: str
 
@@ -209,6 +209,7 @@ class UnitWithRuns(UnitAnswer):
 
     runs: list[RunAnswer]
     active_run_id: str | None = Field(description="The run that the calibration in force is from.")
+    revision_in_force: int | None
 
 
 class Figure(Answer):

@@ -171,8 +171,7 @@ def apply_calibration(
         ApplyError: the poses lack what an effect is a function of.
     """
     theta, reading = _angles(poses)
-    felt = felt_elevation_deg(theta, line.bias_deg, line.scale)
-    without = reading - effects_on_reading_deg(effects, theta, circumstances(poses), felt)
+    without = _without_effects_deg(poses, line, effects)
     left_deg = residuals_deg(theta, without, line.bias_deg, line.scale)
     fresh = build_result(poses, gyro)
     return replace(
@@ -189,6 +188,26 @@ def apply_calibration(
         ),
         line=line,
     )
+
+
+def corrected_residuals_deg(
+    poses: Sequence[Pose], line: Line, effects: Sequence[AppliedEffect]
+) -> FloatArray:
+    """(n,) calibrated elevation of each pose, effects taken out, less the stage's.
+
+    NaN where the scale is smaller than `MIN_SCALE`.
+
+    Raises:
+        ApplyError: the poses lack what an effect is a function of.
+    """
+    theta, _ = _angles(poses)
+    return residuals_deg(theta, _without_effects_deg(poses, line, effects), line.bias_deg, line.scale)
+
+
+def _without_effects_deg(poses: Sequence[Pose], line: Line, effects: Sequence[AppliedEffect]) -> FloatArray:
+    theta, reading = _angles(poses)
+    felt = felt_elevation_deg(theta, line.bias_deg, line.scale)
+    return reading - effects_on_reading_deg(effects, theta, circumstances(poses), felt)
 
 
 def circumstances(poses: Sequence[Pose]) -> Circumstances:

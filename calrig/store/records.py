@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import Any, Literal, NamedTuple, TypedDict
 
@@ -141,7 +141,7 @@ class LeftAt:
 class AcceptedEffect:
     """An effect that a person accepted, of a unit or of a rig (the other is None), and the run it is from.
 
-    `parameters` are CONTRACT section 5's by name, numbers or null.
+    `parameters` are CONTRACT section 5's by name, numbers or null; `id` is the store's, of one that it gave.
     """
 
     run_id: str
@@ -150,6 +150,7 @@ class AcceptedEffect:
     name: str
     origin: str
     parameters: dict[str, float | None]
+    id: int | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
