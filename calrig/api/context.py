@@ -50,10 +50,14 @@ class Streams:
 
 @dataclass(frozen=True)
 class ApiContext:
-    """The service behind the API, its store to read from, open event streams, processes for heavy work."""
+    """The service behind the API, its store to read from, open event streams, processes for heavy work.
+
+    `limits_kept_in` is the file that gives the limits; None where people change them over HTTP.
+    """
 
     service: RunService
     store: Store
+    limits_kept_in: str | None = None
     streams: Streams = field(default_factory=Streams)
     processes: Processes = field(default_factory=Processes)
 

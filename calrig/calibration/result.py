@@ -184,7 +184,11 @@ def apply_calibration(
         rms_with_effects_deg=_known(rms(left_deg)) if effects else None,
         reference=reference,
         over_range=over_range(
-            theta, left_deg, fit_line(theta, without), reference and reference.reference, fresh.noise_deg
+            theta,
+            left_deg,
+            fit_line(theta, without),
+            None if reference is None else reference.reference,
+            fresh.noise_deg,
         ),
         line=line,
     )
