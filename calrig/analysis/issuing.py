@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from calrig.analysis.basis import basis_of, changed_since, chosen_effects, why_none, why_not_now
@@ -11,9 +11,10 @@ from calrig.analysis.errors import Conflict
 from calrig.analysis.imported import Imported
 from calrig.analysis.results import fitted, gyro_of
 from calrig.analysis.stored_runs import checked_reason, stored_run
+from calrig.calibration.conformity import limit_for
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import Result
-from calrig.calibration.verdict import Verdict, verdict
+from calrig.calibration.verdict import verdict
 from calrig.export.calibration_json import calibration_content
 from calrig.settings import ReleasePolicy, RigSettings
 from calrig.store import AcceptedEffect, Run, Store
@@ -73,9 +74,10 @@ class Issuer:
         """What a file of poses makes as it is imported; None where its poses leave the scale open."""
         if imported.content is None:
             return None
-        judged = verdict(imported.result)
+        limit = limit_for(self._store.limits(), imported.content["unit"], imported.content["rig"])
+        judged = verdict(imported.result, limit=limit, calibration=imported.content)
         releases = self._releases.puts_in_force(None, judged.answer)
-        return Draft(imported.content, basis_of(imported.accepted, (), None), _stored(judged), releases, by)
+        return Draft(imported.content, basis_of(imported.accepted, (), None), judged.to_dict(), releases, by)
 
     def draft(
         self,
@@ -209,15 +211,17 @@ class Issuer:
             reference=reference_of(run.provenance),
         )
         mismatches = run.faults.get("move_mismatch", 0)
-        judged = verdict(fit.result.to_dict(), run.diagnosis, move_mismatches=mismatches)
+        judged = verdict(
+            fit.result.to_dict(),
+            run.diagnosis,
+            move_mismatches=mismatches,
+            limit=limit_for(self._store.limits(), run.unit, run.rig),
+            calibration=content,
+        )
         if releases is None:
             releases = self._releases.puts_in_force(run.rig, judged.answer)
         basis = basis_of(fit.accepted, fit.excluded, fit.chosen)
-        return Draft(content, basis, _stored(judged), releases, by, reason)
-
-
-def _stored(judged: Verdict) -> Document:
-    return {**asdict(judged), "says": list(judged.says)}
+        return Draft(content, basis, judged.to_dict(), releases, by, reason)
 
 
 def issued_since(store: Store, since: datetime | None) -> list[Document]:

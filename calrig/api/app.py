@@ -24,6 +24,7 @@ from calrig.api import (
     figures,
     imports,
     jobs,
+    limit_rules,
     login,
     measurements,
     metrics,
@@ -61,6 +62,7 @@ PARTS = (
     compare,
     imports,
     jobs,
+    limit_rules,
     login,
     users,
     trail,
@@ -70,13 +72,20 @@ PARTS = (
 EVERYBODY = Access()
 
 
-def create_app(service: RunService, *, web: Path | None = None, access: Access = EVERYBODY) -> FastAPI:
+def create_app(
+    service: RunService,
+    *,
+    web: Path | None = None,
+    access: Access = EVERYBODY,
+    limits_kept_in: str | None = None,
+) -> FastAPI:
     """Makes the application; nothing of it is shared with another one.
 
     Args:
         service: carries out what is asked. It is closed when the application shuts down.
         web: the folder of the page; without it the one that comes with calrig.
         access: the token that is asked for and the names the service has.
+        limits_kept_in: the file that gives the limits, which then are not changed over HTTP.
     """
 
     @asynccontextmanager
@@ -87,7 +96,7 @@ def create_app(service: RunService, *, web: Path | None = None, access: Access =
         await _app.state.context.processes.close()
 
     app = api(lifespan)
-    app.state.context = ApiContext(service, service.store)
+    app.state.context = ApiContext(service, service.store, limits_kept_in)
     app.state.authentication = Authentication(access, service.store.users)
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=6)  # event streams never
     app.add_middleware(OriginCheck, app.state.authentication)

@@ -23,10 +23,12 @@ class ApiContext:
     """The service behind the API, its store to read from, open event streams, processes for heavy work.
 
     `scans` are looks at the ports, one at a time; `jobs` heavy work that no request waits for.
+    `limits_kept_in` is the file that gives the limits; None where people change them over HTTP.
     """
 
     service: RunService
     store: Store
+    limits_kept_in: str | None = None
     streams: Streams = field(default_factory=Streams)
     processes: Processes = field(default_factory=Processes)
     scans: Errands = field(default_factory=Errands)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
 from tempfile import gettempdir
 from typing import Any
 
@@ -15,6 +14,7 @@ from starlette.responses import JSONResponse
 from calrig.analysis.errors import Conflict, Invalid, RunsError, Unknown
 from calrig.api.models import Problem
 from calrig.api.origin_check import HEADERS, NOT_KEPT
+from calrig.invalid_fields import SHOWN, in_words, path_of
 from calrig.processes.pool import WorkError, WorkLost, WorkRefused, WorkTooLarge
 from calrig.store.errors import NotFound, Refused, StoreError, StoreUnavailableError
 
@@ -65,7 +65,9 @@ def install(app: FastAPI) -> None:
 
 async def _runs_error(_request: Request, error: Exception) -> JSONResponse:
     status = next((code for kind, code in STATUS.items() if isinstance(error, kind)), 500)
-    return JSONResponse({"detail": str(error)}, status_code=status)
+    assert isinstance(error, RunsError)  # noqa: S101 (as registered)
+    named = {"fields": error.fields[:SHOWN]} if error.fields else {}
+    return JSONResponse({"detail": str(error), **named}, status_code=status)
 
 
 async def _store_error(_request: Request, error: Exception) -> JSONResponse:
@@ -96,7 +98,13 @@ async def _defect(_request: Request, _error: Exception) -> JSONResponse:
 
 async def _validation_error(_request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, RequestValidationError)  # noqa: S101 (as registered)
-    return JSONResponse({"detail": in_words(error.errors())}, status_code=422)
+    # pydantic's places begin with where they were looked for: body, query or path
+    problems = [{**one, "loc": one["loc"][1:]} for one in error.errors()]
+    if problems and problems[0]["type"] == "json_invalid":
+        said = f"The body is not JSON: {problems[0].get('ctx', {}).get('error', problems[0]['msg'])}"
+        return JSONResponse({"detail": said, "fields": []}, status_code=422)
+    fields = [path_of(one) for one in problems[:SHOWN]]
+    return JSONResponse({"detail": in_words(problems), "fields": fields}, status_code=422)
 
 
 async def _http_error(_request: Request, error: Exception) -> JSONResponse:
@@ -121,18 +129,3 @@ def reason_of(error: BaseException) -> str:
 def no_room(reason: str | None) -> str:
     """What is said where an upload cannot be kept until it is read."""
     return f"{gettempdir()}: a file cannot be laid there ({reason}): make room there"
-
-
-def in_words(problems: Sequence[Any]) -> str:
-    """What is wrong with a body, query or path: the first few fields at fault, each with its reason."""
-    shown = [f"{_place(p['loc'])}: {p['msg'].removeprefix('Value error, ')}" for p in problems[:3]]
-    more = len(problems) - len(shown)
-    return "; ".join([*shown, f"and {more} more"] if more > 0 else shown)
-
-
-def _place(loc: Sequence[str | int]) -> str:
-    """`plan.elevations_deg[3]` for `("body", "plan", "elevations_deg", 3)`."""
-    place = ""
-    for part in loc[1:] if len(loc) > 1 else loc:
-        place += f"[{part}]" if isinstance(part, int) else f"{'.' if place else ''}{part}"
-    return place if len(place) <= 200 else place[:200] + "…"

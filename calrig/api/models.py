@@ -47,9 +47,10 @@ class Reason(Body):
 
 
 class Problem(Answer):
-    """Every error."""
+    """Every error; `fields` are the places in the body that are wrong, such as `plan.elevations_deg[1]`."""
 
     detail: str
+    fields: list[str] = []
 
 
 class JobAnswer(Answer):

@@ -63,6 +63,8 @@ def _serve_on(
         if settings.keep_samples_days is not None:
             service.store.prune_samples(datetime.now(UTC) - timedelta(days=settings.keep_samples_days))
 
+        kept_in = str(settings.file) if settings.limit else None
+
         def say_ready() -> None:
             rigs = ", ".join(f"{r.name} (simulated)" if r.simulated else r.name for r in service.rigs())
             host, port = listener.getsockname()[:2]
@@ -72,4 +74,4 @@ def _serve_on(
 
         gc.freeze()  # what was imported lives to the end: no collection need look at it, the last one neither
         # On SIGINT and SIGTERM uvicorn stops in order, then raises what it was told by.
-        Server(create_app(service, access=access), say_ready).run(sockets=[listener])
+        Server(create_app(service, access=access, limits_kept_in=kept_in), say_ready).run(sockets=[listener])
