@@ -19,6 +19,10 @@ class SettingsError(Exception):
     """The configuration cannot be used; the message names file, rig and key, and what to do."""
 
 
+ReleasePolicy = Literal["auto", "pass", "manual"]
+"""Who puts a draft of a calibration in force: nobody need to, its limits, a person (CONTRACT section 6)."""
+
+
 class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -49,10 +53,14 @@ class BoardSettings(_Strict):
 
 
 class ReferenceSettings(_Strict):
-    """What the stage's own angle is worth: its standard uncertainty and how it is shared among poses."""
+    """What the stage's own angle is worth: its standard uncertainty and how it is shared among poses.
+
+    `distribution`: a maker's limit of ±a is rectangular, with std_deg = a/√3; a certificate's U/k normal.
+    """
 
     std_deg: float = Field(gt=0)
     kind: Literal["setting", "harmonic", "common"] = "harmonic"
+    distribution: Literal["rectangular", "normal"] = "rectangular"
     certificate: str | None = None
 
 
@@ -69,6 +77,7 @@ class RigSettings(_Strict):
 
     name: Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[\w.-]+$")]
     limits_deg: tuple[float, float] = (-90.0, 90.0)
+    release: ReleasePolicy = "auto"
     stage: StageSettings | None = None
     imu: BoardSettings | None = None
     reference: ReferenceSettings | None = None

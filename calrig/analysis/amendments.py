@@ -6,22 +6,22 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from calrig.analysis.errors import Conflict, Invalid, Unknown
+from calrig.analysis.errors import Conflict, Invalid, Unknown, checked_reason
 from calrig.analysis.imported import Imported, read_and_fit
+from calrig.analysis.issuing import Issuer
 from calrig.analysis.origin import check_serial, provenance
-from calrig.analysis.results import effects_in_force, refitted
+from calrig.analysis.results import refitted
 from calrig.analysis.stored_runs import stored_run
 from calrig.export.poses_csv import CsvError
 from calrig.store import AT_REST, Run, Store
-
-LONGEST_REASON = 1000
 
 
 class Records:
     """Imports and amendments in a store."""
 
-    def __init__(self, store: Store) -> None:
+    def __init__(self, store: Store, issuer: Issuer | None = None) -> None:
         self._store = store
+        self._issuer = issuer or Issuer(store)
 
     def import_poses(
         self, *, unit: str, rig: str | None, file_name: str, content: bytes, operator: str | None = None
@@ -45,7 +45,7 @@ class Records:
             Invalid: the serial is out of bounds.
         """
         check_serial(unit)
-        return partial(read_and_fit, content, effects_in_force(self._store, unit, rig))
+        return partial(read_and_fit, content, unit, rig, self._store.effects_in_force(unit, rig))
 
     def keep_imported(
         self, imported: Imported, *, unit: str, rig: str | None, file_name: str, operator: str | None
@@ -64,12 +64,15 @@ class Records:
                 "warnings": imported.warnings,
             },
             result=imported.result,
+            draft=self._issuer.importing(imported, by=operator),
         )
 
     def void(self, run_id: str, reason: str) -> Run:
         """Takes an ended run out of every comparison; it stays, with the reason."""
         self._ended(run_id)
-        return self._store.void_run(run_id, _checked_reason(reason))
+        run = self._store.void_run(run_id, checked_reason(reason))
+        self._issuer.redraft(run, by=None, reason=f"run {run_id} was voided: {reason.strip()}")
+        return run
 
     def exclude_pose(self, run_id: str, index: int, reason: str) -> Run:
         """Takes one pose out of an ended run's result, which is computed again; the pose stays."""
@@ -88,18 +91,13 @@ class Records:
                     f"pose {index} is the last one that run {run_id} rests on: void the run instead"
                 )
             result = refitted(self._store, run, left)
-        return self._store.exclude_pose(run_id, index, _checked_reason(reason), result=result)
+        run = self._store.exclude_pose(run_id, index, checked_reason(reason), result=result)
+        why = f"pose {index} of run {run_id} was excluded: {reason.strip()}"
+        self._issuer.redraft(run, by=None, reason=why)
+        return run
 
     def _ended(self, run_id: str) -> Run:
         run = stored_run(self._store, run_id)
         if run.status not in AT_REST:
             raise Conflict(f"run {run_id} is {run.status}: end it first")
         return run
-
-
-def _checked_reason(reason: str) -> str:
-    if not reason.strip():
-        raise Invalid("a reason is needed: it stays with the run")
-    if len(reason) > LONGEST_REASON:
-        raise Invalid(f"a reason has at most {LONGEST_REASON} characters, not {len(reason)}")
-    return reason.strip()

@@ -7,6 +7,7 @@ from functools import partial
 from typing import Any
 
 from calrig.analysis.errors import Conflict, Unknown
+from calrig.analysis.issuing import Issuer
 from calrig.analysis.results import refitted
 from calrig.analysis.stored_runs import counted_poses, poses_together, runs_together, stored_run
 from calrig.calibration.diagnosis import trace
@@ -19,8 +20,9 @@ from calrig.store import AcceptedEffect, Run, Store
 class Diagnoses:
     """Traces what calibration left of stored runs, and remembers what was found and accepted."""
 
-    def __init__(self, store: Store) -> None:
+    def __init__(self, store: Store, issuer: Issuer | None = None) -> None:
         self._store = store
+        self._issuer = issuer or Issuer(store)
 
     def question(self, run_id: str, more: Sequence[str] = ()) -> Callable[[], dict[str, Any]]:
         """What a run's poses, with more runs of its unit and those it follows on, are to be asked.
@@ -91,10 +93,13 @@ class Diagnoses:
                 raise Conflict(f"the diagnosis of run {run_id} has no effect {name!r}; it has: {listed}")
             accepted.append(_accepted(run, known[name]))
         self._store.accept_effects(run_id, accepted)
-        if run.result is None or (run.plan or {}).get("kind") == "verification":
-            return run
-        poses = counted_poses(self._store, run_id)
-        return self._store.set_result(run_id, refitted(self._store, run, poses))
+        run = stored_run(self._store, run_id)
+        if run.result is not None and (run.plan or {}).get("kind") != "verification":
+            poses = counted_poses(self._store, run_id)
+            run = self._store.set_result(run_id, refitted(self._store, run, poses))
+        words = ", ".join(name.replace("_", " ") for name in names)
+        self._issuer.redraft(run, by=None, reason=f"accepted from run {run_id}: {words}")
+        return run
 
     def _deciding(self, run: Run) -> list[int] | None:
         """Places, among the poses of a follow-up that count, of those that served to decide."""

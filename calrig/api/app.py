@@ -14,6 +14,7 @@ from starlette.types import Lifespan
 
 import calrig
 from calrig.api import (
+    calibrations,
     compare,
     diagnoses,
     effects,
@@ -48,6 +49,7 @@ PARTS = (
     measurements,
     noise,
     figures,
+    calibrations,
     units,
     compare,
     imports,

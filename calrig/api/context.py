@@ -11,6 +11,7 @@ from fastapi import Depends, FastAPI, Request
 from calrig.analysis.amendments import Records
 from calrig.analysis.diagnoses import Diagnoses
 from calrig.analysis.errors import Unknown
+from calrig.analysis.issuing import Issuer
 from calrig.api.looks import Looks
 from calrig.processes.pool import Processes
 from calrig.runs.service import RunService
@@ -59,12 +60,17 @@ class ApiContext:
     @property
     def diagnoses(self) -> Diagnoses:
         """What calibration left of stored runs."""
-        return Diagnoses(self.store)
+        return Diagnoses(self.store, self.service.issuer)
+
+    @property
+    def issuer(self) -> Issuer:
+        """Drafts, releases and withdrawals of calibrations."""
+        return self.service.issuer
 
     @property
     def records(self) -> Records:
         """Imports and amendments."""
-        return Records(self.store)
+        return Records(self.store, self.service.issuer)
 
 
 def context_of(app: FastAPI) -> ApiContext:

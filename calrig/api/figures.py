@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Path
 
 from calrig import figures
+from calrig.analysis.active_calibration import left_of_poses_deg
 from calrig.analysis.comparison import compared_runs
 from calrig.analysis.error_map import error_map
 from calrig.analysis.errors import Unknown
@@ -71,11 +72,11 @@ def _readings(context: ApiContext, run_id: str) -> Iterator[dict[str, Any]]:
 
 def _residual(context: ApiContext, run: Run) -> figures.Figure:
     stored = context.store.poses(run.id)
-    result = run.result or {"bias_deg": None, "scale": None}
+    poses = [s.pose for s in stored]
     return figures.residual(
-        [s.pose for s in stored],
-        bias_deg=result["bias_deg"],
-        scale=result["scale"],
+        poses,
+        left_deg=None if run.result is None else left_of_poses_deg(context.store, run, poses),
+        scale=None if run.result is None else run.result["scale"],
         excluded={place for place, s in enumerate(stored) if s.excluded is not None},
     )
 

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from calrig.calibration.over_range import OverRange
 from calrig.calibration.verdict import Verdict
 from calrig.plan import Plan
 
@@ -40,7 +41,7 @@ class StartRun(Body):
 
 
 class Reason(Body):
-    """Why something measured is not to count."""
+    """Why something is done: it stays with what is done."""
 
     reason: str
 
@@ -101,6 +102,7 @@ class ReferenceAnswer(Answer):
     kind: Literal["setting", "harmonic", "common"]
     bias_std_deg: float
     scale_std: float | None
+    distribution: Literal["rectangular", "normal"] = "rectangular"
 
 
 class LineAnswer(Answer):
@@ -125,6 +127,7 @@ class ResultAnswer(LineAnswer):
     temperature_c: Extremes | None
     gyro: GyroAnswer
     reference: ReferenceAnswer | None = None  # of runs stored before it was computed: null
+    over_range: OverRange | None = None  # likewise
 
 
 class VoidedAnswer(Answer):
@@ -206,6 +209,7 @@ class UnitWithRuns(UnitAnswer):
 
     runs: list[RunAnswer]
     active_run_id: str | None = Field(description="The run that the calibration in force is from.")
+    revision_in_force: int | None
 
 
 class Figure(Answer):

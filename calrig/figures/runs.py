@@ -57,7 +57,7 @@ def timeline(
 def residual(
     poses: Sequence[Pose],
     *,
-    bias_deg: float | None = None,
+    left_deg: Sequence[float | None] | None = None,
     scale: float | None = None,
     excluded: Collection[int] = (),
 ) -> Figure:
@@ -65,17 +65,18 @@ def residual(
 
     Args:
         poses: in the order measured.
-        bias_deg: of the calibration; None while it is not known, which leaves the lower half out.
-        scale: of the calibration; None counts as 1.
+        left_deg: of each pose, once calibrated; None while it is not known, which leaves the lower half out.
+        scale: of the calibration, which standard errors are divided by; None counts as 1.
         excluded: indices of poses that are out of the result; drawn as crosses.
     """
     layout = layout_of("elevation (°)", "reading − stage (°)")
     layout["yaxis"]["zeroline"] = True
     layout["legend"]["title"] = {"text": "approach", "side": "left", "font": {"size": 12}}
-    data = _residual_traces(poses, 0.0, 1.0, excluded, "raw")
-    if bias_deg is None:
+    raw_deg = [_residual_deg(pose, 0.0, 1.0) for pose in poses]
+    data = _residual_traces(poses, raw_deg, 1.0, excluded, "raw")
+    if left_deg is None:
         return {"data": data, "layout": layout}
-    lower = _residual_traces(poses, bias_deg, 1.0 if scale is None else scale, excluded, "calibrated")
+    lower = _residual_traces(poses, left_deg, 1.0 if scale is None else scale, excluded, "calibrated")
     for trace in lower:
         trace.update(yaxis="y2", showlegend=False)
     layout["yaxis"]["domain"] = [0.54, 1.0]
@@ -117,23 +118,27 @@ def _residual_deg(pose: Pose, bias_deg: float, scale: float) -> float:
 
 
 def _residual_traces(
-    poses: Sequence[Pose], bias_deg: float, scale: float, excluded: Collection[int], what: str
+    poses: Sequence[Pose],
+    left_deg: Sequence[float | None],
+    scale: float,
+    excluded: Collection[int],
+    what: str,
 ) -> list[dict[str, Any]]:
     traces = []
     for approach, (name, symbol, colour) in APPROACHES.items():
         kept = [k for k, p in enumerate(poses) if (p.approach or 0) == approach and k not in excluded]
         if kept:
-            traces.append(_residual_points(poses, kept, bias_deg, scale, (name, symbol, colour), what))
+            traces.append(_residual_points(poses, left_deg, kept, scale, (name, symbol, colour), what))
     out = sorted(k for k in excluded if k < len(poses))
     if out:
-        traces.append(_residual_points(poses, out, bias_deg, scale, ("excluded", "x-thin", GREY), what))
+        traces.append(_residual_points(poses, left_deg, out, scale, ("excluded", "x-thin", GREY), what))
     return traces
 
 
 def _residual_points(
     poses: Sequence[Pose],
+    left_deg: Sequence[float | None],
     chosen: Sequence[int],
-    bias_deg: float,
     scale: float,
     look: tuple[str, str, str],
     what: str,
@@ -145,7 +150,7 @@ def _residual_points(
         "mode": "markers",
         "name": name,
         "x": [poses[k].theta_deg for k in chosen],
-        "y": [_residual_deg(poses[k], bias_deg, scale) for k in chosen],
+        "y": [left_deg[k] for k in chosen],
         "customdata": list(chosen),
         "error_y": error_bars([None if e is None else e / abs(scale) for e in errors], colour),
         "marker": {"color": colour, "symbol": symbol, "size": 8, "line": {"color": colour, "width": 1}},

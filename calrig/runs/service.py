@@ -8,8 +8,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from calrig.analysis.active_calibration import active_calibration
+from calrig.analysis.active_calibration import ActiveCalibration, active_calibration
 from calrig.analysis.errors import Conflict, Unknown
+from calrig.analysis.issuing import Issuer, Releases
 from calrig.analysis.origin import check_serial, provenance
 from calrig.analysis.stored_runs import stored_run
 from calrig.analysis.unresolved import unresolved
@@ -31,6 +32,7 @@ from calrig.runs.task import Task
 from calrig.runs.worker import Worker
 from calrig.settings import RigSettings
 from calrig.store import Run, Store, StoreError
+from calrig.store.records import Document
 
 log = logging.getLogger(__name__)
 
@@ -51,6 +53,7 @@ class RunService:
 
     def __init__(self, store: Store, rigs: Sequence[RigSettings], record: Path | None = None) -> None:
         self.store = store
+        self.issuer = Issuer(store, Releases.of(rigs))
         self.bus = Bus()
         self._rigs = {rig.name: rig for rig in rigs}
         self.meter = Meter(self._rigs)
@@ -121,7 +124,7 @@ class RunService:
         planned = planned_poses(plan, settings)
         verifies = None
         if plan.kind == "verification":
-            verifies = active_calibration(self.store, unit, settings.name)
+            verifies = active_calibration(self.store, unit, settings.name, plan.revision)
         with self._beginning:
             self._crew.require_free(settings.name)
             if stage_at_deg is not None:
@@ -137,7 +140,7 @@ class RunService:
                 provenance={
                     **provenance(operator),
                     "seed": plan.seed,
-                    **({} if verifies is None else {"verifies": verifies.run_id}),
+                    **({} if verifies is None else _verified(verifies)),
                     **({} if follow_up is None else {"follow_up": follow_up.provenance()}),
                 },
                 poses_total=0 if plan.kind == "static" else len(planned),
@@ -148,7 +151,7 @@ class RunService:
     def _employ(self, task: Task) -> None:
         """Starts a worker; called while nobody else begins a run."""
         left, ended = self._crew.left_rig, self._crew.ended
-        worker = Worker(task, self.store, self.bus, self.meter, left, ended, self._record)
+        worker = Worker(task, self.store, self.issuer, self.bus, self.meter, left, ended, self._record)
         self._crew.take(worker)
         worker.start()
 
@@ -280,3 +283,8 @@ class RunService:
         if name not in self._rigs:
             raise Unknown(f"there is no rig {name!r}; configured: {', '.join(sorted(self._rigs))}")
         return self._rigs[name]
+
+
+def _verified(applied: ActiveCalibration) -> Document:
+    """What a verification's provenance says of the revision that it applies."""
+    return {"verifies": applied.run_id, "verifies_revision": applied.revision}

@@ -12,7 +12,11 @@ class StoreError(Exception):
 
 
 class NotFound(StoreError):  # noqa: N818 (an answer, not a fault)
-    """There is no such run, or the run has no such pose."""
+    """There is no such run or revision, or the run has no such pose."""
+
+
+class NotAllowed(StoreError):  # noqa: N818 (likewise)
+    """What is asked for cannot be done in the state that things are in; says why."""
 
 
 class StoreUnavailableError(StoreError):

@@ -124,6 +124,15 @@ class Poses(Part):
             counting = (PoseTable.run_id == run.id, col(PoseTable.excluded_reason).is_(None))
             return session.exec(select(func.count()).select_from(PoseTable).where(*counting)).one()
 
+    def excluded_poses(self, run_id: str) -> list[int]:
+        """Indices of the poses of a run that do not count, in order."""
+        with self._database.reading() as session:
+            run = run_row(session, run_id)
+            wanted = select(PoseTable.pose_index).where(
+                PoseTable.run_id == run.id, col(PoseTable.excluded_reason).is_not(None)
+            )
+            return sorted(session.exec(wanted))
+
     def exclude_pose(self, run_id: str, index: int, reason: str, *, result: Document | None) -> Run:
         """Marks a pose as not counting and replaces the run's result; the pose is kept.
 

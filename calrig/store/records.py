@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import Any, Literal, NamedTuple, TypedDict
 
@@ -82,7 +82,10 @@ class Run:
 def reference_of(provenance: Document) -> Reference | None:
     """What the rig said of its stage when a run was made; None where it said nothing, or none was known."""
     stated = (provenance.get("rig") or {}).get("reference")
-    return None if stated is None else Reference(stated["std_deg"], stated.get("kind", "harmonic"))
+    if stated is None:
+        return None
+    usual = Reference(stated["std_deg"])
+    return replace(usual, **{key: stated[key] for key in ("kind", "distribution") if key in stated})
 
 
 def filtering_of(provenance: Document, plan: Document | None) -> Filtering | None:
@@ -138,7 +141,7 @@ class LeftAt:
 class AcceptedEffect:
     """An effect that a person accepted, of a unit or of a rig (the other is None), and the run it is from.
 
-    `parameters` are CONTRACT section 5's by name, numbers or null.
+    `parameters` are CONTRACT section 5's by name, numbers or null; `id` is the store's, of one that it gave.
     """
 
     run_id: str
@@ -147,6 +150,7 @@ class AcceptedEffect:
     name: str
     origin: str
     parameters: dict[str, float | None]
+    id: int | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from typing import Unpack, get_args
 from sqlmodel import Session, col, func, select
 
 from calrig.calibration.pose import Pose
-from calrig.store import event_log, staging
+from calrig.store import event_log, issued, staging
 from calrig.store.convert import figures_of, run_number, run_of, run_row
 from calrig.store.database import Part
 from calrig.store.event_log import Announced
@@ -38,11 +38,12 @@ class Runs(Part):
         poses_total: int = 0,
         poses: Sequence[Pose] = (),
         result: Document | None = None,
+        draft: issued.Draft | None = None,
     ) -> Run:
         """Makes a run and, where it is the first of its unit, the unit; announces the run's state.
 
-        An import gives `poses`, `result` and the status `completed` at once: all is stored or nothing. Nobody
-        waits meanwhile for longer than the copying of what was made ready takes.
+        An import gives `poses`, `result`, the status `completed` and the unit's next revision at once: all is
+        stored or nothing. Nobody waits meanwhile for longer than the copying of what was made ready takes.
         """
         now = datetime.now(UTC)
         with ExitStack() as stack:
@@ -72,6 +73,8 @@ class Runs(Part):
                 staging.take_over(session, row.id)
             replace_result(session, row, result)
             event_log.append(session, row, [event_log.state(row)])
+            if draft is not None:
+                issued.issue(session, row, draft)
             return run_of(row)
 
     def run(self, run_id: str) -> Run | None:
@@ -112,16 +115,24 @@ class Runs(Part):
         return found[:limit], found[limit - 1].id if len(found) > limit else None
 
     def update_run(
-        self, run_id: str, *, events: Sequence[Announced] = (), **changes: Unpack[RunChanges]
+        self,
+        run_id: str,
+        *,
+        events: Sequence[Announced] = (),
+        draft: issued.Draft | None = None,
+        **changes: Unpack[RunChanges],
     ) -> Run:
         """Changes a run and announces `events`, then, where a status was given, the new state.
 
         `started_at` is set by the first `running`, `finished_at` by a terminal status; a run that is resumed
         after an interruption loses `finished_at`. `error` stays unless given: clear it when a run is resumed.
+        A calibration that is completed gives `draft`, its unit's next revision.
         """
         with self._database.writing() as session:
             row = run_row(session, run_id)
             change(session, row, events, changes)
+            if draft is not None:
+                issued.issue(session, row, draft)
             return run_of(row)
 
     def set_result(self, run_id: str, result: Document | None) -> Run:

@@ -8,6 +8,7 @@ from typing import Self
 
 from calrig.store.database import BUSY_TIMEOUT_S, Database, database_path
 from calrig.store.event_log import EventLog
+from calrig.store.issued import Issued
 from calrig.store.places import Places
 from calrig.store.poses import Poses
 from calrig.store.records import Size
@@ -16,7 +17,7 @@ from calrig.store.trail import Trail
 from calrig.store.units import Units
 
 
-class Store(Runs, Poses, EventLog, Units, Places, Trail):
+class Store(Runs, Poses, EventLog, Units, Places, Trail, Issued):
     """An open store, shared by threads. Each method is one transaction, on the disk when it returns.
 
     A run that does not exist raises `NotFound` where it is not said otherwise; what SQLite cannot do raises

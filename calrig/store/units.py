@@ -62,8 +62,11 @@ class Units(Part):
         with self._database.reading() as session:
             return [_compared(row) for row in session.connection().execute(wanted)]
 
-    def latest_calibration_run(self, serial: str) -> Run | None:
-        """The latest completed, not voided `calibration` run (or import) whose scale is known, or None."""
+    def latest_calibration_run(self, serial: str, *, follow_ups: bool = False) -> Run | None:
+        """The latest completed, not voided `calibration` run (or import) whose scale is known, or None.
+
+        `follow_ups` counts those as well, as stores did before there were revisions.
+        """
         wanted = (
             select(RunTable)
             .join(CalibrationTable)
@@ -71,6 +74,8 @@ class Units(Part):
             .order_by(col(RunTable.finished_at).desc(), col(RunTable.id).desc())
             .limit(1)
         )
+        if not follow_ups:
+            wanted = wanted.where(col(RunTable.follows).is_(None))
         with self._database.reading() as session:
             row = session.exec(wanted).first()
             return None if row is None else run_of(row)
@@ -103,6 +108,7 @@ class Units(Part):
         wanted = (
             select(AcceptedEffectTable)
             .where(or_(AcceptedEffectTable.unit == unit, col(AcceptedEffectTable.rig) == (rig or "")))
+            .where(col(AcceptedEffectTable.withdrawn_at).is_(None))
             .order_by(col(AcceptedEffectTable.id))
         )
         latest: dict[tuple[str | None, str], AcceptedEffect] = {}
@@ -115,6 +121,7 @@ class Units(Part):
                     name=row.name,
                     origin=row.origin,
                     parameters=row.parameters,
+                    id=row.id,
                 )
         return list(latest.values())
 

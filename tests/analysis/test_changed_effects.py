@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
-from support import lay_empty_store
 
 from calrig.analysis.diagnoses import Diagnoses
 from calrig.analysis.errors import Conflict
@@ -19,14 +16,6 @@ POSES = [Pose(x, 0.8 + x, approach=1) for x in (-60.0, -30.0, 0.0, 30.0, 60.0)]
 CHANGED = {"from": "1", "to": "2"}
 
 
-@pytest.fixture
-def store(tmp_path: Path) -> Iterator[Store]:
-    path = tmp_path / "calrig.db"
-    lay_empty_store(path)
-    with Store.open(f"sqlite:///{path}", writer="tests") as opened:
-        yield opened
-
-
 def offset(z_mg: float, changed: dict[str, str] | None) -> dict[str, Any]:
     """An effect of a diagnosis, as far as accepting it looks."""
     parameters = {"y_mg": {"value": 0.0, "std": 0.1}, "z_mg": {"value": z_mg, "std": 0.1}}
@@ -36,6 +25,7 @@ def offset(z_mg: float, changed: dict[str, str] | None) -> dict[str, Any]:
         "origin": "sensor",
         "parameters": parameters,
         "changed": changed,
+        "confusable_with": [],
         "remedy": "subtract the offsets",
     }
 

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 import pytest
-from blind.cells import Cell, eccentricity
+from blind.causes import eccentricity
+from blind.cells import Cell
 
 from calrig.calibration.candidates import documented_forms
 from calrig.calibration.effect_terms import amplitude_and_phase

@@ -6,7 +6,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from blind.cells import CELLS, Cell, package_turn, slow_heat
+from blind.causes import package_turn, slow_heat
+from blind.cells import CELLS, Cell
 from blind.physics import Cause
 
 from calrig.calibration.diagnosis import diagnose, document

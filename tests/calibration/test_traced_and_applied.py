@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 import pytest
-from blind.cells import Cell, bias_tempco, package_turn
+from blind.causes import bias_tempco, package_turn
+from blind.cells import Cell
 from blind.physics import Cause
 
 from calrig.calibration.correction import numbers_of

@@ -19,7 +19,7 @@ def test_import_prints_the_run_id_and_export_gives_the_calibration_and_its_poses
     assert (imported.stdout, imported.stderr) == ("1\n", "")
     by_run = json.loads(calrig("export", "1").stdout)
     assert by_run == json.loads(calrig("export", "--unit", "A/1").stdout)
-    assert (by_run["schema"], by_run["unit"], by_run["run_id"]) == ("calrig.calibration/1", "A/1", "1")
+    assert (by_run["schema"], by_run["unit"], by_run["run_id"]) == ("calrig.calibration/2", "A/1", "1")
     assert "A/1" in calrig("export", "1", "--format", "c-header").stdout
     text = calrig("export", "--unit", "A/1", "--format", "csv").stdout
     assert text == calrig("export", "1", "--format", "csv").stdout

@@ -13,6 +13,7 @@ import pytest
 from calrig import figures
 from calrig.calibration.partial_residuals import PartialResidual
 from calrig.calibration.pose import Pose
+from calrig.calibration.result import residuals
 
 
 def poses(bias_deg=0.8, scale=1.01, sweeps=2):
@@ -69,7 +70,7 @@ def effect(covariate="temperature_c", at=(3.0, 1.0, 2.0), effect_deg=(0.3, 0.1, 
 
 ALL = {
     "timeline": figures.timeline([0.0, 0.1], [0.0, None], [0.1, 0.2]),
-    "residual": figures.residual(poses(), bias_deg=0.8, scale=1.01, excluded={1}),
+    "residual": figures.residual(poses(), left_deg=residuals(poses(), 0.8, 1.01), excluded={1}),
     "history": figures.history(runs()),
     "bias": figures.compare("bias", {"A": runs(), "B": []}),
     "scale": figures.compare("scale", {"A": runs(scale=None, scale_std=None)}),
@@ -93,7 +94,8 @@ def test_plotly_itself_takes_every_property_of_a_figure_and_no_number_is_nan(nam
 
 
 def test_raw_residual_is_reading_minus_stage_and_a_true_calibration_leaves_nothing():
-    figure = figures.residual(poses(bias_deg=0.8, scale=1.01), bias_deg=0.8, scale=1.01)
+    measured = poses(bias_deg=0.8, scale=1.01)
+    figure = figures.residual(measured, left_deg=residuals(measured, 0.8, 1.01), scale=1.01)
     raw = [t for t in figure["data"] if t.get("yaxis") is None]
     calibrated = [t for t in figure["data"] if t.get("yaxis") == "y2"]
     for trace in raw:
@@ -112,7 +114,7 @@ def test_each_axis_of_a_residual_is_named_after_what_is_drawn_along_it():
         "raw (°)": reading - stage,
         "calibrated (°)": (reading - 0.7) / 1.02 - stage,
     }
-    figure = figures.residual(measured, bias_deg=0.7, scale=1.02)
+    figure = figures.residual(measured, left_deg=residuals(measured, 0.7, 1.02), scale=1.02)
     for trace in figure["data"]:
         for axis in ("x", "y"):
             title = figure["layout"][trace.get(f"{axis}axis", axis).replace(axis, f"{axis}axis")]["title"][

@@ -6,7 +6,7 @@ import pytest
 from run_rigs import diagnosed
 from support import running_service
 
-from calrig.analysis.active_calibration import document_of
+from calrig.analysis.active_calibration import wanted_revision
 from calrig.analysis.diagnoses import Diagnoses
 from calrig.analysis.errors import Conflict
 from calrig.plan import Plan
@@ -55,7 +55,7 @@ def test_an_accepted_effect_enters_calibration_and_later_runs_and_a_verification
     assert accepted.result["rms_with_effects_deg"] < 0.25 * accepted.result["rms_calibrated_deg"]
     assert {**accepted.result, "rms_with_effects_deg": None} == before
 
-    flown = document_of(service.store, service.run(run_id))
+    flown = wanted_revision(service.store, "AS-1").document
     assert [effect["name"] for effect in flown["effects"]] == ["accelerometer_offset"], "play is the rig's"
     (offset,) = (one for one in diagnoses.last(run_id)["effects"] if one["name"] == "accelerometer_offset")
     assert flown["effects"][0]["parameters"]["z_mg"] == offset["parameters"]["z_mg"]["value"]
@@ -70,8 +70,11 @@ def test_an_accepted_effect_enters_calibration_and_later_runs_and_a_verification
     verified = completed(service, plan=PLAN.model_copy(update={"kind": "verification", "sweeps": 1}))
     assert verified.provenance["verifies"] == later.id
     assert verified.result["rms_with_effects_deg"] < 0.3 * verified.result["rms_calibrated_deg"]
-    assert verified.result["reference"] == later.result["reference"], "bias and scale are those of that run"
-    assert service.store.latest_calibration_run("AS-1").id == later.id, "a verification calibrates nothing"
+    issued = wanted_revision(service.store, "AS-1").document
+    assert issued["run_id"] == later.id, "a verification calibrates nothing"
+    assert verified.result["bias_deg"] == issued["bias_deg"]
+    worth = issued["uncertainty"]
+    assert verified.result["reference"]["bias_std_deg"] == worth["reference_bias_deg"]
 
 
 def test_what_the_diagnosis_does_not_name_cannot_be_accepted(traced):

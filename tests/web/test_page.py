@@ -10,12 +10,6 @@ from .page_help import line_x, readings, until_pose
 pytestmark = pytest.mark.browser
 
 
-@pytest.fixture(scope="module")
-def client(shared_client):
-    """One service for all of this file: each test has a unit of its own."""
-    return shared_client
-
-
 REFUSED_422 = r"status of 422"
 
 

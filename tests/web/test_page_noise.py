@@ -8,12 +8,6 @@ import pytest
 pytestmark = pytest.mark.browser
 
 
-@pytest.fixture(scope="module")
-def client(shared_client):
-    """One service for all of this file: each test has a unit of its own."""
-    return shared_client
-
-
 def test_a_log_is_kept_on_the_rig_and_its_noise_shown(page, go, expect):
     go("#/noise")
     page.fill("#unit", "N-1")

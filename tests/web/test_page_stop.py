@@ -12,12 +12,6 @@ from .page_help import ambiguous_poses, imported, imported_lines
 pytestmark = pytest.mark.browser
 
 
-@pytest.fixture(scope="module")
-def client(shared_client):
-    """One service for all of this file: each test has a unit of its own."""
-    return shared_client
-
-
 ON_TOP = """button => {
   const { left, top, width, height } = button.getBoundingClientRect();
   const inside = left >= 0 && top >= 0 && left + width <= innerWidth && top + height <= innerHeight;
