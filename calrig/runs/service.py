@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from calrig.analysis.active_calibration import ActiveCalibration, active_calibration
+from calrig.analysis.active_calibration import active_calibration
 from calrig.analysis.errors import Conflict, Unknown
 from calrig.analysis.issuing import Issuer, Releases
 from calrig.analysis.origin import check_serial, provenance
@@ -32,7 +32,6 @@ from calrig.runs.task import Task
 from calrig.runs.worker import Worker
 from calrig.settings import RigSettings
 from calrig.store import Run, Store, StoreError
-from calrig.store.records import Document
 
 log = logging.getLogger(__name__)
 
@@ -151,7 +150,7 @@ class RunService:
                 provenance={
                     **provenance(operator),
                     "seed": plan.seed,
-                    **({} if verifies is None else _verified(verifies)),
+                    **({} if verifies is None else verifies.provenance()),
                     **({} if follow_up is None else {"follow_up": follow_up.provenance()}),
                 },
                 poses_total=0 if plan.kind == "static" else len(planned),
@@ -294,8 +293,3 @@ class RunService:
         if name not in self._rigs:
             raise Unknown(f"there is no rig {name!r}; configured: {', '.join(sorted(self._rigs))}")
         return self._rigs[name]
-
-
-def _verified(applied: ActiveCalibration) -> Document:
-    """What a verification's provenance says of the revision that it applies."""
-    return {"verifies": applied.run_id, "verifies_revision": applied.revision}
