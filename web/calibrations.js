@@ -12,7 +12,7 @@ export class Calibrations {
     this.signal = signal;
     this.inForce = h("section", { class: "card", id: "calibration", "aria-labelledby": "in-force-title" });
     this.revisions = h("section", { class: "card", id: "revisions", "aria-labelledby": "revisions-title" });
-    this.element = h("div", {}, this.inForce, this.revisions);
+    this.elements = [this.inForce, this.revisions];
     window.addEventListener("calrig:done", () => this.read(), { signal });
   }
 
@@ -73,7 +73,7 @@ export class Calibrations {
         h("td", { class: "buttons" }, this.#actions(one)),
       ),
     );
-    const head = headings("#", "Status", "Issued", "From", "Effects applied", "Why, and what has changed since", "");
+    const head = headings("Revision", "Status", "Issued", "From", "Effects applied", "Why, and what has changed since", "");
     return h("table", { id: "revisions-table" }, head, h("tbody", {}, rows));
   }
 

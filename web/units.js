@@ -49,7 +49,7 @@ export async function unitView({ root, parts: [serial], signal }) {
     root,
     h("h1", {}, "Unit ", h("span", { class: "serial" }, unit.serial)),
     h("p", { class: "muted" }, `${plural(unit.n_runs, "run")}, known since `, moment(unit.created_at)),
-    calibrations.element,
+    calibrations.elements,
     chart.element,
     h(
       "section",
