@@ -27,6 +27,11 @@ export async function post(path, body = {}, signal) {
   });
 }
 
+/** Resolves once it is done; there is nothing to be told. */
+export async function remove(path) {
+  await request(path, { method: "DELETE" });
+}
+
 export async function postForm(path, form) {
   return request(path, { method: "POST", body: form });
 }
@@ -40,7 +45,7 @@ async function request(path, options) {
     window.dispatchEvent(new Event("calrig:lost"));
     throw new Unreachable();
   }
-  if (response.ok) return response.json();
+  if (response.ok) return response.status === 204 ? null : response.json();
   if (response.status === 401 && path !== "/api/login") window.dispatchEvent(new Event("calrig:login"));
   throw await refusal(response);
 }
