@@ -33,6 +33,8 @@ TITLES = {
     "note": "Note",
     "reason": "Reason",
     "file": "File",
+    "accel_range_g": "Accelerometer full scale",
+    "gyro_range_dps": "Gyro full scale",
     "token": "Token",
     # of a limit
     "name": "Name",

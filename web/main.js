@@ -10,6 +10,7 @@ import { stopButtons } from "./stop.js";
 import { unitsView, unitView } from "./units.js";
 import { compareView } from "./compare.js";
 import { importView } from "./import.js";
+import { limitsView } from "./limits.js";
 import { noiseView } from "./noise.js";
 
 const ROUTES = [
@@ -18,6 +19,7 @@ const ROUTES = [
   [/^\/units$/, unitsView],
   [/^\/units\/([^/]+)$/, unitView],
   [/^\/compare$/, compareView],
+  [/^\/limits$/, limitsView],
   [/^\/import$/, importView],
   [/^\/noise$/, noiseView],
   [/^\/noise\/([^/]+)$/, noiseView],

@@ -56,8 +56,8 @@ function startForm(rigs, signal) {
     value: localStorage.getItem(OPERATOR_KEY),
   });
   const note = h("input", { id: "note", type: "text", autocomplete: "off" });
-  const plan = planForm(() => rig.value || null, signal);
-  rig.addEventListener("change", () => plan.estimate());
+  const plan = planForm(() => ({ rig: rig.value || null, unit: unit.value }), signal);
+  for (const input of [rig, unit]) input.addEventListener("change", () => plan.estimate());
   const error = errorLine("start-error");
   const start = h("button", { id: "start", type: "submit", class: "primary" }, "Start");
   const form = h(
@@ -76,7 +76,6 @@ function startForm(rigs, signal) {
     h("div", { class: "buttons" }, start),
   );
   const send = async () => {
-    plan.mark("");
     localStorage.setItem(OPERATOR_KEY, operator.value);
     const run = await post("/api/runs", {
       rig: rig.value || null,
@@ -87,7 +86,7 @@ function startForm(rigs, signal) {
     });
     location.hash = runHref(run.id);
   };
-  onSubmit(form, start, error, send, (problem) => plan.mark(problem.message));
+  onSubmit(form, start, error, send);
   return form;
 }
 
