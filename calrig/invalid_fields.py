@@ -29,6 +29,7 @@ TITLES = {
     "plan": "Plan",
     "unit": "Unit's serial number",
     "rig": "Rig",
+    "stage_at_deg": "Where the stage stands",
     "operator": "Operator",
     "note": "Note",
     "reason": "Reason",

@@ -13,6 +13,7 @@ from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
+    IPvAnyNetwork,
     PrivateAttr,
     ValidationError,
     field_validator,
@@ -142,6 +143,10 @@ class Settings(_Strict):
     """Limits that are kept here; without any, those that people keep in the store."""
     hosts: tuple[Annotated[str, Field(pattern=r"^[\w.-]+$", max_length=253)], ...] = ()
     """Names besides its own address that `serve` answers to, such as the one of a proxy in front of it."""
+    trusted_proxies: tuple[IPvAnyNetwork, ...] = ()
+    """Addresses or networks of proxies that say whom they let in; what others say of that is dropped."""
+    user_header: Annotated[str, Field(pattern=r"^[A-Za-z0-9-]+$", max_length=64)] = "X-Forwarded-User"
+    """The header in which they say it."""
     keep_samples_days: float | None = Field(default=None, gt=0)
     """Raw samples of runs older than this are deleted when the service starts; null keeps them for ever."""
 

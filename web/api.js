@@ -1,5 +1,7 @@
 // The service's HTTP API: JSON in and out, errors as one readable line.
 
+const JSON_BODY = { "Content-Type": "application/json" };
+
 export class ApiError extends Error {
   /** `fields` are the places in what was sent that are wrong, such as "plan.sweeps". */
   constructor(message, status, fields = []) {
@@ -24,7 +26,7 @@ export async function post(path, body = {}, signal) {
   return request(path, {
     signal,
     method: "POST",
-    headers: { "Content-Type": "application/json" },
+    headers: JSON_BODY,
     body: JSON.stringify(body),
   });
 }
@@ -32,7 +34,7 @@ export async function post(path, body = {}, signal) {
 export async function put(path, body) {
   return request(path, {
     method: "PUT",
-    headers: { "Content-Type": "application/json" },
+    headers: JSON_BODY,
     body: JSON.stringify(body),
   });
 }
@@ -41,7 +43,23 @@ export async function postForm(path, form) {
   return request(path, { method: "POST", body: form });
 }
 
+export async function remove(path) {
+  return request(path, { method: "DELETE" });
+}
+
+/** As `post` for what may take long: `{ answer }`, or `{ job }` where the service goes on with it by that path. */
+export async function begin(path, body, signal) {
+  const options = { signal, method: "POST", headers: JSON_BODY, body: JSON.stringify(body) };
+  const response = await sent(`${path}?wait=false`, options);
+  if (response.status === 202) return { job: response.headers.get("Location") };
+  return { answer: await response.json() };
+}
+
 async function request(path, options) {
+  return (await sent(path, options)).json();
+}
+
+async function sent(path, options) {
   let response;
   try {
     response = await fetch(path, options);
@@ -50,7 +68,7 @@ async function request(path, options) {
     window.dispatchEvent(new Event("calrig:lost"));
     throw new Unreachable();
   }
-  if (response.ok) return response.json();
+  if (response.ok) return response;
   if (response.status === 401 && path !== "/api/login") window.dispatchEvent(new Event("calrig:login"));
   throw await refusal(response);
 }

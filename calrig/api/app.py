@@ -14,6 +14,7 @@ from starlette.types import Lifespan
 
 import calrig
 from calrig.api import (
+    amendments,
     calibrations,
     compare,
     diagnoses,
@@ -22,6 +23,7 @@ from calrig.api import (
     events,
     figures,
     imports,
+    jobs,
     limit_rules,
     login,
     measurements,
@@ -30,19 +32,24 @@ from calrig.api import (
     pages,
     plans,
     runs,
+    trail,
     units,
+    users,
 )
 from calrig.api.access import Access
 from calrig.api.authentication import Authentication
 from calrig.api.context import ApiContext
 from calrig.api.limits import JSON_BYTES, BodyPatience
 from calrig.api.origin_check import OriginCheck
+from calrig.api.proxies import TrustedProxies
 from calrig.api.request_log import RequestLog
+from calrig.api.turns import BeginInTurn
 from calrig.runs.service import RunService
 from calrig.settings import packed
 
 PARTS = (
     runs,
+    amendments,
     plans,
     diagnoses,
     effects,
@@ -54,8 +61,11 @@ PARTS = (
     units,
     compare,
     imports,
+    jobs,
     limit_rules,
     login,
+    users,
+    trail,
     metrics,
 )
 """Figures before units: `/api/units/{serial:path}` would take their paths for serial numbers."""
@@ -82,14 +92,17 @@ def create_app(
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
         yield
         await asyncio.to_thread(service.close)  # by no thread of those that answer requests
+        await _app.state.context.jobs.close()
         await _app.state.context.processes.close()
 
     app = api(lifespan)
     app.state.context = ApiContext(service, service.store, limits_kept_in)
-    app.state.authentication = Authentication(access)
+    app.state.authentication = Authentication(access, service.store.users)
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=6)  # event streams never
     app.add_middleware(OriginCheck, app.state.authentication)
-    app.add_middleware(RequestLog)  # the last one added is the first to look
+    app.add_middleware(RequestLog)
+    app.add_middleware(TrustedProxies, access)
+    app.add_middleware(BeginInTurn)  # the last one added is the first to look
     pages.install(app, packed("web") if web is None else web)
     return app
 

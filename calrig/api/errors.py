@@ -15,16 +15,20 @@ from calrig.analysis.errors import Conflict, Invalid, RunsError, Unknown
 from calrig.api.models import Problem
 from calrig.api.origin_check import HEADERS, NOT_KEPT
 from calrig.invalid_fields import SHOWN, in_words, path_of
-from calrig.processes.pool import WorkLost, WorkRefused, WorkTooLarge
-from calrig.store.errors import NotFound, StoreError, StoreUnavailableError
+from calrig.processes.pool import WorkError, WorkLost, WorkRefused, WorkTooLarge
+from calrig.store.errors import NotFound, Refused, StoreError, StoreUnavailableError
 
 log = logging.getLogger(__name__)
 
 STATUS: dict[type[RunsError], int] = {Unknown: 404, Conflict: 409, Invalid: 422}
+STORE_STATUS: dict[type[StoreError], int] = {NotFound: 404, Refused: 409, StoreUnavailableError: 503}
+
+DEFECT = "calrig failed inside; the service's log says where"
 
 WORDS = {
     401: "No token or session was shown, or a wrong one",
-    403: "The request came by a name that is not the service's, or from a page elsewhere",
+    403: "Who asks may not do this; or the request came by a name that is not the service's, or from a page "
+    "elsewhere",
     404: "Unknown",
     408: "The body came too slowly",
     409: "The rig is busy, the run's state does not allow this, or the stage was not seen to stand",
@@ -68,8 +72,8 @@ async def _runs_error(_request: Request, error: Exception) -> JSONResponse:
 
 async def _store_error(_request: Request, error: Exception) -> JSONResponse:
     # Full, locked or read-only is the operator's to mend, and then the same request will do.
-    status = 404 if isinstance(error, NotFound) else 503 if isinstance(error, StoreUnavailableError) else 500
-    if status != 404:
+    status = next((code for kind, code in STORE_STATUS.items() if isinstance(error, kind)), 500)
+    if status >= 500:
         log.error("%s", error)
     return JSONResponse({"detail": str(error)}, status_code=status)
 
@@ -89,9 +93,7 @@ async def _work_lost(_request: Request, error: Exception) -> JSONResponse:
 
 async def _defect(_request: Request, _error: Exception) -> JSONResponse:
     # This answer is given outside of every middleware, the origin check too.
-    return JSONResponse(
-        {"detail": "calrig failed inside; the service's log says where"}, 500, HEADERS | NOT_KEPT
-    )
+    return JSONResponse({"detail": DEFECT}, 500, HEADERS | NOT_KEPT)
 
 
 async def _validation_error(_request: Request, error: Exception) -> JSONResponse:
@@ -115,6 +117,13 @@ async def _http_error(_request: Request, error: Exception) -> JSONResponse:
         return JSONResponse({"detail": no_room(reason)}, status_code=503)
     status = 422 if error.status_code == 400 else error.status_code
     return JSONResponse({"detail": error.detail}, status_code=status, headers=error.headers)
+
+
+def reason_of(error: BaseException) -> str:
+    """What an answer would say of an error, for work whose end no answer tells."""
+    if isinstance(error, HTTPException):
+        return str(error.detail)
+    return str(error) if isinstance(error, RunsError | StoreError | WorkError) else DEFECT
 
 
 def no_room(reason: str | None) -> str:

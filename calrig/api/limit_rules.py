@@ -7,6 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Body
 
 from calrig.analysis.limits import replace
+from calrig.api.callers import Who, requires
 from calrig.api.context import Context
 from calrig.api.errors import problems
 from calrig.api.models import Answer
@@ -41,12 +42,13 @@ def list_limits(context: Context) -> list[Limit]:
 
 @router.put(
     "/api/limits",
+    dependencies=[requires("admin")],
     response_model=list[LimitAnswer],
     responses=problems(409, 413, 422),
     summary="Replace the limits",
 )
 def replace_limits(
-    body: Annotated[list[LimitSettings], Body(max_length=MOST_LIMITS)], context: Context
+    body: Annotated[list[LimitSettings], Body(max_length=MOST_LIMITS)], context: Context, who: Who
 ) -> list[Limit]:
     """All of them at once. 409 where they are kept in calrig.toml."""
-    return replace(context.store, body, who=None, kept_in=context.limits_kept_in)
+    return replace(context.store, body, who=who, kept_in=context.limits_kept_in)

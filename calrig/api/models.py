@@ -53,6 +53,16 @@ class Problem(Answer):
     fields: list[str] = []
 
 
+class JobAnswer(Answer):
+    """Long work under way or ended."""
+
+    id: str
+    state: Literal["queued", "running", "done", "failed", "cancelled"]
+    fraction: float | None = Field(description="Share that is done; null where the work cannot say.")
+    result: str | None = Field(description="Path of what came of it, once it is done.")
+    error: str | None
+
+
 class Health(Answer):
     """The service answers."""
 

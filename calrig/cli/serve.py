@@ -43,7 +43,7 @@ def serve(
 
     settings = load_settings(config)
     configure_log(log_format)
-    access = access_here(host, address_of(host, port), settings.hosts)
+    access = access_here(host, address_of(host, port), settings)
     with closing(listen(host, port)) as listener:
         _serve_on(listener, access, settings, store_url(db), record)
 

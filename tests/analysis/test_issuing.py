@@ -10,13 +10,14 @@ from typing import Any
 
 import pytest
 
+from calrig.analysis.acceptance import Acceptance
 from calrig.analysis.amendments import Records
-from calrig.analysis.diagnoses import Diagnoses
 from calrig.analysis.errors import Conflict, Invalid
 from calrig.analysis.issuing import BROUGHT_OVER, Issuer, Releases
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import build_result
 from calrig.store import Run, Store, StoreDamagedError
+from calrig.store.errors import Refused
 from calrig.store.issued import canonical
 
 POSES = "\n".join(
@@ -46,7 +47,7 @@ class Lab:
 
     def accepts(self, run: Run, effect: dict[str, Any] = WARMTH) -> None:
         self.store.update_run(run.id, diagnosis={"effects": [effect]})
-        Diagnoses(self.store, self.issuer).accept(run.id, [effect["name"]])
+        Acceptance(self.store, self.issuer).accept(run.id, [effect["name"]])
 
     def told(self, unit: str = "A") -> list[tuple[int, str]]:
         return [(one.revision, one.status) for one in self.store.revisions(unit)]
@@ -125,7 +126,7 @@ def test_there_is_a_way_back_to_a_superseded_revision_and_none_from_a_withdrawn_
     assert lab.told() == [(2, "superseded"), (1, "in_force")]
     lab.issuer.withdraw("A", 1, by="ada", reason="wrong after all")
     assert (lab.told(), lab.store.in_force("A")) == ([(2, "superseded"), (1, "withdrawn")], None)
-    with pytest.raises(Conflict, match="revision 1 of unit 'A' is withdrawn: make a new draft instead"):
+    with pytest.raises(Refused, match="revision 1 of unit 'A' is withdrawn: make a new draft instead"):
         lab.issuer.release("A", 1, by="ada", reason="again")
     with pytest.raises(Invalid, match="a reason is needed"):
         lab.issuer.withdraw("A", 2, by="ada", reason=" ")
