@@ -3,9 +3,11 @@
 const JSON_BODY = { "Content-Type": "application/json" };
 
 export class ApiError extends Error {
-  constructor(message, status) {
+  /** `fields` are the places in what was sent that are wrong, such as "plan.sweeps". */
+  constructor(message, status, fields = []) {
     super(message);
     this.status = status;
+    this.fields = fields;
   }
 }
 
@@ -24,6 +26,14 @@ export async function post(path, body = {}, signal) {
   return request(path, {
     signal,
     method: "POST",
+    headers: JSON_BODY,
+    body: JSON.stringify(body),
+  });
+}
+
+export async function put(path, body) {
+  return request(path, {
+    method: "PUT",
     headers: JSON_BODY,
     body: JSON.stringify(body),
   });
@@ -67,20 +77,15 @@ async function sent(path, options) {
 async function refusal(response) {
   const text = await response.text();
   let detail;
+  let fields;
   try {
-    detail = JSON.parse(text).detail;
+    ({ detail, fields } = JSON.parse(text));
   } catch {
     detail = undefined; // a proxy's or the server's own page, not the API's JSON
   }
-  if (typeof detail === "string") return new ApiError(detail, response.status);
-  if (Array.isArray(detail)) return new ApiError(detail.map(problem).join("; "), response.status);
+  if (typeof detail === "string") return new ApiError(detail, response.status, fields);
   return new ApiError(
     `The service answered ${response.status} ${response.statusText}`.trim(),
     response.status,
   );
-}
-
-function problem({ loc = [], msg = "is not valid" }) {
-  const place = loc.filter((part) => part !== "body").join(".");
-  return place ? `${place}: ${msg}` : msg;
 }

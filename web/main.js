@@ -11,6 +11,7 @@ import { stopButtons } from "./stop.js";
 import { unitsView, unitView } from "./units.js";
 import { compareView } from "./compare.js";
 import { importView } from "./import.js";
+import { limitsView } from "./limits.js";
 import { noiseView } from "./noise.js";
 
 const ROUTES = [
@@ -19,6 +20,7 @@ const ROUTES = [
   [/^\/units$/, unitsView],
   [/^\/units\/([^/]+)$/, unitView],
   [/^\/compare$/, compareView],
+  [/^\/limits$/, limitsView],
   [/^\/import$/, importView],
   // fetched when somebody goes there: few do
   [/^\/trail$/, async (shown) => (await import("./trail.js")).trailView(shown)],
