@@ -76,7 +76,7 @@ def test_a_follow_up_decides_between_the_suspects_and_confirms_on_poses_of_its_o
 def test_a_run_that_leaves_nothing_ambiguous_has_no_follow_up(service):
     run = completed(service, service.start(unit="AS-1", plan=ONE_SWEEP))
     with pytest.raises(Conflict, match="nothing is left to separate"):
-        service.follow_up(run.id)
+        service.follow_up(run.id, apart=lambda ask: ask())
     assert service.store.runs()[0][0].id == run.id
 
 
