@@ -44,7 +44,8 @@ export async function postForm(path, form) {
 }
 
 export async function remove(path) {
-  return request(path, { method: "DELETE" });
+  const response = await sent(path, { method: "DELETE" });
+  return response.status === 204 ? null : response.json();
 }
 
 /** As `post` for what may take long: `{ answer }`, or `{ job }` where the service goes on with it by that path. */
