@@ -29,10 +29,13 @@ TITLES = {
     "plan": "Plan",
     "unit": "Unit's serial number",
     "rig": "Rig",
+    "stage_at_deg": "Where the stage stands",
     "operator": "Operator",
     "note": "Note",
     "reason": "Reason",
     "file": "File",
+    "accel_range_g": "Accelerometer full scale",
+    "gyro_range_dps": "Gyro full scale",
     "token": "Token",
     # of a limit
     "name": "Name",

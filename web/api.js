@@ -3,9 +3,11 @@
 const JSON_BODY = { "Content-Type": "application/json" };
 
 export class ApiError extends Error {
-  constructor(message, status) {
+  /** `fields` are the places in what was sent that are wrong, such as "plan.sweeps". */
+  constructor(message, status, fields = []) {
     super(message);
     this.status = status;
+    this.fields = fields;
   }
 }
 
@@ -29,12 +31,21 @@ export async function post(path, body = {}, signal) {
   });
 }
 
+export async function put(path, body) {
+  return request(path, {
+    method: "PUT",
+    headers: JSON_BODY,
+    body: JSON.stringify(body),
+  });
+}
+
 export async function postForm(path, form) {
   return request(path, { method: "POST", body: form });
 }
 
 export async function remove(path) {
-  return request(path, { method: "DELETE" });
+  const response = await sent(path, { method: "DELETE" });
+  return response.status === 204 ? null : response.json();
 }
 
 /** As `post` for what may take long: `{ answer }`, or `{ job }` where the service goes on with it by that path. */
@@ -66,20 +77,15 @@ async function sent(path, options) {
 async function refusal(response) {
   const text = await response.text();
   let detail;
+  let fields;
   try {
-    detail = JSON.parse(text).detail;
+    ({ detail, fields } = JSON.parse(text));
   } catch {
     detail = undefined; // a proxy's or the server's own page, not the API's JSON
   }
-  if (typeof detail === "string") return new ApiError(detail, response.status);
-  if (Array.isArray(detail)) return new ApiError(detail.map(problem).join("; "), response.status);
+  if (typeof detail === "string") return new ApiError(detail, response.status, fields);
   return new ApiError(
     `The service answered ${response.status} ${response.statusText}`.trim(),
     response.status,
   );
-}
-
-function problem({ loc = [], msg = "is not valid" }) {
-  const place = loc.filter((part) => part !== "body").join(".");
-  return place ? `${place}: ${msg}` : msg;
 }

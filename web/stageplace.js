@@ -40,11 +40,5 @@ export function stagePlace(rigName, signal) {
     );
   }
 
-  function mark(reason) {
-    const isWrong = reason.includes("stage_at_deg");
-    input.setAttribute("aria-invalid", isWrong);
-    if (isWrong) element.open = true;
-  }
-
-  return { element, look, mark, value: () => (input.value === "" ? null : Number(input.value)) };
+  return { element, look, value: () => (input.value === "" ? null : Number(input.value)) };
 }

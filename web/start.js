@@ -57,9 +57,10 @@ function startForm(rigs, signal) {
     value: localStorage.getItem(OPERATOR_KEY),
   });
   const note = h("input", { id: "note", type: "text", autocomplete: "off" });
-  const plan = planForm(() => rig.value || null, signal);
+  const plan = planForm(() => ({ rig: rig.value || null, unit: unit.value }), signal);
   const place = stagePlace(() => rig.value, signal);
   const error = errorLine("start-error");
+  unit.addEventListener("change", () => plan.estimate());
   rig.addEventListener("change", () => {
     plan.estimate();
     place.look().catch((problem) => signal.aborted || error.say(problem));
@@ -82,7 +83,6 @@ function startForm(rigs, signal) {
     h("div", { class: "buttons" }, start),
   );
   const send = async () => {
-    mark("");
     localStorage.setItem(OPERATOR_KEY, operator.value);
     const run = await post("/api/runs", {
       rig: rig.value || null,
@@ -94,11 +94,7 @@ function startForm(rigs, signal) {
     });
     location.hash = runHref(run.id);
   };
-  const mark = (reason) => {
-    plan.mark(reason);
-    place.mark(reason);
-  };
-  onSubmit(form, start, error, send, (problem) => mark(problem.message));
+  onSubmit(form, start, error, send);
   return { form, place };
 }
 

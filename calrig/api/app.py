@@ -36,7 +36,7 @@ from calrig.api import (
     units,
     users,
 )
-from calrig.api.access import Access
+from calrig.api.access import TOKEN, Access
 from calrig.api.authentication import Authentication
 from calrig.api.context import ApiContext
 from calrig.api.limits import JSON_BYTES, BodyPatience
@@ -105,6 +105,14 @@ def create_app(
     app.add_middleware(BeginInTurn)  # the last one added is the first to look
     pages.install(app, packed("web") if web is None else web)
     return app
+
+
+def what_is_asked(app: FastAPI) -> str:
+    """What an application asks of those who speak to it, for the end of a sentence; empty where nothing."""
+    authentication: Authentication = app.state.authentication
+    if authentication.access.token is not None:
+        return f"; it asks for the token of {TOKEN}" + (", or a user's" if authentication.people else "")
+    return "; it asks who one is: a user" if authentication.asks else ""
 
 
 def api(lifespan: Lifespan[FastAPI] | None = None) -> FastAPI:

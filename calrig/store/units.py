@@ -45,7 +45,6 @@ _COMPARED: tuple[Any, ...] = (
 
 _KEPT_OF_UNITS: dict[Any, str] = {
     RunTable: "runs",
-    IssuedCalibrationTable: "issued calibrations",
     CheckUnitTable: "a rig that is checked by it",
     AcceptedEffectTable: "effects that were accepted",
 }
@@ -105,7 +104,7 @@ class Units(Part):
 
         Raises:
             NotFound: there is no such unit.
-            Refused: it has runs or issued calibrations, or a rig is checked by it.
+            Refused: it has runs or calibrations that were not withdrawn, or a rig is checked by it.
         """
         with self._database.writing() as session:
             row = session.get(UnitTable, serial)
@@ -114,6 +113,7 @@ class Units(Part):
             for table, kept in _KEPT_OF_UNITS.items():
                 if session.exec(select(table).where(table.unit == serial).limit(1)).first() is not None:
                     raise Refused(f"unit {serial!r} has {kept} and is not removed")
+            _remove_revisions(session, serial)
             session.delete(row)
             append(session, Act("unit_removed", who=who, unit=serial))
 
@@ -152,6 +152,23 @@ class Units(Part):
             for unit, name in session.exec(wanted):
                 found.setdefault(str(unit), []).append(name)
         return found
+
+
+def _remove_revisions(session: Session, serial: str) -> None:
+    """Those that nobody may use: drafts, and what was withdrawn. The trail keeps their hashes.
+
+    Raises:
+        Refused: another one was handed out.
+    """
+    wanted = select(IssuedCalibrationTable).where(IssuedCalibrationTable.unit == serial)
+    for row in session.exec(wanted).all():
+        if row.status not in ("draft", "withdrawn"):
+            raise Refused(
+                f"revision {row.revision} of unit {serial!r} is {row.status.replace('_', ' ')}: withdraw it "
+                "first, with the reason"
+            )
+        session.delete(row)
+    session.flush()
 
 
 def _units(session: Session, serial: str | None = None) -> list[Unit]:

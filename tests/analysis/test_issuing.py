@@ -222,3 +222,16 @@ def test_the_store_itself_refuses_two_in_force(lab, database):
     lab.accepts(lab.imports())
     with closing(sqlite3.connect(database)) as connection, pytest.raises(sqlite3.IntegrityError):
         connection.execute("UPDATE issued_calibration SET status = 'in_force'")
+
+
+def test_a_unit_that_never_was_is_removed_once_its_run_is_moved_and_its_revision_withdrawn(lab):
+    run = lab.imports("AS-0O42")
+    lab.records.move(run.id, "AS-0042", "a letter O for a zero")
+    assert lab.store.in_force("AS-0042").run_id == run.id
+    assert lab.stale("AS-0O42") == [[f"Run {run.id} belongs to unit AS-0042 now."]]
+    with pytest.raises(Refused, match="revision 1 of unit 'AS-0O42' is in force: withdraw it first"):
+        lab.store.remove_unit("AS-0O42")
+    lab.issuer.withdraw("AS-0O42", 1, by="ada", reason="there is no such unit")
+    lab.store.remove_unit("AS-0O42")
+    assert [unit.serial for unit in lab.store.units()] == ["AS-0042"]
+    assert lab.store.trail(unit="AS-0O42")[-1].act.what == "unit_removed"

@@ -54,7 +54,7 @@ def test_the_place_is_asked_for_where_a_run_has_failed_for_want_of_it(
     page.evaluate("document.querySelector('form.start').noValidate = true")
     page.fill("#stage_at_deg", "4000")
     page.click("#start")
-    expect(page.locator("#start-error")).to_contain_text("stage_at_deg")
+    expect(page.locator("#start-error")).to_have_text("Where the stage stands must be at most 360")
     expect(page.locator("#stage_at_deg")).to_have_attribute("aria-invalid", "true")
     expect(start(page, expect, stage_at=ENDS_AT_DEG)).to_have_text("completed")
     go("#/")
