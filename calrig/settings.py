@@ -99,6 +99,8 @@ class Settings(_Strict):
     rig: tuple[RigSettings, ...] = ()
     hosts: tuple[Annotated[str, Field(pattern=r"^[\w.-]+$", max_length=253)], ...] = ()
     """Names besides its own address that `serve` answers to, such as the one of a proxy in front of it."""
+    interval_days: float = Field(default=365.0, gt=0)
+    """After so many days a unit is due to be calibrated again, unless its own history says when."""
     keep_samples_days: float | None = Field(default=None, gt=0)
     """Raw samples of runs older than this are deleted when the service starts; null keeps them for ever."""
 

@@ -13,8 +13,11 @@ from starlette.responses import JSONResponse
 from starlette.types import Lifespan
 
 import calrig
+from calrig.analysis.due_dates import INTERVAL_DAYS
 from calrig.api import (
     calibrations,
+    changes,
+    check_unit,
     compare,
     diagnoses,
     effects,
@@ -50,8 +53,10 @@ PARTS = (
     noise,
     figures,
     calibrations,
+    changes,
     units,
     compare,
+    check_unit,
     imports,
     login,
     metrics,
@@ -60,13 +65,20 @@ PARTS = (
 EVERYBODY = Access()
 
 
-def create_app(service: RunService, *, web: Path | None = None, access: Access = EVERYBODY) -> FastAPI:
+def create_app(
+    service: RunService,
+    *,
+    web: Path | None = None,
+    access: Access = EVERYBODY,
+    interval_days: float = INTERVAL_DAYS,
+) -> FastAPI:
     """Makes the application; nothing of it is shared with another one.
 
     Args:
         service: carries out what is asked. It is closed when the application shuts down.
         web: the folder of the page; without it the one that comes with calrig.
         access: the token that is asked for and the names the service has.
+        interval_days: after which a unit is due whose history says nothing.
     """
 
     @asynccontextmanager
@@ -76,7 +88,7 @@ def create_app(service: RunService, *, web: Path | None = None, access: Access =
         await _app.state.context.processes.close()
 
     app = api(lifespan)
-    app.state.context = ApiContext(service, service.store)
+    app.state.context = ApiContext(service, service.store, interval_days=interval_days)
     app.state.authentication = Authentication(access)
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=6)  # event streams never
     app.add_middleware(OriginCheck, app.state.authentication)

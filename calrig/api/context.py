@@ -10,7 +10,9 @@ from fastapi import Depends, FastAPI, Request
 
 from calrig.analysis.amendments import Records
 from calrig.analysis.diagnoses import Diagnoses
+from calrig.analysis.due_dates import INTERVAL_DAYS, DueDates, ToleranceOf, due_dates, no_tolerance
 from calrig.analysis.errors import Unknown
+from calrig.analysis.histories import Histories
 from calrig.analysis.issuing import Issuer
 from calrig.api.looks import Looks
 from calrig.processes.pool import Processes
@@ -56,6 +58,8 @@ class ApiContext:
     store: Store
     streams: Streams = field(default_factory=Streams)
     processes: Processes = field(default_factory=Processes)
+    interval_days: float = INTERVAL_DAYS
+    tolerance_of: ToleranceOf = no_tolerance
 
     @property
     def diagnoses(self) -> Diagnoses:
@@ -66,6 +70,10 @@ class ApiContext:
     def issuer(self) -> Issuer:
         """Drafts, releases and withdrawals of calibrations."""
         return self.service.issuer
+
+    def due_dates(self, found: Histories | None = None) -> DueDates:
+        """When each unit is due; `found` are all histories where they are known already."""
+        return due_dates(self.store, found, interval_days=self.interval_days, tolerance_of=self.tolerance_of)
 
     @property
     def records(self) -> Records:

@@ -72,4 +72,5 @@ def _serve_on(
 
         gc.freeze()  # what was imported lives to the end: no collection need look at it, the last one neither
         # On SIGINT and SIGTERM uvicorn stops in order, then raises what it was told by.
-        Server(create_app(service, access=access), say_ready).run(sockets=[listener])
+        app = create_app(service, access=access, interval_days=settings.interval_days)
+        Server(app, say_ready).run(sockets=[listener])

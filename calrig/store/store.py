@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Self
 
+from calrig.store.check_units import CheckUnits
 from calrig.store.database import BUSY_TIMEOUT_S, Database, database_path
 from calrig.store.event_log import EventLog
 from calrig.store.issued import Issued
@@ -17,7 +18,7 @@ from calrig.store.trail import Trail
 from calrig.store.units import Units
 
 
-class Store(Runs, Poses, EventLog, Units, Places, Trail, Issued):
+class Store(Runs, Poses, EventLog, Units, Places, Trail, Issued, CheckUnits):
     """An open store, shared by threads. Each method is one transaction, on the disk when it returns.
 
     A run that does not exist raises `NotFound` where it is not said otherwise; what SQLite cannot do raises
