@@ -4,6 +4,7 @@ import { get, post } from "./api.js";
 import { askReason } from "./ask.js";
 import { fill, h, headings, runHref, statusPill, tableBox } from "./dom.js";
 import { moment, plusMinus, range, significant } from "./format.js";
+import { may } from "./me.js";
 
 /** Two cards that read themselves anew after each release, withdrawal or draft. */
 export class Calibrations {
@@ -12,7 +13,7 @@ export class Calibrations {
     this.signal = signal;
     this.inForce = h("section", { class: "card", id: "calibration", "aria-labelledby": "in-force-title" });
     this.revisions = h("section", { class: "card", id: "revisions", "aria-labelledby": "revisions-title" });
-    this.element = h("div", {}, this.inForce, this.revisions);
+    this.elements = [this.inForce, this.revisions];
     window.addEventListener("calrig:done", () => this.read(), { signal });
   }
 
@@ -42,7 +43,7 @@ export class Calibrations {
           { class: "verdict unknown", role: "status", "data-testid": "stale" },
           h("p", { class: "headline" }, "It rests on something that has changed since it was made."),
           stale.map((reason) => h("p", {}, reason)),
-          this.#redraft(document.run_id),
+          may("operator") && this.#redraft(document.run_id),
         ),
       h(
         "dl",
@@ -73,7 +74,7 @@ export class Calibrations {
         h("td", { class: "buttons" }, this.#actions(one)),
       ),
     );
-    const head = headings("#", "Status", "Issued", "From", "Effects applied", "Why, and what has changed since", "");
+    const head = headings("Revision", "Status", "Issued", "From", "Effects applied", "Why, and what has changed since", "");
     return h("table", { id: "revisions-table" }, head, h("tbody", {}, rows));
   }
 
@@ -82,9 +83,11 @@ export class Calibrations {
     const action = (verb, text) =>
       h("button", { type: "button", on: { click: () => ask(verb, revision, text, path) } }, `${verb}…`);
     return [
-      (status === "draft" || status === "superseded") &&
+      may("releaser") &&
+        (status === "draft" || status === "superseded") &&
         action("Release", "It is put in force; the revision in force until now is superseded."),
-      status !== "withdrawn" &&
+      may("releaser") &&
+        status !== "withdrawn" &&
         action("Withdraw", "It is kept, struck through, and can never be in force again."),
     ];
   }

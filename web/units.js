@@ -1,10 +1,12 @@
 // All units, and one unit with its history.
 
-import { get } from "./api.js";
+import { get, remove } from "./api.js";
+import { askConfirmation } from "./ask.js";
 import { Calibrations } from "./calibrations.js";
 import { Chart } from "./charts.js";
 import { fill, h, headings, tableBox, unitLink } from "./dom.js";
 import { moment, plural } from "./format.js";
+import { may } from "./me.js";
 import { runHeadings, runRow } from "./runlist.js";
 
 export async function unitsView({ root, signal }) {
@@ -49,7 +51,8 @@ export async function unitView({ root, parts: [serial], signal }) {
     root,
     h("h1", {}, "Unit ", h("span", { class: "serial" }, unit.serial)),
     h("p", { class: "muted" }, `${plural(unit.n_runs, "run")}, known since `, moment(unit.created_at)),
-    calibrations.element,
+    unit.n_runs === 0 && may("releaser") && removal(serial, path),
+    calibrations.elements,
     chart.element,
     h(
       "section",
@@ -63,8 +66,23 @@ export async function unitView({ root, parts: [serial], signal }) {
         "p",
         { class: "downloads" },
         h("a", { href: `#/compare?unit=${encodeURIComponent(serial)}` }, "Compare with other units"),
+        h("a", { href: `#/trail?unit=${encodeURIComponent(serial)}` }, "Trail: who did what"),
       ),
     ),
   );
   await Promise.all([calibrations.read(), chart.load(`${path}/figures/history`)]);
+}
+
+/** Of a unit whose runs were moved to their right serial number. */
+function removal(serial, path) {
+  const question = {
+    title: `Remove unit ${serial}?`,
+    text: "It has no runs. The trail keeps what was done to it.",
+    action: "Remove the unit",
+  };
+  const button = h("button", { type: "button", id: "remove-unit" }, "Remove this empty unit…");
+  button.addEventListener("click", async () => {
+    if (await askConfirmation(question, () => remove(path))) location.hash = "#/units";
+  });
+  return h("p", {}, button);
 }

@@ -27,7 +27,7 @@ from calrig.export.c_header import c_header
 from calrig.export.calibration_json import line_of
 from calrig.store import Run, Store
 from calrig.store.issued import Revision
-from calrig.store.records import reference_of
+from calrig.store.records import Document, reference_of
 
 Wanted = int | Literal["latest"] | None
 """A revision by its number, the newest that was not withdrawn, or the one in force."""
@@ -97,6 +97,10 @@ class ActiveCalibration:
             return apply_calibration(poses, gyro, self.line, self.effects, self.reference)
         except ApplyError:
             return apply_calibration(poses, gyro, self.line, (), self.reference)
+
+    def provenance(self) -> Document:
+        """What a verification's provenance says of it."""
+        return {"verifies": self.run_id, "verifies_revision": self.revision}
 
     def left_deg(self, poses: Sequence[Pose]) -> list[float | None]:
         """As found against the document: calibrated elevation less the stage's, of each pose."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Any, Literal
@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from calrig.analysis.histories import SECONDS_PER_DAY, Histories, histories
+from calrig.calibration.conformity import Limit, limit_for
 from calrig.calibration.due_date import Bounds, Forecast, forecast
 from calrig.calibration.variance_components import IntArray
 from calrig.estimation.angles import FloatArray
@@ -17,28 +18,6 @@ from calrig.store import Store
 
 INTERVAL_DAYS = 365.0
 """Where nobody has set another one (`interval_days` in calrig.toml)."""
-
-
-@dataclass(frozen=True, slots=True)
-class Tolerance:
-    """What a unit must keep, as far as there is a limit on it.
-
-    Attributes:
-        bias_deg, scale: lowest and highest.
-        max_error_deg: of an elevation that the calibration in force gives, over its range.
-    """
-
-    bias_deg: Bounds | None = None
-    scale: Bounds | None = None
-    max_error_deg: float | None = None
-
-
-ToleranceOf = Callable[[str, str | None], Tolerance | None]
-"""The tolerance of a unit, by its serial and the rig of its last run; None without one."""
-
-
-def no_tolerance(_serial: str, _rig: str | None) -> None:
-    """Where there are no limits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +63,7 @@ def due_dates(
     found: Histories | None = None,
     *,
     interval_days: float = INTERVAL_DAYS,
-    tolerance_of: ToleranceOf = no_tolerance,
+    limits: Iterable[Limit] | None = None,
     now: datetime | None = None,
 ) -> DueDates:
     """When each unit is due.
@@ -93,17 +72,18 @@ def due_dates(
         store: where they are.
         found: all histories, where they are known already.
         interval_days: the interval that counts where a history says nothing.
-        tolerance_of: the limits of each unit.
+        limits: those there are, the first that matches a unit counts; without them the store's.
         now: by which a unit is overdue; without it this moment.
     """
     found = histories(store) if found is None else found
     now = now or datetime.now(UTC)
     latest = {row.unit: place for place, row in enumerate(found.rows)}
-    limits = {serial: tolerance_of(serial, found.rows[place].rig) for serial, place in latest.items()}
-    in_force = _in_force(store, [serial for serial, limit in limits.items() if limit is not None])
+    known = store.limits() if limits is None else list(limits)
+    limited = {serial: limit_for(known, serial, found.rows[place].rig) for serial, place in latest.items()}
+    in_force = _in_force(store, [serial for serial, limit in limited.items() if limit is not None])
     units = {}
     for serial, last in latest.items():
-        limit = limits[serial]
+        limit = limited[serial]
         drifting = None
         if limit is not None:
             drifting = _by_drift(found, found.of(serial), limit, in_force.get(serial), interval_days)
@@ -136,7 +116,7 @@ def _in_force(store: Store, serials: Sequence[str]) -> dict[str, _InForce]:
 
 
 def _by_drift(
-    found: Histories, places: IntArray, limit: Tolerance, in_force: _InForce | None, interval_days: float
+    found: Histories, places: IntArray, limit: Limit, in_force: _InForce | None, interval_days: float
 ) -> Forecast | None:
     """The soonest of the forecasts of all that a limit is on; None where no history tells anything.
 
@@ -159,7 +139,7 @@ def _by_drift(
 
 
 def _limited(
-    found: Histories, places: IntArray, limit: Tolerance, in_force: _InForce | None
+    found: Histories, places: IntArray, limit: Limit, in_force: _InForce | None
 ) -> Iterator[tuple[FloatArray, FloatArray, FloatArray, Bounds]]:
     """Days, values and variances of each figure that a limit is on, and its bounds."""
     variances = [found.variance(figure) for figure in range(2)]

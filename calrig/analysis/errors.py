@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 
 class RunsError(Exception):
-    """A request that cannot be met; the message is one line that a person can act on."""
+    """A request that cannot be met; the message is one line that a person can act on.
+
+    `fields` are the places in the request that are wrong, where it is one: `plan.stop_deg`.
+    """
+
+    def __init__(self, message: str, fields: Sequence[str] = ()) -> None:
+        super().__init__(message)
+        self.fields = list(fields)
 
 
 class Unknown(RunsError):  # noqa: N818 (read as a word: raise Unknown)
@@ -21,15 +30,3 @@ class NotTheSame(Conflict):
 
 class Invalid(RunsError):  # noqa: N818
     """The request itself is wrong: a serial number, a plan beyond the limits, a file that does not parse."""
-
-
-LONGEST_REASON = 1000
-
-
-def checked_reason(reason: str) -> str:
-    """A reason without blanks at its ends; Invalid where there is none, or a whole book."""
-    if not reason.strip():
-        raise Invalid("a reason is needed: it stays with what is done")
-    if len(reason) > LONGEST_REASON:
-        raise Invalid(f"a reason has at most {LONGEST_REASON} characters, not {len(reason)}")
-    return reason.strip()

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from calrig.analysis.basis import basis_of, changed_since, chosen_effects, why_none, why_not_now
-from calrig.analysis.errors import Conflict, checked_reason
+from calrig.analysis.errors import Conflict
 from calrig.analysis.imported import Imported
 from calrig.analysis.results import fitted, gyro_of
-from calrig.analysis.stored_runs import stored_run
+from calrig.analysis.stored_runs import checked_reason, stored_run
+from calrig.calibration.conformity import limit_for
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import Result
-from calrig.calibration.verdict import Verdict, verdict
+from calrig.calibration.verdict import verdict
 from calrig.export.calibration_json import calibration_content
 from calrig.settings import ReleasePolicy, RigSettings
 from calrig.store import AcceptedEffect, Run, Store
-from calrig.store.errors import NotAllowed
 from calrig.store.issued import Draft, Revision
 from calrig.store.records import Document, reference_of
 
@@ -74,9 +74,10 @@ class Issuer:
         """What a file of poses makes as it is imported; None where its poses leave the scale open."""
         if imported.content is None:
             return None
-        judged = verdict(imported.result)
+        limit = limit_for(self._store.limits(), imported.content["unit"], imported.content["rig"])
+        judged = verdict(imported.result, limit=limit, calibration=imported.content)
         releases = self._releases.puts_in_force(None, judged.answer)
-        return Draft(imported.content, basis_of(imported.accepted, (), None), _stored(judged), releases, by)
+        return Draft(imported.content, basis_of(imported.accepted, (), None), judged.to_dict(), releases, by)
 
     def draft(
         self,
@@ -114,11 +115,12 @@ class Issuer:
         It is of that run where its calibration is in force, else of the latest run that counts; none is made
         where a current revision of it rests on the same already.
         """
-        in_force = self._store.in_force(changed.unit)
-        if in_force is not None and in_force.run_id == changed.id and why_not_now(changed) is None:
-            base: Run | None = changed
+        in_force, now = self._store.in_force(changed.unit), stored_run(self._store, changed.id)
+        if in_force is not None and in_force.run_id == now.id and now.unit == changed.unit:
+            base: Run | None = None if why_not_now(now) else now
         else:
-            base = self._store.latest_calibration_run(changed.unit)
+            base = None
+        base = base or self._store.latest_calibration_run(changed.unit)
         if base is None:
             return None
         fit = self._fit(base)
@@ -132,26 +134,21 @@ class Issuer:
         """Puts a draft or a superseded revision in force.
 
         Raises:
-            Conflict: it is in force, was withdrawn, or its run has been voided.
+            Refused: it is in force, or was withdrawn.
+            Conflict: its run has been voided.
         """
         found = self._store.revision(unit, number)
         if found is not None and (voided := stored_run(self._store, found.run_id).voided):
             raise Conflict(f"run {found.run_id} of revision {number} is voided ({voided['reason']})")
-        try:
-            return self._store.release(unit, number, by, checked_reason(reason))
-        except NotAllowed as error:
-            raise Conflict(str(error)) from error
+        return self._store.release(unit, number, by, checked_reason(reason))
 
     def withdraw(self, unit: str, number: int, *, by: str | None, reason: str) -> Revision:
         """Takes a revision back for good.
 
         Raises:
-            Conflict: it has been withdrawn already.
+            Refused: it has been withdrawn already.
         """
-        try:
-            return self._store.withdraw(unit, number, by, checked_reason(reason))
-        except NotAllowed as error:
-            raise Conflict(str(error)) from error
+        return self._store.withdraw(unit, number, by, checked_reason(reason))
 
     def listed(self, revisions: Sequence[Revision]) -> list[Document]:
         """Revisions as CONTRACT section 2 lists them."""
@@ -214,15 +211,17 @@ class Issuer:
             reference=reference_of(run.provenance),
         )
         mismatches = run.faults.get("move_mismatch", 0)
-        judged = verdict(fit.result.to_dict(), run.diagnosis, move_mismatches=mismatches)
+        judged = verdict(
+            fit.result.to_dict(),
+            run.diagnosis,
+            move_mismatches=mismatches,
+            limit=limit_for(self._store.limits(), run.unit, run.rig),
+            calibration=content,
+        )
         if releases is None:
             releases = self._releases.puts_in_force(run.rig, judged.answer)
         basis = basis_of(fit.accepted, fit.excluded, fit.chosen)
-        return Draft(content, basis, _stored(judged), releases, by, reason)
-
-
-def _stored(judged: Verdict) -> Document:
-    return {**asdict(judged), "says": list(judged.says)}
+        return Draft(content, basis, judged.to_dict(), releases, by, reason)
 
 
 def issued_since(store: Store, since: datetime | None) -> list[Document]:

@@ -12,6 +12,7 @@ from pydantic import Field
 from calrig.analysis.active_calibration import header_of, wanted_revision
 from calrig.analysis.errors import Invalid
 from calrig.analysis.issuing import issued_since
+from calrig.api.callers import Who, requires
 from calrig.api.context import Context, KnownUnit
 from calrig.api.errors import problems
 from calrig.api.models import Answer, Body, Extremes, Reason
@@ -158,38 +159,41 @@ def list_revisions(unit: KnownUnit, context: Context) -> object:
 
 @router.post(
     "/api/units/{serial:path}/calibrations/{revision}/release",
+    dependencies=[requires("releaser")],
     response_model=RevisionAnswer,
     responses=problems(404, 409, 413, 422),
     summary="Put a revision in force",
 )
-def release(unit: KnownUnit, revision: Number, body: Reason, context: Context) -> object:
+def release(unit: KnownUnit, revision: Number, body: Reason, context: Context, who: Who) -> object:
     """A draft, or a superseded one again; the one in force until now is superseded."""
-    released = context.issuer.release(unit.serial, revision, by=None, reason=body.reason)
+    released = context.issuer.release(unit.serial, revision, by=who, reason=body.reason)
     return context.issuer.listed([released])[0]
 
 
 @router.post(
     "/api/units/{serial:path}/calibrations/{revision}/withdraw",
+    dependencies=[requires("releaser")],
     response_model=RevisionAnswer,
     responses=problems(404, 409, 413, 422),
     summary="Take a revision back for good",
 )
-def withdraw(unit: KnownUnit, revision: Number, body: Reason, context: Context) -> object:
+def withdraw(unit: KnownUnit, revision: Number, body: Reason, context: Context, who: Who) -> object:
     """Where it was in force, none is afterwards."""
-    withdrawn = context.issuer.withdraw(unit.serial, revision, by=None, reason=body.reason)
+    withdrawn = context.issuer.withdraw(unit.serial, revision, by=who, reason=body.reason)
     return context.issuer.listed([withdrawn])[0]
 
 
 @router.post(
     "/api/units/{serial:path}/calibrations",
+    dependencies=[requires("operator")],
     status_code=201,
     response_model=RevisionAnswer,
     responses=problems(404, 409, 413, 422),
     summary="Draft a calibration from a run",
 )
-def draft(unit: KnownUnit, body: NewDraft, context: Context) -> object:
+def draft(unit: KnownUnit, body: NewDraft, context: Context, who: Who) -> object:
     """Numbered and frozen; released as the `release` of the run's rig says."""
-    made = context.issuer.draft(unit.serial, body.run_id, body.effects, by=None, reason=body.reason)
+    made = context.issuer.draft(unit.serial, body.run_id, body.effects, by=who, reason=body.reason)
     return context.issuer.listed([made])[0]
 
 

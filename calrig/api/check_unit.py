@@ -9,6 +9,7 @@ from fastapi import APIRouter
 from pydantic import Field
 
 from calrig.analysis.check_unit import check_document
+from calrig.api.callers import Who, requires
 from calrig.api.context import Context
 from calrig.api.errors import problems
 from calrig.api.models import Answer, Body
@@ -69,20 +70,25 @@ def show_check_unit(name: str, context: Context) -> object:
 
 @router.put(
     "/api/rigs/{name}/check-unit",
+    dependencies=[requires("releaser")],
     response_model=CheckUnitAnswer,
     responses=problems(404, 413, 422),
     summary="Name the unit that a rig is checked by",
 )
-def put_check_unit(name: str, body: NameCheckUnit, context: Context) -> object:
+def put_check_unit(name: str, body: NameCheckUnit, context: Context, who: Who) -> object:
     """Its runs on the rig from now on are checks; those before are what the first is held against."""
     context.service.known_rig(name)
-    context.store.name_check_unit(name, body.unit, body.interval_days)
+    context.store.name_check_unit(name, body.unit, body.interval_days, who=who)
     return check_document(context.store, name)
 
 
 @router.delete(
-    "/api/rigs/{name}/check-unit", status_code=204, responses=problems(404), summary="Go without a check unit"
+    "/api/rigs/{name}/check-unit",
+    dependencies=[requires("releaser")],
+    status_code=204,
+    responses=problems(404),
+    summary="Go without a check unit",
 )
-def delete_check_unit(name: str, context: Context) -> None:
+def delete_check_unit(name: str, context: Context, who: Who) -> None:
     """Nothing is in doubt any more that a check had put in doubt."""
-    context.store.remove_check_unit(name)
+    context.store.remove_check_unit(name, who=who)

@@ -47,9 +47,20 @@ class Reason(Body):
 
 
 class Problem(Answer):
-    """Every error."""
+    """Every error; `fields` are the places in the body that are wrong, such as `plan.elevations_deg[1]`."""
 
     detail: str
+    fields: list[str] = []
+
+
+class JobAnswer(Answer):
+    """Long work under way or ended."""
+
+    id: str
+    state: Literal["queued", "running", "done", "failed", "cancelled"]
+    fraction: float | None = Field(description="Share that is done; null where the work cannot say.")
+    result: str | None = Field(description="Path of what came of it, once it is done.")
+    error: str | None
 
 
 class Health(Answer):

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from fastapi import APIRouter
 
 from calrig.analysis.check_unit import with_doubts
+from calrig.api.callers import Who, requires
 from calrig.api.context import Context, KnownUnit
 from calrig.api.errors import problems
 from calrig.api.models import UnitAnswer, UnitWithRuns
@@ -37,3 +38,15 @@ def show_unit(unit: KnownUnit, context: Context) -> object:
         "active_run_id": in_force and in_force.run_id,
         "revision_in_force": in_force and in_force.revision,
     }
+
+
+@router.delete(
+    "/api/units/{serial:path}",
+    dependencies=[requires("releaser")],
+    status_code=204,
+    responses=problems(404, 409),
+    summary="Remove a unit that nothing is known of",
+)
+def remove_unit(serial: str, context: Context, who: Who) -> None:
+    """As one is left whose runs were moved to their right serial number. 409 where it has runs."""
+    context.store.remove_unit(serial, who=who)

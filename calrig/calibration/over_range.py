@@ -27,6 +27,8 @@ class OverRange:
         covariance: of bias and scale, type A; None where too few poses tell.
         freedom: degrees of freedom of the scatter that it is from.
         expanded_uncertainty_deg: of one calibrated elevation; None where the reference is not known.
+        error_expanded_uncertainty_deg: of the errors below, which are not their own uncertainty: the noise of
+            a reading stands in it where that of an elevation has all that is left. None likewise.
         coverage_factor: its k, for the probability `coverage`.
         elevation_deg: (m,) in the middle of stretches of the range, ascending.
         lowest_error_deg: (m,) of the poses in each stretch, calibrated elevation less θ.
@@ -39,6 +41,7 @@ class OverRange:
     covariance: tuple[tuple[float, float], tuple[float, float]] | None
     freedom: int
     expanded_uncertainty_deg: float | None
+    error_expanded_uncertainty_deg: float | None
     coverage_factor: float | None
     coverage: float
     elevation_deg: tuple[float, ...]
@@ -66,7 +69,11 @@ def _thawed(value: Any) -> Any:
 
 
 def over_range(
-    theta_deg: FloatArray, error_deg: FloatArray, line: Line, reference: Reference | None
+    theta_deg: FloatArray,
+    error_deg: FloatArray,
+    line: Line,
+    reference: Reference | None,
+    noise_deg: float | None,
 ) -> OverRange | None:
     """Gathers what limits need. Errors are not averaged: what approach or time do to a pose would cancel.
 
@@ -75,6 +82,7 @@ def over_range(
         error_deg: (n,) what is left of each, calibrated elevation less θ.
         line: fitted to these poses.
         reference: what the stage's own angle is worth.
+        noise_deg: standard error of one reading, from within the dwells; None where it is not known.
 
     Returns:
         None where the reading does not follow the stage, so that there is no calibrated elevation.
@@ -86,12 +94,15 @@ def over_range(
     stretches = np.unique(places)
     of_each = [error_deg[places == place] for place in stretches]
     worth = uncertainty(line, theta_deg, reference)
+    of_error = uncertainty(line, theta_deg, reference, noise_deg or None)
+    expanded = [u for u in (worth.expanded_deg, of_error.expanded_deg) if u is not None]
     return OverRange(
         bias_deg=line.bias_deg,
         scale=line.scale,
         covariance=line.covariance,
         freedom=len(theta_deg) - (1 if line.scale is None else 2),
         expanded_uncertainty_deg=worth.expanded_deg,
+        error_expanded_uncertainty_deg=min(expanded, default=None),
         coverage_factor=worth.coverage_factor,
         coverage=worth.coverage,
         elevation_deg=tuple(round(low + width * place, DECIMALS) for place in stretches.tolist()),

@@ -130,6 +130,7 @@ def build_result(
     line = fit_line(theta, reading, one_angle=one_angle)
     with_effects = _line_with_effects(poses, theta, reading, effects)
     calibrated_deg = residuals_deg(theta, reading, line.bias_deg, line.scale)
+    noise_deg = _pooled_noise_deg(poses)
     left = (line, calibrated_deg) if with_effects is None else with_effects
     return Result(
         bias_deg=line.bias_deg,
@@ -140,11 +141,11 @@ def build_result(
         rms_calibrated_deg=_known(rms(calibrated_deg)),
         rms_with_effects_deg=None if with_effects is None else _known(rms(with_effects[1])),
         n_poses=len(poses),
-        noise_deg=_pooled_noise_deg(poses),
+        noise_deg=noise_deg,
         temperature_c=_temperature_range(poses),
         gyro=gyro or GyroFigures(),
         reference=None if reference is None else _reference_figures(theta, line, reference),
-        over_range=over_range(theta, left[1], left[0], reference),
+        over_range=over_range(theta, left[1], left[0], reference, noise_deg),
         line=line,
         line_with_effects=None if with_effects is None else with_effects[0],
     )
@@ -183,7 +184,11 @@ def apply_calibration(
         rms_with_effects_deg=_known(rms(left_deg)) if effects else None,
         reference=reference,
         over_range=over_range(
-            theta, left_deg, fit_line(theta, without), None if reference is None else reference.reference
+            theta,
+            left_deg,
+            fit_line(theta, without),
+            None if reference is None else reference.reference,
+            fresh.noise_deg,
         ),
         line=line,
     )

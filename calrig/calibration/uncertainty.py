@@ -78,7 +78,9 @@ class Uncertainty:
         }
 
 
-def uncertainty(line: Line, theta_deg: FloatArray, reference: Reference | None) -> Uncertainty:
+def uncertainty(
+    line: Line, theta_deg: FloatArray, reference: Reference | None, scatter_deg: float | None = None
+) -> Uncertainty:
     """Uncertainty of an elevation that the calibration gives from one reading.
 
     elevation = (reading − bias)/scale, hence by the law of propagation with bias and scale correlated (GUM,
@@ -95,8 +97,9 @@ def uncertainty(line: Line, theta_deg: FloatArray, reference: Reference | None) 
         line: the fit.
         theta_deg: (n,) elevations of the poses it rests on; their lowest and highest are the range.
         reference: what the stage's own angle is worth; None where nobody has said.
+        scatter_deg: s of the reading, where it is not to be that of the poses about the line.
     """
-    type_a = _type_a_deg(line, theta_deg)
+    type_a = _type_a_deg(line, theta_deg, scatter_deg)
     if reference is None:
         return Uncertainty(type_a, None, None, None)
     part = reference_part(theta_deg, line.scale, reference)
@@ -174,10 +177,11 @@ def _mean_over_range(covariance: FloatArray, theta_deg: FloatArray) -> float:
     return float(covariance[0, 0] + 2.0 * mean * covariance[0, 1] + mean_square * covariance[1, 1])
 
 
-def _type_a_deg(line: Line, theta_deg: FloatArray) -> float | None:
+def _type_a_deg(line: Line, theta_deg: FloatArray, scatter_deg: float | None) -> float | None:
     if line.scale is None or line.covariance is None or line.residual_std_deg is None:
         return None
     if abs(line.scale) < MIN_SCALE:
         return None
     of_line = _mean_over_range(np.array(line.covariance), theta_deg)
-    return math.sqrt(line.residual_std_deg**2 + of_line) / abs(line.scale)
+    scatter_deg = line.residual_std_deg if scatter_deg is None else scatter_deg
+    return math.sqrt(scatter_deg**2 + of_line) / abs(line.scale)

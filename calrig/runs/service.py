@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from calrig.analysis.active_calibration import ActiveCalibration, active_calibration
+from calrig.analysis.active_calibration import active_calibration
 from calrig.analysis.errors import Conflict, Unknown
 from calrig.analysis.issuing import Issuer, Releases
 from calrig.analysis.origin import check_serial, provenance
@@ -32,7 +32,6 @@ from calrig.runs.task import Task
 from calrig.runs.worker import Worker
 from calrig.settings import RigSettings
 from calrig.store import Run, Store, StoreError
-from calrig.store.records import Document
 
 log = logging.getLogger(__name__)
 
@@ -91,9 +90,11 @@ class RunService:
         """
         check_serial(unit)
         settings = self._rig(rig)
-        return self._begin(settings, unit, plan, operator=operator, note=note, stage_at_deg=stage_at_deg)
+        return self._begin(
+            settings, unit, plan, operator=operator, who=operator, note=note, stage_at_deg=stage_at_deg
+        )
 
-    def follow_up(self, run_id: str, apart: Apart = run_apart) -> Run:
+    def follow_up(self, run_id: str, apart: Apart = run_apart, who: str | None = None) -> Run:
         """Starts the run that best separates what the diagnosis of a run (and those before it) could not.
 
         Raises:
@@ -105,8 +106,15 @@ class RunService:
             raise Conflict(f"run {run_id} was imported: no rig is known to follow it up on")
         settings = self._rig(run.rig)
         follow_up = FollowUpRun.designed(unresolved(self.store, run_id, apart), settings.limits_deg, apart)
+        operator = who or run.operator
         return self._begin(
-            settings, run.unit, follow_up.plan, operator=run.operator, follows=run_id, follow_up=follow_up
+            settings,
+            run.unit,
+            follow_up.plan,
+            operator=operator,
+            who=who,
+            follows=run_id,
+            follow_up=follow_up,
         )
 
     def _begin(
@@ -116,6 +124,7 @@ class RunService:
         plan: Plan,
         *,
         operator: str | None = None,
+        who: str | None = None,
         note: str | None = None,
         follows: str | None = None,
         follow_up: FollowUpRun | None = None,
@@ -135,12 +144,13 @@ class RunService:
                 plan=plan.model_dump(mode="json"),
                 status="queued",
                 operator=operator,
+                who=who,
                 note=note,
                 follows=follows,
                 provenance={
                     **provenance(operator),
                     "seed": plan.seed,
-                    **({} if verifies is None else _verified(verifies)),
+                    **({} if verifies is None else verifies.provenance()),
                     **({} if follow_up is None else {"follow_up": follow_up.provenance()}),
                 },
                 poses_total=0 if plan.kind == "static" else len(planned),
@@ -283,8 +293,3 @@ class RunService:
         if name not in self._rigs:
             raise Unknown(f"there is no rig {name!r}; configured: {', '.join(sorted(self._rigs))}")
         return self._rigs[name]
-
-
-def _verified(applied: ActiveCalibration) -> Document:
-    """What a verification's provenance says of the revision that it applies."""
-    return {"verifies": applied.run_id, "verifies_revision": applied.revision}

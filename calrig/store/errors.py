@@ -15,8 +15,8 @@ class NotFound(StoreError):  # noqa: N818 (an answer, not a fault)
     """There is no such run or revision, or the run has no such pose."""
 
 
-class NotAllowed(StoreError):  # noqa: N818 (likewise)
-    """What is asked for cannot be done in the state that things are in; says why."""
+class Refused(StoreError):  # noqa: N818 (an answer, not a fault)
+    """What is stored does not allow this; the message says why and what to do."""
 
 
 class StoreUnavailableError(StoreError):

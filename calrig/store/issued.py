@@ -15,7 +15,7 @@ from sqlmodel import Session, col, select
 from calrig.store import trail
 from calrig.store.convert import run_number
 from calrig.store.database import Part
-from calrig.store.errors import NotAllowed, NotFound, Unreadable
+from calrig.store.errors import NotFound, Refused, Unreadable
 from calrig.store.records import Document
 from calrig.store.tables import IssuedCalibrationTable, RunTable
 
@@ -149,13 +149,13 @@ class Issued(Part):
 
         Raises:
             NotFound: there is no such revision.
-            NotAllowed: it is in force already, or was withdrawn.
+            Refused: it is in force already, or was withdrawn.
         """
         with self._database.writing() as session:
             row = _row(session, unit, number)
             if row.status not in ("draft", "superseded"):
                 other = ": make a new draft instead" if row.status == "withdrawn" else ""
-                raise NotAllowed(f"revision {number} of unit {unit!r} is {_words(row.status)}{other}")
+                raise Refused(f"revision {number} of unit {unit!r} is {_words(row.status)}{other}")
             _release(session, row, by, reason, datetime.now(UTC))
             return _revision(row)
 
@@ -164,12 +164,12 @@ class Issued(Part):
 
         Raises:
             NotFound: there is no such revision.
-            NotAllowed: it has been withdrawn.
+            Refused: it has been withdrawn.
         """
         with self._database.writing() as session:
             row = _row(session, unit, number)
             if row.status == "withdrawn":
-                raise NotAllowed(f"revision {number} of unit {unit!r} has been withdrawn already")
+                raise Refused(f"revision {number} of unit {unit!r} has been withdrawn already")
             row.status = "withdrawn"
             _note(session, "withdrawn", row, by, reason, datetime.now(UTC))
             session.flush()

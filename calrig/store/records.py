@@ -9,6 +9,7 @@ from typing import Any, Literal, NamedTuple, TypedDict
 import numpy as np
 import numpy.typing as npt
 
+from calrig.calibration.conformity import Limit
 from calrig.calibration.pose import Filtering, Pose
 from calrig.calibration.uncertainty import Reference
 from calrig.calibration.verdict import Verdict, verdict
@@ -48,7 +49,10 @@ class Voided(TypedDict):
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """A run as CONTRACT section 2 shows it; times are aware and in UTC."""
+    """A run as CONTRACT section 2 shows it; times are aware and in UTC.
+
+    `limit` is the one that matches its unit and rig now; looked for only where there is a result.
+    """
 
     id: str
     unit: str
@@ -70,6 +74,7 @@ class Run:
     error: str | None
     suspect: Document | None = None
     """Why its rig is in doubt, where somebody looked: `reason`, `check_run_id`. The store never knows."""
+    limit: Limit | None = None
 
     @property
     def verdict(self) -> Verdict | None:
@@ -78,7 +83,13 @@ class Run:
             return None
         verification = (self.plan or {}).get("kind") == "verification"
         mismatches = self.faults.get("move_mismatch", 0)
-        return verdict(self.result, self.diagnosis, verification=verification, move_mismatches=mismatches)
+        return verdict(
+            self.result,
+            self.diagnosis,
+            verification=verification,
+            move_mismatches=mismatches,
+            limit=self.limit,
+        )
 
 
 def reference_of(provenance: Document) -> Reference | None:

@@ -10,12 +10,13 @@ from typing import Unpack, get_args
 from sqlmodel import Session, col, func, select
 
 from calrig.calibration.pose import Pose
-from calrig.store import event_log, issued, staging
+from calrig.store import event_log, issued, staging, trail
 from calrig.store.convert import figures_of, run_number, run_of, run_row
 from calrig.store.database import Part
 from calrig.store.event_log import Announced
 from calrig.store.records import TERMINAL, UNFINISHED, Document, Run, RunChanges, Status
 from calrig.store.tables import CalibrationTable, RunTable, UnitTable
+from calrig.store.trail import Act, What
 
 POSES_AT_ONCE = 1000
 """Read together: an import has a hundred thousand."""
@@ -39,6 +40,7 @@ class Runs(Part):
         poses: Sequence[Pose] = (),
         result: Document | None = None,
         draft: issued.Draft | None = None,
+        who: str | None = None,
     ) -> Run:
         """Makes a run and, where it is the first of its unit, the unit; announces the run's state.
 
@@ -73,6 +75,8 @@ class Runs(Part):
                 staging.take_over(session, row.id)
             replace_result(session, row, result)
             event_log.append(session, row, [event_log.state(row)])
+            what: What = "imported" if plan is None else "started"
+            trail.append(session, Act(what, who=who, unit=unit, rig=rig, run_id=str(row.id)), now)
             if draft is not None:
                 issued.issue(session, row, draft)
             return run_of(row)
@@ -138,13 +142,6 @@ class Runs(Part):
     def set_result(self, run_id: str, result: Document | None) -> Run:
         """Replaces a run's result, and with it what comparisons show."""
         return self.update_run(run_id, result=result)
-
-    def void_run(self, run_id: str, reason: str) -> Run:
-        """Takes a run out of every comparison; it is kept. A second reason replaces the first."""
-        with self._database.writing() as session:
-            row = run_row(session, run_id)
-            row.voided_reason, row.voided_at = reason, datetime.now(UTC)
-            return run_of(row)
 
     def unfinished(self) -> list[Run]:
         """The runs that are queued, running or paused, the oldest first."""

@@ -6,9 +6,10 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import Literal
+from typing import Any, Literal
 
-from sqlmodel import Session, col, select
+import sqlalchemy
+from sqlmodel import Session, col, func, or_, select
 
 from calrig.store.checksums import to_json
 from calrig.store.database import Part
@@ -65,7 +66,8 @@ def append(session: Session, act: Act, now: datetime | None = None) -> TrailTabl
         detail=act.detail,
         sha256="",
     )
-    row.sha256 = _chained(FIRST if last is None else last.sha256, row)
+    said = [getattr(row, column.key) for column in _SAID]
+    row.sha256 = _chained(FIRST if last is None else last.sha256, said)
     session.add(row)
     session.flush()
     return row
@@ -85,13 +87,21 @@ class Trail(Part):
         unit: str | None = None,
         what: Sequence[What] = (),
         since: datetime | None = None,
-        after: int = 0,
+        after: int | None = None,
+        newest_first: bool = False,
         limit: int = 1000,
     ) -> list[Entry]:
-        """Entries, oldest first: of a unit, of some kinds, from a time on, after a number."""
-        wanted = select(TrailTable).where(col(TrailTable.seq) > after).order_by(col(TrailTable.seq))
+        """Entries, oldest first: of a unit, of some kinds, from a time on, after a number in this order.
+
+        Of a unit are the entries of runs that were moved away from it, too.
+        """
+        seq = col(TrailTable.seq)
+        wanted = select(TrailTable).order_by(seq.desc() if newest_first else seq)
+        if after is not None:
+            wanted = wanted.where(seq < after if newest_first else seq > after)
         if unit is not None:
-            wanted = wanted.where(TrailTable.unit == unit)
+            moved_away = func.json_extract(col(TrailTable.detail), "$.from") == unit
+            wanted = wanted.where(or_(col(TrailTable.unit) == unit, moved_away))
         if what:
             wanted = wanted.where(col(TrailTable.what).in_(what))
         if since is not None:
@@ -102,19 +112,36 @@ class Trail(Part):
     def broken_link(self) -> int | None:
         """Number of the first entry that is not what was written after the one before it; None: all are."""
         before, expected = FIRST, 1
+        columns = sqlalchemy.select(*_SAID, col(TrailTable.sha256)).order_by(col(TrailTable.seq))
         with self._database.reading() as session:
-            for row in session.exec(select(TrailTable).order_by(col(TrailTable.seq))):
-                if row.seq != expected or row.sha256 != _chained(before, row):
-                    return row.seq
-                before, expected = row.sha256, expected + 1
+            # columns, not objects of the table: twenty thousand take half the time
+            for *said, sha256 in session.connection().execute(columns):
+                if said[0] != expected or sha256 != _chained(before, said):
+                    return int(said[0])
+                before, expected = sha256, expected + 1
         return None
 
 
-def _chained(before: str, row: TrailTable) -> str:
+_SAID: tuple[Any, ...] = (
+    TrailTable.seq,
+    TrailTable.at,
+    TrailTable.who,
+    TrailTable.what,
+    TrailTable.unit,
+    TrailTable.rig,
+    TrailTable.run_id,
+    TrailTable.revision,
+    TrailTable.reason,
+    TrailTable.detail,
+)
+"""What an entry says, in the order that it is hashed in."""
+
+
+def _chained(before: str, said: Sequence[Any]) -> str:
     """SHA-256 over the entry before and all that this one says."""
-    said = (row.seq, row.at.astimezone(UTC).isoformat(timespec="microseconds"), row.who, row.what, row.unit,
-            row.rig, row.run_id, row.revision, row.reason, row.detail)  # fmt: skip
-    return hashlib.sha256(to_json([before, *said]).encode()).hexdigest()
+    seq, at, *rest = said
+    text = to_json([before, seq, at.astimezone(UTC).isoformat(timespec="microseconds"), *rest])
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _entry(row: TrailTable) -> Entry:

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from calrig.analysis.diagnoses import Diagnoses
+from calrig.analysis.acceptance import Acceptance
 from calrig.analysis.errors import Conflict
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import build_result
@@ -47,12 +47,12 @@ def diagnosed(store: Store, *effects: dict[str, Any]) -> Run:
 def test_a_difference_between_two_runs_is_not_accepted(store: Store) -> None:
     run = diagnosed(store, offset(6.0, CHANGED))
     with pytest.raises(Conflict, match="diagnose the latest alone"):
-        Diagnoses(store).accept(run.id, ["accelerometer_offset"])
+        Acceptance(store).accept(run.id, ["accelerometer_offset"])
 
 
 def test_what_was_the_same_in_all_runs_is_accepted_beside_what_changed(store: Store) -> None:
     run = diagnosed(store, offset(6.0, CHANGED), offset(2.0, None), offset(5.0, CHANGED))
-    accepted = Diagnoses(store).accept(run.id, ["accelerometer_offset"])
+    accepted = Acceptance(store).accept(run.id, ["accelerometer_offset"])
     assert accepted.diagnosis is not None
     at = [effect.get("accepted_at") is not None for effect in accepted.diagnosis["effects"]]
     assert at == [False, True, False]

@@ -6,7 +6,8 @@ from datetime import timedelta
 
 from dated_runs import at, gave, lay, ran
 
-from calrig.analysis.due_dates import DueDates, Tolerance, due_dates
+from calrig.analysis.due_dates import DueDates, due_dates
+from calrig.calibration.conformity import Limit
 from calrig.store import Store
 
 YEAR = 365.0
@@ -18,8 +19,8 @@ def steady(store: Store) -> None:
     lay(store, *((f"S{unit}", 10 * run, result, {}) for unit, run, result in results))
 
 
-def within(store: Store, tolerance: Tolerance, now_day: float = 400) -> DueDates:
-    return due_dates(store, interval_days=YEAR, tolerance_of=lambda _serial, _rig: tolerance, now=at(now_day))
+def within(store: Store, limit: Limit, now_day: float = 400) -> DueDates:
+    return due_dates(store, interval_days=YEAR, limits=[limit], now=at(now_day))
 
 
 def test_without_limits_a_unit_is_due_after_the_interval(store: Store) -> None:
@@ -35,11 +36,11 @@ def test_a_unit_that_drifts_is_due_before_it_reaches_its_limit(store: Store) -> 
     steady(store)
     for day in (0, 50, 100, 150):
         ran(store, "DRIFTS", day, 0.5 + 0.001 * day)
-    due = within(store, Tolerance(bias_deg=(0.0, 0.8))).of("DRIFTS")
+    due = within(store, Limit("AS", bias_deg=(0.0, 0.8))).of("DRIFTS")
     assert due.method == "drift"
     assert at(270) < due.due_at < at(300)
     assert due.overdue
-    assert within(store, Tolerance(bias_deg=(0.0, 9.0))).of("DRIFTS").due_at > due.due_at
+    assert within(store, Limit("AS", bias_deg=(0.0, 9.0))).of("DRIFTS").due_at > due.due_at
 
 
 def test_an_error_allowed_counts_from_the_calibration_in_force(store: Store, monkeypatch) -> None:
@@ -52,7 +53,7 @@ def test_an_error_allowed_counts_from_the_calibration_in_force(store: Store, mon
 
     InForce.document = document
     monkeypatch.setattr(store, "all_in_force", lambda _serials: [InForce])
-    due = within(store, Tolerance(max_error_deg=0.6)).of("DRIFTS")
+    due = within(store, Limit("AS", max_error_deg=0.6)).of("DRIFTS")
     assert due.method == "drift"
     assert at(100) + timedelta(days=80) < due.due_at < at(200), "60°·10⁻⁴ a day is 0.6° after 100 days"
 
@@ -61,7 +62,7 @@ def test_what_no_history_tells_is_due_after_the_interval_and_says_so(store: Stor
     steady(store)
     for day in (0, 0.1, 0.2):
         ran(store, "YOUNG", day, 0.5, std=0.05)
-    due = within(store, Tolerance(bias_deg=(0.3, 0.7))).of("YOUNG")
+    due = within(store, Limit("AS", bias_deg=(0.3, 0.7))).of("YOUNG")
     assert (due.method, due.due_at) == ("interval", at(0.2) + timedelta(days=YEAR))
     assert "does not tell yet" in due.says
 
@@ -70,7 +71,7 @@ def test_a_change_begins_a_history_anew(store: Store) -> None:
     steady(store)
     for day, bias in ((0, 0.5), (50, 0.5), (100, 0.9), (150, 0.9)):
         ran(store, "HIT", day, bias)
-    due = within(store, Tolerance(bias_deg=(0.0, 1.0))).of("HIT")
+    due = within(store, Limit("AS", bias_deg=(0.0, 1.0))).of("HIT")
     assert (due.method, due.due_at) == ("interval", at(150) + timedelta(days=YEAR))
 
 

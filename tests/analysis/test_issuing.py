@@ -10,13 +10,14 @@ from typing import Any
 
 import pytest
 
+from calrig.analysis.acceptance import Acceptance
 from calrig.analysis.amendments import Records
-from calrig.analysis.diagnoses import Diagnoses
 from calrig.analysis.errors import Conflict, Invalid
 from calrig.analysis.issuing import BROUGHT_OVER, Issuer, Releases
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import build_result
 from calrig.store import Run, Store, StoreDamagedError
+from calrig.store.errors import Refused
 from calrig.store.issued import canonical
 
 POSES = "\n".join(
@@ -46,7 +47,7 @@ class Lab:
 
     def accepts(self, run: Run, effect: dict[str, Any] = WARMTH) -> None:
         self.store.update_run(run.id, diagnosis={"effects": [effect]})
-        Diagnoses(self.store, self.issuer).accept(run.id, [effect["name"]])
+        Acceptance(self.store, self.issuer).accept(run.id, [effect["name"]])
 
     def told(self, unit: str = "A") -> list[tuple[int, str]]:
         return [(one.revision, one.status) for one in self.store.revisions(unit)]
@@ -125,7 +126,7 @@ def test_there_is_a_way_back_to_a_superseded_revision_and_none_from_a_withdrawn_
     assert lab.told() == [(2, "superseded"), (1, "in_force")]
     lab.issuer.withdraw("A", 1, by="ada", reason="wrong after all")
     assert (lab.told(), lab.store.in_force("A")) == ([(2, "superseded"), (1, "withdrawn")], None)
-    with pytest.raises(Conflict, match="revision 1 of unit 'A' is withdrawn: make a new draft instead"):
+    with pytest.raises(Refused, match="revision 1 of unit 'A' is withdrawn: make a new draft instead"):
         lab.issuer.release("A", 1, by="ada", reason="again")
     with pytest.raises(Invalid, match="a reason is needed"):
         lab.issuer.withdraw("A", 2, by="ada", reason=" ")
@@ -221,3 +222,16 @@ def test_the_store_itself_refuses_two_in_force(lab, database):
     lab.accepts(lab.imports())
     with closing(sqlite3.connect(database)) as connection, pytest.raises(sqlite3.IntegrityError):
         connection.execute("UPDATE issued_calibration SET status = 'in_force'")
+
+
+def test_a_unit_that_never_was_is_removed_once_its_run_is_moved_and_its_revision_withdrawn(lab):
+    run = lab.imports("AS-0O42")
+    lab.records.move(run.id, "AS-0042", "a letter O for a zero")
+    assert lab.store.in_force("AS-0042").run_id == run.id
+    assert lab.stale("AS-0O42") == [[f"Run {run.id} belongs to unit AS-0042 now."]]
+    with pytest.raises(Refused, match="revision 1 of unit 'AS-0O42' is in force: withdraw it first"):
+        lab.store.remove_unit("AS-0O42")
+    lab.issuer.withdraw("AS-0O42", 1, by="ada", reason="there is no such unit")
+    lab.store.remove_unit("AS-0O42")
+    assert [unit.serial for unit in lab.store.units()] == ["AS-0042"]
+    assert lab.store.trail(unit="AS-0O42")[-1].act.what == "unit_removed"

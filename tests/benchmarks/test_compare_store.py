@@ -11,7 +11,8 @@ from pydantic_core import to_json
 
 from calrig.analysis import histories
 from calrig.analysis.comparison import compared_runs, comparison
-from calrig.analysis.due_dates import Tolerance, due_dates
+from calrig.analysis.due_dates import due_dates
+from calrig.calibration.conformity import Limit
 from calrig.store import Store
 from calrig.store.tables import CalibrationTable, RunTable, UnitTable
 
@@ -75,12 +76,12 @@ def test_comparison_query(benchmark, store):
 
 def test_comparison_with_changes_and_due_dates(benchmark, store):
     """As `GET /api/compare` answers for a store it has not seen yet: aim 300 ms."""
-    tolerance = Tolerance(bias_deg=(-1.0, 30.0), scale=(0.98, 1.02))
+    limit = Limit("all", bias_deg=(-1.0, 30.0), scale=(0.98, 1.02))
 
     def answer() -> bytes:
         histories._changes.cache_clear()
         found = histories.histories(store)
-        due = due_dates(store, found, tolerance_of=lambda _serial, _rig: tolerance)
+        due = due_dates(store, found, limits=[limit])
         return to_json(comparison(found, compared_runs(store, None, found), due), inf_nan_mode="null")
 
     assert len(benchmark(answer)) > 100_000

@@ -94,6 +94,7 @@ def test_what_poses_do_not_say_is_null_not_missing():
             "covariance": None,
             "freedom": 0,
             "expanded_uncertainty_deg": None,
+            "error_expanded_uncertainty_deg": None,
             "coverage_factor": None,
             "coverage": 0.95,
             "elevation_deg": [0.0],

@@ -29,6 +29,7 @@ from schemathesis.specs.openapi.checks import (
     status_code_conformance,
 )
 
+from calrig.api import heavy
 from calrig.settings import BoardSettings, ReferenceSettings, RigSettings, StageSettings
 from calrig.simulator.launch import launch
 from tests.support import FAST, LONG, QUICK, ended, running_service, serving
@@ -155,6 +156,7 @@ class _There:
         ).raise_for_status().json()["id"]  # fmt: skip
         self._client.post(f"/api/runs/{measured}/diagnosis", json={}).raise_for_status()
         self._runs = (measured, measured, static, imported)
+        self._jobs = [""]
 
     def _measured(self, body: dict[str, Any]) -> str:
         begun = self._client.post("/api/runs", json={"unit": "A-1", **body}).raise_for_status().json()
@@ -170,6 +172,8 @@ class _There:
         if "run_id" in named:
             is_going = action in STOPS and self._rng.random() < 0.1
             named["run_id"] = self._going() if is_going else self._rng.choice(self._runs)
+        if "job_id" in named:
+            named["job_id"] = self._jobs[-1]
         if "serial" in named:
             named["serial"] = self._rng.choice(("A-1", "B/1"))
         if "index" in named:
@@ -190,7 +194,9 @@ class _There:
         return str(begun.json()["id"])
 
     def stop_what_began(self, case: Any, answer: Any) -> None:
-        """Aborts whatever runs: a plan may take days."""
+        """Aborts whatever runs: a plan may take days. A job is for the requests to come."""
+        if answer.status_code == 202:
+            self._jobs.append(answer.json()["id"])
         if case.method == "POST" and "/figures" not in case.path:
             for rig in self._client.get("/api/rigs").json():
                 if rig["run_id"] is not None:
@@ -201,6 +207,7 @@ class _There:
 @contextmanager
 def _application() -> Iterator[httpx.Client]:
     """The real application on a store of its own, with a fast simulated rig behind real ports."""
+    heavy.AT_ONCE_S = 0.0  # so that there are jobs: what is asked for here is soon done
     with ExitStack() as stack:
         folder = Path(stack.enter_context(TemporaryDirectory()))
         ports = stack.enter_context(launch(FAST))

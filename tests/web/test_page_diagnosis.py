@@ -111,6 +111,12 @@ def test_a_run_is_traced_to_backlash_and_the_effect_put_in_force(page, client, s
     expect(shown).to_contain_text("belongs to the error map of rig bench-3")  # kept with the run
     expect(shown.locator("time")).to_have_attribute("datetime", kept["accepted_at"])
     expect(page.locator("#accept-backlash")).to_have_count(0)
+    page.click("#take-back-backlash")
+    page.fill("#reason", "the cable was loose")
+    page.get_by_test_id("confirm").click()
+    expect(verdict).to_contain_text("names backlash, which has not been accepted")
+    expect(page.locator("#accept-backlash")).to_be_visible()
+    assert service.store.effects_in_force("MPU-1", "bench-1") == []
     considered = page.get_by_test_id("considered-backlash")
     considered.locator("summary").click()
     expect(considered.get_by_role("row", name="settling")).to_contain_text("worse")
