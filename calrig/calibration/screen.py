@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.candidates import Candidate
-from calrig.calibration.noise_model import PRIOR_RHO_STD, NoiseModel, Real
+from calrig.calibration.lagged_products import PRIOR_RHO_STD
+from calrig.calibration.noise_model import NoiseModel, Real
 from calrig.calibration.responses import Responses
 from calrig.estimation.angles import FloatArray
 
