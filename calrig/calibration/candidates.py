@@ -167,9 +167,14 @@ def _together(a: Candidate, b: Candidate) -> Candidate:
     return Candidate(b.effect, b.shape, np.concatenate([a.columns, b.columns], axis=2), a)
 
 
+def goes_round(r: Responses) -> bool:
+    """Whether the poses cover a turn, so that its orders mean something."""
+    return float(np.ptp(r.theta_deg)) >= LEAST_TURN_DEG
+
+
 def _series(r: Responses, shown: Sequence[Candidate]) -> list[Candidate]:
     """The first terms of the turn's series as one, so many and more: each alone may look like noise."""
-    if np.ptp(r.theta_deg) < LEAST_TURN_DEG:
+    if not goes_round(r):
         return []
     terms = (c for c in shown if c.shape.series and not c.shape.scanned)
     joined = list(accumulate(terms, _together))
