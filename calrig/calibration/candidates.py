@@ -120,8 +120,10 @@ class Candidate:
 
     def is_distinct(self, r: Responses, other: Candidate) -> bool:
         """Whether both can be in one model: in other runs, or at places that these poses tell apart."""
-        elsewhen = in_words(self.changed) != in_words(other.changed)
-        return elsewhen or self.effect.distinct(r, self.shape, other.shape)
+        one, another = self.shape.changed, other.shape.changed
+        if one is not another and in_words(one) != in_words(another):
+            return True
+        return self.effect.distinct(r, self.shape, other.shape)
 
     def rows(self, chosen: np.ndarray[tuple[int], np.dtype[np.intp]]) -> Candidate:
         """The same candidate in some of the poses."""

@@ -209,10 +209,10 @@ def pair(
         if not rest:
             continue
         screen = Screen(r, model.columns, rest, model.fitted.noise)
-        more = screen.ratios(model.fitted.residuals[None])[0]
+        more = screen.once(model.fitted.residuals)
         second = rest[_first_best(more - bic_penalty * np.array([c.parameters for c in rest]))]
         together = criterion(first, second)
-        if together < to_beat:
+        if together < to_beat - SAME:
             to_beat, best = together, (first, second)
     return best
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -57,6 +58,7 @@ def search(
     *,
     bootstraps: int,
     level: float = LEVEL,
+    decide_only: bool = False,
 ) -> Findings:
     """Finds the effects in some poses, and leaves outliers among those aside.
 
@@ -69,12 +71,15 @@ def search(
         rng: of the gate's bootstrap.
         bootstraps: how many a step.
         level: of the gate.
+        decide_only: whether no p-value will be told.
     """
+    judge = partial(gate, rng=rng, bootstraps=bootstraps, decide_only=decide_only)
     if len(r.run_ids) < 2:
-        return _beside_curves(r, candidates, rng, bootstraps, level)
+        return _beside_curves(r, candidates, judge, level)
     levels = [is_level(r, c.columns) for c in candidates]
     shapes = [c for c, of_level in zip(candidates, levels, strict=True) if not of_level]
-    within = _search(with_free_levels(r), shapes, rng, bootstraps, level / 2.0)
+    judge = partial(judge, level=level / 2.0)
+    within = _search(with_free_levels(r), shapes, judge)
     kept = within.kept
     # what a place was scanned for shows within the runs or not at all
     between = [
@@ -83,28 +88,28 @@ def search(
         if of_level or not any(member.shape.scanned for member in c.members)
     ]
     # levels that differ look like noise that wanders: what wanders within the runs is the measure of it
-    noise = _noise_beside(within)
-    whole = _search(r.rows(kept), between, rng, bootstraps, level / 2.0, within.found, noise)
+    whole = _search(r.rows(kept), between, partial(judge, noise=_noise_beside(within)), within.found)
     return replace(whole, kept=kept[whole.kept])
 
 
 def _beside_curves(
-    r: Responses, candidates: Sequence[Candidate], rng: np.random.Generator, bootstraps: int, level: float
+    r: Responses, candidates: Sequence[Candidate], judge: Callable[..., Verdict], level: float
 ) -> Findings:
     """The search of one run; where it leaves too much, once more beginning with what no curve explains.
 
     The better of the two stands, by likelihood with penalties, in the same poses.
     """
-    first = _search(r, candidates, rng, bootstraps, level)
+    first = _search(r, candidates, partial(judge, level=level))
     r = r.rows(first.kept)
     free = with_free_curve(r)
     if free is None or not leaves_more(r, first.fitted.residuals[:, 0]):
         return first
     offered = [c.rows(first.kept) for c in candidates]
     others = [c for c in offered if not is_of_the_curve(c)]
-    between = _search(free, others, rng, bootstraps, level / 2.0)
+    judge = partial(judge, level=level / 2.0)
+    between = _search(free, others, judge)
     r, curves = r.rows(between.kept), [c.rows(between.kept) for c in offered if is_of_the_curve(c)]
-    again = _search(r, curves, rng, bootstraps, level / 2.0, between.found, _noise_beside(between))
+    again = _search(r, curves, partial(judge, noise=_noise_beside(between)), between.found)
     again = _with_curves(again, [c.rows(again.kept) for c in curves], len(between.found))
     again = replace(again, kept=first.kept[between.kept][again.kept])
     return again if len(again.kept) == len(first.kept) and _criterion(again) < _criterion(first) else first
@@ -135,13 +140,10 @@ def _criterion(findings: Findings) -> float:
 def _search(
     r: Responses,
     candidates: Sequence[Candidate],
-    rng: np.random.Generator,
-    bootstraps: int,
-    level: float,
+    judge: Callable[..., Verdict],
     known: Sequence[Found] = (),
-    noise: NoiseModel | None = None,
 ) -> Findings:
-    """The search in one base, with effects in the model, and the null's noise, that are known already."""
+    """The search in one base, with effects in the model that are known already; `judge` is the gate."""
     found = list(known)
     refused: set[str] = set()
     kept = np.arange(len(r))
@@ -152,7 +154,7 @@ def _search(
             return model_columns(model.responses, [*model.accepted, *more])
 
         offered = _offered(model.responses, candidates, model.accepted, refused)
-        return gate(model.responses, columns_with, model.fitted, offered, rng, bootstraps, level, noise)
+        return judge(model.responses, columns_with, model.fitted, offered)
 
     while True:
         accepted = [f.candidate for f in found]
@@ -164,9 +166,10 @@ def _search(
             kept, r, candidates = kept[others], r.rows(others), [c.rows(others) for c in candidates]
             found = [f.rows(others) for f in found]
             continue
-        if verdict.p_value > level or _is_full(accepted, len(known)):
-            least = 1.0 / (bootstraps + 1)
-            return Findings(r, kept, tuple(found), model.fitted, model.columns, verdict.p_value, least)
+        if not verdict.passes or _is_full(accepted, len(known)):
+            return Findings(
+                r, kept, tuple(found), model.fitted, model.columns, verdict.p_value, verdict.least_p_value
+            )
         step = named(r, accepted, verdict.candidates, verdict.ratios, verdict.p_value)
         if not is_worth_a_name(r, accepted, step):
             refused.add(step.candidate.label)
@@ -184,9 +187,9 @@ def _search(
             two = pair(r, accepted, verdict.candidates, verdict.ratios, step)
         if two is not None:
             first, second = two
-            p_value = judged(fitted_model(r, [*accepted, first])).p_value
-            if p_value <= level:
-                beside = replace(step, candidate=second, rivals=(), p_value=p_value)
+            of_second = judged(fitted_model(r, [*accepted, first]))
+            if of_second.passes:
+                beside = replace(step, candidate=second, rivals=(), p_value=of_second.p_value)
                 steps = [replace(step, candidate=first, rivals=()), beside]
         entered = _reconsidered(r, candidates, [*found, *steps], len(known))
         entered = on_their_places(r, candidates, entered)
@@ -268,7 +271,7 @@ def _reconsidered(
             offered = [c for c in offered if c.named]
         model = fitted_model(r, others)
         screen = Screen(r, model.columns, offered, model.fitted.noise)
-        ratios = screen.ratios(model.fitted.residuals[None])[0]
+        ratios = screen.once(model.fitted.residuals)
         again = named(r, others, offered, ratios, one.p_value, one.candidate)
         place = next(k for k, f in enumerate(found) if f is one)
         found[place : place + 1] = [replace(again, candidate=member) for member in again.candidate.members]

@@ -22,7 +22,7 @@ from calrig.calibration.model import model_columns, own_columns, replaced, side_
 from calrig.calibration.noise_model import Fit, fit, fits
 from calrig.calibration.responses import ANGLE, MOVE, NORM, READING, SCALE_UNIT_DEG, Responses
 from calrig.calibration.run_changes import since
-from calrig.calibration.sensor_vector import TURNS_THE_SENSOR, VectorError, turned_vector
+from calrig.calibration.sensor_vector import TURNS_THE_SENSOR, VectorError, sin_cos, turned_vector
 from calrig.estimation.angles import FloatArray
 
 STEPS = 8
@@ -170,7 +170,9 @@ class _Curve:
 
     def is_possible(self, beta: FloatArray) -> bool:
         """Whether what is left of the vector still says where the sensor points."""
-        return all(bool((np.abs(error) < LARGEST_G).all()) for error in self._error(beta))
+        return all(
+            bool((np.abs(error) < LARGEST_G).all()) for error in self._error(beta, self._felt_deg(beta))
+        )
 
     def of_effects(self, beta: FloatArray) -> FloatArray:
         """(n, J) all effects together."""
@@ -199,21 +201,28 @@ class _Curve:
         )
         return replace(self._r, values=values, base=base), accepted
 
-    def _error(self, beta: FloatArray) -> VectorError:
-        felt_deg = self._felt_deg(beta)
+    def _error(self, beta: FloatArray, felt_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(n,) of a_y and a_z, all effects together."""
         error_y, error_z = np.zeros((2, len(self._r)))
-        given = Circumstances(temperature_c=self._r.temperature_c)
         for member, at in self._on_axes:
-            # of what ended the coefficients are those of the runs before, less
-            own = -beta[at] if member.changed is not None and member.changed.ended else beta[at]
-            values = dict(zip(member.shape.parameters, own.tolist(), strict=True))
-            parameters = {**values, **member.shape.at}
-            applied = Applied(member.name, parameters, self._r.theta_deg, given, felt_deg)
-            assert member.effect.on_vector_g is not None  # noqa: S101 (so they were chosen)
-            more_y, more_z = member.effect.on_vector_g(applied)
-            there = 1.0 if member.changed is None else np.abs(since(self._r, member.changed))
-            error_y, error_z = error_y + there * more_y, error_z + there * more_z
+            more_y, more_z = self._error_of(member, beta[at], felt_deg)
+            error_y, error_z = error_y + more_y, error_z + more_z
         return error_y, error_z
+
+    def _error_of(self, member: Candidate, own: FloatArray, felt_deg: FloatArray) -> VectorError:
+        """What one effect adds, by its own coefficients."""
+        changed = member.changed
+        # of what ended the coefficients are those of the runs before, less
+        signed = -own if changed is not None and changed.ended else own
+        parameters = {**dict(zip(member.shape.parameters, signed.tolist(), strict=True)), **member.shape.at}
+        given = Circumstances(temperature_c=self._r.temperature_c)
+        applied = Applied(member.name, parameters, self._r.theta_deg, given, felt_deg)
+        assert member.effect.on_vector_g is not None  # noqa: S101 (so they were chosen)
+        error_y, error_z = member.effect.on_vector_g(applied)
+        if changed is None:
+            return error_y, error_z
+        there = np.abs(since(self._r, changed))
+        return there * error_y, there * error_z
 
     def _felt_deg(self, beta: FloatArray) -> FloatArray:
         return np.asarray(self._r.theta_deg + self._felt @ beta)
@@ -235,21 +244,43 @@ class _Curve:
         """(n, J) what the effects on the sensor's axes do together."""
         if not self._on_axes:
             return np.zeros_like(self._r.values)
-        turn_deg, length = turned_vector(self._felt_deg(beta), self._error(beta))
+        felt_deg = self._felt_deg(beta)
+        turn_deg, length = turned_vector(felt_deg, self._error(beta, felt_deg))
         size = 1.0 + self._size @ beta
         return self._r.columns({READING: turn_deg, ANGLE: turn_deg, NORM: size * (length - 1.0)})[:, :, 0]
 
     def _slope(self, beta: FloatArray) -> FloatArray:
-        """(n, J, p) its derivative, by central differences."""
-        slope = np.zeros_like(self._straight)
-        matters = range(len(beta)) if self._on_axes else ()
-        matters = [k for k in matters if self._felt[:, k].any() or self._size[:, k].any()]
+        """(n, J, p) its derivative by the chain rule, of the errors by central differences."""
+        felt_deg, size = self._felt_deg(beta), 1.0 + self._size @ beta
+        s, c = sin_cos(felt_deg)
+        y, z = self._error(beta, felt_deg)
+        across, along = y * c - z * s, 1.0 + y * s + z * c
+        length = np.hypot(across, along)
+
+        def follow(more: VectorError, less: VectorError, step: float) -> tuple[FloatArray, FloatArray]:
+            """What angle (°) and length do for a change of the error."""
+            by_y, by_z = ((a - b) / (2.0 * step) for a, b in zip(more, less, strict=True))
+            more_across, more_along = by_y * c - by_z * s, by_y * s + by_z * c
+            turned = (more_across * along - across * more_along) / length**2
+            return np.degrees(turned), (across * more_across + along * more_along) / length
+
+        turn, longer = follow(self._error(beta, felt_deg + STEP), self._error(beta, felt_deg - STEP), STEP)
+        turn += along / length**2 - 1.0
+        longer += np.radians(across / length)
+        turns = turn[:, None] * self._felt
+        lengths = (size * longer)[:, None] * self._felt + (length - 1.0)[:, None] * self._size
         largest = np.abs(model_columns(self._r, self._accepted)).max(axis=(0, 1))
-        for k in [*matters, *(k for _, at in self._on_axes for k in range(at.start, at.stop))]:
-            change = np.zeros(len(beta))
-            change[k] = STEP / (largest[k] or 1.0)
-            more, less = self._on_axes_of(beta + change), self._on_axes_of(beta - change)
-            slope[:, :, k] = (more - less) / (2.0 * change[k])
+        for member, at in self._on_axes:
+            for k in range(at.start, at.stop):
+                change = np.zeros(len(beta))
+                change[k] = STEP / (largest[k] or 1.0)
+                more, less = (
+                    self._error_of(member, (beta + side)[at], felt_deg) for side in (change, -change)
+                )
+                turned, lengthened = follow(more, less, change[k])
+                turns[:, k] += turned
+                lengths[:, k] += size * lengthened
+        slope = self._r.columns({READING: turns, ANGLE: turns, NORM: lengths})
         if self._gain_at is not None:
             base, move = len(self._names), self._r.channels.index(MOVE)
             slope[:, move, base:] += beta[self._gain_at] / SCALE_UNIT_DEG * self._moves()[:, base:]
