@@ -14,7 +14,7 @@ from calrig.calibration.candidates import Candidate, goes_round
 from calrig.calibration.effect import HIDDEN
 from calrig.calibration.gate import Verdict, gate
 from calrig.calibration.model import model_columns
-from calrig.calibration.noise_model import Fit, NoiseModel, noise_of
+from calrig.calibration.noise_model import STRONG_RHO, Fit, NoiseModel, noise_of
 from calrig.calibration.outliers import most_outliers, outlier
 from calrig.calibration.ranking import COMPANION_MARGIN, Found, named, pair
 from calrig.calibration.responses import READING, Responses
@@ -156,6 +156,23 @@ def _search(
         offered = _offered(model.responses, candidates, model.accepted, refused)
         return judge(model.responses, columns_with, model.fitted, offered)
 
+    def hidden(model: Model, verdict: Verdict) -> list[Found]:
+        """Two effects of which each alone leaves the other, that looks like noise which wanders.
+
+        The best enters on trial; both stay where each passes the gate beside the other.
+        """
+        if model.fitted.noise.rho.max() < STRONG_RHO or not verdict.candidates:
+            return []
+        first = named(r, model.accepted, verdict.candidates, verdict.ratios, verdict.p_value)
+        of_second = judged(fitted_model(r, [*model.accepted, first.candidate]))
+        if not of_second.passes:
+            return []
+        beside = [*model.accepted, first.candidate]
+        second = named(r, beside, of_second.candidates, of_second.ratios, of_second.p_value)
+        of_first = judged(fitted_model(r, [*model.accepted, second.candidate]))
+        worth = is_worth_a_name(r, beside, second)
+        return [replace(first, p_value=of_first.p_value), second] if of_first.passes and worth else []
+
     while True:
         accepted = [f.candidate for f in found]
         model = fitted_model(r, accepted)
@@ -166,7 +183,15 @@ def _search(
             kept, r, candidates = kept[others], r.rows(others), [c.rows(others) for c in candidates]
             found = [f.rows(others) for f in found]
             continue
-        if not verdict.passes or _is_full(accepted, len(known)):
+        full = _is_full(accepted, len(known))
+        both = [] if verdict.passes or full else hidden(model, verdict)
+        if both:
+            steps = [replace(one, candidate=member) for one in both for member in one.candidate.members]
+            found = _reconsidered(r, candidates, [*found, *steps], len(known))
+            found, dropped = parted(r, on_their_places(r, candidates, found), len(known))
+            refused.update(dropped)
+            continue
+        if not verdict.passes or full:
             return Findings(
                 r, kept, tuple(found), model.fitted, model.columns, verdict.p_value, verdict.least_p_value
             )
