@@ -58,7 +58,7 @@ def leaves_more(r: Responses, residual_deg: FloatArray) -> bool:
         residual_deg: (n,) of their readings.
     """
     free = with_free_curve(r)
-    if free is None:
+    if free is None or r.starts.all():
         return False
     base = free.base[:, 0, :]
     beside = r.values[:, 0] - base @ np.linalg.lstsq(base, r.values[:, 0], rcond=None)[0]

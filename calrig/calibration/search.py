@@ -211,6 +211,13 @@ def _says_no_more(step: Found, offered: Sequence[Candidate]) -> bool:
     return any(behind.get(member.label, np.inf) < margin for member in step.candidate.members)
 
 
+def _is_on_trial(candidate: Candidate) -> bool:
+    """Whether it is a pair of which one was chosen among places that differ from one to the next."""
+    return len(candidate.members) > 1 and any(
+        m.shape.scanned and m.shape.place_cost > 1 for m in candidate.members
+    )
+
+
 def _is_full(accepted: Sequence[Candidate], known: int) -> bool:
     """Whether the model has as many effects, but the first known ones, as a run is searched for."""
     if len(accepted) == known:
@@ -260,13 +267,13 @@ def _reconsidered(
 ) -> list[Found]:
     """Each effect but the first known ones against its rivals once more, with all the others in the model.
 
-    It does not bring a companion with it: that would enter unjudged.
+    It does not bring a companion with it that was looked for at many instants: that would enter unjudged.
     """
     if len(found) == known + 1:
         return found
     for one in found[known:]:
         others = [f.candidate for f in found if f is not one]
-        offered = [c for c in _offered(r, candidates, others, set()) if c.beside is None or c.shape.series]
+        offered = [c for c in _offered(r, candidates, others, set()) if not _is_on_trial(c)]
         if one.candidate.shape.series and not curves:  # they take a little from every term of a turn
             offered = [c for c in offered if c.named]
         model = fitted_model(r, others)
