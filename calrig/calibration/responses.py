@@ -71,7 +71,7 @@ class Change:
     ended: bool = False
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Responses:
     """n poses with J responses ("channels"), and the covariates that effects are functions of.
 

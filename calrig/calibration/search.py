@@ -208,7 +208,7 @@ def _offered(
             return False
         if c.label in once or not (c.follows is None or c.follows in present):
             return False
-        return all(c.is_distinct(r, other) for other in accepted)
+        return c.effect.distinct is None or all(c.is_distinct(r, other) for other in accepted)
 
     return [c for c in candidates if c.label not in refused and may_enter(c)]
 
