@@ -159,6 +159,8 @@ class _Curve:
     def _placed(self) -> tuple[FloatArray, FloatArray]:
         """(n, p) what turns the sensor itself, degrees, and what its vector is longer by, g."""
         felt, size = np.zeros((2, len(self._r), self._straight.shape[2]))
+        if not self.bends:
+            return felt, size
         bound = [k for k, name in enumerate(self._names) if not name.endswith(".first")]
         turns = [
             at
