@@ -18,8 +18,9 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from calrig.calibration.channels import BoolArray
 from calrig.calibration.lagged_products import LARGEST_RHO, SMALLEST_RHO, lagged_products
-from calrig.calibration.responses import BoolArray, Responses
+from calrig.calibration.responses import Responses
 from calrig.estimation.angles import FloatArray
 
 ITERATIONS = 4

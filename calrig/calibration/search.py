@@ -11,13 +11,14 @@ import numpy.typing as npt
 
 from calrig.calibration.backward import parted, tenable
 from calrig.calibration.candidates import Candidate
+from calrig.calibration.channels import READING
 from calrig.calibration.effect import HIDDEN
 from calrig.calibration.gate import Verdict, gate
 from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import Fit, fit, noise_of
 from calrig.calibration.outliers import most_outliers, outlier
 from calrig.calibration.ranking import Found, named, pair
-from calrig.calibration.responses import READING, Responses
+from calrig.calibration.responses import Responses
 from calrig.calibration.run_changes import is_level, with_free_levels
 from calrig.calibration.screen import Screen
 from calrig.calibration.sensor_model import Model, fitted_model

@@ -15,10 +15,11 @@ from functools import lru_cache
 import numpy as np
 
 from calrig.calibration.candidates import Candidate
+from calrig.calibration.channels import ANGLE, NORM, READING
 from calrig.calibration.effect import Applied, Circumstances
 from calrig.calibration.model import model_columns, own_columns, replaced, side_by_side
 from calrig.calibration.noise_model import Fit, fit, fits
-from calrig.calibration.responses import ANGLE, NORM, READING, Responses
+from calrig.calibration.responses import Responses
 from calrig.calibration.run_changes import since
 from calrig.calibration.sensor_vector import TURNS_THE_SENSOR, VectorError, sin_cos, turned_vector
 from calrig.estimation.angles import FloatArray
