@@ -233,7 +233,7 @@ class Effect:
         place: the parameter among the scanned ones that the likelihood refines between them.
         settled: the places to take for those refined, by their standard errors: a value that is known.
         look_alikes: places that these poses may not tell from a shape's, the likeliest first.
-        distinct: whether two shapes at different places can both be in one model of these poses.
+        distinct: whether two shapes at different places can both be in one model of these poses; else always.
         reported: a document's parameters from coefficients and their covariance.
         evidence: sentences about a shape in these poses.
         possible: whether coefficients are any that the physics allows.
@@ -259,7 +259,7 @@ class Effect:
     place: str = ""
     settled: Callable[[Parameters, Parameters], Parameters] = lambda at, _std: at
     look_alikes: Callable[[Responses, Shape], Iterator[Parameters]] = lambda _r, _shape: iter(())
-    distinct: Callable[[Responses, Shape, Shape], bool] = lambda _r, _shape, _other: True
+    distinct: Callable[[Responses, Shape, Shape], bool] | None = None
     reported: Callable[[Shape, FloatArray, FloatArray], Documents] = linear
     evidence: Callable[[Responses, Shape], list[str]] = lambda _r, _shape: []
     possible: Callable[[Shape, FloatArray], bool] = lambda _shape, _beta: True

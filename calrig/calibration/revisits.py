@@ -11,11 +11,12 @@ from dataclasses import replace
 import numpy as np
 
 from calrig.calibration.candidates import Candidate
+from calrig.calibration.channels import ANGLE, READING
 from calrig.calibration.column_units import TIMES
 from calrig.calibration.effect import APPROACH, ELEVATION
 from calrig.calibration.effects.unnamed import MORE_KNOTS, POSES_A_KNOT, natural_spline
 from calrig.calibration.lack_of_fit import SEVERAL
-from calrig.calibration.responses import ANGLE, READING, Responses
+from calrig.calibration.responses import Responses
 from calrig.estimation.angles import FloatArray
 
 

@@ -11,13 +11,14 @@ import numpy.typing as npt
 
 from calrig.calibration.backward import parted, tenable
 from calrig.calibration.candidates import Candidate, goes_round
+from calrig.calibration.channels import READING
 from calrig.calibration.effect import HIDDEN
 from calrig.calibration.gate import Verdict, gate
 from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import Fit, NoiseModel, noise_of
 from calrig.calibration.outliers import most_outliers, outlier
 from calrig.calibration.ranking import COMPANION_MARGIN, Found, named, pair
-from calrig.calibration.responses import READING, Responses
+from calrig.calibration.responses import Responses
 from calrig.calibration.revisits import is_of_the_curve, leaves_more, with_free_curve
 from calrig.calibration.run_changes import is_level, with_free_levels
 from calrig.calibration.screen import Screen
@@ -252,7 +253,7 @@ def _offered(
             return False
         if c.label in once or not (c.follows is None or c.follows in present):
             return False
-        return all(c.is_distinct(r, other) for other in accepted)
+        return c.effect.distinct is None or all(c.is_distinct(r, other) for other in accepted)
 
     return [c for c in candidates if c.label not in refused and may_enter(c)]
 

@@ -13,14 +13,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
 from calrig.calibration.candidates import Candidate
+from calrig.calibration.channels import ANGLE, MOVE, NORM, READING, SCALE_UNIT_DEG
 from calrig.calibration.effect import Applied, Circumstances
 from calrig.calibration.model import model_columns, own_columns, replaced, side_by_side
 from calrig.calibration.noise_model import Fit, fit, fits
-from calrig.calibration.responses import ANGLE, MOVE, NORM, READING, SCALE_UNIT_DEG, Responses
+from calrig.calibration.responses import Responses
 from calrig.calibration.run_changes import since
 from calrig.calibration.sensor_vector import TURNS_THE_SENSOR, VectorError, sin_cos, turned_vector
 from calrig.estimation.angles import FloatArray
@@ -31,6 +33,8 @@ NEGLIGIBLE = 0.03
 LARGEST_G = 0.5
 """Of an axis' error; a vector with more says nothing of the angle, and the fit stays linear."""
 GAIN = f"{MOVE}.gain"
+KEPT = 8
+"""Models that a search may ask for again."""
 STEP = 1e-3
 """By which a parameter changes the reading (°) or |accelerometer| (g) to see what it does there."""
 
@@ -50,19 +54,23 @@ class Model:
     fitted: Fit
 
 
-def fitted_model(r: Responses, accepted: Sequence[Candidate], start: FloatArray | None = None) -> Model:
+def fitted_model(r: Responses, accepted: Sequence[Candidate]) -> Model:
     """Fits bias, scale and effects, those on the sensor's axes through atan2.
 
     Args:
         r: the responses as measured.
         accepted: the effects, their columns linear about none.
-        start: (p,) coefficients to begin from; without them the linear fit's.
 
     Returns:
         The linear fit where nothing in the model bends by more than the noise shows, or it cannot be bent.
     """
+    return _fitted_model(r, tuple(accepted))
+
+
+@lru_cache(maxsize=KEPT)
+def _fitted_model(r: Responses, accepted: tuple[Candidate, ...]) -> Model:
     curve = _Curve(r, accepted)
-    step = _fitted(r, tuple(accepted)) if start is None else _fitted(*curve.straightened(start))
+    straight = step = _fitted(r, accepted)
     for _ in range(STEPS):
         beta = step.fitted.beta
         if curve.is_near(beta, step.fitted.residuals):
@@ -70,7 +78,7 @@ def fitted_model(r: Responses, accepted: Sequence[Candidate], start: FloatArray 
         if not curve.is_possible(beta):
             break
         step = _fitted(*curve.straightened(beta))
-    return _fitted(r, tuple(accepted))
+    return straight
 
 
 def fitted_beside(
@@ -78,20 +86,30 @@ def fitted_beside(
 ) -> list[tuple[float, FloatArray]]:
     """Criterion and own coefficients of each of several candidates beside the accepted effects.
 
-    All are fitted at once, linear about what is accepted; once more those that bend.
+    All are fitted at once, linear about what is accepted; once more, and again, those that bend.
     """
     at = fitted_model(r, accepted)
-    columns = side_by_side([model_columns(at.responses, [*at.accepted, c]) for c in shortlist])
-    fitted = fits(r, np.repeat(at.responses.values[None], len(shortlist), axis=0), columns)
-    found = []
-    for k, candidate in enumerate(shortlist):
-        curve = _Curve(r, [*accepted, candidate])
-        beta, criterion = fitted.beta[k, : curve.width], float(fitted.criterion[k])
-        if not curve.is_near(beta, fitted.residuals[k]) and curve.is_possible(beta):
-            bent = fitted_model(r, [*accepted, candidate], beta).fitted
-            beta, criterion = bent.beta, bent.criterion
-        found.append((criterion, beta[curve.own[-1]]))
-    return found
+    curves = [_Curve(r, [*accepted, candidate]) for candidate in shortlist]
+    steps = [(at.responses, (*at.accepted, candidate)) for candidate in shortlist]
+    found = [(np.inf, np.empty(0))] * len(shortlist)
+    bent = list(range(len(shortlist)))
+    for _ in range(1 + STEPS):
+        values = np.stack([straight.values for straight, _ in steps])
+        fitted = fits(r, values, side_by_side([model_columns(*step) for step in steps]))
+        open_yet = []
+        for place, k in enumerate(bent):
+            beta = fitted.beta[place, : curves[k].width]
+            found[k] = float(fitted.criterion[place]), beta
+            if not curves[k].is_near(beta, fitted.residuals[place]) and curves[k].is_possible(beta):
+                open_yet.append(k)
+        bent = open_yet
+        if not bent:
+            break
+        steps = [curves[k].straightened(found[k][1]) for k in bent]
+    for k in bent:  # it does not come to rest: the linear fit
+        linear = fit(r, model_columns(r, [*accepted, shortlist[k]]))
+        found[k] = linear.criterion, linear.beta
+    return [(criterion, beta[curve.own[-1]]) for (criterion, beta), curve in zip(found, curves, strict=True)]
 
 
 def linear_about(
@@ -148,6 +166,8 @@ class _Curve:
     def _placed(self) -> tuple[FloatArray, FloatArray]:
         """(n, p) what turns the sensor itself, degrees, and what its vector is longer by, g."""
         felt, size = np.zeros((2, len(self._r), self._straight.shape[2]))
+        if not self._on_axes:
+            return felt, size
         bound = [k for k, name in enumerate(self._names) if not name.endswith(".first")]
         turns = [
             at

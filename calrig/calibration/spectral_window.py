@@ -20,7 +20,7 @@ FINER = 4
 
 def spectral_window(theta_deg: FloatArray, highest: float) -> tuple[FloatArray, FloatArray]:
     """Frequencies (m,) in cycles per degree from 0 to the highest, and the window's power (m,), 1 at 0."""
-    return _of_angles(theta_deg.tobytes(), highest)
+    return _of_angles(theta_deg.astype(np.float64).tobytes(), highest)
 
 
 @lru_cache(maxsize=8)
