@@ -4,9 +4,6 @@ To first order an offset of 80 mg is wrong by 0.18°, by another 0.06° where th
 by 0.14° beside a gain of 3 %. Gauss and Newton's iteration (Björck, Numerical Methods for Least Squares
 Problems, 1996, section 9.2): columns linear about the parameters found, and responses less what is not linear
 there, so that search, ranking and report go on with a linear fit.
-
-What else is not linear is what the gyro feels: its own gain, of a few per cent, acts on the moves that
-effects add as well as on those commanded, and a slip of 20° is felt as one of 20.1°.
 """
 
 from __future__ import annotations
@@ -18,8 +15,9 @@ from functools import lru_cache
 import numpy as np
 
 from calrig.calibration.candidates import Candidate
-from calrig.calibration.channels import ANGLE, MOVE, NORM, READING, SCALE_UNIT_DEG
+from calrig.calibration.channels import ANGLE, NORM, READING
 from calrig.calibration.effect import Applied, Circumstances
+from calrig.calibration.felt_moves import FeltMoves
 from calrig.calibration.model import model_columns, own_columns, replaced, side_by_side
 from calrig.calibration.noise_model import Fit, fit, fits
 from calrig.calibration.responses import Responses
@@ -32,7 +30,6 @@ NEGLIGIBLE = 0.03
 """Of a channel's residuals: what is less than that from being linear is as good as linear."""
 LARGEST_G = 0.5
 """Of an axis' error; a vector with more says nothing of the angle, and the fit stays linear."""
-GAIN = f"{MOVE}.gain"
 KEPT = 8
 """Models that a search may ask for again."""
 STEP = 1e-3
@@ -159,9 +156,8 @@ class _Curve:
         self.width = self._straight.shape[2]
         for _, at in self._on_axes:
             self._straight[:, :, at] = 0.0
-        self._gain_at = self._names.index(GAIN) if GAIN in self._names else None
-        felt_moves = self._gain_at is not None and bool(self._moves()[:, len(self._names) :].any())
-        self.bends = bool(self._on_axes) or felt_moves
+        self._moves = FeltMoves(self._straight, self._names, r.channels)
+        self.bends = bool(self._on_axes) or self._moves.bends
 
     def _placed(self) -> tuple[FloatArray, FloatArray]:
         """(n, p) what turns the sensor itself, degrees, and what its vector is longer by, g."""
@@ -201,7 +197,7 @@ class _Curve:
 
     def _bent(self, beta: FloatArray) -> FloatArray:
         """(n, J) what is not linear in the coefficients."""
-        return self._on_axes_of(beta) + self._over_felt(beta)
+        return self._on_axes_of(beta) + self._moves.over(beta)
 
     def residuals(self, beta: FloatArray) -> FloatArray:
         """(n, J) what the model leaves of the measured responses."""
@@ -247,19 +243,6 @@ class _Curve:
     def _felt_deg(self, beta: FloatArray) -> FloatArray:
         return np.asarray(self._r.theta_deg + self._felt @ beta)
 
-    def _moves(self) -> FloatArray:
-        """(n, p) what the gyro's response is made of, as it were without an error of its own."""
-        return self._straight[:, self._r.channels.index(MOVE)]
-
-    def _over_felt(self, beta: FloatArray) -> FloatArray:
-        """(n, J) what the gyro's own gain makes of the moves that effects add to the commanded ones."""
-        over = np.zeros_like(self._r.values)
-        if self._gain_at is not None:
-            base = len(self._names)
-            added_deg = self._moves()[:, base:] @ beta[base:]
-            over[:, self._r.channels.index(MOVE)] = beta[self._gain_at] / SCALE_UNIT_DEG * added_deg
-        return over
-
     def _on_axes_of(self, beta: FloatArray) -> FloatArray:
         """(n, J) what the effects on the sensor's axes do together."""
         if not self._on_axes:
@@ -300,9 +283,4 @@ class _Curve:
                 turned, lengthened = follow(more, less, change[k])
                 turns[:, k] += turned
                 lengths[:, k] += size * lengthened
-        slope = self._r.columns({READING: turns, ANGLE: turns, NORM: lengths})
-        if self._gain_at is not None:
-            base, move = len(self._names), self._r.channels.index(MOVE)
-            slope[:, move, base:] += beta[self._gain_at] / SCALE_UNIT_DEG * self._moves()[:, base:]
-            slope[:, move, self._gain_at] += self._moves()[:, base:] @ beta[base:] / SCALE_UNIT_DEG
-        return slope
+        return self._r.columns({READING: turns, ANGLE: turns, NORM: lengths}) + self._moves.slope(beta)
