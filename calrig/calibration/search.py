@@ -107,7 +107,12 @@ def _search(
     judge: Callable[..., Verdict],
     known: Sequence[Found] = (),
 ) -> Findings:
-    """The search in one base, with effects in the model that are known already; `judge` is the gate."""
+    """The search in one base, with effects in the model that are known already; `judge` is the gate.
+
+    Round by round: the model is fitted and the best of all candidates judged; a pose gone wrong is left out,
+    or the search ends; what passed is named, enters, and is held against its rivals with all the others; what
+    cannot be, or is not needed any more, leaves.
+    """
     found = list(known)
     refused: set[str] = set()
     kept = np.arange(len(r))
@@ -131,37 +136,53 @@ def _search(
             found = [f.rows(others) for f in found]
             continue
         if not verdict.passes or _is_full(accepted, len(known)):
-            return Findings(
-                r, kept, tuple(found), model.fitted, model.columns, verdict.p_value, verdict.least_p_value
-            )
-        step = named(r, accepted, verdict.candidates, verdict.ratios, verdict.p_value)
-        if not _is_worth_a_name(r, accepted, step):
-            refused.add(step.candidate.label)
+            p_values = verdict.p_value, verdict.least_p_value
+            return Findings(r, kept, tuple(found), model.fitted, model.columns, *p_values)
+        best = named(r, accepted, verdict.candidates, verdict.ratios, verdict.p_value)
+        if not _is_worth_a_name(r, accepted, best):
+            refused.add(best.candidate.label)
             continue
-        if step.candidate.beside is not None and _says_no_more(step, verdict.candidates):
-            single = [k for k, c in enumerate(verdict.candidates) if c.beside is None]
-            offered = [verdict.candidates[k] for k in single]
-            step = named(r, accepted, offered, verdict.ratios[single], verdict.p_value)
-        members: Sequence[Candidate] = needed_changes(r, accepted, step.candidate)
-        if step.candidate.shape.series:
-            members = needed(r, accepted, members)
-        steps = [replace(step, candidate=member) for member in members]
-        two = None
-        if step.candidate.beside is None:
-            two = pair(r, accepted, verdict.candidates, verdict.ratios, step)
-        if two is not None:
-            first, second = two
-            of_second = judged(fitted_model(r, [*accepted, first]))
-            if of_second.passes:
-                beside = replace(step, candidate=second, rivals=(), p_value=of_second.p_value)
-                steps = [replace(step, candidate=first, rivals=()), beside]
-        entered = _reconsidered(r, candidates, [*found, *steps], len(known))
+        best = _plain(r, accepted, best, verdict)
+        entering = _entering(r, accepted, best, verdict, judged)
+        entered = _reconsidered(r, candidates, [*found, *entering], len(known))
         entered = on_their_places(r, candidates, entered)
         if found and not tenable(r, [f.candidate for f in entered]):
-            refused.add(step.candidate.label)
+            refused.add(best.candidate.label)
             continue
         found, dropped = parted(r, entered, len(known))
         refused.update(dropped)
+
+
+def _entering(
+    r: Responses,
+    accepted: Sequence[Candidate],
+    best: Found,
+    verdict: Verdict,
+    judged: Callable[[Model], Verdict],
+) -> list[Found]:
+    """The best candidate's effects, of a series those needed; or two that together explain far more.
+
+    Of these the second has to pass beside the first.
+    """
+    if best.candidate.beside is None:
+        two = pair(r, accepted, verdict.candidates, verdict.ratios, best)
+        of_second = two and judged(fitted_model(r, [*accepted, two[0]]))
+        if two and of_second and of_second.passes:
+            second = replace(best, candidate=two[1], rivals=(), p_value=of_second.p_value)
+            return [replace(best, candidate=two[0], rivals=()), second]
+    members: Sequence[Candidate] = needed_changes(r, accepted, best.candidate)
+    if best.candidate.shape.series:
+        members = needed(r, accepted, members)
+    return [replace(best, candidate=member) for member in members]
+
+
+def _plain(r: Responses, accepted: Sequence[Candidate], best: Found, verdict: Verdict) -> Found:
+    """The best candidate; of several effects offered as one, one alone where that says as much."""
+    if best.candidate.beside is None or not _says_no_more(best, verdict.candidates):
+        return best
+    single = [k for k, c in enumerate(verdict.candidates) if c.beside is None]
+    offered = [verdict.candidates[k] for k in single]
+    return named(r, accepted, offered, verdict.ratios[single], verdict.p_value)
 
 
 def _says_no_more(step: Found, offered: Sequence[Candidate]) -> bool:
