@@ -37,12 +37,13 @@ QUANTILE, UNNAMED_QUANTILE = 0.98, 0.995
 than a shape that has none, and four times as much of the error rate is spent on it. So a scan of a hundred
 instants does not raise the bar for an effect of one parameter.
 """
-FIRST_DRAWS = 49
+FIRST_DRAWS, MORE_DRAWS = 24, 49
 FEWEST_DRAWS = 99
 CLEAR_SHARE = 5
-CLEAR = 10.0
+CLEAR, CLEAR_AT_FIRST = 10.0, 15.0
 """Of −2 log likelihood, beyond the largest of a fifth of all draws: the rest would not reach it either. Nor
-would one in a hundred, where 49 were drawn: a χ² of one degree of freedom falls by a factor of 150 over it.
+would one in a hundred where few were drawn: over 10 a χ² of one degree of freedom falls by a factor of 150 or
+more, over 15 by one of 1,800.
 """
 Intp = npt.NDArray[np.intp]
 
@@ -101,14 +102,14 @@ def gate(
     observed, alternative = trial.observed(ratios)
     null = np.empty((0, len(observed)))
     clear_after = max(FEWEST_DRAWS, round(1.0 / level) - 1, bootstraps // CLEAR_SHARE)
-    clear_after = FIRST_DRAWS if decide_only else clear_after
-    steps = (FIRST_DRAWS, clear_after, 2 * clear_after, bootstraps)
+    steps = (FIRST_DRAWS, MORE_DRAWS, clear_after, 2 * clear_after, bootstraps)
     for draws in sorted({min(step, bootstraps) for step in steps}):
         values = _resampled(r, alternative, noise, rng, draws - len(null))
         null = np.concatenate([null, trial.gains_of_noise(values)])
         best, of_noise = _above_bars(trial.labels, observed, null)
         exceeded = int((of_noise >= best).sum())
-        is_clear = draws >= clear_after and best > of_noise.max() + CLEAR
+        margin = CLEAR if draws > FIRST_DRAWS else CLEAR_AT_FIRST
+        is_clear = (decide_only or draws >= clear_after) and best > of_noise.max() + margin
         if is_clear or exceeded >= level * (bootstraps + 1):
             break
     p_value = (1 + exceeded) / (1 + len(null))
