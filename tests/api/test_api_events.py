@@ -88,7 +88,10 @@ def test_a_stream_cut_and_resumed_while_the_run_goes_on_misses_nothing(client):
     assert seen == read(client, run_id)
 
 
-def test_many_watchers_of_one_run_all_see_the_same(client):
+def test_many_watchers_of_one_run_all_see_the_same_and_are_woken_by_one_call(service, client, monkeypatch):
+    subscribed: list = []
+    subscribe = service.bus.subscribe
+    monkeypatch.setattr(service.bus, "subscribe", lambda *of: subscribed.append(of) or subscribe(*of))
     run_id = start(client)
     logs: list[list] = []
     watchers = [threading.Thread(target=lambda: logs.append(read(client, run_id))) for _ in range(5)]
@@ -98,6 +101,7 @@ def test_many_watchers_of_one_run_all_see_the_same(client):
         watcher.join(60)
     assert len(logs) == 5
     assert all(log == logs[0] for log in logs)
+    assert len(subscribed) < 5
 
 
 @pytest.mark.parametrize("header", ["abc", "-1", "1.5", "9" * 30])

@@ -91,7 +91,9 @@ def test_a_voided_run_stays_with_its_reason_and_counts_no_more(shared_client):
     assert shared_client.get("/api/units/V-1/calibration").status_code == 200
     run = shared_client.post(f"/api/runs/{run_id}/void", json={"reason": "the table was bumped"}).json()
     assert run["voided"]["reason"] == "the table was bumped"
-    assert shared_client.get("/api/units/V-1/calibration").status_code == 404
+    (revision,) = shared_client.get("/api/units/V-1/calibrations").json()
+    assert revision["status"] == "in_force", "there is nothing to put in its place"
+    assert revision["stale"] == [f"Run {run_id} has been voided: the table was bumped"]
     assert shared_client.get("/api/compare?unit=V-1").json()["units"][0]["runs"] == []
     assert shared_client.get(f"/api/runs/{run_id}").json()["result"] == run["result"]
 

@@ -41,6 +41,8 @@ def test_every_view_fits_and_has_it_in_view_wherever_that_is_scrolled_to(page, c
         f"#/compare?unit={unit}": 4,
         "#/noise": 0,
         "#/import": 0,
+        "#/trail": 0,
+        "#/users": 0,
         "#/none": 0,
     }
     for view, drawn in charts.items():

@@ -145,7 +145,7 @@ class Grbl:
                 raise StageError(
                     f"{self._name} has no homing ($22=0) and no angle ({self._count.unreferenced}): "
                     "turn the stage to a known angle by hand and start a run that says so "
-                    "(calrig run --stage-at DEGREES)"
+                    '("The stage stands at" on the page, calrig run --stage-at DEGREES)'
                 )
             if self._wire.locked:
                 self._wire.restart()
