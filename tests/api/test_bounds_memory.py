@@ -59,7 +59,7 @@ class Served:
         self, path: str, pieces: Iterator[bytes], kind: str, length: int | None = None
     ) -> tuple[int, str]:
         """Status and text of the answer; without a length the body is sent in chunks."""
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=120)
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=500)
         headers = {"Content-Type": kind} | ({} if length is None else {"Content-Length": str(length)})
         connection.request("POST", path, pieces, headers, encode_chunked=length is None)
         answer = connection.getresponse()

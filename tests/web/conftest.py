@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support import running_service, serving, wait_for
+from support import PATIENCE_S, running_service, serving, wait_for
 
 CHROMIUM = Path("/usr/bin/chromium")
 ARGUMENTS = [
@@ -65,7 +65,7 @@ def tab(browser: Any) -> Iterator[Any]:
     A new window costs a headless Chromium half a second of processor time.
     """
     context = browser.new_context(accept_downloads=True, viewport=DESK)
-    context.set_default_timeout(60_000)
+    context.set_default_timeout(1000 * PATIENCE_S)
     yield context.new_page()
     context.close()
 
@@ -124,5 +124,5 @@ def expect(browser: Any) -> Any:
     """Playwright's assertions, which wait for what they expect."""
     from playwright.sync_api import expect
 
-    expect.set_options(timeout=60_000)
+    expect.set_options(timeout=1000 * PATIENCE_S)
     return expect

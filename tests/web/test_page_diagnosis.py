@@ -119,7 +119,7 @@ def test_a_run_is_traced_to_backlash_and_the_effect_put_in_force(page, client, s
     page.get_by_test_id("confirm").click()
     expect(verdict).to_contain_text("names backlash, which has not been accepted")
     expect(page.locator("#accept-backlash")).to_be_visible()
-    assert service.store.effects_in_force("MPU-1", "bench-1") == []
+    assert service.store.effects_in_force("TRACED", "bench-3") == []
     considered = page.get_by_test_id("considered-backlash")
     considered.locator("summary").click()
     expect(considered.get_by_role("row", name="settling")).to_contain_text("worse")

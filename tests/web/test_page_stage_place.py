@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from support import QUICK, ended
+from support import QUICK, ended, serving
 
 pytestmark = pytest.mark.browser
 
@@ -16,6 +16,13 @@ def rig(launch_rig):
     """A stepper without a switch, switched on at its zero."""
     stage = {"driver": "grbl", "homing": False}
     return launch_rig("stepper", stage=stage, mechanics={"power_up_deg": 0.0})
+
+
+@pytest.fixture
+def client(service):
+    """A client of the service with that rig."""
+    with serving(service) as client:
+        yield client
 
 
 def start(page, expect, stage_at=None):
