@@ -62,6 +62,7 @@ function ask({ title, text, action, fields, kind }, act) {
         confirm.disabled = false;
       }
     });
+    window.addEventListener("hashchange", () => dialog.close(), { once: true }); // whoever goes elsewhere has left it
     view.inert = true; // not a modal dialog: the stop buttons above it must take a click at any time
     dialog.show();
   });

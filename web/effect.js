@@ -115,8 +115,10 @@ function considered(effect) {
 function acceptance(effect, title, path, run) {
   const ofRig = scopeOf(effect) === "rig";
   const keeper = ofRig ? `the error map of rig ${run.rig}` : `the calibration of unit ${run.unit}`;
-  const offer = (id, text, click) =>
-    may("releaser") && h("button", { type: "button", id, "aria-label": `${text.slice(0, -1)}: ${title}`, on: { click } }, text);
+  const offer = (id, text, click) => {
+    const label = `${text.slice(0, -1)}: ${title}`;
+    return may("releaser") && h("button", { type: "button", id, "aria-label": label, on: { click } }, text);
+  };
   if (effect.accepted_at) {
     const words = ["Accepted ", moment(effect.accepted_at), `: from then on it belongs to ${keeper}.`];
     const back = () =>

@@ -6,10 +6,10 @@ import { errorLine, field, fill, h, headings, onSubmit, tableBox } from "./dom.j
 import { moment } from "./format.js";
 
 const ROLES = {
-  viewer: "viewer: looks, and stops a stage",
-  operator: "operator: runs, imports, diagnoses, notes",
-  releaser: "releaser: accepts effects, releases, voids",
-  admin: "admin: keeps users and limits",
+  viewer: "looks, and stops a stage",
+  operator: "runs, imports, diagnoses, notes, leaves poses out",
+  releaser: "accepts effects, releases calibrations, voids and moves runs",
+  admin: "keeps users, limits and check units",
 };
 
 export async function usersView({ root, signal }) {
@@ -54,7 +54,7 @@ export async function usersView({ root, signal }) {
   fill(
     root,
     h("h1", {}, "Users"),
-    h("section", { class: "card" }, form, error.element, told),
+    h("section", { class: "card" }, form, error.element, told, explained()),
     h(
       "section",
       { class: "card" },
@@ -64,11 +64,18 @@ export async function usersView({ root, signal }) {
   await show();
 }
 
+/** Each role may what those above it may, and more. */
+function explained() {
+  const lines = Object.entries(ROLES).map(([name, may]) => h("li", {}, h("strong", {}, name), `: ${may}`));
+  const summary = h("summary", {}, "What each role may, beside what those above it may");
+  return h("details", {}, summary, h("ul", {}, lines));
+}
+
 function roleChoice(chosen, props) {
   return h(
     "select",
     props,
-    Object.entries(ROLES).map(([value, text]) => h("option", { value, selected: value === chosen }, text)),
+    Object.keys(ROLES).map((name) => h("option", { selected: name === chosen }, name)),
   );
 }
 
@@ -84,17 +91,14 @@ function row(user, act) {
       error.say(problem);
     }
   });
-  const ask = (title, text, action, verb) =>
-    h(
-      "button",
-      {
-        type: "button",
-        class: "small",
-        "aria-label": `${title} ${user.name}`,
-        on: { click: () => askConfirmation({ title: `${title} ${user.name}?`, text, action }, () => act(`${path}/${verb}`)) },
-      },
-      title,
-    );
+  const ask = (name, title, text, action, verb) => {
+    const question = { title: `${title} ${user.name}?`, text, action };
+    const click = () => askConfirmation(question, () => act(`${path}/${verb}`));
+    const label = `${title} ${user.name}`;
+    return h("button", { type: "button", class: "small", "aria-label": label, on: { click } }, name);
+  };
+  const renew = "The one before opens nothing any more, nor does a login begun with it.";
+  const end = "Token and login open nothing any more. What they did stays theirs.";
   return h(
     "tr",
     { class: user.disabled_at && "voided" },
@@ -106,9 +110,9 @@ function row(user, act) {
       "td",
       { class: "plain" },
       !user.disabled_at && [
-        ask("New token for", "The one before opens nothing any more, nor does a login begun with it.", "Make a token", "token"),
+        ask("New token", "New token for", renew, "Make a token", "token"),
         " ",
-        ask("Disable", "Token and login open nothing any more. What they did stays theirs.", "Disable", "disable"),
+        ask("Disable", "Disable", end, "Disable", "disable"),
       ],
     ),
   );

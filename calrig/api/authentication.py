@@ -76,18 +76,21 @@ class Authentication:
             know(asked, ANYBODY)
             place_of(asked).standing = Standing.ANYBODY
         elif not is_open:
-            if token is not None:
+            if token is not None and let_in(asked) is None:
                 await self._refuse(asked)
             raise self._refusal(asked)
 
     def _caller(self, asked: HTTPConnection, token: str | None) -> Caller | None:
-        """Who it is: the most explicit way of saying it counts."""
+        """Who it is: a token of their own says it best, then the proxy; the one token names nobody.
+
+        So a proxy may bring the one token along for everybody, and each has their own role all the same.
+        """
+        by_token = None if token is None else self.of_token(token_digest(token))
+        by_token = by_token or self._of_session(asked)
         named = let_in(asked)
-        return (
-            (None if token is None else self.of_token(token_digest(token)))
-            or self._of_session(asked)
-            or (None if named is None else self.people.of_name(named))
-        )
+        if named is None or (by_token is not None and by_token.name is not None):
+            return by_token
+        return self.people.of_name(named)
 
     def of_token(self, sha256: str) -> Caller | None:
         """Whose token has this digest."""

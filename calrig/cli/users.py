@@ -9,6 +9,7 @@ from urllib.parse import quote
 import typer
 
 from calrig.cli.options import Db, Json
+from calrig.errors import WorkError
 
 if TYPE_CHECKING:
     from calrig.client import Client
@@ -136,8 +137,12 @@ def _client(server: str) -> Client:
 def _store(db: str | None) -> Store:
     from calrig.settings import store_url
     from calrig.store import Store
+    from calrig.store.errors import Taken
 
-    return Store.open(store_url(db), writer="users")
+    try:
+        return Store.open(store_url(db), writer="users")
+    except Taken as error:
+        raise WorkError(f"{error}; or ask a service that holds it: --server http://HOST:PORT") from error
 
 
 def _path(name: str) -> str:

@@ -19,6 +19,10 @@ class Refused(StoreError):  # noqa: N818 (an answer, not a fault)
     """What is stored does not allow this; the message says why and what to do."""
 
 
+class Taken(StoreError):  # noqa: N818 (likewise)
+    """Another program writes to the store; the message says which."""
+
+
 class StoreUnavailableError(StoreError):
     """The store cannot be used now: the disk is full, the file locked or read-only. Once mended, it can."""
 

@@ -226,7 +226,9 @@ def diagnosed(store: Store, run: Run, z_mg: float) -> Run:
 
 
 def in_force(store: Store) -> dict[str, float | None]:
-    return {effect.name: effect.parameters["z_mg"] for effect in store.effects_in_force("WRONG", "bench-1")}
+    return {
+        effect.name: effect.parameters.get("z_mg") for effect in store.effects_in_force("WRONG", "bench-1")
+    }
 
 
 class TestTakenBack:
@@ -268,6 +270,19 @@ class TestTakenBack:
         Acceptance(store).take_back(first.id, [OFFSET], "why not")
         with pytest.raises(Refused, match="accepted from it: none"):
             Acceptance(store).take_back(first.id, [OFFSET], "why not")
+
+    def test_only_what_is_named_is_taken_back(self, new_run: Callable[..., Run], store: Store) -> None:
+        run = diagnosed(store, new_run(), 3.0)
+        assert run.diagnosis is not None
+        (effect,) = run.diagnosis["effects"]
+        gain = {"gain_pct": {"value": 0.1, "std": 0.01}, "skew_deg": None}
+        both = [effect, {**effect, "name": "axis_mismatch", "parameters": gain}]
+        store.update_run(run.id, diagnosis={**run.diagnosis, "effects": both})
+        Acceptance(store).accept(run.id, [OFFSET, "axis_mismatch"])
+        back = Acceptance(store).take_back(run.id, ["axis_mismatch"], "why not")
+        assert list(in_force(store)) == [OFFSET]
+        assert back.diagnosis is not None
+        assert [one["accepted_at"] is None for one in back.diagnosis["effects"]] == [False, True]
 
     def test_accepted_once_more_it_is_in_force_once_more(
         self, new_run: Callable[..., Run], store: Store

@@ -194,6 +194,27 @@ class TestBehindAProxy:
             assert client.get("/api/login", headers=ada).json()["name"] == "ada@lab"
             assert "ada@lab (viewer)" in client.post("/api/runs", headers=ada, json={}).json()["detail"]
 
+    def test_a_token_of_ones_own_says_more_and_the_one_token_says_less(self, service: Any) -> None:
+        service.store.add_user("ada", "viewer", with_token=False)
+        _, bens = service.store.add_user("ben", "operator")
+        with serving(service, access=Access(TOKEN, proxies=PROXIED.trusted_proxies)) as client:
+
+            def name(header: str, token: str) -> tuple[str | None, str | None]:
+                headers = {"X-Forwarded-User": header, "Authorization": f"Bearer {token}"}
+                answer = client.get("/api/login", headers={k: v for k, v in headers.items() if v}).json()
+                return answer["name"], answer["role"]
+
+            assert name("ada", TOKEN) == ("ada", "viewer")
+            assert name("ada", bens) == ("ben", "operator")
+            assert name("", TOKEN) == (None, "admin")
+            assert name("eve", TOKEN) == (None, None)
+
+    def test_who_was_disabled_comes_in_no_more(self, service: Any) -> None:
+        service.store.add_user("ada", "viewer", with_token=False)
+        service.store.disable_user("ada")
+        with behind(service, PROXIED) as client:
+            assert client.get("/api/runs", headers={"X-Auth-Name": "ada"}).status_code == 403
+
     def test_nobody_else_comes_in_and_each_is_told_why(self, service: Any) -> None:
         service.store.add_user("ada", "viewer", with_token=False)
         with behind(service, PROXIED) as client:

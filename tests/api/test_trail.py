@@ -10,7 +10,7 @@ from typing import Any
 
 import httpx
 import pytest
-from support import QUICK, imported, serving
+from support import QUICK, imported, serving, wait_for
 
 from calrig.api.access import Access
 
@@ -37,6 +37,14 @@ def test_who_is_known_by_name_did_it_whatever_the_request_says(ada: httpx.Client
     assert (started["operator"], taken["operator"]) == ("ada", "ada")
     assert taken["provenance"]["operator"] == "ada"
     assert told(ada)[1:] == [("started", "ada", "A", started["id"]), ("imported", "ada", "B", taken["id"])]
+
+
+def test_the_log_names_them_too(ada: httpx.Client, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level("INFO", "calrig"):
+        ada.post("/api/runs/0/pause")
+        logged = lambda: [record.fields for record in caplog.records if hasattr(record, "fields")]  # noqa: E731
+        (fields,) = wait_for(logged, "line in the log")  # it is written once the answer is on its way
+    assert (fields["user"], fields["path"]) == ("ada", "/api/runs/0/pause")
 
 
 def test_where_nobody_is_known_by_name_the_request_says_who(client: httpx.Client) -> None:

@@ -100,3 +100,5 @@ def test_a_move_that_is_refused_says_why_and_the_question_stays(page, client, go
     confirm(page, right_unit="HERE", reason="misread")
     expect(page.locator("#ask-error")).to_contain_text("of unit 'HERE' already")
     expect(page.locator("dialog")).to_be_visible()
+    go("#/units")
+    expect(page.locator("dialog")).to_have_count(0)
