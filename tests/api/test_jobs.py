@@ -126,9 +126,10 @@ def test_what_is_kept_nowhere_else_is_kept_with_its_job_for_a_while(shared_clien
 def test_the_oldest_of_many_that_ended_are_forgotten(shared_client, monkeypatch):
     monkeypatch.setattr(job, "MOST_FINISHED", 2)
     request: dict[str, Any] = {"files": {"file": ("p.csv", POSES)}, "data": {"unit": "C"}}
-    paths = [begun(shared_client, "/api/imports", **request) for _ in range(4)]
-    for path in paths[2:]:
-        assert over(shared_client, path)[-1]["result"].startswith("/api/runs/")
+    paths = []
+    for _ in range(4):
+        paths.append(begun(shared_client, "/api/imports", **request))
+        assert over(shared_client, paths[-1])[-1]["result"].startswith("/api/runs/")
     assert [shared_client.get(path).status_code for path in paths] == [404, 404, 200, 200]
 
 

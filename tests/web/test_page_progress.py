@@ -19,7 +19,7 @@ def slow_run(client, monkeypatch):
     monkeypatch.setattr(heavy, "AT_ONCE_S", 0.0)
     monkeypatch.setattr(diagnoses, "trace", slow_trace)
     LET_GO.unlink(missing_ok=True)
-    yield imported(client, "A", poses=30)
+    yield imported(client, "SLOW-1", poses=30)
     LET_GO.unlink(missing_ok=True)
 
 
@@ -71,5 +71,5 @@ def test_one_cancelled_before_the_service_has_named_it_is_given_up(
     page.click("#diagnosis-cancel")
     expect(page.locator("#diagnosis-state")).to_have_text("Cancelled: nothing was kept of it.")
     LET_GO.touch()
-    client.post("/api/imports", files={"file": ("p.csv", "x")}, data={"unit": "B"})  # comes behind it
+    client.post("/api/imports", files={"file": ("p.csv", "x")}, data={"unit": "SLOW-2"})  # comes behind it
     assert client.get(f"/api/runs/{slow_run['id']}/diagnosis").status_code == 404

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from support import QUICK, ended, serving
+from support import QUICK, ended, running_service, serving
 
 pytestmark = pytest.mark.browser
 
@@ -12,10 +12,19 @@ ENDS_AT_DEG = PLAN["elevations_deg"][-1]
 
 
 @pytest.fixture
-def rig(launch_rig):
-    """A stepper without a switch, switched on at its zero."""
+def service(launch_rig, store_path):
+    """With a stepper without a switch, switched on at its zero."""
     stage = {"driver": "grbl", "homing": False}
-    return launch_rig("stepper", stage=stage, mechanics={"power_up_deg": 0.0})
+    rig = launch_rig("stepper", stage=stage, mechanics={"power_up_deg": 0.0})
+    with running_service(store_path, rig) as service:
+        yield service
+
+
+@pytest.fixture
+def client(service):
+    """Of that service."""
+    with serving(service) as client:
+        yield client
 
 
 @pytest.fixture
