@@ -47,10 +47,9 @@ class Reason(Body):
 
 
 class Problem(Answer):
-    """Every error; `fields` are the places in the body that are wrong, such as `plan.elevations_deg[1]`."""
+    """Every error. Of one in the body, the header `Calrig-Fields` names the place: `plan.elevations_deg[1]`."""
 
     detail: str
-    fields: list[str] = []
 
 
 class JobAnswer(Answer):
