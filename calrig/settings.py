@@ -143,6 +143,8 @@ class Settings(_Strict):
     """Limits that are kept here; without any, those that people keep in the store."""
     hosts: tuple[Annotated[str, Field(pattern=r"^[\w.-]+$", max_length=253)], ...] = ()
     """Names besides its own address that `serve` answers to, such as the one of a proxy in front of it."""
+    interval_days: float = Field(default=365.0, gt=0)
+    """After so many days a unit is due to be calibrated again, unless its own history says when."""
     trusted_proxies: tuple[IPvAnyNetwork, ...] = ()
     """Addresses or networks of proxies that say whom they let in; what others say of that is dropped."""
     user_header: Annotated[str, Field(pattern=r"^[A-Za-z0-9-]+$", max_length=64)] = "X-Forwarded-User"

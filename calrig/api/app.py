@@ -13,9 +13,12 @@ from starlette.responses import JSONResponse
 from starlette.types import Lifespan
 
 import calrig
+from calrig.analysis.due_dates import INTERVAL_DAYS
 from calrig.api import (
     amendments,
     calibrations,
+    changes,
+    check_unit,
     compare,
     diagnoses,
     effects,
@@ -58,8 +61,10 @@ PARTS = (
     noise,
     figures,
     calibrations,
+    changes,
     units,
     compare,
+    check_unit,
     imports,
     jobs,
     limit_rules,
@@ -77,6 +82,7 @@ def create_app(
     *,
     web: Path | None = None,
     access: Access = EVERYBODY,
+    interval_days: float = INTERVAL_DAYS,
     limits_kept_in: str | None = None,
 ) -> FastAPI:
     """Makes the application; nothing of it is shared with another one.
@@ -85,6 +91,7 @@ def create_app(
         service: carries out what is asked. It is closed when the application shuts down.
         web: the folder of the page; without it the one that comes with calrig.
         access: the token that is asked for and the names the service has.
+        interval_days: after which a unit is due whose history says nothing.
         limits_kept_in: the file that gives the limits, which then are not changed over HTTP.
     """
 
@@ -96,7 +103,7 @@ def create_app(
         await _app.state.context.processes.close()
 
     app = api(lifespan)
-    app.state.context = ApiContext(service, service.store, limits_kept_in)
+    app.state.context = ApiContext(service, service.store, limits_kept_in, interval_days=interval_days)
     app.state.authentication = Authentication(access, service.store.users)
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=6)  # event streams never
     app.add_middleware(OriginCheck, app.state.authentication)

@@ -8,7 +8,9 @@ from fastapi import Depends, FastAPI, Request
 from calrig.analysis.acceptance import Acceptance
 from calrig.analysis.amendments import Records
 from calrig.analysis.diagnoses import Diagnoses
+from calrig.analysis.due_dates import INTERVAL_DAYS, DueDates, due_dates
 from calrig.analysis.errors import Unknown
+from calrig.analysis.histories import Histories
 from calrig.analysis.issuing import Issuer
 from calrig.api.job import Jobs
 from calrig.api.streams import Streams
@@ -31,6 +33,7 @@ class ApiContext:
     limits_kept_in: str | None = None
     streams: Streams = field(default_factory=Streams)
     processes: Processes = field(default_factory=Processes)
+    interval_days: float = INTERVAL_DAYS
     scans: Errands = field(default_factory=Errands)
     jobs: Jobs = field(default_factory=Jobs)
 
@@ -43,6 +46,10 @@ class ApiContext:
     def issuer(self) -> Issuer:
         """Drafts, releases and withdrawals of calibrations."""
         return self.service.issuer
+
+    def due_dates(self, found: Histories | None = None) -> DueDates:
+        """When each unit is due; `found` are all histories where they are known already."""
+        return due_dates(self.store, found, interval_days=self.interval_days)
 
     @property
     def acceptance(self) -> Acceptance:

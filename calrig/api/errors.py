@@ -76,7 +76,9 @@ async def _runs_error(_request: Request, error: Exception) -> JSONResponse:
 
 def _naming(fields: Sequence[str]) -> dict[str, str]:
     """The header that names places in what was sent: the answer's body is `detail` and nothing else."""
-    return {FIELDS: " ".join(quote(field, safe="[]._", errors="replace") for field in fields)} if fields else {}
+    return (
+        {FIELDS: " ".join(quote(field, safe="[]._", errors="replace") for field in fields)} if fields else {}
+    )
 
 
 async def _store_error(_request: Request, error: Exception) -> JSONResponse:

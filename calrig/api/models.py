@@ -47,7 +47,7 @@ class Reason(Body):
 
 
 class Problem(Answer):
-    """Every error. Of one in the body, the header `Calrig-Fields` names the place: `plan.elevations_deg[1]`."""
+    """Every error; the header `Calrig-Fields` names places in the body: `plan.elevations_deg[1]`."""
 
     detail: str
 
@@ -147,6 +147,13 @@ class VoidedAnswer(Answer):
     at: datetime
 
 
+class SuspectAnswer(Answer):
+    """The rig was in doubt when the run was made: its check unit failed since it had last passed."""
+
+    reason: str
+    check_run_id: str
+
+
 class RunAnswer(Answer):
     """A run. `plan` is null for an imported one; `voided` is null for one that counts."""
 
@@ -169,6 +176,7 @@ class RunAnswer(Answer):
     started_at: datetime | None
     finished_at: datetime | None
     error: str | None
+    suspect: SuspectAnswer | None
 
 
 class RunList(Answer):
@@ -212,6 +220,10 @@ class UnitAnswer(Answer):
     created_at: datetime
     n_runs: int
     last_run_at: datetime | None
+    due_at: datetime | None = Field(description="When it is to be calibrated again; null before the first.")
+    overdue: bool
+    due_method: Literal["interval", "drift"] | None
+    due_says: str
 
 
 class UnitWithRuns(UnitAnswer):

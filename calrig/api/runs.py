@@ -10,6 +10,7 @@ from fastapi import APIRouter, Query
 from pydantic import Field
 
 import calrig
+from calrig.analysis.check_unit import with_doubts
 from calrig.analysis.errors import Invalid
 from calrig.api.callers import Who, requires
 from calrig.api.context import Context, KnownRun
@@ -127,13 +128,13 @@ def list_runs(
         items, next_cursor = context.store.runs(unit=unit, rig=rig, status=status, limit=limit, cursor=cursor)
     except ValueError as error:
         raise Invalid(str(error)) from error
-    return {"items": items, "next_cursor": next_cursor}
+    return {"items": with_doubts(context.store, items), "next_cursor": next_cursor}
 
 
 @router.get("/api/runs/{run_id}", response_model=RunAnswer, responses=problems(404), summary="One run")
-def show_run(run: KnownRun) -> Run:
+def show_run(run: KnownRun, context: Context) -> Run:
     """How far it is, what came out and where it came from."""
-    return run
+    return with_doubts(context.store, [run])[0]
 
 
 @router.post(

@@ -6,6 +6,7 @@ from dataclasses import asdict
 
 from fastapi import APIRouter
 
+from calrig.analysis.check_unit import with_doubts
 from calrig.api.callers import Who, requires
 from calrig.api.context import Context, KnownUnit
 from calrig.api.errors import problems
@@ -18,8 +19,9 @@ router = APIRouter(tags=["units"])
 
 @router.get("/api/units", response_model=list[UnitAnswer], summary="Every unit, by serial number")
 def list_units(context: Context) -> object:
-    """How often each was on a rig, and when last."""
-    return context.store.units()
+    """How often each was on a rig, when last, and when it is due again."""
+    due = context.due_dates()
+    return [{**asdict(unit), **due.of(unit.serial).to_dict()} for unit in context.store.units()]
 
 
 @router.get(
@@ -31,7 +33,8 @@ def show_unit(unit: KnownUnit, context: Context) -> object:
     in_force = context.store.in_force(unit.serial)
     return {
         **asdict(unit),
-        "runs": runs,
+        **context.due_dates().of(unit.serial).to_dict(),
+        "runs": with_doubts(context.store, runs),
         "active_run_id": in_force and in_force.run_id,
         "revision_in_force": in_force and in_force.revision,
     }

@@ -155,7 +155,8 @@ def candidates_of(r: Responses) -> list[Candidate]:
     ]
     shown = [candidate for candidate in found if np.ptp(candidate.columns[:, 0, 0]) > 0.0]
     all_along = [candidate for candidate in shown if candidate.changed is None]
-    pairs = [(a, b) for b in all_along for a in all_along if a.name in b.effect.together_with]
+    offered = [b for b in all_along if not b.shape.alone]
+    pairs = [(a, b) for b in offered for a in all_along if a.name in b.effect.together_with]
     together = [_together(a, b) for a, b in pairs] + _several_changes(shown, len(r.run_ids) - 1)
     together += _series(r, all_along)
     unnamed = sum(not candidate.named for candidate in shown)

@@ -66,7 +66,9 @@ def differences(runs: Runs, pooled: Repeatability | None) -> Differences:
     if pooled.day:
         variance = variance + np.where(other_day | other_rig, 2.0 * pooled.day**2, 0.0)
     std = np.sqrt(variance)
-    sigma = np.divide(value, std, out=np.where(value == 0.0, 0.0, np.inf * np.sign(value)), where=std > 0.0)
+    sigma = np.divide(
+        value, std, out=np.where(value == 0.0, 0.0, np.copysign(np.inf, value)), where=std > 0.0
+    )
     p_value = 2.0 * stdtr(pooled.freedom, -np.abs(sigma))
     return Differences(first, second, value, std, sigma, p_value, type_a)
 

@@ -114,12 +114,14 @@ class Checks:
 
     Attributes:
         q, average: (n,) as in `ControlChart`; the average begins anew after each failure.
+        limit: (n,) what the average was held against; infinite where it was not.
         failed: (n,) whether the check failed.
         known: (n,) whether there was anything to hold it against: not for the first.
     """
 
     q: FloatArray
     average: FloatArray
+    limit: FloatArray
     failed: npt.NDArray[np.bool_]
     known: npt.NDArray[np.bool_]
 
@@ -141,13 +143,13 @@ def checks(value: FloatArray, variance: FloatArray, judged_from: int, ewma: Ewma
     q, average = np.zeros(n), np.zeros(n)
     failed, known = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
     weight, mean, z, failing = 0.0, 0.0, 0.0, False
-    limits, since = ewma.limits(n), 0
+    limits, since, held = ewma.limits(n), 0, np.full(n, np.inf)
     for i in range(n):
         if weight > 0.0:
             known[i] = True
             q[i] = (value[i] - mean) / np.sqrt(variance[i] + 1.0 / weight)
             z = ewma.weight * q[i] + (1.0 - ewma.weight) * z
-            average[i] = z
+            average[i], held[i] = z, limits[since]
             out = abs(q[i]) > PUT_RIGHT if failing else abs(z) > limits[since]
             since += 1
             failing = out and i >= judged_from
@@ -161,4 +163,4 @@ def checks(value: FloatArray, variance: FloatArray, judged_from: int, ewma: Ewma
         own = 1.0 / variance[i]
         mean = (weight * mean + own * value[i]) / (weight + own)
         weight += own
-    return Checks(q, average, failed, known)
+    return Checks(q, average, held, failed, known)

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtri
 
 from calrig.estimation.angles import FloatArray
 
@@ -15,6 +16,7 @@ COVERAGE = 1.6448536269514722
 """One-sided 95 % of a normal distribution: the chance to be in tolerance until then."""
 LONGEST = 2.0
 """Intervals that a forecast may stretch the time to, or as long as the history is: nobody has seen beyond."""
+CONFIDENCE = 0.99
 SIGNIFICANT = 2.5758293035489004
 """Standard errors from where a drift is one (99 %, two-sided)."""
 
@@ -31,12 +33,14 @@ class Forecast:
         drift_per_day, drift_std: with its standard error.
         due_day: days since the first run, of the last one or later; None where the forecast does not tell.
         why: in words.
+        fits: whether the history lies on a line as well as its variances say (χ², 99 %).
     """
 
     drift_per_day: float
     drift_std: float
     due_day: float | None
     why: str
+    fits: bool
 
 
 def forecast(
@@ -76,6 +80,7 @@ def forecast(
     level, slope = float(weight @ value) * level_var, float(weight @ (t * value)) * slope_var
     chi2 = float(weight @ (value - level - slope * t) ** 2)
     birge = max(chi2 / (len(day) - 2), 1.0)
+    fits = chi2 <= float(chdtri(len(day) - 2, 1.0 - CONFIDENCE))
     level_var, slope_var = level_var * birge, slope_var * birge
     last = float(t.max())
     history = last - float(t.min())
@@ -86,11 +91,11 @@ def forecast(
               _leaves(limits[1] - level, -slope, level_var, slope_var, last))  # fmt: skip
     sooner = abs(slope) > SIGNIFICANT * std and due < last + interval_days
     if not (tells or sooner):
-        return Forecast(slope, std, None, "its history does not tell yet how it drifts")
+        return Forecast(slope, std, None, "its history does not tell yet how it drifts", fits)
     longest = last + max(LONGEST * interval_days, history)
     if due > longest:
-        return Forecast(slope, std, longest + centre, "its drift reaches no limit as far as can be foreseen")
-    return Forecast(slope, std, due + centre, "its drift, as far as it is known, may reach a limit then")
+        return Forecast(slope, std, longest + centre, "no limit is reached as far as can be foreseen", fits)
+    return Forecast(slope, std, due + centre, "its drift may have reached a limit by then", fits)
 
 
 def _leaves(room: float, slope: float, level_var: float, slope_var: float, last: float) -> float:

@@ -88,7 +88,7 @@ def gate(
         noise = noise_of(fitted.residuals, r, max(1.0, model.shape[2] / len(r.channels)), unbiased=True)
     trial = _Trial(r, columns_with, candidates, Screen(r, model, candidates, noise))
     ratios = trial.screen.ratios(fitted.residuals[None])
-    observed, alternative = trial.gains(r.values[None], ratios)
+    observed, alternative = trial.gains_of_possible(r.values[None], ratios)
     null = np.empty((0, observed.shape[1]))
     clear_after = max(FEWEST_DRAWS, round(1.0 / level) - 1, bootstraps // CLEAR_SHARE)
     steps = (FIRST_DRAWS, clear_after, 2 * clear_after, bootstraps)
@@ -138,6 +138,17 @@ class _Trial:
         ratios = self.screen.ratios(values)
         batches = [slice(first, first + BATCH) for first in range(0, len(values), BATCH)]
         return np.concatenate([self.gains(values[some], ratios[some], noise)[0] for some in batches])
+
+    def gains_of_possible(self, values: FloatArray, ratios: Float32Array) -> tuple[FloatArray, Fit]:
+        """The gains in one set of responses; where physics forbids all that lead, of those that come next."""
+        while True:
+            gains, best = self.gains(values, ratios)
+            tried = self._leaders(ratios)[0][0]
+            left = np.isfinite(ratios[0])
+            left[np.concatenate([self._of_label[k] for k in tried])] = False
+            if np.isfinite(gains).any() or not left.any():
+                return gains, best
+            ratios = np.where(left, ratios, -np.inf).astype(np.float32)
 
     def gains(
         self, values: FloatArray, ratios: Float32Array, start: NoiseModel | None = None

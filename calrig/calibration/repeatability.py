@@ -19,8 +19,8 @@ BoolArray = npt.NDArray[np.bool_]
 
 FEWEST_REPEATS = 2
 """Repeats that a repeatability must rest on; with one, nothing but a factor of 13 is significant."""
-MOST_RUNS = 1600
-"""Units calibrated last, up to as many runs, are pooled: they tell a spread to 2–3 % of itself."""
+MOST_RUNS = 1000
+"""Units calibrated last, up to as many runs, are pooled: they tell a spread to 3 % of itself."""
 OUTLYING = 0.05
 """Chance that a run of good repeats loses one of them in the search for those that changed."""
 HALF_OF_CHI2 = 0.4549

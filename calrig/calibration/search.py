@@ -15,7 +15,7 @@ from calrig.calibration.gate import Verdict, gate
 from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import Fit, NoiseModel, fit, noise_of
 from calrig.calibration.outliers import most_outliers, outlier
-from calrig.calibration.ranking import Found, named, pair
+from calrig.calibration.ranking import COMPANION_MARGIN, Found, named, pair
 from calrig.calibration.responses import READING, Responses
 from calrig.calibration.run_changes import is_level, with_free_levels
 from calrig.calibration.screen import Screen
@@ -30,10 +30,6 @@ MOST_EFFECTS, MOST_COLUMNS = 5, 0.35
 FREEDOM = 3
 LEAST_SHARE = 0.05
 """An effect whose part of the reading is smaller than this share of its noise is not worth a correction."""
-COMPANION_MARGIN = 3.0
-"""Of the criterion, by which an effect must pay for the one companion that it is declared to have: with the
-penalty a likelihood ratio beyond 7, which one parameter reaches in noise in less than 1 of 100.
-"""
 LEAST_STANDARD_ERRORS = 4.0
 """Of the parameters that reach the reading, together: what a witness alone shows is not named."""
 

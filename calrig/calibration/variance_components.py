@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cholesky, solve_triangular
-from scipy.optimize import minimize
 
 from calrig.estimation.angles import FloatArray
 
 IntArray = npt.NDArray[np.intp]
 
 FEWEST_DAYS = 6
-"""Fewer say too little of a day's spread by itself: it then stays within that of the runs."""
+"""Days, and runs beyond each unit's and each day's first: fewer say too little of a day's spread by itself,
+which then stays within that of the runs."""
 LEAST_VARIANCE, MOST_VARIANCE = 1e-10, 1e2
 """In variances of all values; the least counts as 0."""
 
@@ -53,7 +53,8 @@ class Layout:
     def tells_days(self) -> bool:
         """Whether a day's spread can be told from that of the runs, the units and the rigs."""
         spread_over_days = len(np.unique(self.unit * self.days + self.day)) > self.units
-        return self.days - self.rigs + 1 >= FEWEST_DAYS and self.days < len(self.day) and spread_over_days
+        repeats = len(self.day) - self.units - (self.days - self.rigs)
+        return self.days - self.rigs + 1 >= FEWEST_DAYS and repeats >= FEWEST_DAYS and spread_over_days
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +89,8 @@ def variance_components(value: FloatArray, layout: Layout) -> VarianceComponents
         layout: (N,) units, rigs, days and known variances.
     """
     level, size = float(value.mean()), float(value.std())
+    from scipy.optimize import minimize  # a tenth of a second that a service need not start with
+
     if size == 0.0:
         return VarianceComponents(0.0, 0.0, 0.0 if layout.tells_days else None, 0.0, -math.inf)
     likelihood = _Likelihood((value - level) / size, layout, size)

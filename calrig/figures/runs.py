@@ -14,7 +14,8 @@ from calrig.figures.parts import (
     Figure,
     as_text,
     axis_of,
-    colour_of,
+    colours_of,
+    dimmed,
     error_bars,
     layout_of,
     line_of,
@@ -86,16 +87,26 @@ def residual(
     return {"data": [*data, *lower], "layout": layout}
 
 
-def residuals_overlaid(curves: Sequence[Curve]) -> Figure:
-    """Calibrated residual against elevation, one colour a unit: a line through the means, points behind."""
+def residuals_overlaid(curves: Sequence[Curve], chosen: Collection[str] = ()) -> Figure:
+    """Calibrated residual against elevation, one colour a unit: a line through the means, points behind.
+
+    Where units are more than colours, those that are not among the `chosen` are grey lines alone.
+    """
     layout = layout_of("elevation (°)", "calibrated residual (°)")
     layout["yaxis"]["zeroline"] = True
     data: list[dict[str, Any]] = []
-    for k, curve in enumerate(curves):
+    colours = colours_of([curve.name for curve in curves], chosen)
+    for k, curve in enumerate(sorted(curves, key=lambda curve: colours[curve.name] != GREY)):
+        colour = colours[curve.name]
         scale = 1.0 if curve.scale is None else curve.scale
         points = [(p.theta_deg, _residual_deg(p, curve.bias_deg, scale)) for p in curve.poses]
         means = _means_by_target(curve.poses, [y for _, y in points])
         group = {"legendgroup": str(k), "name": as_text(curve.name)}
+        line = line_of(curve.name, [x for x, _ in means], [y for _, y in means], colour)
+        line = {**line, **group, "hovertemplate": "%{x:.2f}°: %{y:.4f}°"}
+        if colour == GREY:
+            data.append(dimmed(line))
+            continue
         data.append(
             {
                 **group,
@@ -103,13 +114,12 @@ def residuals_overlaid(curves: Sequence[Curve]) -> Figure:
                 "mode": "markers",
                 "x": [x for x, _ in points],
                 "y": [y for _, y in points],
-                "marker": {"color": colour_of(k), "size": 5, "opacity": 0.4},
+                "marker": {"color": colour, "size": 5, "opacity": 0.4},
                 "hoverinfo": "skip",
                 "showlegend": False,
             }
         )
-        line = line_of(curve.name, [x for x, _ in means], [y for _, y in means], colour_of(k))
-        data.append({**line, **group, "hovertemplate": "%{x:.2f}°: %{y:.4f}°"})
+        data.append(line)
     return {"data": data, "layout": layout}
 
 

@@ -72,6 +72,8 @@ class Run:
     started_at: datetime | None
     finished_at: datetime | None
     error: str | None
+    suspect: Document | None = None
+    """Why its rig is in doubt, where somebody looked: `reason`, `check_run_id`. The store never knows."""
     limit: Limit | None = None
 
     @property

@@ -7,6 +7,7 @@ from types import TracebackType
 from typing import Self
 
 from calrig.store.amendments import Amendments
+from calrig.store.check_units import CheckUnits
 from calrig.store.database import BUSY_TIMEOUT_S, Database, database_path
 from calrig.store.event_log import EventLog
 from calrig.store.issued import Issued
@@ -20,7 +21,7 @@ from calrig.store.units import Units
 from calrig.store.users import Users
 
 
-class Store(Runs, Poses, Amendments, EventLog, Units, Issued, Places, Limits, Trail, Users):
+class Store(Runs, Poses, Amendments, EventLog, Units, Issued, Places, Limits, CheckUnits, Trail, Users):
     """An open store, shared by threads. Each method is one transaction, on the disk when it returns.
 
     A run that does not exist raises `NotFound` where it is not said otherwise; what SQLite cannot do raises

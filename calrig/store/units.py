@@ -30,6 +30,8 @@ _COUNTS = (
     col(RunTable.voided_reason).is_(None),
 )
 
+_AT_ONCE = 500
+"""Runs asked for by their ids in one question."""
 _STANDS = col(AcceptedEffectTable.withdrawn_at).is_(None)
 
 _COMPARED: tuple[Any, ...] = (
@@ -65,7 +67,9 @@ class Units(Part):
             return next(iter(_units(session, serial)), None)
 
     def comparison(self, serials: Sequence[str] | None = None) -> list[ComparisonRow]:
-        """The figures of every completed, not voided calibration, by unit, the oldest of each first.
+        """The figures of every calibration that counts, by unit, the oldest of each first.
+
+        That is: completed and not voided; no verification, static log or follow-up.
 
         Args:
             serials: the units to compare; None for all.
@@ -73,13 +77,26 @@ class Units(Part):
         wanted = (
             sqlalchemy.select(*_COMPARED)
             .join(CalibrationTable, col(CalibrationTable.run_id) == RunTable.id)
-            .where(*_COUNTS)
+            .where(*_COUNTS, col(RunTable.follows).is_(None))
             .order_by(col(RunTable.unit), col(RunTable.finished_at), col(RunTable.id))
         )
         if serials is not None:
             wanted = wanted.where(col(RunTable.unit).in_(serials))
         with self._database.reading() as session:
             return [_compared(row) for row in session.connection().execute(wanted)]
+
+    def reference_figures(self, run_ids: Sequence[str]) -> dict[str, tuple[float, float | None]]:
+        """What the stage is worth in the bias (deg) and scale of runs that know it: type B, by run."""
+        found: dict[str, tuple[float, float | None]] = {}
+        with self._database.reading() as session:
+            for begin in range(0, len(run_ids), _AT_ONCE):
+                ids = [int(one) for one in run_ids[begin : begin + _AT_ONCE]]
+                wanted = select(RunTable.id, RunTable.result).where(col(RunTable.id).in_(ids))
+                for run_id, result in session.exec(wanted):
+                    reference = (result or {}).get("reference")
+                    if reference is not None:
+                        found[str(run_id)] = (reference["bias_std_deg"], reference["scale_std"])
+        return found
 
     def latest_calibration_run(self, serial: str, *, follow_ups: bool = False) -> Run | None:
         """The latest completed, not voided `calibration` run (or import) whose scale is known, or None.

@@ -30,6 +30,7 @@ def test_every_answer_is_what_the_document_says(shared_client, monkeypatch):
     still = {"kind": "static", "dwell_s": 20.0}
     static_id = shared_client.post("/api/runs", json={"unit": "A/1", "plan": still}).json()["id"]
     assert ended(shared_client, static_id)["status"] == "completed"
+    shared_client.put("/api/rigs/bench-1/check-unit", json={"unit": "A/1", "interval_days": 7})
     monkeypatch.setattr(heavy, "AT_ONCE_S", 0.0)  # for a job
     file = {"file": ("poses.csv", CSV)}
     job = shared_client.post("/api/imports?wait=false", files=file, data={"unit": "B"}).json()
@@ -37,6 +38,8 @@ def test_every_answer_is_what_the_document_says(shared_client, monkeypatch):
     models = {route.path: route.response_model for route in routes if route.response_model is not None}
     names = {
         "/api/rigs/{name}/error-map": "bench-1",
+        "/api/rigs/{name}/check-unit": "bench-1",
+        "/api/rigs/{name}/figures/check-unit": "bench-1",
         "/api/rigs/{name}/figures/error-map": "bench-1",
         "/api/runs/{run_id}/figures/{name}": "residual",
         "/api/compare/figures/{name}": "bias",

@@ -18,6 +18,7 @@ from calrig.store.users import ROLES
 
 TOKEN = "the-benches-of-building-4"
 NEEDED = {
+    "/api/rigs/{name}/check-unit": "releaser",
     "/api/rigs/scan": "operator",
     "/api/runs": "operator",
     "/api/runs/{run_id}/pause": "operator",

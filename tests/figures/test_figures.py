@@ -238,10 +238,28 @@ def test_a_serial_number_is_text_to_plotly_and_never_markup():
     assert figure["data"][0]["name"] == '&lt;a href="x"&gt;&amp;amp;&lt;/a&gt;'
 
 
-def test_more_units_than_colours_begin_again_with_the_first():
-    many = {f"unit {k}": runs() for k in range(len(figures.PALETTE) + 1)}
-    colours = [trace["line"]["color"] for trace in figures.compare("bias", many)["data"]]
-    assert colours == [*figures.PALETTE, figures.PALETTE[0]]
+@pytest.mark.parametrize(("chosen", "coloured"), [((), 8), (("unit 11", "unit 3"), 2)])
+def test_no_two_units_share_a_colour_but_the_grey_of_those_not_chosen(chosen, coloured):
+    many = {f"unit {k}": runs() for k in range(12)}
+    curves = [figures.Curve(name, poses(), 0.8, 1.01) for name in many]
+    for figure in (figures.compare("bias", many, chosen), figures.residuals_overlaid(curves, chosen)):
+        colours = {}
+        for trace in figure["data"]:
+            colours.setdefault(trace["name"], set()).add(trace.get("line", trace.get("marker"))["color"])
+        own = {name: colour for name, (colour,) in colours.items() if colour in figures.PALETTE}
+        assert len(colours) == 12
+        assert len(own) == len(set(own.values())) == coloured
+        assert own.keys() >= set(chosen)
+        last = [trace["name"] for trace in figure["data"]][-1]
+        assert last in own, "what has a colour is drawn over what has none"
+
+
+def test_a_control_chart_has_no_limit_where_there_is_none():
+    when = [datetime(2025, 1, day, tzinfo=UTC) for day in (1, 2, 3)]
+    figure = figures.control_chart(when, {"bias": [0.0, 0.5, 2.0]}, [float("inf"), 0.8, 1.0])
+    go.Figure(figure)
+    upper, lower, bias = figure["data"]
+    assert (upper["y"], lower["y"], bias["y"]) == ([None, 0.8, 1.0], [None, -0.8, -1.0], [0.0, 0.5, 2.0])
 
 
 def test_every_colour_stands_out_on_light_and_on_dark():

@@ -16,6 +16,8 @@ EDGE_POSES = 3
 PARTS = (0.3, 0.7)
 """Of a dwell that came after a slip: as they are scanned."""
 REFINEMENTS = 21
+TOGETHER = 3
+"""Of the gaps every so many is tried together with what else comes with time: the others lie close by."""
 MOST_INSTANTS = 150
 """Beyond so many poses not every gap is tried: a slip is then placed to within a pose or two."""
 
@@ -34,10 +36,12 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
         return
     for k in _first_after(r.time_s, r.starts, at):
         after = (order >= k).astype(float)
-        here = {"at_s": at["at_s"], "pose": float(k)}
-        yield Shape(tilted(after), ("step_deg",), form="between moves", at=here, scanned=True)
+        forms = {"between moves": tilted(after)}
         if MOVE in r.channels:
-            yield Shape(turned(r, after), ("step_deg",), form="during a move", at=here, scanned=True)
+            forms["during a move"] = turned(r, after)
+        for form, shares in forms.items():
+            here = {"at_s": at["at_s"], "pose": float(k)}
+            yield Shape(shares, ("step_deg",), form=form, at=here, scanned=True, alone=k % TOGETHER != 0)
         for part in (at["part"],) if "part" in at else PARTS:
             yield _in_dwell(r, {"at_s": float(r.time_s[k]), "pose": float(k), "part": part})
 
@@ -46,7 +50,7 @@ def _in_dwell(r: Responses, at: Parameters) -> Shape:
     """A slip of which the mean of one dwell has a part."""
     order, k = np.arange(len(r)), at["pose"]
     share = (order > k) + at["part"] * (order == k)
-    return Shape(tilted(share), ("step_deg",), form="in a dwell", at=at, scanned=True)
+    return Shape(tilted(share), ("step_deg",), form="in a dwell", at=at, scanned=True, alone=True)
 
 
 def _first_after(time_s: FloatArray, starts: BoolArray, at: Parameters) -> list[int]:
@@ -91,5 +95,6 @@ EFFECT = Effect(
     in_c=NotInFlight("the mount is fastened anew for flight: what a slip left behind is not there"),
     refine=_refine,
     apart="a step at one instant; lost steps of the stage look the same until it is homed again",
+    together_with=("temperature_bias", "time_drift"),
     remedy="tighten the mount and repeat; poses before and after do not belong together",
 )
