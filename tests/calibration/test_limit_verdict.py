@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 from calrig.calibration.conformity import Limit
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import build_result
 from calrig.calibration.uncertainty import Reference
 from calrig.calibration.verdict import verdict
+from calrig.settings import LimitSettings
 
 STAGE = Reference(0.029, "harmonic")  # a limit of ±0.05°: U = 0.048° alone
 NOISE_DEG = 0.005
@@ -142,3 +145,37 @@ def test_a_verdict_is_json():
         "probability_of_false_accept",
     ]
     assert isinstance(one["says"], list)
+
+
+POSITIVE = st.none() | st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
+ENDS = st.none() | st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 2).map(sorted)
+ASKED = {
+    "max_error_deg": POSITIVE,
+    "bias_deg": ENDS,
+    "scale": ENDS,
+    "rms_deg": POSITIVE,
+    "expanded_uncertainty_deg": POSITIVE,
+    "rule": st.sampled_from(["simple", "guarded"]),
+    "guard": st.floats(min_value=0.0, exclude_min=True, max_value=10.0),
+}
+RESULTS = [build_result(poses(), None, (), reference).to_dict() for reference in (STAGE, None)]
+
+
+@settings(max_examples=60)
+@given(st.fixed_dictionaries(ASKED))
+@example({"rms_deg": 1e-300})
+@example(
+    {"rms_deg": 1e308, "max_error_deg": 5e-324, "scale": (-1e308, 1e308), "rule": "guarded", "guard": 10.0}
+)
+def test_whatever_can_be_asked_is_answered(asked):
+    try:
+        limit = Limit(**LimitSettings(name="any", **asked).model_dump())
+    except ValueError:
+        return  # the lower end is not below the upper one, or nothing is asked
+    known, unknown = (verdict(result, limit=limit) for result in RESULTS)
+    assert {known.answer, unknown.answer} <= {"pass", "conditional_pass", "conditional_fail", "fail"}
+    assert unknown.answer != "pass"
+    assert unknown.probability_of_conformity is None
+    assert (known.probability_of_false_accept is None) == (known.answer != "pass")
+    assert known.probability_of_conformity is None or 0.0 <= known.probability_of_conformity <= 1.0
+    assert not any("nan" in said or "inf°" in said for said in known.says)
