@@ -123,18 +123,17 @@ class Fits:
     criterion: FloatArray
 
 
-def fits(r: Responses, values: FloatArray, columns: FloatArray, start: NoiseModel | None = None) -> Fits:
+def fits(r: Responses, values: FloatArray, columns: FloatArray) -> Fits:
     """Fits b sets of responses at once.
 
     Args:
         r: the responses, for what their poses have in common.
         values: (b, n, J).
         columns: (b, n, J, p), or (1, n, J, p) where all have the same.
-        start: noise to begin with; without it white noise.
     """
     at_once = max(1, CACHE // (columns[0].size + values[0].size))
     parts = [
-        _fits(r, values[k : k + at_once], columns[k : k + at_once] if len(columns) > 1 else columns, start)
+        _fits(r, values[k : k + at_once], columns[k : k + at_once] if len(columns) > 1 else columns)
         for k in range(0, len(values), at_once)
     ]
     if len(parts) == 1:
@@ -142,16 +141,12 @@ def fits(r: Responses, values: FloatArray, columns: FloatArray, start: NoiseMode
     return Fits(*(np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(Fits)))
 
 
-def _fits(r: Responses, values: FloatArray, columns: FloatArray, start: NoiseModel | None) -> Fits:
+def _fits(r: Responses, values: FloatArray, columns: FloatArray) -> Fits:
     b, n, channels = values.shape
     p = columns.shape[3]
     rows = columns.reshape(len(columns), n * channels, p)
-    if start is None:
-        spread = np.hypot(values.std(axis=1), r.rounding)
-        rotation, rho = np.eye(channels) / spread[:, None, :], np.zeros((b, channels))
-    else:
-        rotation = np.broadcast_to(start.rotation, (b, channels, channels))
-        rho = np.broadcast_to(start.rho, (b, channels))
+    spread = np.hypot(values.std(axis=1), r.rounding)
+    rotation, rho = np.eye(channels) / spread[:, None, :], np.zeros((b, channels))  # white to begin with
     taken = max(1.0, p / channels)
     by_channel = _by_channel(columns, values)
     for step in range(ITERATIONS):

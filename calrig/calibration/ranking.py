@@ -197,7 +197,7 @@ def pair(
         fitted = fitted_model(r, [*accepted, *added]).fitted
         return fitted.criterion + bic_penalty * sum(c.parameters for c in added)
 
-    named = [i for i, c in enumerate(offered) if c.named and c.follows is None]
+    named = [i for i, c in enumerate(offered) if c.named and c.follows is None and c.beside is None]
     firsts: dict[str, Candidate] = {}
     for i in sorted(named, key=lambda i: bic_penalty * offered[i].parameters - float(ratios[i])):
         firsts.setdefault(offered[i].label, offered[i])

@@ -15,7 +15,7 @@ from calrig.calibration.responses import responses_of
 from . import oracles
 from .board import suspects, words
 from .physics import Truth
-from .worlds import NULLS, WORLDS
+from .worlds import WORLDS
 
 RESOLVED = 0.75
 """Of a resolution, 1/arc: waves closer than that are one."""
@@ -121,8 +121,3 @@ def _is(truth: Truth, effect: Mapping[str, Any], arc_deg: float) -> bool:
     if cause.period_deg is None or period is None:
         return True
     return abs(1.0 / period["value"] - 1.0 / cause.period_deg) < RESOLVED / arc_deg
-
-
-def is_null(cell: str) -> bool:
-    """Whether a cell has noise alone."""
-    return cell in NULLS

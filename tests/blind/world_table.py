@@ -8,7 +8,8 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from .board import Rate
-from .world_board import WorldJudgement, is_null
+from .world_board import WorldJudgement
+from .worlds import HARD, NULLS
 
 Judged = Mapping[tuple[str, str], list[WorldJudgement]]
 HEADER = (
@@ -25,16 +26,23 @@ HEADER = (
 
 
 def markdown(judged: Judged) -> str:
-    """One row a world, all its cells together: counts, of how many."""
+    """One row a world, its cells together, then the hard ones: counts, of how many."""
     rows = [HEADER, ("---",) * len(HEADER)]
     for world in dict.fromkeys(world for world, _ in judged):
-        effects = [j for (w, cell), js in judged.items() if w == world and not is_null(cell) for j in js]
+        effects = [
+            j
+            for (w, cell), js in judged.items()
+            if w == world and cell not in NULLS and (w, cell) not in HARD
+            for j in js
+        ]
         nulls = [
             Rate(sum(j.said != "nothing" for j in js), len(js))
             for (w, cell), js in judged.items()
-            if w == world and is_null(cell)
+            if w == world and cell in NULLS
         ]
         rows.append((world, *_rates(effects), " · ".join(f"{null.hits} of {null.of}" for null in nulls)))
+    hard = [at for at in judged if at in HARD]
+    rows += [(f"{', '.join(at)}: {HARD[at]}", *_rates(judged[at]), "") for at in hard]
     return "".join(f"| {' | '.join(row)} |\n" for row in rows)
 
 

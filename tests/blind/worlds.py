@@ -261,3 +261,13 @@ _ALL = (
     ),
 )
 WORLDS: Mapping[str, World] = {world.name: world for world in _ALL}
+HARD: Mapping[tuple[str, str], str] = {
+    ("first board", "slip against temperature"): "one cancels the other",
+    (
+        "eleven turns",
+        "worm of 7.2°",
+    ): "of a fifth of twice the mean spacing, which is as far as periods are searched",
+    ("20° beside 0.02°", "order 1 of 20°, backlash"): "the play is seen through the wave's slope",
+    ("irregular", "settling"): "a lag saturates in a long move, so that it is in part a backlash",
+}
+"""Cells beyond what the diagnosis is made for, and why: judged, and told apart."""
