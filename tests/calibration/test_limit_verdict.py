@@ -8,8 +8,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from calrig.calibration.conformity import Limit
+from calrig.calibration.fit import Line
 from calrig.calibration.pose import Pose
-from calrig.calibration.result import build_result
+from calrig.calibration.result import ReferenceFigures, apply_calibration, build_result
 from calrig.calibration.uncertainty import Reference
 from calrig.calibration.verdict import verdict
 from calrig.settings import LimitSettings
@@ -131,6 +132,39 @@ def test_a_result_of_an_earlier_version_is_not_decided():
 def test_a_reading_that_does_not_follow_the_stage_fails():
     stuck = [Pose(target_deg=t, reading_deg=0.0) for t in (-30.0, 0.0, 30.0)]
     assert judged(of=stuck, max_error_deg=1.0).answer == "fail"
+
+
+def verified(at_deg, elevations_deg=(20.0,) * 6, stated=STAGE):
+    """A verification of poses that read so much too high once a perfect calibration is applied."""
+    rng = np.random.default_rng(1)
+    there = [t + rng.normal(0, 1e-3) for t in elevations_deg]  # as a stage reports it
+    of = [
+        Pose(target_deg=t, stage_deg=s, reading_deg=s + at_deg, reading_stderr_deg=NOISE_DEG)
+        for t, s in zip(elevations_deg, there, strict=True)
+    ]
+    figures = ReferenceFigures(stated.std_deg, stated.kind, stated.std_deg, 0.001, stated.distribution)
+    line = Line(0.0, 1.0, 0.001, 1e-5, None, None)
+    return apply_calibration(of, None, line, (), figures).to_dict()
+
+
+def test_a_verification_is_held_as_found_against_the_document():
+    """The same shift everywhere may be the clamping's; a fan of errors is the unit's."""
+    limit = Limit("flight", max_error_deg=0.1, scale=(0.5, 1.5))
+    everywhere = tuple(range(-60, 61, 10))
+    shifted = verdict(verified(0.3, everywhere), verification=True, limit=limit)
+    assert (shifted.answer, shifted.left) == ("pass", "more_than_noise")
+    fanned = verified(0.0, everywhere)
+    fanned["over_range"]["highest_error_deg"][-1] = 0.2
+    assert verdict(fanned, verification=True, limit=limit).answer == "fail"
+
+
+def test_at_one_elevation_nothing_is_relative_to_the_others():
+    one = verdict(
+        verified(0.3), verification=True, limit=Limit("flight", max_error_deg=0.1, scale=(0.5, 1.5))
+    )
+    assert one.answer == "conditional_pass"
+    assert any(said.startswith("Largest error: not decided") for said in one.says)
+    assert any(said.startswith("Scale: not decided") for said in one.says)
 
 
 def test_a_verdict_is_json():
