@@ -97,7 +97,7 @@ def sentence(problem: Mapping[str, Any]) -> str:
         return f"{_field(place)} {predicate}"
     said = reason(problem)
     named = any(isinstance(part, str) and part != "plan" for part in place)
-    return f"{_field(place)}: {said}" if named else f"{said[:1].upper()}{said[1:]}"
+    return f"{_field(place)}: {said}" if named else said
 
 
 def reason(problem: Mapping[str, Any]) -> str:

@@ -29,7 +29,7 @@ def problems(kind, given):
         ({"dwell_s": float("nan")}, "Dwell time is not a finite number", "dwell_s"),
         ({"order": "backwards"}, "Order is none of 'sweep', 'random' or 'given'", "order"),
         ({"sweep": 3}, "“sweep” is not known here", "sweep"),
-        ({"sweeps": 9999}, "The plan has 129987 poses; the most a run takes is 10000", ""),
+        ({"sweeps": 9999}, "the plan has 129987 poses; the most a run takes is 10000", ""),
     ],
 )
 def test_a_plans_mistake_is_told_by_the_name_of_its_field(given, said, path):

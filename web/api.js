@@ -76,10 +76,11 @@ async function sent(path, options) {
 
 async function refusal(response) {
   const text = await response.text();
+  const named = response.headers.get("Calrig-Fields");
+  const fields = named ? named.split(" ").map(decodeURIComponent) : [];
   let detail;
-  let fields;
   try {
-    ({ detail, fields } = JSON.parse(text));
+    ({ detail } = JSON.parse(text));
   } catch {
     detail = undefined; // a proxy's or the server's own page, not the API's JSON
   }

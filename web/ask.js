@@ -1,7 +1,7 @@
 // Questions before something that stays: a reason for what is voided or moved, a yes for what is accepted.
 // "calrig:done" tells whoever shows what was asked about that it has changed.
 
-import { errorLine, h } from "./dom.js";
+import { errorLine, h, markWrong } from "./dom.js";
 
 /**
  * Asks for a reason in a dialog and calls `act(reason)`; an error of `act` is shown there and the dialog
@@ -58,6 +58,7 @@ function ask({ title, text, action, fields, kind }, act) {
         dialog.close();
       } catch (problem) {
         error.say(problem);
+        markWrong(form, problem.fields)?.focus();
       } finally {
         confirm.disabled = false;
       }

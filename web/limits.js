@@ -2,6 +2,7 @@
 
 import { get, put } from "./api.js";
 import { errorLine, field, fill, h, onSubmit } from "./dom.js";
+import { may } from "./me.js";
 
 const FIGURES = [
   ["max_error_deg", "Largest error, °"],
@@ -55,7 +56,9 @@ function limitsForm(limits, rigs) {
     { id: "limits-form", novalidate: true },
     list,
     error.element,
-    h("div", { class: "buttons" }, save, add, saved),
+    may("admin")
+      ? h("div", { class: "buttons" }, save, add, saved)
+      : h("p", { class: "muted" }, "An admin may change them."),
   );
 
   function show(focus) {
@@ -118,7 +121,7 @@ function limitCard(limit, rigs, { move, remove }) {
     "fieldset",
     { class: "card limit" },
     title,
-    h("div", { class: "limit-order" }, up, down, gone),
+    may("admin") && h("div", { class: "limit-order" }, up, down, gone),
     h(
       "div",
       { class: "fields four" },

@@ -11,7 +11,6 @@ import { stopButtons } from "./stop.js";
 import { unitsView, unitView } from "./units.js";
 import { compareView } from "./compare.js";
 import { importView } from "./import.js";
-import { limitsView } from "./limits.js";
 import { noiseView } from "./noise.js";
 
 const ROUTES = [
@@ -20,9 +19,9 @@ const ROUTES = [
   [/^\/units$/, unitsView],
   [/^\/units\/([^/]+)$/, unitView],
   [/^\/compare$/, compareView],
-  [/^\/limits$/, limitsView],
   [/^\/import$/, importView],
   // fetched when somebody goes there: few do
+  [/^\/limits$/, async (shown) => (await import("./limits.js")).limitsView(shown)],
   [/^\/trail$/, async (shown) => (await import("./trail.js")).trailView(shown)],
   [/^\/users$/, async (shown) => (await import("./users.js")).usersView(shown)],
   [/^\/noise$/, noiseView],

@@ -91,7 +91,7 @@ class Records:
         """Adds to what is noted of a run, at any time."""
         run = stored_run(self._store, run_id)
         if not note.strip():
-            raise Invalid("a note says something")
+            raise Invalid("a note says something", ["note"])
         n = len(run.note or "") + len(note)
         if n > MOST_NOTES:
             raise Invalid(f"the notes of run {run_id} would have {n} characters, and {MOST_NOTES} are kept")

@@ -43,9 +43,10 @@ def ended_run(store: Store, run_id: str) -> Run:
 def checked_reason(reason: str) -> str:
     """A reason without blanks at its ends; Invalid where there is none, or too much of it."""
     if not reason.strip():
-        raise Invalid("a reason is needed: it stays with the run")
+        raise Invalid("a reason is needed: it stays with the run", ["reason"])
     if len(reason) > LONGEST_REASON:
-        raise Invalid(f"a reason has at most {LONGEST_REASON} characters, not {len(reason)}")
+        said = f"a reason has at most {LONGEST_REASON} characters, not {len(reason)}"
+        raise Invalid(said, ["reason"])
     return reason.strip()
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from tempfile import gettempdir
 from typing import Any
+from urllib.parse import quote
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
@@ -19,6 +21,9 @@ from calrig.processes.pool import WorkError, WorkLost, WorkRefused, WorkTooLarge
 from calrig.store.errors import NotFound, Refused, StoreError, StoreUnavailableError
 
 log = logging.getLogger(__name__)
+
+FIELDS = "Calrig-Fields"
+"""The header of a refusal with the places that are wrong, percent-encoded: `plan.elevations_deg[1]`."""
 
 STATUS: dict[type[RunsError], int] = {Unknown: 404, Conflict: 409, Invalid: 422}
 STORE_STATUS: dict[type[StoreError], int] = {NotFound: 404, Refused: 409, StoreUnavailableError: 503}
@@ -66,8 +71,14 @@ def install(app: FastAPI) -> None:
 async def _runs_error(_request: Request, error: Exception) -> JSONResponse:
     status = next((code for kind, code in STATUS.items() if isinstance(error, kind)), 500)
     assert isinstance(error, RunsError)  # noqa: S101 (as registered)
-    named = {"fields": error.fields[:SHOWN]} if error.fields else {}
-    return JSONResponse({"detail": str(error), **named}, status_code=status)
+    return JSONResponse({"detail": str(error)}, status, _naming(error.fields[:SHOWN]))
+
+
+def _naming(fields: Sequence[str]) -> dict[str, str]:
+    """The header that names places in what was sent: the answer's body is `detail` and nothing else."""
+    return (
+        {FIELDS: " ".join(quote(field, safe="[]._", errors="replace") for field in fields)} if fields else {}
+    )
 
 
 async def _store_error(_request: Request, error: Exception) -> JSONResponse:
@@ -102,9 +113,9 @@ async def _validation_error(_request: Request, error: Exception) -> JSONResponse
     problems = [{**one, "loc": one["loc"][1:]} for one in error.errors()]
     if problems and problems[0]["type"] == "json_invalid":
         said = f"The body is not JSON: {problems[0].get('ctx', {}).get('error', problems[0]['msg'])}"
-        return JSONResponse({"detail": said, "fields": []}, status_code=422)
-    fields = [path_of(one) for one in problems[:SHOWN]]
-    return JSONResponse({"detail": in_words(problems), "fields": fields}, status_code=422)
+        return JSONResponse({"detail": said}, status_code=422)
+    named = _naming([path_of(one) for one in problems[:SHOWN]])
+    return JSONResponse({"detail": in_words(problems)}, 422, named)
 
 
 async def _http_error(_request: Request, error: Exception) -> JSONResponse:

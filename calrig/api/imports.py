@@ -47,7 +47,7 @@ async def import_poses(
             try:
                 imported = await job.run(question)
             except CsvError as error:
-                raise Invalid(f"{name}: {error}") from error
+                raise Invalid(f"{name}: {error}", ["file"]) from error
         by = who or operator
         return await run_in_threadpool(
             context.records.keep_imported, imported, unit=unit, rig=rig, file_name=name, operator=by

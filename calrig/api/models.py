@@ -47,10 +47,9 @@ class Reason(Body):
 
 
 class Problem(Answer):
-    """Every error; `fields` are the places in the body that are wrong, such as `plan.elevations_deg[1]`."""
+    """Every error; the header `Calrig-Fields` names places in the body: `plan.elevations_deg[1]`."""
 
     detail: str
-    fields: list[str] = []
 
 
 class JobAnswer(Answer):

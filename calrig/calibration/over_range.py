@@ -90,6 +90,8 @@ def over_range(
     if not np.isfinite(error_deg).all():
         return None
     low, width = float(theta_deg.min()), float(np.ptp(theta_deg)) / STRETCHES
+    if line.scale is None:  # what a stage scatters by about one elevation is no range
+        low, width = float(theta_deg.mean()), 0.0
     places = np.rint((theta_deg - low) / width).astype(int) if width > 0.0 else np.zeros(len(theta_deg), int)
     stretches = np.unique(places)
     of_each = [error_deg[places == place] for place in stretches]

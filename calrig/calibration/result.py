@@ -186,7 +186,7 @@ def apply_calibration(
         over_range=over_range(
             theta,
             left_deg,
-            fit_line(theta, without),
+            fit_line(theta, without, one_angle=fresh.scale is None),
             None if reference is None else reference.reference,
             fresh.noise_deg,
         ),

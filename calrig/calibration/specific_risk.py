@@ -76,7 +76,8 @@ def _rms_conforms(limit: Limit, rms_deg: float, freedom: int) -> float:
         return 1.0
     if freedom < 1 or rms_deg == 0.0:
         return float(rms_deg <= limit.rms_deg)
-    return float(chdtrc(freedom, freedom * (rms_deg / limit.rms_deg) ** 2))
+    ratio = rms_deg / limit.rms_deg
+    return float(chdtrc(freedom, freedom * ratio * ratio))  # a square by ** raises where this is infinite
 
 
 @lru_cache(maxsize=64)

@@ -78,7 +78,7 @@ def test_a_draft_of_a_run_is_made_by_request(client, unit):
     [
         ("calibrations/9/release", {"reason": "x"}, 404, "has no revision 9"),
         ("calibrations/1/release", {"reason": " "}, 422, "a reason is needed"),
-        ("calibrations/1/release", {}, 422, "reason"),
+        ("calibrations/1/release", {}, 422, "Reason is missing"),
         ("calibrations", {"run_id": "999"}, 404, "there is no run 999"),
         ("calibrations", {"run_id": "1", "effects": ["latency"]}, 409, "run 1 is of unit"),
     ],

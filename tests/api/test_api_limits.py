@@ -63,7 +63,7 @@ def test_an_import_without_a_reference_never_passes(client):
 @pytest.mark.parametrize(
     ("limit", "words"),
     [
-        ({"name": "x"}, "The limit 'x' asks nothing"),
+        ({"name": "x"}, "the limit 'x' asks nothing"),
         ({**ALL, "scale": [1.1, 0.9]}, "the lower end 1.1 is not below the upper one 0.9"),
         ({**ALL, "rms_deg": "small"}, "RMS error of limit 1 is not a number"),
         ({**ALL, "rms_deg": -1}, "RMS error of limit 1 must be greater than 0"),

@@ -154,11 +154,11 @@ def test_an_unknown_run_is_404_on_every_path(shared_client, method, path, run_id
         pytest.param({"unit": ""}, "serial", id="empty serial"),
         pytest.param({"unit": "x" * 10_240}, "serial", id="10 kB serial"),
         pytest.param({"unit": "A\x00B"}, "serial", id="unprintable serial"),
-        pytest.param({}, "unit", id="no unit"),
+        pytest.param({}, "Unit's serial number is missing", id="no unit"),
         pytest.param({"unit": "A", "rigg": "bench-1"}, "rigg", id="unknown field"),
         pytest.param({"unit": "A", "plan": {"swepes": 4}}, "swepes", id="unknown plan field"),
-        pytest.param({"unit": "A", "plan": {"sweeps": 0}}, "sweeps", id="no poses"),
-        pytest.param({"unit": "A", "plan": {"elevations_deg": []}}, "elevations_deg", id="no elevations"),
+        pytest.param({"unit": "A", "plan": {"sweeps": 0}}, "Sweeps must be at least 1", id="no poses"),
+        pytest.param({"unit": "A", "plan": {"elevations_deg": []}}, "Elevations", id="no elevations"),
         pytest.param({"unit": "A", "plan": {"sweeps": 10_000}}, "poses", id="100,000 poses"),
         pytest.param(
             {"unit": "A", "plan": {"elevations_deg": [0] * 100_000}}, "10000", id="100,000 elevations"

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 from calrig.calibration.conformity import Limit
+from calrig.calibration.fit import Line
 from calrig.calibration.pose import Pose
-from calrig.calibration.result import build_result
+from calrig.calibration.result import ReferenceFigures, apply_calibration, build_result
 from calrig.calibration.uncertainty import Reference
 from calrig.calibration.verdict import verdict
+from calrig.settings import LimitSettings
 
 STAGE = Reference(0.029, "harmonic")  # a limit of ±0.05°: U = 0.048° alone
 NOISE_DEG = 0.005
@@ -130,6 +134,39 @@ def test_a_reading_that_does_not_follow_the_stage_fails():
     assert judged(of=stuck, max_error_deg=1.0).answer == "fail"
 
 
+def verified(at_deg, elevations_deg=(20.0,) * 6, stated=STAGE):
+    """A verification of poses that read so much too high once a perfect calibration is applied."""
+    rng = np.random.default_rng(1)
+    there = [t + rng.normal(0, 1e-3) for t in elevations_deg]  # as a stage reports it
+    of = [
+        Pose(target_deg=t, stage_deg=s, reading_deg=s + at_deg, reading_stderr_deg=NOISE_DEG)
+        for t, s in zip(elevations_deg, there, strict=True)
+    ]
+    figures = ReferenceFigures(stated.std_deg, stated.kind, stated.std_deg, 0.001, stated.distribution)
+    line = Line(0.0, 1.0, 0.001, 1e-5, None, None)
+    return apply_calibration(of, None, line, (), figures).to_dict()
+
+
+def test_a_verification_is_held_as_found_against_the_document():
+    """The same shift everywhere may be the clamping's; a fan of errors is the unit's."""
+    limit = Limit("flight", max_error_deg=0.1, scale=(0.5, 1.5))
+    everywhere = tuple(range(-60, 61, 10))
+    shifted = verdict(verified(0.3, everywhere), verification=True, limit=limit)
+    assert (shifted.answer, shifted.left) == ("pass", "more_than_noise")
+    fanned = verified(0.0, everywhere)
+    fanned["over_range"]["highest_error_deg"][-1] = 0.2
+    assert verdict(fanned, verification=True, limit=limit).answer == "fail"
+
+
+def test_at_one_elevation_nothing_is_relative_to_the_others():
+    one = verdict(
+        verified(0.3), verification=True, limit=Limit("flight", max_error_deg=0.1, scale=(0.5, 1.5))
+    )
+    assert one.answer == "conditional_pass"
+    assert any(said.startswith("Largest error: not decided") for said in one.says)
+    assert any(said.startswith("Scale: not decided") for said in one.says)
+
+
 def test_a_verdict_is_json():
     one = judged(max_error_deg=0.07).to_dict()
     assert list(one) == [
@@ -142,3 +179,37 @@ def test_a_verdict_is_json():
         "probability_of_false_accept",
     ]
     assert isinstance(one["says"], list)
+
+
+POSITIVE = st.none() | st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
+ENDS = st.none() | st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 2).map(sorted)
+ASKED = {
+    "max_error_deg": POSITIVE,
+    "bias_deg": ENDS,
+    "scale": ENDS,
+    "rms_deg": POSITIVE,
+    "expanded_uncertainty_deg": POSITIVE,
+    "rule": st.sampled_from(["simple", "guarded"]),
+    "guard": st.floats(min_value=0.0, exclude_min=True, max_value=10.0),
+}
+RESULTS = [build_result(poses(), None, (), reference).to_dict() for reference in (STAGE, None)]
+
+
+@settings(max_examples=60)
+@given(st.fixed_dictionaries(ASKED))
+@example({"rms_deg": 1e-300})
+@example(
+    {"rms_deg": 1e308, "max_error_deg": 5e-324, "scale": (-1e308, 1e308), "rule": "guarded", "guard": 10.0}
+)
+def test_whatever_can_be_asked_is_answered(asked):
+    try:
+        limit = Limit(**LimitSettings(name="any", **asked).model_dump())
+    except ValueError:
+        return  # the lower end is not below the upper one, or nothing is asked
+    known, unknown = (verdict(result, limit=limit) for result in RESULTS)
+    assert {known.answer, unknown.answer} <= {"pass", "conditional_pass", "conditional_fail", "fail"}
+    assert unknown.answer != "pass"
+    assert unknown.probability_of_conformity is None
+    assert (known.probability_of_false_accept is None) == (known.answer != "pass")
+    assert known.probability_of_conformity is None or 0.0 <= known.probability_of_conformity <= 1.0
+    assert not any("nan" in said or "inf°" in said for said in known.says)
