@@ -39,7 +39,7 @@ def gave(
 
 
 def lay(store: Store, *runs: tuple[str, float, dict[str, Any], dict[str, Any]]) -> list[str]:
-    """Completed calibrations, all at once: unit, day, result and columns of the run; their ids."""
+    """Completed calibrations without poses, all at once: unit, day, result, columns of the run; their ids."""
     with store._database.writing() as session:
         rows = []
         for unit, day, result, columns in runs:
@@ -48,7 +48,7 @@ def lay(store: Store, *runs: tuple[str, float, dict[str, Any], dict[str, Any]]) 
                 session.flush()
             row = RunTable(
                 **{"unit": unit, "rig": "bench-1", "kind": "calibration", "status": "completed", "plan": None}
-                | {"progress": {"poses_done": 52, "poses_total": 52, "fraction": 1.0, "remaining_s": 0.0}}
+                | {"progress": {"poses_done": 0, "poses_total": 0, "fraction": 1.0, "remaining_s": 0.0}}
                 | {"result": result, "faults": {}, "provenance": {}}
                 | {"created_at": at(day), "started_at": at(day), "finished_at": at(day), **columns}
             )

@@ -21,6 +21,7 @@ const ROUTES = [
   [/^\/units\/([^/]+)$/, unitView],
   [/^\/compare$/, compareView],
   [/^\/limits$/, limitsView],
+  [/^\/rigs\/([^/]+)$/, async (shown) => (await import("./rig.js")).rigView(shown)],
   [/^\/import$/, importView],
   // fetched when somebody goes there: few do
   [/^\/trail$/, async (shown) => (await import("./trail.js")).trailView(shown)],
