@@ -85,13 +85,13 @@ function summary({ units, spread, repeatability }, draw) {
       "tr",
       { "data-unit": one.unit },
       h("th", { scope: "row" }, colours.get(one.unit), unitLink(one.unit), one.changed && h("span", { class: "tag warns" }, "changed")),
+      largestChange(one),
+      h("td", {}, one.due_at ? moment(one.due_at) : "–", one.overdue && h("span", { class: "tag warns" }, "overdue")),
       latest
         ? figureCells(latest)
         : h("td", { colspan: "6", class: "muted" }, "no completed run that counts"),
       h("td", { class: "number" }, one.runs.length.toLocaleString()),
       h("td", { class: "number" }, isKnown(one.drift_deg_per_day) ? significant(one.drift_deg_per_day, 2, "°/day") : "–"),
-      h("td", { class: "wrap" }, one.change ? one.change.says : "–"),
-      h("td", {}, one.due_at ? moment(one.due_at) : "–", one.overdue && h("span", { class: "tag warns" }, "overdue")),
     );
   });
   return h(
@@ -111,7 +111,7 @@ function summary({ units, spread, repeatability }, draw) {
       h(
         "table",
         { id: "compare-table" },
-        headings("Unit", ...FIGURES, "#Runs", "#Bias drift", "Largest change between two runs", "Due"),
+        headings("Unit", "Change between runs", "Due", ...FIGURES, "#Runs", "#Bias drift"),
         h("tbody", {}, rows),
       ),
     ),
@@ -123,6 +123,13 @@ function summary({ units, spread, repeatability }, draw) {
     ),
     h("p", { class: "muted", id: "compare-rule" }, repeatability.rule),
   );
+}
+
+/** What changed most from one run to the next, in full where it is more than repeatability. */
+function largestChange({ change, changed }) {
+  if (!change) return h("td", {}, "–");
+  if (changed) return h("td", { class: "wrap" }, change.says);
+  return h("td", { title: change.says }, change.verdict === "unchanged" ? "repeats" : "not known yet");
 }
 
 /** A box for each unit by serial; no more than there are colours can be ticked. */

@@ -75,7 +75,7 @@ function due({ due_at: at, overdue, due_says: says }) {
   );
 }
 
-const HEADINGS = () => headings("From run", "To run", "#Days", "#Bias", "#Scale", "#p", "Verdict", "What it says");
+const HEADINGS = () => headings("From run", "To run", "Verdict", "What it says", "#Days", "#Bias", "#Scale", "#p");
 const WORDS = { changed: "changed", unchanged: "repeats", not_known: "not known" };
 
 function pValue(p) {
@@ -94,10 +94,6 @@ function row(change, diagnoseBoth) {
     { "data-to": change.to },
     link(change.from),
     link(change.to),
-    number(fixed(change.days, change.days < 10 ? 1 : 0)),
-    number(plusMinus(change.bias_deg, change.bias_std_deg, "°")),
-    number(plusMinus(change.scale, change.scale_std)),
-    number(pValue(change.p_value)),
     h(
       "td",
       { class: "plain" },
@@ -105,5 +101,9 @@ function row(change, diagnoseBoth) {
       change.signal && h("span", { class: "tag warns", title: "The control chart signals at this run." }, "chart"),
     ),
     h("td", { class: "wrap" }, change.says, button && h("div", { class: "buttons" }, button)),
+    number(fixed(change.days, change.days < 10 ? 1 : 0)),
+    number(plusMinus(change.bias_deg, change.bias_std_deg, "°")),
+    number(plusMinus(change.scale, change.scale_std)),
+    number(pValue(change.p_value)),
   );
 }

@@ -4,7 +4,7 @@ import { get, put, remove } from "./api.js";
 import { askConfirmation } from "./ask.js";
 import { Chart } from "./charts.js";
 import { errorLine, field, fill, h, headings, onSubmit, runHref, statusPill, tableBox, unitLink } from "./dom.js";
-import { fixed, isKnown, moment, significant } from "./format.js";
+import { fixed, isKnown, moment, plural, significant } from "./format.js";
 import { may } from "./me.js";
 
 const STATES = { passed: "good", failed: "poor", not_known: "unknown" };
@@ -37,10 +37,10 @@ export async function rigView({ root, parts: [name], signal }) {
 function standing(check) {
   const figures = [
     ["Unit", unitLink(check.unit)],
-    ["Every", `${significant(check.interval_days, 3)} days`],
+    ["Every", plural(check.interval_days, "day")],
     ["Last check", moment(check.last_check_at)],
     ["Last passed", moment(check.last_passed_at)],
-    ["Next check due", [moment(check.due_at), check.overdue && h("span", { class: "tag warns" }, "overdue")]],
+    [check.overdue ? "Next check (overdue)" : "Next check", moment(check.due_at)],
   ];
   const suspects = check.suspect_runs.map((id, k) => [k > 0 && ", ", h("a", { href: runHref(id) }, id)]);
   return [

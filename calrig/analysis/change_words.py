@@ -80,4 +80,5 @@ def plus_minus(value: float, std: float, unit: str) -> str:
     if not (math.isfinite(std) and std > 0.0):
         return f"{value:.4g}{unit}".replace("-", "−")
     decimals = max(0, -math.floor(math.log10(std) + 0.02))
-    return f"{value:.{decimals}f} ± {std:.{decimals}f}{unit}".replace("-", "−")
+    rounded = round(value, decimals) + 0.0  # no −0.00
+    return f"{rounded:.{decimals}f} ± {std:.{decimals}f}{unit}".replace("-", "−")

@@ -169,7 +169,9 @@ def check_document(store: Store, rig: str, *, now: datetime | None = None) -> Do
         "says": _says(named, state, due_at, overdue=due_at < now),
         "checks": [_check(checked, place) for place in range(n)],
         "suspect_runs": [
-            row.run_id for row in found.rows if any(one.holds(row.rig, row.finished_at) for one in doubts)
+            row.run_id
+            for row in sorted(found.rows, key=lambda row: row.finished_at)
+            if any(one.holds(row.rig, row.finished_at) for one in doubts)
         ],
     }
 

@@ -51,7 +51,7 @@ def test_the_runs_since_it_last_passed_are_in_doubt_from_the_moment_it_fails(sto
     found = check_document(store, "bench-1", now=at(8))
     assert found["state"] == "failed"
     assert found["last_passed_at"] == at(6)
-    assert found["suspect_runs"] == [during.id, after.id, failure.id]
+    assert found["suspect_runs"] == [during.id, failure.id, after.id]
     doubted = [run.suspect for run in with_doubts(store, [before, during, elsewhere, after])]
     assert [one is not None for one in doubted] == [False, True, False, True]
     assert f"failed on rig bench-1 in run {failure.id}" in doubted[1]["reason"]
