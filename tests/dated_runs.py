@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
+from calrig.calibration.pose import Pose
+from calrig.calibration.result import build_result
 from calrig.store import Run, Store
 from calrig.store.convert import figures_of
 from calrig.store.tables import RunTable, UnitTable
@@ -68,11 +71,15 @@ def ran(
     *,
     std: float = 0.002,
     stage_std_deg: float | None = None,
+    poses: Sequence[Pose] = (),
     **columns: Any,
 ) -> Run:
-    """A completed calibration of a unit that finished on a day."""
+    """A completed calibration of a unit that finished on a day, with what poses give where there are some."""
     reference = {"std_deg": 0.3, "kind": "harmonic", "bias_std_deg": stage_std_deg, "scale_std": 0.001}
     result = gave(bias_deg, scale, std, reference=reference if stage_std_deg is not None else None)
+    if poses:
+        fit = build_result(poses).to_dict()
+        result |= {key: fit[key] for key in ("bias_deg", "bias_std_deg", "scale", "scale_std")}
     (run_id,) = lay(store, (unit, day, result, columns))
     run = store.run(run_id)
     assert run is not None
