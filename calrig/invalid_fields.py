@@ -88,19 +88,32 @@ def in_words(problems: Sequence[Mapping[str, Any]]) -> str:
 
 def sentence(problem: Mapping[str, Any]) -> str:
     """Such as `Elevation 2 is not a number`."""
-    place, kind = list(problem["loc"]), problem["type"]
-    if kind == "extra_forbidden":
+    place = list(problem["loc"])
+    if problem["type"] == "extra_forbidden":
         inside = next((part for part in reversed(place[:-1]) if isinstance(part, str)), None)
         return f"{_quoted(place[-1])} is not known" + (f" in {_title(inside).lower()}" if inside else " here")
-    reason = _REASONS.get(kind)
-    if kind == "string_too_short":
-        least = problem["ctx"]["min_length"]
-        reason = "is empty" if least == 1 else f"has fewer than {least} characters"
-    if reason is not None:
-        return f"{_field(place)} {reason.format(**problem.get('ctx') or {})}"
-    said: str = problem["msg"].removeprefix("Value error, ")
+    predicate = _predicate(problem)
+    if predicate is not None:
+        return f"{_field(place)} {predicate}"
+    said = reason(problem)
     named = any(isinstance(part, str) and part != "plan" for part in place)
     return f"{_field(place)}: {said}" if named else f"{said[:1].upper()}{said[1:]}"
+
+
+def reason(problem: Mapping[str, Any]) -> str:
+    """What is wrong, without saying of what: `is not a number`."""
+    if problem["type"] == "extra_forbidden":
+        return "is not known here"
+    return _predicate(problem) or str(problem["msg"]).removeprefix("Value error, ")
+
+
+def _predicate(problem: Mapping[str, Any]) -> str | None:
+    kind, context = problem["type"], problem.get("ctx") or {}
+    if kind == "string_too_short":
+        least = context["min_length"]
+        return "is empty" if least == 1 else f"has fewer than {least} characters"
+    words = _REASONS.get(kind)
+    return None if words is None else words.format(**context)
 
 
 def path_of(problem: Mapping[str, Any]) -> str:

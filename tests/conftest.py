@@ -22,11 +22,18 @@ from calrig.settings import RigSettings
 from calrig.simulator.rig import SimulatedRig
 from calrig.simulator.virtual_clock import VirtualClock
 
-# A busy machine is no failure, and a run repeats alike; `--hypothesis-profile=explore` tries new examples.
+# A busy machine is no failure, and a run repeats alike: the same few examples each time.
+# `--hypothesis-profile=explore` tries new ones, ten times as many.
 settings.register_profile(
-    "calrig", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True
+    "calrig",
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow],
+    derandomize=True,
+    max_examples=50,
 )
-settings.register_profile("explore", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile(
+    "explore", deadline=None, suppress_health_check=[HealthCheck.too_slow], max_examples=500
+)
 settings.load_profile("calrig")
 
 LaunchRig = Callable[..., RigSettings]

@@ -9,8 +9,8 @@ const FIGURES = [
   ["expanded_uncertainty_deg", "Expanded uncertainty, °"],
 ];
 const RANGES = [
-  ["bias_deg", "Bias, °"],
-  ["scale", "Scale"],
+  ["bias_deg", "Bias", ", °"],
+  ["scale", "Scale", ""],
 ];
 const RULES = [
   ["simple", "Simple"],
@@ -134,9 +134,9 @@ function limitCard(limit, rigs, { move, remove }) {
     h(
       "div",
       { class: "fields four" },
-      RANGES.flatMap(([key, label]) => [
-        make(`${key}[0]`, `${label}, from`.replace("°, from", "from, °"), number(limit[key]?.[0])),
-        make(`${key}[1]`, `${label}, to`.replace("°, to", "to, °"), number(limit[key]?.[1])),
+      RANGES.flatMap(([key, label, unit]) => [
+        make(`${key}[0]`, `${label} from${unit}`, number(limit[key]?.[0])),
+        make(`${key}[1]`, `${label} to${unit}`, number(limit[key]?.[1])),
       ]),
     ),
     h(

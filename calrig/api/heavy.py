@@ -64,8 +64,10 @@ class HeavyWork:
             kept_at: as of a `Job`.
 
         Raises:
+            WorkRefused: too much is waiting.
             HTTPException: the client has left.
         """
+        self._context.processes.require_room()
         job = Job(self._context.processes, work, kept_at)
         left = asyncio.ensure_future(self._has_left())
         asked = asyncio.ensure_future(job.asked.wait())

@@ -120,8 +120,10 @@ class Candidate:
 
     def is_distinct(self, r: Responses, other: Candidate) -> bool:
         """Whether both can be in one model: in other runs, or at places that these poses tell apart."""
-        elsewhen = in_words(self.changed) != in_words(other.changed)
-        return elsewhen or self.effect.distinct(r, self.shape, other.shape)
+        one, another = self.shape.changed, other.shape.changed
+        if one is not another and in_words(one) != in_words(another):
+            return True
+        return self.effect.distinct(r, self.shape, other.shape)
 
     def rows(self, chosen: np.ndarray[tuple[int], np.dtype[np.intp]]) -> Candidate:
         """The same candidate in some of the poses."""
@@ -155,7 +157,8 @@ def candidates_of(r: Responses) -> list[Candidate]:
     ]
     shown = [candidate for candidate in found if np.ptp(candidate.columns[:, 0, 0]) > 0.0]
     all_along = [candidate for candidate in shown if candidate.changed is None]
-    pairs = [(a, b) for b in all_along for a in all_along if a.name in b.effect.together_with]
+    offered = [b for b in all_along if not b.shape.alone]
+    pairs = [(a, b) for b in offered for a in all_along if a.name in b.effect.together_with]
     together = [_together(a, b) for a, b in pairs] + _several_changes(shown, len(r.run_ids) - 1)
     together += _series(r, all_along)
     unnamed = sum(not candidate.named for candidate in shown)
@@ -166,9 +169,14 @@ def _together(a: Candidate, b: Candidate) -> Candidate:
     return Candidate(b.effect, b.shape, np.concatenate([a.columns, b.columns], axis=2), a)
 
 
+def goes_round(r: Responses) -> bool:
+    """Whether the poses cover a turn, so that its orders mean something."""
+    return float(np.ptp(r.theta_deg)) >= LEAST_TURN_DEG
+
+
 def _series(r: Responses, shown: Sequence[Candidate]) -> list[Candidate]:
     """The first terms of the turn's series as one, so many and more: each alone may look like noise."""
-    if np.ptp(r.theta_deg) < LEAST_TURN_DEG:
+    if not goes_round(r):
         return []
     terms = (c for c in shown if c.shape.series and not c.shape.scanned)
     joined = list(accumulate(terms, _together))

@@ -144,7 +144,7 @@ def cannot_pass(limit: Limit, reference: Reference | None, theta_deg: FloatArray
             room.append(("scale", 0.5 * (limit.scale[1] - limit.scale[0]), k * part.scale, ""))
         reasons += [
             f"w = {limit.guard:g}·U with U = {significant(expanded)}{unit} of the stage alone leaves nothing "
-            f"of the ± {significant(allowed)}{unit} allowed to the {name}"
+            f"of the ±{significant(allowed)}{unit} allowed to the {name}"
             for name, allowed, expanded, unit in room
             if allowed is not None and limit.guard * expanded >= allowed
         ]

@@ -62,7 +62,9 @@ def cross_validate(
         train, test = np.flatnonzero(fold != k), np.flatnonzero(fold == k)
         seen = r.rows(train)
         base[test] = errors_deg(r, (), fit(seen, seen.base).beta, test)
-        findings = search(seen, [c.rows(train) for c in candidates], rng, bootstraps=BOOTSTRAPS)
+        findings = search(
+            seen, [c.rows(train) for c in candidates], rng, bootstraps=BOOTSTRAPS, decide_only=True
+        )
         if not findings.found:
             final[test] = base[test]
             continue

@@ -106,6 +106,8 @@ class Shape:
         series: what it is one term of, where several terms make one cause: a search counts them once.
         beside: covariates that effects in the model must follow before it is offered.
         changed: between which runs, where it is only in the later ones.
+        alone: never offered as one with the effects that its own is declared to come with: of many places
+            close together a few stand for all until they are parted.
     """
 
     shares: Mapping[str, FloatArray]
@@ -124,6 +126,7 @@ class Shape:
     series: str = ""
     beside: tuple[str, ...] = ()
     changed: Change | None = None
+    alone: bool = False
 
     @property
     def stated(self) -> frozenset[str]:

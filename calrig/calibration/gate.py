@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.candidates import Candidate
+from calrig.calibration.drawn_fits import DrawnFits
 from calrig.calibration.effects import UNNAMED
 from calrig.calibration.model import side_by_side
 from calrig.calibration.noise_model import Fit, NoiseModel, fits, noise_of
@@ -34,13 +35,13 @@ QUANTILE, UNNAMED_QUANTILE = 0.98, 0.995
 than a shape that has none, and four times as much of the error rate is spent on it. So a scan of a hundred
 instants does not raise the bar for an effect of one parameter.
 """
-BATCH = 16
-"""Sets of responses fitted at once: their columns then stay in the processor's cache."""
 FIRST_DRAWS = 49
 FEWEST_DRAWS = 99
 CLEAR_SHARE = 5
 CLEAR = 10.0
-"""Of −2 log likelihood, beyond the largest of a fifth of all draws: the rest would not reach it either."""
+"""Of −2 log likelihood, beyond the largest of a fifth of all draws: the rest would not reach it either. Nor
+would one in a hundred, where 49 were drawn: a χ² of one degree of freedom falls by a factor of 150 over it.
+"""
 Intp = npt.NDArray[np.intp]
 
 
@@ -48,13 +49,16 @@ Intp = npt.NDArray[np.intp]
 class Verdict:
     """What the gate says of one search: each candidate's ratio on the screen, and the search's p-value.
 
-    `gain` is that of the best candidate in −2 log likelihood with penalties.
+    `gain` is that of the best candidate in −2 log likelihood with penalties; `passes`, whether the p-value is
+    below the level, or clearly would be with more draws; `least_p_value`, what all draws could tell at best.
     """
 
     candidates: Sequence[Candidate]
     ratios: Float32Array
     gain: float
     p_value: float
+    passes: bool
+    least_p_value: float
 
 
 def gate(
@@ -66,6 +70,8 @@ def gate(
     bootstraps: int,
     level: float,
     noise: NoiseModel | None = None,
+    *,
+    decide_only: bool = False,
 ) -> Verdict:
     """Judges the best of all candidates against its distribution under the current model.
 
@@ -80,27 +86,32 @@ def gate(
         bootstraps: how many at most.
         level: of the decision that the p-value is for.
         noise: of the null, where a larger model tells it better than what the current one leaves.
+        decide_only: whether the p-value is of no interest where it is clear that it lies below the level.
     """
+    least = 1.0 / (bootstraps + 1)
     if not candidates:
-        return Verdict(candidates, np.empty(0, dtype=np.float32), 0.0, 1.0)
+        return Verdict(candidates, np.empty(0, dtype=np.float32), 0.0, 1.0, level >= 1.0, least)
     model = columns_with(())
     if noise is None:
         noise = noise_of(fitted.residuals, r, max(1.0, model.shape[2] / len(r.channels)), unbiased=True)
-    trial = _Trial(r, columns_with, candidates, Screen(r, model, candidates, noise))
+    trial = _Trial(r, columns_with, candidates, noise)
     ratios = trial.screen.ratios(fitted.residuals[None])
-    observed, alternative = trial.gains(r.values[None], ratios)
-    null = np.empty((0, observed.shape[1]))
+    observed, alternative = trial.observed(ratios)
+    null = np.empty((0, len(observed)))
     clear_after = max(FEWEST_DRAWS, round(1.0 / level) - 1, bootstraps // CLEAR_SHARE)
+    clear_after = FIRST_DRAWS if decide_only else clear_after
     steps = (FIRST_DRAWS, clear_after, 2 * clear_after, bootstraps)
     for draws in sorted({min(step, bootstraps) for step in steps}):
         values = _resampled(r, alternative, noise, rng, draws - len(null))
-        null = np.concatenate([null, trial.gains_of_noise(values, noise)])
-        best, of_noise = _above_bars(trial.labels, observed[0], null)
+        null = np.concatenate([null, trial.gains_of_noise(values)])
+        best, of_noise = _above_bars(trial.labels, observed, null)
         exceeded = int((of_noise >= best).sum())
         is_clear = draws >= clear_after and best > of_noise.max() + CLEAR
         if is_clear or exceeded >= level * (bootstraps + 1):
             break
-    return Verdict(candidates, ratios[0], float(observed.max()), (1 + exceeded) / (1 + len(null)))
+    p_value = (1 + exceeded) / (1 + len(null))
+    passes = is_clear or p_value <= level
+    return Verdict(candidates, ratios[0], float(observed.max()), p_value, passes, least)
 
 
 def _above_bars(labels: Sequence[str], observed: FloatArray, null: FloatArray) -> tuple[float, FloatArray]:
@@ -114,59 +125,86 @@ def _above_bars(labels: Sequence[str], observed: FloatArray, null: FloatArray) -
 
 
 class _Trial:
-    """The gain of the best candidates beside one model, for many sets of responses."""
+    """The gain of the best candidates beside one model, in the poses' responses and in many of noise."""
 
     def __init__(
         self,
         r: Responses,
         columns_with: Callable[[Sequence[Candidate]], FloatArray],
         candidates: Sequence[Candidate],
-        screen: Screen,
+        noise: NoiseModel,
     ) -> None:
-        self.screen = screen
-        self._r, self._columns_with, self._candidates = r, columns_with, candidates
+        self._r, self._columns_with, self._candidates, self._noise = r, columns_with, candidates, noise
+        self._model = columns_with(())
+        self.screen = Screen(r, self._model, candidates, noise)
         self._penalties = np.log(len(r)) * np.array([c.parameters for c in candidates])
         by_label: dict[str, list[int]] = {}
         for index, candidate in enumerate(candidates):
             by_label.setdefault(candidate.label, []).append(index)
         self.labels = list(by_label)
         self._of_label = [np.array(indices) for indices in by_label.values()]
-        self._model = columns_with(())
+        self._replacing = np.array([c.shape.replaces is not None for c in candidates])
+        self._drawn = DrawnFits(r, columns_with, candidates, noise)
 
-    def gains_of_noise(self, values: FloatArray, noise: NoiseModel) -> FloatArray:
-        """(b, L) gains in sets of responses (b, n, J) drawn from a noise."""
-        ratios = self.screen.ratios(values)
-        batches = [slice(first, first + BATCH) for first in range(0, len(values), BATCH)]
-        return np.concatenate([self.gains(values[some], ratios[some], noise)[0] for some in batches])
+    def observed(self, ratios: Float32Array) -> tuple[FloatArray, Fit]:
+        """(L,) gains of the poses' own responses by the best candidate of each name, and the best fit.
 
-    def gains(
-        self, values: FloatArray, ratios: Float32Array, start: NoiseModel | None = None
-    ) -> tuple[FloatArray, Fit]:
-        """(b, L) reductions of −2 log likelihood, less penalties, by the best candidate of each name.
-
-        Minus infinity for names that do not lead on the screen. And the fit of the first set's best.
+        Where physics forbids all that lead, of those that come next.
         """
+        while True:
+            gains, best = self._observed(ratios)
+            tried = self._leaders(ratios)[0][0]
+            left = np.isfinite(ratios[0])
+            left[np.concatenate([self._of_label[k] for k in tried])] = False
+            if np.isfinite(gains).any() or not left.any():
+                return gains, best
+            ratios = np.where(left, ratios, -np.inf).astype(np.float32)
+
+    def _observed(self, ratios: Float32Array) -> tuple[FloatArray, Fit]:
+        """The same of those that lead on the screen."""
         leading, candidates = self._leaders(ratios)
-        null = fits(self._r, values, self._model[None], start).criterion
-        many = np.repeat(values, leading.shape[1], axis=0)
-        fitted = fits(self._r, many, self._columns(candidates.ravel()), start)
-        criterion = np.array(
-            [
-                criterion if self._is_possible(int(k), beta) else np.inf
-                for k, beta, criterion in zip(candidates.flat, fitted.beta, fitted.criterion, strict=True)
-            ]
-        ).reshape(leading.shape)
-        gains = np.full((len(values), len(self.labels)), -np.inf)
-        np.put_along_axis(gains, leading, null[:, None] - criterion - self._penalties[candidates], axis=1)
-        best = int(np.argmin(criterion[0] + self._penalties[candidates[0]]))
+        values = self._r.values[None]
+        null = fits(self._r, values, self._model[None]).criterion
+        many = np.repeat(values, candidates.shape[1], axis=0)
+        fitted = fits(self._r, many, self._columns(candidates.ravel()))
+        gains = self._gains(leading, candidates, null, fitted.criterion, self._own(fitted.beta, candidates))
+        best = int(np.argmin(fitted.criterion + self._penalties[candidates[0]]))
         noise = NoiseModel(fitted.rotation[best], fitted.rho[best])
         parts = fitted.beta[best], fitted.covariance[best], fitted.residuals[best]
-        return gains, Fit(*parts, noise, float(fitted.criterion[best]))
+        return gains[0], Fit(*parts, noise, float(fitted.criterion[best]))
 
-    def _is_possible(self, k: int, beta: FloatArray) -> bool:
-        candidate = self._candidates[k]
-        replaced = 1 if candidate.shape.replaces else 0
-        return candidate.is_possible(beta[self._model.shape[2] - replaced :])
+    def gains_of_noise(self, values: FloatArray) -> FloatArray:
+        """(b, L) the same in sets of responses (b, n, J) drawn from the noise."""
+        leading, candidates = self._leaders(self.screen.ratios(values))
+        null = self._drawn.null(values)
+        return self._gains(leading, candidates, null, *self._drawn.beside(values, candidates))
+
+    def _own(self, beta: FloatArray, candidates: Intp) -> list[FloatArray]:
+        """The candidates' own coefficients among those of their models (b·k, p)."""
+        first = self._model.shape[2] - self._replacing[candidates.ravel()]
+        return [one[at:] for one, at in zip(beta, first.tolist(), strict=True)]
+
+    def _gains(
+        self,
+        leading: Intp,
+        candidates: Intp,
+        null: FloatArray,
+        criterion: FloatArray,
+        own: Sequence[FloatArray],
+    ) -> FloatArray:
+        """(b, L) reductions of −2 log likelihood, less penalties, by the best candidate of each name.
+
+        Minus infinity for names that do not lead on the screen, and for what physics rules out.
+        """
+        possible = [
+            self._candidates[k].is_possible(beta)
+            for k, beta in zip(candidates.ravel().tolist(), own, strict=True)
+        ]
+        gained = null[:, None] - criterion.reshape(leading.shape) - self._penalties[candidates]
+        gains = np.full((len(leading), len(self.labels)), -np.inf)
+        reached = np.where(np.reshape(possible, leading.shape), gained, -np.inf)
+        np.put_along_axis(gains, leading, reached, axis=1)
+        return gains
 
     def _leaders(self, ratios: Float32Array) -> tuple[Intp, Intp]:
         """(b, k) the names that lead on the screen, and the best candidate of each."""

@@ -87,7 +87,7 @@ def held_against(
         says=(
             f"{IN_WORDS[answer]} against the limits “{limit.name}” ({limit.rule_in_words}).",
             *(figure.says for figure in figures),
-            *_risk(answer, probability),
+            *_risk(answer, probability, of="the unit" if len(decided) == len(figures) else "what is decided"),
         ),
         probability_of_conformity=probability,
         probability_of_false_accept=1.0 - probability
@@ -232,12 +232,10 @@ def _probability(limit: Limit, measured: _Measured) -> float | None:
     )
 
 
-def _risk(answer: Answer, probability: float | None) -> list[str]:
+def _risk(answer: Answer, probability: float | None, *, of: str) -> list[str]:
     if probability is None:
         return ["How probable it is that the unit conforms is not known."]
-    said = (
-        f"By the uncertainty of this result, the unit conforms with a probability of {percent(probability)}"
-    )
+    said = f"By the uncertainty of this result, {of} conforms with a probability of {percent(probability)}"
     if answer != "pass":
         return [f"{said}."]
     return [f"{said}: the risk of a false acceptance is {percent(1.0 - probability)}."]

@@ -11,12 +11,13 @@ channels of one common ρ are both special cases.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
+from calrig.calibration.lagged_products import LARGEST_RHO, SMALLEST_RHO, lagged_products
 from calrig.calibration.responses import BoolArray, Responses
 from calrig.estimation.angles import FloatArray
 
@@ -25,14 +26,10 @@ STRONG_RHO = 0.75
 """Correlation beyond which coefficients and noise agree slowly; below it one step from the noise that the
 responses were drawn from leaves the criterion where four would (quantiles of its gain alike to 0.5).
 """
-RIDGE = 1e-9
-"""Added to products of columns of unit size, so that two that say the same need no eigenvectors."""
-LARGEST_RHO = 0.95
-SMALLEST_RHO = -0.5
-ALIKE = 1e-12
-"""Added to each channel's own variance, so that two channels of one noise stay distinguishable."""
-PRIOR_RHO_STD = 0.2
-"""Correlation that a model has to invoke counts against it by (ρ/0.2)²: noise is more often white."""
+CACHE = 40_000
+"""Numbers in an array that several of fit into the processor's cache; beyond it a fit takes twice as long."""
+SINGULAR = 1e-10
+"""Of products of columns of unit size, an eigenvalue that says that some of them say the same."""
 
 Real = TypeVar("Real", npt.NDArray[np.float64], npt.NDArray[np.float32])
 
@@ -126,65 +123,96 @@ class Fits:
     criterion: FloatArray
 
 
-def fits(r: Responses, values: FloatArray, columns: FloatArray, start: NoiseModel | None = None) -> Fits:
-    """Fits b sets of responses at once: a bootstrap judges its best candidates by their full likelihood.
+def fits(r: Responses, values: FloatArray, columns: FloatArray) -> Fits:
+    """Fits b sets of responses at once.
 
     Args:
         r: the responses, for what their poses have in common.
         values: (b, n, J).
         columns: (b, n, J, p), or (1, n, J, p) where all have the same.
-        start: noise that they were drawn from, to begin with; without it from white noise.
     """
+    at_once = max(1, CACHE // (columns[0].size + values[0].size))
+    parts = [
+        _fits(r, values[k : k + at_once], columns[k : k + at_once] if len(columns) > 1 else columns)
+        for k in range(0, len(values), at_once)
+    ]
+    if len(parts) == 1:
+        return parts[0]
+    return Fits(*(np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(Fits)))
+
+
+def _fits(r: Responses, values: FloatArray, columns: FloatArray) -> Fits:
     b, n, channels = values.shape
-    columns = np.broadcast_to(columns, (b, *columns.shape[1:]))
     p = columns.shape[3]
-    if start is None:
-        spread = np.hypot(values.std(axis=1), r.rounding)
-        rotation, rho = np.eye(channels) / spread[:, None, :], np.zeros((b, channels))
-    else:
-        rotation = np.broadcast_to(start.rotation, (b, channels, channels))
-        rho = np.broadcast_to(start.rho, (b, channels))
-    by_channel = np.ascontiguousarray(np.moveaxis(columns, 2, 1)).reshape(b, channels, n * p)
+    rows = columns.reshape(len(columns), n * channels, p)
+    spread = np.hypot(values.std(axis=1), r.rounding)
+    rotation, rho = np.eye(channels) / spread[:, None, :], np.zeros((b, channels))  # white to begin with
     taken = max(1.0, p / channels)
-    for _ in range(1 if start is not None and start.rho.max() < STRONG_RHO else ITERATIONS):
-        turned = (np.swapaxes(rotation, 1, 2) @ by_channel).reshape(b, channels, n, p)
-        design = _innovations(turned, rho, r.starts).reshape(b, channels * n, p)
-        target = _innovations(np.swapaxes(values @ rotation, 1, 2)[..., None], rho, r.starts)
-        across = np.swapaxes(design, 1, 2)
-        gram = across @ design
-        power = np.einsum("bpp->bp", gram)
-        size = np.sqrt(np.where(power > 0.0, power, 1.0))
-        sizes = size[:, :, None] * size[:, None, :]
-        covariance = _inverse(gram / sizes, exact=start is None) / sizes
-        beta = (covariance @ (across @ target.reshape(b, channels * n, 1)))[..., 0]
-        residuals = (values - (columns @ beta[:, None, :, None])[..., 0]) * r.known
-        rotation, rho = _noises(residuals, r, taken)
-    innovations = _innovations(np.swapaxes(residuals @ rotation, 1, 2)[..., None], rho, r.starts)
-    variance = (innovations[..., 0] ** 2).mean(axis=2) + r.rounding**2 @ rotation**2
-    criterion = (
-        n * np.log(variance).sum(axis=1)
-        + int((~r.starts).sum()) * np.log(1.0 - rho**2).sum(axis=1)
-        - 2.0 * n * np.linalg.slogdet(rotation)[1]
-        + ((rho / PRIOR_RHO_STD) ** 2).sum(axis=1)
-    )
-    return Fits(beta, covariance, residuals, rotation, rho, criterion)
+    by_channel = _by_channel(columns, values)
+    for step in range(ITERATIONS):
+        white = _innovations(by_channel, rotation, rho, r.starts)
+        products = np.swapaxes(white, 1, 2) @ white
+        gram, along = products[:, :p, :p], products[:, :p, p:]
+        if step == 0:  # from here on with columns that are orthonormal, or nothing
+            some = gram[: len(columns)]
+            turn = orthonormal(some, np.sqrt(np.einsum("bpp->bp", some)))
+            back = np.swapaxes(turn, 1, 2)
+            gram, along = back @ gram @ turn, back @ along
+            void = np.eye(p) * (turn == 0.0).all(axis=1)[:, None, :]
+            rows = rows @ turn
+            by_channel = _by_channel(rows.reshape(-1, n, channels, p), values)
+        covariance = np.linalg.inv(gram + void)
+        inside = covariance @ along
+        residuals = (values - (rows @ inside).reshape(values.shape)) * r.known
+        left = lagged_products(residuals, r.starts, r.rounding)
+        rotation, rho = left.noises(taken)
+    beta = (turn @ inside)[:, :, 0]
+    covariance = turn @ (covariance - void) @ back
+    return Fits(beta, covariance, residuals, rotation, rho, left.criterion(rotation, rho))
 
 
-def _inverse(gram: FloatArray, *, exact: bool) -> FloatArray:
-    """Of (b, p, p) products of columns of unit size, some of which may say the same or nothing at all."""
-    if exact:
-        return np.asarray(np.linalg.pinv(gram, rcond=1e-10, hermitian=True), dtype=np.float64)
-    return np.asarray(np.linalg.inv(gram + RIDGE * np.eye(gram.shape[1])), dtype=np.float64)
+def _by_channel(columns: FloatArray, values: FloatArray) -> FloatArray:
+    """(b, J, n, p + 1) columns (b or 1, n, J, p) and beside them values (b, n, J), channel by channel."""
+    b, n, channels = values.shape
+    both = np.empty((b, channels, n, columns.shape[3] + 1))
+    both[..., :-1] = np.swapaxes(columns, 1, 2)
+    both[..., -1] = np.swapaxes(values, 1, 2)
+    return both
 
 
-def _innovations(rotated: FloatArray, rho: FloatArray, starts: BoolArray) -> FloatArray:
-    """Innovations (b, J, n, p) of rotated channels with correlations (b, J)."""
-    gain = 1.0 / np.sqrt(1.0 - rho**2)
-    white: FloatArray = rotated * gain[:, :, None, None]
-    white[:, :, 1:] -= rotated[:, :, :-1] * (rho * gain)[:, :, None, None]
-    white[:, :, starts] = rotated[:, :, starts]
-    white[:, :, 0] = rotated[:, :, 0]
-    return white
+def orthonormal(gram: FloatArray, size: FloatArray) -> FloatArray:
+    """(b, p, p) what turns columns into orthonormal ones, as many as they are worth, and 0 beyond.
+
+    Args:
+        gram: (b, p, p) products of the columns.
+        size: (b, p) of the columns before others were taken off them: what is left of none, is nothing.
+    """
+    safe = np.where(size > 0.0, size, 1.0)
+    unit = gram / (safe[:, :, None] * safe[:, None, :])
+    if gram.shape[1] == 1:
+        values, vectors = unit[:, 0], np.ones_like(unit)
+    else:
+        values, vectors = np.linalg.eigh(unit)
+    there = values > SINGULAR * np.maximum(values[:, -1:], 1.0)
+    scale = np.where(there, 1.0 / np.sqrt(np.where(there, values, 1.0)), 0.0)
+    return np.asarray(vectors * scale[:, None, :] / safe[:, :, None], dtype=np.float64)
+
+
+def _innovations(
+    by_channel: FloatArray, rotation: FloatArray, rho: FloatArray, starts: BoolArray
+) -> FloatArray:
+    """(b, J·n, p) innovations of columns (b, J, n, p) in rotated channels of correlations rho (b, J)."""
+    flat = by_channel.reshape(*by_channel.shape[:2], -1)
+    rotated = (np.swapaxes(rotation, 1, 2) @ flat).reshape(len(rotation), *by_channel.shape[1:])
+    if rho.any():
+        gain = 1.0 / np.sqrt(1.0 - rho**2)
+        before = rotated[:, :, :-1] * (rho * gain)[:, :, None, None]
+        anew = np.flatnonzero(starts[1:]) + 1  # and the very first: they follow on nothing
+        alone = rotated[:, :, anew]
+        rotated[:, :, 1:] *= gain[:, :, None, None]
+        rotated[:, :, 1:] -= before
+        rotated[:, :, anew] = alone
+    return rotated.reshape(len(rotated), -1, rotated.shape[3])
 
 
 def stacked(noise: NoiseModel, starts: BoolArray, columns: FloatArray, share: float = 1.0) -> FloatArray:
@@ -203,23 +231,7 @@ def noise_of(residuals: FloatArray, r: Responses, parameters: float, *, unbiased
         unbiased: add what fitting takes off the correlation, about (1 + p + 4ρ)/n (Kendall, 1954), as a
             bootstrap that is to behave like the noise needs it.
     """
-    (rotation,), (rho,) = _noises(residuals[None], r, parameters)
+    (rotation,), (rho,) = lagged_products(residuals[None], r.starts, r.rounding).noises(parameters)
     if unbiased:
         rho = rho + 0.75 * (1.0 + parameters + 4.0 * np.maximum(rho, 0.0)) / len(residuals)
     return NoiseModel(rotation, np.clip(rho, SMALLEST_RHO, LARGEST_RHO))
-
-
-def _noises(residuals: FloatArray, r: Responses, parameters: float) -> tuple[FloatArray, FloatArray]:
-    """(b, J, J) rotations and (b, J) correlations of residuals (b, n, J)."""
-    _, n, channels = residuals.shape
-    across = np.swapaxes(residuals, 1, 2)
-    covariance = across @ residuals / max(n - parameters, 1.0)
-    floor = ALIKE * np.einsum("bjj->bj", covariance) + r.rounding**2
-    covariance = covariance + np.eye(channels) * floor[:, None, :]
-    root = np.swapaxes(np.linalg.inv(np.linalg.cholesky(covariance)), 1, 2)
-    white = residuals @ root
-    follows = np.flatnonzero(~r.starts[1:])
-    lagged = np.swapaxes(white[:, follows + 1], 1, 2) @ white[:, follows]
-    lagged /= max(len(follows) - parameters, 1.0)
-    rho, turn = np.linalg.eigh((lagged + np.swapaxes(lagged, 1, 2)) / 2.0)
-    return root @ turn, np.clip(rho, SMALLEST_RHO, LARGEST_RHO)

@@ -24,6 +24,11 @@ PAIR_MARGIN = 8.0
 """Of the criterion, by which two effects must beat the best one to enter together, and the second of them
 must pass the gate beside the first: on trial by this margin alone it was wrong in 1 % of all runs.
 """
+COMPANION_MARGIN = 3.0
+"""Of the criterion, by which an effect must pay for the one companion that it is declared to have: with the
+penalty a likelihood ratio beyond 7, which one parameter reaches in noise in less than 1 of 100. As a rival of
+one effect alone it pays as much: that two bend each other straight is a coincidence.
+"""
 LEADING_NAMES = 4
 SHORTLIST = 16
 FARTHEST = 1e9
@@ -138,7 +143,8 @@ def _rivals(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> tu
         first = c.members[0]  # of two that only together explain it, the one that leads is the suspect
         # the claimed one, and another; what it is, whenever it came
         more = any(member.kind == claimed.kind for member in c.members)
-        near = criterion - best < MARGIN or c.name in claimed.shape.alike
+        paid = COMPANION_MARGIN if len(c.members) > len(claimed.members) else 0.0
+        near = criterion + paid - best < MARGIN or c.name in claimed.shape.alike
         if c.named and not more and first.kind not in claimed.kind and near:
             others.setdefault(first.label, first)
     if not leader.named:
@@ -191,7 +197,7 @@ def pair(
         fitted = fitted_model(r, [*accepted, *added]).fitted
         return fitted.criterion + bic_penalty * sum(c.parameters for c in added)
 
-    named = [i for i, c in enumerate(offered) if c.named and c.follows is None]
+    named = [i for i, c in enumerate(offered) if c.named and c.follows is None and c.beside is None]
     firsts: dict[str, Candidate] = {}
     for i in sorted(named, key=lambda i: bic_penalty * offered[i].parameters - float(ratios[i])):
         firsts.setdefault(offered[i].label, offered[i])
@@ -203,10 +209,10 @@ def pair(
         if not rest:
             continue
         screen = Screen(r, model.columns, rest, model.fitted.noise)
-        more = screen.ratios(model.fitted.residuals[None])[0]
+        more = screen.once(model.fitted.residuals)
         second = rest[_first_best(more - bic_penalty * np.array([c.parameters for c in rest]))]
         together = criterion(first, second)
-        if together < to_beat:
+        if together < to_beat - SAME:
             to_beat, best = together, (first, second)
     return best
 

@@ -93,6 +93,7 @@ class Responses:
         rounding: (J,) what arithmetic alone may leave of each response: below it there is nothing to judge.
         across_g: (n,) acceleration along the stage's axis, where the accelerometer has a third one. It says
             how far askew a unit sits, as each does: no response, for it would name effects that are none.
+        arc_deg: that the elevations span.
     """
 
     run: npt.NDArray[np.intp]
@@ -114,6 +115,10 @@ class Responses:
     rounding: FloatArray
     warnings: tuple[str, ...] = field(default=())
     across_g: FloatArray | None = None
+    arc_deg: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "arc_deg", float(np.ptp(self.theta_deg)))
 
     def __len__(self) -> int:
         return len(self.theta_deg)

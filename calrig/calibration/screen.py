@@ -2,37 +2,61 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.candidates import Candidate
-from calrig.calibration.noise_model import PRIOR_RHO_STD, NoiseModel, Real
+from calrig.calibration.lagged_products import PRIOR_RHO_STD
+from calrig.calibration.noise_model import NoiseModel, orthonormal
 from calrig.calibration.responses import Responses
 from calrig.estimation.angles import FloatArray
 
 SHARES = (0.0, 0.5, 1.0)
 """Of the correlation found under the null: an alternative may explain as much of it as it can."""
 SMALLEST = 1e-6
-BATCH = 250
-"""Bootstraps at a time: what belongs to them then stays in the processor's cache."""
+BATCH, BLOCK = 100, 2**16
+"""Bootstraps at a time, and numbers of candidates: what belongs to them stays in the processor's cache."""
 Float32Array = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
-class _Level:
-    """The candidates at one share of the null's correlation, by their number of columns.
-
-    `base` (J, n, q) is orthonormal over all channels; the candidates' columns (J, p, C, n), orthonormal
-    beside it, come with their products (J, C, p, p) within each channel.
-    """
+class _Base:
+    """The model at one share of the null's correlation: `columns` (J, n, q) orthonormal over all channels."""
 
     share: float
-    base: Float32Array
-    bases: dict[int, tuple[Float32Array, Float32Array]]
+    columns: FloatArray
     cost: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Beside:
+    """Candidates of one number of columns p, at one share of the null's correlation.
+
+    `columns` (J, p, C, n) are orthonormal over all channels beside the model once what of them lies in its
+    base is taken off: `inside` (q, p·C) are the base's products with them over all channels. Of what is then
+    left `products` (J, C, p, p) are those within each channel.
+    """
+
+    columns: Float32Array
+    inside: Float32Array
+    products: Float32Array
+
+
+class _Values(NamedTuple):
+    """b sets of whitened responses (J, b, n) at one share, nothing of the base left in them.
+
+    With the base's products with them within each channel (J, b, q), their sums of squares (J, b) with what
+    rounding may add, and −2 log likelihood (b,).
+    """
+
+    white: Float32Array
+    of_base: Float32Array
+    power: Float32Array
+    null: FloatArray
 
 
 class Screen:
@@ -47,108 +71,133 @@ class Screen:
         self, r: Responses, model: FloatArray, candidates: Sequence[Candidate], noise: NoiseModel
     ) -> None:
         self._r, self._noise = r, noise
-        self._floor = len(r) * noise.floor(r.rounding)[:, None]
-        by_width: dict[int, list[int]] = {}
-        for index, candidate in enumerate(candidates):
-            by_width.setdefault(candidate.columns.shape[2], []).append(index)
-        stacks = {
-            width: noise.rotated(np.moveaxis(np.stack([candidates[i].columns for i in indices]), 3, 0))
-            for width, indices in by_width.items()
-        }
-        self._as_given = np.argsort(np.concatenate(list(by_width.values())))
+        self._floor = (len(r) * noise.floor(r.rounding)[:, None]).astype(np.float32)
         rotated = noise.rotated(np.moveaxis(model, 2, 0))
-        self._levels = [self._level(share, rotated, stacks) for share in SHARES]
+        self._bases = [self._base(share, rotated) for share in SHARES]
+        self._by_width: dict[int, list[int]] = {}
+        for index, candidate in enumerate(candidates):
+            self._by_width.setdefault(candidate.columns.shape[2], []).append(index)
+        self._candidates = candidates
+        self._as_given = np.argsort(np.concatenate(list(self._by_width.values())))
+        self._made: list[list[_Beside]] = []
 
-    def _level(self, share: float, model: FloatArray, stacks: dict[int, FloatArray]) -> _Level:
-        """Takes the rotated model (J, p, n) and candidates (J, p, C, n)."""
+    def _base(self, share: float, model: FloatArray) -> _Base:
+        """Of the rotated model (J, p, n)."""
         starts, noise = self._r.starts, self._noise
         white = noise.innovations(model, starts, share)
         design = white.transpose(0, 2, 1).reshape(-1, model.shape[1])
         base, _ = np.linalg.qr(design[:, design.any(axis=0)])  # of a fold, a first pose may not be in it
-        base = base.reshape(len(model), -1, base.shape[1])
-        bases = {
-            width: _orthonormal(noise.innovations(stack, starts, share), base)
-            for width, stack in stacks.items()
-        }
         rho = noise.rho * share
-        following = int((~starts).sum())
+        following = int((~starts[1:]).sum())
         cost = following * np.log(1.0 - rho**2).sum() + ((rho / PRIOR_RHO_STD) ** 2).sum()
-        return _Level(share, base.astype(np.float32), bases, float(cost))
+        return _Base(share, base.reshape(len(model), -1, base.shape[1]), float(cost))
+
+    def _beside(self, width: int) -> Iterator[list[_Beside]]:
+        """The candidates of one width at each share, some at a time."""
+        indices, at_once = self._by_width[width], max(1, BLOCK // (width * self._r.values.size))
+        for first in range(0, len(indices), at_once):
+            columns = np.stack([self._candidates[i].columns for i in indices[first : first + at_once]])
+            stack = self._noise.rotated(np.moveaxis(columns, 3, 1))
+            yield [
+                _beside(self._noise.innovations(stack, self._r.starts, base.share), base.columns)
+                for base in self._bases
+            ]
+
+    def once(self, residuals: FloatArray) -> Float32Array:
+        """(C,) reductions of −2 log likelihood for residuals (n, J) of the model."""
+        values = self._values(residuals[None])
+        parts = [self._ratios(values, some) for width in self._by_width for some in self._beside(width)]
+        return np.asarray(np.concatenate(parts, axis=1)[0, self._as_given], dtype=np.float32)
 
     def ratios(self, residuals: FloatArray) -> Float32Array:
-        """(b, C) reductions of −2 log likelihood for b sets of residuals (b, n, J) of the model."""
-        rotated = self._noise.rotated(residuals).astype(np.float32)
-        parts = [self._ratios(rotated[:, k : k + BATCH]) for k in range(0, len(residuals), BATCH)]
+        """(b, C) the same of b sets of residuals (b, n, J); what it makes for that serves the next."""
+        if not self._made:
+            self._made = [
+                [_joined(of_share) for of_share in zip(*self._beside(width), strict=True)]
+                for width in self._by_width
+            ]
+        parts = []
+        for first in range(0, len(residuals), BATCH):
+            values = self._values(residuals[first : first + BATCH])
+            parts.append(np.concatenate([self._ratios(values, some) for some in self._made], axis=1))
         return np.concatenate(parts)[:, self._as_given]
 
-    def _ratios(self, rotated: Float32Array) -> Float32Array:
-        """The same of rotated channels (J, b, n), candidates ordered by width."""
-        n = rotated.shape[2]
-        least = np.full((rotated.shape[1], len(self._as_given)), np.inf, dtype=np.float32)
-        null: list[FloatArray] = []
-        for level in self._levels:
-            white = _beside(level.base, self._noise.innovations(rotated, self._r.starts, level.share))
-            power = np.einsum("jbn,jbn->jb", white, white) + self._floor.astype(np.float32)
-            null.append(n * np.log(power.astype(np.float64)).sum(axis=0) + level.cost)
-            against_first = np.exp((null[-1] - null[0]) / n).astype(np.float32)[:, None]
-            lefts = [_share_left(white, power, *of_width) for of_width in level.bases.values()]
-            np.minimum(least, np.concatenate(lefts, axis=1) * against_first, out=least)
-        gain = (np.min(null, axis=0) - null[0]).astype(np.float32)
-        return np.asarray(gain[:, None] - n * np.log(least), dtype=np.float32)
+    def _values(self, residuals: FloatArray) -> list[_Values]:
+        """Residuals (b, n, J) at each share, and their likelihood without a candidate."""
+        rotated, n = self._noise.rotated(residuals).astype(np.float32), residuals.shape[1]
+        found = []
+        for base in self._bases:
+            columns = base.columns.astype(np.float32)
+            white = self._noise.innovations(rotated, self._r.starts, base.share)
+            white -= (white @ columns).sum(axis=0) @ np.swapaxes(columns, 1, 2)
+            power = np.einsum("jbn,jbn->jb", white, white) + self._floor
+            null = n * np.log(power.astype(np.float64)).sum(axis=0) + base.cost
+            found.append(_Values(white, white @ columns, power, null))
+        return found
 
-
-def _orthonormal(white: FloatArray, base: FloatArray) -> tuple[Float32Array, Float32Array]:
-    """Columns of candidates (J, p, C, n) made orthonormal beside a base (J, n, q), and their products."""
-    width = white.shape[1]
-    size_before = np.sqrt(np.einsum("jkcn,jkcn->kc", white, white)).max(axis=0)
-    units = _beside(base, white.reshape(len(white), -1, white.shape[3])).reshape(white.shape)
-    size = np.sqrt(np.einsum("jkcn,jkcn->kc", units, units))
-    size = np.where(size > 1e-7 * size_before, size, np.inf)  # what the base has already, counts for nothing
-    units /= size[:, :, None]
-    if width > 1:
-        values, vectors = np.linalg.eigh(_products(units).sum(axis=0))
-        inverse = np.where(values > SMALLEST, 1.0 / np.sqrt(np.maximum(values, SMALLEST)), 0.0)
-        turn = vectors * inverse[:, None, :]
-        units = np.stack(
-            [sum(units[:, m] * turn[:, m, k, None] for m in range(width)) for k in range(width)], axis=1
+    def _ratios(self, values: Sequence[_Values], candidates: Sequence[_Beside]) -> Float32Array:
+        """(b, C) the best of all shares, against the best without the candidate."""
+        n, first = len(self._r), values[0].null
+        least = np.minimum.reduce(
+            [
+                _share_left(own, of_share) * np.exp((own.null - first) / n).astype(np.float32)[:, None]
+                for own, of_share in zip(values, candidates, strict=True)
+            ]
         )
-    return units.astype(np.float32), _products(units).astype(np.float32)
+        gain = (np.min([own.null for own in values], axis=0) - first).astype(np.float32)
+        return np.asarray(gain[:, None] - np.float32(n) * np.log(least), dtype=np.float32)
 
 
-def _beside(base: Real, columns: Real) -> Real:
-    """Columns (J, c, n) less what lies in an orthonormal base (J, n, q) over all channels.
+def _beside(white: FloatArray, base: FloatArray) -> _Beside:
+    """Columns of candidates (J, C, p, n) beside a base (J, n, q)."""
+    channels, count, width, n = white.shape
+    inside = (white.reshape(channels, -1, n) @ base).reshape(channels, count, width, -1)
+    every = inside.sum(axis=0)
+    whole = white @ np.swapaxes(white, 2, 3)
+    # (c − Q·s)ᵀ(c − Q·s) within a channel, with s the products of the base over all of them
+    crossed = inside @ np.swapaxes(every, 1, 2)
+    of_base = every.reshape(-1, base.shape[2]) @ (np.swapaxes(base, 1, 2) @ base)
+    left = whole - crossed - np.swapaxes(crossed, 2, 3)
+    left += of_base.reshape(inside.shape) @ np.swapaxes(every, 1, 2)
+    turn = orthonormal(left.sum(axis=0), np.sqrt(np.einsum("jckk->ck", whole)))
+    across = np.swapaxes(turn, 1, 2)
+    columns = np.ascontiguousarray(np.swapaxes(across @ white, 1, 2), dtype=np.float32)
+    inward = np.swapaxes(across @ every, 0, 1).reshape(-1, base.shape[2]).T
+    return _Beside(columns, inward.astype(np.float32), (across @ left @ turn).astype(np.float32))
 
-    A channel at a time: small products that the processor's cache holds.
-    """
-    inside = sum(of_channel @ base[j] for j, of_channel in enumerate(columns))
-    left = columns.copy()
-    for j in range(len(left)):
-        left[j] -= inside @ base[j].T
-    return left
+
+def _joined(parts: Sequence[_Beside]) -> _Beside:
+    """Candidates of one width, one after the other."""
+    if len(parts) == 1:
+        return parts[0]
+    width = parts[0].columns.shape[1]
+    by_column = [part.inside.reshape(len(part.inside), width, -1) for part in parts]
+    return _Beside(
+        np.concatenate([part.columns for part in parts], axis=2),
+        np.concatenate(by_column, axis=2).reshape(len(parts[0].inside), -1),
+        np.concatenate([part.products for part in parts], axis=1),
+    )
 
 
-def _products(units: FloatArray) -> FloatArray:
-    """(J, C, p, p) inner products of columns (J, p, C, n) within each channel."""
-    return np.stack([np.einsum("jkcn,jcn->jck", units, units[:, m]) for m in range(units.shape[1])], axis=3)
-
-
-def _share_left(
-    values: Float32Array, power: Float32Array, columns: Float32Array, products: Float32Array
-) -> Float32Array:
-    """(b, C) product over the channels of what a candidate leaves of the channel's sum of squares.
-
-    Takes (J, b, n) whitened responses, (J, b) their sums of squares with what rounding may
-    add, and what `_orthonormal` gives.
-    """
-    channels, width = columns.shape[:2]
-    within = [[values[j] @ columns[j, k].T for k in range(width)] for j in range(channels)]
-    total = [sum(within[j][k] for j in range(channels)) for k in range(width)]
-    left = np.ones_like(within[0][0])
+def _share_left(values: _Values, candidates: _Beside) -> Float32Array:
+    """(b, C) product over the channels of what a candidate leaves of the channel's sum of squares."""
+    channels, width, count, n = candidates.columns.shape
+    flat = candidates.columns.reshape(channels, -1, n)
+    within = values.white @ np.swapaxes(flat, 1, 2)
+    within -= values.of_base @ candidates.inside
+    total = within.sum(axis=0).reshape(-1, width, count)
+    within = within.reshape(channels, -1, width, count)
+    left = np.ones_like(total[:, 0])
     for j in range(channels):
         change = np.zeros_like(left)
         for k in range(width):
-            change += total[k] * (total[k] * products[j][:, k, k] - 2.0 * within[j][k])
+            own = candidates.products[j, :, k, k] * total[:, k]
             for m in range(k):
-                change += 2.0 * total[k] * total[m] * products[j][:, k, m]
-        left *= np.maximum(1.0 + change / power[j][:, None], np.float32(SMALLEST))
+                own += 2.0 * candidates.products[j, :, k, m] * total[:, m]
+            own -= 2.0 * within[j, :, k]
+            own *= total[:, k]
+            change += own
+        change /= values.power[j][:, None]
+        change += 1.0
+        left *= np.maximum(change, np.float32(SMALLEST), out=change)
     return np.asarray(left, dtype=np.float32)

@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.backward import parted, tenable
-from calrig.calibration.candidates import Candidate
+from calrig.calibration.candidates import Candidate, goes_round
 from calrig.calibration.effect import HIDDEN
 from calrig.calibration.gate import Verdict, gate
 from calrig.calibration.model import model_columns
-from calrig.calibration.noise_model import Fit, NoiseModel, fit, noise_of
+from calrig.calibration.noise_model import Fit, NoiseModel, noise_of
 from calrig.calibration.outliers import most_outliers, outlier
-from calrig.calibration.ranking import Found, named, pair
+from calrig.calibration.ranking import COMPANION_MARGIN, Found, named, pair
 from calrig.calibration.responses import READING, Responses
+from calrig.calibration.revisits import is_of_the_curve, leaves_more, with_free_curve
 from calrig.calibration.run_changes import is_level, with_free_levels
 from calrig.calibration.screen import Screen
 from calrig.calibration.sensor_model import Model, fitted_model
 from calrig.calibration.series import needed, needed_changes, on_their_places
+from calrig.calibration.worth import is_worth_a_name
 from calrig.estimation.angles import FloatArray
 
 LEVEL = 0.01
@@ -28,14 +31,6 @@ LEVEL = 0.01
 MOST_EFFECTS, MOST_COLUMNS = 5, 0.35
 """A series, such as the orders of a turn, is one effect of several terms; columns to a pose at most."""
 FREEDOM = 3
-LEAST_SHARE = 0.05
-"""An effect whose part of the reading is smaller than this share of its noise is not worth a correction."""
-COMPANION_MARGIN = 3.0
-"""Of the criterion, by which an effect must pay for the one companion that it is declared to have: with the
-penalty a likelihood ratio beyond 7, which one parameter reaches in noise in less than 1 of 100.
-"""
-LEAST_STANDARD_ERRORS = 4.0
-"""Of the parameters that reach the reading, together: what a witness alone shows is not named."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +58,7 @@ def search(
     *,
     bootstraps: int,
     level: float = LEVEL,
+    decide_only: bool = False,
 ) -> Findings:
     """Finds the effects in some poses, and leaves outliers among those aside.
 
@@ -75,12 +71,15 @@ def search(
         rng: of the gate's bootstrap.
         bootstraps: how many a step.
         level: of the gate.
+        decide_only: whether no p-value will be told.
     """
+    judge = partial(gate, rng=rng, bootstraps=bootstraps, decide_only=decide_only)
     if len(r.run_ids) < 2:
-        return _search(r, candidates, rng, bootstraps, level)
+        return _beside_curves(r, candidates, judge, level)
     levels = [is_level(r, c.columns) for c in candidates]
     shapes = [c for c, of_level in zip(candidates, levels, strict=True) if not of_level]
-    within = _search(with_free_levels(r), shapes, rng, bootstraps, level / 2.0)
+    judge = partial(judge, level=level / 2.0)
+    within = _search(with_free_levels(r), shapes, judge)
     kept = within.kept
     # what a place was scanned for shows within the runs or not at all
     between = [
@@ -89,22 +88,62 @@ def search(
         if of_level or not any(member.shape.scanned for member in c.members)
     ]
     # levels that differ look like noise that wanders: what wanders within the runs is the measure of it
-    of_each = max(1.0, within.columns.shape[2] / len(r.channels))
-    noise = noise_of(within.fitted.residuals, within.responses, of_each, unbiased=True)
-    whole = _search(r.rows(kept), between, rng, bootstraps, level / 2.0, within.found, noise)
+    whole = _search(r.rows(kept), between, partial(judge, noise=_noise_beside(within)), within.found)
     return replace(whole, kept=kept[whole.kept])
+
+
+def _beside_curves(
+    r: Responses, candidates: Sequence[Candidate], judge: Callable[..., Verdict], level: float
+) -> Findings:
+    """The search of one run; where it leaves too much, once more beginning with what no curve explains.
+
+    The better of the two stands, by likelihood with penalties, in the same poses.
+    """
+    first = _search(r, candidates, partial(judge, level=level))
+    r = r.rows(first.kept)
+    free = with_free_curve(r)
+    if free is None or not leaves_more(r, first.fitted.residuals[:, 0]):
+        return first
+    offered = [c.rows(first.kept) for c in candidates]
+    others = [c for c in offered if not is_of_the_curve(c)]
+    judge = partial(judge, level=level / 2.0)
+    between = _search(free, others, judge)
+    r, curves = r.rows(between.kept), [c.rows(between.kept) for c in offered if is_of_the_curve(c)]
+    again = _search(r, curves, partial(judge, noise=_noise_beside(between)), between.found)
+    again = _with_curves(again, [c.rows(again.kept) for c in curves], len(between.found))
+    again = replace(again, kept=first.kept[between.kept][again.kept])
+    return again if len(again.kept) == len(first.kept) and _criterion(again) < _criterion(first) else first
+
+
+def _with_curves(findings: Findings, candidates: Sequence[Candidate], known: int) -> Findings:
+    """The same with curves in the place of orders of a turn that was not made, where they explain more."""
+    r = findings.responses
+    if goes_round(r):
+        return findings
+    found = _reconsidered(r, candidates, list(findings.found), known, curves=True)
+    found, _ = parted(r, found, known)
+    model = fitted_model(r, [f.candidate for f in found])
+    return replace(findings, found=tuple(found), fitted=model.fitted, columns=model.columns)
+
+
+def _noise_beside(freer: Findings) -> NoiseModel:
+    """The noise that a model with a freer base leaves."""
+    of_each = max(1.0, freer.columns.shape[2] / len(freer.responses.channels))
+    return noise_of(freer.fitted.residuals, freer.responses, of_each, unbiased=True)
+
+
+def _criterion(findings: Findings) -> float:
+    parameters = sum(f.candidate.parameters for f in findings.found)
+    return findings.fitted.criterion + float(np.log(len(findings.kept))) * parameters
 
 
 def _search(
     r: Responses,
     candidates: Sequence[Candidate],
-    rng: np.random.Generator,
-    bootstraps: int,
-    level: float,
+    judge: Callable[..., Verdict],
     known: Sequence[Found] = (),
-    noise: NoiseModel | None = None,
 ) -> Findings:
-    """The search in one base, with effects in the model, and the null's noise, that are known already."""
+    """The search in one base, with effects in the model that are known already; `judge` is the gate."""
     found = list(known)
     refused: set[str] = set()
     kept = np.arange(len(r))
@@ -115,7 +154,7 @@ def _search(
             return model_columns(model.responses, [*model.accepted, *more])
 
         offered = _offered(model.responses, candidates, model.accepted, refused)
-        return gate(model.responses, columns_with, model.fitted, offered, rng, bootstraps, level, noise)
+        return judge(model.responses, columns_with, model.fitted, offered)
 
     while True:
         accepted = [f.candidate for f in found]
@@ -127,11 +166,12 @@ def _search(
             kept, r, candidates = kept[others], r.rows(others), [c.rows(others) for c in candidates]
             found = [f.rows(others) for f in found]
             continue
-        if verdict.p_value > level or _is_full(accepted, len(known)):
-            least = 1.0 / (bootstraps + 1)
-            return Findings(r, kept, tuple(found), model.fitted, model.columns, verdict.p_value, least)
+        if not verdict.passes or _is_full(accepted, len(known)):
+            return Findings(
+                r, kept, tuple(found), model.fitted, model.columns, verdict.p_value, verdict.least_p_value
+            )
         step = named(r, accepted, verdict.candidates, verdict.ratios, verdict.p_value)
-        if not _is_worth_a_name(r, accepted, step):
+        if not is_worth_a_name(r, accepted, step):
             refused.add(step.candidate.label)
             continue
         if step.candidate.beside is not None and _says_no_more(step, verdict.candidates):
@@ -147,9 +187,9 @@ def _search(
             two = pair(r, accepted, verdict.candidates, verdict.ratios, step)
         if two is not None:
             first, second = two
-            p_value = judged(fitted_model(r, [*accepted, first])).p_value
-            if p_value <= level:
-                beside = replace(step, candidate=second, rivals=(), p_value=p_value)
+            of_second = judged(fitted_model(r, [*accepted, first]))
+            if of_second.passes:
+                beside = replace(step, candidate=second, rivals=(), p_value=of_second.p_value)
                 steps = [replace(step, candidate=first, rivals=()), beside]
         entered = _reconsidered(r, candidates, [*found, *steps], len(known))
         entered = on_their_places(r, candidates, entered)
@@ -216,43 +256,23 @@ def _enters_once(c: Candidate) -> bool:
 
 
 def _reconsidered(
-    r: Responses, candidates: Sequence[Candidate], found: list[Found], known: int
+    r: Responses, candidates: Sequence[Candidate], found: list[Found], known: int, *, curves: bool = False
 ) -> list[Found]:
-    """Each effect but the first known ones against its rivals once more, with all the others in the model."""
+    """Each effect but the first known ones against its rivals once more, with all the others in the model.
+
+    It does not bring a companion with it: that would enter unjudged.
+    """
     if len(found) == known + 1:
         return found
     for one in found[known:]:
         others = [f.candidate for f in found if f is not one]
-        offered = _offered(r, candidates, others, set())
-        if one.candidate.shape.series:  # a curve takes a little from every term: the terms come first
+        offered = [c for c in _offered(r, candidates, others, set()) if c.beside is None or c.shape.series]
+        if one.candidate.shape.series and not curves:  # they take a little from every term of a turn
             offered = [c for c in offered if c.named]
         model = fitted_model(r, others)
         screen = Screen(r, model.columns, offered, model.fitted.noise)
-        ratios = screen.ratios(model.fitted.residuals[None])[0]
+        ratios = screen.once(model.fitted.residuals)
         again = named(r, others, offered, ratios, one.p_value, one.candidate)
         place = next(k for k, f in enumerate(found) if f is one)
         found[place : place + 1] = [replace(again, candidate=member) for member in again.candidate.members]
     return found
-
-
-def _is_worth_a_name(r: Responses, accepted: Sequence[Candidate], step: Found) -> bool:
-    """Whether what a step adds to the reading, bias and scale taken off, is worth a correction, and sure.
-
-    What a witness alone shows, names no effect of the reading: parameters that reach the reading are some
-    standard errors large, and where the effect is named, the reading is not left worse than without it.
-    """
-    candidate = step.candidate
-    before = fit(r, model_columns(r, accepted))
-    fitted = fit(r, model_columns(r, [*accepted, candidate]))
-    own = np.arange(-candidate.columns.shape[2], 0)
-    part = candidate.columns[:, 0, :] @ fitted.beta[own]
-    line = np.column_stack([np.ones(len(r)), r.theta_deg])
-    part = part - line @ np.linalg.lstsq(line, part, rcond=None)[0]
-    left_deg, left_before_deg = (
-        float(np.hypot(one.residuals[:, 0].std(), r.rounding[0])) for one in (fitted, before)
-    )
-    reaching = own[np.ptp(candidate.columns[:, 0, :], axis=0) > 0.0]
-    beta, covariance = fitted.beta[reaching], fitted.covariance[np.ix_(reaching, reaching)]
-    sure = float(np.sqrt(beta @ np.linalg.pinv(covariance, hermitian=True) @ beta))
-    helps = step.verdict != "named" or left_deg <= left_before_deg
-    return part.std() >= LEAST_SHARE * left_deg and sure >= LEAST_STANDARD_ERRORS and helps

@@ -4,6 +4,9 @@ To first order an offset of 80 mg is wrong by 0.18°, by another 0.06° where th
 by 0.14° beside a gain of 3 %. Gauss and Newton's iteration (Björck, Numerical Methods for Least Squares
 Problems, 1996, section 9.2): columns linear about the parameters found, and responses less what is not linear
 there, so that search, ranking and report go on with a linear fit.
+
+What else is not linear is what the gyro feels: its own gain, of a few per cent, acts on the moves that
+effects add as well as on those commanded, and a slip of 20° is felt as one of 20.1°.
 """
 
 from __future__ import annotations
@@ -17,9 +20,9 @@ from calrig.calibration.candidates import Candidate
 from calrig.calibration.effect import Applied, Circumstances
 from calrig.calibration.model import model_columns, own_columns, replaced, side_by_side
 from calrig.calibration.noise_model import Fit, fit, fits
-from calrig.calibration.responses import ANGLE, NORM, READING, Responses
+from calrig.calibration.responses import ANGLE, MOVE, NORM, READING, SCALE_UNIT_DEG, Responses
 from calrig.calibration.run_changes import since
-from calrig.calibration.sensor_vector import TURNS_THE_SENSOR, VectorError, turned_vector
+from calrig.calibration.sensor_vector import TURNS_THE_SENSOR, VectorError, sin_cos, turned_vector
 from calrig.estimation.angles import FloatArray
 
 STEPS = 8
@@ -27,6 +30,7 @@ NEGLIGIBLE = 0.03
 """Of a channel's residuals: what is less than that from being linear is as good as linear."""
 LARGEST_G = 0.5
 """Of an axis' error; a vector with more says nothing of the angle, and the fit stays linear."""
+GAIN = f"{MOVE}.gain"
 STEP = 1e-3
 """By which a parameter changes the reading (°) or |accelerometer| (g) to see what it does there."""
 
@@ -131,13 +135,15 @@ class _Curve:
             for member, at in zip(self._members, self._member_at, strict=True)
             if member.effect.on_vector_g is not None and member.effect.on_reading_deg is None
         ]
-        self.bends = bool(self._on_axes)
         self._base_at = [k for k, name in enumerate(r.base_names) if name != replaced(accepted)]
         self._names = [r.base_names[k] for k in self._base_at]
         self._felt, self._size = self._placed()
         self.width = self._straight.shape[2]
         for _, at in self._on_axes:
             self._straight[:, :, at] = 0.0
+        self._gain_at = self._names.index(GAIN) if GAIN in self._names else None
+        felt_moves = self._gain_at is not None and bool(self._moves()[:, len(self._names) :].any())
+        self.bends = bool(self._on_axes) or felt_moves
 
     def _placed(self) -> tuple[FloatArray, FloatArray]:
         """(n, p) what turns the sensor itself, degrees, and what its vector is longer by, g."""
@@ -164,23 +170,29 @@ class _Curve:
 
     def is_possible(self, beta: FloatArray) -> bool:
         """Whether what is left of the vector still says where the sensor points."""
-        return all(bool((np.abs(error) < LARGEST_G).all()) for error in self._error(beta))
+        return all(
+            bool((np.abs(error) < LARGEST_G).all()) for error in self._error(beta, self._felt_deg(beta))
+        )
 
     def of_effects(self, beta: FloatArray) -> FloatArray:
         """(n, J) all effects together."""
         base = len(self._names)
-        return np.asarray(self._straight[:, :, base:] @ beta[base:] + self._on_axes_of(beta))
+        return np.asarray(self._straight[:, :, base:] @ beta[base:] + self._bent(beta))
+
+    def _bent(self, beta: FloatArray) -> FloatArray:
+        """(n, J) what is not linear in the coefficients."""
+        return self._on_axes_of(beta) + self._over_felt(beta)
 
     def residuals(self, beta: FloatArray) -> FloatArray:
         """(n, J) what the model leaves of the measured responses."""
-        left = self._r.values - self._straight @ beta - self._on_axes_of(beta)
+        left = self._r.values - self._straight @ beta - self._bent(beta)
         return np.asarray(left * self._r.known)
 
     def straightened(self, beta: FloatArray) -> tuple[Responses, tuple[Candidate, ...]]:
         """Responses and effects whose linear model is the exact one, and its derivative, at beta."""
         slope = self._slope(beta)
         columns = self._straight + slope
-        values = self._r.values - self._on_axes_of(beta) + slope @ beta
+        values = self._r.values - self._bent(beta) + slope @ beta
         base = self._r.base.copy()
         base[:, :, self._base_at] = columns[:, :, : len(self._base_at)]
         accepted = tuple(
@@ -189,39 +201,88 @@ class _Curve:
         )
         return replace(self._r, values=values, base=base), accepted
 
-    def _error(self, beta: FloatArray) -> VectorError:
-        felt_deg = self._felt_deg(beta)
+    def _error(self, beta: FloatArray, felt_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(n,) of a_y and a_z, all effects together."""
         error_y, error_z = np.zeros((2, len(self._r)))
-        given = Circumstances(temperature_c=self._r.temperature_c)
         for member, at in self._on_axes:
-            # of what ended the coefficients are those of the runs before, less
-            own = -beta[at] if member.changed is not None and member.changed.ended else beta[at]
-            values = dict(zip(member.shape.parameters, own.tolist(), strict=True))
-            parameters = {**values, **member.shape.at}
-            applied = Applied(member.name, parameters, self._r.theta_deg, given, felt_deg)
-            assert member.effect.on_vector_g is not None  # noqa: S101 (so they were chosen)
-            more_y, more_z = member.effect.on_vector_g(applied)
-            there = 1.0 if member.changed is None else np.abs(since(self._r, member.changed))
-            error_y, error_z = error_y + there * more_y, error_z + there * more_z
+            more_y, more_z = self._error_of(member, beta[at], felt_deg)
+            error_y, error_z = error_y + more_y, error_z + more_z
         return error_y, error_z
+
+    def _error_of(self, member: Candidate, own: FloatArray, felt_deg: FloatArray) -> VectorError:
+        """What one effect adds, by its own coefficients."""
+        changed = member.changed
+        # of what ended the coefficients are those of the runs before, less
+        signed = -own if changed is not None and changed.ended else own
+        parameters = {**dict(zip(member.shape.parameters, signed.tolist(), strict=True)), **member.shape.at}
+        given = Circumstances(temperature_c=self._r.temperature_c)
+        applied = Applied(member.name, parameters, self._r.theta_deg, given, felt_deg)
+        assert member.effect.on_vector_g is not None  # noqa: S101 (so they were chosen)
+        error_y, error_z = member.effect.on_vector_g(applied)
+        if changed is None:
+            return error_y, error_z
+        there = np.abs(since(self._r, changed))
+        return there * error_y, there * error_z
 
     def _felt_deg(self, beta: FloatArray) -> FloatArray:
         return np.asarray(self._r.theta_deg + self._felt @ beta)
 
+    def _moves(self) -> FloatArray:
+        """(n, p) what the gyro's response is made of, as it were without an error of its own."""
+        return self._straight[:, self._r.channels.index(MOVE)]
+
+    def _over_felt(self, beta: FloatArray) -> FloatArray:
+        """(n, J) what the gyro's own gain makes of the moves that effects add to the commanded ones."""
+        over = np.zeros_like(self._r.values)
+        if self._gain_at is not None:
+            base = len(self._names)
+            added_deg = self._moves()[:, base:] @ beta[base:]
+            over[:, self._r.channels.index(MOVE)] = beta[self._gain_at] / SCALE_UNIT_DEG * added_deg
+        return over
+
     def _on_axes_of(self, beta: FloatArray) -> FloatArray:
         """(n, J) what the effects on the sensor's axes do together."""
-        turn_deg, length = turned_vector(self._felt_deg(beta), self._error(beta))
+        if not self._on_axes:
+            return np.zeros_like(self._r.values)
+        felt_deg = self._felt_deg(beta)
+        turn_deg, length = turned_vector(felt_deg, self._error(beta, felt_deg))
         size = 1.0 + self._size @ beta
         return self._r.columns({READING: turn_deg, ANGLE: turn_deg, NORM: size * (length - 1.0)})[:, :, 0]
 
     def _slope(self, beta: FloatArray) -> FloatArray:
-        """(n, J, p) its derivative, by central differences."""
-        slope = np.zeros_like(self._straight)
-        matters = [k for k in range(len(beta)) if self._felt[:, k].any() or self._size[:, k].any()]
+        """(n, J, p) its derivative by the chain rule, of the errors by central differences."""
+        felt_deg, size = self._felt_deg(beta), 1.0 + self._size @ beta
+        s, c = sin_cos(felt_deg)
+        y, z = self._error(beta, felt_deg)
+        across, along = y * c - z * s, 1.0 + y * s + z * c
+        length = np.hypot(across, along)
+
+        def follow(more: VectorError, less: VectorError, step: float) -> tuple[FloatArray, FloatArray]:
+            """What angle (°) and length do for a change of the error."""
+            by_y, by_z = ((a - b) / (2.0 * step) for a, b in zip(more, less, strict=True))
+            more_across, more_along = by_y * c - by_z * s, by_y * s + by_z * c
+            turned = (more_across * along - across * more_along) / length**2
+            return np.degrees(turned), (across * more_across + along * more_along) / length
+
+        turn, longer = follow(self._error(beta, felt_deg + STEP), self._error(beta, felt_deg - STEP), STEP)
+        turn += along / length**2 - 1.0
+        longer += np.radians(across / length)
+        turns = turn[:, None] * self._felt
+        lengths = (size * longer)[:, None] * self._felt + (length - 1.0)[:, None] * self._size
         largest = np.abs(model_columns(self._r, self._accepted)).max(axis=(0, 1))
-        for k in [*matters, *(k for _, at in self._on_axes for k in range(at.start, at.stop))]:
-            change = np.zeros(len(beta))
-            change[k] = STEP / (largest[k] or 1.0)
-            more, less = self._on_axes_of(beta + change), self._on_axes_of(beta - change)
-            slope[:, :, k] = (more - less) / (2.0 * change[k])
+        for member, at in self._on_axes:
+            for k in range(at.start, at.stop):
+                change = np.zeros(len(beta))
+                change[k] = STEP / (largest[k] or 1.0)
+                more, less = (
+                    self._error_of(member, (beta + side)[at], felt_deg) for side in (change, -change)
+                )
+                turned, lengthened = follow(more, less, change[k])
+                turns[:, k] += turned
+                lengths[:, k] += size * lengthened
+        slope = self._r.columns({READING: turns, ANGLE: turns, NORM: lengths})
+        if self._gain_at is not None:
+            base, move = len(self._names), self._r.channels.index(MOVE)
+            slope[:, move, base:] += beta[self._gain_at] / SCALE_UNIT_DEG * self._moves()[:, base:]
+            slope[:, move, self._gain_at] += self._moves()[:, base:] @ beta[base:] / SCALE_UNIT_DEG
         return slope

@@ -14,8 +14,9 @@ from functools import lru_cache
 import numpy as np
 
 from calrig.calibration.conformity import Limit
+from calrig.calibration.coverage import Distribution
 from calrig.calibration.over_range import OverRange
-from calrig.calibration.uncertainty import Reference
+from calrig.calibration.uncertainty import Reference, ReferenceKind
 from calrig.estimation.angles import FloatArray
 
 DRAWS = 1 << 14
@@ -41,22 +42,25 @@ def probability_of_conformity(
     """
     theta_deg = np.array(found.elevation_deg)
     low_deg, high_deg = np.array(found.lowest_error_deg), np.array(found.highest_error_deg)
-    drawn = _drawn(found.freedom)
-    line, of_stage = _line_errors(found, drawn), _stage_errors(found, reference, theta_deg, drawn)
     factor = 1.0 if found.scale is None else found.scale
-    error_deg = of_stage - (line[:, :1] + line[:, 1:] * theta_deg) / factor
+    drawn = _drawn(max(found.freedom, 1), reference.kind, reference.distribution)
+    of_stage = _stage_shapes(found, reference, theta_deg)
+    own_line = np.zeros((2, 2)) if found.covariance is None else _root(np.array(found.covariance)).T
+    of_line = -(own_line[:, :1] + own_line[:, 1:] * theta_deg) / factor
+    shapes = np.concatenate([of_line, of_stage])
     if not level_known:
-        error_deg = error_deg - _mean_over(theta_deg, error_deg)
+        shapes = shapes - (shapes @ _weights(theta_deg))[:, None]
         low_deg, high_deg = low_deg - found.mean_error_deg, high_deg - found.mean_error_deg
     conforms = np.ones(DRAWS, dtype=bool)
     if limit.max_error_deg is not None:
-        conforms &= (error_deg + high_deg).max(axis=1) <= limit.max_error_deg
-        conforms &= (error_deg + low_deg).min(axis=1) >= -limit.max_error_deg
-    true_line = line + factor * _line_through(theta_deg, of_stage)
+        error_deg = shapes.T @ drawn
+        conforms &= (error_deg + high_deg[:, None]).max(axis=0) <= limit.max_error_deg
+        conforms &= (error_deg + low_deg[:, None]).min(axis=0) >= -limit.max_error_deg
+    line = drawn.T @ np.concatenate([own_line, factor * _lines_through(theta_deg, of_stage)])
     if limit.bias_deg is not None and level_known:
-        conforms &= _inside(found.bias_deg + true_line[:, 0], limit.bias_deg)
+        conforms &= _inside(found.bias_deg + line[:, 0], limit.bias_deg)
     if limit.scale is not None and found.scale is not None:
-        conforms &= _inside(found.scale + true_line[:, 1], limit.scale)
+        conforms &= _inside(found.scale + line[:, 1], limit.scale)
     return float(conforms.mean()) * _rms_conforms(limit, rms_deg, found.freedom)
 
 
@@ -76,25 +80,46 @@ def _rms_conforms(limit: Limit, rms_deg: float, freedom: int) -> float:
 
 
 @lru_cache(maxsize=64)
-def _drawn(freedom: int) -> tuple[FloatArray, FloatArray]:
-    """(DRAWS, 2) Student's t, both with one χ² as a scatter has it, and (DRAWS, 2) between 0 and 1.
+def _drawn(freedom: int, kind: ReferenceKind, distribution: Distribution) -> FloatArray:
+    """(4, DRAWS) factors of the shapes that errors have, of variance 1 but for Student's.
 
-    The points of a Kronecker sequence by powers of 2^(1/6), irrational to one another (Niederreiter, Random
+    Two of Student's t, with one χ² as a scatter has it, for the line; then two for the stage. Drawn at the
+    points of a Kronecker sequence by powers of 2^(1/6), irrational to one another (Niederreiter, Random
     Number Generation and Quasi-Monte Carlo Methods, 1992, 4.1): probabilities come out to 0.001.
     """
     from scipy.special import chdtri, ndtri
 
     points = (0.5 + np.outer(np.arange(1, DRAWS + 1), 2.0 ** (np.arange(1.0, 6.0) / 6.0))) % 1.0
-    chi2 = chdtri(max(freedom, 1), points[:, 2:3])
-    t = ndtri(points[:, :2]) * np.sqrt(max(freedom, 1) / chi2)
-    return t, points[:, 3:]
+    t = ndtri(points[:, :2]) * np.sqrt(freedom / chdtri(freedom, points[:, 2:3]))
+    first, second = points[:, 3], points[:, 4]
+    if kind == "setting" or distribution == "normal":
+        of_stage = ndtri(points[:, 3:])
+    elif kind == "common":
+        of_stage = np.column_stack([math.sqrt(3.0) * (2.0 * first - 1.0), np.zeros(DRAWS)])
+    else:
+        # Each coordinate of a point on a sphere is rectangular (Archimedes), in whichever direction it is
+        # taken: so is A·sin θ + B·cos θ at every θ, and no amplitude exceeds the limit.
+        around = np.sqrt(3.0 * (1.0 - (2.0 * first - 1.0) ** 2))
+        angle = 2.0 * math.pi * second
+        of_stage = np.column_stack([around * np.cos(angle), around * np.sin(angle)])
+    return np.ascontiguousarray(np.concatenate([t, of_stage], axis=1).T)
 
 
-def _line_errors(found: OverRange, drawn: tuple[FloatArray, FloatArray]) -> FloatArray:
-    """(DRAWS, 2) errors of bias, degrees, and scale, of type A."""
-    if found.covariance is None:
-        return np.zeros((DRAWS, 2))
-    return np.asarray(drawn[0] @ _root(np.array(found.covariance)).T)
+def _stage_shapes(found: OverRange, reference: Reference, theta_deg: FloatArray) -> FloatArray:
+    """(2, m) what the stage's two factors do at each elevation, degrees."""
+    one, none = np.ones(len(theta_deg)), np.zeros(len(theta_deg))
+    if reference.kind == "common":
+        return reference.std_deg * np.array([one, none])
+    if reference.kind == "harmonic":
+        angle = np.radians(theta_deg)
+        return reference.std_deg * np.array([np.sin(angle), np.cos(angle)])
+    n = found.freedom + (1 if found.scale is None else 2)
+    if found.scale is None:
+        return reference.std_deg / math.sqrt(n) * np.array([one, none])
+    # a line through settings that were each made anew, n of them, spread evenly
+    design = np.column_stack([np.ones(n), np.linspace(theta_deg.min(), theta_deg.max(), n)])
+    line = _root(reference.std_deg**2 * np.linalg.pinv(design.T @ design)).T
+    return np.asarray(line[:, :1] + line[:, 1:] * theta_deg)
 
 
 def _root(covariance: FloatArray) -> FloatArray:
@@ -103,57 +128,17 @@ def _root(covariance: FloatArray) -> FloatArray:
     return np.asarray(vectors * np.sqrt(np.clip(values, 0.0, None)))
 
 
-def _stage_errors(
-    found: OverRange, reference: Reference, theta_deg: FloatArray, drawn: tuple[FloatArray, FloatArray]
-) -> FloatArray:
-    """(DRAWS, m) error of the stage's angle at each elevation."""
-    from scipy.special import ndtri
-
-    first, second = drawn[1][:, :1], drawn[1][:, 1:]
-    if reference.kind == "setting":
-        return _setting_errors(found, reference, theta_deg, ndtri(drawn[1]))
-    if reference.kind == "common":
-        one = ndtri(first) if reference.distribution == "normal" else math.sqrt(3.0) * (2.0 * first - 1.0)
-        return np.asarray(reference.std_deg * one * np.ones(len(theta_deg)))
-    if reference.distribution == "normal":
-        in_phase, across = ndtri(first), ndtri(second)
-    else:
-        # Each coordinate of a point on a sphere is rectangular (Archimedes), in whichever direction it is
-        # taken: so is A·sin θ + B·cos θ at every θ, and no amplitude exceeds the limit.
-        height = 2.0 * first - 1.0
-        around = math.sqrt(3.0) * np.sqrt(1.0 - height**2)
-        in_phase = around * np.cos(2.0 * math.pi * second)
-        across = around * np.sin(2.0 * math.pi * second)
-    angle = np.radians(theta_deg)
-    return np.asarray(reference.std_deg * (in_phase * np.sin(angle) + across * np.cos(angle)))
-
-
-def _setting_errors(
-    found: OverRange, reference: Reference, theta_deg: FloatArray, normal: FloatArray
-) -> FloatArray:
-    """A line through settings made anew: its covariance is type A's, as u² is to the scatter's s²."""
-    n = found.freedom + (1 if found.scale is None else 2)
-    evenly_deg = np.linspace(theta_deg.min(), theta_deg.max(), n)
-    if found.scale is None:
-        return np.asarray(reference.std_deg / math.sqrt(n) * normal[:, :1] * np.ones(len(theta_deg)))
-    design = np.column_stack([np.ones(n), evenly_deg])
-    covariance = reference.std_deg**2 * np.linalg.pinv(design.T @ design)
-    line = normal @ _root(covariance).T
-    return np.asarray(line[:, :1] + line[:, 1:] * theta_deg)
-
-
-def _mean_over(theta_deg: FloatArray, error_deg: FloatArray) -> FloatArray:
-    """(DRAWS, 1) mean over the range of errors that are smooth between the elevations (trapezoids)."""
+def _weights(theta_deg: FloatArray) -> FloatArray:
+    """(m,) by which smooth errors at the elevations have their mean over the range (trapezoids)."""
     if len(theta_deg) == 1:
-        return error_deg
+        return np.ones(1)
     between_deg = np.diff(theta_deg)
-    weights = 0.5 * (np.append(between_deg, 0.0) + np.append(0.0, between_deg)) / between_deg.sum()
-    return np.asarray(error_deg @ weights[:, None])
+    return np.asarray(0.5 * (np.append(between_deg, 0.0) + np.append(0.0, between_deg)) / between_deg.sum())
 
 
-def _line_through(theta_deg: FloatArray, error_deg: FloatArray) -> FloatArray:
-    """(DRAWS, 2) bias and scale that a fit makes of errors of the stage."""
-    design = np.column_stack([np.ones(len(theta_deg)), theta_deg])
+def _lines_through(theta_deg: FloatArray, error_deg: FloatArray) -> FloatArray:
+    """(2, 2) bias and scale that a fit makes of each of two shapes."""
     if len(theta_deg) == 1:
-        return np.column_stack([error_deg[:, 0], np.zeros(len(error_deg))])
+        return np.column_stack([error_deg[:, 0], np.zeros(2)])
+    design = np.column_stack([np.ones(len(theta_deg)), theta_deg])
     return np.asarray(error_deg @ np.linalg.pinv(design).T)

@@ -7,6 +7,8 @@ jitter takes them away.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from calrig.estimation.angles import FloatArray
@@ -18,6 +20,13 @@ FINER = 4
 
 def spectral_window(theta_deg: FloatArray, highest: float) -> tuple[FloatArray, FloatArray]:
     """Frequencies (m,) in cycles per degree from 0 to the highest, and the window's power (m,), 1 at 0."""
+    return _of_angles(theta_deg.astype(np.float64).tobytes(), highest)
+
+
+@lru_cache(maxsize=8)
+def _of_angles(angles: bytes, highest: float) -> tuple[FloatArray, FloatArray]:
+    """A search asks for the window of the same angles again and again."""
+    theta_deg = np.frombuffer(angles)
     first = theta_deg.min()
     bin_deg = min(BIN_DEG, 1.0 / (8.0 * highest))
     counts = np.bincount(np.round((theta_deg - first) / bin_deg).astype(int)).astype(float)

@@ -8,12 +8,11 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from calrig.calibration.conformity import Answer, Limit
-from calrig.calibration.diagnosis_verdict import ELSEWHERE, between_runs
+from calrig.calibration.diagnosis_verdict import ELSEWHERE, between_runs, not_repeated_better
 from calrig.calibration.limit_verdict import held_against
+from calrig.calibration.noise_bound import CONFIDENCE, upper_limit
 from calrig.calibration.wording import deg
 
-CONFIDENCE = 0.99
-"""Noise alone is accused of leaving more than noise in one run of a hundred, as by the diagnosis' gate."""
 FEW_POSES = 6
 WORTH_APPLYING = 3.0
 """Standard errors by which a scale must differ from 1 before it is worth applying."""
@@ -85,7 +84,7 @@ def verdict(
     says = [
         *_mismatched(move_mismatches),
         *(() if held is None else held.says),
-        *_answer(left, ratio, bound, freedom),
+        *_left_in_words(left, ratio, bound, freedom, alone=held is None),
         _before_and_after(result, verification=verification),
         *_of_the_stage(result, freedom, left),
         *_diagnosed(diagnosis, left),
@@ -104,13 +103,6 @@ def verdict(
         probability_of_conformity=held.probability_of_conformity,
         probability_of_false_accept=held.probability_of_false_accept,
     )
-
-
-def upper_limit(freedom: int) -> float:
-    """The ratio that noise alone stays under with probability `CONFIDENCE`, by its degrees of freedom."""
-    from scipy.special import chdtri
-
-    return math.sqrt(float(chdtri(freedom, 1.0 - CONFIDENCE)) / freedom)
 
 
 def _fitted_parameters(result: Document, diagnosis: Document | None) -> int:
@@ -140,11 +132,16 @@ def _ratio(result: Document, freedom: int, also_deg: float = 0.0) -> float | Non
     return float(left_deg / expected_deg)
 
 
-def _answer(left: str | None, ratio: float | None, bound: float | None, freedom: int) -> list[str]:
+def _left_in_words(
+    left: str | None, ratio: float | None, bound: float | None, freedom: int, *, alone: bool
+) -> list[str]:
+    """What is left; `alone` where no limit says whether that is good enough."""
     if ratio is None or bound is None:
-        return ["Not judged: the noise of a reading is not known, or there are too few poses."]
+        what = "Not judged" if alone else "What is left is not judged"
+        return [f"{what}: the noise of a reading is not known, or there are too few poses."]
+    noise = "Good: only noise is left." if alone else "Only noise is left."
     return [
-        "Good: only noise is left." if left == "noise" else "More than noise is left.",
+        noise if left == "noise" else "More than noise is left.",
         f"The residual RMS is {ratio:.2f} times what noise alone predicts; noise alone stays under "
         f"{bound:.2f} in {100 * CONFIDENCE:.0f} % of runs ({freedom} degrees of freedom).",
     ]
@@ -166,10 +163,15 @@ def _before_and_after(result: Document, *, verification: bool) -> str:
     )
     if calibrated is None:
         return f"RMS error {deg(raw)} raw; the reading does not follow the stage and cannot be calibrated."
-    done = "with the calibration in force" if verification else "calibrated"
-    words = f"RMS error {deg(raw)} raw, {deg(calibrated)} {done}"
-    if both is not None:
-        words += f", {deg(both)} with accepted effects"
+    if verification:
+        applied = calibrated if both is None else both
+        words = f"As found, against the document: RMS error {deg(raw)} raw, {deg(applied)} once it is applied"
+        if both is not None:
+            words += f" ({deg(calibrated)} by its bias and scale alone)"
+    else:
+        words = f"RMS error {deg(raw)} raw, {deg(calibrated)} calibrated"
+        if both is not None:
+            words += f", {deg(both)} with accepted effects"
     if result["noise_deg"] is not None:
         words += f"; standard error of one reading {deg(result['noise_deg'])}"
     return f"{words}."
@@ -194,7 +196,7 @@ def _diagnosed(diagnosis: Document | None, left: str | None) -> list[str]:
         )
     open_ones = [effect for effect in diagnosis["effects"] if effect.get("accepted_at") is None]
     if not open_ones and left == "more_than_noise":
-        return ["The diagnosis names no further effect."]
+        return ["The diagnosis names no further effect.", *not_repeated_better(diagnosis)]
     return [_found(effect) for effect in open_ones]
 
 
@@ -211,7 +213,7 @@ def _found(effect: Document) -> str:
 
 
 def _scale(result: Document) -> list[str]:
-    scale, std = result["scale"], result["scale_std"]
+    scale, std = _scale_as_applied(result)
     if scale is None:
         return ["All poses stand at one elevation: the scale is not known and counts as 1."]
     if not std:
@@ -224,6 +226,14 @@ def _scale(result: Document) -> list[str]:
     if distance > WORTH_APPLYING * math.hypot(std, of_stage):
         return [f"{words}."]
     return [f"{words}, but no more than the stage's own uncertainty allows."]
+
+
+def _scale_as_applied(result: Document) -> tuple[float | None, float | None]:
+    """The scale and its standard error, beside all effects accepted where the result says so."""
+    over = result.get("over_range")
+    if over is None or over["covariance"] is None:
+        return result["scale"], result["scale_std"]
+    return over["scale"], math.sqrt(over["covariance"][1][1])
 
 
 def _poses(count: int) -> str:

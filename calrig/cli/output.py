@@ -52,6 +52,12 @@ def _rows_of(result: dict[str, Any]) -> Iterable[tuple[str, ...]]:
     yield "gyro scale", _number(gyro["scale"], "", 6), _number(gyro["scale_std"], "", 6)
 
 
+def print_says(sentences: Iterable[str]) -> None:
+    """Prints a verdict's sentences on standard error, beside what a program reads on standard output."""
+    for sentence in sentences:
+        typer.echo(f"· {printable(sentence)}", err=True)
+
+
 def print_rigs(rigs: Iterable[RigSettings]) -> None:
     """Prints the rigs that are configured."""
     rows = (

@@ -28,19 +28,25 @@ def import_(
     rig: Rig = None,
     db: Db = None,
 ) -> None:
-    """Import a CSV of poses as a run and print its id."""
+    """Import a CSV of poses as a run and print its id; standard error says whether it is good."""
     from calrig.analysis.amendments import Records
     from calrig.analysis.issuing import Issuer, Releases
+    from calrig.analysis.limits import keep_configured
+    from calrig.cli.output import print_says
     from calrig.settings import load_settings, store_url
     from calrig.store import Store
 
     content = read_bytes(file)
     name = in_utf8(file.name)
     with Store.open(store_url(db), writer="import") as store:
-        issuer = Issuer(store, Releases.of(load_settings().rig))
+        settings = load_settings()
+        keep_configured(settings, store)
+        issuer = Issuer(store, Releases.of(settings.rig))
         issuer.bring_over()
         made = Records(store, issuer).import_poses(unit=unit, rig=rig, file_name=name, content=content)
     typer.echo(made.id)
+    if made.verdict is not None:
+        print_says(made.verdict.says)
 
 
 def export(
@@ -51,9 +57,10 @@ def export(
     ] = Format.json,
     db: Db = None,
 ) -> None:
-    """Print a calibration as JSON or as a C header, or its poses as CSV."""
+    """Print a calibration as JSON or as a C header, or its poses as CSV; standard error has its verdict."""
     from calrig.analysis.active_calibration import header_of, newest_of_run, wanted_revision
     from calrig.analysis.stored_runs import counted_poses, stored_run
+    from calrig.cli.output import print_says
     from calrig.export.poses_csv import write_poses
     from calrig.settings import store_url
     from calrig.store import Store
@@ -71,6 +78,8 @@ def export(
         if found.status != "in_force":
             words = f"revision {found.revision} of unit {found.unit!r} is {found.status}, not in force"
             typer.echo(f"calrig export: {words}", err=True)
+        if format_ is not Format.csv:
+            print_says(found.verdict["says"])
         if format_ is Format.csv:
             sys.stdout.write(write_poses(counted_poses(store, found.run_id)))
         elif format_ is Format.c_header:

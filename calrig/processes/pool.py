@@ -87,10 +87,7 @@ class Processes:
             WorkTooLarge: it took too much memory or time.
             WorkLost: its process was killed.
         """
-        if self._in_hand >= self.slots + MOST_WAITING:
-            raise WorkRefused(
-                f"{self._in_hand} diagnoses, imports and studies are in hand or waiting: try again later"
-            )
+        self.require_room()
         self._in_hand += 1
         try:
             async with self._free:
@@ -109,6 +106,13 @@ class Processes:
         if error is not None:
             raise error
         return given  # type: ignore[no-any-return]
+
+    def require_room(self) -> None:
+        """Raises WorkRefused where as many as may wait are waiting: asked before a piece is made."""
+        if self._in_hand >= self.slots + MOST_WAITING:
+            raise WorkRefused(
+                f"{self._in_hand} diagnoses, imports and studies are in hand or waiting: try again later"
+            )
 
     async def close(self) -> None:
         """Ends the processes that wait; those that work end with who waits for them."""

@@ -12,6 +12,7 @@ from endless_work import for_ever, working
 from support import imported, wait_for
 
 from calrig.analysis import diagnoses, stored_runs
+from calrig.api import imports
 from calrig.processes import pool
 
 
@@ -40,6 +41,7 @@ def test_more_than_may_wait_is_429_and_told_when_to_come_back(shared_client, mon
         for _ in range(slots):
             others.enter_context(asking(shared_client, run))
         wait_for(lambda: len(working()) == slots, "all processes at work")
+        monkeypatch.setattr(imports, "on_disk", None)  # nothing is laid there in vain
         answer = shared_client.post("/api/imports", files={"file": ("p.csv", "x")}, data={"unit": "A"})
     assert answer.status_code == 429
     assert answer.headers["Retry-After"] == "5"

@@ -51,7 +51,7 @@ def judge(
     effects = said["effects"]
     true_names = {truth.cause.name for truth in run.truths}
     facts: dict[str, Any] = {
-        "said": "; ".join(_words(effect) for effect in effects) or "nothing",
+        "said": "; ".join(words(effect) for effect in effects) or "nothing",
         "found": bool(effects),
         "wrong_name": any(e["verdict"] == "named" and e["name"] not in true_names for e in effects),
     }
@@ -62,8 +62,10 @@ def judge(
         facts |= _of_one(run.truths[0], effects)
         facts["oracle_set_size"] = oracles.set_size(diagnosis.findings.responses, run.noise)
     if cell.kind == "two":
-        facts["both"] = all(any(t.cause.name in _set(e) for e in effects) for t in run.truths)
-        facts["nothing_else"] = all(_set(e) & true_names for e in effects) and len(effects) <= len(run.truths)
+        facts["both"] = all(any(t.cause.name in suspects(e) for e in effects) for t in run.truths)
+        facts["nothing_else"] = all(suspects(e) & true_names for e in effects) and len(effects) <= len(
+            run.truths
+        )
     if cell.kind == "unnamed":
         facts["covariate"] = any(
             "unnamed" in (e["name"], *e["confusable_with"])
@@ -97,20 +99,22 @@ def _of_one(truth: Truth, effects: list[dict[str, Any]]) -> dict[str, Any]:
     right = truth.cause.name
     return {
         "alone": len(effects) == 1 and first["verdict"] == "named" and first["name"] == right,
-        "held": any(right in _set(effect) for effect in effects),
-        "set_size": len(_set(first)),
+        "held": any(right in suspects(effect) for effect in effects),
+        "set_size": len(suspects(first)),
         "origin": first["origin"] == truth.cause.origin,
     }
 
 
-def _set(effect: dict[str, Any]) -> set[str]:
+def suspects(effect: dict[str, Any]) -> set[str]:
+    """The names that an effect may be."""
     return {effect["name"], *effect["confusable_with"]}
 
 
-def _words(effect: dict[str, Any]) -> str:
-    suspects = [effect["name"], *effect["confusable_with"]]
+def words(effect: dict[str, Any]) -> str:
+    """An effect and what it may be as well, in short."""
+    names = [effect["name"], *effect["confusable_with"]]
     covariate = f" {effect['covariate']}" if effect["name"] == "unnamed" else ""
-    return "{" + ", ".join(suspects) + covariate + "}"
+    return "{" + ", ".join(names) + covariate + "}"
 
 
 def _parameters_hold(truths: list[Truth], effects: list[dict[str, Any]]) -> bool | None:

@@ -10,7 +10,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .physics import Cause, Timeline
+from .layout import Timeline
+from .physics import Cause
 
 Draw = Callable[[np.random.Generator, Timeline], Cause]
 
@@ -130,16 +131,21 @@ def slip(size_deg: float, first: float = 0.05, last: float = 0.95, sense: float 
     return draw
 
 
-def periodic(size_deg: float) -> Draw:
+def periodic(size_deg: float, period_deg: tuple[float, float] = (4.0, 15.0)) -> Draw:
+    """A worm's wave, of a period drawn from between two."""
+
     def draw(rng: np.random.Generator, when: Timeline) -> Cause:
-        options = {
-            "mechanics": {
-                "worm_deg": size_deg,
-                "worm_period_deg": float(rng.uniform(4.0, 15.0)),
-                "worm_phase_deg": float(rng.uniform(0.0, 360.0)),
-            }
-        }
-        return Cause("stage_periodic", "stage", "target_deg", options, parameters={"amplitude_deg": size_deg})
+        period = float(rng.uniform(*period_deg))
+        phase = float(rng.uniform(0.0, 360.0))
+        options = {"mechanics": {"worm_deg": size_deg, "worm_period_deg": period, "worm_phase_deg": phase}}
+        return Cause(
+            "stage_periodic",
+            "stage",
+            "target_deg",
+            options,
+            parameters={"amplitude_deg": size_deg},
+            period_deg=period,
+        )
 
     return draw
 

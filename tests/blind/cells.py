@@ -31,7 +31,8 @@ from .causes import (
     supply,
     supply_bias,
 )
-from .physics import Noise, Run, measure, timeline
+from .layout import timeline
+from .physics import Noise, Run, measure
 
 GRID = Plan(start_deg=-60.0, stop_deg=60.0, step_deg=5.0, sweeps=4)
 """100 poses, 4 sweeps, ±60°."""

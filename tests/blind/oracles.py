@@ -4,36 +4,51 @@ from __future__ import annotations
 
 import numpy as np
 
-from calrig.calibration.candidates import candidates_of
+from calrig.calibration.candidates import Candidate, candidates_of
 from calrig.calibration.cross_validation import folds_of
 from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import NoiseModel, stacked
 from calrig.calibration.ranking import MARGIN
 from calrig.calibration.responses import Responses
+from calrig.calibration.sensor_model import fitted_model
 
 from .physics import Noise, Truth
 
+NEAR = 500.0
+"""Of the criterion, from the best while linear: what bends may come from as far behind."""
+
 
 def set_size(r: Responses, noise: Noise) -> int:
-    """How many names lie within the margin of the best when covariance and correlation are given."""
+    """How many names lie within the margin of the best when covariance and correlation are given.
+
+    The best of each name is fitted as the diagnosis does it, through atan2 where it is on the sensor's axes.
+    """
     correlation = np.eye(4)
     correlation[0, 1] = correlation[1, 0] = Noise.ANGLE_CORRELATION
     covariance = correlation * np.outer(noise.spread, noise.spread)
     at = [["reading", "accel_angle", "accel_norm", "gyro_move"].index(channel) for channel in r.channels]
     root = np.linalg.inv(np.linalg.cholesky(covariance[np.ix_(at, at)])).T
     known = NoiseModel(root, np.full(len(at), noise.rho))
-    target = known.whiten(r.values, r.starts).ravel()
     bic_penalty = float(np.log(len(r)))
-    best: dict[str, float] = {}
+
+    def criterion(seen: Responses, candidate: Candidate) -> float:
+        target = known.whiten(seen.values, r.starts).ravel()
+        design = stacked(known, r.starts, model_columns(seen, [candidate]))
+        left = target - design @ np.linalg.lstsq(design, target, rcond=1e-9)[0]
+        return float(left @ left) + bic_penalty * candidate.parameters
+
+    best: dict[str, tuple[float, Candidate]] = {}
     for candidate in candidates_of(r):
         if not candidate.named or candidate.follows:
             continue
-        design = stacked(known, r.starts, model_columns(r, [candidate]))
-        left = target - design @ np.linalg.lstsq(design, target, rcond=1e-9)[0]
-        criterion = float(left @ left) + bic_penalty * candidate.parameters
-        best[candidate.name] = min(best.get(candidate.name, np.inf), criterion)
-    least = min(best.values())
-    return sum(value - least < MARGIN for value in best.values())
+        value = criterion(r, candidate)
+        if value < best.get(candidate.name, (np.inf, candidate))[0]:
+            best[candidate.name] = value, candidate
+    least = min(value for value, _ in best.values())
+    near = [c for value, c in best.values() if value - least < NEAR]
+    models = [fitted_model(r, [c]) for c in near]
+    finer = [criterion(model.responses, model.accepted[0]) for model in models]
+    return sum(value - min(finer) < MARGIN for value in finer)
 
 
 def held_out_rms_deg(r: Responses, truths: list[Truth]) -> float:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter
@@ -21,28 +21,14 @@ from calrig.simulator.bench import Bench
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.imu import Imu, Surroundings
 
-VELOCITY_DPS, ACCELERATION_DPS2, HOMING_DPS = 20.0, 80.0, 10.0
+from .layout import Layout, timeline
+
 SAMPLES = 20
 """Instants that stand for a dwell's four hundred samples: between them nothing here changes but a slip."""
 FILTER_RATE_HZ = 100.0
-LIMITS_DEG = (-90.0, 90.0)
 WARM_UP_C = 6.0
 ACROSS_MG = 0.3
 """Noise of the axis along the stage's."""
-
-
-class Timeline(NamedTuple):
-    """When each pose's move begins, ends, and its dwell begins and ends, each (n,); targets (n,)."""
-
-    move_s: np.ndarray
-    arrival_s: np.ndarray
-    begin_s: np.ndarray
-    end_s: np.ndarray
-    target_deg: np.ndarray
-
-    @property
-    def duration_s(self) -> float:
-        return float(self.end_s[-1])
 
 
 Turned = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
@@ -59,6 +45,7 @@ class Cause:
         turned: a turn that no part of the simulator makes; felt by the gyro where `felt`.
         filter_s: time constant of a filter before the reading alone.
         parameters: the truth, where it is one number each.
+        period_deg: of a wave: another one is another effect.
     """
 
     name: str
@@ -69,6 +56,7 @@ class Cause:
     felt: bool = False
     filter_s: float = 0.0
     parameters: Mapping[str, float] = field(default_factory=dict)
+    period_deg: float | None = None
 
 
 @dataclass(frozen=True)
@@ -131,46 +119,43 @@ class Run:
     noise: Noise
 
 
-def timeline(plan: Plan) -> Timeline:
-    """When what happens: known before anything is wrong with the rig."""
-    targets = np.array([pose.target_deg for pose in plan.poses(LIMITS_DEG)])
-    return _carry_out(Bench(SimulatorSettings()), targets, plan)
-
-
-def _carry_out(bench: Bench, targets: np.ndarray, plan: Plan) -> Timeline:
-    now_s = bench.mechanics.home(0.0, HOMING_DPS, ACCELERATION_DPS2).at_s
-    rows = []
-    for target in targets.tolist():
-        arrival_s = bench.mechanics.move(now_s, target, VELOCITY_DPS, ACCELERATION_DPS2).at_s
-        begin_s = arrival_s + plan.settle_s
-        rows.append((now_s, arrival_s, begin_s, begin_s + plan.dwell_s))
-        now_s = begin_s + plan.dwell_s
-    return Timeline(*np.array(rows).T, targets)
-
-
-def measure(plan: Plan, causes: Sequence[Cause], noise: Noise, rng: np.random.Generator) -> Run:
-    """One run of a rig with these causes."""
-    around = _surroundings(timeline(plan).duration_s, rng)
-    drawn = noise.draw(rng, len(timeline(plan).target_deg))
-    nuisance = {"lamp_current": rng.normal(1.0, 0.1, len(drawn))} if "supply" in _covariates(causes) else {}
-    clean = _Clean(plan, causes, around)
+def measure(
+    laid_out: Layout | Plan,
+    causes: Sequence[Cause],
+    noise: Noise,
+    rng: np.random.Generator,
+    around: Mapping[str, Any] | None = None,
+) -> Run:
+    """One run of a rig with these causes; `around` is what else there is, drawn where it is not given."""
+    layout = Layout.of(laid_out) if isinstance(laid_out, Plan) else laid_out
+    when = timeline(layout)
+    around = surroundings(when.duration_s, rng) if around is None else around
+    drawn = noise.draw(rng, len(when.target_deg))
+    columns = dict(layout.columns)
+    if "supply" in _covariates(causes):
+        columns["lamp_current"] = rng.normal(1.0, 0.1, len(drawn))
+    clean = _Clean(layout, causes, around)
     truths = []
     for one in causes:
-        without = _Clean(plan, [c for c in causes if c is not one], around)
-        shape = clean.reading_deg - without.reading_deg
+        shape = clean.reading_deg - _Clean(layout, [c for c in causes if c is not one], around).reading_deg
         parameters = dict(one.parameters)
         if one.name == "settling":
             moves = np.diff(clean.when.target_deg, prepend=clean.when.target_deg[0])
             parameters["fraction"] = float(-(shape @ moves) / (moves @ moves))
         truths.append(Truth(one, shape, parameters))
-    return Run(clean.poses(drawn, plan, nuisance, rng), truths, noise)
+    return Run(clean.poses(drawn, columns, rng), truths, noise)
+
+
+def shape_deg(layout: Layout, cause: Cause, around: Mapping[str, Any]) -> np.ndarray:
+    """(n,) what one cause by itself adds to the readings, free of noise."""
+    return _Clean(layout, [cause], around).reading_deg - _Clean(layout, [], around).reading_deg
 
 
 def _covariates(causes: Sequence[Cause]) -> str:
     return " ".join(cause.covariate for cause in causes)
 
 
-def _surroundings(duration_s: float, rng: np.random.Generator) -> dict[str, Any]:
+def surroundings(duration_s: float, rng: np.random.Generator) -> dict[str, Any]:
     """Every run warms up by 6 °C, more or less bent, so that time and temperature are always suspects.
 
     What temperature does, it does about its mean over the run, end − 6 °C/bend: no standing offset besides.
@@ -192,8 +177,8 @@ def _surroundings(duration_s: float, rng: np.random.Generator) -> dict[str, Any]
 class _Clean:
     """A run free of noise."""
 
-    def __init__(self, plan: Plan, causes: Sequence[Cause], around: Mapping[str, Any]) -> None:
-        self._causes = causes
+    def __init__(self, layout: Layout, causes: Sequence[Cause], around: Mapping[str, Any]) -> None:
+        self._layout, self._causes = layout, causes
         options: dict[str, Any] = dict(around)
         for cause in causes:
             for part, values in cause.options.items():
@@ -203,13 +188,14 @@ class _Clean:
         self._imu = Imu(settings.imu)
         self._nominal_v = settings.environment.supply_v
         self._environment = self._bench._environment
-        targets = np.array([pose.target_deg for pose in plan.poses(LIMITS_DEG)])
-        self.when = _carry_out(self._bench, targets, plan)
+        self.when = layout.carried_out(self._bench)
+        n = len(self.when.target_deg)
         share = (np.arange(SAMPLES) + 0.5) / SAMPLES
-        self._times = self.when.begin_s[:, None] + share * plan.dwell_s
-        felt = self._accel_g(self._times.ravel()).reshape(len(targets), SAMPLES, 3)
+        self._times = self.when.begin_s[:, None] + share * (self.when.end_s - self.when.begin_s)[:, None]
+        felt = self._accel_g(self._times.ravel()).reshape(n, SAMPLES, 3)
         self.accel_g = felt.mean(axis=1)
-        self.reading_deg = _elevation_deg(felt).mean(axis=1) + self._lagging_deg()
+        targets = self.when.target_deg[:, None]
+        self.reading_deg = _near(_elevation_deg(felt), targets).mean(axis=1) + self._lagging_deg()
 
     def _accel_g(self, times_s: np.ndarray) -> np.ndarray:
         """What the accelerometer gives, (m, 3)."""
@@ -244,6 +230,12 @@ class _Clean:
         lag = np.interp(self._times.ravel(), clock_s, filtered - elevation)
         return np.asarray(lag.reshape(self._times.shape).mean(axis=1))
 
+    def _headed(self) -> np.ndarray:
+        """Where the stage came from, or where it goes while it is read: of the sign of the approach."""
+        if self._layout.every_s is not None:
+            return self._bench.mechanics.motor(self.when.begin_s).rate_dps
+        return np.diff(self.when.target_deg, prepend=0.0)
+
     def _moved_deg(self) -> np.ndarray:
         """The gyro's integral from the end of the dwell before to the beginning of the dwell."""
         scale = 1.0 + 0.01 * self._imu._options.gyro_scale_error_pct[0]
@@ -253,7 +245,7 @@ class _Clean:
         return np.asarray(scale * (after - before))
 
     def poses(
-        self, drawn: np.ndarray, plan: Plan, nuisance: Mapping[str, np.ndarray], rng: np.random.Generator
+        self, drawn: np.ndarray, nuisance: Mapping[str, np.ndarray], rng: np.random.Generator
     ) -> list[Pose]:
         """The poses with noise (n, 4) added."""
         reading = self.reading_deg + drawn[:, 0]
@@ -262,19 +254,19 @@ class _Clean:
         moved = self._moved_deg() + drawn[:, 3]
         middle_s = self._times.mean(axis=1)
         die_c = self._environment.die_c(middle_s) + rng.normal(0.0, 0.01, len(reading))
-        approach = np.sign(np.diff(self.when.target_deg, prepend=0.0))
+        approach = np.sign(self._headed())
         for k in range(1, len(approach)):
             approach[k] = approach[k] or approach[k - 1]
         columns = dict(nuisance)
         if "supply_v" in _covariates(self._causes):
             columns["supply_v"] = self._environment.supply_v(middle_s)
         across = self.accel_g[:, 0] + rng.normal(0.0, ACROSS_MG * 1e-3, len(reading))
-        sweeps = [pose.sweep for pose in plan.poses(LIMITS_DEG)]
+        sweeps = self._layout.sweep if self._layout.every_s is None else np.zeros(len(reading))
         return [
             Pose(
                 target_deg=float(self.when.target_deg[k]),
                 reading_deg=float(reading[k]),
-                sweep=sweeps[k],
+                sweep=int(sweeps[k]),
                 approach=int(approach[k]),
                 time_s=float(middle_s[k] - self.when.move_s[0]),
                 temperature_c=float(die_c[k]),
@@ -283,7 +275,7 @@ class _Clean:
                 accel_y_g=float(norm[k] * math.sin(angle[k])),
                 accel_z_g=float(norm[k] * math.cos(angle[k])),
                 gyro_move_deg=None if k == 0 else float(moved[k]),
-                settle_s=plan.settle_s,
+                settle_s=self._layout.settle_s,
                 covariates={name: float(column[k]) for name, column in columns.items()},
             )
             for k in range(len(reading))
@@ -292,3 +284,8 @@ class _Clean:
 
 def _elevation_deg(accel_g: np.ndarray) -> np.ndarray:
     return np.asarray(np.degrees(np.arctan2(accel_g[..., 1], accel_g[..., 2])))
+
+
+def _near(angle_deg: np.ndarray, target_deg: np.ndarray) -> np.ndarray:
+    """An angle on the turn that its target is on."""
+    return np.asarray(angle_deg + 360.0 * np.round((target_deg - angle_deg) / 360.0))

@@ -136,3 +136,20 @@ def test_poses_that_can_show_no_effect_are_like_noise() -> None:
     r = responses_of([[Pose(target_deg=0.0, reading_deg=reading) for reading in readings_deg]])
     assert candidates_of(r) == []
     assert judged(r, 199).p_value == 1.0
+
+
+def test_where_physics_forbids_all_that_lead_something_is_found_all_the_same() -> None:
+    rng = np.random.default_rng(5)
+    targets_deg = np.concatenate([np.arange(0.0, 360.0, 4.0), np.arange(356.0, -1.0, -4.0)])
+    off_deg = 40.0 * np.sin(np.radians(targets_deg))  # no scale is off its axis by so much of its radius
+    r = responses_of(
+        [
+            [
+                Pose(target_deg=target, reading_deg=target + off + error, time_s=4.0 * k)
+                for k, (target, off, error) in enumerate(
+                    zip(targets_deg, off_deg, rng.normal(0.0, 0.03, len(targets_deg)), strict=True)
+                )
+            ]
+        ]
+    )
+    assert judged(r, 99).p_value <= 0.02

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from blind.cells import CELLS, GRID
-from blind.physics import Cause, Noise, measure, timeline
+from blind.layout import timeline
+from blind.physics import Cause, Noise, measure
 
 from calrig.calibration.move_check import GYRO_WANDER_DPS, MoveWatch, gyro_move_std_deg
 from calrig.plan import Plan

@@ -10,7 +10,8 @@ from scipy.linalg import block_diag
 from scipy.signal import lfilter
 from scipy.stats import multivariate_normal
 
-from calrig.calibration.noise_model import PRIOR_RHO_STD, fit, noise_of
+from calrig.calibration.lagged_products import PRIOR_RHO_STD
+from calrig.calibration.noise_model import fit, noise_of
 from calrig.calibration.pose import Pose
 from calrig.calibration.responses import Responses, responses_of
 

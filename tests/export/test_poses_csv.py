@@ -74,7 +74,7 @@ def files(draw: st.DrawFn) -> tuple[bytes, int]:
 
 
 @given(files())
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=100)
 def test_every_row_is_a_pose_or_an_error(file):
     data, n_rows = file
     try:
@@ -90,7 +90,7 @@ def test_every_row_is_a_pose_or_an_error(file):
     st.binary(max_size=200)
     | st.binary(max_size=200).map(lambda tail: b"target_deg,reading_deg\n1,2\n" + tail)
 )
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=100)
 def test_no_bytes_crash_the_reader(data):
     try:
         assert read_poses(data).poses

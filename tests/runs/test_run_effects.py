@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from run_rigs import diagnosed
+from run_rigs import TruthRig, diagnosed
 from support import running_service
 
 from calrig.analysis.acceptance import Acceptance
@@ -24,15 +24,16 @@ def completed(service, **request):
 
 
 @pytest.fixture(scope="module")
-def traced(launch_rig, tmp_path_factory):
+def traced(tmp_path_factory):
     """A service, its first run diagnosed: a stage with play, and a sensor whose z axis is off."""
-    rig = launch_rig(
+    rig = TruthRig(
         "worn-rig",
         seed=4,
         mechanics={"backlash_deg": PLAY_DEG},
         imu={"accel_bias_mg": [0.0, 0.0, OFFSET_MG]},
     )
-    with running_service(tmp_path_factory.mktemp("effects") / "calrig.db", rig) as service:
+    path = tmp_path_factory.mktemp("effects") / "calrig.db"
+    with rig.simulated, running_service(path, rig.settings) as service:
         run = completed(service, plan=PLAN)
         diagnosed(service.store, run.id)
         yield service, run.id

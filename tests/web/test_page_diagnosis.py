@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from support import running_service, serving
+from support import ended, running_service, serving
 
 from calrig.calibration.effects import CATALOGUE
 
@@ -57,11 +57,13 @@ def unsettled_poses():
     return ["target_deg,reading_deg,time_s", *rows]
 
 
-def noise_alone(seed=0):
-    """Bias, scale and noise over one set of elevations."""
+def noise_alone(seed=0, more=""):
+    """Bias, scale and noise over one set of elevations; `more` columns with the same value in every pose."""
     rng = np.random.default_rng(seed)
     targets = [x for _ in range(4) for x in range(-60, 61, 15)]
-    return ["target_deg,reading_deg", *(f"{x},{0.8 + x + rng.normal(0, NOISE_DEG):.4f}" for x in targets)]
+    name, value = more.split("=") if more else ("", "")
+    rows = (f"{x},{0.8 + x + rng.normal(0, NOISE_DEG):.4f},{value}" for x in targets)
+    return [line.rstrip(",") for line in (f"target_deg,reading_deg,{name}", *rows)]
 
 
 def is_drawn(page, chart):
@@ -102,7 +104,8 @@ def test_a_run_is_traced_to_backlash_and_the_effect_put_in_force(page, client, s
     page.click("#accept-backlash")
     page.get_by_test_id("confirm").click()
     expect(effect).to_contain_text("belongs to the error map of rig bench-3")
-    expect(verdict).to_contain_text("Good: only noise is left.")
+    expect(verdict.locator(".headline")).to_have_text("Good: only noise is left.")
+    expect(verdict).to_have_class("verdict good")
     assert [e.name for e in service.store.effects_in_force("TRACED", "bench-3")] == ["backlash"]
     shown = effect.locator(".accepted")
     (kept,) = client.get(f"/api/runs/{run['id']}").json()["diagnosis"]["effects"]
@@ -120,6 +123,27 @@ def test_a_run_is_traced_to_backlash_and_the_effect_put_in_force(page, client, s
     considered = page.get_by_test_id("considered-backlash")
     considered.locator("summary").click()
     expect(considered.get_by_role("row", name="settling")).to_contain_text("worse")
+
+    plan = {"kind": "verification", "elevations_deg": [-40, 0, 40], "sweeps": 2}
+    body = {"unit": "TRACED", "rig": "bench-3", "plan": plan}
+    verified = ended(client, client.post("/api/runs", json=body).raise_for_status().json()["id"])
+    go(f"#/runs/{verified['id']}")
+    expect(verdict.locator(".headline")).to_have_text("Good: only noise is left.")
+    expect(verdict).to_contain_text("As found, against the document: RMS error")
+    assert verified["verdict"]["ratio"] < 2.0  # with the raw reading it would be 47, without the effect 9
+
+
+def test_run_and_diagnosis_do_not_contradict_each_other(page, client, go, expect):
+    """Dwells with a seventh of what the rig repeats to: more than noise is left, of no effect."""
+    run = imported(client, noise_alone(more=f"reading_stderr_deg={NOISE_DEG / 7:.5f}"), "RESTLESS")
+    go(f"#/runs/{run['id']}")
+    verdict, diagnosed = page.get_by_test_id("verdict"), page.get_by_test_id("diagnosis-verdict")
+    expect(verdict).to_contain_text("More than noise is left.")
+    page.click("#diagnose")
+    expect(diagnosed).to_contain_text("No effect found: the residual is what poses repeat to")
+    expect(diagnosed).to_contain_text("times the noise within a dwell")
+    expect(diagnosed).not_to_contain_text("consistent with noise")
+    expect(verdict).to_contain_text("Revisited poses repeat no better than")
 
 
 def test_every_effect_of_the_catalogue_is_shown_in_its_own_words(page, client, service, go, expect, forgiven):

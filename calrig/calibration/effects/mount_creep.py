@@ -32,11 +32,10 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
     if r.time_s is None or np.ptp(r.time_s) == 0.0 or r.time_s.min() < 0.0:
         return
     began_s = at.get("began_s", 0.0)
-    shares, at = tilted(_decades(r.time_s, began_s)), {"began_s": began_s}
-    if began_s == 0.0:  # of a mount that was just touched: no place that was searched for
-        yield Shape(shares, ("deg_per_decade",), form="with the run", at=at, place_cost=1)
-    else:
-        yield Shape(shares, ("deg_per_decade",), form="before it", at=at, scanned=True, place_cost=1)
+    shares = tilted(_decades(r.time_s, began_s))
+    # when it was fastened nobody says: with the run is one answer of many, and costs what a place does
+    form = "with the run" if began_s == 0.0 else "before it"
+    yield Shape(shares, ("deg_per_decade",), form=form, at={"began_s": began_s}, scanned=True, place_cost=1)
 
 
 def _decades(time_s: FloatArray, began_s: float) -> FloatArray:

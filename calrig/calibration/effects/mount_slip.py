@@ -15,7 +15,10 @@ EDGE_POSES = 3
 """A slip needs this many poses on either side: fewer are outliers."""
 PARTS = (0.3, 0.7)
 """Of a dwell that came after a slip: as they are scanned."""
-REFINEMENTS = 21
+COARSE = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Parts that a parabola is then laid through."""
+TOGETHER = 3
+"""Of the gaps every so many is tried together with what else comes with time: the others lie close by."""
 MOST_INSTANTS = 150
 """Beyond so many poses not every gap is tried: a slip is then placed to within a pose or two."""
 
@@ -34,10 +37,12 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
         return
     for k in _first_after(r.time_s, r.starts, at):
         after = (order >= k).astype(float)
-        here = {"at_s": at["at_s"], "pose": float(k)}
-        yield Shape(tilted(after), ("step_deg",), form="between moves", at=here, scanned=True)
+        forms = {"between moves": tilted(after)}
         if MOVE in r.channels:
-            yield Shape(turned(r, after), ("step_deg",), form="during a move", at=here, scanned=True)
+            forms["during a move"] = turned(r, after)
+        for form, shares in forms.items():
+            here = {"at_s": at["at_s"], "pose": float(k)}
+            yield Shape(shares, ("step_deg",), form=form, at=here, scanned=True, alone=k % TOGETHER != 0)
         for part in (at["part"],) if "part" in at else PARTS:
             yield _in_dwell(r, {"at_s": float(r.time_s[k]), "pose": float(k), "part": part})
 
@@ -46,7 +51,7 @@ def _in_dwell(r: Responses, at: Parameters) -> Shape:
     """A slip of which the mean of one dwell has a part."""
     order, k = np.arange(len(r)), at["pose"]
     share = (order > k) + at["part"] * (order == k)
-    return Shape(tilted(share), ("step_deg",), form="in a dwell", at=at, scanned=True)
+    return Shape(tilted(share), ("step_deg",), form="in a dwell", at=at, scanned=True, alone=True)
 
 
 def _first_after(time_s: FloatArray, starts: BoolArray, at: Parameters) -> list[int]:
@@ -64,10 +69,18 @@ def _refine(r: Responses, shape: Shape, criterion: Callable[[Shape], float]) -> 
     """Of a slip in a dwell, the share of the dwell that came after it."""
     if "part" not in shape.at:
         return None
-    parts = np.linspace(0.0, 1.0, REFINEMENTS)
     first = int(np.searchsorted(r.time_s, shape.at["at_s"])) if r.time_s is not None else 0
     here = {**shape.at, "pose": float(first)}
-    return min((_in_dwell(r, {**here, "part": float(part)}) for part in parts), key=criterion)
+    tried = [_in_dwell(r, {**here, "part": part}) for part in COARSE]
+    values = [criterion(one) for one in tried]
+    least = int(np.argmin(values))
+    if 0 < least < len(COARSE) - 1:
+        before, at_least, after = values[least - 1 : least + 2]
+        bend = before - 2.0 * at_least + after
+        part = COARSE[least] + 0.5 * (COARSE[1] - COARSE[0]) * (before - after) / (bend or np.inf)
+        lowest = _in_dwell(r, {**here, "part": part})
+        return min((tried[least], lowest), key=criterion)
+    return tried[least]
 
 
 def _on_reading_deg(p: Applied) -> FloatArray:
@@ -91,5 +104,6 @@ EFFECT = Effect(
     in_c=NotInFlight("the mount is fastened anew for flight: what a slip left behind is not there"),
     refine=_refine,
     apart="a step at one instant; lost steps of the stage look the same until it is homed again",
+    together_with=("temperature_bias", "time_drift"),
     remedy="tighten the mount and repeat; poses before and after do not belong together",
 )

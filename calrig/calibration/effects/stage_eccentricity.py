@@ -25,8 +25,8 @@ from calrig.calibration.effect_terms import (
 )
 from calrig.calibration.responses import Responses
 
-LARGEST_AMPLITUDE_DEG = 20.0
-"""The centre off the axis by a third of the radius (amplitude = eccentricity/radius, in radians)."""
+LARGEST_AMPLITUDE_DEG = 30.0
+"""The centre off the axis by half of the radius (amplitude = eccentricity/radius, in radians)."""
 
 
 def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:

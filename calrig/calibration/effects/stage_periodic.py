@@ -124,10 +124,8 @@ def _look_alikes(r: Responses, shape: Shape) -> Iterator[Parameters]:
 
 def _apart(r: Responses, shape: Shape, other: Shape) -> bool:
     """Whether the poses resolve two waves from each other; an order 1 is an eccentricity."""
-    periods = [s.at.get("period_deg", TURN_DEG if s.series == THE_TURN else 0.0) for s in (shape, other)]
-    if 0.0 in periods:
-        return True
-    return abs(1.0 / periods[0] - 1.0 / periods[1]) >= APART / float(np.ptp(r.theta_deg))
+    own, its = (s.at.get("period_deg", TURN_DEG if s.series == THE_TURN else 0.0) for s in (shape, other))
+    return own == 0.0 or its == 0.0 or abs(1.0 / own - 1.0 / its) >= APART / r.arc_deg
 
 
 def _possible(shape: Shape, beta: FloatArray) -> bool:

@@ -21,7 +21,7 @@ from calrig.calibration.column_forms import (
     rate,
     standardised,
 )
-from calrig.calibration.column_units import is_circle, unit_of_column
+from calrig.calibration.column_units import TIMES, is_circle, unit_of_column
 from calrig.calibration.effect import (
     Applied,
     ApplyError,
@@ -38,6 +38,8 @@ from calrig.calibration.responses import MOVE, Responses
 from calrig.estimation.angles import FloatArray
 
 KNOTS = (3, 5)
+MORE_KNOTS, POSES_A_KNOT = (9, 17, 33), 12
+"""Of the elevation, where there are so many poses to each: a potentiometer may be wavy all along."""
 CIRCLE, CIRCLE_2 = "circle, order 1", "circle, orders 1 and 2"
 PLACES = np.linspace(0.06, 0.94, 23)
 FEWEST_VALUES = 8
@@ -49,10 +51,7 @@ Shares = Callable[[FloatArray], Mapping[str, FloatArray]]
 def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
     """Every covariate's flexible shapes; whoever knows the place of one takes the nearest."""
     if turns(r):
-        yield from _of_one(r.theta_deg, "target_deg", tilted)
-        if MOVE in r.channels:  # without a gyro to feel it, a stage's shape is the same thing again
-            stage = _of_one(r.theta_deg, "target_deg", lambda f: turned(r, f))
-            yield from (replace(shape, form=f"{shape.form}, of the stage") for shape in stage)
+        yield from _of_elevation(r)
     if r.temperature_c is not None and np.ptp(r.temperature_c) > 0.0:
         yield from _of_one(r.temperature_c, "temperature_c", tilted)
     for name, column in r.covariates.items():
@@ -68,6 +67,22 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
         for count in KNOTS:
             yield _shape(tilted(natural_spline(r.time_s, count)), "time_s", f"smooth {count}")
         yield from _cycles(r, r.time_s)
+
+
+def _of_elevation(r: Responses) -> Iterator[Shape]:
+    """Curves of the elevation, the same or not from both sides, and those that the stage itself makes."""
+    yield from _of_one(r.theta_deg, "target_deg", tilted)
+    for count in MORE_KNOTS:
+        if len(r) >= POSES_A_KNOT * count and len(np.unique(r.theta_deg)) > count + 1:
+            yield _shape(tilted(natural_spline(r.theta_deg, count)), "target_deg", f"smooth {count}")
+    if r.approach is not None and np.ptp(r.approach) > 0.0:  # play that is not the same everywhere
+        for count in KNOTS:
+            by_side = (natural_spline(r.theta_deg, count).T * r.approach).T
+            shape = _shape(tilted(by_side), f"approach{TIMES}target_deg", f"smooth {count}, by side")
+            yield replace(shape, beside=("approach",))
+    if MOVE in r.channels:  # without a gyro to feel it, a stage's shape is the same thing again
+        stage = _of_one(r.theta_deg, "target_deg", lambda f: turned(r, f))
+        yield from (replace(shape, form=f"{shape.form}, of the stage") for shape in stage)
 
 
 def _shape(

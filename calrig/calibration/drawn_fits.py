@@ -1,0 +1,175 @@
+"""Fits of many responses drawn from one noise: each with a model, and with a candidate beside it.
+
+The noise is known, so what a step of generalised least squares projects on is the same for all draws: the
+model's columns are made orthonormal once, a candidate's once beside them (Frisch & Waugh, Econometrica 1,
+1933). Where the noise is not strongly correlated, this one step leaves the criterion where four would.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from calrig.calibration.candidates import Candidate
+from calrig.calibration.lagged_products import lagged_products
+from calrig.calibration.noise_model import STRONG_RHO, NoiseModel, orthonormal
+from calrig.calibration.repeated_steps import RepeatedSteps
+from calrig.calibration.responses import Responses
+from calrig.estimation.angles import FloatArray
+
+Intp = npt.NDArray[np.intp]
+BATCH = 32
+"""Responses at a time: what belongs to them then stays in the processor's cache."""
+
+
+class DrawnFits:
+    """A model's criterion in responses drawn from a noise, alone and beside each of some candidates.
+
+    Args:
+        r: the responses, for what their poses have in common.
+        columns_with: (n, J, p) columns of the model with some candidates beside it.
+        candidates: those that may be.
+        noise: that the responses are drawn from.
+    """
+
+    def __init__(
+        self,
+        r: Responses,
+        columns_with: Callable[[Sequence[Candidate]], FloatArray],
+        candidates: Sequence[Candidate],
+        noise: NoiseModel,
+    ) -> None:
+        self._candidates = candidates
+        self._models = {"": _Model(r, columns_with(()), noise)}
+        for c in candidates:
+            if c.shape.replaces and c.shape.replaces not in self._models:
+                base = columns_with((c,))[:, :, : -c.columns.shape[2]]
+                self._models[c.shape.replaces] = _Model(r, base, noise)
+        self._kind_of = [(c.columns.shape[2], c.shape.replaces or "") for c in candidates]
+
+    def null(self, values: FloatArray) -> FloatArray:
+        """(b,) criterion of the model alone in responses (b, n, J)."""
+        return self._models[""].alone(values)
+
+    def beside(self, values: FloatArray, chosen: Intp) -> tuple[FloatArray, list[FloatArray]]:
+        """(b, k) criterion in responses (b, n, J), each beside its chosen candidates (b, k).
+
+        And these candidates' own coefficients, one after the other.
+        """
+        flat, each = chosen.ravel().tolist(), chosen.shape[1]
+        criterion = np.empty(len(flat))
+        own: list[FloatArray] = [np.empty(0)] * len(flat)
+        for first in range(0, len(values), BATCH):
+            alike: dict[tuple[int, str], list[int]] = {}
+            for pair in range(first * each, min(first + BATCH, len(values)) * each):
+                alike.setdefault(self._kind_of[flat[pair]], []).append(pair)
+            for (_, replaced), pairs in alike.items():
+                kinds = [flat[pair] for pair in pairs]
+                criterion[pairs], betas = self._models[replaced].beside(
+                    values[first : first + BATCH],
+                    np.array(pairs) // each - first,
+                    kinds,
+                    {k: self._candidates[k] for k in kinds},
+                )
+                for pair, beta in zip(pairs, betas, strict=True):
+                    own[pair] = beta
+        return criterion.reshape(chosen.shape), own
+
+
+class _Columns(NamedTuple):
+    """Columns in rows (…, p, n·J), orthonormal once whitened: `white`, and `plain`, as they were before that.
+
+    Coefficients of the columns that they were made of are those of these times `turn` (…, p, p).
+    """
+
+    white: FloatArray
+    plain: FloatArray
+    turn: FloatArray
+
+
+class _Model:
+    """One model (n, J, p) in one noise, and what it leaves of the candidates that were beside it so far."""
+
+    def __init__(self, r: Responses, model: FloatArray, noise: NoiseModel) -> None:
+        self._r, self._noise, self._width = r, noise, model.shape[2]
+        white, plain = self._rows(model[None])
+        base = _orthonormal(white, plain, np.linalg.norm(white, axis=2))
+        self._base = _Columns(*(one[0] for one in base))
+        self._made: dict[int, _Columns] = {}
+        self._again = None
+        if noise.rho.max() >= STRONG_RHO:
+            self._again = RepeatedSteps(r, self._base.plain)
+
+    def alone(self, values: FloatArray) -> FloatArray:
+        """(b,) criterion in responses (b, n, J)."""
+        left = self._left(values, self._white(values))
+        nothing = np.empty((1, 0, left.shape[1]))
+        return self._criterion(left, nothing, np.zeros(len(left), dtype=np.intp))[0]
+
+    def beside(
+        self, values: FloatArray, drawn: Intp, kinds: Sequence[int], candidates: dict[int, Candidate]
+    ) -> tuple[FloatArray, FloatArray]:
+        """(m,) criterion and (m, w) coefficients of one candidate each, all of one width.
+
+        Args:
+            values: (b, n, J) responses.
+            drawn: (m,) which of them.
+            kinds: (m,) which of the candidates, by their keys.
+            candidates: those.
+        """
+        new = [k for k in candidates if k not in self._made]
+        if new:
+            self._made.update(zip(new, self._orthonormal([candidates[k] for k in new]), strict=True))
+        white = self._white(values)
+        place = {k: at for at, k in enumerate(candidates)}
+        at = np.array([place[k] for k in kinds])
+        of_white, of_plain, turn = (
+            np.stack(one) for one in zip(*(self._made[k] for k in candidates), strict=True)
+        )
+        inside = of_white[at] @ white[drawn][:, :, None]
+        left = self._left(values, white)[drawn] - (np.swapaxes(inside, 1, 2) @ of_plain[at])[:, 0]
+        criterion, more = self._criterion(left, of_plain, at)
+        return criterion, (turn[at] @ (inside + more[:, :, None]))[:, :, 0]
+
+    def _orthonormal(self, candidates: Sequence[Candidate]) -> list[_Columns]:
+        """Candidates of one width, beside the model."""
+        white, plain = self._rows(np.stack([c.columns for c in candidates]))
+        inside = white @ self._base.white.T
+        size = np.linalg.norm(white, axis=2)
+        made = _orthonormal(white - inside @ self._base.white, plain - inside @ self._base.plain, size)
+        return [_Columns(*one) for one in zip(*made, strict=True)]
+
+    def _white(self, values: FloatArray) -> FloatArray:
+        """(…, n·J) responses or columns (…, n, J) whitened."""
+        return self._noise.whiten(values, self._r.starts).reshape(*values.shape[:-2], -1)
+
+    def _left(self, values: FloatArray, white: FloatArray) -> FloatArray:
+        """(b, n·J) what the model leaves of responses (b, n, J), by themselves and whitened."""
+        return np.asarray(values.reshape(white.shape) - (white @ self._base.white.T) @ self._base.plain)
+
+    def _criterion(self, left: FloatArray, beside: FloatArray, at: Intp) -> tuple[FloatArray, FloatArray]:
+        """(m,) of what one step leaves (m, n·J), and (m, w) what further steps add to coefficients.
+
+        Of those columns (k, w, n·J) that it was fitted beside, by their places `at` (m,).
+        """
+        width = beside.shape[1]
+        taken = max(1.0, (self._width + width) / len(self._r.channels))
+        if self._again is not None:
+            return self._again.criterion(left, beside, at, taken)
+        products = lagged_products(left.reshape(-1, *self._r.values.shape), self._r.starts, self._r.rounding)
+        return products.criterion(*products.noises(taken)), np.zeros((len(left), width))
+
+    def _rows(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Columns (m, n, J, p) whitened and as they are, in rows (m, p, n·J)."""
+        rows = np.moveaxis(columns, 3, 1)
+        return self._white(rows), rows.reshape(*rows.shape[:2], -1)
+
+
+def _orthonormal(white: FloatArray, plain: FloatArray, size: FloatArray) -> _Columns:
+    """Of rows (m, p, n·J), of sizes (m, p) before others were taken off them."""
+    turn = orthonormal(white @ np.swapaxes(white, 1, 2), size)
+    across = np.swapaxes(turn, 1, 2)
+    return _Columns(across @ white, across @ plain, turn)
