@@ -111,7 +111,7 @@ def _checked(found: Histories, named: CheckUnit) -> _Checked:
         value = runs.value[places]
         if variance is None or not np.isfinite(value).all():
             continue
-        one = checks(value, variance[places], begins, RIG_CHART)
+        one = checks(value, variance[places], begins, RIG_CHART, found.freedom(figure))
         judged.append(one)
         failed |= one.failed
         known |= one.known

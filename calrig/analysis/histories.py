@@ -67,6 +67,11 @@ class Histories:
         own = np.nan_to_num(self.figures[figure].std) ** 2
         return np.asarray(own + max(pooled.between_days**2, SMALLEST[figure] ** 2), dtype=np.float64)
 
+    def freedom(self, figure: int) -> int | None:
+        """Degrees of freedom that these variances rest on; None where they are not known."""
+        pooled = self.changes.pooled[figure]
+        return None if pooled is None else pooled.freedom
+
     @property
     def pooled(self) -> tuple[Repeatability | None, ...]:
         """How bias and scale repeat; None where the runs do not tell."""
