@@ -107,11 +107,11 @@ def _checked(found: Histories, named: CheckUnit) -> _Checked:
     failed, known = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
     judged = []
     for figure, runs in enumerate(found.figures):
-        variance = found.variance(figure)
+        variance, freedom = found.variance(figure), found.freedom(figure)
         value = runs.value[places]
-        if variance is None or not np.isfinite(value).all():
+        if variance is None or freedom is None or not np.isfinite(value).all():
             continue
-        one = checks(value, variance[places], begins, RIG_CHART, found.freedom(figure))
+        one = checks(value, variance[places], begins, RIG_CHART, freedom[places])
         judged.append(one)
         failed |= one.failed
         known |= one.known

@@ -65,7 +65,7 @@ class ControlChart:
     signals: npt.NDArray[np.bool_]
 
 
-def normal_score(q: FloatArray | float, freedom: int | None) -> FloatArray:
+def normal_score(q: FloatArray | float, freedom: FloatArray | float | None) -> FloatArray:
     """Values of Student's t as the normal ones that are as likely: Φ⁻¹(T_ν(q)), q itself where ν is None.
 
     So a spread that few repeats tell makes no false alarms of its own (Quesenberry 1991, equation 7).
@@ -105,7 +105,7 @@ def moving_average(q: FloatArray, weight: float) -> FloatArray:
 
 
 def control_chart(
-    value: FloatArray, variance: FloatArray, ewma: Ewma, freedom: int | None = None
+    value: FloatArray, variance: FloatArray, ewma: Ewma, freedom: FloatArray | None = None
 ) -> ControlChart:
     """The chart of a history: self-started Q, then a moving average of them.
 
@@ -113,7 +113,7 @@ def control_chart(
         value: (…, n) in the order measured.
         variance: (…, n) of each, known.
         ewma: `UNIT_CHART` or `RIG_CHART`.
-        freedom: degrees of freedom that the variances rest on; None where they are known.
+        freedom: (…, n) degrees of freedom that the variances rest on; None where they are known.
     """
     q = normal_score(q_statistics(value, variance), freedom)
     n = q.shape[-1]
@@ -146,7 +146,7 @@ def checks(
     variance: FloatArray,
     judged_from: int,
     ewma: Ewma = RIG_CHART,
-    freedom: int | None = None,
+    freedom: FloatArray | None = None,
 ) -> Checks:
     """Checks of a rig by a unit that is known to keep: the mean is of the checks that passed.
 
@@ -159,7 +159,7 @@ def checks(
         variance: (n,) of each, known.
         judged_from: place of the first run that is a check; those before it are its history.
         ewma: the chart.
-        freedom: degrees of freedom that the variances rest on; None where they are known.
+        freedom: (n,) degrees of freedom that the variances rest on; None where they are known.
     """
     n = len(value)
     q, average = np.zeros(n), np.zeros(n)
@@ -169,7 +169,8 @@ def checks(
     for i in range(n):
         if weight > 0.0:
             known[i] = True
-            q[i] = normal_score((value[i] - mean) / np.sqrt(variance[i] + 1.0 / weight), freedom)
+            t = (value[i] - mean) / np.sqrt(variance[i] + 1.0 / weight)
+            q[i] = normal_score(t, None if freedom is None else freedom[i])
             z = ewma.weight * q[i] + (1.0 - ewma.weight) * z
             average[i], held[i] = z, limits[since]
             out = abs(q[i]) > PUT_RIGHT if failing else abs(z) > limits[since]

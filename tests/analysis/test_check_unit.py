@@ -97,3 +97,14 @@ def test_naming_one_is_in_the_trail_and_another_unit_begins_anew(store: Store) -
         (None, "bench-1", "OTHER"),
         ("ada", "bench-1", None),
     ]
+
+
+def test_a_jump_is_seen_however_few_the_repeats_where_they_are_as_alike_as_their_noise(store: Store) -> None:
+    """Three runs that repeat to the last digit, and one that is off by fifty standard errors."""
+    for day in range(3):
+        ran(store, "CHECK", day, 0.8)
+    named(store, day=1)
+    other = ran(store, "A", 2.5)
+    ran(store, "CHECK", 3, 0.9)
+    found = check_document(store, "bench-1", now=at(4))
+    assert (found["state"], other.id in found["suspect_runs"]) == ("failed", True)

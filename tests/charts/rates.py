@@ -37,7 +37,9 @@ def pooled_from(freedom: int, *, scored: bool = True) -> Signals:
 
     def signals(value: Floats, std: Floats) -> npt.NDArray[np.bool_]:
         spread = rng.chisquare(freedom, (len(value), 1)) / freedom
-        chart = control_chart(value, spread * std**2, UNIT_CHART, freedom if scored else None)
+        chart = control_chart(
+            value, spread * std**2, UNIT_CHART, np.full(value.shape, float(freedom)) if scored else None
+        )
         return chart.signals
 
     return signals
