@@ -21,7 +21,7 @@ FEWEST_REPEATS = 3
 """Repeats that there must be: of two that disagree nobody can tell which is the change."""
 FEWEST_ALIKE = 2
 """Repeats left without what changed; with one, nothing but a factor of 13 would be significant."""
-MOST_RUNS = 1000
+MOST_RUNS = 700
 """Units calibrated last, up to as many runs, are pooled: they tell a spread to 3 % of itself."""
 OUTLYING = 0.05
 """Chance that a run of good repeats loses one of them in the search for those that changed."""
