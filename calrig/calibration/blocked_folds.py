@@ -9,7 +9,7 @@ and places are those of a search that had seen the block. The interleaved folds 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +30,8 @@ UNSTABLE = 1e-3
 """Chance that the coefficients of a true effect differ as much between the whole and a part of the poses."""
 ESTIMABLE = 1e-4
 """Of a column, what the others must leave of it: a slip in the block left out is a bias in all the others."""
+FORESEEN = 0.3
+"""Of the size of a curve's part, what the other blocks must show of it."""
 Intp = npt.NDArray[np.intp]
 
 
@@ -129,8 +131,18 @@ def _shown(r: Responses, accepted: Sequence[Candidate], train: Intp) -> list[Can
         own = _flat(candidate.columns[train])
         left = own - before @ np.linalg.lstsq(before, own, rcond=None)[0]
         if np.linalg.norm(left) > ESTIMABLE * np.linalg.norm(own):
-            shown.append(candidate)
+            shown.append(candidate if candidate.named else _as_far_as_shown(candidate, train, before))
     return shown
+
+
+def _as_far_as_shown(curve: Candidate, train: Intp, before: FloatArray) -> Candidate:
+    """A curve of no name less what it does where no pose is left: a spline would fly off there."""
+    whole, _ = np.linalg.qr(_flat(curve.columns))
+    directions = whole.reshape(*curve.columns.shape)
+    own = _flat(directions[train])
+    left = own - before @ np.linalg.lstsq(before, own, rcond=None)[0]
+    _, seen, turn = np.linalg.svd(left, full_matrices=False)
+    return replace(curve, columns=directions @ turn[seen > FORESEEN].T)
 
 
 def _flat(columns: FloatArray) -> FloatArray:

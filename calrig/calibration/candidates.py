@@ -120,10 +120,10 @@ class Candidate:
 
     def is_distinct(self, r: Responses, other: Candidate) -> bool:
         """Whether both can be in one model: in other runs, or at places that these poses tell apart."""
-        one, another = self.shape.changed, other.shape.changed
-        if one is not another and in_words(one) != in_words(another):
+        distinct, one, another = self.effect.distinct, self.changed, other.changed
+        if distinct is None or (one is not another and in_words(one) != in_words(another)):
             return True
-        return self.effect.distinct(r, self.shape, other.shape)
+        return distinct(r, self.shape, other.shape)
 
     def rows(self, chosen: np.ndarray[tuple[int], np.dtype[np.intp]]) -> Candidate:
         """The same candidate in some of the poses."""
@@ -157,8 +157,8 @@ def candidates_of(r: Responses) -> list[Candidate]:
     ]
     shown = [candidate for candidate in found if np.ptp(candidate.columns[:, 0, 0]) > 0.0]
     all_along = [candidate for candidate in shown if candidate.changed is None]
-    offered = [b for b in all_along if not b.shape.alone]
-    pairs = [(a, b) for b in offered for a in all_along if a.name in b.effect.together_with]
+    with_others = [c for c in all_along if c.effect.together_with and not c.shape.alone]
+    pairs = [(a, b) for b in with_others for a in all_along if a.name in b.effect.together_with]
     together = [_together(a, b) for a, b in pairs] + _several_changes(shown, len(r.run_ids) - 1)
     together += _series(r, all_along)
     unnamed = sum(not candidate.named for candidate in shown)

@@ -7,8 +7,9 @@ from itertools import combinations
 
 import numpy as np
 
+from calrig.calibration.channels import BoolArray
 from calrig.calibration.column_units import TIMES, is_circle
-from calrig.calibration.responses import BoolArray, Responses
+from calrig.calibration.responses import Responses
 from calrig.estimation.angles import FloatArray
 
 LEAST_ARC_DEG = 90.0

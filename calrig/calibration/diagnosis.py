@@ -10,6 +10,7 @@ import numpy as np
 
 from calrig.calibration.blocked_folds import BLOCKS, Blocked, blocked, not_predictive, worse
 from calrig.calibration.candidates import candidates_of
+from calrig.calibration.channels import SCALE_UNIT_DEG
 from calrig.calibration.cross_validation import FOLDS, CrossValidation, confirm, cross_validate
 from calrig.calibration.diagnosis_verdict import diagnosis_verdict
 from calrig.calibration.experiment_design import ambiguous_of, design
@@ -19,7 +20,7 @@ from calrig.calibration.leave_one_out import standing_without_one
 from calrig.calibration.pose import Pose
 from calrig.calibration.pose_columns import complete
 from calrig.calibration.report import effect_documents, model_words
-from calrig.calibration.responses import SCALE_UNIT_DEG, Responses, names_of, responses_of
+from calrig.calibration.responses import Responses, names_of, responses_of
 from calrig.calibration.search import Findings, search
 from calrig.estimation.angles import FloatArray
 

@@ -50,8 +50,7 @@ class Covariate:
 
     Attributes:
         name: as documents have it (CONTRACT section 5).
-        title: in words, as an axis of a figure.
-        unit: empty where it has none.
+        title, unit: in words, as an axis of a figure; the unit empty where it has none.
         of: (n,) the column in some poses; None where they lack it.
         needs_time: whether it changes as time passes, not by what a plan moves.
     """
@@ -106,8 +105,7 @@ class Shape:
         series: what it is one term of, where several terms make one cause: a search counts them once.
         beside: covariates that effects in the model must follow before it is offered.
         changed: between which runs, where it is only in the later ones.
-        alone: never offered as one with the effects that its own is declared to come with: of many places
-            close together a few stand for all until they are parted.
+        alone: not offered with its effect's companions: of places close together few stand for all.
     """
 
     shares: Mapping[str, FloatArray]
@@ -225,15 +223,14 @@ class Effect:
         on_reading_deg: (n,) the formula, exact where the forms are linear.
         on_vector_g: instead, what the effect adds to a_y and a_z: all effects turn one vector together.
         in_c: the same in C, of `theta` in degrees, `temperature_c`, and the sensor's own `s` and `c`.
-        apart: what separates it from its look-alikes.
-        remedy: what a person can do about it.
+        apart, remedy: what separates it from its look-alikes, and what a person can do about it.
         scan: the places that the search tries; without it one, of no parameters.
         refine: the shape at the best place near a leading one's, in the poses given (the leading one may be
             of more), by a shape's criterion; None where there is nothing to refine.
         place: the parameter among the scanned ones that the likelihood refines between them.
         settled: the places to take for those refined, by their standard errors: a value that is known.
         look_alikes: places that these poses may not tell from a shape's, the likeliest first.
-        distinct: whether two shapes at different places can both be in one model of these poses.
+        distinct: whether two shapes at different places can both be in one model of these poses; else always.
         reported: a document's parameters from coefficients and their covariance.
         evidence: sentences about a shape in these poses.
         possible: whether coefficients are any that the physics allows.
@@ -259,7 +256,7 @@ class Effect:
     place: str = ""
     settled: Callable[[Parameters, Parameters], Parameters] = lambda at, _std: at
     look_alikes: Callable[[Responses, Shape], Iterator[Parameters]] = lambda _r, _shape: iter(())
-    distinct: Callable[[Responses, Shape, Shape], bool] = lambda _r, _shape, _other: True
+    distinct: Callable[[Responses, Shape, Shape], bool] | None = None
     reported: Callable[[Shape, FloatArray, FloatArray], Documents] = linear
     evidence: Callable[[Responses, Shape], list[str]] = lambda _r, _shape: []
     possible: Callable[[Shape, FloatArray], bool] = lambda _shape, _beta: True

@@ -13,8 +13,9 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from calrig.calibration.channels import ANGLE, MOVE, NORM, READING
 from calrig.calibration.effect import Applied, Circumstances, Documents, Parameters, Shape
-from calrig.calibration.responses import ANGLE, MOVE, NORM, READING, Responses
+from calrig.calibration.responses import Responses
 from calrig.calibration.sensor_vector import VectorError
 from calrig.estimation.angles import FloatArray
 

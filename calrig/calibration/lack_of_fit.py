@@ -21,8 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import fdtrc
 
+from calrig.calibration.channels import BoolArray
 from calrig.calibration.pose import Pose
-from calrig.calibration.responses import BoolArray
 from calrig.estimation.angles import FloatArray
 
 LEVEL = 0.01

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calrig.calibration.responses import BoolArray
+from calrig.calibration.channels import BoolArray
 from calrig.estimation.angles import FloatArray
 
 LARGEST_RHO = 0.95

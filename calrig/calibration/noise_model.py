@@ -11,14 +11,16 @@ channels of one common ρ are both special cases.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
+from calrig.calibration.channels import BoolArray
 from calrig.calibration.lagged_products import LARGEST_RHO, SMALLEST_RHO, lagged_products
-from calrig.calibration.responses import BoolArray, Responses
+from calrig.calibration.responses import Responses
 from calrig.estimation.angles import FloatArray
 
 ITERATIONS = 4
@@ -26,7 +28,7 @@ STRONG_RHO = 0.75
 """Correlation beyond which coefficients and noise agree slowly; below it one step from the noise that the
 responses were drawn from leaves the criterion where four would (quantiles of its gain alike to 0.5).
 """
-CACHE = 40_000
+CACHE = 36_000
 """Numbers in an array that several of fit into the processor's cache; beyond it a fit takes twice as long."""
 SINGULAR = 1e-10
 """Of products of columns of unit size, an eigenvalue that says that some of them say the same."""
@@ -131,7 +133,8 @@ def fits(r: Responses, values: FloatArray, columns: FloatArray) -> Fits:
         values: (b, n, J).
         columns: (b, n, J, p), or (1, n, J, p) where all have the same.
     """
-    at_once = max(1, CACHE // (columns[0].size + values[0].size))
+    parts_needed = math.ceil(len(values) * (columns[0].size + values[0].size) / CACHE)
+    at_once = math.ceil(len(values) / parts_needed)
     parts = [
         _fits(r, values[k : k + at_once], columns[k : k + at_once] if len(columns) > 1 else columns)
         for k in range(0, len(values), at_once)

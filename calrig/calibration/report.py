@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 
 from calrig.calibration.candidates import Candidate, rebuilt
+from calrig.calibration.channels import CHANNELS
 from calrig.calibration.effects import UNNAMED
 from calrig.calibration.model import own_columns
 from calrig.calibration.noise_model import Fit, fit
 from calrig.calibration.places import slope
 from calrig.calibration.ranking import FAR_BEHIND, MARGIN, Found
-from calrig.calibration.responses import CHANNELS, Responses
+from calrig.calibration.responses import Responses
 from calrig.calibration.run_changes import in_words
 from calrig.calibration.search import Findings
 from calrig.calibration.sensor_model import Model, fitted_model

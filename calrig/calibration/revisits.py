@@ -11,11 +11,12 @@ from dataclasses import replace
 import numpy as np
 
 from calrig.calibration.candidates import Candidate
+from calrig.calibration.channels import ANGLE, READING
 from calrig.calibration.column_units import TIMES
 from calrig.calibration.effect import APPROACH, ELEVATION
 from calrig.calibration.effects.unnamed import MORE_KNOTS, POSES_A_KNOT, natural_spline
 from calrig.calibration.lack_of_fit import SEVERAL
-from calrig.calibration.responses import ANGLE, READING, Responses
+from calrig.calibration.responses import Responses
 from calrig.estimation.angles import FloatArray
 
 
@@ -58,7 +59,7 @@ def leaves_more(r: Responses, residual_deg: FloatArray) -> bool:
         residual_deg: (n,) of their readings.
     """
     free = with_free_curve(r)
-    if free is None:
+    if free is None or r.starts.all():
         return False
     base = free.base[:, 0, :]
     beside = r.values[:, 0] - base @ np.linalg.lstsq(base, r.values[:, 0], rcond=None)[0]

@@ -12,8 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from calrig.calibration.channels import ANGLE, READING
 from calrig.calibration.effect import TIME, Covariate, Effect, Shape
-from calrig.calibration.responses import ANGLE, FEWEST_POSES, READING, Change, Responses
+from calrig.calibration.responses import FEWEST_POSES, Change, Responses
 from calrig.estimation.angles import FloatArray
 
 RUN = Covariate("run", "run", "", lambda r: r.run.astype(np.float64))

@@ -161,7 +161,8 @@ def _beside(white: FloatArray, base: FloatArray) -> _Beside:
     left += of_base.reshape(inside.shape) @ np.swapaxes(every, 1, 2)
     turn = orthonormal(left.sum(axis=0), np.sqrt(np.einsum("jckk->ck", whole)))
     across = np.swapaxes(turn, 1, 2)
-    columns = np.ascontiguousarray(np.swapaxes(across @ white, 1, 2), dtype=np.float32)
+    turned = across * white if width == 1 else across @ white
+    columns = np.ascontiguousarray(np.swapaxes(turned, 1, 2), dtype=np.float32)
     inward = np.swapaxes(across @ every, 0, 1).reshape(-1, base.shape[2]).T
     return _Beside(columns, inward.astype(np.float32), (across @ left @ turn).astype(np.float32))
 

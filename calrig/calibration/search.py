@@ -11,13 +11,14 @@ import numpy.typing as npt
 
 from calrig.calibration.backward import parted, tenable
 from calrig.calibration.candidates import Candidate, goes_round
+from calrig.calibration.channels import READING
 from calrig.calibration.effect import HIDDEN
 from calrig.calibration.gate import Verdict, gate
 from calrig.calibration.model import model_columns
-from calrig.calibration.noise_model import Fit, NoiseModel, noise_of
+from calrig.calibration.noise_model import STRONG_RHO, Fit, NoiseModel, noise_of
 from calrig.calibration.outliers import most_outliers, outlier
 from calrig.calibration.ranking import COMPANION_MARGIN, Found, named, pair
-from calrig.calibration.responses import READING, Responses
+from calrig.calibration.responses import Responses
 from calrig.calibration.revisits import is_of_the_curve, leaves_more, with_free_curve
 from calrig.calibration.run_changes import is_level, with_free_levels
 from calrig.calibration.screen import Screen
@@ -156,6 +157,23 @@ def _search(
         offered = _offered(model.responses, candidates, model.accepted, refused)
         return judge(model.responses, columns_with, model.fitted, offered)
 
+    def hidden(model: Model, verdict: Verdict) -> list[Found]:
+        """Two effects of which each alone leaves the other, that looks like noise which wanders.
+
+        The best enters on trial; both stay where each passes the gate beside the other.
+        """
+        if model.fitted.noise.rho.max() < STRONG_RHO or not verdict.candidates:
+            return []
+        first = named(r, model.accepted, verdict.candidates, verdict.ratios, verdict.p_value)
+        of_second = judged(fitted_model(r, [*model.accepted, first.candidate]))
+        if not of_second.passes:
+            return []
+        beside = [*model.accepted, first.candidate]
+        second = named(r, beside, of_second.candidates, of_second.ratios, of_second.p_value)
+        of_first = judged(fitted_model(r, [*model.accepted, second.candidate]))
+        worth = is_worth_a_name(r, beside, second)
+        return [replace(first, p_value=of_first.p_value), second] if of_first.passes and worth else []
+
     while True:
         accepted = [f.candidate for f in found]
         model = fitted_model(r, accepted)
@@ -166,7 +184,15 @@ def _search(
             kept, r, candidates = kept[others], r.rows(others), [c.rows(others) for c in candidates]
             found = [f.rows(others) for f in found]
             continue
-        if not verdict.passes or _is_full(accepted, len(known)):
+        full = _is_full(accepted, len(known))
+        both = [] if verdict.passes or full else hidden(model, verdict)
+        if both:
+            steps = [replace(one, candidate=member) for one in both for member in one.candidate.members]
+            found = _reconsidered(r, candidates, [*found, *steps], len(known))
+            found, dropped = parted(r, on_their_places(r, candidates, found), len(known))
+            refused.update(dropped)
+            continue
+        if not verdict.passes or full:
             return Findings(
                 r, kept, tuple(found), model.fitted, model.columns, verdict.p_value, verdict.least_p_value
             )
@@ -211,6 +237,13 @@ def _says_no_more(step: Found, offered: Sequence[Candidate]) -> bool:
     return any(behind.get(member.label, np.inf) < margin for member in step.candidate.members)
 
 
+def _is_on_trial(candidate: Candidate) -> bool:
+    """Whether it is a pair of which one was chosen among places that differ from one to the next."""
+    return len(candidate.members) > 1 and any(
+        m.shape.scanned and m.shape.place_cost > 1 for m in candidate.members
+    )
+
+
 def _is_full(accepted: Sequence[Candidate], known: int) -> bool:
     """Whether the model has as many effects, but the first known ones, as a run is searched for."""
     if len(accepted) == known:
@@ -245,7 +278,7 @@ def _offered(
             return False
         if c.label in once or not (c.follows is None or c.follows in present):
             return False
-        return all(c.is_distinct(r, other) for other in accepted)
+        return c.effect.distinct is None or all(c.is_distinct(r, other) for other in accepted)
 
     return [c for c in candidates if c.label not in refused and may_enter(c)]
 
@@ -260,13 +293,13 @@ def _reconsidered(
 ) -> list[Found]:
     """Each effect but the first known ones against its rivals once more, with all the others in the model.
 
-    It does not bring a companion with it: that would enter unjudged.
+    It does not bring a companion with it that was looked for at many instants: that would enter unjudged.
     """
     if len(found) == known + 1:
         return found
     for one in found[known:]:
         others = [f.candidate for f in found if f is not one]
-        offered = [c for c in _offered(r, candidates, others, set()) if c.beside is None or c.shape.series]
+        offered = [c for c in _offered(r, candidates, others, set()) if not _is_on_trial(c)]
         if one.candidate.shape.series and not curves:  # they take a little from every term of a turn
             offered = [c for c in offered if c.named]
         model = fitted_model(r, others)

@@ -4,23 +4,23 @@ To first order an offset of 80 mg is wrong by 0.18°, by another 0.06° where th
 by 0.14° beside a gain of 3 %. Gauss and Newton's iteration (Björck, Numerical Methods for Least Squares
 Problems, 1996, section 9.2): columns linear about the parameters found, and responses less what is not linear
 there, so that search, ranking and report go on with a linear fit.
-
-What else is not linear is what the gyro feels: its own gain, of a few per cent, acts on the moves that
-effects add as well as on those commanded, and a slip of 20° is felt as one of 20.1°.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
 from calrig.calibration.candidates import Candidate
+from calrig.calibration.channels import ANGLE, NORM, READING
 from calrig.calibration.effect import Applied, Circumstances
+from calrig.calibration.felt_moves import FeltMoves
 from calrig.calibration.model import model_columns, own_columns, replaced, side_by_side
 from calrig.calibration.noise_model import Fit, fit, fits
-from calrig.calibration.responses import ANGLE, MOVE, NORM, READING, SCALE_UNIT_DEG, Responses
+from calrig.calibration.responses import Responses
 from calrig.calibration.run_changes import since
 from calrig.calibration.sensor_vector import TURNS_THE_SENSOR, VectorError, sin_cos, turned_vector
 from calrig.estimation.angles import FloatArray
@@ -30,7 +30,8 @@ NEGLIGIBLE = 0.03
 """Of a channel's residuals: what is less than that from being linear is as good as linear."""
 LARGEST_G = 0.5
 """Of an axis' error; a vector with more says nothing of the angle, and the fit stays linear."""
-GAIN = f"{MOVE}.gain"
+KEPT = 8
+"""Models that a search may ask for again."""
 STEP = 1e-3
 """By which a parameter changes the reading (°) or |accelerometer| (g) to see what it does there."""
 
@@ -50,19 +51,23 @@ class Model:
     fitted: Fit
 
 
-def fitted_model(r: Responses, accepted: Sequence[Candidate], start: FloatArray | None = None) -> Model:
+def fitted_model(r: Responses, accepted: Sequence[Candidate]) -> Model:
     """Fits bias, scale and effects, those on the sensor's axes through atan2.
 
     Args:
         r: the responses as measured.
         accepted: the effects, their columns linear about none.
-        start: (p,) coefficients to begin from; without them the linear fit's.
 
     Returns:
         The linear fit where nothing in the model bends by more than the noise shows, or it cannot be bent.
     """
+    return _fitted_model(r, tuple(accepted))
+
+
+@lru_cache(maxsize=KEPT)
+def _fitted_model(r: Responses, accepted: tuple[Candidate, ...]) -> Model:
     curve = _Curve(r, accepted)
-    step = _fitted(r, tuple(accepted)) if start is None else _fitted(*curve.straightened(start))
+    straight = step = _fitted(r, accepted)
     for _ in range(STEPS):
         beta = step.fitted.beta
         if curve.is_near(beta, step.fitted.residuals):
@@ -70,7 +75,7 @@ def fitted_model(r: Responses, accepted: Sequence[Candidate], start: FloatArray 
         if not curve.is_possible(beta):
             break
         step = _fitted(*curve.straightened(beta))
-    return _fitted(r, tuple(accepted))
+    return straight
 
 
 def fitted_beside(
@@ -78,20 +83,30 @@ def fitted_beside(
 ) -> list[tuple[float, FloatArray]]:
     """Criterion and own coefficients of each of several candidates beside the accepted effects.
 
-    All are fitted at once, linear about what is accepted; once more those that bend.
+    All are fitted at once, linear about what is accepted; once more, and again, those that bend.
     """
     at = fitted_model(r, accepted)
-    columns = side_by_side([model_columns(at.responses, [*at.accepted, c]) for c in shortlist])
-    fitted = fits(r, np.repeat(at.responses.values[None], len(shortlist), axis=0), columns)
-    found = []
-    for k, candidate in enumerate(shortlist):
-        curve = _Curve(r, [*accepted, candidate])
-        beta, criterion = fitted.beta[k, : curve.width], float(fitted.criterion[k])
-        if not curve.is_near(beta, fitted.residuals[k]) and curve.is_possible(beta):
-            bent = fitted_model(r, [*accepted, candidate], beta).fitted
-            beta, criterion = bent.beta, bent.criterion
-        found.append((criterion, beta[curve.own[-1]]))
-    return found
+    curves = [_Curve(r, [*accepted, candidate]) for candidate in shortlist]
+    steps = [(at.responses, (*at.accepted, candidate)) for candidate in shortlist]
+    found = [(np.inf, np.empty(0))] * len(shortlist)
+    bent = list(range(len(shortlist)))
+    for _ in range(1 + STEPS):
+        values = np.stack([straight.values for straight, _ in steps])
+        fitted = fits(r, values, side_by_side([model_columns(*step) for step in steps]))
+        open_yet = []
+        for place, k in enumerate(bent):
+            beta = fitted.beta[place, : curves[k].width]
+            found[k] = float(fitted.criterion[place]), beta
+            if not curves[k].is_near(beta, fitted.residuals[place]) and curves[k].is_possible(beta):
+                open_yet.append(k)
+        bent = open_yet
+        if not bent:
+            break
+        steps = [curves[k].straightened(found[k][1]) for k in bent]
+    for k in bent:  # it does not come to rest: the linear fit
+        linear = fit(r, model_columns(r, [*accepted, shortlist[k]]))
+        found[k] = linear.criterion, linear.beta
+    return [(criterion, beta[curve.own[-1]]) for (criterion, beta), curve in zip(found, curves, strict=True)]
 
 
 def linear_about(
@@ -141,13 +156,14 @@ class _Curve:
         self.width = self._straight.shape[2]
         for _, at in self._on_axes:
             self._straight[:, :, at] = 0.0
-        self._gain_at = self._names.index(GAIN) if GAIN in self._names else None
-        felt_moves = self._gain_at is not None and bool(self._moves()[:, len(self._names) :].any())
-        self.bends = bool(self._on_axes) or felt_moves
+        self._moves = FeltMoves(self._straight, self._names, r.channels)
+        self.bends = bool(self._on_axes) or self._moves.bends
 
     def _placed(self) -> tuple[FloatArray, FloatArray]:
         """(n, p) what turns the sensor itself, degrees, and what its vector is longer by, g."""
         felt, size = np.zeros((2, len(self._r), self._straight.shape[2]))
+        if not self._on_axes:
+            return felt, size
         bound = [k for k, name in enumerate(self._names) if not name.endswith(".first")]
         turns = [
             at
@@ -181,7 +197,7 @@ class _Curve:
 
     def _bent(self, beta: FloatArray) -> FloatArray:
         """(n, J) what is not linear in the coefficients."""
-        return self._on_axes_of(beta) + self._over_felt(beta)
+        return self._on_axes_of(beta) + self._moves.over(beta)
 
     def residuals(self, beta: FloatArray) -> FloatArray:
         """(n, J) what the model leaves of the measured responses."""
@@ -227,19 +243,6 @@ class _Curve:
     def _felt_deg(self, beta: FloatArray) -> FloatArray:
         return np.asarray(self._r.theta_deg + self._felt @ beta)
 
-    def _moves(self) -> FloatArray:
-        """(n, p) what the gyro's response is made of, as it were without an error of its own."""
-        return self._straight[:, self._r.channels.index(MOVE)]
-
-    def _over_felt(self, beta: FloatArray) -> FloatArray:
-        """(n, J) what the gyro's own gain makes of the moves that effects add to the commanded ones."""
-        over = np.zeros_like(self._r.values)
-        if self._gain_at is not None:
-            base = len(self._names)
-            added_deg = self._moves()[:, base:] @ beta[base:]
-            over[:, self._r.channels.index(MOVE)] = beta[self._gain_at] / SCALE_UNIT_DEG * added_deg
-        return over
-
     def _on_axes_of(self, beta: FloatArray) -> FloatArray:
         """(n, J) what the effects on the sensor's axes do together."""
         if not self._on_axes:
@@ -280,9 +283,4 @@ class _Curve:
                 turned, lengthened = follow(more, less, change[k])
                 turns[:, k] += turned
                 lengths[:, k] += size * lengthened
-        slope = self._r.columns({READING: turns, ANGLE: turns, NORM: lengths})
-        if self._gain_at is not None:
-            base, move = len(self._names), self._r.channels.index(MOVE)
-            slope[:, move, base:] += beta[self._gain_at] / SCALE_UNIT_DEG * self._moves()[:, base:]
-            slope[:, move, self._gain_at] += self._moves()[:, base:] @ beta[base:] / SCALE_UNIT_DEG
-        return slope
+        return self._r.columns({READING: turns, ANGLE: turns, NORM: lengths}) + self._moves.slope(beta)

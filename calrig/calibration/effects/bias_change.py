@@ -6,8 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from calrig.calibration.channels import READING
 from calrig.calibration.effect import Effect, NotInFlight, Parameter, Parameters, Shape
-from calrig.calibration.responses import READING, Responses
+from calrig.calibration.responses import Responses
 from calrig.calibration.run_changes import RUN
 
 

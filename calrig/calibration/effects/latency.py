@@ -11,9 +11,10 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from calrig.calibration.channels import ANGLE, READING
 from calrig.calibration.effect import Covariate, Effect, NotInFlight, Parameter, Parameters, Shape
 from calrig.calibration.effect_terms import tilted
-from calrig.calibration.responses import ANGLE, READING, Responses
+from calrig.calibration.responses import Responses
 from calrig.estimation.angles import FloatArray
 
 AS_SCANNED = np.geomspace(0.4, 2.5, 9)

@@ -10,9 +10,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from calrig.calibration.channels import ANGLE, MOVE, READING
 from calrig.calibration.effect import LAST_MOVE, Effect, NotInFlight, Parameter, Parameters, Shape
 from calrig.calibration.effect_terms import tilted, within
-from calrig.calibration.responses import ANGLE, MOVE, READING, Responses
+from calrig.calibration.responses import Responses
 
 LEFT_AT_THE_END = (0.1, 0.5, 0.9)
 """Of what the dwell lacks in the mean, for time constants of 0.3, 0.8 and 5 dwells."""

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from calrig.calibration.channels import ANGLE, MOVE, READING
 from calrig.calibration.effect import (
     ELEVATION,
     Effect,
@@ -15,7 +16,7 @@ from calrig.calibration.effect import (
     Shape,
 )
 from calrig.calibration.effect_terms import THE_TURN, amplitude_and_phase, wave_deg
-from calrig.calibration.responses import ANGLE, MOVE, READING, Responses
+from calrig.calibration.responses import Responses
 from calrig.calibration.spectral_window import window_peaks
 from calrig.estimation.angles import FloatArray
 

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from calrig.calibration.channels import BoolArray
 from calrig.calibration.effect import (
     TEMPERATURE,
     Applied,
@@ -22,7 +23,7 @@ from calrig.calibration.effect import (
     Shape,
 )
 from calrig.calibration.effect_terms import one_leg, said_of_one_leg, tilted, warmer_c
-from calrig.calibration.responses import BoolArray, Responses
+from calrig.calibration.responses import Responses
 from calrig.estimation.angles import FloatArray
 
 LAGS = 10

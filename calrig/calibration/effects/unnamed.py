@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from calrig.calibration.channels import MOVE
 from calrig.calibration.column_forms import (
     LEAST_ARC_DEG,
     arc_deg,
@@ -34,7 +35,7 @@ from calrig.calibration.effect import (
     Shape,
 )
 from calrig.calibration.effect_terms import amplitude_and_phase, size_deg, tilted, turned, turns
-from calrig.calibration.responses import MOVE, Responses
+from calrig.calibration.responses import Responses
 from calrig.estimation.angles import FloatArray
 
 KNOTS = (3, 5)
