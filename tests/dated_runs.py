@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
+from calrig.calibration.pose import Pose
+from calrig.calibration.result import build_result
 from calrig.store import Run, Store
 from calrig.store.convert import figures_of
 from calrig.store.tables import RunTable, UnitTable
@@ -39,7 +42,7 @@ def gave(
 
 
 def lay(store: Store, *runs: tuple[str, float, dict[str, Any], dict[str, Any]]) -> list[str]:
-    """Completed calibrations, all at once: unit, day, result and columns of the run; their ids."""
+    """Completed calibrations without poses, all at once: unit, day, result, columns of the run; their ids."""
     with store._database.writing() as session:
         rows = []
         for unit, day, result, columns in runs:
@@ -48,7 +51,7 @@ def lay(store: Store, *runs: tuple[str, float, dict[str, Any], dict[str, Any]]) 
                 session.flush()
             row = RunTable(
                 **{"unit": unit, "rig": "bench-1", "kind": "calibration", "status": "completed", "plan": None}
-                | {"progress": {"poses_done": 52, "poses_total": 52, "fraction": 1.0, "remaining_s": 0.0}}
+                | {"progress": {"poses_done": 0, "poses_total": 0, "fraction": 1.0, "remaining_s": 0.0}}
                 | {"result": result, "faults": {}, "provenance": {}}
                 | {"created_at": at(day), "started_at": at(day), "finished_at": at(day), **columns}
             )
@@ -68,11 +71,15 @@ def ran(
     *,
     std: float = 0.002,
     stage_std_deg: float | None = None,
+    poses: Sequence[Pose] = (),
     **columns: Any,
 ) -> Run:
-    """A completed calibration of a unit that finished on a day."""
+    """A completed calibration of a unit that finished on a day, with what poses give where there are some."""
     reference = {"std_deg": 0.3, "kind": "harmonic", "bias_std_deg": stage_std_deg, "scale_std": 0.001}
     result = gave(bias_deg, scale, std, reference=reference if stage_std_deg is not None else None)
+    if poses:
+        fit = build_result(poses).to_dict()
+        result |= {key: fit[key] for key in ("bias_deg", "bias_std_deg", "scale", "scale_std")}
     (run_id,) = lay(store, (unit, day, result, columns))
     run = store.run(run_id)
     assert run is not None

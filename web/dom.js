@@ -43,6 +43,10 @@ export function runHref(id) {
   return `#/runs/${encodeURIComponent(id)}`;
 }
 
+export function rigHref(name) {
+  return `#/rigs/${encodeURIComponent(name)}`;
+}
+
 export function unitLink(serial) {
   return h("a", { href: unitHref(serial), class: "serial" }, serial);
 }
@@ -50,6 +54,11 @@ export function unitLink(serial) {
 /** A run's status as a coloured word; the word alone carries the meaning. */
 export function statusPill(status, props = {}) {
   return h("span", { ...props, class: `pill ${status}` }, status);
+}
+
+/** Beside a run that was made while its rig was in doubt; `suspect` is null for every other one. */
+export function suspectTag(suspect) {
+  return suspect && h("span", { class: "tag warns", title: suspect.reason }, "suspect");
 }
 
 /** An input with its label above it. */

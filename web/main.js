@@ -8,20 +8,19 @@ import { watchRigs } from "./rigs.js";
 import { startView } from "./start.js";
 import { runView } from "./run.js";
 import { stopButtons } from "./stop.js";
-import { unitsView, unitView } from "./units.js";
-import { compareView } from "./compare.js";
 import { importView } from "./import.js";
 import { noiseView } from "./noise.js";
 
 const ROUTES = [
   [/^\/$/, startView],
   [/^\/runs\/([^/]+)$/, runView],
-  [/^\/units$/, unitsView],
-  [/^\/units\/([^/]+)$/, unitView],
-  [/^\/compare$/, compareView],
-  [/^\/import$/, importView],
-  // fetched when somebody goes there: few do
+  // fetched when somebody goes there
+  [/^\/units$/, async (shown) => (await import("./units.js")).unitsView(shown)],
+  [/^\/units\/([^/]+)$/, async (shown) => (await import("./units.js")).unitView(shown)],
+  [/^\/compare$/, async (shown) => (await import("./compare.js")).compareView(shown)],
   [/^\/limits$/, async (shown) => (await import("./limits.js")).limitsView(shown)],
+  [/^\/rigs\/([^/]+)$/, async (shown) => (await import("./rig.js")).rigView(shown)],
+  [/^\/import$/, importView],
   [/^\/trail$/, async (shown) => (await import("./trail.js")).trailView(shown)],
   [/^\/users$/, async (shown) => (await import("./users.js")).usersView(shown)],
   [/^\/noise$/, noiseView],

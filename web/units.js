@@ -6,6 +6,7 @@ import { Calibrations } from "./calibrations.js";
 import { Chart } from "./charts.js";
 import { fill, h, headings, tableBox, unitLink } from "./dom.js";
 import { moment, plural } from "./format.js";
+import { unitHistory } from "./history.js";
 import { may } from "./me.js";
 import { runHeadings, runRow } from "./runlist.js";
 
@@ -18,6 +19,7 @@ export async function unitsView({ root, signal }) {
       h("th", { scope: "row" }, unitLink(unit.serial)),
       h("td", { class: "number" }, unit.n_runs.toLocaleString()),
       h("td", {}, moment(unit.last_run_at)),
+      h("td", {}, moment(unit.due_at), unit.overdue && h("span", { class: "tag warns" }, "overdue")),
     ),
   );
   fill(
@@ -29,7 +31,7 @@ export async function unitsView({ root, signal }) {
       units.length
         ? tableBox(
             "Units",
-            h("table", { id: "units-table" }, headings("Unit", "#Runs", "Last run"), h("tbody", {}, rows)),
+            h("table", { id: "units-table" }, headings("Unit", "#Runs", "Last run", "Due"), h("tbody", {}, rows)),
           )
         : h("p", { class: "muted" }, "No unit yet: a unit appears with its first run."),
       units.length > 1 && h("p", { class: "downloads" }, h("a", { href: "#/compare" }, "Compare units")),
@@ -53,6 +55,7 @@ export async function unitView({ root, parts: [serial], signal }) {
     h("p", { class: "muted" }, `${plural(unit.n_runs, "run")}, known since `, moment(unit.created_at)),
     unit.n_runs === 0 && may("releaser") && removal(serial, path),
     calibrations.elements,
+    unitHistory(serial, signal),
     chart.element,
     h(
       "section",

@@ -43,9 +43,9 @@ def traced_in_words(effects: Sequence[dict[str, Any]]) -> str:
     """Such as "z offset moved by 6.0 ± 0.1 mg."; without a capital where it begins with an axis."""
     said = []
     for effect in effects:
-        moved = " and ".join(_moved(effect)) or f"{_title(effect)} changed"
-        others = ", ".join(effect["confusable_with"])
-        doubt = "" if effect["verdict"] == "named" else f" (or {others or 'something else'})"
+        moved = " and ".join(_moved(effect)) or f"{_title(effect['name'])} changed"
+        others = " or ".join(_title(name).lower() for name in effect["confusable_with"])
+        doubt = "" if effect["verdict"] == "named" else f" (or: {others or 'something else'})"
         said.append(f"{moved}{doubt}")
     return _sentence("; ".join(said))
 
@@ -66,8 +66,8 @@ def _moved(effect: dict[str, Any]) -> Iterator[str]:
             yield f"{title} moved by {plus_minus(value, std, parameter.unit or '')}"
 
 
-def _title(effect: dict[str, Any]) -> str:
-    return EFFECTS[effect["name"]].title if effect["name"] in EFFECTS else effect["name"]
+def _title(name: str) -> str:
+    return EFFECTS[name].title if name in EFFECTS else name
 
 
 def _sentence(words: str) -> str:
@@ -80,4 +80,5 @@ def plus_minus(value: float, std: float, unit: str) -> str:
     if not (math.isfinite(std) and std > 0.0):
         return f"{value:.4g}{unit}".replace("-", "−")
     decimals = max(0, -math.floor(math.log10(std) + 0.02))
-    return f"{value:.{decimals}f} ± {std:.{decimals}f}{unit}".replace("-", "−")
+    rounded = round(value, decimals) + 0.0  # no −0.00
+    return f"{rounded:.{decimals}f} ± {std:.{decimals}f}{unit}".replace("-", "−")

@@ -107,11 +107,11 @@ def _checked(found: Histories, named: CheckUnit) -> _Checked:
     failed, known = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
     judged = []
     for figure, runs in enumerate(found.figures):
-        variance = found.variance(figure)
+        variance, freedom = found.variance(figure), found.freedom(figure)
         value = runs.value[places]
-        if variance is None or not np.isfinite(value).all():
+        if variance is None or freedom is None or not np.isfinite(value).all():
             continue
-        one = checks(value, variance[places], begins, RIG_CHART)
+        one = checks(value, variance[places], begins, RIG_CHART, freedom[places])
         judged.append(one)
         failed |= one.failed
         known |= one.known
@@ -169,7 +169,9 @@ def check_document(store: Store, rig: str, *, now: datetime | None = None) -> Do
         "says": _says(named, state, due_at, overdue=due_at < now),
         "checks": [_check(checked, place) for place in range(n)],
         "suspect_runs": [
-            row.run_id for row in found.rows if any(one.holds(row.rig, row.finished_at) for one in doubts)
+            row.run_id
+            for row in sorted(found.rows, key=lambda row: row.finished_at)
+            if any(one.holds(row.rig, row.finished_at) for one in doubts)
         ],
     }
 

@@ -126,10 +126,7 @@ def _spread(
     counts = Counter(k for k, _ in known)
     says = _compared(found, repeats=sum(counts.values()) - len(counts))
     if apart:
-        one = (
-            f"Unit {_listed(apart)}, which changed, counts" if len(apart) == 1 else f"{_listed(apart)} count"
-        )
-        says = f"{says} {one} before and after apart."
+        says = f"{says} {_listed(apart)} changed: before and after count apart."
     return {"between_units_std": found.between, "within_unit_std": found.within, "says": says}
 
 

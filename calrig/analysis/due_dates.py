@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Any, Literal
@@ -62,6 +62,7 @@ def due_dates(
     store: Store,
     found: Histories | None = None,
     *,
+    serials: Collection[str] | None = None,
     interval_days: float = INTERVAL_DAYS,
     limits: Iterable[Limit] | None = None,
     now: datetime | None = None,
@@ -71,13 +72,16 @@ def due_dates(
     Args:
         store: where they are.
         found: all histories, where they are known already.
+        serials: the units to tell about; None for all.
         interval_days: the interval that counts where a history says nothing.
         limits: those there are, the first that matches a unit counts; without them the store's.
         now: by which a unit is overdue; without it this moment.
     """
     found = histories(store) if found is None else found
     now = now or datetime.now(UTC)
-    latest = {row.unit: place for place, row in enumerate(found.rows)}
+    latest = {
+        row.unit: place for place, row in enumerate(found.rows) if serials is None or row.unit in serials
+    }
     known = store.limits() if limits is None else list(limits)
     limited = {serial: limit_for(known, serial, found.rows[place].rig) for serial, place in latest.items()}
     in_force = _in_force(store, [serial for serial, limit in limited.items() if limit is not None])

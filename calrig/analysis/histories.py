@@ -67,12 +67,26 @@ class Histories:
         own = np.nan_to_num(self.figures[figure].std) ** 2
         return np.asarray(own + max(pooled.between_days**2, SMALLEST[figure] ** 2), dtype=np.float64)
 
+    def freedom(self, figure: int) -> FloatArray | None:
+        """(N,) degrees of freedom that these variances rest on; None where they are not known.
+
+        Welch and Satterthwaite (GUM, JCGM 100:2008, G.4.1), a run's own standard error taken for known: the
+        less re-clamping and the day add beside it, the less it matters how few repeats tell of them.
+        """
+        pooled, variance = self.changes.pooled[figure], self.variance(figure)
+        if pooled is None or variance is None:
+            return None
+        share = max(pooled.between_days, SMALLEST[figure]) ** 2 / variance
+        return np.asarray(np.minimum(pooled.freedom / share**2, MOST_FREEDOM), dtype=np.float64)
+
     @property
     def pooled(self) -> tuple[Repeatability | None, ...]:
         """How bias and scale repeat; None where the runs do not tell."""
         return self.changes.pooled
 
 
+MOST_FREEDOM = 1e9
+"""As good as known."""
 SMALLEST = (1e-6, 1e-8)
 """Below which no figure repeats: where runs are copies of one another, nothing is divided by zero."""
 

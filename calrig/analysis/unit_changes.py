@@ -89,14 +89,15 @@ def charts(found: Histories, serial: str) -> list[ControlChart | None]:
             drawn.append(None)
             continue
         since = int((segments == segments[-1]).argmax())
-        drawn.append(_since(runs.value[places], variance[places], since))
+        freedom = np.asarray(found.freedom(figure))[places]
+        drawn.append(_since(runs.value[places], variance[places], since, freedom))
     return drawn
 
 
-def _since(value: FloatArray, variance: FloatArray, since: int) -> ControlChart:
+def _since(value: FloatArray, variance: FloatArray, since: int, freedom: FloatArray) -> ControlChart:
     known = np.flatnonzero(np.isfinite(value))
     known = known[known >= since]
-    chart = control_chart(value[known], variance[known], UNIT_CHART)
+    chart = control_chart(value[known], variance[known], UNIT_CHART, freedom[known])
     n = len(value)
     whole = ControlChart(np.zeros(n), np.zeros(n), np.full(n, np.inf), np.zeros(n, dtype=bool))
     for name in ("q", "average", "limit", "signals"):

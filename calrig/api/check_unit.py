@@ -56,6 +56,25 @@ class CheckUnitAnswer(Answer):
     suspect_runs: list[str]
 
 
+class NamedCheckUnit(Answer):
+    """Which unit a rig is checked by, and how often."""
+
+    rig: str
+    unit: str
+    interval_days: float
+    named_at: datetime
+
+
+@router.get(
+    "/api/check-units",
+    response_model=list[NamedCheckUnit],
+    summary="The check units of all rigs that have one",
+)
+def list_check_units(context: Context) -> object:
+    """By name of the rig."""
+    return context.store.check_units()
+
+
 @router.get(
     "/api/rigs/{name}/check-unit",
     response_model=CheckUnitAnswer,

@@ -1,5 +1,6 @@
 """What every path works on: the service, its store, the open event streams, the run that a path names."""
 
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -47,9 +48,9 @@ class ApiContext:
         """Drafts, releases and withdrawals of calibrations."""
         return self.service.issuer
 
-    def due_dates(self, found: Histories | None = None) -> DueDates:
-        """When each unit is due; `found` are all histories where they are known already."""
-        return due_dates(self.store, found, interval_days=self.interval_days)
+    def due_dates(self, found: Histories | None = None, serials: Collection[str] | None = None) -> DueDates:
+        """When each unit is due, or some; `found` are all histories where they are known already."""
+        return due_dates(self.store, found, serials=serials, interval_days=self.interval_days)
 
     @property
     def acceptance(self) -> Acceptance:

@@ -33,7 +33,7 @@ def show_unit(unit: KnownUnit, context: Context) -> object:
     in_force = context.store.in_force(unit.serial)
     return {
         **asdict(unit),
-        **context.due_dates().of(unit.serial).to_dict(),
+        **context.due_dates(serials=[unit.serial]).of(unit.serial).to_dict(),
         "runs": with_doubts(context.store, runs),
         "active_run_id": in_force and in_force.run_id,
         "revision_in_force": in_force and in_force.revision,

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import ndtri, stdtr
 
 from calrig.estimation.angles import FloatArray
 
@@ -52,7 +53,7 @@ class ControlChart:
 
     Attributes:
         q: (…, n) each run less the mean of those before it, over its standard deviation: independent and
-            standard normal while nothing changes. 0 for the first, which has none before it.
+            standard normal while nothing changes (`normal_score`). 0 for the first, which has none before it.
         average: (…, n) the moving average of q.
         limit: (n,) what it must not exceed; infinite for the first.
         signals: (…, n) whether it does.
@@ -62,6 +63,17 @@ class ControlChart:
     average: FloatArray
     limit: FloatArray
     signals: npt.NDArray[np.bool_]
+
+
+def normal_score(q: FloatArray | float, freedom: FloatArray | float | None) -> FloatArray:
+    """Values of Student's t as the normal ones that are as likely: Φ⁻¹(T_ν(q)), q itself where ν is None.
+
+    So a spread that few repeats tell makes no false alarms of its own (Quesenberry 1991, equation 7).
+    """
+    if freedom is None:
+        return np.asarray(q, dtype=np.float64)
+    tail = np.maximum(stdtr(freedom, -np.abs(q)), np.finfo(np.float64).tiny)
+    return np.asarray(-np.sign(q) * ndtri(tail), dtype=np.float64)
 
 
 def q_statistics(value: FloatArray, variance: FloatArray) -> FloatArray:
@@ -92,15 +104,18 @@ def moving_average(q: FloatArray, weight: float) -> FloatArray:
     return average
 
 
-def control_chart(value: FloatArray, variance: FloatArray, ewma: Ewma) -> ControlChart:
+def control_chart(
+    value: FloatArray, variance: FloatArray, ewma: Ewma, freedom: FloatArray | None = None
+) -> ControlChart:
     """The chart of a history: self-started Q, then a moving average of them.
 
     Args:
         value: (…, n) in the order measured.
         variance: (…, n) of each, known.
         ewma: `UNIT_CHART` or `RIG_CHART`.
+        freedom: (…, n) degrees of freedom that the variances rest on; None where they are known.
     """
-    q = q_statistics(value, variance)
+    q = normal_score(q_statistics(value, variance), freedom)
     n = q.shape[-1]
     average = np.zeros(q.shape)
     average[..., 1:] = moving_average(q[..., 1:], ewma.weight)
@@ -126,7 +141,13 @@ class Checks:
     known: npt.NDArray[np.bool_]
 
 
-def checks(value: FloatArray, variance: FloatArray, judged_from: int, ewma: Ewma = RIG_CHART) -> Checks:
+def checks(
+    value: FloatArray,
+    variance: FloatArray,
+    judged_from: int,
+    ewma: Ewma = RIG_CHART,
+    freedom: FloatArray | None = None,
+) -> Checks:
     """Checks of a rig by a unit that is known to keep: the mean is of the checks that passed.
 
     What failed never moves the mean. A rig that failed passes again with the first check that lies within
@@ -138,6 +159,7 @@ def checks(value: FloatArray, variance: FloatArray, judged_from: int, ewma: Ewma
         variance: (n,) of each, known.
         judged_from: place of the first run that is a check; those before it are its history.
         ewma: the chart.
+        freedom: (n,) degrees of freedom that the variances rest on; None where they are known.
     """
     n = len(value)
     q, average = np.zeros(n), np.zeros(n)
@@ -147,7 +169,8 @@ def checks(value: FloatArray, variance: FloatArray, judged_from: int, ewma: Ewma
     for i in range(n):
         if weight > 0.0:
             known[i] = True
-            q[i] = (value[i] - mean) / np.sqrt(variance[i] + 1.0 / weight)
+            t = (value[i] - mean) / np.sqrt(variance[i] + 1.0 / weight)
+            q[i] = normal_score(t, None if freedom is None else freedom[i])
             z = ewma.weight * q[i] + (1.0 - ewma.weight) * z
             average[i], held[i] = z, limits[since]
             out = abs(q[i]) > PUT_RIGHT if failing else abs(z) > limits[since]

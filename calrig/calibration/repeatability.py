@@ -17,9 +17,11 @@ from calrig.estimation.angles import FloatArray
 
 BoolArray = npt.NDArray[np.bool_]
 
-FEWEST_REPEATS = 2
-"""Repeats that a repeatability must rest on; with one, nothing but a factor of 13 is significant."""
-MOST_RUNS = 1000
+FEWEST_REPEATS = 3
+"""Repeats that there must be: of two that disagree nobody can tell which is the change."""
+FEWEST_ALIKE = 2
+"""Repeats left without what changed; with one, nothing but a factor of 13 would be significant."""
+MOST_RUNS = 700
 """Units calibrated last, up to as many runs, are pooled: they tell a spread to 3 % of itself."""
 OUTLYING = 0.05
 """Chance that a run of good repeats loses one of them in the search for those that changed."""
@@ -94,7 +96,7 @@ def outlying(difference: FloatArray, variance: FloatArray) -> BoolArray:
     """
     size, n = np.abs(difference), len(difference)
     out = np.zeros(n, dtype=bool)
-    if n < FEWEST_REPEATS + 1:
+    if n < FEWEST_REPEATS:
         return out
     squares = size**2
     robust = max(float(np.median(squares)) / HALF_OF_CHI2 - float(np.median(variance)), 0.0)
@@ -134,7 +136,7 @@ def repeatability(runs: Runs, changed: IntArray) -> Repeatability | None:
         changed: places of runs before which their unit changed: from there on it counts as another one.
 
     Returns:
-        None where fewer than `FEWEST_REPEATS` repeats tell.
+        None where fewer than `FEWEST_REPEATS` repeats tell, or fewer than `FEWEST_ALIKE` without the changes.
     """
     begins = np.ones(len(runs.unit), dtype=bool)
     begins[1:] = runs.unit[1:] != runs.unit[:-1]
@@ -142,7 +144,7 @@ def repeatability(runs: Runs, changed: IntArray) -> Repeatability | None:
     kept = _pooled(runs)
     segment = np.unique(np.cumsum(begins)[kept], return_inverse=True)[1]
     repeats = len(kept) - (int(segment.max()) + 1 if len(kept) else 0)
-    if repeats < FEWEST_REPEATS:
+    if len(kept) - len(np.unique(runs.unit[kept])) < FEWEST_REPEATS or repeats < FEWEST_ALIKE:
         return None
     rig = np.unique(runs.rig[kept], return_inverse=True)[1]
     day = np.unique(runs.day[kept], return_inverse=True)[1]

@@ -105,7 +105,7 @@ def variance_components(value: FloatArray, layout: Layout) -> VarianceComponents
 
     shift = 2.0 * (len(value) - 1) * math.log(size)
     bounds = [(math.log(LEAST_VARIANCE), math.log(MOST_VARIANCE))] * len(start)
-    found = minimize(criterion, np.log(start), method="L-BFGS-B", bounds=bounds, options={"ftol": 1e-9})
+    found = minimize(criterion, np.log(start), method="L-BFGS-B", bounds=bounds, options={"ftol": 1e-8})
     shares = np.exp(found.x)
     variances = np.zeros(4)
     variances[free] = np.where(shares > 10.0 * LEAST_VARIANCE, shares, 0.0) * size**2

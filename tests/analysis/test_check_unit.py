@@ -51,7 +51,7 @@ def test_the_runs_since_it_last_passed_are_in_doubt_from_the_moment_it_fails(sto
     found = check_document(store, "bench-1", now=at(8))
     assert found["state"] == "failed"
     assert found["last_passed_at"] == at(6)
-    assert found["suspect_runs"] == [during.id, after.id, failure.id]
+    assert found["suspect_runs"] == [during.id, failure.id, after.id]
     doubted = [run.suspect for run in with_doubts(store, [before, during, elsewhere, after])]
     assert [one is not None for one in doubted] == [False, True, False, True]
     assert f"failed on rig bench-1 in run {failure.id}" in doubted[1]["reason"]
@@ -97,3 +97,14 @@ def test_naming_one_is_in_the_trail_and_another_unit_begins_anew(store: Store) -
         (None, "bench-1", "OTHER"),
         ("ada", "bench-1", None),
     ]
+
+
+def test_a_jump_is_seen_however_few_the_repeats_where_they_are_as_alike_as_their_noise(store: Store) -> None:
+    """Three runs that repeat to the last digit, and one that is off by fifty standard errors."""
+    for day in range(3):
+        ran(store, "CHECK", day, 0.8)
+    named(store, day=1)
+    other = ran(store, "A", 2.5)
+    ran(store, "CHECK", 3, 0.9)
+    found = check_document(store, "bench-1", now=at(4))
+    assert (found["state"], other.id in found["suspect_runs"]) == ("failed", True)

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
+from blind.physics import Cause, Noise, measure
 from dated_runs import gave, lay, ran
 
+from calrig.analysis.diagnoses import Diagnoses
 from calrig.analysis.errors import Unknown
 from calrig.analysis.histories import histories
 from calrig.analysis.unit_changes import charts, unit_changes
+from calrig.calibration.diagnosis import diagnose, document
+from calrig.plan import Plan
 from calrig.store import Store
 
 RECLAMPED = 0.03
@@ -86,6 +91,27 @@ def test_what_the_stored_diagnosis_of_both_runs_found_is_said(store: Store) -> N
     assert change["says"] == "z offset moved by 6.0 ± 0.1 mg."
     store.update_run(second.id, diagnosis={"runs": [second.id], "effects": [constant]})
     assert unit_changes(store, "HIT")[0]["effects"] is None
+
+
+def test_an_offset_that_moved_between_two_runs_is_named_with_its_size(store: Store) -> None:
+    """Two runs of the simulator's physics, before and after 6 mg came onto z, among units that repeat."""
+    several(store)
+    wrong = Cause("imu", "unknown", "unknown", {"imu": {"accel_bias_mg": [0.0, 0.0, 6.0]}})
+    plan = Plan(start_deg=-60.0, stop_deg=60.0, step_deg=7.5, sweeps=2, jitter_deg=2.0)
+    runs = []
+    for seed, causes in enumerate(([], [wrong])):
+        poses = measure(plan, causes, Noise(), np.random.default_rng([seed, 12])).poses
+        runs.append((poses, ran(store, "HIT", 10.0 + 20 * seed, poses=poses)))
+    (before, first), (after, second) = runs
+    (untold,) = unit_changes(store, "HIT")
+    assert (untold["verdict"], untold["effects"]) == ("changed", None)
+    assert untold["says"].startswith("Scale moved by −0.005")
+    ids = [first.id, second.id]
+    found = document(diagnose([before, after], ids, bootstraps=199, cross_fit=False), ids)
+    Diagnoses(store).keep(second.id, found)
+    (told,) = unit_changes(store, "HIT")
+    assert [effect["name"] for effect in told["effects"]] == ["accelerometer_offset"]
+    assert re.fullmatch(r"z offset moved by [56]\.\d+ ± 0\.\d+ mg\.", told["says"]), told["says"]
 
 
 def test_a_unit_that_is_not_known_is_said_to_be_so(store: Store) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.stats import kstest, norm
+from scipy.stats import t as student_t
 
 from calrig.calibration.control_chart import (
     RIG_CHART,
@@ -12,9 +13,19 @@ from calrig.calibration.control_chart import (
     checks,
     control_chart,
     moving_average,
+    normal_score,
     q_statistics,
 )
-from tests.charts.rates import EARLIER, LATER, STDS, detected, false_alarms, individuals, unit_chart
+from tests.charts.rates import (
+    EARLIER,
+    LATER,
+    STDS,
+    detected,
+    false_alarms,
+    individuals,
+    pooled_from,
+    unit_chart,
+)
 
 NIST = [52.0, 47.0, 53.0, 49.3, 50.1, 47.0, 51.0, 50.1, 51.2, 50.5,
         49.6, 47.6, 49.9, 51.3, 47.8, 51.2, 52.6, 52.4, 53.6, 52.1]  # fmt: skip
@@ -120,6 +131,19 @@ def test_at_most_five_percent_of_units_raise_a_false_alarm(earlier, stds):
 @pytest.mark.parametrize(("earlier", "least"), [(3, 0.35), (5, 0.45), (10, 0.55)])
 def test_a_shift_of_two_sigma_is_seen_within_four_runs(earlier, least):
     assert detected(unit_chart, earlier, 4000) > least
+
+
+@pytest.mark.statistical
+def test_a_spread_that_few_repeats_tell_makes_few_false_alarms_of_its_own():
+    taken_for_known = false_alarms(pooled_from(6, scored=False), 5, np.ones(5 + LATER), 4000)
+    assert taken_for_known > 0.15 > 0.075 > false_alarms(pooled_from(6), 5, np.ones(5 + LATER), 4000)
+
+
+def test_the_score_of_a_value_is_as_likely_as_the_value():
+    q = np.array([-40.0, -2.0, 0.0, 0.5, 3.0])
+    np.testing.assert_allclose(norm.sf(normal_score(q, 7)), student_t.sf(q, 7), rtol=1e-9)
+    assert np.isfinite(normal_score(np.array([1e9]), 500)).all()
+    assert normal_score(3.0, None) == 3.0
 
 
 @pytest.mark.statistical

@@ -83,6 +83,12 @@ def test_two_runs_of_one_unit_tell_nothing_of_repeatability():
     assert not found.changed.any()
 
 
+def test_of_two_repeats_that_disagree_neither_is_called_the_change():
+    found = changes((runs_of(2, 2, 0, {0: 1}),))
+    assert found.pooled == (None,)
+    assert np.isnan(found.p_value).all()
+
+
 def test_a_history_of_one_unit_is_its_own_repeatability():
     assert marked(changes((runs_of(1, 8, 1, {0: 4}),))) == {0}
     assert not changes((runs_of(1, 8, 1),)).changed.any()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from .rates import EARLIER, LATER, STDS, detected, false_alarms, individuals, unit_chart
+from .rates import EARLIER, FREEDOM, LATER, STDS, detected, false_alarms, individuals, pooled_from, unit_chart
 
 
 def main() -> None:
@@ -18,6 +18,9 @@ def main() -> None:
     for name, std in STDS.items():
         rates = [false_alarms(unit_chart, n, std(n + LATER), seeds) for n in EARLIER]
         _row(f"false alarms within {LATER} more, uncertainties {name}", rates)
+    for freedom in FREEDOM:
+        rates = [false_alarms(pooled_from(freedom), n, STDS["equal"](n + LATER), seeds) for n in EARLIER]
+        _row(f"the same, equal, spread pooled from {freedom} repeats", rates)
     _row("the same, I-MR with limits from the earlier runs, equal",
          [false_alarms(individuals, n, STDS["equal"](n + LATER), seeds) for n in EARLIER])  # fmt: skip
     _row("a shift of 2σ is seen within 4 runs", [detected(unit_chart, n, seeds) for n in EARLIER])

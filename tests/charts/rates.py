@@ -16,6 +16,7 @@ EARLIER = (3, 5, 10, 20, 50)
 LATER = 12
 SOON = 4
 SHIFT = 2.0
+FREEDOM = (6, 20)
 STDS: dict[str, Callable[[int], Floats]] = {
     "equal": np.ones,
     "threefold, in turn": lambda n: np.where(np.arange(n) % 2 == 0, 1.0, 3.0),
@@ -28,6 +29,20 @@ STDS: dict[str, Callable[[int], Floats]] = {
 def unit_chart(value: Floats, std: Floats) -> npt.NDArray[np.bool_]:
     """The chart of units, as calrig draws it."""
     return control_chart(value, np.broadcast_to(std**2, value.shape), UNIT_CHART).signals
+
+
+def pooled_from(freedom: int, *, scored: bool = True) -> Signals:
+    """The same with a spread pooled from so many repeats: through Student's t, or as if it were known."""
+    rng = np.random.default_rng(freedom)
+
+    def signals(value: Floats, std: Floats) -> npt.NDArray[np.bool_]:
+        spread = rng.chisquare(freedom, (len(value), 1)) / freedom
+        chart = control_chart(
+            value, spread * std**2, UNIT_CHART, np.full(value.shape, float(freedom)) if scored else None
+        )
+        return chart.signals
+
+    return signals
 
 
 def individuals(value: Floats, std: Floats) -> npt.NDArray[np.bool_]:
