@@ -57,7 +57,10 @@ class Authentication:
         return self.access.token is not None or bool(self.access.proxies) or self.people.have_admin
 
     async def check(self, asked: HTTPConnection, *, is_open: bool = False) -> None:
-        """Lets a request pass; the connection it came by keeps its place from then on.
+        """Lets a request pass; the connection it came by keeps its place from then on, or loses it.
+
+        Each request has to show anew who sends it, since a proxy mixes those of many; until it is looked at,
+        the one before counts.
 
         Args:
             asked: the request.
@@ -75,7 +78,10 @@ class Authentication:
         elif not self.asks and (token is None or not self.people):
             know(asked, ANYBODY)
             place_of(asked).standing = Standing.ANYBODY
-        elif not is_open:
+        else:
+            place_of(asked).standing = Standing.STRANGER
+            if is_open:
+                return
             if token is not None and let_in(asked) is None:
                 await self._refuse(asked)
             raise self._refusal(asked)

@@ -78,12 +78,11 @@ class PatientProtocol(H11Protocol):
         self._look()
 
     def handle_events(self) -> None:
-        """As uvicorn's; each request has to show anew who sends it: a proxy mixes those of many."""
+        """As uvicorn's; notes when a request began."""
         super().handle_events()
         if self.cycle is not self._asked:
             self._asked = self.cycle
             self._since_s = self.loop.time()
-            self.place.standing = Standing.STRANGER
 
     def on_response_complete(self) -> None:
         """As uvicorn's."""

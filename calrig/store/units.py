@@ -121,7 +121,7 @@ class Units(Part):
 
         Raises:
             NotFound: there is no such unit.
-            Refused: it has runs or calibrations that were not withdrawn, or a rig is checked by it.
+            Refused: it has runs or a calibration in force, or a rig is checked by it.
         """
         with self._database.writing() as session:
             row = session.get(UnitTable, serial)
@@ -172,18 +172,18 @@ class Units(Part):
 
 
 def _remove_revisions(session: Session, serial: str) -> None:
-    """Those that nobody may use: drafts, and what was withdrawn. The trail keeps their hashes.
+    """All of a unit that is none. The trail keeps their hashes.
 
     Raises:
-        Refused: another one was handed out.
+        Refused: one is in force.
     """
     wanted = select(IssuedCalibrationTable).where(IssuedCalibrationTable.unit == serial)
     for row in session.exec(wanted).all():
-        if row.status not in ("draft", "withdrawn"):
-            raise Refused(
-                f"revision {row.revision} of unit {serial!r} is {row.status.replace('_', ' ')}: withdraw it "
-                "first, with the reason"
+        if row.status == "in_force":
+            said = (
+                f"revision {row.revision} of unit {serial!r} is in force: withdraw it first, with the reason"
             )
+            raise Refused(said)
         session.delete(row)
     session.flush()
 

@@ -12,6 +12,7 @@ from support import lay_empty_store
 from calrig.analysis.acceptance import Acceptance
 from calrig.analysis.amendments import Records
 from calrig.analysis.errors import Conflict, Invalid
+from calrig.analysis.results import refitted
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import build_result
 from calrig.plan import Plan
@@ -47,9 +48,16 @@ def new_run(store: Store) -> Callable[..., Run]:
 
 
 def told(store: Store, **asked: Any) -> list[tuple[Any, ...]]:
-    """What the trail says of acts after the runs were made."""
+    """What the trail says of acts after the runs were made, but for the drafts that they led to."""
     acts = [entry.act for entry in store.trail(**asked)]
-    return [(a.what, a.who, a.run_id, a.reason) for a in acts if a.what != "started"]
+    left_out = ("started", "drafted", "released")
+    return [(a.what, a.who, a.run_id, a.reason) for a in acts if a.what not in left_out]
+
+
+def last_detail(store: Store) -> dict[str, Any]:
+    """What the trail says beside of the last of them."""
+    acts = [entry.act for entry in store.trail()]
+    return [act.detail for act in acts if act.what not in ("drafted", "released")][-1]
 
 
 class TestUndone:
@@ -68,7 +76,7 @@ class TestUndone:
             ("voided", "ada", run.id, "slipped"),
             ("unvoided", "ben", run.id, "it was the other run"),
         ]
-        assert store.trail()[-1].act.detail == {"voided": "slipped"}
+        assert last_detail(store) == {"voided": "slipped"}
 
     def test_a_pose_counts_again_and_the_result_is_what_it_was(
         self, new_run: Callable[..., Run], records: Records, store: Store
@@ -78,7 +86,7 @@ class TestUndone:
         assert records.include_pose(run.id, 3, who="ada").result == run.result
         assert [pose.excluded for pose in store.poses(run.id)] == [None] * len(POSES)
         assert told(store) == [("excluded", "ada", run.id, "bumped"), ("included", "ada", run.id, None)]
-        assert store.trail()[-1].act.detail == {"pose": 3, "excluded": "bumped"}
+        assert last_detail(store) == {"pose": 3, "excluded": "bumped"}
 
     def test_what_was_not_done_cannot_be_undone(
         self, new_run: Callable[..., Run], records: Records, store: Store
@@ -131,7 +139,7 @@ class TestMoved:
         assert [row.run_id for row in store.comparison(["WRONG"])] == [stays.id]
         for unit in ("WRONG", "RIGHT"):
             assert told(store, unit=unit) == [("moved", "ada", run.id, "misread")]
-        assert store.trail()[-1].act.detail == {"from": "WRONG", "to": "RIGHT"}
+        assert last_detail(store) == {"from": "WRONG", "to": "RIGHT"}
         assert told(store, unit="ELSE") == []
 
     def test_its_result_is_with_what_is_accepted_for_the_right_unit(
@@ -164,6 +172,8 @@ class TestMoved:
         assert store.unit("RIGHT") is None
         Acceptance(store).take_back(run.id, [OFFSET], "of another unit")
         records.move(run.id, "RIGHT", "misread")
+        (*_, in_force) = [one for one in store.revisions("WRONG") if one.status == "in_force"]
+        store.withdraw("WRONG", in_force.revision, "ada", "there is no such unit")
         store.remove_unit("WRONG")
         assert [unit.serial for unit in store.units()] == ["RIGHT"]
 
@@ -219,6 +229,7 @@ def diagnosed(store: Store, run: Run, z_mg: float) -> Run:
         "verdict": "named",
         "origin": "sensor",
         "parameters": {"y_mg": {"value": 0.0, "std": 0.1}, "z_mg": {"value": z_mg, "std": 0.1}},
+        "confusable_with": [],
         "changed": None,
         "remedy": "subtract the offsets",
     }
@@ -240,7 +251,7 @@ class TestTakenBack:
         acceptance = Acceptance(store)
         first, second = diagnosed(store, new_run(), 3.0), diagnosed(store, new_run(), 6.0)
         acceptance.accept(first.id, [OFFSET])
-        before = store.set_result(second.id, acceptance._refitted(second.id, None).result)
+        before = store.set_result(second.id, refitted(store, store.run(second.id), POSES))
         accepted = acceptance.accept(second.id, [OFFSET], who="ada")
         assert in_force(store) == {OFFSET: 6.0}
         assert accepted.diagnosis is not None

@@ -22,13 +22,6 @@ def service(launch_rig, store_path):
 
 @pytest.fixture
 def client(service):
-    """Of that service."""
-    with serving(service) as client:
-        yield client
-
-
-@pytest.fixture
-def client(service):
     """A client of the service with that rig."""
     with serving(service) as client:
         yield client
