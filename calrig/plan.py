@@ -48,6 +48,7 @@ class Plan(BaseModel):
     velocity_dps: float | None = Field(default=None, gt=0, le=1000)
     wait_s: float = Field(default=0.0, ge=0, le=86_400)
     wait_temperature_c: float | None = Field(default=None, ge=-40, le=125)
+    revision: int | None = Field(default=None, ge=1, le=2**31 - 1)
     seed: int = Field(default=0, ge=0, le=2**63 - 1)
 
     @model_validator(mode="after")
@@ -55,6 +56,8 @@ class Plan(BaseModel):
         count = self.sweeps * self._n_elevations()
         if count > MAX_POSES:
             raise ValueError(f"the plan has {count} poses; the most a run takes is {MAX_POSES}")
+        if self.revision is not None and self.kind != "verification":
+            raise ValueError("only a verification applies a revision")
         if self.kind == "static" and len(self.elevations_deg or ()) > 1:
             raise ValueError(
                 "a static plan stands at one elevation, or where the stage stands if it names none"

@@ -9,7 +9,16 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import platformdirs
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    IPvAnyNetwork,
+    PrivateAttr,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 CONFIG_NAME = "calrig.toml"
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+_.-]*://")
@@ -17,6 +26,10 @@ _URL = re.compile(r"[A-Za-z][A-Za-z0-9+_.-]*://")
 
 class SettingsError(Exception):
     """The configuration cannot be used; the message names file, rig and key, and what to do."""
+
+
+ReleasePolicy = Literal["auto", "pass", "manual"]
+"""Who puts a draft of a calibration in force: nobody need to, its limits, a person (CONTRACT section 6)."""
 
 
 class _Strict(BaseModel):
@@ -49,10 +62,14 @@ class BoardSettings(_Strict):
 
 
 class ReferenceSettings(_Strict):
-    """What the stage's own angle is worth: its standard uncertainty and how it is shared among poses."""
+    """What the stage's own angle is worth: its standard uncertainty and how it is shared among poses.
+
+    `distribution`: a maker's limit of ±a is rectangular, with std_deg = a/√3; a certificate's U/k normal.
+    """
 
     std_deg: float = Field(gt=0)
     kind: Literal["setting", "harmonic", "common"] = "harmonic"
+    distribution: Literal["rectangular", "normal"] = "rectangular"
     certificate: str | None = None
 
 
@@ -69,6 +86,7 @@ class RigSettings(_Strict):
 
     name: Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[\w.-]+$")]
     limits_deg: tuple[float, float] = (-90.0, 90.0)
+    release: ReleasePolicy = "auto"
     stage: StageSettings | None = None
     imu: BoardSettings | None = None
     reference: ReferenceSettings | None = None
@@ -84,14 +102,62 @@ class RigSettings(_Strict):
         return self
 
 
+Positive = Annotated[float, Field(gt=0)]
+Range = tuple[float, float]
+
+
+class LimitSettings(_Strict):
+    """What units are held against, a `[[limit]]` or an entry of `/api/limits`; null asks nothing of that."""
+
+    name: Annotated[str, Field(min_length=1, max_length=100)]
+    units: Annotated[str, Field(min_length=1, max_length=200)] = "*"
+    rig: Annotated[str, Field(min_length=1, max_length=64)] | None = None
+    max_error_deg: Positive | None = None
+    bias_deg: Range | None = None
+    scale: Range | None = None
+    rms_deg: Positive | None = None
+    expanded_uncertainty_deg: Positive | None = None
+    rule: Literal["simple", "guarded"] = "simple"
+    guard: Annotated[float, Field(gt=0, le=10)] = 1.0
+
+    @field_validator("bias_deg", "scale")
+    @classmethod
+    def _is_ordered(cls, ends: Range | None) -> Range | None:
+        if ends is not None and ends[0] >= ends[1]:
+            raise ValueError(f"the lower end {ends[0]:g} is not below the upper one {ends[1]:g}")
+        return ends
+
+    @model_validator(mode="after")
+    def _asks_something(self) -> Self:
+        asked = (self.max_error_deg, self.bias_deg, self.scale, self.rms_deg, self.expanded_uncertainty_deg)
+        if all(one is None for one in asked):
+            raise ValueError(f"the limit {self.name!r} asks nothing: give it at least one figure")
+        return self
+
+
 class Settings(_Strict):
     """Everything configured."""
 
     rig: tuple[RigSettings, ...] = ()
+    limit: tuple[LimitSettings, ...] = ()
+    """Limits that are kept here; without any, those that people keep in the store."""
     hosts: tuple[Annotated[str, Field(pattern=r"^[\w.-]+$", max_length=253)], ...] = ()
     """Names besides its own address that `serve` answers to, such as the one of a proxy in front of it."""
+    interval_days: float = Field(default=365.0, gt=0)
+    """After so many days a unit is due to be calibrated again, unless its own history says when."""
+    trusted_proxies: tuple[IPvAnyNetwork, ...] = ()
+    """Addresses or networks of proxies that say whom they let in; what others say of that is dropped."""
+    user_header: Annotated[str, Field(pattern=r"^[A-Za-z0-9-]+$", max_length=64)] = "X-Forwarded-User"
+    """The header in which they say it."""
     keep_samples_days: float | None = Field(default=None, gt=0)
     """Raw samples of runs older than this are deleted when the service starts; null keeps them for ever."""
+
+    _file: Path | None = PrivateAttr(default=None)
+
+    @property
+    def file(self) -> Path | None:
+        """The file that all this was read from."""
+        return self._file
 
     def ports(self) -> list[str]:
         """The ports that are configured, without those of simulated rigs, which are not running."""
@@ -104,6 +170,10 @@ class Settings(_Strict):
         for name in names:
             if names.count(name) > 1:
                 raise ValueError(f"two rigs are named {name!r}")
+        limits = [limit.name for limit in self.limit]
+        for name in limits:
+            if limits.count(name) > 1:
+                raise ValueError(f"two limits are named {name!r}")
         return self
 
 
@@ -141,6 +211,7 @@ def load_settings(path: str | None = None) -> Settings:
         settings = Settings.model_validate(document)
     except ValidationError as error:
         raise SettingsError(f"{file}: {_first_problem(error, document)}") from error
+    settings._file = file
     return settings if settings.rig else settings.model_copy(update={"rig": (DEMO_RIG,)})
 
 
@@ -164,7 +235,7 @@ def _first_problem(error: ValidationError, document: dict[str, Any]) -> str:
         except (KeyError, IndexError, TypeError):
             node = None
         if isinstance(part, int) and isinstance(node, dict) and "name" in node:
-            place[-1] = f"rig {node['name']!r}"
+            place[-1] = f"{place[-1]} {node['name']!r}"
         else:
             place.append(str(part))
     return f"{', '.join(place) or 'file'}: {problem['msg'].removeprefix('Value error, ')}"

@@ -37,6 +37,9 @@ FAST: dict[str, Any] = {
 QUICK: dict[str, Any] = {"elevations_deg": [-40, 0, 40], "sweeps": 2, "settle_s": 0.5, "dwell_s": 1.0}
 """A plan of six poses, done in about a second on a fast rig."""
 
+PATIENCE_S = 120.0
+"""What nothing waits for longer than: a busy machine is no failure, and pytest ends what hangs."""
+
 LONG: dict[str, Any] = {**QUICK, "sweeps": 300}
 """A plan that no test waits for the end of."""
 
@@ -67,7 +70,7 @@ def run_async(work: Coroutine[Any, Any, T]) -> T:
         return beside.submit(asyncio.run, work).result()
 
 
-def wait_for(look: Callable[[], T | None], what: str, deadline_s: float = 60.0) -> T:
+def wait_for(look: Callable[[], T | None], what: str, deadline_s: float = PATIENCE_S) -> T:
     """Looks again and again until there is something; fails, saying what was awaited, at the deadline."""
     give_up_s = time.monotonic() + deadline_s
     while time.monotonic() < give_up_s:
@@ -77,7 +80,7 @@ def wait_for(look: Callable[[], T | None], what: str, deadline_s: float = 60.0) 
     raise AssertionError(f"no {what} within {deadline_s:g} s")
 
 
-def ended(client: httpx.Client, run_id: str, deadline_s: float = 60.0) -> dict[str, Any]:
+def ended(client: httpx.Client, run_id: str, deadline_s: float = PATIENCE_S) -> dict[str, Any]:
     """The run once it has ended, which its event stream tells by its own end."""
     with client.stream("GET", f"/api/runs/{run_id}/events", timeout=deadline_s) as events:
         for _ in events.raise_for_status().iter_raw():
@@ -99,7 +102,9 @@ def imported(
 
 def declared(client: httpx.Client, path: str, kind: str, n_bytes: int) -> tuple[int, str]:
     """Status and detail of the answer to a body that is said to have n_bytes and of which none is sent."""
-    with closing(HTTPConnection(client.base_url.host, client.base_url.port, timeout=60)) as connection:
+    with closing(
+        HTTPConnection(client.base_url.host, client.base_url.port, timeout=PATIENCE_S)
+    ) as connection:
         connection.putrequest("POST", path)
         connection.putheader("Content-Type", kind)
         connection.putheader("Content-Length", str(n_bytes))
@@ -154,10 +159,10 @@ def serving(service: Any, **options: Any) -> Iterator[httpx.Client]:
     thread = threading.Thread(target=server.run, kwargs={"sockets": [socket]}, name="server")
     thread.start()
     try:
-        assert ready.wait(60), "the server did not start"
-        with httpx.Client(base_url=url, timeout=60) as client:
+        assert ready.wait(PATIENCE_S), "the server did not start"
+        with httpx.Client(base_url=url, timeout=PATIENCE_S) as client:
             yield client
     finally:
         server.should_exit = True
-        thread.join(60)
+        thread.join(PATIENCE_S)
         assert not thread.is_alive(), "the server did not stop"

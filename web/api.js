@@ -1,9 +1,13 @@
 // The service's HTTP API: JSON in and out, errors as one readable line.
 
+const JSON_BODY = { "Content-Type": "application/json" };
+
 export class ApiError extends Error {
-  constructor(message, status) {
+  /** `fields` are the places in what was sent that are wrong, such as "plan.sweeps". */
+  constructor(message, status, fields = []) {
     super(message);
     this.status = status;
+    this.fields = fields;
   }
 }
 
@@ -22,7 +26,15 @@ export async function post(path, body = {}, signal) {
   return request(path, {
     signal,
     method: "POST",
-    headers: { "Content-Type": "application/json" },
+    headers: JSON_BODY,
+    body: JSON.stringify(body),
+  });
+}
+
+export async function put(path, body) {
+  return request(path, {
+    method: "PUT",
+    headers: JSON_BODY,
     body: JSON.stringify(body),
   });
 }
@@ -31,7 +43,24 @@ export async function postForm(path, form) {
   return request(path, { method: "POST", body: form });
 }
 
+export async function remove(path) {
+  const response = await sent(path, { method: "DELETE" });
+  return response.status === 204 ? null : response.json();
+}
+
+/** As `post` for what may take long: `{ answer }`, or `{ job }` where the service goes on with it by that path. */
+export async function begin(path, body, signal) {
+  const options = { signal, method: "POST", headers: JSON_BODY, body: JSON.stringify(body) };
+  const response = await sent(`${path}?wait=false`, options);
+  if (response.status === 202) return { job: response.headers.get("Location") };
+  return { answer: await response.json() };
+}
+
 async function request(path, options) {
+  return (await sent(path, options)).json();
+}
+
+async function sent(path, options) {
   let response;
   try {
     response = await fetch(path, options);
@@ -40,28 +69,24 @@ async function request(path, options) {
     window.dispatchEvent(new Event("calrig:lost"));
     throw new Unreachable();
   }
-  if (response.ok) return response.json();
+  if (response.ok) return response;
   if (response.status === 401 && path !== "/api/login") window.dispatchEvent(new Event("calrig:login"));
   throw await refusal(response);
 }
 
 async function refusal(response) {
   const text = await response.text();
+  const named = response.headers.get("Calrig-Fields");
+  const fields = named ? named.split(" ").map(decodeURIComponent) : [];
   let detail;
   try {
-    detail = JSON.parse(text).detail;
+    ({ detail } = JSON.parse(text));
   } catch {
     detail = undefined; // a proxy's or the server's own page, not the API's JSON
   }
-  if (typeof detail === "string") return new ApiError(detail, response.status);
-  if (Array.isArray(detail)) return new ApiError(detail.map(problem).join("; "), response.status);
+  if (typeof detail === "string") return new ApiError(detail, response.status, fields);
   return new ApiError(
     `The service answered ${response.status} ${response.statusText}`.trim(),
     response.status,
   );
-}
-
-function problem({ loc = [], msg = "is not valid" }) {
-  const place = loc.filter((part) => part !== "body").join(".");
-  return place ? `${place}: ${msg}` : msg;
 }

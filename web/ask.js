@@ -1,7 +1,7 @@
-// Questions before something that stays: a reason for what is voided or excluded, a yes for what is accepted.
+// Questions before something that stays: a reason for what is voided or moved, a yes for what is accepted.
 // "calrig:done" tells whoever shows what was asked about that it has changed.
 
-import { errorLine, h } from "./dom.js";
+import { errorLine, h, markWrong } from "./dom.js";
 
 /**
  * Asks for a reason in a dialog and calls `act(reason)`; an error of `act` is shown there and the dialog
@@ -9,13 +9,13 @@ import { errorLine, h } from "./dom.js";
  */
 export function askReason(question, act) {
   const reason = h("textarea", { id: "reason", required: true, maxlength: "1000", rows: "3" });
-  const fields = [h("label", { for: "reason" }, "Reason"), reason];
-  return ask({ ...question, fields, kind: "danger" }, () => act(reason.value));
+  const fields = [question.before, h("label", { for: "reason" }, "Reason"), reason];
+  return ask({ kind: "danger", ...question, fields }, () => act(reason.value));
 }
 
-/** As `askReason`, for what needs a yes and no reason. */
+/** As `askReason`, for what needs a yes and no reason. `before` are fields of the question's own. */
 export function askConfirmation(question, act) {
-  return ask({ ...question, fields: [], kind: "primary" }, act);
+  return ask({ ...question, fields: [question.before], kind: "primary" }, act);
 }
 
 function ask({ title, text, action, fields, kind }, act) {
@@ -58,10 +58,12 @@ function ask({ title, text, action, fields, kind }, act) {
         dialog.close();
       } catch (problem) {
         error.say(problem);
+        markWrong(form, problem.fields)?.focus();
       } finally {
         confirm.disabled = false;
       }
     });
+    window.addEventListener("hashchange", () => dialog.close(), { once: true }); // whoever goes elsewhere has left it
     view.inert = true; // not a modal dialog: the stop buttons above it must take a click at any time
     dialog.show();
   });

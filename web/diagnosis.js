@@ -1,13 +1,19 @@
 // The diagnosis of what bias and scale leave of a run: the button, what was found, what to do about it.
 
-import { ApiError, get, post } from "./api.js";
+import { ApiError, get } from "./api.js";
 import { Chart } from "./charts.js";
 import { errorLine, fill, h } from "./dom.js";
 import { effectCard } from "./effect.js";
 import { knowEffects } from "./effects.js";
 import { followUpBox } from "./followup.js";
 import { plural, significant } from "./format.js";
+import { LongWork } from "./longwork.js";
 import { Together } from "./together.js";
+
+const SEARCH = {
+  doing: "Searching all poses for effects, then once more for each fold of the cross-validation.",
+  share: "the searches are done",
+};
 
 /** Below a run's result. `show(run)` whenever the run has changed; `reread()` is called when it has here. */
 export class DiagnosisPanel {
@@ -15,8 +21,9 @@ export class DiagnosisPanel {
     this.path = path;
     this.signal = signal;
     this.reread = reread;
-    this.button = h("button", { id: "diagnose", type: "button", on: { click: () => this.#diagnose() } });
+    this.button = h("button", { id: "diagnose", type: "button", on: { click: () => this.#ask() } });
     this.state = h("p", { id: "diagnosis-state", class: "muted", role: "status", "aria-live": "polite" });
+    this.work = new LongWork("diagnosis", SEARCH, signal);
     this.together = new Together(signal);
     this.error = errorLine("diagnosis-error");
     this.found = h("div", { id: "diagnosis-found" });
@@ -30,6 +37,7 @@ export class DiagnosisPanel {
         this.button,
       ),
       this.state,
+      this.work.element,
       this.together.element,
       this.error.element,
       this.found,
@@ -40,7 +48,8 @@ export class DiagnosisPanel {
     this.run = run;
     this.element.hidden = !run.result;
     this.together.show(run);
-    this.#ready();
+    if (!this.isBusy) this.#ready();
+    if (!this.isBusy && LongWork.isUnderWay(this.#address)) this.#diagnose(() => this.work.resume(this.#address));
     const found = JSON.stringify(run.diagnosis);
     if (!run.diagnosis || found === this.shown) return;
     this.shown = found;
@@ -59,21 +68,31 @@ export class DiagnosisPanel {
         "error before and after on held-out poses (cross-validation). Takes a few seconds.";
   }
 
-  async #diagnose() {
+  get #address() {
+    return `${this.path}/diagnosis`;
+  }
+
+  #ask() {
+    return this.#diagnose(() => this.work.carryOut(this.#address, { runs: [...this.together.chosen] }));
+  }
+
+  async #diagnose(carryOut) {
     this.error.say(null);
+    this.isBusy = true;
     this.button.disabled = true;
-    this.element.setAttribute("aria-busy", "true");
-    this.state.textContent = "Diagnosing: the search over all poses, then once for each fold of the cross-validation…";
+    this.state.textContent = "";
+    let says = "";
     try {
-      await post(`${this.path}/diagnosis`, { runs: [...this.together.chosen] });
-      await this.reread(); // its verdict has changed with it
+      if (await carryOut()) await this.reread(); // its verdict has changed with it
+      else says = "Cancelled: nothing was kept of it.";
     } catch (error) {
       if (!(error instanceof ApiError)) throw error;
       this.error.say(error);
     } finally {
+      this.isBusy = false;
       this.button.disabled = false;
-      this.element.removeAttribute("aria-busy");
       this.#ready();
+      this.state.textContent = says || this.state.textContent;
     }
   }
 

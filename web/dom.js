@@ -43,6 +43,10 @@ export function runHref(id) {
   return `#/runs/${encodeURIComponent(id)}`;
 }
 
+export function rigHref(name) {
+  return `#/rigs/${encodeURIComponent(name)}`;
+}
+
 export function unitLink(serial) {
   return h("a", { href: unitHref(serial), class: "serial" }, serial);
 }
@@ -50,6 +54,11 @@ export function unitLink(serial) {
 /** A run's status as a coloured word; the word alone carries the meaning. */
 export function statusPill(status, props = {}) {
   return h("span", { ...props, class: `pill ${status}` }, status);
+}
+
+/** Beside a run that was made while its rig was in doubt; `suspect` is null for every other one. */
+export function suspectTag(suspect) {
+  return suspect && h("span", { class: "tag warns", title: suspect.reason }, "suspect");
 }
 
 /** An input with its label above it. */
@@ -70,19 +79,46 @@ export function headings(...names) {
 }
 
 /**
+ * Marks the inputs of a form that a refusal names; the first of them, or null. An input's name, else its id, is the
+ * place itself ("[0].rms_deg"), one within it, or its last word ("plan.sweeps" is #sweeps).
+ */
+export function markWrong(form, fields = []) {
+  const isWrong = (key) =>
+    fields.some((place) => {
+      const whole = place.replace(/\[\d+\]$/, "");
+      return key === place || key.startsWith(`${place}[`) || key === whole || key === whole.split(".").at(-1);
+    });
+  let first = null;
+  for (const input of form.elements) {
+    const key = input.name || input.id;
+    if (!key || !isWrong(key)) {
+      input.removeAttribute("aria-invalid");
+      continue;
+    }
+    input.setAttribute("aria-invalid", "true");
+    const folded = input.closest("details");
+    if (folded) folded.open = true;
+    first ??= input;
+  }
+  return first;
+}
+
+/**
  * What a form does when it is submitted: `send` runs with the button disabled; what it throws stands in the error
- * line and goes to `failed`.
+ * line and goes to `failed`; the fields that it names are marked, and the first of them has the focus.
  */
 export function onSubmit(form, button, error, send, failed = () => {}) {
   form.addEventListener("submit", async (event) => {
     event.preventDefault();
     button.disabled = true;
     error.say(null);
+    markWrong(form);
     try {
       await send();
     } catch (problem) {
       error.say(problem);
       failed(problem);
+      markWrong(form, problem.fields)?.focus();
     } finally {
       button.disabled = false;
     }

@@ -1,9 +1,9 @@
 // One effect of a diagnosis: what it is, how sure that is, what it looks like, and putting it in force.
 
 import { post } from "./api.js";
-import { askConfirmation } from "./ask.js";
+import { askConfirmation, askReason } from "./ask.js";
 import { Chart } from "./charts.js";
-import { fill, h, headings, tableBox } from "./dom.js";
+import { h, headings, tableBox } from "./dom.js";
 import {
   candidateWords,
   covariateWords,
@@ -15,6 +15,7 @@ import {
   scopeOf,
 } from "./effects.js";
 import { moment, significant } from "./format.js";
+import { may } from "./me.js";
 
 /** Its element, and the chart in it that is loaded once the element is on the page. */
 export function effectCard(effect, k, { path, run }, signal) {
@@ -108,23 +109,36 @@ function considered(effect) {
 }
 
 /**
- * The button, or since when it is accepted. Where an accepted effect goes depends on where it comes from; what
- * cannot be accepted the service says.
+ * The button, or since when it is accepted and the way back. Where an accepted effect goes depends on where it
+ * comes from; what cannot be accepted the service says. "calrig:done" has all of it shown anew.
  */
 function acceptance(effect, title, path, run) {
   const ofRig = scopeOf(effect) === "rig";
   const keeper = ofRig ? `the error map of rig ${run.rig}` : `the calibration of unit ${run.unit}`;
-  const done = h("p", { class: "accepted", role: "status" });
-  const say = (at) => fill(done, "Accepted ", moment(at), `: from then on it belongs to ${keeper}.`);
+  const offer = (id, text, click) => {
+    const label = `${text.slice(0, -1)}: ${title}`;
+    return may("releaser") && h("button", { type: "button", id, "aria-label": label, on: { click } }, text);
+  };
   if (effect.accepted_at) {
-    say(effect.accepted_at);
-    return done;
+    const words = ["Accepted ", moment(effect.accepted_at), `: from then on it belongs to ${keeper}.`];
+    const back = () =>
+      askReason(
+        {
+          title: `Take “${title}” back?`,
+          text: `It belongs to ${keeper} no more; what was accepted before it is in force again.`,
+          action: "Take it back",
+        },
+        (reason) => post(`${path}/diagnosis/withdraw`, { effects: [effect.name], reason }),
+      );
+    return h(
+      "div",
+      { class: "buttons" },
+      h("p", { class: "accepted", role: "status" }, words),
+      offer(`take-back-${effect.name}`, "Take back…", back),
+    );
   }
-  const button = h("button", { type: "button", id: `accept-${effect.name}` }, "Accept…");
-  button.setAttribute("aria-label", `Accept: ${title}`);
-  button.addEventListener("click", async () => {
-    let accepted;
-    await askConfirmation(
+  const accept = () =>
+    askConfirmation(
       {
         title: `Accept “${title}”?`,
         text:
@@ -132,11 +146,7 @@ function acceptance(effect, title, path, run) {
           (ofRig ? "; a rig's error is never applied in flight." : ", as it is exported and applied in flight."),
         action: "Accept it",
       },
-      async () => (accepted = await post(`${path}/diagnosis/accept`, { effects: [effect.name] })),
+      () => post(`${path}/diagnosis/accept`, { effects: [effect.name] }),
     );
-    if (!accepted) return;
-    button.hidden = true;
-    say(accepted.diagnosis.effects.find(({ name }) => name === effect.name).accepted_at);
-  });
-  return h("div", { class: "buttons" }, button, done);
+  return h("div", { class: "buttons" }, offer(`accept-${effect.name}`, "Accept…", accept));
 }

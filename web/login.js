@@ -28,7 +28,8 @@ export function loginView(root, done) {
     h(
       "p",
       { class: "muted" },
-      "This service can be reached by others and asks for its token. Whoever started it has it. ",
+      "This service asks who you are: by a token of your own, which an admin gives you, or by the one that it was ",
+      "started with. ",
       "A run goes on whether anybody is logged in or not.",
     ),
     h("input", { type: "text", autocomplete: "username", value: "calrig", hidden: true }), // whose it is
@@ -45,7 +46,7 @@ export function loginView(root, done) {
       done();
     } catch (problem) {
       if (problem.status === undefined) throw problem;
-      error.say(problem.status === 401 ? new Error("This is not the service's token.") : problem);
+      error.say(problem.status === 401 ? new Error("Nobody here has this token.") : problem);
       token.select();
     } finally {
       enter.disabled = false;

@@ -1,24 +1,28 @@
 // Which view is shown: one hash route each, one AbortSignal each, aborted when the person goes elsewhere.
 
-import { fill, h } from "./dom.js";
+import { fill, h, visible } from "./dom.js";
 import { watchHealth } from "./health.js";
 import { loginState, loginView, logOut } from "./login.js";
+import { iAm, may } from "./me.js";
 import { watchRigs } from "./rigs.js";
 import { startView } from "./start.js";
 import { runView } from "./run.js";
 import { stopButtons } from "./stop.js";
-import { unitsView, unitView } from "./units.js";
-import { compareView } from "./compare.js";
 import { importView } from "./import.js";
 import { noiseView } from "./noise.js";
 
 const ROUTES = [
   [/^\/$/, startView],
   [/^\/runs\/([^/]+)$/, runView],
-  [/^\/units$/, unitsView],
-  [/^\/units\/([^/]+)$/, unitView],
-  [/^\/compare$/, compareView],
+  // fetched when somebody goes there
+  [/^\/units$/, async (shown) => (await import("./units.js")).unitsView(shown)],
+  [/^\/units\/([^/]+)$/, async (shown) => (await import("./units.js")).unitView(shown)],
+  [/^\/compare$/, async (shown) => (await import("./compare.js")).compareView(shown)],
+  [/^\/limits$/, async (shown) => (await import("./limits.js")).limitsView(shown)],
+  [/^\/rigs\/([^/]+)$/, async (shown) => (await import("./rig.js")).rigView(shown)],
   [/^\/import$/, importView],
+  [/^\/trail$/, async (shown) => (await import("./trail.js")).trailView(shown)],
+  [/^\/users$/, async (shown) => (await import("./users.js")).usersView(shown)],
   [/^\/noise$/, noiseView],
   [/^\/noise\/([^/]+)$/, noiseView],
 ];
@@ -26,6 +30,8 @@ const ROUTES = [
 const root = document.getElementById("view");
 const stop = document.getElementById("stop");
 const leave = document.getElementById("log-out");
+const name = document.getElementById("who");
+const users = document.getElementById("users-link");
 let leaving = new AbortController();
 let locked = false;
 
@@ -92,9 +98,12 @@ document.querySelector(".skip").addEventListener("click", (event) => {
 /** Asks whether to log in, then shows what the address says. */
 async function begin() {
   try {
-    const { needed, logged_in } = await loginState();
-    if (needed && !logged_in) return lock();
-    leave.hidden = !logged_in;
+    const login = await loginState();
+    if (login.needed && !login.logged_in) return lock();
+    iAm(login);
+    leave.hidden = !login.session;
+    name.textContent = login.name ? visible(`${login.name} (${login.role})`) : "";
+    users.hidden = !may("admin");
   } catch (error) {
     if (error.status === undefined) throw error; // the view below and the banner tell the rest
   }
@@ -110,6 +119,8 @@ function lock() {
   leaving.abort();
   stop.hidden = true;
   leave.hidden = true;
+  name.textContent = "";
+  users.hidden = true;
   document.title = "Log in · calrig";
   loginView(root, () => {
     locked = false;

@@ -39,8 +39,13 @@ function fileForm(shown, signal) {
     h("option", { value: "noise" }, "noise (static log)"),
     h("option", { value: "filters" }, "filters (log with rest and rotation)"),
   );
-  const number = (id) => h("input", { id, type: "number", min: "0", step: "any", inputmode: "decimal" });
-  const [rate, accel, gyro] = ["rate", "accel-range", "gyro-range"].map(number);
+  const number = ([id, name]) =>
+    h("input", { id, name, type: "number", min: "0", step: "any", inputmode: "decimal" });
+  const [rate, accel, gyro] = [
+    ["rate", "rate_hz"],
+    ["accel-range", "accel_range_g"],
+    ["gyro-range", "gyro_range_dps"],
+  ].map(number);
   const error = errorLine("noise-error");
   const submit = h("button", { id: "analyse", type: "submit", class: "primary" }, "Analyse");
   const form = h(

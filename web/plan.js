@@ -1,7 +1,7 @@
 // The plan as a form: the usual fields in sight, the rest folded; how many poses and how long.
 
 import { ApiError, post } from "./api.js";
-import { h, fill } from "./dom.js";
+import { fill, h, markWrong } from "./dom.js";
 import { duration, plural } from "./format.js";
 
 const TYPING_MS = 250; // the service is not asked for what is half typed
@@ -36,10 +36,10 @@ function field(name, label, unit, value, { whole = false, hint = null } = {}) {
 }
 
 /**
- * The form's fieldset: `value()` is the plan it says, `mark(reason)` shows which inputs a refusal names, `estimate()`
- * tells anew how much it is on `rigName()`. `signal` is aborted when the view is left.
+ * The form's fieldset: `value()` is the plan it says, `estimate()` tells anew how much it is, and what is known of it
+ * before it begins, for the rig and unit of `of()`. `signal` is aborted when the view is left.
  */
-export function planForm(rigName, signal) {
+export function planForm(of, signal) {
   const inputs = new Map();
   const make = (spec) => labelled(spec, inputs);
   const asRange = radio("range", "Range", true);
@@ -56,6 +56,7 @@ export function planForm(rigName, signal) {
     ORDERS.map(([value, label]) => h("option", { value }, label)),
   );
   const summary = h("p", { id: "plan-summary", class: "summary", "aria-live": "polite" });
+  const cautions = h("div", { id: "plan-warnings", class: "cautions", role: "status", hidden: true });
   const range = h("div", { class: "fields three" }, RANGE.map(make));
   const given = h(
     "div",
@@ -69,8 +70,6 @@ export function planForm(rigName, signal) {
     h("summary", {}, "More settings"),
     h("div", { class: "fields two" }, ADVANCED.map(make)),
   );
-  inputs.set("elevations_deg", list);
-  inputs.set("order", order);
   const element = h(
     "fieldset",
     { id: "plan" },
@@ -91,6 +90,7 @@ export function planForm(rigName, signal) {
     ),
     advanced,
     summary,
+    cautions,
   );
 
   function value() {
@@ -107,7 +107,7 @@ export function planForm(rigName, signal) {
     given.hidden = !asList.input.checked;
     for (const spec of RANGE) inputs.get(spec.name).disabled = asList.input.checked;
     list.required = asList.input.checked;
-    mark("");
+    markWrong(element);
     estimate();
   }
 
@@ -125,31 +125,34 @@ export function planForm(rigName, signal) {
   }
 
   async function ask() {
+    warn([]);
     if (![...element.elements].every((input) => input.checkValidity())) return fill(summary, "No poses yet.");
     asked = new AbortController();
     const plan = value();
     try {
-      const said = await post("/api/plans/estimate", { rig: rigName(), plan }, asked.signal);
+      const said = await post("/api/plans/estimate", { ...of(), plan }, asked.signal);
       fill(summary, estimateText(plan, said));
+      warn(said.warnings);
     } catch (problem) {
       if (problem.name === "AbortError") return;
       if (!(problem instanceof ApiError)) throw problem;
       fill(summary, problem.message);
+      markWrong(element, problem.fields);
     }
   }
 
-  function mark(reason) {
-    for (const [name, input] of inputs) {
-      const wrong = reason.includes(`plan.${name}`);
-      input.setAttribute("aria-invalid", wrong);
-      if (wrong && advanced.contains(input)) advanced.open = true;
-    }
+  function warn(sentences) {
+    cautions.hidden = !sentences.length;
+    fill(
+      cautions,
+      sentences.map((sentence) => h("p", {}, sentence)),
+    );
   }
 
   element.addEventListener("input", refresh);
   signal.addEventListener("abort", forget);
   refresh();
-  return { element, value, mark, estimate };
+  return { element, value, estimate };
 }
 
 function labelled({ name, label, unit, value, whole, hint }, inputs) {

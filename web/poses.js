@@ -6,9 +6,10 @@ import { fixed, plusMinus } from "./format.js";
 const APPROACH = { 1: ["▲", "upward"], "-1": ["▼", "downward"] };
 
 export class PoseTable {
-  /** `onExclude(pose)` is called when somebody wants a pose out; null where poses cannot be excluded. */
-  constructor(onExclude) {
+  /** Called with a pose when somebody wants it out, or in again. */
+  constructor(onExclude, onInclude) {
     this.onExclude = onExclude;
+    this.onInclude = onInclude;
     this.rows = new Map();
     this.body = h("tbody");
     const names = [
@@ -69,15 +70,21 @@ export class PoseTable {
   }
 
   #action(pose, excludable) {
-    if (pose.excluded) return h("span", { class: "reason" }, `excluded: ${pose.excluded}`);
-    if (!excludable) return null;
+    const [verb, act] = pose.excluded ? ["Include", this.onInclude] : ["Exclude", this.onExclude];
     const button = h(
       "button",
-      { type: "button", class: "small", "aria-label": `Exclude pose ${pose.index}` },
-      "Exclude",
+      {
+        type: "button",
+        class: "small",
+        "aria-label": `${verb} pose ${pose.index}`,
+        on: { click: () => act(pose) },
+      },
+      verb,
     );
-    button.addEventListener("click", () => this.onExclude(pose));
-    return button;
+    return [
+      pose.excluded && h("span", { class: "reason" }, `excluded: ${pose.excluded} `),
+      excludable && button,
+    ];
   }
 }
 

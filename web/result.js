@@ -3,13 +3,22 @@
 import { h } from "./dom.js";
 import { NOT_KNOWN, isKnown, plusMinus, range, significant } from "./format.js";
 
-const COLOURS = { noise: "good", more_than_noise: "poor" };
+// By the answer to the limits; without any, by what is left.
+const COLOURS = {
+  pass: "good",
+  conditional_pass: "fair",
+  conditional_fail: "fair",
+  fail: "poor",
+  noise: "good",
+  more_than_noise: "poor",
+};
 
 /** The card's content for a run that has a result. */
 export function resultCard(run) {
   const counts = run.status === "completed" && !run.voided;
-  const left = run.faults.move_mismatch ? "more_than_noise" : run.verdict.left;
-  const colour = (counts && COLOURS[left]) || "unknown";
+  const { answer, left } = run.verdict;
+  const judged = run.faults.move_mismatch ? "fail" : answer === "no_limits" ? left : answer;
+  const colour = (counts && COLOURS[judged]) || "unknown";
   const [headline, ...sentences] = [...reservation(run), ...run.verdict.says];
   return [
     h("h2", {}, "Result"),

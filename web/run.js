@@ -1,12 +1,13 @@
 // One run: live while it goes on, its result when it has ended.
 
 import { ApiError, get, post } from "./api.js";
-import { askReason } from "./ask.js";
+import { amendments, askExclude, askInclude } from "./amend.js";
 import { Chart } from "./charts.js";
 import { DiagnosisPanel } from "./diagnosis.js";
 import { errorLine, fill, h, tableBox } from "./dom.js";
 import { wayOn } from "./interrupted.js";
 import { LivePanel, TERMINAL } from "./live.js";
+import { may } from "./me.js";
 import { PoseTable } from "./poses.js";
 import { provenanceDetails } from "./provenance.js";
 import { resultCard } from "./result.js";
@@ -38,7 +39,10 @@ class RunPage {
     this.diagnosis = new DiagnosisPanel(path, signal, () => this.#reread());
     this.timelineChart = new Chart("timeline", "Stage and reading against time", { signal });
     this.residualChart = new Chart("residual", "Residual of each pose", { tall: true, signal });
-    this.poses = new PoseTable((pose) => this.#exclude(pose));
+    this.poses = new PoseTable(
+      (pose) => askExclude(path, pose),
+      (pose) => askInclude(path, pose),
+    );
     this.posesTitle = h("h2", { id: "poses-title" }, "Poses");
     this.faults = h("section", { class: "card", id: "faults", "aria-label": "Faults" });
     this.study = h("p");
@@ -135,7 +139,7 @@ class RunPage {
       this.header,
       heading(run),
       wayOn(run, (verb) => this.#goOn(verb)),
-      this.ended && !run.voided && this.#voidButton(),
+      amendments(run, this.path, this.ended),
     );
     this.live.show(run);
     this.result.hidden = !run.result;
@@ -153,7 +157,7 @@ class RunPage {
       this.residualChart.load(`${this.path}/figures/residual`),
       this.timelineChart.load(`${this.path}/figures/timeline`),
     ]);
-    this.poses.show(poses, !this.run.voided);
+    this.poses.show(poses, !this.run.voided && may("operator"));
     this.#countPoses();
   }
 
@@ -218,32 +222,6 @@ class RunPage {
     } catch (error) {
       this.#say(error);
     }
-  }
-
-  #voidButton() {
-    const button = h("button", { type: "button", id: "void" }, "Void this run…");
-    button.addEventListener("click", () =>
-      askReason(
-        {
-          title: `Void run ${this.run.id}?`,
-          text: "The run is kept, struck through, and left out of every comparison. This cannot be undone.",
-          action: "Void the run",
-        },
-        (reason) => post(`${this.path}/void`, { reason }),
-      ),
-    );
-    return button;
-  }
-
-  #exclude(pose) {
-    askReason(
-      {
-        title: `Exclude pose ${pose.index}?`,
-        text: "The pose is kept, struck through; the result is computed without it. This cannot be undone.",
-        action: "Exclude the pose",
-      },
-      (reason) => post(`${this.path}/poses/${pose.index}/exclude`, { reason }),
-    );
   }
 
   /** After something was accepted, excluded or voided. */

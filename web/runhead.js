@@ -1,6 +1,6 @@
 // What a run is called, its status, and its downloads.
 
-import { h, runHref, statusPill, unitHref, unitLink } from "./dom.js";
+import { h, rigHref, runHref, statusPill, unitHref, unitLink } from "./dom.js";
 import { moment } from "./format.js";
 import { interruptions } from "./interrupted.js";
 
@@ -22,6 +22,13 @@ export function heading(run) {
     run.note && h("p", { class: "note" }, run.note),
     interruptions(run),
     run.error && h("p", { class: "error", id: "run-reason", role: "alert" }, run.error),
+    run.suspect &&
+      h(
+        "p",
+        { class: "void-reason", id: "suspect-reason" },
+        `Suspect: ${run.suspect.reason}. `,
+        h("a", { href: rigHref(run.rig) }, `Checks of rig ${run.rig}`),
+      ),
     run.voided &&
       h(
         "p",

@@ -1,7 +1,7 @@
 // Runs, newest first, by unit, rig and status.
 
 import { get } from "./api.js";
-import { errorLine, fill, h, headings, runHref, statusPill, tableBox, unitLink } from "./dom.js";
+import { errorLine, fill, h, headings, runHref, statusPill, suspectTag, tableBox, unitLink } from "./dom.js";
 import { moment, plusMinus, significant } from "./format.js";
 
 const STATUSES = ["queued", "running", "paused", "completed", "failed", "aborted", "interrupted"];
@@ -21,6 +21,7 @@ export function runRow(run, { withUnit = true } = {}) {
       { class: "plain" },
       statusPill(run.status),
       run.voided && h("span", { class: "tag", title: run.voided.reason }, "voided"),
+      suspectTag(run.suspect),
     ),
     h("td", {}, moment(run.finished_at ?? run.started_at ?? run.created_at)),
     h("td", { class: "number" }, run.result ? plusMinus(result.bias_deg, result.bias_std_deg, "°") : "–"),

@@ -1,17 +1,18 @@
 // The first view: start a run, see the rigs, find the runs there are.
 
 import { get, post } from "./api.js";
-import { errorLine, field, fill, h, onSubmit, runHref, statusPill } from "./dom.js";
+import { errorLine, field, fill, h, onSubmit, rigHref, runHref, statusPill } from "./dom.js";
 import { planForm } from "./plan.js";
 import { portsLook } from "./ports.js";
 import { onRigs } from "./rigs.js";
 import { runList } from "./runlist.js";
+import { stagePlace } from "./stageplace.js";
 
 const OPERATOR_KEY = "calrig.operator";
 
 export async function startView({ root, signal }) {
   const rigs = await get("/api/rigs", signal);
-  const form = startForm(rigs, signal);
+  const { form, place } = startForm(rigs, signal);
   const rigList = h("ul", { class: "rigs", "data-testid": "rigs" });
   const runs = runList(rigs, signal);
   showRigs(rigList, rigs);
@@ -32,7 +33,7 @@ export async function startView({ root, signal }) {
     ),
     runs.element,
   );
-  await runs.refresh();
+  await Promise.all([runs.refresh(), rigs.length > 0 && place.look()]);
   keepFresh(rigList, runs, rigs, signal);
 }
 
@@ -56,9 +57,14 @@ function startForm(rigs, signal) {
     value: localStorage.getItem(OPERATOR_KEY),
   });
   const note = h("input", { id: "note", type: "text", autocomplete: "off" });
-  const plan = planForm(() => rig.value || null, signal);
-  rig.addEventListener("change", () => plan.estimate());
+  const plan = planForm(() => ({ rig: rig.value || null, unit: unit.value }), signal);
+  const place = stagePlace(() => rig.value, signal);
   const error = errorLine("start-error");
+  unit.addEventListener("change", () => plan.estimate());
+  rig.addEventListener("change", () => {
+    plan.estimate();
+    place.look().catch((problem) => signal.aborted || error.say(problem));
+  });
   const start = h("button", { id: "start", type: "submit", class: "primary" }, "Start");
   const form = h(
     "form",
@@ -72,11 +78,11 @@ function startForm(rigs, signal) {
       field("note", "Note (optional)", note),
     ),
     plan.element,
+    place.element,
     error.element,
     h("div", { class: "buttons" }, start),
   );
   const send = async () => {
-    plan.mark("");
     localStorage.setItem(OPERATOR_KEY, operator.value);
     const run = await post("/api/runs", {
       rig: rig.value || null,
@@ -84,11 +90,12 @@ function startForm(rigs, signal) {
       plan: plan.value(),
       operator: operator.value || null,
       note: note.value || null,
+      stage_at_deg: place.value(),
     });
     location.hash = runHref(run.id);
   };
-  onSubmit(form, start, error, send, (problem) => plan.mark(problem.message));
-  return form;
+  onSubmit(form, start, error, send);
+  return { form, place };
 }
 
 function showRigs(list, rigs) {
@@ -98,7 +105,7 @@ function showRigs(list, rigs) {
       h(
         "li",
         {},
-        h("span", { class: "rig-name" }, rig.name, rig.simulated && h("span", { class: "tag" }, "simulated")),
+        h("span", { class: "rig-name" }, h("a", { href: rigHref(rig.name) }, rig.name), rig.simulated && h("span", { class: "tag" }, "simulated")),
         statusPill(rig.state),
         h("span", { class: "muted" }, `stage ${rig.stage}, board ${rig.imu}`),
         rig.run_id && h("a", { href: runHref(rig.run_id) }, `Watch run ${rig.run_id}`),

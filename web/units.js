@@ -1,9 +1,13 @@
 // All units, and one unit with its history.
 
-import { get } from "./api.js";
+import { get, remove } from "./api.js";
+import { askConfirmation } from "./ask.js";
+import { Calibrations } from "./calibrations.js";
 import { Chart } from "./charts.js";
 import { fill, h, headings, tableBox, unitLink } from "./dom.js";
-import { moment, plural, plusMinus, significant } from "./format.js";
+import { moment, plural } from "./format.js";
+import { unitHistory } from "./history.js";
+import { may } from "./me.js";
 import { runHeadings, runRow } from "./runlist.js";
 
 export async function unitsView({ root, signal }) {
@@ -15,6 +19,7 @@ export async function unitsView({ root, signal }) {
       h("th", { scope: "row" }, unitLink(unit.serial)),
       h("td", { class: "number" }, unit.n_runs.toLocaleString()),
       h("td", {}, moment(unit.last_run_at)),
+      h("td", {}, moment(unit.due_at), unit.overdue && h("span", { class: "tag warns" }, "overdue")),
     ),
   );
   fill(
@@ -26,7 +31,7 @@ export async function unitsView({ root, signal }) {
       units.length
         ? tableBox(
             "Units",
-            h("table", { id: "units-table" }, headings("Unit", "#Runs", "Last run"), h("tbody", {}, rows)),
+            h("table", { id: "units-table" }, headings("Unit", "#Runs", "Last run", "Due"), h("tbody", {}, rows)),
           )
         : h("p", { class: "muted" }, "No unit yet: a unit appears with its first run."),
       units.length > 1 && h("p", { class: "downloads" }, h("a", { href: "#/compare" }, "Compare units")),
@@ -37,7 +42,7 @@ export async function unitsView({ root, signal }) {
 export async function unitView({ root, parts: [serial], signal }) {
   const path = `/api/units/${encodeURIComponent(serial)}`;
   const unit = await get(path, signal);
-  const current = unit.runs.find(({ id }) => id === unit.active_run_id);
+  const calibrations = new Calibrations(serial, signal);
   const chart = new Chart("history", "Bias, scale and RMS error over time", { tall: true, signal });
   const body = h(
     "tbody",
@@ -48,12 +53,9 @@ export async function unitView({ root, parts: [serial], signal }) {
     root,
     h("h1", {}, "Unit ", h("span", { class: "serial" }, unit.serial)),
     h("p", { class: "muted" }, `${plural(unit.n_runs, "run")}, known since `, moment(unit.created_at)),
-    h(
-      "section",
-      { class: "card", id: "calibration" },
-      h("h2", {}, "Calibration in force"),
-      calibration(current, path),
-    ),
+    unit.n_runs === 0 && may("releaser") && removal(serial, path),
+    calibrations.elements,
+    unitHistory(serial, signal),
     chart.element,
     h(
       "section",
@@ -67,41 +69,23 @@ export async function unitView({ root, parts: [serial], signal }) {
         "p",
         { class: "downloads" },
         h("a", { href: `#/compare?unit=${encodeURIComponent(serial)}` }, "Compare with other units"),
+        h("a", { href: `#/trail?unit=${encodeURIComponent(serial)}` }, "Trail: who did what"),
       ),
     ),
   );
-  await chart.load(`${path}/figures/history`);
+  await Promise.all([calibrations.read(), chart.load(`${path}/figures/history`)]);
 }
 
-function calibration(run, path) {
-  if (!run) return h("p", { class: "muted" }, "None: no completed run that counts determines the scale.");
-  const {
-    bias_deg: bias,
-    bias_std_deg: biasStd,
-    scale,
-    scale_std: scaleStd,
-    rms_calibrated_deg: rms,
-  } = run.result;
-  const figures = [
-    ["Bias", plusMinus(bias, biasStd, "°")],
-    ["Scale", plusMinus(scale, scaleStd)],
-    ["RMS error, calibrated", significant(rms, 3, "°")],
-    ["From run", h("a", { href: `#/runs/${encodeURIComponent(run.id)}` }, run.id)],
-  ];
-  return [
-    h(
-      "dl",
-      { class: "figures" },
-      figures.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))),
-    ),
-    h(
-      "p",
-      { class: "downloads" },
-      h(
-        "a",
-        { href: `${path}/calibration`, download: "calibration.json", id: "calibration-json" },
-        "Calibration (JSON)",
-      ),
-    ),
-  ];
+/** Of a unit whose runs were moved to their right serial number. */
+function removal(serial, path) {
+  const question = {
+    title: `Remove unit ${serial}?`,
+    text: "It has no runs. The trail keeps what was done to it.",
+    action: "Remove the unit",
+  };
+  const button = h("button", { type: "button", id: "remove-unit" }, "Remove this empty unit…");
+  button.addEventListener("click", async () => {
+    if (await askConfirmation(question, () => remove(path))) location.hash = "#/units";
+  });
+  return h("p", {}, button);
 }

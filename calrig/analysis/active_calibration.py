@@ -1,13 +1,17 @@
-"""A unit's calibration: the run it is from, the exported document, and as a verification applies it."""
+"""A unit's calibration in force: the revision, as C for flight code, and as a verification applies it."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
+from calrig.analysis.basis import why_none, why_not_now
 from calrig.analysis.errors import Conflict, Unknown
-from calrig.analysis.results import effects_in_force, fitted
-from calrig.analysis.stored_runs import counted_poses
+from calrig.analysis.results import as_applied, pose_residuals_deg
+from calrig.analysis.stored_runs import stored_run
+from calrig.calibration.correction import numbers_of
 from calrig.calibration.effect import ApplyError
 from calrig.calibration.fit import Line
 from calrig.calibration.pose import Pose
@@ -17,58 +21,71 @@ from calrig.calibration.result import (
     ReferenceFigures,
     Result,
     apply_calibration,
+    corrected_residuals_deg,
 )
 from calrig.export.c_header import c_header
-from calrig.export.calibration_json import calibration_document
+from calrig.export.calibration_json import line_of
 from calrig.store import Run, Store
-from calrig.store.records import Document
+from calrig.store.issued import Revision
+from calrig.store.records import Document, reference_of
+
+Wanted = int | Literal["latest"] | None
+"""A revision by its number, the newest that was not withdrawn, or the one in force."""
 
 
-def active_run(store: Store, serial: str) -> Run:
-    """The run that a unit's calibration is from.
+def wanted_revision(store: Store, serial: str, wanted: Wanted = None) -> Revision:
+    """A revision of a unit's calibration.
 
     Raises:
-        Unknown: the unit is not known, or has no completed, not voided calibration whose scale is known.
+        Unknown: the unit is not known, or has none such.
     """
     if store.unit(serial) is None:
         raise Unknown(f"there is no unit {serial!r}")
-    run = store.latest_calibration_run(serial)
-    if run is None:
-        raise Unknown(f"unit {serial!r} has no completed calibration that counts and whose scale is known")
-    return run
+    if wanted == "latest":
+        found = next((one for one in store.revisions(serial) if one.status != "withdrawn"), None)
+        none = f"unit {serial!r} has no calibration: none was completed, or all were withdrawn"
+    elif wanted is None:
+        found, none = store.in_force(serial), f"unit {serial!r} has no calibration in force"
+    else:
+        found, none = store.revision(serial, wanted), f"unit {serial!r} has no revision {wanted}"
+    if found is None:
+        raise Unknown(none)
+    return found
 
 
-def document_of(store: Store, run: Run) -> Document:
-    """CONTRACT section 6 for one run, whether or not a later one is in force.
-
-    Raises:
-        Conflict: the run has none: it is voided, did not complete, or does not know its scale.
-    """
-    if run.voided is not None:
-        raise Conflict(f"run {run.id} is voided ({run.voided['reason']}): it gives no calibration")
-    if run.status != "completed" or run.result is None or run.result["scale"] is None:
-        what = run.status if run.status != "completed" else "completed, but its scale is not known"
-        raise Conflict(f"run {run.id} is {what}: it gives no calibration")
-    return calibration_document(run, counted_poses(store, run.id), store.effects_in_force(run.unit, run.rig))
-
-
-def header_of(store: Store, run: Run) -> str:
-    """The same as `calibration.h`.
+def newest_of_run(store: Store, run_id: str) -> Revision:
+    """The newest revision that a run gave.
 
     Raises:
-        Conflict: as for `document_of`, or an effect in force cannot be taken out in flight.
+        Unknown: there is no such run.
+        Conflict: it gave none.
     """
-    document = document_of(store, run)
+    run = stored_run(store, run_id)
+    for one in store.revisions(run.unit):
+        if one.run_id == run.id:
+            return one
+    why = why_none(run) or why_not_now(run) or "has no revision yet"
+    raise Conflict(f"run {run_id} {why}: it gives no calibration")
+
+
+def header_of(revision: Revision) -> str:
+    """A revision as `calibration.h`.
+
+    Raises:
+        Conflict: an effect of it cannot be taken out in flight.
+    """
     try:
-        return c_header(document)
+        return c_header(revision.document)
     except ValueError as error:
-        raise Conflict(f"the calibration of run {run.id} cannot be put into C: {error}") from error
+        what = f"revision {revision.revision} of unit {revision.unit!r}"
+        raise Conflict(f"{what} cannot be put into C: {error}") from error
 
 
 @dataclass(frozen=True, slots=True)
 class ActiveCalibration:
-    """A unit's calibration as a verification applies it."""
+    """A revision as a verification applies it, on the rig that the verification is made on."""
 
+    revision: int
     run_id: str
     line: Line
     effects: Sequence[AppliedEffect]
@@ -81,29 +98,55 @@ class ActiveCalibration:
         except ApplyError:
             return apply_calibration(poses, gyro, self.line, (), self.reference)
 
+    def provenance(self) -> Document:
+        """What a verification's provenance says of it."""
+        return {"verifies": self.run_id, "verifies_revision": self.revision}
 
-def active_calibration(store: Store, unit: str, rig: str | None) -> ActiveCalibration:
-    """The calibration that a verification of a unit on a rig applies.
+    def left_deg(self, poses: Sequence[Pose]) -> list[float | None]:
+        """As found against the document: calibrated elevation less the stage's, of each pose."""
+        try:
+            left = corrected_residuals_deg(poses, self.line, self.effects)
+        except ApplyError:
+            left = corrected_residuals_deg(poses, self.line, ())
+        return [value if math.isfinite(value) else None for value in left.tolist()]
+
+
+def active_calibration(store: Store, unit: str, rig: str | None, number: int | None) -> ActiveCalibration:
+    """The revision that a verification of a unit applies: bias, scale and effects as the document has them.
+
+    The errors of the rig that it is made on are taken out beside: they are the stage's, not the unit's.
+
+    Args:
+        store: where it is.
+        unit: serial number.
+        rig: that the verification is made on.
+        number: of the revision; None for the one in force.
 
     Raises:
-        Conflict: the unit has none.
+        Conflict: the unit has none such.
     """
-    run = store.latest_calibration_run(unit)
-    if run is None:
-        raise Conflict(f"unit {unit!r} has no calibration in force to verify: calibrate it first")
-    return as_applied(store, run.id, rig)
+    found = store.in_force(unit) if number is None else store.revision(unit, number)
+    if found is None:
+        which = "calibration in force" if number is None else f"revision {number}"
+        raise Conflict(f"unit {unit!r} has no {which} to verify: calibrate it first")
+    document = found.document
+    of_unit = [(e["name"], numbers_of(e["parameters"])) for e in document["effects"]]
+    of_rig = as_applied([e for e in store.effects_in_force(unit, rig) if e.unit is None])
+    worth, stage = document["uncertainty"], reference_of(document["provenance"])
+    reference = None
+    if stage is not None and worth["reference_bias_deg"] is not None:
+        parts = worth["reference_bias_deg"], worth["reference_scale"]
+        reference = ReferenceFigures(stage.std_deg, stage.kind, *parts, stage.distribution)
+    return ActiveCalibration(found.revision, found.run_id, line_of(document), [*of_unit, *of_rig], reference)
 
 
-def as_applied(store: Store, run_id: str, rig: str | None) -> ActiveCalibration:
-    """The calibration that a completed run gives its unit, as it is applied on a rig.
+def left_of_poses_deg(store: Store, run: Run, poses: Sequence[Pose]) -> list[float | None]:
+    """What is left of each pose of a run, degrees.
 
-    Raises:
-        Conflict: there is no such run any more.
+    Of a verification, by the revision that it applied, effects taken out; of any other run, by its own bias
+    and scale. None throughout before there is a result.
     """
-    run = store.run(run_id)
-    if run is None:
-        raise Conflict(f"there is no run {run_id} whose calibration could be applied")
-    poses = counted_poses(store, run.id)
-    built = fitted(store, unit=run.unit, rig=rig, provenance=run.provenance, poses=poses)
-    line = built.line_with_effects or built.line
-    return ActiveCalibration(run.id, line, effects_in_force(store, run.unit, rig), built.reference)
+    number = run.provenance.get("verifies_revision")
+    if number is None or store.revision(run.unit, number) is None:
+        return pose_residuals_deg(run, poses)
+    return active_calibration(store, run.unit, run.rig, number).left_deg(poses)

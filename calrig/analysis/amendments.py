@@ -1,27 +1,32 @@
-"""What is done to runs after they were measured, or instead: import, void, exclude. Nothing is deleted."""
+"""What is done to runs after they were measured, or instead: import, void, move. Nothing is deleted."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence, Set
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.analysis.imported import Imported, read_and_fit
+from calrig.analysis.issuing import Issuer
 from calrig.analysis.origin import check_serial, provenance
-from calrig.analysis.results import effects_in_force, refitted
-from calrig.analysis.stored_runs import stored_run
+from calrig.analysis.results import refitted
+from calrig.analysis.stored_runs import checked_reason, counted_poses, ended_run, stored_run
 from calrig.export.poses_csv import CsvError
-from calrig.store import AT_REST, Run, Store
+from calrig.store import Run, Store
+from calrig.store.records import Document
 
-LONGEST_REASON = 1000
+MOST_NOTES = 50_000
+"""Characters."""
 
 
 class Records:
     """Imports and amendments in a store."""
 
-    def __init__(self, store: Store) -> None:
+    def __init__(self, store: Store, issuer: Issuer | None = None) -> None:
         self._store = store
+        self._issuer = issuer or Issuer(store)
 
     def import_poses(
         self, *, unit: str, rig: str | None, file_name: str, content: bytes, operator: str | None = None
@@ -45,13 +50,14 @@ class Records:
             Invalid: the serial is out of bounds.
         """
         check_serial(unit)
-        return partial(read_and_fit, content, effects_in_force(self._store, unit, rig))
+        return partial(read_and_fit, content, unit, rig, self._store.effects_in_force(unit, rig))
 
     def keep_imported(
         self, imported: Imported, *, unit: str, rig: str | None, file_name: str, operator: str | None
     ) -> Run:
         """Makes a completed run of what was read; all of it is stored, or nothing."""
         return self._store.create_run(
+            who=operator,
             unit=unit,
             rig=rig,
             plan=None,
@@ -64,42 +70,130 @@ class Records:
                 "warnings": imported.warnings,
             },
             result=imported.result,
+            draft=self._issuer.importing(imported, by=operator),
         )
 
-    def void(self, run_id: str, reason: str) -> Run:
+    def void(self, run_id: str, reason: str, *, who: str | None = None) -> Run:
         """Takes an ended run out of every comparison; it stays, with the reason."""
-        self._ended(run_id)
-        return self._store.void_run(run_id, _checked_reason(reason))
+        ended_run(self._store, run_id)
+        why = checked_reason(reason)
+        run = self._store.void_run(run_id, why, who=who)
+        return self._done(run, who, f"run {run_id} was voided: {why}")
 
-    def exclude_pose(self, run_id: str, index: int, reason: str) -> Run:
+    def unvoid(self, run_id: str, reason: str, *, who: str | None = None) -> Run:
+        """Has a voided run count again."""
+        stored_run(self._store, run_id)
+        why = checked_reason(reason)
+        run = self._store.unvoid_run(run_id, why, who=who)
+        return self._done(run, who, f"run {run_id} counts again: {why}")
+
+    def note(self, run_id: str, note: str, *, who: str | None = None) -> Run:
+        """Adds to what is noted of a run, at any time."""
+        run = stored_run(self._store, run_id)
+        if not note.strip():
+            raise Invalid("a note says something", ["note"])
+        n = len(run.note or "") + len(note)
+        if n > MOST_NOTES:
+            raise Invalid(f"the notes of run {run_id} would have {n} characters, and {MOST_NOTES} are kept")
+        return self._store.note_run(run_id, note.strip(), who=who)
+
+    def move(self, run_id: str, unit: str, reason: str, *, who: str | None = None) -> Run:
+        """Gives a run to the unit it is of, where its serial number was wrong.
+
+        What it follows on and what follows on it was measured of the same unit, and moves along.
+
+        Raises:
+            Unknown: there is no such run.
+            Invalid: the serial is out of bounds, or there is no reason.
+            Conflict: a run goes on, verified the calibration of the unit it was taken for, or shares a
+                diagnosis with runs that stay.
+            Refused: an effect that was accepted from one is in force.
+        """
+        check_serial(unit)
+        run, why = ended_run(self._store, run_id), checked_reason(reason)
+        if run.unit == unit:
+            raise Conflict(f"run {run_id} is of unit {unit!r} already")
+        of_unit, _ = self._store.runs(unit=run.unit, limit=2**31)
+        moving = [ended_run(self._store, number) for number in _chain(run_id, of_unit)]
+        for one in moving:
+            _check_movable(one, {m.id for m in moving}, of_unit)
+        self._store.move_runs({one.id: self._result_for(one, unit) for one in moving}, unit, why, who=who)
+        for one in moving:
+            said = f"run {one.id} was moved from unit {one.unit} to unit {unit}: {why}"
+            self._done(one, who, said)
+            self._done(stored_run(self._store, one.id), who, said)
+        return stored_run(self._store, run_id)
+
+    def _result_for(self, run: Run, unit: str) -> Document | None:
+        """The result that a run has as one of another unit, with what is accepted for that."""
+        if run.result is None:
+            return None
+        return refitted(self._store, replace(run, unit=unit), counted_poses(self._store, run.id))
+
+    def exclude_pose(self, run_id: str, index: int, reason: str, *, who: str | None = None) -> Run:
         """Takes one pose out of an ended run's result, which is computed again; the pose stays."""
-        run = self._ended(run_id)
+        result = self._result_of(run_id, index, counts=False)
+        why = checked_reason(reason)
+        run = self._store.exclude_pose(run_id, index, why, result=result, who=who)
+        return self._done(run, who, f"pose {index} of run {run_id} was excluded: {why}")
+
+    def include_pose(
+        self, run_id: str, index: int, reason: str | None = None, *, who: str | None = None
+    ) -> Run:
+        """Has an excluded pose count again in the result, which is computed again."""
+        result = self._result_of(run_id, index, counts=True)
+        why = None if reason is None else checked_reason(reason)
+        run = self._store.include_pose(run_id, index, why, result=result, who=who)
+        said = f"pose {index} of run {run_id} counts again"
+        return self._done(run, who, said if why is None else f"{said}: {why}")
+
+    def _result_of(self, run_id: str, index: int, *, counts: bool) -> Document | None:
+        """The result of an ended run once one of its poses counts, or does not."""
+        run = ended_run(self._store, run_id)
         poses = self._store.poses(run_id)
         if index not in {stored.index for stored in poses}:
             raise Unknown(f"run {run_id} has no pose {index}")
-        left = [p.pose for p in poses if p.excluded is None and p.index != index]
-        result = run.result
+        if run.result is None:
+            return None
         kind = (run.plan or {}).get("kind", "calibration")
-        if result is not None and kind != "calibration":
+        if kind != "calibration":
             raise Conflict(f"run {run_id} is a {kind}: it fits nothing that a pose could be taken out of")
-        if result is not None:
-            if not left:
-                raise Conflict(
-                    f"pose {index} is the last one that run {run_id} rests on: void the run instead"
-                )
-            result = refitted(self._store, run, left)
-        return self._store.exclude_pose(run_id, index, _checked_reason(reason), result=result)
+        left = [p.pose for p in poses if (counts if p.index == index else p.excluded is None)]
+        if not left:
+            raise Conflict(f"pose {index} is the last one that run {run_id} rests on: void the run instead")
+        return refitted(self._store, run, left)
 
-    def _ended(self, run_id: str) -> Run:
-        run = stored_run(self._store, run_id)
-        if run.status not in AT_REST:
-            raise Conflict(f"run {run_id} is {run.status}: end it first")
+    def _done(self, run: Run, who: str | None, why: str) -> Run:
+        """The run; the next draft of its unit is made where it rests on what has been done."""
+        self._issuer.redraft(run, by=who, reason=why)
         return run
 
 
-def _checked_reason(reason: str) -> str:
-    if not reason.strip():
-        raise Invalid("a reason is needed: it stays with the run")
-    if len(reason) > LONGEST_REASON:
-        raise Invalid(f"a reason has at most {LONGEST_REASON} characters, not {len(reason)}")
-    return reason.strip()
+def _chain(run_id: str, of_unit: Sequence[Run]) -> list[str]:
+    """A run, those it follows on and those that follow on it, by whatever way; the oldest first."""
+    near: dict[str, set[str]] = {run.id: set() for run in of_unit}
+    for run in of_unit:
+        if run.follows in near:
+            near[run.id].add(run.follows)
+            near[run.follows].add(run.id)
+    found, fresh = {run_id}, {run_id}
+    while fresh:
+        fresh = set().union(*(near[number] for number in fresh)) - found
+        found |= fresh
+    return sorted(found, key=int)
+
+
+def _check_movable(run: Run, moving: Set[str], of_unit: Sequence[Run]) -> None:
+    if (run.plan or {}).get("kind") == "verification" and run.result is not None:
+        raise Conflict(
+            f"run {run.id} is a verification: its result is what the calibration of unit {run.unit!r} left; "
+            "void it, and verify the right unit"
+        )
+    for other in of_unit:
+        together = set((other.diagnosis or {}).get("runs", ()))
+        if run.id in together and not {other.id, *together} <= moving:
+            stays = ", ".join(sorted({other.id, *together} - moving))
+            raise Conflict(
+                f"the diagnosis of run {other.id} is of run {run.id} and of others that stay with unit "
+                f"{run.unit!r} ({stays}): diagnose run {other.id} alone first"
+            )

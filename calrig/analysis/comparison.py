@@ -1,13 +1,22 @@
-"""Units side by side: their runs, how each unit drifts, and what sets units apart from repeatability."""
+"""Units side by side: their runs, how each drifts and what changed, and what sets units apart."""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
+from calrig.analysis.check_unit import suspects
+from calrig.analysis.due_dates import DueDates
 from calrig.analysis.errors import Unknown
+from calrig.analysis.histories import Histories
+from calrig.analysis.unit_changes import RULE, change_of
+from calrig.calibration.changed_runs import FALSE_DISCOVERY_RATE
 from calrig.calibration.compare import Components, components, drift
+from calrig.calibration.repeatability import Repeatability
 from calrig.store import ComparisonRow, Store
 
 Row = dict[str, Any]
@@ -16,14 +25,17 @@ FEWEST_REPEATS = 3
 """Runs beyond each unit's first; fewer say too little of the repeatability to hold the spread against it."""
 FAR_APART = 3.0
 """Times the repeatability, from where on one calibration for all units would be the larger error."""
+MOST_NAMED = 5
+"""Units that a sentence names one by one."""
 
 
-def compared_runs(store: Store, serials: Sequence[str] | None) -> dict[str, list[Row]]:
-    """The completed, not voided calibrations of each unit, the oldest first.
+def compared_runs(store: Store, serials: Sequence[str] | None, found: Histories) -> dict[str, list[Row]]:
+    """The calibrations of each unit that count, the oldest first.
 
     Args:
         store: where they are.
         serials: units in the order wanted; None for all.
+        found: all histories.
 
     Raises:
         Unknown: there is no such unit.
@@ -34,18 +46,52 @@ def compared_runs(store: Store, serials: Sequence[str] | None) -> dict[str, list
             raise Unknown(f"there is no unit {serial!r}")
     units: dict[str, list[Row]] = {serial: [] for serial in serials or known}
     effects = store.effect_names()
-    for row in store.comparison(serials or None):
-        units[row.unit].append(_row(row, effects))
+    in_doubt = suspects(store, found)
+    for row in found.rows:
+        if row.unit in units:
+            units[row.unit].append(_row(row, effects) | {"suspect": in_doubt.of(row.rig, row.finished_at)})
     return units
 
 
-def comparison(units: Mapping[str, Sequence[Row]]) -> Row:
-    """CONTRACT section 2's comparison of what `compared_runs` gives."""
+def comparison(found: Histories, units: Mapping[str, Sequence[Row]], due: DueDates) -> Row:
+    """CONTRACT section 2's comparison of what `compared_runs` gives, the units that changed first."""
+    significance, most = _significance(found)
     drifting = [
-        {"unit": serial, "runs": runs, "drift_deg_per_day": _drift(runs)} for serial, runs in units.items()
+        {
+            "unit": serial,
+            "runs": runs,
+            "drift_deg_per_day": _drift(runs),
+            "p_value": significance.get(serial),
+            "changed": serial in most and bool(found.changes.changed[most[serial]]),
+            "change": change_of(found, most[serial]) if serial in most else None,
+            **due.of(serial).to_dict(),
+        }
+        for serial, runs in units.items()
     ]
-    spread = {figure: _spread(list(units.values()), figure) for figure in ("bias_deg", "scale")}
-    return {"units": drifting, "spread": spread}
+    drifting.sort(key=lambda one: (not one["changed"], one["p_value"] if one["changed"] else 0.0))
+    apart = [one["unit"] for one in drifting if one["changed"]]
+    return {
+        "units": drifting,
+        "spread": {figure: _spread(found, units, figure, apart) for figure in ("bias_deg", "scale")},
+        "repeatability": {
+            "bias_deg": _repeats(found.pooled[0]),
+            "scale": _repeats(found.pooled[1]),
+            "false_discovery_rate": FALSE_DISCOVERY_RATE,
+            "rule": RULE,
+            "says": _marked(apart, len(units), known=any(one is not None for one in found.pooled)),
+        },
+    }
+
+
+def _significance(found: Histories) -> tuple[dict[str, float | None], dict[str, int]]:
+    """Each unit's p-value, and the place of its most significant difference."""
+    p_values = {
+        serial: float(p) if math.isfinite(p) else None
+        for serial, p in zip(found.serials, found.changes.unit_p_value, strict=True)
+    }
+    places = np.argsort(-np.nan_to_num(found.changes.p_value, nan=2.0), kind="stable")
+    units = found.figures[0].unit[found.changes.first[places]]
+    return p_values, {found.serials[unit]: int(k) for unit, k in zip(units, places, strict=True)}
 
 
 def _row(row: ComparisonRow, effects: Mapping[str, list[str]]) -> Row:
@@ -63,11 +109,24 @@ def _drift(runs: Sequence[Row]) -> float | None:
     return found.deg_per_day if found else None
 
 
-def _spread(units: Sequence[Sequence[Row]], figure: str) -> Row:
-    known = [(k, run[figure]) for k, runs in enumerate(units) for run in runs if run[figure] is not None]
-    found = components([k for k, _ in known], [value for _, value in known])
+def _spread(
+    histories: Histories, units: Mapping[str, Sequence[Row]], figure: str, apart: Sequence[str]
+) -> Row:
+    """A unit that changed counts as one before and as another one after: it says nothing of repeatability."""
+    segments = zip((row.run_id for row in histories.rows), histories.segment().tolist(), strict=True)
+    segment = dict(segments)
+    known = [
+        (segment[run["run_id"]], run[figure])
+        for runs in units.values()
+        for run in runs
+        if run[figure] is not None
+    ]
+    places = {one: place for place, one in enumerate(dict.fromkeys(k for k, _ in known))}
+    found = components([places[k] for k, _ in known], [value for _, value in known])
     counts = Counter(k for k, _ in known)
     says = _compared(found, repeats=sum(counts.values()) - len(counts))
+    if apart:
+        says = f"{says} {_listed(apart)} changed: before and after count apart."
     return {"between_units_std": found.between, "within_unit_std": found.within, "says": says}
 
 
@@ -86,3 +145,30 @@ def _compared(found: Components, repeats: int) -> str:
         return "The spread between units is somewhat larger than the repeatability."
     times = f"{between / within:.0f} times the repeatability"
     return f"The spread between units is {times}: each unit needs its own calibration."
+
+
+def _repeats(pooled: Repeatability | None) -> Row | None:
+    if pooled is None:
+        return None
+    return {
+        "reclamping_std": pooled.run,
+        "day_std": pooled.day,
+        "rig_std": pooled.rig,
+        "freedom": pooled.freedom,
+    }
+
+
+def _marked(apart: Sequence[str], units: int, *, known: bool) -> str:
+    if not known:
+        return (
+            "Whether a unit changed is not known yet: that takes units that were calibrated more than once, "
+            "to know what clamping anew and the day add."
+        )
+    if not apart:
+        return "No unit changed by more than repeatability."
+    return f"Changed by more than repeatability: {_listed(apart)} ({len(apart)} of {units})."
+
+
+def _listed(serials: Sequence[str]) -> str:
+    more = len(serials) - MOST_NAMED
+    return ", ".join(serials[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")

@@ -1,4 +1,4 @@
-"""Diagnoses of stored runs: made, kept, drawn, and the effects that people accept from them."""
+"""Diagnoses of stored runs: made, kept, drawn."""
 
 from __future__ import annotations
 
@@ -7,17 +7,15 @@ from functools import partial
 from typing import Any
 
 from calrig.analysis.errors import Conflict, Unknown
-from calrig.analysis.results import refitted
 from calrig.analysis.stored_runs import counted_poses, poses_together, runs_together, stored_run
 from calrig.calibration.diagnosis import trace
-from calrig.calibration.effects import EFFECTS
 from calrig.calibration.partial_residuals import PartialResidual, partial_residuals
 from calrig.calibration.pose import DiagnosisError
-from calrig.store import AcceptedEffect, Run, Store
+from calrig.store import Run, Store
 
 
 class Diagnoses:
-    """Traces what calibration left of stored runs, and remembers what was found and accepted."""
+    """Traces what calibration left of stored runs, and remembers what was found."""
 
     def __init__(self, store: Store) -> None:
         self._store = store
@@ -74,28 +72,6 @@ class Diagnoses:
         except DiagnosisError as error:
             raise Conflict(f"run {run_id}: {error}") from error
 
-    def accept(self, run_id: str, names: Sequence[str]) -> Run:
-        """Puts named effects of a run's diagnosis in force: the unit's own for it, the stage's for the rig.
-
-        Raises:
-            Unknown: no such run, or it has not been diagnosed.
-            Conflict: an effect is not in the diagnosis, or is none that later runs could be corrected for.
-        """
-        run, found = stored_run(self._store, run_id), self.last(run_id)
-        # what was the same in all runs goes before what changed between two of them
-        known = {effect["name"]: effect for effect in sorted(found["effects"], key=_is_change, reverse=True)}
-        accepted = []
-        for name in names:
-            if name not in known:
-                listed = ", ".join(known) or "none"
-                raise Conflict(f"the diagnosis of run {run_id} has no effect {name!r}; it has: {listed}")
-            accepted.append(_accepted(run, known[name]))
-        self._store.accept_effects(run_id, accepted)
-        if run.result is None or (run.plan or {}).get("kind") == "verification":
-            return run
-        poses = counted_poses(self._store, run_id)
-        return self._store.set_result(run_id, refitted(self._store, run, poses))
-
     def _deciding(self, run: Run) -> list[int] | None:
         """Places, among the poses of a follow-up that count, of those that served to decide."""
         decided_on = _decided_on(run)
@@ -118,35 +94,7 @@ def _keep_accepted(before: dict[str, Any] | None, found: dict[str, Any]) -> None
                 effect["accepted_at"] = earlier.get("accepted_at")
 
 
-def _is_change(effect: dict[str, Any]) -> bool:
-    return effect.get("changed") is not None
-
-
 def _limits_of(run: Run) -> tuple[float, float] | None:
     """The soft limits a run was made under; None for an imported one."""
     limits = (run.provenance.get("rig") or {}).get("limits_deg")
     return None if limits is None else (float(limits[0]), float(limits[1]))
-
-
-def _accepted(run: Run, effect: dict[str, Any]) -> AcceptedEffect:
-    name, origin = effect["name"], effect["origin"]
-    if effect["verdict"] != "named":
-        raise Conflict(f"{name} is {effect['verdict']}, not named: separate it from its look-alikes first")
-    if name not in EFFECTS:
-        raise Conflict(f"{name} is not in the catalogue of this version of calrig: diagnose the run again")
-    if _is_change(effect):
-        raise Conflict(f"{name} changed between two runs: diagnose the latest alone, for the values in force")
-    scope = EFFECTS[name].scope
-    if scope == "run":
-        raise Conflict(f"{name} ({origin}) cannot correct later runs: {effect['remedy']}")
-    if scope == "rig" and run.rig is None:
-        raise Conflict(f"{name} belongs to the stage, and run {run.id} names no rig")
-    parameters = {key: value and value["value"] for key, value in effect["parameters"].items()}
-    return AcceptedEffect(
-        run_id=run.id,
-        unit=run.unit if scope == "unit" else None,
-        rig=run.rig if scope == "rig" else None,
-        name=name,
-        origin=origin,
-        parameters=parameters,
-    )

@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 
 class RunsError(Exception):
-    """A request that cannot be met; the message is one line that a person can act on."""
+    """A request that cannot be met; the message is one line that a person can act on.
+
+    `fields` are the places in the request that are wrong, where it is one: `plan.stop_deg`.
+    """
+
+    def __init__(self, message: str, fields: Sequence[str] = ()) -> None:
+        super().__init__(message)
+        self.fields = list(fields)
 
 
 class Unknown(RunsError):  # noqa: N818 (read as a word: raise Unknown)

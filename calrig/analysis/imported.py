@@ -5,30 +5,48 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from calrig.calibration.result import AppliedEffect, build_result
+from calrig.analysis.results import as_applied
+from calrig.calibration.result import build_result
+from calrig.export.calibration_json import calibration_content
 from calrig.export.poses_csv import PoseColumns, read_pose_columns
+from calrig.store import AcceptedEffect
+from calrig.store.records import Document
 
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """What a run is made of: the poses, what was said of the file, and CONTRACT section 2's result."""
+    """What a run is made of: the poses, what was said of the file, and CONTRACT section 2's result.
+
+    `content` is that of the unit's next revision, with the effects `accepted`; None where the poses leave the
+    scale open.
+    """
 
     poses: PoseColumns
     warnings: list[str]
-    result: dict[str, Any]
+    result: Document
+    content: Document | None
+    accepted: Sequence[AcceptedEffect]
 
 
-def read_and_fit(content: bytes | Path, effects: Sequence[AppliedEffect]) -> Imported:
+def read_and_fit(
+    file: bytes | Path, unit: str, rig: str | None, accepted: Sequence[AcceptedEffect]
+) -> Imported:
     """Reads a CSV of poses (CONTRACT section 4) and fits them.
 
     Args:
-        content: the file, or its path.
-        effects: in force for its unit and rig.
+        file: what is in it, or its path.
+        unit: serial number.
+        rig: that the poses were taken on; None where none is known.
+        accepted: effects in force for its unit and rig.
 
     Raises:
         CsvError: the file is bad; says line and column.
     """
-    poses, warnings = read_pose_columns(content.read_bytes() if isinstance(content, Path) else content)
-    return Imported(poses, warnings, build_result(poses[:], None, effects).to_dict())
+    columns, warnings = read_pose_columns(file.read_bytes() if isinstance(file, Path) else file)
+    poses = columns[:]
+    result = build_result(poses, None, as_applied(accepted))
+    content = None
+    if result.scale is not None:
+        content = calibration_content(unit=unit, rig=rig, poses=poses, result=result, accepted=accepted)
+    return Imported(columns, warnings, result.to_dict(), content, accepted)

@@ -14,9 +14,12 @@ LONGEST_SERIAL = 100
 def check_serial(serial: str) -> None:
     """Raises Invalid unless a serial number has 1 to 100 printable characters without blanks at its ends."""
     if not serial or serial != serial.strip() or not serial.isprintable():
-        raise Invalid("a unit's serial number is made of printable characters, without blanks at its ends")
+        raise Invalid(
+            "a unit's serial number is made of printable characters, without blanks at its ends", ["unit"]
+        )
     if len(serial) > LONGEST_SERIAL:
-        raise Invalid(f"a unit's serial number has at most {LONGEST_SERIAL} characters, not {len(serial)}")
+        said = f"a unit's serial number has at most {LONGEST_SERIAL} characters, not {len(serial)}"
+        raise Invalid(said, ["unit"])
 
 
 def provenance(operator: str | None) -> dict[str, Any]:

@@ -7,35 +7,30 @@ from collections.abc import Sequence
 from calrig.calibration.correction import numbers_of
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import AppliedEffect, GyroFigures, Result, build_result, residuals
-from calrig.store import Run, Store
+from calrig.store import AcceptedEffect, Run, Store
 from calrig.store.records import Document, reference_of
 
 
-def effects_in_force(store: Store, unit: str, rig: str | None) -> list[AppliedEffect]:
-    """The effects accepted for a unit and a rig, as they are applied."""
-    return [(e.name, numbers_of(e.parameters)) for e in store.effects_in_force(unit, rig)]
+def as_applied(accepted: Sequence[AcceptedEffect]) -> list[AppliedEffect]:
+    """Accepted effects as arithmetic takes them."""
+    return [(effect.name, numbers_of(effect.parameters)) for effect in accepted]
 
 
 def fitted(
-    store: Store,
-    *,
-    unit: str,
-    rig: str | None,
-    provenance: Document,
     poses: Sequence[Pose],
+    accepted: Sequence[AcceptedEffect],
+    provenance: Document,
     gyro: GyroFigures | None = None,
 ) -> Result:
     """The result of poses of a unit on a rig.
 
     Args:
-        store: where accepted effects are kept.
-        unit: whose effects are in force.
-        rig: the same; None where none is known.
-        provenance: of the run; says what the stage was worth when it was made.
         poses: those that count, at least one.
+        accepted: effects in force for the unit and the rig.
+        provenance: of the run; says what the stage was worth when it was made.
         gyro: what the run's samples say of the gyro.
     """
-    return build_result(poses, gyro, effects_in_force(store, unit, rig), reference_of(provenance))
+    return build_result(poses, gyro, as_applied(accepted), reference_of(provenance))
 
 
 def refitted(store: Store, run: Run, poses: Sequence[Pose]) -> Document:
@@ -43,9 +38,21 @@ def refitted(store: Store, run: Run, poses: Sequence[Pose]) -> Document:
 
     What it says of the gyro stays: that is from samples, which may have been pruned.
     """
-    assert run.result is not None  # noqa: S101 (the callers look)
-    again = fitted(store, unit=run.unit, rig=run.rig, provenance=run.provenance, poses=poses)
-    return {**again.to_dict(), "gyro": run.result["gyro"]}
+    accepted = store.effects_in_force(run.unit, run.rig)
+    return fitted(poses, accepted, run.provenance, gyro_of(run)).to_dict()
+
+
+def gyro_of(run: Run) -> GyroFigures | None:
+    """What a stored run says of the gyro; None before it has a result."""
+    known = None if run.result is None else run.result.get("gyro")
+    if known is None:
+        return None
+    return GyroFigures(
+        bias_dps=tuple(known["bias_dps"]),
+        bias_std_dps=tuple(known["bias_std_dps"]),
+        scale=known["scale"],
+        scale_std=known["scale_std"],
+    )
 
 
 def pose_residuals_deg(run: Run, poses: Sequence[Pose]) -> list[float | None]:

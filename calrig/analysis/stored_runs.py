@@ -8,6 +8,7 @@ from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.calibration.pose import Pose
 from calrig.store import AT_REST, Run, Store
 
+LONGEST_REASON = 1000
 MOST_POSES = 4_000
 """Of one diagnosis: a hundred name an effect of the size of the noise. Each thousand takes 10–20 s of a core
 and 140 MB, a few times as long on a small machine: these fit what a piece of heavy work may take.
@@ -24,6 +25,29 @@ def stored_run(store: Store, run_id: str) -> Run:
     if run is None:
         raise Unknown(f"there is no run {run_id}")
     return run
+
+
+def ended_run(store: Store, run_id: str) -> Run:
+    """The run, of which nothing is being measured any more.
+
+    Raises:
+        Unknown: there is none.
+        Conflict: it is going on.
+    """
+    run = stored_run(store, run_id)
+    if run.status not in AT_REST:
+        raise Conflict(f"run {run_id} is {run.status}: end it first")
+    return run
+
+
+def checked_reason(reason: str) -> str:
+    """A reason without blanks at its ends; Invalid where there is none, or too much of it."""
+    if not reason.strip():
+        raise Invalid("a reason is needed: it stays with the run", ["reason"])
+    if len(reason) > LONGEST_REASON:
+        said = f"a reason has at most {LONGEST_REASON} characters, not {len(reason)}"
+        raise Invalid(said, ["reason"])
+    return reason.strip()
 
 
 def counted_poses(store: Store, run_id: str) -> list[Pose]:

@@ -13,7 +13,12 @@ from starlette.responses import JSONResponse
 from starlette.types import Lifespan
 
 import calrig
+from calrig.analysis.due_dates import INTERVAL_DAYS
 from calrig.api import (
+    amendments,
+    calibrations,
+    changes,
+    check_unit,
     compare,
     diagnoses,
     effects,
@@ -21,6 +26,8 @@ from calrig.api import (
     events,
     figures,
     imports,
+    jobs,
+    limit_rules,
     login,
     measurements,
     metrics,
@@ -28,19 +35,24 @@ from calrig.api import (
     pages,
     plans,
     runs,
+    trail,
     units,
+    users,
 )
-from calrig.api.access import Access
+from calrig.api.access import TOKEN, Access
 from calrig.api.authentication import Authentication
 from calrig.api.context import ApiContext
 from calrig.api.limits import JSON_BYTES, BodyPatience
 from calrig.api.origin_check import OriginCheck
+from calrig.api.proxies import TrustedProxies
 from calrig.api.request_log import RequestLog
+from calrig.api.turns import BeginInTurn
 from calrig.runs.service import RunService
 from calrig.settings import packed
 
 PARTS = (
     runs,
+    amendments,
     plans,
     diagnoses,
     effects,
@@ -48,39 +60,66 @@ PARTS = (
     measurements,
     noise,
     figures,
+    calibrations,
+    changes,
     units,
     compare,
+    check_unit,
     imports,
+    jobs,
+    limit_rules,
     login,
+    users,
+    trail,
     metrics,
 )
 """Figures before units: `/api/units/{serial:path}` would take their paths for serial numbers."""
 EVERYBODY = Access()
 
 
-def create_app(service: RunService, *, web: Path | None = None, access: Access = EVERYBODY) -> FastAPI:
+def create_app(
+    service: RunService,
+    *,
+    web: Path | None = None,
+    access: Access = EVERYBODY,
+    interval_days: float = INTERVAL_DAYS,
+    limits_kept_in: str | None = None,
+) -> FastAPI:
     """Makes the application; nothing of it is shared with another one.
 
     Args:
         service: carries out what is asked. It is closed when the application shuts down.
         web: the folder of the page; without it the one that comes with calrig.
         access: the token that is asked for and the names the service has.
+        interval_days: after which a unit is due whose history says nothing.
+        limits_kept_in: the file that gives the limits, which then are not changed over HTTP.
     """
 
     @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
         yield
         await asyncio.to_thread(service.close)  # by no thread of those that answer requests
+        await _app.state.context.jobs.close()
         await _app.state.context.processes.close()
 
     app = api(lifespan)
-    app.state.context = ApiContext(service, service.store)
-    app.state.authentication = Authentication(access)
+    app.state.context = ApiContext(service, service.store, limits_kept_in, interval_days=interval_days)
+    app.state.authentication = Authentication(access, service.store.users)
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=6)  # event streams never
     app.add_middleware(OriginCheck, app.state.authentication)
-    app.add_middleware(RequestLog)  # the last one added is the first to look
+    app.add_middleware(RequestLog)
+    app.add_middleware(TrustedProxies, access)
+    app.add_middleware(BeginInTurn)  # the last one added is the first to look
     pages.install(app, packed("web") if web is None else web)
     return app
+
+
+def what_is_asked(app: FastAPI) -> str:
+    """What an application asks of those who speak to it, for the end of a sentence; empty where nothing."""
+    authentication: Authentication = app.state.authentication
+    if authentication.access.token is not None:
+        return f"; it asks for the token of {TOKEN}" + (", or a user's" if authentication.people else "")
+    return "; it asks who one is: a user" if authentication.asks else ""
 
 
 def api(lifespan: Lifespan[FastAPI] | None = None) -> FastAPI:

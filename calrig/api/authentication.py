@@ -1,15 +1,12 @@
-"""Who may come in: a program by its token, a person by the session that was begun with it."""
+"""Who may come in: a program by its token, a person by a session begun with one or by a trusted proxy."""
 
 from __future__ import annotations
 
 import asyncio
-import hashlib
 import hmac
 import logging
-import secrets
-import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import NoReturn
 
 from starlette.exceptions import HTTPException
@@ -17,70 +14,47 @@ from starlette.requests import HTTPConnection
 from starlette.responses import Response
 
 from calrig.api.access import Access, network_of
+from calrig.api.callers import ANYBODY, Caller, People, address_of, described, know
 from calrig.api.lingering import CLOSE
+from calrig.api.proxies import let_in
+from calrig.api.sessions import SESSION_S, Sessions
 from calrig.api.standing import Standing, place_of
+from calrig.store.users import User, token_digest
 
 WAITING_EACH = 4
 WAITING_ALL = 64
 """Wrong tokens that wait for their answer, from one address and from all."""
-SESSION_S = 12 * 3600.0
-MOST_SESSIONS = 100
 SCHEME = "bearer "
 
 log = logging.getLogger(__name__)
 
 
-class Sessions:
-    """People who have logged in: a random value each, kept in memory and no longer than a day's work.
-
-    The oldest session gives way to one too many; all end with the service.
-
-    Args:
-        clock: seconds that only go forward.
-    """
-
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock = clock
-        # By digest: how long a look-up takes then says nothing about the values that are kept.
-        self._ends_s: dict[bytes, float] = {}
-
-    def begin(self) -> str:
-        """A new session's value."""
-        now_s = self._clock()
-        self._ends_s = {kept: end_s for kept, end_s in self._ends_s.items() if end_s > now_s}
-        while len(self._ends_s) >= MOST_SESSIONS:
-            del self._ends_s[next(iter(self._ends_s))]
-        value = secrets.token_urlsafe(32)
-        self._ends_s[_digest(value)] = now_s + SESSION_S
-        return value
-
-    def holds(self, value: str) -> bool:
-        """Whether the value is that of a session which has not ended."""
-        return self._ends_s.get(_digest(value), 0.0) > self._clock()
-
-    def end(self, value: str) -> None:
-        """Ends a session; one that has ended already stays so."""
-        self._ends_s.pop(_digest(value), None)
-
-    def __len__(self) -> int:
-        return len(self._ends_s)
-
-
 class Authentication:
-    """Lets in who shows the token or a session that was begun with it.
+    """Lets in who shows a token or a session that was begun with one, or whom a trusted proxy names.
 
     What is right is looked at first and never kept waiting, whatever else comes from its address. A wrong
     token is answered late, and while a few wrong ones wait, the next are answered 429 at once. That slows
     nobody who guesses with many connections; the length of the token does (`calrig.api.access`).
 
     Args:
-        access: the token; without one everybody comes in.
+        access: the service's one token, and the proxies that are trusted.
+        users: reads who is known by name.
     """
 
-    def __init__(self, access: Access) -> None:
+    def __init__(self, access: Access, users: Callable[[], Iterable[User]] = tuple) -> None:
         self.access = access
+        self.people = People(users)
         self.sessions = Sessions()
         self._waiting: Counter[str] = Counter()
+
+    @property
+    def asks(self) -> bool:
+        """Whether anybody has to show who they are; without, whoever reaches the service is its admin.
+
+        So it is on loopback until there is a token, a proxy that names people, or an admin among the users,
+        who could add the next ones.
+        """
+        return self.access.token is not None or bool(self.access.proxies) or self.people.have_admin
 
     async def check(self, asked: HTTPConnection, *, is_open: bool = False) -> None:
         """Lets a request pass; the connection it came by keeps its place from then on.
@@ -90,20 +64,40 @@ class Authentication:
             is_open: whether who shows nothing, or something wrong, gets what it asks for all the same.
 
         Raises:
-            HTTPException: 401, neither token nor session; 429, too many wrong tokens from there just now.
+            HTTPException: 401, nothing that is known was shown; 403, a proxy named somebody who is not known;
+                429, too many wrong tokens from there just now.
         """
-        if self.access.token is None:
-            place_of(asked).standing = Standing.ANYBODY
-            return
-        shown = asked.headers.get("authorization", "")
-        token = shown[len(SCHEME) :].strip() if shown.lower().startswith(SCHEME) else None
-        if self.has_session(asked) or (token is not None and self._is_right(token)):
+        token = _token_in(asked)
+        caller = self._caller(asked, token)
+        if caller is not None:
+            know(asked, caller)
             place_of(asked).standing = Standing.KNOWN
+        elif not self.asks and (token is None or not self.people):
+            know(asked, ANYBODY)
+            place_of(asked).standing = Standing.ANYBODY
         elif not is_open:
-            if token is not None:
+            if token is not None and let_in(asked) is None:
                 await self._refuse(asked)
-            ended = ": the session has ended, log in again" if self.cookie(asked) in asked.cookies else ""
-            raise refusal(f"{_who(asked)} has not shown a token{ended}")
+            raise self._refusal(asked)
+
+    def _caller(self, asked: HTTPConnection, token: str | None) -> Caller | None:
+        """Who it is: a token of their own says it best, then the proxy; the one token names nobody.
+
+        So a proxy may bring the one token along for everybody, and each has their own role all the same.
+        """
+        by_token = None if token is None else self.of_token(token_digest(token))
+        by_token = by_token or self._of_session(asked)
+        named = let_in(asked)
+        if named is None or (by_token is not None and by_token.name is not None):
+            return by_token
+        return self.people.of_name(named)
+
+    def of_token(self, sha256: str) -> Caller | None:
+        """Whose token has this digest."""
+        one = self.access.token
+        if one is not None and hmac.compare_digest(sha256, token_digest(one)):
+            return ANYBODY
+        return self.people.of_token(sha256)
 
     async def check_token(self, asked: HTTPConnection, token: str) -> None:
         """Lets the right token pass at once; the wrong one waits for its refusal.
@@ -111,8 +105,10 @@ class Authentication:
         Raises:
             HTTPException: 401, it is wrong; 429, too many wrong ones from there just now.
         """
-        if not self._is_right(token):
+        caller = self.of_token(token_digest(token))
+        if caller is None:
             await self._refuse(asked)
+        know(asked, caller)
         place_of(asked).standing = Standing.KNOWN
 
     async def _refuse(self, asked: HTTPConnection) -> NoReturn:
@@ -129,18 +125,30 @@ class Authentication:
         finally:
             self._waiting[network] -= 1
             self._waiting += Counter()  # drops who waits no more: the memory is that of those who wait
-        raise refusal(f"{_who(asked)} has shown a wrong token")
+        raise refusal(f"{described(asked)} has shown a wrong token")
+
+    def _refusal(self, asked: HTTPConnection) -> HTTPException:
+        named = let_in(asked)
+        if named is not None:
+            reason = f"{described(asked)}: {named[:80]!a} was let in by the proxy and is no user here"
+            return HTTPException(403, f"{reason}; an admin adds them with `calrig users add NAME`", CLOSE)
+        ended = ": the session has ended, log in again" if self.cookie(asked) in asked.cookies else ""
+        return refusal(f"{described(asked)} has not shown a token{ended}")
 
     def has_session(self, asked: HTTPConnection) -> bool:
         """Whether the request carries a session that has not ended."""
-        value = asked.cookies.get(self.cookie(asked))
-        return value is not None and self.sessions.holds(value)
+        return self._of_session(asked) is not None
 
-    def set_cookie(self, asked: HTTPConnection, answer: Response) -> None:
+    def _of_session(self, asked: HTTPConnection) -> Caller | None:
+        value = asked.cookies.get(self.cookie(asked))
+        token_sha256 = None if value is None else self.sessions.token_of(value)
+        return None if token_sha256 is None else self.of_token(token_sha256)
+
+    def set_cookie(self, asked: HTTPConnection, answer: Response, token: str) -> None:
         """Begins a session, as a cookie that no script reads and no page elsewhere has sent along."""
         answer.set_cookie(
             self.cookie(asked),
-            self.sessions.begin(),
+            self.sessions.begin(token_digest(token)),
             max_age=int(SESSION_S),
             secure=asked.scope["scheme"] == "https",
             httponly=True,
@@ -159,10 +167,6 @@ class Authentication:
         server = asked.scope.get("server")
         return f"calrig_session_{server[1] if server else ''}"
 
-    def _is_right(self, token: str) -> bool:
-        expected = self.access.token
-        return expected is not None and hmac.compare_digest(_digest(token), _digest(expected))
-
 
 def refusal(reason: str) -> HTTPException:
     """The answer to who may not come in, with the ways in."""
@@ -170,14 +174,6 @@ def refusal(reason: str) -> HTTPException:
     return HTTPException(401, f"{reason}; {ways}", {"WWW-Authenticate": "Bearer", **CLOSE})
 
 
-def address_of(asked: HTTPConnection) -> str:
-    """Where a request came from."""
-    return asked.client.host if asked.client else "an unknown address"
-
-
-def _who(asked: HTTPConnection) -> str:
-    return f"{asked.scope['method']} {asked.scope['path'][:200]!a} from {address_of(asked)}"
-
-
-def _digest(value: str) -> bytes:
-    return hashlib.sha256(value.encode()).digest()
+def _token_in(asked: HTTPConnection) -> str | None:
+    shown = asked.headers.get("authorization", "")
+    return shown[len(SCHEME) :].strip() if shown.lower().startswith(SCHEME) else None

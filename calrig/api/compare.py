@@ -3,16 +3,18 @@
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
 from datetime import datetime
-from typing import Annotated
+from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query
 from fastapi.responses import Response
 from pydantic_core import to_json
 
 from calrig.analysis.comparison import compared_runs, comparison
+from calrig.analysis.histories import histories
+from calrig.api.changes import DifferenceAnswer
 from calrig.api.context import Context
 from calrig.api.errors import problems
-from calrig.api.models import Answer, Extremes, LineAnswer
+from calrig.api.models import Answer, Extremes, LineAnswer, SuspectAnswer
 
 Units = Annotated[
     list[str] | None, Query(description="Serial numbers, in the order wanted; all without any.")
@@ -28,14 +30,25 @@ class ComparedRun(LineAnswer):
     finished_at: datetime
     temperature_c: Extremes
     effects: list[str]
+    suspect: SuspectAnswer | None
 
 
 class ComparedUnit(Answer):
-    """A unit's calibrations, the oldest first, and how its bias drifts over them."""
+    """A unit's calibrations, the oldest first, how its bias drifts over them, and whether it changed.
+
+    `p_value` is of the unit over all its runs, `change` its most significant difference.
+    """
 
     unit: str
     runs: list[ComparedRun]
     drift_deg_per_day: float | None
+    p_value: float | None
+    changed: bool
+    change: DifferenceAnswer | None
+    due_at: datetime | None
+    overdue: bool
+    due_method: Literal["interval", "drift"] | None
+    due_says: str
 
 
 class SpreadAnswer(Answer):
@@ -53,16 +66,45 @@ class Spreads(Answer):
     scale: SpreadAnswer
 
 
+class RepeatabilityAnswer(Answer):
+    """Standard deviations that clamping anew, the day and the rig add to a figure, over all units.
+
+    `day_std` is null where it cannot be told from `reclamping_std`, which then holds both; `freedom` are the
+    degrees of freedom that they rest on.
+    """
+
+    reclamping_std: float
+    day_std: float | None
+    rig_std: float
+    freedom: int
+
+
+class RepeatabilitiesAnswer(Answer):
+    """How bias and scale repeat (null where the runs do not tell), and by which rule units are marked."""
+
+    bias_deg: RepeatabilityAnswer | None
+    scale: RepeatabilityAnswer | None
+    false_discovery_rate: float
+    rule: str
+    says: str
+
+
 class Comparison(Answer):
-    """Units side by side."""
+    """Units side by side, those first that changed."""
 
     units: list[ComparedUnit]
     spread: Spreads
+    repeatability: RepeatabilitiesAnswer
 
 
 @router.get("/api/compare", response_model=Comparison, responses=problems(404), summary="Units side by side")
 def compare(context: Context, unit: Units = None) -> Response:
-    """Completed, not voided calibrations only; `spread` sets units apart from repeatability."""
-    document = comparison(compared_runs(context.store, unit))
+    """Calibrations that count only; `spread` sets units apart from repeatability.
+
+    Units that changed by more than repeatability come first, the most significant before the others; whether
+    they did is held against all units of the store, whichever are asked for.
+    """
+    found = histories(context.store)
+    document = comparison(found, compared_runs(context.store, unit, found), context.due_dates(found))
     # Thousands of rows straight from the store: a test holds them to the model, so that no answer has to be.
     return Response(to_json(document, inf_nan_mode="null"), media_type="application/json")

@@ -1,60 +1,42 @@
 """What every path works on: the service, its store, the open event streams, the run that a path names."""
 
-import asyncio
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import Annotated
 
 from fastapi import Depends, FastAPI, Request
 
+from calrig.analysis.acceptance import Acceptance
 from calrig.analysis.amendments import Records
 from calrig.analysis.diagnoses import Diagnoses
+from calrig.analysis.due_dates import INTERVAL_DAYS, DueDates, due_dates
 from calrig.analysis.errors import Unknown
-from calrig.api.looks import Looks
+from calrig.analysis.histories import Histories
+from calrig.analysis.issuing import Issuer
+from calrig.api.job import Jobs
+from calrig.api.streams import Streams
 from calrig.processes.pool import Processes
+from calrig.runs.errands import Errands
 from calrig.runs.service import RunService
 from calrig.store import Run, Store, Unit
 
 
-class Streams:
-    """The event streams that are open, so that all of them end when the service does.
-
-    Kept by the event that each waits for. Used in the server's event loop only.
-    """
-
-    def __init__(self) -> None:
-        self.closed = False
-        self.looks = Looks()
-        self._waiting: set[asyncio.Event] = set()
-
-    @contextmanager
-    def joined(self, news: asyncio.Event) -> Iterator[None]:
-        """Counts a stream as open; `news` is set when the service is closing."""
-        self._waiting.add(news)
-        try:
-            yield
-        finally:
-            self._waiting.discard(news)
-
-    def __len__(self) -> int:
-        return len(self._waiting)
-
-    def close(self) -> None:
-        """Has every stream end: a browser that listens must not keep the service from stopping."""
-        self.closed = True
-        for news in self._waiting:
-            news.set()
-
-
 @dataclass(frozen=True)
 class ApiContext:
-    """The service behind the API, its store to read from, open event streams, processes for heavy work."""
+    """The service behind the API, its store to read from, open event streams, processes for heavy work.
+
+    `scans` are looks at the ports, one at a time; `jobs` heavy work that no request waits for.
+    `limits_kept_in` is the file that gives the limits; None where people change them over HTTP.
+    """
 
     service: RunService
     store: Store
+    limits_kept_in: str | None = None
     streams: Streams = field(default_factory=Streams)
     processes: Processes = field(default_factory=Processes)
+    interval_days: float = INTERVAL_DAYS
+    scans: Errands = field(default_factory=Errands)
+    jobs: Jobs = field(default_factory=Jobs)
 
     @property
     def diagnoses(self) -> Diagnoses:
@@ -62,9 +44,23 @@ class ApiContext:
         return Diagnoses(self.store)
 
     @property
+    def issuer(self) -> Issuer:
+        """Drafts, releases and withdrawals of calibrations."""
+        return self.service.issuer
+
+    def due_dates(self, found: Histories | None = None, serials: Collection[str] | None = None) -> DueDates:
+        """When each unit is due, or some; `found` are all histories where they are known already."""
+        return due_dates(self.store, found, serials=serials, interval_days=self.interval_days)
+
+    @property
+    def acceptance(self) -> Acceptance:
+        """What of diagnoses is in force."""
+        return Acceptance(self.store, self.service.issuer)
+
+    @property
     def records(self) -> Records:
         """Imports and amendments."""
-        return Records(self.store)
+        return Records(self.store, self.service.issuer)
 
 
 def context_of(app: FastAPI) -> ApiContext:

@@ -11,9 +11,11 @@ from starlette.concurrency import run_in_threadpool
 
 from calrig.analysis.error_map import error_map
 from calrig.analysis.errors import Invalid
+from calrig.api.callers import Who, requires
 from calrig.api.context import Context, KnownRun
 from calrig.api.errors import problems
-from calrig.api.heavy import Heavy
+from calrig.api.heavy import ACCEPTED, Heavy, Wait
+from calrig.api.job import Job
 from calrig.api.models import Answer, Body, RunAnswer
 from calrig.calibration.effect import Origin
 from calrig.calibration.pose import DiagnosisError
@@ -32,6 +34,12 @@ class Accept(Body):
     """Names of effects of a diagnosis."""
 
     effects: Annotated[list[str], Field(min_length=1, max_length=100)]
+
+
+class TakeBack(Accept):
+    """Names of effects that were accepted from a run, and why they are taken back."""
+
+    reason: str
 
 
 class ParameterAnswer(Answer):
@@ -186,21 +194,28 @@ class ErrorMapAnswer(Answer):
 
 @router.post(
     "/api/runs/{run_id}/diagnosis",
+    dependencies=[requires("operator")],
     response_model=DiagnosisAnswer,
-    responses=problems(404, 409, 413, 422),
+    responses=ACCEPTED | problems(404, 409, 413, 422),
     summary="Trace what bias and scale leave of a run",
 )
-async def diagnose(run: KnownRun, body: Diagnose, context: Context, heavy: Heavy) -> dict[str, Any]:
+async def diagnose(run: KnownRun, body: Diagnose, context: Context, heavy: Heavy, wait: Wait = True) -> Any:
     """With more runs of the unit where `runs` names them. The document is kept with the run.
 
-    At most 4,000 poses. It is given up where its client leaves; 429 where many are waiting already.
+    At most 4,000 poses. It is given up where its client leaves; 429 where many are waiting already. The
+    `fraction` of its job is the share of searches done: over all poses, and in each fold of the
+    cross-validation.
     """
-    question = await run_in_threadpool(context.diagnoses.question, run.id, body.runs)
-    try:
-        found = await heavy(question)
-    except DiagnosisError as error:
-        raise Invalid(f"run {run.id}: {error}") from error
-    return await run_in_threadpool(context.diagnoses.keep, run.id, found)
+
+    async def work(job: Job) -> dict[str, Any]:
+        question = await run_in_threadpool(context.diagnoses.question, run.id, body.runs)
+        try:
+            found = await job.run(question, tells_progress=True)
+        except DiagnosisError as error:
+            raise Invalid(f"run {run.id}: {error}") from error
+        return await run_in_threadpool(context.diagnoses.keep, run.id, found)
+
+    return await heavy.answer(work, wait=wait, kept_at=lambda _: f"/api/runs/{run.id}/diagnosis")
 
 
 @router.get(
@@ -216,25 +231,39 @@ def last_diagnosis(run: KnownRun, context: Context) -> dict[str, Any]:
 
 @router.post(
     "/api/runs/{run_id}/diagnosis/accept",
+    dependencies=[requires("releaser")],
     response_model=RunAnswer,
     responses=problems(404, 409, 413, 422),
     summary="Put effects of a diagnosis in force",
 )
-def accept(run: KnownRun, body: Accept, context: Context) -> Run:
+def accept(run: KnownRun, body: Accept, context: Context, who: Who) -> Run:
     """From now on: those of the sensor for the unit, those of the stage for the rig."""
-    return context.diagnoses.accept(run.id, body.effects)
+    return context.acceptance.accept(run.id, body.effects, who=who)
+
+
+@router.post(
+    "/api/runs/{run_id}/diagnosis/withdraw",
+    dependencies=[requires("releaser")],
+    response_model=RunAnswer,
+    responses=problems(404, 409, 413, 422),
+    summary="Take accepted effects back",
+)
+def take_back(run: KnownRun, body: TakeBack, context: Context, who: Who) -> Run:
+    """What was accepted from this run is in force no more; what was accepted before it is so again."""
+    return context.acceptance.take_back(run.id, body.effects, body.reason, who=who)
 
 
 @router.post(
     "/api/runs/{run_id}/follow-up",
+    dependencies=[requires("operator")],
     status_code=201,
     response_model=RunAnswer,
     responses=problems(404, 409),
     summary="Start the run that separates what the diagnosis could not",
 )
-async def follow_up(run: KnownRun, context: Context, heavy: Heavy) -> Run:
+async def follow_up(run: KnownRun, context: Context, heavy: Heavy, who: Who) -> Run:
     """409, with the reason, where no run on this rig would help. Its diagnosis is of all runs together."""
-    return await run_in_threadpool(context.service.follow_up, run.id, heavy.from_thread)
+    return await run_in_threadpool(context.service.follow_up, run.id, heavy.from_thread, who)
 
 
 @router.get(

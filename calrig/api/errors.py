@@ -6,6 +6,7 @@ import logging
 from collections.abc import Sequence
 from tempfile import gettempdir
 from typing import Any
+from urllib.parse import quote
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
@@ -15,16 +16,24 @@ from starlette.responses import JSONResponse
 from calrig.analysis.errors import Conflict, Invalid, RunsError, Unknown
 from calrig.api.models import Problem
 from calrig.api.origin_check import HEADERS, NOT_KEPT
-from calrig.processes.pool import WorkLost, WorkRefused, WorkTooLarge
-from calrig.store.errors import NotFound, StoreError, StoreUnavailableError
+from calrig.invalid_fields import SHOWN, in_words, path_of
+from calrig.processes.pool import WorkError, WorkLost, WorkRefused, WorkTooLarge
+from calrig.store.errors import NotFound, Refused, StoreError, StoreUnavailableError
 
 log = logging.getLogger(__name__)
 
+FIELDS = "Calrig-Fields"
+"""The header of a refusal with the places that are wrong, percent-encoded: `plan.elevations_deg[1]`."""
+
 STATUS: dict[type[RunsError], int] = {Unknown: 404, Conflict: 409, Invalid: 422}
+STORE_STATUS: dict[type[StoreError], int] = {NotFound: 404, Refused: 409, StoreUnavailableError: 503}
+
+DEFECT = "calrig failed inside; the service's log says where"
 
 WORDS = {
     401: "No token or session was shown, or a wrong one",
-    403: "The request came by a name that is not the service's, or from a page elsewhere",
+    403: "Who asks may not do this; or the request came by a name that is not the service's, or from a page "
+    "elsewhere",
     404: "Unknown",
     408: "The body came too slowly",
     409: "The rig is busy, the run's state does not allow this, or the stage was not seen to stand",
@@ -61,13 +70,21 @@ def install(app: FastAPI) -> None:
 
 async def _runs_error(_request: Request, error: Exception) -> JSONResponse:
     status = next((code for kind, code in STATUS.items() if isinstance(error, kind)), 500)
-    return JSONResponse({"detail": str(error)}, status_code=status)
+    assert isinstance(error, RunsError)  # noqa: S101 (as registered)
+    return JSONResponse({"detail": str(error)}, status, _naming(error.fields[:SHOWN]))
+
+
+def _naming(fields: Sequence[str]) -> dict[str, str]:
+    """The header that names places in what was sent: the answer's body is `detail` and nothing else."""
+    return (
+        {FIELDS: " ".join(quote(field, safe="[]._", errors="replace") for field in fields)} if fields else {}
+    )
 
 
 async def _store_error(_request: Request, error: Exception) -> JSONResponse:
     # Full, locked or read-only is the operator's to mend, and then the same request will do.
-    status = 404 if isinstance(error, NotFound) else 503 if isinstance(error, StoreUnavailableError) else 500
-    if status != 404:
+    status = next((code for kind, code in STORE_STATUS.items() if isinstance(error, kind)), 500)
+    if status >= 500:
         log.error("%s", error)
     return JSONResponse({"detail": str(error)}, status_code=status)
 
@@ -87,14 +104,18 @@ async def _work_lost(_request: Request, error: Exception) -> JSONResponse:
 
 async def _defect(_request: Request, _error: Exception) -> JSONResponse:
     # This answer is given outside of every middleware, the origin check too.
-    return JSONResponse(
-        {"detail": "calrig failed inside; the service's log says where"}, 500, HEADERS | NOT_KEPT
-    )
+    return JSONResponse({"detail": DEFECT}, 500, HEADERS | NOT_KEPT)
 
 
 async def _validation_error(_request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, RequestValidationError)  # noqa: S101 (as registered)
-    return JSONResponse({"detail": in_words(error.errors())}, status_code=422)
+    # pydantic's places begin with where they were looked for: body, query or path
+    problems = [{**one, "loc": one["loc"][1:]} for one in error.errors()]
+    if problems and problems[0]["type"] == "json_invalid":
+        said = f"The body is not JSON: {problems[0].get('ctx', {}).get('error', problems[0]['msg'])}"
+        return JSONResponse({"detail": said}, status_code=422)
+    named = _naming([path_of(one) for one in problems[:SHOWN]])
+    return JSONResponse({"detail": in_words(problems)}, 422, named)
 
 
 async def _http_error(_request: Request, error: Exception) -> JSONResponse:
@@ -109,21 +130,13 @@ async def _http_error(_request: Request, error: Exception) -> JSONResponse:
     return JSONResponse({"detail": error.detail}, status_code=status, headers=error.headers)
 
 
+def reason_of(error: BaseException) -> str:
+    """What an answer would say of an error, for work whose end no answer tells."""
+    if isinstance(error, HTTPException):
+        return str(error.detail)
+    return str(error) if isinstance(error, RunsError | StoreError | WorkError) else DEFECT
+
+
 def no_room(reason: str | None) -> str:
     """What is said where an upload cannot be kept until it is read."""
     return f"{gettempdir()}: a file cannot be laid there ({reason}): make room there"
-
-
-def in_words(problems: Sequence[Any]) -> str:
-    """What is wrong with a body, query or path: the first few fields at fault, each with its reason."""
-    shown = [f"{_place(p['loc'])}: {p['msg'].removeprefix('Value error, ')}" for p in problems[:3]]
-    more = len(problems) - len(shown)
-    return "; ".join([*shown, f"and {more} more"] if more > 0 else shown)
-
-
-def _place(loc: Sequence[str | int]) -> str:
-    """`plan.elevations_deg[3]` for `("body", "plan", "elevations_deg", 3)`."""
-    place = ""
-    for part in loc[1:] if len(loc) > 1 else loc:
-        place += f"[{part}]" if isinstance(part, int) else f"{'.' if place else ''}{part}"
-    return place if len(place) <= 200 else place[:200] + "…"

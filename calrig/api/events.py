@@ -67,18 +67,8 @@ async def _news(run: KnownRun, context: Context) -> AsyncIterator[asyncio.Event]
     """
     if len(context.streams) >= MOST:
         raise HTTPException(503, f"{MOST} event streams are open: close some", {"Retry-After": "5"})
-    loop = asyncio.get_running_loop()
-    news = asyncio.Event()
-
-    def wake() -> None:
-        loop.call_soon_threadsafe(news.set)
-
-    unsubscribe = context.service.bus.subscribe(run.id, wake)
-    try:
-        with context.streams.joined(news):
-            yield news
-    finally:
-        unsubscribe()
+    with context.streams.joined(context.service.bus, run.id) as news:
+        yield news
 
 
 @router.get(
@@ -110,6 +100,7 @@ async def _follow(context: ApiContext, news: asyncio.Event, run_id: str, known: 
         look = partial(_look, context, run_id, known)
         seen = await context.streams.looks.share((run_id, known), look)
         if seen.written:
+            await context.streams.turns.wait()
             yield seen.written
             known = seen.last
         if seen.has_more:

@@ -3,12 +3,16 @@
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Path
+from fastapi import APIRouter, Path, Query
 
 from calrig import figures
+from calrig.analysis.active_calibration import left_of_poses_deg
+from calrig.analysis.check_unit import check_chart
 from calrig.analysis.comparison import compared_runs
 from calrig.analysis.error_map import error_map
 from calrig.analysis.errors import Unknown
+from calrig.analysis.histories import histories
+from calrig.analysis.unit_changes import charts
 from calrig.api.compare import Units
 from calrig.api.context import ApiContext, Context, KnownRun, KnownUnit
 from calrig.api.errors import problems
@@ -19,6 +23,8 @@ BATCH = 5000
 """Events read at once."""
 EFFECT = "effect-"
 RunFigure = Annotated[str, Path(pattern=rf"^(timeline|residual|diagnosis|{EFFECT}\d{{1,3}})$")]
+
+Chosen = Annotated[list[str] | None, Query(description="Units with a colour where not all have one.")]
 
 router = APIRouter(tags=["figures"])
 
@@ -71,11 +77,11 @@ def _readings(context: ApiContext, run_id: str) -> Iterator[dict[str, Any]]:
 
 def _residual(context: ApiContext, run: Run) -> figures.Figure:
     stored = context.store.poses(run.id)
-    result = run.result or {"bias_deg": None, "scale": None}
+    poses = [s.pose for s in stored]
     return figures.residual(
-        [s.pose for s in stored],
-        bias_deg=result["bias_deg"],
-        scale=result["scale"],
+        poses,
+        left_deg=None if run.result is None else left_of_poses_deg(context.store, run, poses),
+        scale=None if run.result is None else run.result["scale"],
         excluded={place for place, s in enumerate(stored) if s.excluded is not None},
     )
 
@@ -101,7 +107,40 @@ def rig_error_map(name: str, context: Context) -> figures.Figure:
 )
 def unit_history(unit: KnownUnit, context: Context) -> figures.Figure:
     """Bias, scale and RMS of its runs over time."""
-    return figures.history(compared_runs(context.store, [unit.serial])[unit.serial])
+    found = histories(context.store)
+    return figures.history(compared_runs(context.store, [unit.serial], found)[unit.serial])
+
+
+@router.get(
+    "/api/units/{serial:path}/figures/chart",
+    response_model=Figure,
+    responses=problems(404),
+    summary="A unit's control chart",
+)
+def unit_chart(unit: KnownUnit, context: Context) -> figures.Figure:
+    """Moving averages of bias and scale since the unit last changed; empty where repeatability is unknown."""
+    found = histories(context.store)
+    drawn = {
+        name: chart
+        for name, chart in zip(("bias", "scale"), charts(found, unit.serial), strict=True)
+        if chart
+    }
+    averages = {name: chart.average.tolist() for name, chart in drawn.items()}
+    limit: list[float] = next((chart.limit.tolist() for chart in drawn.values()), [])
+    when = [found.rows[place].finished_at for place in found.of(unit.serial)] if drawn else []
+    return figures.control_chart(when, averages, limit)
+
+
+@router.get(
+    "/api/rigs/{name}/figures/check-unit",
+    response_model=Figure,
+    responses=problems(404),
+    summary="A rig's control chart",
+)
+def rig_chart(name: str, context: Context) -> figures.Figure:
+    """Moving averages of its check unit's bias and scale."""
+    context.service.known_rig(name)
+    return figures.control_chart(*check_chart(context.store, name))
 
 
 @router.get(
@@ -111,14 +150,23 @@ def unit_history(unit: KnownUnit, context: Context) -> figures.Figure:
     summary="A picture of several units",
 )
 def compare_figure(
-    name: Literal["bias", "scale", "rms", "residuals"], context: Context, unit: Units = None
+    name: Literal["bias", "scale", "rms", "residuals"],
+    context: Context,
+    unit: Units = None,
+    chosen: Chosen = None,
 ) -> figures.Figure:
-    """`bias`, `scale`, `rms` over time; `residuals`: of each unit's latest run, laid over each other."""
-    units = compared_runs(context.store, unit)
+    """`bias`, `scale`, `rms` over time; `residuals`: of each unit's latest run, laid over each other.
+
+    Where units are more than colours, all but the `chosen` ones are dimmed; without any, all but those that
+    changed (or the first eight, where none did).
+    """
+    found = histories(context.store)
+    units = compared_runs(context.store, unit, found)
+    coloured = chosen or found.changed_units()
     if name != "residuals":
-        return figures.compare(name, units)
+        return figures.compare(name, units, coloured)
     curves = [_curve(context, serial, runs[-1]) for serial, runs in units.items() if runs]
-    return figures.residuals_overlaid(curves)
+    return figures.residuals_overlaid(curves, coloured)
 
 
 def _curve(context: ApiContext, serial: str, run: figures.Run) -> figures.Curve:

@@ -6,9 +6,11 @@ from fastapi import APIRouter, Depends, Request, Response
 from pydantic import Field
 
 from calrig.api.authentication import Authentication
+from calrig.api.callers import Caller, caller_of
 from calrig.api.errors import problems
 from calrig.api.limits import LOGIN_BYTES, LOGIN_PATH
 from calrig.api.models import Answer, Body
+from calrig.store.users import Role
 
 router = APIRouter(tags=["access"])
 
@@ -20,10 +22,13 @@ class Login(Body):
 
 
 class LoginAnswer(Answer):
-    """Whether a token is asked for, and whether whoever asks has logged in."""
+    """Whether to show who one is, whether whoever asks has, and who they are then."""
 
     needed: bool
     logged_in: bool
+    name: str | None = Field(description="Null where nobody is known by name.")
+    role: Role | None = Field(description="What they may; null before they have shown who they are.")
+    session: bool = Field(description="Whether they logged in here, and can log out.")
 
 
 def _authentication(request: Request) -> Authentication:
@@ -37,7 +42,7 @@ Auth = Annotated[Authentication, Depends(_authentication)]
 @router.get(LOGIN_PATH, summary="Whether to log in")
 async def login_state(request: Request, auth: Auth) -> LoginAnswer:
     """Open to everybody, so that the page knows what to show."""
-    return LoginAnswer(needed=auth.access.token is not None, logged_in=auth.has_session(request))
+    return _answer(auth, caller_of(request), session=auth.has_session(request))
 
 
 @router.post(
@@ -45,15 +50,25 @@ async def login_state(request: Request, auth: Auth) -> LoginAnswer:
 )
 async def log_in(body: Login, request: Request, response: Response, auth: Auth) -> LoginAnswer:
     """Sets a cookie that lasts twelve hours. A wrong token is 401, a second later."""
-    if auth.access.token is None:
-        return LoginAnswer(needed=False, logged_in=False)
+    if not auth.asks:
+        return _answer(auth, caller_of(request), session=False)
     await auth.check_token(request, body.token)
-    auth.set_cookie(request, response)
-    return LoginAnswer(needed=True, logged_in=True)
+    auth.set_cookie(request, response, body.token)
+    return _answer(auth, caller_of(request), session=True)
 
 
 @router.post("/api/logout", summary="Log out on the page")
 async def log_out(request: Request, response: Response, auth: Auth) -> LoginAnswer:
     """Ends the session whose cookie came along."""
     auth.drop_cookie(request, response)
-    return LoginAnswer(needed=auth.access.token is not None, logged_in=False)
+    return _answer(auth, None, session=False)
+
+
+def _answer(auth: Authentication, caller: Caller | None, *, session: bool) -> LoginAnswer:
+    return LoginAnswer(
+        needed=auth.asks,
+        logged_in=auth.asks and caller is not None,
+        name=caller and caller.name,
+        role=caller and caller.role,
+        session=session,
+    )

@@ -1,6 +1,6 @@
 """What a run measured: its poses and its raw samples."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from itertools import chain
 from typing import Annotated, Any, AnyStr, Literal
@@ -9,7 +9,7 @@ from fastapi import APIRouter, Header, Query
 from fastapi.responses import PlainTextResponse, Response, StreamingResponse
 from pydantic_core import to_json
 
-from calrig.analysis.results import pose_residuals_deg
+from calrig.analysis.active_calibration import left_of_poses_deg
 from calrig.api.context import ApiContext, Context, KnownRun
 from calrig.api.errors import problems, problems_in_json
 from calrig.api.models import PoseAnswer
@@ -17,7 +17,7 @@ from calrig.calibration.pose import Pose
 from calrig.calibration.result import raw_error_deg
 from calrig.export.poses_csv import write_pose_batches
 from calrig.export.samples_csv import write_samples_csv, write_samples_npz
-from calrig.store import Run, StoredPose
+from calrig.store import Run, Store, StoredPose
 
 CSV = "text/csv; charset=utf-8"
 _TEXT = {"schema": {"type": "string"}}
@@ -42,7 +42,7 @@ def poses(
     # Tens of thousands of them, straight from the store: a test holds them to the model.
     if format == "csv" or (format is None and _prefers_csv(accept)):
         return _streamed(write_pose_batches(partial(_counted, context, run)), CSV, f"run-{run.id}-poses.csv")
-    return _streamed(_json(run, context.store.pose_batches(run.id)), "application/json")
+    return _streamed(_json(run, context.store), "application/json")
 
 
 def _counted(context: ApiContext, run: Run) -> Iterator[list[Pose]]:
@@ -50,11 +50,11 @@ def _counted(context: ApiContext, run: Run) -> Iterator[list[Pose]]:
         yield [stored.pose for stored in batch if stored.excluded is None]
 
 
-def _json(run: Run, batches: Iterable[list[StoredPose]]) -> Iterator[bytes]:
+def _json(run: Run, store: Store) -> Iterator[bytes]:
     """A JSON array, piece by piece."""
     begin = b"["
-    for batch in batches:
-        left_deg = pose_residuals_deg(run, [p.pose for p in batch])
+    for batch in store.pose_batches(run.id):
+        left_deg = left_of_poses_deg(store, run, [p.pose for p in batch])
         poses = [_pose(p, left) for p, left in zip(batch, left_deg, strict=True)]
         yield begin + to_json(poses, inf_nan_mode="null")[1:-1]
         begin = b","

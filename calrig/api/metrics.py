@@ -39,6 +39,7 @@ class _Standing(Collector):
 
     def __init__(self, context: ApiContext) -> None:
         self._service, self._store, self._streams = context.service, context.store, context.streams
+        self._due_dates = context.due_dates
 
     def collect(self) -> Iterator[Metric]:
         """Every family, in the order shown."""
@@ -54,12 +55,15 @@ class _Standing(Collector):
     def _stored(self) -> Iterator[Metric]:
         """The store, as far as it can be read: that it cannot is what a watcher wants to know."""
         runs = GaugeMetricFamily("calrig_runs", "Runs in the store.", labels=["status"])
+        overdue = GaugeMetricFamily("calrig_units_overdue", "Units that are due to be calibrated.", labels=[])
         try:
             for status, number in self._store.count_runs().items():
                 runs.add_metric([status], number)
+            overdue.add_metric([], self._due_dates().overdue)
             up = 1.0
         except StoreError:
             up = 0.0
+        yield overdue
         yield GaugeMetricFamily("calrig_store_up", "1 where the store can be read.", up)
         yield runs
         size = self._store.size()

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from calrig.calibration.over_range import OverRange
 from calrig.calibration.verdict import Verdict
 from calrig.plan import Plan
 
@@ -40,15 +41,25 @@ class StartRun(Body):
 
 
 class Reason(Body):
-    """Why something measured is not to count."""
+    """Why something is done: it stays with what is done."""
 
     reason: str
 
 
 class Problem(Answer):
-    """Every error."""
+    """Every error; the header `Calrig-Fields` names places in the body: `plan.elevations_deg[1]`."""
 
     detail: str
+
+
+class JobAnswer(Answer):
+    """Long work under way or ended."""
+
+    id: str
+    state: Literal["queued", "running", "done", "failed", "cancelled"]
+    fraction: float | None = Field(description="Share that is done; null where the work cannot say.")
+    result: str | None = Field(description="Path of what came of it, once it is done.")
+    error: str | None
 
 
 class Health(Answer):
@@ -101,6 +112,7 @@ class ReferenceAnswer(Answer):
     kind: Literal["setting", "harmonic", "common"]
     bias_std_deg: float
     scale_std: float | None
+    distribution: Literal["rectangular", "normal"] = "rectangular"
 
 
 class LineAnswer(Answer):
@@ -125,6 +137,7 @@ class ResultAnswer(LineAnswer):
     temperature_c: Extremes | None
     gyro: GyroAnswer
     reference: ReferenceAnswer | None = None  # of runs stored before it was computed: null
+    over_range: OverRange | None = None  # likewise
 
 
 class VoidedAnswer(Answer):
@@ -132,6 +145,13 @@ class VoidedAnswer(Answer):
 
     reason: str
     at: datetime
+
+
+class SuspectAnswer(Answer):
+    """The rig was in doubt when the run was made: its check unit failed since it had last passed."""
+
+    reason: str
+    check_run_id: str
 
 
 class RunAnswer(Answer):
@@ -156,6 +176,7 @@ class RunAnswer(Answer):
     started_at: datetime | None
     finished_at: datetime | None
     error: str | None
+    suspect: SuspectAnswer | None
 
 
 class RunList(Answer):
@@ -199,6 +220,10 @@ class UnitAnswer(Answer):
     created_at: datetime
     n_runs: int
     last_run_at: datetime | None
+    due_at: datetime | None = Field(description="When it is to be calibrated again; null before the first.")
+    overdue: bool
+    due_method: Literal["interval", "drift"] | None
+    due_says: str
 
 
 class UnitWithRuns(UnitAnswer):
@@ -206,6 +231,7 @@ class UnitWithRuns(UnitAnswer):
 
     runs: list[RunAnswer]
     active_run_id: str | None = Field(description="The run that the calibration in force is from.")
+    revision_in_force: int | None
 
 
 class Figure(Answer):

@@ -12,7 +12,8 @@ from calrig.analysis.log_studies import Study, study_file, study_samples
 from calrig.analysis.noise_studies import NAMES, gyro_scale_of, lay_samples, require_static
 from calrig.api.context import ApiContext, Context, KnownRun
 from calrig.api.errors import problems
-from calrig.api.heavy import Heavy, HeavyWork
+from calrig.api.heavy import ACCEPTED, Heavy, HeavyWork, Wait
+from calrig.api.job import Job
 from calrig.api.limits import UPLOAD_BYTES, copied, name_of, on_disk
 from calrig.api.models import Answer
 from calrig.api.models import Figure as FigureAnswer
@@ -133,31 +134,31 @@ class FiltersAnswer(Answer):
 @router.get(
     "/api/runs/{run_id}/noise",
     response_model=NoiseAnswer,
-    responses=problems(404, 409, 422),
+    responses=ACCEPTED | problems(404, 409, 422),
     summary="The noise in the log of a static run",
 )
-async def run_noise(run: KnownRun, context: Context, heavy: Heavy) -> dict[str, Any]:
+async def run_noise(run: KnownRun, context: Context, heavy: Heavy, wait: Wait = True) -> Any:
     """Allan deviation, spectrum, distribution and dependence on temperature of each channel."""
     require_static(run)
-    return await _of_run("noise", run, context, heavy)
+    return await _of_run("noise", run, context, heavy, wait)
 
 
 @router.get(
     "/api/runs/{run_id}/filters",
     response_model=FiltersAnswer,
-    responses=problems(404, 409, 422),
+    responses=ACCEPTED | problems(404, 409, 422),
     summary="The filters side by side on a run's samples",
 )
-async def run_filters(run: KnownRun, context: Context, heavy: Heavy) -> dict[str, Any]:
+async def run_filters(run: KnownRun, context: Context, heavy: Heavy, wait: Wait = True) -> Any:
     """Jitter, lag and largest offset of each, the Kalman filter tuned from the run's own rests among them."""
-    return await _of_run("filters", run, context, heavy)
+    return await _of_run("filters", run, context, heavy, wait)
 
 
 @router.post(
     "/api/noise",
     max_body_size=UPLOAD_BYTES,
     response_model=NoiseAnswer,
-    responses=problems(408, 413, 422, 503),
+    responses=ACCEPTED | problems(408, 413, 422, 503),
     summary="The noise in a log from anybody's sensor",
 )
 async def log_noise(
@@ -166,16 +167,17 @@ async def log_noise(
     rate_hz: Rate = None,
     accel_range_g: Range = None,
     gyro_range_dps: Range = None,
-) -> dict[str, Any]:
+    wait: Wait = True,
+) -> Any:
     """The sensor was at rest. Nothing is stored."""
-    return await _of_file("noise", file, heavy, rate_hz, accel_range_g, gyro_range_dps)
+    return await _of_file("noise", file, heavy, wait, rate_hz, accel_range_g, gyro_range_dps)
 
 
 @router.post(
     "/api/filters",
     max_body_size=UPLOAD_BYTES,
     response_model=FiltersAnswer,
-    responses=problems(408, 413, 422, 503),
+    responses=ACCEPTED | problems(408, 413, 422, 503),
     summary="The filters side by side on a log from anybody's sensor",
 )
 async def log_filters(
@@ -184,37 +186,40 @@ async def log_filters(
     rate_hz: Rate = None,
     accel_range_g: Range = None,
     gyro_range_dps: Range = None,
-) -> dict[str, Any]:
+    wait: Wait = True,
+) -> Any:
     """The sensor was at rest and was turned about its x axis. Nothing is stored."""
-    return await _of_file("filters", file, heavy, rate_hz, accel_range_g, gyro_range_dps)
+    return await _of_file("filters", file, heavy, wait, rate_hz, accel_range_g, gyro_range_dps)
 
 
-async def _of_run(study: Study, run: Run, context: ApiContext, heavy: HeavyWork) -> dict[str, Any]:
-    async with on_disk(partial(lay_samples, context.store, run.id)) as path:
-        try:
-            return await heavy(partial(study_samples, study, path, NAMES, gyro_scale_of(run)))
-        except ValueError as error:
-            raise Invalid(f"run {run.id}: {error}") from error
+async def _of_run(study: Study, run: Run, context: ApiContext, heavy: HeavyWork, wait: bool) -> Any:
+    async def work(job: Job) -> dict[str, Any]:
+        async with on_disk(partial(lay_samples, context.store, run.id)) as path:
+            try:
+                return await job.run(partial(study_samples, study, path, NAMES, gyro_scale_of(run)))
+            except ValueError as error:
+                raise Invalid(f"run {run.id}: {error}") from error
+
+    return await heavy.answer(work, wait=wait)
 
 
 async def _of_file(
     study: Study,
     file: UploadFile,
     heavy: HeavyWork,
+    wait: bool,
     rate_hz: float | None,
     accel_range_g: float | None,
     gyro_range_dps: float | None,
-) -> dict[str, Any]:
-    async with on_disk(copied(file)) as path:
-        question = partial(
-            study_file,
-            study,
-            path,
-            rate_hz=rate_hz,
-            accel_range_g=accel_range_g,
-            gyro_range_dps=gyro_range_dps,
-        )
-        try:
-            return await heavy(question)
-        except ValueError as error:
-            raise Invalid(f"{name_of(file)}: {error}") from error
+) -> Any:
+    given = {"rate_hz": rate_hz, "accel_range_g": accel_range_g, "gyro_range_dps": gyro_range_dps}
+    name = name_of(file)
+
+    async def work(job: Job) -> dict[str, Any]:
+        async with on_disk(copied(file)) as path:
+            try:
+                return await job.run(partial(study_file, study, path, **given))
+            except ValueError as error:
+                raise Invalid(f"{name}: {error}") from error
+
+    return await heavy.answer(work, wait=wait)

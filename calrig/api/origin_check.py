@@ -16,7 +16,8 @@ from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from calrig.api.access import Access, address_in, is_loopback
-from calrig.api.authentication import Authentication, address_of
+from calrig.api.authentication import Authentication
+from calrig.api.callers import address_of
 from calrig.api.lingering import CLOSE
 
 OPEN = frozenset({"/", "/api/health", "/api/login"})

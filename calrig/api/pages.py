@@ -20,6 +20,7 @@ from starlette.types import Scope
 REVALIDATE = {"Cache-Control": "no-cache"}
 KEEP = {"Cache-Control": "public, max-age=31536000, immutable"}
 DIGITS = 16
+_IMPORTED = re.compile(r"""^(?:import|\}) [^()]*?"\./([^"/]+\.js)";""", re.MULTILINE)
 _DIGEST = re.compile(rf"^([0-9a-f]{{{DIGITS}}})/")
 
 
@@ -38,12 +39,11 @@ class _PageFiles(StaticFiles):
         return response
 
     def index(self, request: Request) -> Response:
-        """`index.html` with today's addresses, all modules among them: no import waits for another."""
+        """`index.html` with today's addresses, its modules among them: no import waits for another."""
         files = _files(self.web)
         digest = _digest(files)
         html = (self.web / "index.html").read_text(encoding="utf-8")
-        modules = [file.name for file, *_ in files if file.parent == self.web and file.suffix == ".js"]
-        preloads = [f'<link rel="modulepreload" href="/web/{name}">' for name in modules]
+        preloads = [f'<link rel="modulepreload" href="/web/{name}">' for name in _modules(files)]
         html = html.replace("</head>", "\n    ".join([" ", *preloads]) + "\n  </head>")
         headers = {**REVALIDATE, "ETag": f'"{digest}"'}
         response = HTMLResponse(html.replace('"/web/', f'"/web/{digest}/'), headers=headers)
@@ -77,6 +77,17 @@ _Files = tuple[tuple[Path, int, int], ...]
 def _files(web: Path) -> _Files:
     found = sorted(path for path in web.rglob("*") if path.is_file())
     return tuple((path, (stat := path.stat()).st_mtime_ns, stat.st_size) for path in found)
+
+
+@lru_cache(maxsize=4)
+def _modules(files: _Files) -> list[str]:
+    """The modules that `main.js` imports, and those that they do; not what is imported when it is needed."""
+    texts = {path.name: path.read_text(encoding="utf-8") for path, *_ in files if path.suffix == ".js"}
+    found, fresh = set[str](), {"main.js"}
+    while fresh:
+        found |= fresh
+        fresh = {name for one in fresh for name in _IMPORTED.findall(texts.get(one, ""))} - found
+    return sorted(found)
 
 
 @lru_cache(maxsize=4)

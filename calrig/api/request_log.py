@@ -5,7 +5,10 @@ from __future__ import annotations
 import logging
 import time
 
+from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from calrig.api.callers import caller_of
 
 log = logging.getLogger(__name__)
 
@@ -41,10 +44,11 @@ class RequestLog:
 
 
 def _say(scope: Scope, status: int, took_s: float) -> None:
-    client = scope.get("client")
+    client, caller = scope.get("client"), caller_of(HTTPConnection(scope))
     named = {name: scope.get("path_params", {}).get(name) for name in ("run_id",)}
     fields = {
         **{name: value for name, value in named.items() if value is not None},
+        **({} if caller is None or caller.name is None else {"user": caller.name}),
         "client": client[0] if client else "?",
         "method": scope["method"],
         "path": scope["path"],

@@ -3,18 +3,22 @@
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
 import asyncio
+from functools import partial
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Query
+from fastapi import APIRouter, Query
 from pydantic import Field
 
 import calrig
+from calrig.analysis.check_unit import with_doubts
 from calrig.analysis.errors import Invalid
+from calrig.api.callers import Who, requires
 from calrig.api.context import Context, KnownRun
 from calrig.api.errands import answer_of
 from calrig.api.errors import problems
-from calrig.api.models import Answer, Health, Reason, RigAnswer, RunAnswer, RunList, StartRun, Status
+from calrig.api.models import Answer, Health, RigAnswer, RunAnswer, RunList, StartRun, Status
 from calrig.instruments import scan as ports
+from calrig.instruments.clock import WALL
 from calrig.instruments.scan import Kind
 from calrig.instruments.scan_stanza import stanza
 from calrig.store import Run
@@ -55,13 +59,20 @@ def rigs(context: Context) -> object:
     return context.service.rigs()
 
 
-@router.post("/api/rigs/scan", response_model=ScanAnswer, summary="Look who answers on which port")
-def scan(context: Context) -> object:
+@router.post(
+    "/api/rigs/scan",
+    dependencies=[requires("operator")],
+    response_model=ScanAnswer,
+    summary="Look who answers on which port",
+)
+async def scan(context: Context) -> object:
     """Moves nothing, but resets most boards; ports of this service's rigs and those in use are left alone.
 
-    It takes some seven seconds.
+    It takes some seven seconds. Who asks meanwhile shares the answer: two at once would find each port in
+    use by the other.
     """
-    found = ports.scan(ours=context.service.ports())
+    looking = context.scans.share("scan", WALL, partial(ports.scan, ours=context.service.ports()))
+    found = await asyncio.shield(asyncio.wrap_future(looking.future))
     return {"found": found, "stanza": stanza(found, {rig.name for rig in context.service.rigs()})}
 
 
@@ -74,25 +85,30 @@ def scan(context: Context) -> object:
 async def stop(name: str, context: Context) -> object:
     """Whatever runs on it is aborted; a stage that stands by itself is told as well.
 
-    200 once the stage was seen to stand, twice at one angle; else 409 within ten seconds.
+    200 once the stage was seen to stand, twice at one angle; else 409 within ten seconds, within two where
+    its port does not open.
     """
     return await answer_of(context.service.begin_stop(name), f"the stage of rig {name!r}")
 
 
 @router.post(
     "/api/runs",
+    dependencies=[requires("operator")],
     status_code=201,
     response_model=RunAnswer,
     responses=problems(404, 409, 413, 422),
     summary="Start a run",
 )
-def start_run(body: StartRun, context: Context) -> Run:
-    """Everything but `unit` is optional. A busy rig is 409; `queued` lasts until the worker takes the run."""
+def start_run(body: StartRun, context: Context, who: Who) -> Run:
+    """Everything but `unit` is optional. A busy rig is 409; `queued` lasts until the worker takes the run.
+
+    `operator` is who asks, where that is known by name.
+    """
     return context.service.start(
         unit=body.unit,
         rig=body.rig,
         plan=body.plan,
-        operator=body.operator,
+        operator=who or body.operator,
         note=body.note,
         stage_at_deg=body.stage_at_deg,
     )
@@ -112,13 +128,13 @@ def list_runs(
         items, next_cursor = context.store.runs(unit=unit, rig=rig, status=status, limit=limit, cursor=cursor)
     except ValueError as error:
         raise Invalid(str(error)) from error
-    return {"items": items, "next_cursor": next_cursor}
+    return {"items": with_doubts(context.store, items), "next_cursor": next_cursor}
 
 
 @router.get("/api/runs/{run_id}", response_model=RunAnswer, responses=problems(404), summary="One run")
-def show_run(run: KnownRun) -> Run:
+def show_run(run: KnownRun, context: Context) -> Run:
     """How far it is, what came out and where it came from."""
-    return run
+    return with_doubts(context.store, [run])[0]
 
 
 @router.post(
@@ -137,6 +153,7 @@ async def abort_run(run_id: str, context: Context) -> Run:
 
 @router.post(
     "/api/runs/{run_id}/pause",
+    dependencies=[requires("operator")],
     response_model=RunAnswer,
     responses=problems(404, 409),
     summary="Finish the pose in hand and hold",
@@ -148,6 +165,7 @@ def pause_run(run: KnownRun, context: Context) -> Run:
 
 @router.post(
     "/api/runs/{run_id}/resume",
+    dependencies=[requires("operator")],
     response_model=RunAnswer,
     responses=problems(404, 409),
     summary="Go on with a paused or interrupted run",
@@ -159,27 +177,3 @@ def resume_run(run: KnownRun, context: Context) -> Run:
     touched, it becomes `interrupted` again with the reason in `error`.
     """
     return context.service.resume(run.id)
-
-
-@router.post(
-    "/api/runs/{run_id}/void",
-    response_model=RunAnswer,
-    responses=problems(404, 409, 413, 422),
-    summary="Keep a run, out of every comparison",
-)
-def void_run(run: KnownRun, body: Reason, context: Context) -> Run:
-    """Nothing is deleted."""
-    return context.records.void(run.id, body.reason)
-
-
-@router.post(
-    "/api/runs/{run_id}/poses/{index}/exclude",
-    response_model=RunAnswer,
-    responses=problems(404, 409, 413, 422),
-    summary="Keep a pose, out of the result",
-)
-def exclude_pose(
-    run: KnownRun, index: Annotated[int, Path(ge=0, lt=2**31)], body: Reason, context: Context
-) -> Run:
-    """The result is computed again from the poses that are left."""
-    return context.records.exclude_pose(run.id, index, body.reason)

@@ -29,6 +29,7 @@ class Server(uvicorn.Server):
             uvicorn.Config(
                 app,
                 http=PatientProtocol,
+                proxy_headers=False,  # the application sees to them, and to whose they are
                 log_config=None,  # as calrig.logs says
                 log_level="warning",
                 access_log=False,

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from calrig.calibration.candidates import Candidate
 from calrig.calibration.cross_validation import errors_deg
@@ -163,7 +163,7 @@ def _contradicts(r: Responses, accepted: Sequence[Candidate], place: int, whole:
         change = part.beta[at] - whole.beta[at]
         # Var(change) = Var(part) − Var(whole), which errs with both: the first alone is on the safe side
         distance = float(change @ np.linalg.pinv(part.covariance[at, at], hermitian=True) @ change)
-        if chi2.sf(distance, len(change)) < UNSTABLE:
+        if chdtrc(len(change), distance) < UNSTABLE:
             return True
     return False
 

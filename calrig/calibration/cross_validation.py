@@ -6,7 +6,7 @@ that did not serve to decide (confirmation).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,13 +40,26 @@ class CrossValidation:
 
 
 def cross_validate(
-    r: Responses, candidates: Sequence[Candidate], rng: np.random.Generator
+    r: Responses,
+    candidates: Sequence[Candidate],
+    rng: np.random.Generator,
+    progress: Callable[[float], None] | None = None,
 ) -> CrossValidation:
-    """Predicts every pose once, by a search and a fit over the other folds; base on the same folds."""
+    """Predicts every pose once, by a search and a fit over the other folds; base on the same folds.
+
+    Args:
+        r: the responses.
+        candidates: of these poses.
+        rng: of the gate's bootstrap.
+        progress: is told the share of folds done after each.
+    """
     fold = folds_of(r)
     base = np.zeros(len(r))
     final = np.zeros(len(r))
-    for k in range(int(fold.max()) + 1):
+    folds = int(fold.max()) + 1
+    for k in range(folds):
+        if k and progress is not None:
+            progress(k / folds)
         train, test = np.flatnonzero(fold != k), np.flatnonzero(fold == k)
         seen = r.rows(train)
         base[test] = errors_deg(r, (), fit(seen, seen.base).beta, test)
@@ -59,7 +72,7 @@ def cross_validate(
         # a fold's model in all poses; a refined period exists in the fold's alone
         whole = [rebuilt(f.candidate, r) or f.candidate for f in findings.found]
         final[test] = errors_deg(*linear_about(r, whole, findings.fitted.beta), findings.fitted.beta, test)
-    return CrossValidation(base, final, int(fold.max()) + 1)
+    return CrossValidation(base, final, folds)
 
 
 def folds_of(r: Responses) -> npt.NDArray[np.intp]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from calrig.calibration.blocked_folds import BLOCKS, Blocked, blocked, not_predictive, worse
 from calrig.calibration.candidates import candidates_of
 from calrig.calibration.channels import SCALE_UNIT_DEG
-from calrig.calibration.cross_validation import CrossValidation, confirm, cross_validate
+from calrig.calibration.cross_validation import FOLDS, CrossValidation, confirm, cross_validate
 from calrig.calibration.diagnosis_verdict import diagnosis_verdict
 from calrig.calibration.experiment_design import ambiguous_of, design
 from calrig.calibration.fit import fit_line, residuals_deg, rms
@@ -56,6 +56,7 @@ def diagnose(
     seed: int = 0,
     bootstraps: int = BOOTSTRAPS,
     cross_fit: bool = True,
+    progress: Callable[[float], None] | None = None,
 ) -> Diagnosis:
     """Traces what bias and scale leave of the poses to the effects the model lacks.
 
@@ -65,6 +66,7 @@ def diagnose(
         seed: of the bootstrap: the same poses and seed give the same diagnosis.
         bootstraps: of each step of the search.
         cross_fit: whether the errors before and after are measured on held-out poses.
+        progress: is told the share of searches done: over all poses, then in each fold.
 
     Raises:
         DiagnosisError: the poses cannot be diagnosed; the message says why.
@@ -81,7 +83,8 @@ def diagnose(
     blocks: tuple[Blocked, ...] = ()
     if cross_fit:
         of_kept = [c.rows(findings.kept) for c in candidates]
-        held_out = cross_validate(left, of_kept, rng)
+        of_folds = None if progress is None else _after_the_first(progress)
+        held_out = cross_validate(left, of_kept, rng, of_folds)
         predictive = not_predictive(left, findings.found, findings.fitted, of_kept)
         findings = replace(findings, found=predictive)
         blocks = blocked(left, [f.candidate for f in findings.found])
@@ -89,6 +92,16 @@ def diagnose(
     said = warning_of(lack, found=bool(findings.found))
     warnings = (*outliers, *incomplete, *r.warnings, *([] if said is None else [said]))
     return Diagnosis(kept, findings, held_out, blocks, lack, warnings)
+
+
+def _after_the_first(progress: Callable[[float], None]) -> Callable[[float], None]:
+    """Of the searches in folds, told as a share of all searches, the one over all poses having been done."""
+
+    def of_folds(share: float) -> None:
+        progress((1.0 + share * FOLDS) / (1.0 + FOLDS))
+
+    of_folds(0.0)
+    return of_folds
 
 
 def _lack_of_fit(kept: Sequence[Sequence[Pose]], findings: Findings) -> LackOfFit:
@@ -208,6 +221,7 @@ def trace(
     plan: dict[str, Any] | None = None,
     limits_deg: tuple[float, float] | None = None,
     deciding: Sequence[int] | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
     """All of CONTRACT section 5: diagnosis, the run that would separate what is ambiguous, confirmation.
 
@@ -219,6 +233,7 @@ def trace(
         plan: of the latest run, for the follow-up to keep its settings.
         limits_deg: soft limits of the rig; the range of the poses where there is none.
         deciding: of the latest run, the poses that serve to decide; the others confirm.
+        progress: is told the share of searches done.
 
     Raises:
         DiagnosisError: the poses cannot be diagnosed; the message says why.
@@ -226,7 +241,7 @@ def trace(
     used = [list(run) for run in runs]
     if deciding is not None:
         used[-1] = [used[-1][k] for k in deciding]
-    diagnosis = diagnose(used, run_ids)
+    diagnosis = diagnose(used, run_ids, progress=progress)
     found = document(diagnosis, run_ids)
     if deciding is not None:
         confirmation = confirm(runs[:-1], runs[-1], deciding, diagnosis.findings)

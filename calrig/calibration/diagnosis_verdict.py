@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 from calrig.calibration.effects import EFFECTS, UNNAMED, covariate_of
 from calrig.calibration.lack_of_fit import SEVERAL
+from calrig.calibration.noise_bound import upper_limit
 
 Document = Mapping[str, Any]
 ELSEWHERE = "the same at another period"
@@ -77,7 +78,27 @@ def _nothing(diagnosis: Document) -> str:
         return "No effect found. How large the noise is, neither dwells nor revisited poses tell"
     if noise["lack_of_fit"]["rejected"]:
         return f"No effect found, and yet {_more_than_noise(diagnosis)}"
+    if not_repeated_better(diagnosis):
+        times = f"{noise['std_deg'] / noise['floor_deg']:.1f} times the noise within a dwell"
+        return f"No effect found: the residual is what poses repeat to, {_deg(noise['std_deg'])}, {times}"
     return "No effect found: the residual is consistent with noise"
+
+
+def not_repeated_better(diagnosis: Document) -> list[str]:
+    """Why a residual may be more than the noise of its dwells, and yet have no cause that poses could show.
+
+    Empty where it is no more than noise, or more than poses repeat to.
+    """
+    noise = diagnosis.get("noise") or {}
+    floor_deg, tested = noise.get("floor_deg"), noise.get("lack_of_fit")
+    if not floor_deg or tested is None or tested["rejected"]:
+        return []
+    if noise["std_deg"] <= floor_deg * upper_limit(max(tested["freedom"][0], 1.0)):
+        return []
+    return [
+        f"Revisited poses repeat no better than {_deg(noise['pure_error_deg'])}, where the noise within a "
+        f"dwell is {_deg(floor_deg)}: the rig does not return to one place, or the filter has not settled."
+    ]
 
 
 def _rest(diagnosis: Document) -> list[str]:

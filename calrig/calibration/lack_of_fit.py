@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from calrig.calibration.channels import BoolArray
 from calrig.calibration.pose import Pose
@@ -113,7 +113,7 @@ def lack_of_fit(
     pure = Spread(math.hypot(pure.std_deg, rounding_deg), pure.freedom)
     f = (residual.std_deg / pure.std_deg) ** 2
     freedom = left * _share_known(judged), pure.freedom
-    p_value = float(f_distribution.sf(f, *freedom))
+    p_value = float(fdtrc(*freedom, f))
     return LackOfFit(residual, lag1_correlation, dwell, repeat, pure, f, freedom, p_value)
 
 
@@ -178,7 +178,7 @@ def _revisits(
 def _together(dwell: Spread, revisits: Spread) -> Spread:
     """Both pooled where they agree; else, where revisits differ by more, what the rig repeats to."""
     ratio = (revisits.std_deg / dwell.std_deg) ** 2
-    if f_distribution.sf(ratio, revisits.freedom, dwell.freedom) < LEVEL:
+    if fdtrc(revisits.freedom, dwell.freedom, ratio) < LEVEL:
         return revisits
     freedom = dwell.freedom + revisits.freedom
     power = dwell.freedom * dwell.std_deg**2 + revisits.freedom * revisits.std_deg**2

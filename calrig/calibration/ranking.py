@@ -95,8 +95,9 @@ def named(
     Of equals, a term of a series stays where it is already in the model: it came with the others.
     """
     ranked = _ranked(r, accepted, offered, ratios)
-    best = ranked[0][0]
-    near = [c for criterion, c in ranked if criterion - best < MARGIN]
+    best, leader = ranked[0]
+    margin = MARGIN + (0.0 if leader.named else 2.0 * float(np.log(_forms(offered, leader.label))))
+    near = [c for criterion, c in ranked if criterion - best < margin]
     named = [c for c in near if c.named]
     # A catalogue effect that explains as well outranks the flexible shapes that contain it.
     staying = [c for c in named if incumbent is not None and _is_same_term(c, incumbent)]
@@ -116,6 +117,11 @@ def named(
     runners_up = _runners_up(ranked, claimed)
     told = tuple(considered.items())
     return Found(claimed, rivals, p_value, float(lead), told, runners_up, alike=alike)
+
+
+def _forms(offered: Sequence[Candidate], label: str) -> int:
+    """How many forms something without a name has: the more, the better one of them fits by chance."""
+    return len({c.shape.form for c in offered if c.label == label})
 
 
 def _runners_up(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> tuple[Candidate, ...]:

@@ -14,10 +14,12 @@ from calrig.calibration.correction import (
     felt_elevation_deg,
     fit_line_with_effects,
 )
+from calrig.calibration.coverage import Distribution
 from calrig.calibration.effect import ApplyError, Circumstances
 from calrig.calibration.filter_share import filter_share
 from calrig.calibration.fit import Line, fit_line, residuals_deg, rms
 from calrig.calibration.motion import approach_of, motion_of, moves_deg
+from calrig.calibration.over_range import OverRange, over_range
 from calrig.calibration.pose import Pose
 from calrig.calibration.uncertainty import Reference, ReferenceKind, reference_part
 from calrig.estimation.angles import FloatArray, wrap_deg
@@ -57,6 +59,12 @@ class ReferenceFigures:
     kind: ReferenceKind
     bias_std_deg: float
     scale_std: float | None
+    distribution: Distribution = "rectangular"
+
+    @property
+    def reference(self) -> Reference:
+        """What the rig said."""
+        return Reference(self.std_deg, self.kind, self.distribution)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +74,8 @@ class Result:
     Attributes:
         reference: the stage's part of bias and scale, beside their own standard errors; None where nobody
             has said what the stage is worth.
+        over_range: the error that is left over the range after everything accepted; None where the reading
+            does not follow the stage.
         line: the fit itself, with covariance and residual scatter, for the unit's calibration.
         line_with_effects: the same once accepted effects are taken out; None without any.
     """
@@ -82,6 +92,7 @@ class Result:
     temperature_c: TemperatureRange | None
     gyro: GyroFigures
     reference: ReferenceFigures | None
+    over_range: OverRange | None
     line: Line = field(repr=False)
     line_with_effects: Line | None = field(default=None, repr=False)
 
@@ -91,6 +102,8 @@ class Result:
         del document["line"], document["line_with_effects"]
         gyro = document["gyro"]
         gyro["bias_dps"], gyro["bias_std_dps"] = list(gyro["bias_dps"]), list(gyro["bias_std_dps"])
+        if self.over_range is not None:
+            document["over_range"] = self.over_range.to_dict()
         return document
 
 
@@ -116,19 +129,23 @@ def build_result(
     one_angle = len({pose.target_deg for pose in poses}) == 1
     line = fit_line(theta, reading, one_angle=one_angle)
     with_effects = _line_with_effects(poses, theta, reading, effects)
+    calibrated_deg = residuals_deg(theta, reading, line.bias_deg, line.scale)
+    noise_deg = _pooled_noise_deg(poses)
+    left = (line, calibrated_deg) if with_effects is None else with_effects
     return Result(
         bias_deg=line.bias_deg,
         bias_std_deg=line.bias_std_deg,
         scale=line.scale,
         scale_std=line.scale_std,
         rms_raw_deg=rms(wrap_deg(reading - theta)),
-        rms_calibrated_deg=_known(rms(residuals_deg(theta, reading, line.bias_deg, line.scale))),
-        rms_with_effects_deg=None if with_effects is None else with_effects[1],
+        rms_calibrated_deg=_known(rms(calibrated_deg)),
+        rms_with_effects_deg=None if with_effects is None else _known(rms(with_effects[1])),
         n_poses=len(poses),
-        noise_deg=_pooled_noise_deg(poses),
+        noise_deg=noise_deg,
         temperature_c=_temperature_range(poses),
         gyro=gyro or GyroFigures(),
         reference=None if reference is None else _reference_figures(theta, line, reference),
+        over_range=over_range(theta, left[1], left[0], reference, noise_deg),
         line=line,
         line_with_effects=None if with_effects is None else with_effects[0],
     )
@@ -154,8 +171,8 @@ def apply_calibration(
         ApplyError: the poses lack what an effect is a function of.
     """
     theta, reading = _angles(poses)
-    felt = felt_elevation_deg(theta, line.bias_deg, line.scale)
-    without = reading - effects_on_reading_deg(effects, theta, circumstances(poses), felt)
+    without = _without_effects_deg(poses, line, effects)
+    left_deg = residuals_deg(theta, without, line.bias_deg, line.scale)
     fresh = build_result(poses, gyro)
     return replace(
         fresh,
@@ -164,12 +181,37 @@ def apply_calibration(
         scale=line.scale,
         scale_std=line.scale_std,
         rms_calibrated_deg=_known(rms(residuals_deg(theta, reading, line.bias_deg, line.scale))),
-        rms_with_effects_deg=_known(rms(residuals_deg(theta, without, line.bias_deg, line.scale)))
-        if effects
-        else None,
+        rms_with_effects_deg=_known(rms(left_deg)) if effects else None,
         reference=reference,
+        over_range=over_range(
+            theta,
+            left_deg,
+            fit_line(theta, without, one_angle=fresh.scale is None),
+            None if reference is None else reference.reference,
+            fresh.noise_deg,
+        ),
         line=line,
     )
+
+
+def corrected_residuals_deg(
+    poses: Sequence[Pose], line: Line, effects: Sequence[AppliedEffect]
+) -> FloatArray:
+    """(n,) calibrated elevation of each pose, effects taken out, less the stage's.
+
+    NaN where the scale is smaller than `MIN_SCALE`.
+
+    Raises:
+        ApplyError: the poses lack what an effect is a function of.
+    """
+    theta, _ = _angles(poses)
+    return residuals_deg(theta, _without_effects_deg(poses, line, effects), line.bias_deg, line.scale)
+
+
+def _without_effects_deg(poses: Sequence[Pose], line: Line, effects: Sequence[AppliedEffect]) -> FloatArray:
+    theta, reading = _angles(poses)
+    felt = felt_elevation_deg(theta, line.bias_deg, line.scale)
+    return reading - effects_on_reading_deg(effects, theta, circumstances(poses), felt)
 
 
 def circumstances(poses: Sequence[Pose]) -> Circumstances:
@@ -191,8 +233,8 @@ def circumstances(poses: Sequence[Pose]) -> Circumstances:
 
 def _line_with_effects(
     poses: Sequence[Pose], theta: FloatArray, reading: FloatArray, effects: Sequence[AppliedEffect]
-) -> tuple[Line, float] | None:
-    """Bias and scale once the effects are taken out, and the RMS that is left; None where they cannot be."""
+) -> tuple[Line, FloatArray] | None:
+    """Bias and scale once the effects are taken out, and (n,) what is left; None where they cannot be."""
     if not effects:
         return None
     given = circumstances(poses)
@@ -202,7 +244,7 @@ def _line_with_effects(
         without = reading - effects_on_reading_deg(effects, theta, given, felt)
     except ApplyError:
         return None
-    return line, rms(residuals_deg(theta, without, line.bias_deg, line.scale))
+    return line, residuals_deg(theta, without, line.bias_deg, line.scale)
 
 
 def raw_error_deg(pose: Pose) -> float:
@@ -228,7 +270,9 @@ def _angles(poses: Sequence[Pose]) -> tuple[FloatArray, FloatArray]:
 
 def _reference_figures(theta: FloatArray, line: Line, reference: Reference) -> ReferenceFigures:
     part = reference_part(theta, line.scale, reference)
-    return ReferenceFigures(reference.std_deg, reference.kind, part.bias_deg, part.scale)
+    return ReferenceFigures(
+        reference.std_deg, reference.kind, part.bias_deg, part.scale, reference.distribution
+    )
 
 
 def _pooled_noise_deg(poses: Sequence[Pose]) -> float | None:

@@ -15,7 +15,7 @@ from calrig.calibration.channels import READING
 from calrig.calibration.effect import HIDDEN
 from calrig.calibration.gate import Verdict, gate
 from calrig.calibration.model import model_columns
-from calrig.calibration.noise_model import Fit, NoiseModel, noise_of
+from calrig.calibration.noise_model import STRONG_RHO, Fit, NoiseModel, noise_of
 from calrig.calibration.outliers import most_outliers, outlier
 from calrig.calibration.ranking import COMPANION_MARGIN, Found, named, pair
 from calrig.calibration.responses import Responses
@@ -32,6 +32,7 @@ LEVEL = 0.01
 MOST_EFFECTS, MOST_COLUMNS = 5, 0.35
 """A series, such as the orders of a turn, is one effect of several terms; columns to a pose at most."""
 FREEDOM = 3
+ROUNDS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +145,12 @@ def _search(
     judge: Callable[..., Verdict],
     known: Sequence[Found] = (),
 ) -> Findings:
-    """The search in one base, with effects in the model that are known already; `judge` is the gate."""
+    """The search in one base, with effects in the model that are known already; `judge` is the gate.
+
+    Round by round: the model is fitted and the best of all candidates judged; a pose gone wrong is left out,
+    or the search ends; what passed is named, enters, and is held against its rivals with all the others; what
+    cannot be, or is not needed any more, leaves.
+    """
     found = list(known)
     refused: set[str] = set()
     kept = np.arange(len(r))
@@ -167,38 +173,77 @@ def _search(
             kept, r, candidates = kept[others], r.rows(others), [c.rows(others) for c in candidates]
             found = [f.rows(others) for f in found]
             continue
-        if not verdict.passes or _is_full(accepted, len(known)):
-            return Findings(
-                r, kept, tuple(found), model.fitted, model.columns, verdict.p_value, verdict.least_p_value
-            )
-        step = named(r, accepted, verdict.candidates, verdict.ratios, verdict.p_value)
-        if not is_worth_a_name(r, accepted, step):
-            refused.add(step.candidate.label)
-            continue
-        if step.candidate.beside is not None and _says_no_more(step, verdict.candidates):
-            single = [k for k, c in enumerate(verdict.candidates) if c.beside is None]
-            offered = [verdict.candidates[k] for k in single]
-            step = named(r, accepted, offered, verdict.ratios[single], verdict.p_value)
-        members: Sequence[Candidate] = needed_changes(r, accepted, step.candidate)
-        if step.candidate.shape.series:
-            members = needed(r, accepted, members)
-        steps = [replace(step, candidate=member) for member in members]
-        two = None
-        if step.candidate.beside is None:
-            two = pair(r, accepted, verdict.candidates, verdict.ratios, step)
-        if two is not None:
-            first, second = two
-            of_second = judged(fitted_model(r, [*accepted, first]))
-            if of_second.passes:
-                beside = replace(step, candidate=second, rivals=(), p_value=of_second.p_value)
-                steps = [replace(step, candidate=first, rivals=()), beside]
-        entered = _reconsidered(r, candidates, [*found, *steps], len(known))
+        entering: list[Found] = []
+        if verdict.passes and not _is_full(accepted, len(known)):
+            best = named(r, accepted, verdict.candidates, verdict.ratios, verdict.p_value)
+            if not is_worth_a_name(r, accepted, best):
+                refused.add(best.candidate.label)
+                continue
+            entering = _entering(r, accepted, _plain(r, accepted, best, verdict), verdict, judged)
+        elif not _is_full(accepted, len(known)):
+            entering = _hidden(r, model, verdict, judged)
+        if not entering:
+            p_values = verdict.p_value, verdict.least_p_value
+            return Findings(r, kept, tuple(found), model.fitted, model.columns, *p_values)
+        entered = _reconsidered(r, candidates, [*found, *entering], len(known))
         entered = on_their_places(r, candidates, entered)
         if found and not tenable(r, [f.candidate for f in entered]):
-            refused.add(step.candidate.label)
+            refused.add(entering[0].candidate.label)
             continue
         found, dropped = parted(r, entered, len(known))
         refused.update(dropped)
+
+
+def _entering(
+    r: Responses,
+    accepted: Sequence[Candidate],
+    best: Found,
+    verdict: Verdict,
+    judged: Callable[[Model], Verdict],
+) -> list[Found]:
+    """The best candidate's effects, of a series those needed; or two that together explain far more.
+
+    Of these the second has to pass beside the first.
+    """
+    if best.candidate.beside is None:
+        two = pair(r, accepted, verdict.candidates, verdict.ratios, best)
+        of_second = two and judged(fitted_model(r, [*accepted, two[0]]))
+        if two and of_second and of_second.passes:
+            second = replace(best, candidate=two[1], rivals=(), p_value=of_second.p_value)
+            return [replace(best, candidate=two[0], rivals=()), second]
+    members: Sequence[Candidate] = needed_changes(r, accepted, best.candidate)
+    if best.candidate.shape.series:
+        members = needed(r, accepted, members)
+    return [replace(best, candidate=member) for member in members]
+
+
+def _hidden(r: Responses, model: Model, verdict: Verdict, judged: Callable[[Model], Verdict]) -> list[Found]:
+    """Two effects of which each alone leaves the other, which then looks like noise that wanders.
+
+    The best enters on trial; both stay where each passes the gate beside the other.
+    """
+    if model.fitted.noise.rho.max() < STRONG_RHO or not verdict.candidates:
+        return []
+    first = named(r, model.accepted, verdict.candidates, verdict.ratios, verdict.p_value)
+    beside = [*model.accepted, first.candidate]
+    of_second = judged(fitted_model(r, beside))
+    if not of_second.passes:
+        return []
+    second = named(r, beside, of_second.candidates, of_second.ratios, of_second.p_value)
+    of_first = judged(fitted_model(r, [*model.accepted, second.candidate]))
+    if not of_first.passes or not is_worth_a_name(r, beside, second):
+        return []
+    both = (replace(first, p_value=of_first.p_value), second)
+    return [replace(one, candidate=member) for one in both for member in one.candidate.members]
+
+
+def _plain(r: Responses, accepted: Sequence[Candidate], best: Found, verdict: Verdict) -> Found:
+    """The best candidate; of several effects offered as one, one alone where that says as much."""
+    if best.candidate.beside is None or not _says_no_more(best, verdict.candidates):
+        return best
+    single = [k for k, c in enumerate(verdict.candidates) if c.beside is None]
+    offered = [verdict.candidates[k] for k in single]
+    return named(r, accepted, offered, verdict.ratios[single], verdict.p_value)
 
 
 def _says_no_more(step: Found, offered: Sequence[Candidate]) -> bool:
@@ -272,15 +317,26 @@ def _reconsidered(
     """
     if len(found) == known + 1:
         return found
-    for one in found[known:]:
-        others = [f.candidate for f in found if f is not one]
-        offered = [c for c in _offered(r, candidates, others, set()) if not _is_on_trial(c)]
-        if one.candidate.shape.series and not curves:  # they take a little from every term of a turn
-            offered = [c for c in offered if c.named]
-        model = fitted_model(r, others)
-        screen = Screen(r, model.columns, offered, model.fitted.noise)
-        ratios = screen.once(model.fitted.residuals)
-        again = named(r, others, offered, ratios, one.p_value, one.candidate)
-        place = next(k for k, f in enumerate(found) if f is one)
-        found[place : place + 1] = [replace(again, candidate=member) for member in again.candidate.members]
+    for _ in range(ROUNDS):
+        before = [f.candidate.label for f in found]
+        for one in found[known:]:
+            found = _against_rivals(r, candidates, found, one, curves=curves)
+        if [f.candidate.label for f in found] == before:
+            break
     return found
+
+
+def _against_rivals(
+    r: Responses, candidates: Sequence[Candidate], found: list[Found], one: Found, *, curves: bool
+) -> list[Found]:
+    others = [f.candidate for f in found if f is not one]
+    offered = [c for c in _offered(r, candidates, others, set()) if c.beside is None or c.shape.series]
+    if one.candidate.shape.series and not curves:  # they take a little from every term of a turn
+        offered = [c for c in offered if c.named]
+    model = fitted_model(r, others)
+    screen = Screen(r, model.columns, offered, model.fitted.noise)
+    ratios = screen.once(model.fitted.residuals)
+    again = named(r, others, offered, ratios, one.p_value, one.candidate)
+    place = next(k for k, f in enumerate(found) if f is one)
+    members = [replace(again, candidate=member) for member in again.candidate.members]
+    return [*found[:place], *members, *found[place + 1 :]]

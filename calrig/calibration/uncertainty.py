@@ -8,21 +8,24 @@ from typing import Literal
 
 import numpy as np
 
+from calrig.calibration.coverage import COVERAGE, Distribution, coverage_factor
 from calrig.calibration.fit import MIN_SCALE, Line
 from calrig.estimation.angles import FloatArray
-
-COVERAGE_FACTOR = 2
-"""About 95 % of a normal distribution (GUM, JCGM 100:2008, 6.3.3)."""
 
 ReferenceKind = Literal["setting", "harmonic", "common"]
 
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """What the stage's own angle is worth: a standard uncertainty, shared among poses as `kind` says."""
+    """What the stage's own angle is worth: a standard uncertainty, shared among poses as `kind` says.
+
+    `distribution` is that of the error at one angle: a limit from a data sheet, ±a, is rectangular with
+    std_deg = a/√3; a certificate's U/k is normal.
+    """
 
     std_deg: float
     kind: ReferenceKind = "harmonic"
+    distribution: Distribution = "rectangular"
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +51,9 @@ class Uncertainty:
         type_a_deg: from the scatter of the unit's own poses.
         type_b_deg: from elsewhere: what the reference is worth.
         reference_deg: the reference's share of it.
-        expanded_deg: the two together, times `COVERAGE_FACTOR`.
+        expanded_deg: the two together, times `coverage_factor`.
+        coverage_factor: k for `coverage`, by the distributions of the two; None with `expanded_deg`.
+        coverage: the probability that the expanded uncertainty covers.
         bias_reference_std_deg: type B standard uncertainty of the bias, beside the line's own of type A.
         scale_reference_std: the same of the scale.
     """
@@ -59,6 +64,8 @@ class Uncertainty:
     expanded_deg: float | None
     bias_reference_std_deg: float | None = None
     scale_reference_std: float | None = None
+    coverage_factor: float | None = None
+    coverage: float = COVERAGE
 
     def to_dict(self) -> dict[str, float | None]:
         """The contract's `uncertainty`, and the reference's part of bias and scale."""
@@ -71,7 +78,9 @@ class Uncertainty:
         }
 
 
-def uncertainty(line: Line, theta_deg: FloatArray, reference: Reference | None) -> Uncertainty:
+def uncertainty(
+    line: Line, theta_deg: FloatArray, reference: Reference | None, scatter_deg: float | None = None
+) -> Uncertainty:
     """Uncertainty of an elevation that the calibration gives from one reading.
 
     elevation = (reading − bias)/scale, hence by the law of propagation with bias and scale correlated (GUM,
@@ -81,19 +90,33 @@ def uncertainty(line: Line, theta_deg: FloatArray, reference: Reference | None) 
 
     One figure for the whole range is the mean of u² over it (F.2.4.5). This is type A (4.2). What the
     reference is worth is type B (4.3, `reference_part`). The two are uncorrelated (5.1.2) and combine to
-    U = k·√(A² + B²), k = 2 (6.2.1).
+    U = k·√(A² + B²), k for 95 % by `coverage_factor` (6.2.1). All of type A comes from the one scatter s, so
+    that it has the line's n − 2 degrees of freedom. A mean over settings is as good as normal.
 
     Args:
         line: the fit.
         theta_deg: (n,) elevations of the poses it rests on; their lowest and highest are the range.
         reference: what the stage's own angle is worth; None where nobody has said.
+        scatter_deg: s of the reading, where it is not to be that of the poses about the line.
     """
-    type_a = _type_a_deg(line, theta_deg)
+    type_a = _type_a_deg(line, theta_deg, scatter_deg)
     if reference is None:
         return Uncertainty(type_a, None, None, None)
     part = reference_part(theta_deg, line.scale, reference)
-    expanded = None if type_a is None else COVERAGE_FACTOR * math.hypot(type_a, part.elevation_deg)
-    return Uncertainty(type_a, part.elevation_deg, part.elevation_deg, expanded, part.bias_deg, part.scale)
+    of_stage_deg = part.elevation_deg
+    k = None
+    if type_a is not None:
+        distribution = "normal" if reference.kind == "setting" else reference.distribution
+        k = coverage_factor(type_a, len(theta_deg) - 2.0, of_stage_deg, distribution)
+    return Uncertainty(
+        type_a_deg=type_a,
+        type_b_deg=of_stage_deg,
+        reference_deg=of_stage_deg,
+        expanded_deg=None if type_a is None or k is None else k * math.hypot(type_a, of_stage_deg),
+        bias_reference_std_deg=part.bias_deg,
+        scale_reference_std=part.scale,
+        coverage_factor=k,
+    )
 
 
 def reference_part(theta_deg: FloatArray, scale: float | None, reference: Reference) -> ReferencePart:
@@ -154,10 +177,11 @@ def _mean_over_range(covariance: FloatArray, theta_deg: FloatArray) -> float:
     return float(covariance[0, 0] + 2.0 * mean * covariance[0, 1] + mean_square * covariance[1, 1])
 
 
-def _type_a_deg(line: Line, theta_deg: FloatArray) -> float | None:
+def _type_a_deg(line: Line, theta_deg: FloatArray, scatter_deg: float | None) -> float | None:
     if line.scale is None or line.covariance is None or line.residual_std_deg is None:
         return None
     if abs(line.scale) < MIN_SCALE:
         return None
     of_line = _mean_over_range(np.array(line.covariance), theta_deg)
-    return math.sqrt(line.residual_std_deg**2 + of_line) / abs(line.scale)
+    scatter_deg = line.residual_std_deg if scatter_deg is None else scatter_deg
+    return math.sqrt(scatter_deg**2 + of_line) / abs(line.scale)

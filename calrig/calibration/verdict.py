@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from calrig.calibration.diagnosis_verdict import ELSEWHERE, between_runs
+from calrig.calibration.conformity import Answer, Limit
+from calrig.calibration.diagnosis_verdict import ELSEWHERE, between_runs, not_repeated_better
+from calrig.calibration.limit_verdict import held_against
+from calrig.calibration.noise_bound import CONFIDENCE, upper_limit
+from calrig.calibration.wording import deg
 
-CONFIDENCE = 0.99
-"""Noise alone is accused of leaving more than noise in one run of a hundred, as by the diagnosis' gate."""
 FEW_POSES = 6
 WORTH_APPLYING = 3.0
 """Standard errors by which a scale must differ from 1 before it is worth applying."""
@@ -23,18 +25,27 @@ class Verdict:
     """CONTRACT section 2, "Verdict".
 
     Attributes:
-        answer: against the limits that match; there are none yet.
+        answer: against the limits that match; `no_limits` where none do.
         left: what is left after everything accepted; None where the noise is not known.
         ratio: RMS of what is left over what noise alone would leave, 1 at best; None likewise.
         says: the same in sentences, the answer first.
         limit: name of the limit that was applied.
+        probability_of_conformity: that what the limit asks holds of the true figures; None without a limit,
+            and where it is not known.
+        probability_of_false_accept: of a pass, that it is wrong.
     """
 
-    answer: Literal["no_limits"]
+    answer: Answer | Literal["no_limits"]
     left: Literal["noise", "more_than_noise"] | None
     ratio: float | None
     says: tuple[str, ...]
     limit: str | None
+    probability_of_conformity: float | None = None
+    probability_of_false_accept: float | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """The verdict ready for JSON."""
+        return {**asdict(self), "says": list(self.says)}
 
 
 def verdict(
@@ -43,6 +54,8 @@ def verdict(
     *,
     verification: bool = False,
     move_mismatches: int = 0,
+    limit: Limit | None = None,
+    calibration: Document | None = None,
 ) -> Verdict:
     """Judges a run's result.
 
@@ -56,6 +69,9 @@ def verdict(
         diagnosis: the run's last one, CONTRACT section 5; None before.
         verification: a calibration made earlier was applied; nothing was fitted to these poses.
         move_mismatches: of the run's moves, how many the unit felt otherwise than the stage reported.
+        limit: that matches the unit; None where none does.
+        calibration: the document made of these poses, CONTRACT section 6; its figures are what the limit is
+            held against, where there is one.
     """
     fitted = 0 if verification else _fitted_parameters(result, diagnosis)
     freedom = result["n_poses"] - fitted
@@ -64,9 +80,11 @@ def verdict(
     left: Literal["noise", "more_than_noise"] | None = None
     if ratio is not None and bound is not None:
         left = "noise" if ratio <= bound else "more_than_noise"
+    held = None if limit is None else held_against(limit, result, calibration, relied_on=not move_mismatches)
     says = [
         *_mismatched(move_mismatches),
-        *_answer(left, ratio, bound, freedom),
+        *(() if held is None else held.says),
+        *_left_in_words(left, ratio, bound, freedom, alone=held is None),
         _before_and_after(result, verification=verification),
         *_of_the_stage(result, freedom, left),
         *_diagnosed(diagnosis, left),
@@ -74,14 +92,17 @@ def verdict(
     ]
     if result["n_poses"] < FEW_POSES:
         says.append(f"It rests on only {_poses(result['n_poses'])}.")
-    return Verdict(answer="no_limits", left=left, ratio=ratio, says=tuple(says), limit=None)
-
-
-def upper_limit(freedom: int) -> float:
-    """The ratio that noise alone stays under with probability `CONFIDENCE`, by its degrees of freedom."""
-    from scipy.special import chdtri
-
-    return math.sqrt(float(chdtri(freedom, 1.0 - CONFIDENCE)) / freedom)
+    if limit is None or held is None:
+        return Verdict(answer="no_limits", left=left, ratio=ratio, says=tuple(says), limit=None)
+    return Verdict(
+        answer=held.answer,
+        left=left,
+        ratio=ratio,
+        says=tuple(says),
+        limit=limit.name,
+        probability_of_conformity=held.probability_of_conformity,
+        probability_of_false_accept=held.probability_of_false_accept,
+    )
 
 
 def _fitted_parameters(result: Document, diagnosis: Document | None) -> int:
@@ -111,11 +132,16 @@ def _ratio(result: Document, freedom: int, also_deg: float = 0.0) -> float | Non
     return float(left_deg / expected_deg)
 
 
-def _answer(left: str | None, ratio: float | None, bound: float | None, freedom: int) -> list[str]:
+def _left_in_words(
+    left: str | None, ratio: float | None, bound: float | None, freedom: int, *, alone: bool
+) -> list[str]:
+    """What is left; `alone` where no limit says whether that is good enough."""
     if ratio is None or bound is None:
-        return ["Not judged: the noise of a reading is not known, or there are too few poses."]
+        what = "Not judged" if alone else "What is left is not judged"
+        return [f"{what}: the noise of a reading is not known, or there are too few poses."]
+    noise = "Good: only noise is left." if alone else "Only noise is left."
     return [
-        "Good: only noise is left." if left == "noise" else "More than noise is left.",
+        noise if left == "noise" else "More than noise is left.",
         f"The residual RMS is {ratio:.2f} times what noise alone predicts; noise alone stays under "
         f"{bound:.2f} in {100 * CONFIDENCE:.0f} % of runs ({freedom} degrees of freedom).",
     ]
@@ -136,13 +162,18 @@ def _before_and_after(result: Document, *, verification: bool) -> str:
         result[key] for key in ("rms_raw_deg", "rms_calibrated_deg", "rms_with_effects_deg")
     )
     if calibrated is None:
-        return f"RMS error {_deg(raw)} raw; the reading does not follow the stage and cannot be calibrated."
-    done = "with the calibration in force" if verification else "calibrated"
-    words = f"RMS error {_deg(raw)} raw, {_deg(calibrated)} {done}"
-    if both is not None:
-        words += f", {_deg(both)} with accepted effects"
+        return f"RMS error {deg(raw)} raw; the reading does not follow the stage and cannot be calibrated."
+    if verification:
+        applied = calibrated if both is None else both
+        words = f"As found, against the document: RMS error {deg(raw)} raw, {deg(applied)} once it is applied"
+        if both is not None:
+            words += f" ({deg(calibrated)} by its bias and scale alone)"
+    else:
+        words = f"RMS error {deg(raw)} raw, {deg(calibrated)} calibrated"
+        if both is not None:
+            words += f", {deg(both)} with accepted effects"
     if result["noise_deg"] is not None:
-        words += f"; standard error of one reading {_deg(result['noise_deg'])}"
+        words += f"; standard error of one reading {deg(result['noise_deg'])}"
     return f"{words}."
 
 
@@ -154,7 +185,7 @@ def _of_the_stage(result: Document, freedom: int, left: str | None) -> list[str]
     ratio = _ratio(result, freedom, reference["std_deg"])
     if ratio is None or ratio > upper_limit(freedom):
         return []
-    return [f"The stage's own setting uncertainty of {_deg(reference['std_deg'])} accounts for it."]
+    return [f"The stage's own setting uncertainty of {deg(reference['std_deg'])} accounts for it."]
 
 
 def _diagnosed(diagnosis: Document | None, left: str | None) -> list[str]:
@@ -165,7 +196,7 @@ def _diagnosed(diagnosis: Document | None, left: str | None) -> list[str]:
         )
     open_ones = [effect for effect in diagnosis["effects"] if effect.get("accepted_at") is None]
     if not open_ones and left == "more_than_noise":
-        return ["The diagnosis names no further effect."]
+        return ["The diagnosis names no further effect.", *not_repeated_better(diagnosis)]
     return [_found(effect) for effect in open_ones]
 
 
@@ -182,7 +213,7 @@ def _found(effect: Document) -> str:
 
 
 def _scale(result: Document) -> list[str]:
-    scale, std = result["scale"], result["scale_std"]
+    scale, std = _scale_as_applied(result)
     if scale is None:
         return ["All poses stand at one elevation: the scale is not known and counts as 1."]
     if not std:
@@ -197,11 +228,12 @@ def _scale(result: Document) -> list[str]:
     return [f"{words}, but no more than the stage's own uncertainty allows."]
 
 
-def _deg(value: float) -> str:
-    """Two significant digits, without an exponent where it stays readable."""
-    if value == 0.0 or not 1e-6 <= abs(value) < 1e6:
-        return f"{value:.2g}°"
-    return f"{value:.{max(0, 1 - math.floor(math.log10(abs(value))))}f}°"
+def _scale_as_applied(result: Document) -> tuple[float | None, float | None]:
+    """The scale and its standard error, beside all effects accepted where the result says so."""
+    over = result.get("over_range")
+    if over is None or over["covariance"] is None:
+        return result["scale"], result["scale_std"]
+    return over["scale"], math.sqrt(over["covariance"][1][1])
 
 
 def _poses(count: int) -> str:

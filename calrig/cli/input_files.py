@@ -81,6 +81,7 @@ def read_plan_file(file: Path) -> Plan:
     """A plan as JSON; a mistake in it is told by line and column."""
     from pydantic import ValidationError
 
+    from calrig.invalid_fields import path_of, reason
     from calrig.plan import Plan
 
     try:
@@ -94,11 +95,10 @@ def read_plan_file(file: Path) -> Plan:
         raise InputError(f"{file}: is nested too deeply for a plan") from error
     except ValidationError as error:
         problem = error.errors()[0]
-        reason = problem["msg"].removeprefix("Value error, ")
         if not problem["loc"]:
-            raise InputError(f"{file}: {reason}") from error
-        key = str(problem["loc"][0])
-        raise InputError(f"{file}{_place_of_key(text, key)}: {key}: {reason}") from error
+            raise InputError(f"{file}: {reason(problem)}") from error
+        where = _place_of_key(text, str(problem["loc"][0]))
+        raise InputError(f"{file}{where}: {path_of(problem)} {reason(problem)}") from error
 
 
 def _place_of_key(text: str, key: str) -> str:

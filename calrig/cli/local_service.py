@@ -33,6 +33,8 @@ def local_service(
     with ExitStack() as stack:
         with ThreadPoolExecutor(1) as beside:
             starting = beside.submit(lambda: [stack.enter_context(_with_ports(rig)) for rig in rigs])
+            from calrig.analysis.issuing import Issuer
+            from calrig.analysis.limits import keep_configured
             from calrig.runs.recovery import mark_interrupted, stop_stages
             from calrig.runs.service import RunService
             from calrig.store import Store
@@ -44,6 +46,8 @@ def local_service(
 
             store = stack.enter_context(Store.open(url, writer=command, left_by_the_dead=stop))
             mark_interrupted(store, troubles)
+            keep_configured(settings, store)
+            Issuer(store).bring_over()
             powered = starting.result()
         service = RunService(store, powered, record)
         stack.callback(service.close)

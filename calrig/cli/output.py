@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from calrig.store import Run
 
 
-def print_json(document: dict[str, Any]) -> None:
+def print_json(document: dict[str, Any] | list[dict[str, Any]]) -> None:
     """Prints a document; what is not known is null in it, never NaN."""
     typer.echo(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
 
@@ -52,6 +52,12 @@ def _rows_of(result: dict[str, Any]) -> Iterable[tuple[str, ...]]:
     yield "gyro scale", _number(gyro["scale"], "", 6), _number(gyro["scale_std"], "", 6)
 
 
+def print_says(sentences: Iterable[str]) -> None:
+    """Prints a verdict's sentences on standard error, beside what a program reads on standard output."""
+    for sentence in sentences:
+        typer.echo(f"· {printable(sentence)}", err=True)
+
+
 def print_rigs(rigs: Iterable[RigSettings]) -> None:
     """Prints the rigs that are configured."""
     rows = (
@@ -82,6 +88,21 @@ def print_ports(found: Sequence[Found], stanza: str) -> None:
     _print_table(("port", "device", "driver", "identity", "USB", "serial number"), rows, justify="left")
     if stanza:
         _print(f"for calrig.toml:\n\n{stanza.rstrip()}")
+
+
+def print_users(users: Sequence[dict[str, Any]]) -> None:
+    """Prints who is known, or was."""
+    if not users:
+        _print("nobody is known by name: `calrig users add NAME --role admin` makes the first one known")
+        return
+    rows = ((user["name"], user["role"], _way_in(user), str(user["created_at"])[:10]) for user in users)
+    _print_table(("name", "role", "comes in", "since"), rows, justify="left")
+
+
+def _way_in(user: dict[str, Any]) -> str:
+    if user["disabled_at"] is not None:
+        return "no more"
+    return "by token, or a trusted proxy" if user["has_token"] else "by a trusted proxy"
 
 
 def print_diagnosis(found: dict[str, Any]) -> None:

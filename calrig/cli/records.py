@@ -11,7 +11,7 @@ import typer
 
 from calrig.cli.input_files import in_utf8, read_bytes
 from calrig.cli.options import COLUMNS, Db, Rig, UnitSerial
-from calrig.errors import InputError, WorkError
+from calrig.errors import InputError
 
 
 class Format(StrEnum):
@@ -28,16 +28,25 @@ def import_(
     rig: Rig = None,
     db: Db = None,
 ) -> None:
-    """Import a CSV of poses as a run and print its id."""
+    """Import a CSV of poses as a run and print its id; standard error says whether it is good."""
     from calrig.analysis.amendments import Records
-    from calrig.settings import store_url
+    from calrig.analysis.issuing import Issuer, Releases
+    from calrig.analysis.limits import keep_configured
+    from calrig.cli.output import print_says
+    from calrig.settings import load_settings, store_url
     from calrig.store import Store
 
     content = read_bytes(file)
     name = in_utf8(file.name)
     with Store.open(store_url(db), writer="import") as store:
-        made = Records(store).import_poses(unit=unit, rig=rig, file_name=name, content=content)
+        settings = load_settings()
+        keep_configured(settings, store)
+        issuer = Issuer(store, Releases.of(settings.rig))
+        issuer.bring_over()
+        made = Records(store, issuer).import_poses(unit=unit, rig=rig, file_name=name, content=content)
     typer.echo(made.id)
+    if made.verdict is not None:
+        print_says(made.verdict.says)
 
 
 def export(
@@ -48,9 +57,10 @@ def export(
     ] = Format.json,
     db: Db = None,
 ) -> None:
-    """Print a calibration as JSON or as a C header, or its poses as CSV."""
-    from calrig.analysis.active_calibration import active_run, document_of, header_of
-    from calrig.cli.output import print_json
+    """Print a calibration as JSON or as a C header, or its poses as CSV; standard error has its verdict."""
+    from calrig.analysis.active_calibration import header_of, newest_of_run, wanted_revision
+    from calrig.analysis.stored_runs import counted_poses, stored_run
+    from calrig.cli.output import print_says
     from calrig.export.poses_csv import write_poses
     from calrig.settings import store_url
     from calrig.store import Store
@@ -58,16 +68,24 @@ def export(
     if (run_id is None) == (unit is None):
         raise InputError("export: name either a RUN_ID or --unit SERIAL")
     with Store.open(store_url(db), writer=None) as store:
-        found = active_run(store, unit) if unit is not None else store.run(run_id or "")
-        if found is None:
-            raise WorkError(f"there is no run {run_id}")
-        if format_ is Format.csv:
-            counted = [stored.pose for stored in store.poses(found.id, include_excluded=False)]
-            sys.stdout.write(write_poses(counted))
-        elif format_ is Format.c_header:
-            sys.stdout.write(header_of(store, found))
+        if run_id is not None and format_ is Format.csv:
+            sys.stdout.write(write_poses(counted_poses(store, stored_run(store, run_id).id)))
+            return
+        if unit is not None:
+            found = store.in_force(unit) or wanted_revision(store, unit, "latest")
         else:
-            print_json(document_of(store, found))
+            found = newest_of_run(store, run_id or "")
+        if found.status != "in_force":
+            words = f"revision {found.revision} of unit {found.unit!r} is {found.status}, not in force"
+            typer.echo(f"calrig export: {words}", err=True)
+        if format_ is not Format.csv:
+            print_says(found.verdict["says"])
+        if format_ is Format.csv:
+            sys.stdout.write(write_poses(counted_poses(store, found.run_id)))
+        elif format_ is Format.c_header:
+            sys.stdout.write(header_of(found))
+        else:
+            sys.stdout.write(found.text + "\n")
 
 
 def backup(

@@ -44,6 +44,7 @@ def run(
     config: Config = None,
 ) -> None:
     """Run one calibration; Ctrl-C aborts it and keeps the poses measured so far."""
+    from calrig.analysis.limits import cannot_pass_on
     from calrig.cli import output
     from calrig.cli.local_service import local_service
     from calrig.cli.progress import run_bar
@@ -54,6 +55,8 @@ def run(
     settings = load_settings(config)
     chosen = _rig_named(settings, rig)
     with local_service(store_url(db), "run", (chosen,), settings, record) as service:
+        for warning in cannot_pass_on(chosen, unit, the_plan, service.store):
+            typer.echo(f"warning: {warning}", err=True)
         begun = service.start(
             unit=unit, rig=chosen.name, plan=the_plan, operator=operator, note=note, stage_at_deg=stage_at
         )

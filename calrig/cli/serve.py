@@ -43,7 +43,7 @@ def serve(
 
     settings = load_settings(config)
     configure_log(log_format)
-    access = access_here(host, address_of(host, port), settings.hosts)
+    access = access_here(host, address_of(host, port), settings)
     with closing(listen(host, port)) as listener:
         _serve_on(listener, access, settings, store_url(db), record)
 
@@ -51,8 +51,7 @@ def serve(
 def _serve_on(
     listener: socket.socket, access: Access, settings: Settings, url: str, record: Path | None
 ) -> None:
-    from calrig.api.access import TOKEN
-    from calrig.api.app import create_app
+    from calrig.api.app import create_app, what_is_asked
     from calrig.api.server import Server
     from calrig.cli.local_service import local_service
 
@@ -63,13 +62,16 @@ def _serve_on(
         if settings.keep_samples_days is not None:
             service.store.prune_samples(datetime.now(UTC) - timedelta(days=settings.keep_samples_days))
 
+        kept_in = str(settings.file) if settings.limit else None
+        app = create_app(service, access=access, limits_kept_in=kept_in, interval_days=settings.interval_days)
+
         def say_ready() -> None:
             rigs = ", ".join(f"{r.name} (simulated)" if r.simulated else r.name for r in service.rigs())
             host, port = listener.getsockname()[:2]
             where = f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
-            asks = "" if access.token is None else f"; it asks for the token of {TOKEN}"
+            asks = what_is_asked(app)
             typer.echo(f"calrig {calrig.__version__} at {where}, store {in_utf8(url)}, rigs: {rigs}{asks}")
 
         gc.freeze()  # what was imported lives to the end: no collection need look at it, the last one neither
         # On SIGINT and SIGTERM uvicorn stops in order, then raises what it was told by.
-        Server(create_app(service, access=access), say_ready).run(sockets=[listener])
+        Server(app, say_ready).run(sockets=[listener])

@@ -2,52 +2,57 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from datetime import UTC, datetime
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from calrig.calibration.correction import numbers_of
 from calrig.calibration.effects import effect_of
+from calrig.calibration.fit import Line
 from calrig.calibration.pose import Pose
-from calrig.calibration.result import build_result
-from calrig.calibration.uncertainty import COVERAGE_FACTOR, uncertainty
-from calrig.store.records import AcceptedEffect, Run, reference_of
+from calrig.calibration.result import Result
+from calrig.calibration.uncertainty import Reference, uncertainty
+from calrig.store.records import AcceptedEffect, Document
 
-SCHEMA = "calrig.calibration/1"
+SCHEMA = "calrig.calibration/2"
 MODEL = "elevation = (reading − bias − effects)/scale"
 
 
-def calibration_document(
-    run: Run, poses: Sequence[Pose], accepted: Sequence[AcceptedEffect] = ()
-) -> dict[str, Any]:
-    """The document of a completed run whose scale is known.
+def calibration_content(
+    *,
+    unit: str,
+    rig: str | None,
+    poses: Sequence[Pose],
+    result: Result,
+    accepted: Sequence[AcceptedEffect] = (),
+    reference: Reference | None = None,
+) -> Document:
+    """What a revision says of a unit; the store adds which revision it is, of which run, and the hash.
 
     Args:
-        run: as `Store.latest_calibration_run` gives it.
+        unit: serial number.
+        rig: that the poses were taken on; None where none is known.
         poses: those the result rests on (none excluded): range and uncertainty follow from them.
-        accepted: effects in force for the unit and its rig: bias and scale are those beside all of them, and
-            the unit's own are applied in flight.
+        result: of these poses, with the accepted effects taken out where the poses allow it.
+        accepted: effects of the unit and its rig: bias and scale are those beside all of them, and the unit's
+            own are applied in flight.
+        reference: what the rig said of its stage when the poses were measured.
 
     Raises:
-        ValueError: the run has no result, no scale, no poses, or has not finished.
+        ValueError: there is no pose, or the scale is not known.
     """
-    result = run.result
-    if result is None or result["scale"] is None or run.finished_at is None or not poses:
-        raise ValueError(f"run {run.id} is not a finished calibration with a known scale")
-    elevations = [pose.theta_deg for pose in poses]
-    built = build_result(poses, effects=[(e.name, numbers_of(e.parameters)) for e in accepted])
-    line = built.line_with_effects or built.line
-    worth = uncertainty(line, np.array(elevations, dtype=np.float64), reference_of(run.provenance))
-    gyro = result["gyro"]
+    if not poses or result.scale is None:
+        raise ValueError(f"unit {unit!r}: the poses do not give a calibration with a known scale")
+    elevations = np.array([pose.theta_deg for pose in poses], dtype=np.float64)
+    line = result.line_with_effects or result.line
+    worth = uncertainty(line, elevations, reference)
+    figures = result.to_dict()
+    gyro = figures["gyro"]
     return {
         "schema": SCHEMA,
-        "unit": run.unit,
-        "run_id": run.id,
-        "calibrated_at": iso_utc(run.finished_at),
-        "rig": run.rig,
-        "range_deg": [min(elevations), max(elevations)],
+        "unit": unit,
+        "rig": rig,
+        "range_deg": [float(elevations.min()), float(elevations.max())],
         "model": MODEL,
         "bias_deg": line.bias_deg,
         "scale": line.scale,
@@ -55,20 +60,32 @@ def calibration_document(
         "effects": [
             {"name": effect.name, "parameters": effect.parameters, "formula": effect_of(effect.name).formula}
             for effect in accepted
-            if effect.unit is not None and built.line_with_effects is not None
+            if effect.unit is not None and result.line_with_effects is not None
         ],
-        "gyro": None if gyro is None else {"bias_dps": gyro["bias_dps"], "scale": gyro["scale"]},
-        "rms_raw_deg": result["rms_raw_deg"],
-        "rms_calibrated_deg": result["rms_calibrated_deg"],
-        "rms_with_effects_deg": built.rms_with_effects_deg,
+        "gyro": {"bias_dps": gyro["bias_dps"], "scale": gyro["scale"]},
+        "rms_raw_deg": result.rms_raw_deg,
+        "rms_calibrated_deg": result.rms_calibrated_deg,
+        "rms_with_effects_deg": result.rms_with_effects_deg,
         "expanded_uncertainty_deg": worth.expanded_deg,
-        "coverage_factor": COVERAGE_FACTOR,
+        "coverage_factor": worth.coverage_factor,
+        "coverage": worth.coverage,
+        "level_known": False,
+        "level_std_deg": None,
+        "accelerometer": None,
         "uncertainty": worth.to_dict(),
-        "temperature_c": result["temperature_c"],
-        "provenance": run.provenance,
+        "temperature_c": figures["temperature_c"],
     }
 
 
-def iso_utc(time: datetime) -> str:
-    """An aware time as ISO 8601 in UTC with a `Z`, as the API writes it."""
-    return time.astimezone(UTC).isoformat().replace("+00:00", "Z")
+def line_of(document: Mapping[str, Any]) -> Line:
+    """Bias and scale of such a document, with their standard errors."""
+    covariance = document["covariance"]
+    stds = (None, None) if covariance is None else (covariance[0][0] ** 0.5, covariance[1][1] ** 0.5)
+    return Line(
+        bias_deg=document["bias_deg"],
+        scale=document["scale"],
+        bias_std_deg=stds[0],
+        scale_std=stds[1],
+        covariance=None if covariance is None else (tuple(covariance[0]), tuple(covariance[1])),
+        residual_std_deg=None,
+    )

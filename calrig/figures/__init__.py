@@ -6,7 +6,7 @@ a page may set text and grid to its own theme over `layout`.
 """
 
 from calrig.figures.diagnosis import before_and_after, error_map, partial_residual
-from calrig.figures.history import Run, compare, history
+from calrig.figures.history import Run, compare, control_chart, history
 from calrig.figures.parts import PALETTE, Figure
 from calrig.figures.runs import MAX_POINTS, Curve, residual, residuals_overlaid, timeline
 
@@ -18,6 +18,7 @@ __all__ = [
     "Run",
     "before_and_after",
     "compare",
+    "control_chart",
     "error_map",
     "history",
     "partial_residual",

@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Collection, Mapping, Sequence
 from datetime import datetime
 from typing import Any, Literal
 
-from calrig.figures.parts import PALETTE, Figure, axis_of, colour_of, error_bars, layout_of, line_of
+from calrig.figures.parts import (
+    GREY,
+    PALETTE,
+    Figure,
+    axis_of,
+    colours_of,
+    dimmed,
+    error_bars,
+    layout_of,
+    line_of,
+)
 
 Run = Mapping[str, Any]
 """A run as CONTRACT section 2's comparison lists it: `run_id, finished_at, bias_deg, bias_std_deg, …`."""
@@ -40,20 +51,52 @@ def history(runs: Sequence[Run]) -> Figure:
     return {"data": data, "layout": layout}
 
 
-def compare(quantity: Literal["bias", "scale", "rms"], units: Mapping[str, Sequence[Run]]) -> Figure:
+def compare(
+    quantity: Literal["bias", "scale", "rms"],
+    units: Mapping[str, Sequence[Run]],
+    chosen: Collection[str] = (),
+) -> Figure:
     """Bias, scale or calibrated RMS over time, one line a unit, with standard errors where there are any.
 
     Args:
         quantity: which of the three.
         units: each unit's runs by its serial.
+        chosen: units with a colour of their own where not all can have one.
     """
     key, std_key, title = _QUANTITIES[quantity]
     layout = layout_of("finished (UTC)", title)
     layout["xaxis"].update(_DATES)
-    data = [
-        _over_time(serial, _finished(runs), key, std_key, colour_of(k))
-        for k, (serial, runs) in enumerate(units.items())
-    ]
+    colours = colours_of(list(units), chosen)
+    data = []
+    for serial in sorted(units, key=lambda serial: colours[serial] != GREY):  # grey hides no colour
+        trace = _over_time(serial, _finished(units[serial]), key, std_key, colours[serial])
+        data.append(dimmed(trace) if colours[serial] == GREY else trace)
+    return {"data": data, "layout": layout}
+
+
+def control_chart(
+    finished_at: Sequence[datetime], averages: Mapping[str, Sequence[float | None]], limit: Sequence[float]
+) -> Figure:
+    """Moving averages of a unit's or a rig's history between their limits, in standard deviations.
+
+    Args:
+        finished_at: (n,) when each run finished.
+        averages: (n,) of each figure by its name; None where there is none.
+        limit: (n,) of all of them, above and below 0; infinite where there is none.
+    """
+    layout = layout_of("finished (UTC)", "moving average (σ)")
+    layout["xaxis"].update(_DATES)
+    when = [_iso(at) for at in finished_at]
+    bound = [one if math.isfinite(one) else None for one in limit]
+    data = []
+    for sign in (1, -1):
+        edge = line_of("limit", when, [None if one is None else sign * one for one in bound], GREY)
+        edge["line"] = {"color": GREY, "width": 1, "dash": "dash"}
+        data.append({**edge, "hoverinfo": "skip", "showlegend": sign == 1})
+    for k, (name, average) in enumerate(averages.items()):
+        trace = line_of(name, when, list(average), PALETTE[3 * k % len(PALETTE)], "%{y:.2f} σ")
+        trace["mode"] = "lines+markers"
+        data.append(trace)
     return {"data": data, "layout": layout}
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 Figure = dict[str, Any]
@@ -44,6 +44,25 @@ def as_text(name: str) -> str:
 def colour_of(k: int) -> str:
     """The k-th colour; they begin again with the first."""
     return PALETTE[k % len(PALETTE)]
+
+
+def colours_of(names: Sequence[str], chosen: Collection[str] = ()) -> dict[str, str]:
+    """A colour for each name; where there are more names than colours, grey for all but the chosen ones.
+
+    No two names ever share a colour but grey. Without a choice the first ones are it.
+    """
+    if len(names) <= len(PALETTE):
+        return dict(zip(names, PALETTE, strict=False))
+    coloured = [name for name in names if name in chosen] or list(names)
+    given = dict(zip(coloured, PALETTE, strict=False))
+    return {name: given.get(name, GREY) for name in names}
+
+
+def dimmed(trace: dict[str, Any]) -> dict[str, Any]:
+    """A line without a colour of its own, behind the others: thin, without errors or a legend."""
+    kept = {key: value for key, value in trace.items() if key != "error_y"}
+    look = {"line": {"color": GREY, "width": 1}, "marker": {"color": GREY, "size": 4}}
+    return {**kept, **look, "mode": "lines+markers", "opacity": 0.4, "showlegend": False}
 
 
 def axis_of(title: str) -> dict[str, Any]:

@@ -14,7 +14,8 @@ from calrig.figures.parts import (
     Figure,
     as_text,
     axis_of,
-    colour_of,
+    colours_of,
+    dimmed,
     error_bars,
     layout_of,
     line_of,
@@ -57,7 +58,7 @@ def timeline(
 def residual(
     poses: Sequence[Pose],
     *,
-    bias_deg: float | None = None,
+    left_deg: Sequence[float | None] | None = None,
     scale: float | None = None,
     excluded: Collection[int] = (),
 ) -> Figure:
@@ -65,17 +66,18 @@ def residual(
 
     Args:
         poses: in the order measured.
-        bias_deg: of the calibration; None while it is not known, which leaves the lower half out.
-        scale: of the calibration; None counts as 1.
+        left_deg: of each pose, once calibrated; None while it is not known, which leaves the lower half out.
+        scale: of the calibration, which standard errors are divided by; None counts as 1.
         excluded: indices of poses that are out of the result; drawn as crosses.
     """
     layout = layout_of("elevation (°)", "reading − stage (°)")
     layout["yaxis"]["zeroline"] = True
     layout["legend"]["title"] = {"text": "approach", "side": "left", "font": {"size": 12}}
-    data = _residual_traces(poses, 0.0, 1.0, excluded, "raw")
-    if bias_deg is None:
+    raw_deg = [_residual_deg(pose, 0.0, 1.0) for pose in poses]
+    data = _residual_traces(poses, raw_deg, 1.0, excluded, "raw")
+    if left_deg is None:
         return {"data": data, "layout": layout}
-    lower = _residual_traces(poses, bias_deg, 1.0 if scale is None else scale, excluded, "calibrated")
+    lower = _residual_traces(poses, left_deg, 1.0 if scale is None else scale, excluded, "calibrated")
     for trace in lower:
         trace.update(yaxis="y2", showlegend=False)
     layout["yaxis"]["domain"] = [0.54, 1.0]
@@ -85,16 +87,26 @@ def residual(
     return {"data": [*data, *lower], "layout": layout}
 
 
-def residuals_overlaid(curves: Sequence[Curve]) -> Figure:
-    """Calibrated residual against elevation, one colour a unit: a line through the means, points behind."""
+def residuals_overlaid(curves: Sequence[Curve], chosen: Collection[str] = ()) -> Figure:
+    """Calibrated residual against elevation, one colour a unit: a line through the means, points behind.
+
+    Where units are more than colours, those that are not among the `chosen` are grey lines alone.
+    """
     layout = layout_of("elevation (°)", "calibrated residual (°)")
     layout["yaxis"]["zeroline"] = True
     data: list[dict[str, Any]] = []
-    for k, curve in enumerate(curves):
+    colours = colours_of([curve.name for curve in curves], chosen)
+    for k, curve in enumerate(sorted(curves, key=lambda curve: colours[curve.name] != GREY)):
+        colour = colours[curve.name]
         scale = 1.0 if curve.scale is None else curve.scale
         points = [(p.theta_deg, _residual_deg(p, curve.bias_deg, scale)) for p in curve.poses]
         means = _means_by_target(curve.poses, [y for _, y in points])
         group = {"legendgroup": str(k), "name": as_text(curve.name)}
+        line = line_of(curve.name, [x for x, _ in means], [y for _, y in means], colour)
+        line = {**line, **group, "hovertemplate": "%{x:.2f}°: %{y:.4f}°"}
+        if colour == GREY:
+            data.append(dimmed(line))
+            continue
         data.append(
             {
                 **group,
@@ -102,13 +114,12 @@ def residuals_overlaid(curves: Sequence[Curve]) -> Figure:
                 "mode": "markers",
                 "x": [x for x, _ in points],
                 "y": [y for _, y in points],
-                "marker": {"color": colour_of(k), "size": 5, "opacity": 0.4},
+                "marker": {"color": colour, "size": 5, "opacity": 0.4},
                 "hoverinfo": "skip",
                 "showlegend": False,
             }
         )
-        line = line_of(curve.name, [x for x, _ in means], [y for _, y in means], colour_of(k))
-        data.append({**line, **group, "hovertemplate": "%{x:.2f}°: %{y:.4f}°"})
+        data.append(line)
     return {"data": data, "layout": layout}
 
 
@@ -117,23 +128,27 @@ def _residual_deg(pose: Pose, bias_deg: float, scale: float) -> float:
 
 
 def _residual_traces(
-    poses: Sequence[Pose], bias_deg: float, scale: float, excluded: Collection[int], what: str
+    poses: Sequence[Pose],
+    left_deg: Sequence[float | None],
+    scale: float,
+    excluded: Collection[int],
+    what: str,
 ) -> list[dict[str, Any]]:
     traces = []
     for approach, (name, symbol, colour) in APPROACHES.items():
         kept = [k for k, p in enumerate(poses) if (p.approach or 0) == approach and k not in excluded]
         if kept:
-            traces.append(_residual_points(poses, kept, bias_deg, scale, (name, symbol, colour), what))
+            traces.append(_residual_points(poses, left_deg, kept, scale, (name, symbol, colour), what))
     out = sorted(k for k in excluded if k < len(poses))
     if out:
-        traces.append(_residual_points(poses, out, bias_deg, scale, ("excluded", "x-thin", GREY), what))
+        traces.append(_residual_points(poses, left_deg, out, scale, ("excluded", "x-thin", GREY), what))
     return traces
 
 
 def _residual_points(
     poses: Sequence[Pose],
+    left_deg: Sequence[float | None],
     chosen: Sequence[int],
-    bias_deg: float,
     scale: float,
     look: tuple[str, str, str],
     what: str,
@@ -145,7 +160,7 @@ def _residual_points(
         "mode": "markers",
         "name": name,
         "x": [poses[k].theta_deg for k in chosen],
-        "y": [_residual_deg(poses[k], bias_deg, scale) for k in chosen],
+        "y": [left_deg[k] for k in chosen],
         "customdata": list(chosen),
         "error_y": error_bars([None if e is None else e / abs(scale) for e in errors], colour),
         "marker": {"color": colour, "symbol": symbol, "size": 8, "line": {"color": colour, "width": 1}},

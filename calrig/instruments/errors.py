@@ -11,6 +11,10 @@ class PortError(InstrumentError):
     """The port cannot be opened, or went away while it was in use."""
 
 
+class PortBlocked(PortError):  # noqa: N818 (of a port that is there)
+    """It took nothing in time, as a device without power does, or this machine had no time for it."""
+
+
 class StageError(InstrumentError):
     """The stage refused, stalled, arrived elsewhere, did not arrive, or answered what cannot be read."""
 

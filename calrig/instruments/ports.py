@@ -9,7 +9,7 @@ import serial
 from serial.tools import list_ports
 
 from calrig.instruments.clock import WALL, Clock
-from calrig.instruments.errors import PortError
+from calrig.instruments.errors import PortBlocked, PortError
 from calrig.instruments.transcript import Tape, tape_of
 
 serial.protocol_handler_packages.append("calrig.instruments")  # for `replay://FILE`
@@ -77,7 +77,7 @@ class Port:
         try:
             self._wire.write(data)
         except serial.SerialTimeoutException as error:
-            raise PortError(
+            raise PortBlocked(
                 f"port {self.name} took nothing for {WRITE_TIMEOUT_S:g} s: is the device switched on, "
                 "and is flow control off?"
             ) from error

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from calrig.instruments.clock import Clock
-from calrig.instruments.errors import StageError
+from calrig.instruments.errors import InstrumentError, PortBlocked, StageError
 from calrig.instruments.readback import agree
 from calrig.instruments.types import Stage
 
@@ -26,11 +26,11 @@ def stop_until_it_stands(stage: Stage, clock: Clock, timeout_s: float) -> None:
     deadline_s = clock.now_s() + timeout_s
     before_deg: float | None = None
     while True:
-        stage.halt()
-        failure: StageError | None = None
+        failure: InstrumentError | None = None
         try:
+            stage.halt()
             status, here_deg = stage.status(), stage.glimpse_deg()
-        except StageError as error:
+        except (StageError, PortBlocked) as error:
             failure, before_deg, said = error, None, str(error)
         else:
             said = f"it says {status.words}"

@@ -1,7 +1,9 @@
 """What a working process does: one piece after another, within its memory, as long as its parent lives.
 
-Imports nothing of calrig: what a piece is about comes with it. A piece and its reply are 8 bytes of length
-and a pickle, the reply's of `(None, what the function gave)` or `(what it raised, None)`.
+Imports nothing of calrig: what a piece is about comes with it. A piece is 8 bytes of length and a pickle of
+`(function, whether it tells how far it is)`. Back come a byte that says what follows, 8 bytes of length and
+that: any number of times how far the function is, then a pickle of `(None, what it gave)` or
+`(what it raised, None)`.
 """
 
 from __future__ import annotations
@@ -10,12 +12,15 @@ import os
 import pickle
 import resource
 import signal
+import struct
 import sys
 import threading
 import time
-from typing import Any
+from typing import Any, BinaryIO
 
 HEAD_BYTES = 8
+REPLY, PROGRESS = b"r", b"p"
+FRACTION = struct.Struct("<d")
 LOOK_S = 0.5
 """How soon a process that works notices that the one it works for was killed."""
 NICENESS = 5
@@ -38,18 +43,25 @@ def main(most_bytes: int, parent: int) -> None:
     pieces, replies = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints is no reply
     while head := pieces.read(HEAD_BYTES):
-        reply = _reply(pieces.read(int.from_bytes(head)))
-        try:
-            replies.write(len(reply).to_bytes(HEAD_BYTES))
-            replies.write(reply)
-            replies.flush()
-        except BrokenPipeError:
-            os._exit(1)  # nobody waits for it
+        _send(replies, REPLY, _reply(pieces.read(int.from_bytes(head)), replies))
 
 
-def _reply(piece: bytes) -> bytes:
+def _send(replies: BinaryIO, kind: bytes, content: bytes) -> None:
     try:
-        return _pickled((None, pickle.loads(piece)()))  # noqa: S301 (from our own parent)
+        replies.write(kind + len(content).to_bytes(HEAD_BYTES))
+        replies.write(content)
+        replies.flush()
+    except BrokenPipeError:
+        os._exit(1)  # nobody waits for it
+
+
+def _reply(piece: bytes, replies: BinaryIO) -> bytes:
+    def progress(fraction: float) -> None:
+        _send(replies, PROGRESS, FRACTION.pack(fraction))
+
+    try:
+        function, tells = pickle.loads(piece)  # noqa: S301 (from our own parent)
+        return _pickled((None, function(progress=progress) if tells else function()))
     except Exception as error:  # noqa: BLE001 (whatever it is, the one who asked is told)
         error.__traceback__ = None  # it holds on to what filled the memory
         return _pickled((error, None))

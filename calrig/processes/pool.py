@@ -67,26 +67,34 @@ class Processes:
         self._idle: list[Process] = []
         self._in_hand = 0
 
-    async def run(self, function: Callable[[], T]) -> T:
+    async def run(
+        self,
+        function: Callable[..., T],
+        *,
+        begun: Callable[[], None] = lambda: None,
+        progress: Callable[[float], None] | None = None,
+    ) -> T:
         """What the function gives, or raises what it raises; cancelled, its process is ended.
 
         Args:
             function: of a module, or a `partial` of one; it, its arguments and what it gives are pickled.
+            begun: is called when its turn has come.
+            progress: is called with the share that is done, which the function tells by calling what it is
+                given as `progress`; without it, it is given nothing.
 
         Raises:
             WorkRefused: as many as may wait are waiting.
             WorkTooLarge: it took too much memory or time.
             WorkLost: its process was killed.
         """
-        if self._in_hand >= self.slots + MOST_WAITING:
-            raise WorkRefused(
-                f"{self._in_hand} diagnoses, imports and studies are in hand or waiting: try again later"
-            )
+        self.require_room()
         self._in_hand += 1
         try:
             async with self._free:
-                piece = await asyncio.to_thread(pickle.dumps, function, pickle.HIGHEST_PROTOCOL)
-                reply = await self._carried_out(piece)
+                begun()
+                asked = function, progress is not None
+                piece = await asyncio.to_thread(pickle.dumps, asked, pickle.HIGHEST_PROTOCOL)
+                reply = await self._carried_out(piece, progress or _unheard)
                 error, given = await asyncio.to_thread(pickle.loads, reply)  # from our own child
         finally:
             self._in_hand -= 1
@@ -99,16 +107,23 @@ class Processes:
             raise error
         return given  # type: ignore[no-any-return]
 
+    def require_room(self) -> None:
+        """Raises WorkRefused where as many as may wait are waiting: asked before a piece is made."""
+        if self._in_hand >= self.slots + MOST_WAITING:
+            raise WorkRefused(
+                f"{self._in_hand} diagnoses, imports and studies are in hand or waiting: try again later"
+            )
+
     async def close(self) -> None:
         """Ends the processes that wait; those that work end with who waits for them."""
         while self._idle:
             await _end(self._idle.pop())
 
-    async def _carried_out(self, piece: bytes) -> bytes:
+    async def _carried_out(self, piece: bytes, progress: Callable[[float], None]) -> bytes:
         process = await self._process()
         try:
             async with asyncio.timeout(self._longest_s):
-                reply = await _asked(process, piece)
+                reply = await _asked(process, piece, progress)
         except TimeoutError as error:
             await _end(process)
             raise WorkTooLarge(
@@ -167,13 +182,22 @@ def run_apart(function: Callable[[], T]) -> T:
     return asyncio.run(run())
 
 
-async def _asked(process: Process, piece: bytes) -> bytes:
+async def _asked(process: Process, piece: bytes, progress: Callable[[float], None]) -> bytes:
     assert process.stdin is not None  # noqa: S101 (a pipe)
     process.stdin.write(len(piece).to_bytes(child.HEAD_BYTES))
     process.stdin.write(piece)
     await process.stdin.drain()
-    head = await _out(process).readexactly(child.HEAD_BYTES)
-    return await _out(process).readexactly(int.from_bytes(head))
+    while True:
+        kind = await _out(process).readexactly(1)
+        head = await _out(process).readexactly(child.HEAD_BYTES)
+        content = await _out(process).readexactly(int.from_bytes(head))
+        if kind == child.REPLY:
+            return content
+        progress(*child.FRACTION.unpack(content))
+
+
+def _unheard(_fraction: float) -> None:
+    """Nobody asked how far it is."""
 
 
 def _out(process: Process) -> asyncio.StreamReader:

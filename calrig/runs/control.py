@@ -58,12 +58,14 @@ class Control:
         self._hold = threading.Event()
         self._left: Left | None = None
         self._has_left = clock.event()
+        self._reached = clock.event()
 
     def arm(self, halt: Callable[[], None]) -> None:
         """Says how to stop the stage; called once it is open."""
         with self._lock:
             self._halt = halt
             already_asked = self._end is not None
+        self._reached.set()
         if already_asked:
             _send(halt)
 
@@ -89,6 +91,12 @@ class Control:
         """The run has left its stage, as it says; what it said first holds."""
         self._left = self._left or left
         self._has_left.set()
+        self._reached.set()
+
+    def reached(self, timeout_s: float) -> bool:
+        """Whether the stage is open, or was left, waiting for that for so many seconds of its rig's time."""
+        self._reached.wait(timeout_s)
+        return self._reached.is_set()
 
     def left(self, timeout_s: float) -> Left | None:
         """How the run left its stage, waiting for that for so many seconds of its rig's time; else None."""

@@ -75,6 +75,6 @@ def lost(index: int, pose: Pose, check: MoveCheck) -> StageError:
     return StageError(
         f"pose {index} at {pose.target_deg:g}°: {check.words()}. The stage lost steps or slips, or "
         "the unit came loose, or ratio or sign of the rig is wrong: free the stage, see that the unit sits "
-        "tight, home the stage (without homing: turn it to a known angle and say so with --stage-at), and "
-        "start a new run"
+        "tight, home the stage (without homing: turn it to a known angle, and say so with --stage-at or "
+        '"The stage stands at" on the page), and start a new run'
     )

@@ -46,7 +46,17 @@ def planned_poses(plan: Plan, rig: RigSettings) -> list[PlannedPose]:
     try:
         return plan.poses(rig.limits_deg)
     except PlanError as error:
-        raise Invalid(f"rig {rig.name!r}: {error}") from error
+        raise Invalid(f"rig {rig.name!r}: {error}", _beyond(plan, rig.limits_deg)) from error
+
+
+def _beyond(plan: Plan, limits_deg: tuple[float, float]) -> list[str]:
+    """Which fields of a plan lie beyond a rig's limits."""
+    low, high = limits_deg
+    if plan.elevations_deg is None:
+        ends = {"start_deg": plan.start_deg, "stop_deg": plan.stop_deg}
+    else:
+        ends = {f"elevations_deg[{k}]": one for k, one in enumerate(plan.elevations_deg)}
+    return [f"plan.{name}" for name, elevation_deg in ends.items() if not low <= elevation_deg <= high]
 
 
 def estimate(plan: Plan, rig: RigSettings, store: Store) -> PlanEstimate:

@@ -14,6 +14,7 @@ from calrig.runs.bus import Bus
 from calrig.runs.meter import RunMeter
 from calrig.runs.states import check_transition
 from calrig.store import AT_REST, Announced, Progress, RunChanges, SampleBlock, Status, Store
+from calrig.store.issued import Draft
 
 log = logging.getLogger(__name__)
 
@@ -54,12 +55,12 @@ class Recorder:
         """The run's status as last written."""
         return self._status
 
-    def state(self, status: Status, changes: RunChanges | None = None) -> None:
-        """Changes the run's status and says so; `changes` are stored in the same transaction."""
+    def state(self, status: Status, changes: RunChanges | None = None, draft: Draft | None = None) -> None:
+        """Changes the run's status and says so; `changes` and `draft` are stored in the same transaction."""
         check_transition(self.run_id, self._status, status)
         self.flush()
         told: RunChanges = {**(changes or {}), "status": status}
-        self._store.update_run(self.run_id, **told)
+        self._store.update_run(self.run_id, draft=draft, **told)
         self._tell_watchers(status, told)
         if status == "paused":
             self._paused_s = self._now_s()

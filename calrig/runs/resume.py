@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from calrig.analysis.active_calibration import as_applied
+from calrig.analysis.active_calibration import ActiveCalibration, active_calibration
 from calrig.analysis.errors import Conflict, NotTheSame
 from calrig.analysis.unresolved import unresolved
 from calrig.calibration.pose import Pose
@@ -62,14 +62,13 @@ def resumed_task(store: Store, run: Run, settings: RigSettings) -> Task:
         planned = plan.poses(settings.limits_deg)
     except PlanError as error:
         raise Conflict(f"run {run.id} cannot be resumed: {error}") from error
-    verifies = run.provenance.get("verifies")
     return Task(
         run=run,
         rig=settings,
         plan=plan,
         planned=planned,
         follow_up=None if run.follows is None else _follow_up(store, run, plan, settings),
-        verifies=None if verifies is None else as_applied(store, str(verifies), settings.name),
+        verifies=_verified(store, run, plan, settings),
         earlier=_earlier(store, run, plan),
         interruption={
             "after_poses": run.progress["poses_done"],
@@ -77,6 +76,13 @@ def resumed_task(store: Store, run: Run, settings: RigSettings) -> Task:
             "resumed_at": datetime.now(UTC).isoformat(timespec="seconds"),
         },
     )
+
+
+def _verified(store: Store, run: Run, plan: Plan, rig: RigSettings) -> ActiveCalibration | None:
+    """The revision that a verification began with; runs from before there were revisions name none."""
+    if plan.kind != "verification":
+        return None
+    return active_calibration(store, run.unit, rig.name, run.provenance.get("verifies_revision"))
 
 
 def require_same_devices(run: Run, rig: Rig) -> None:

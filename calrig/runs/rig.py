@@ -17,7 +17,7 @@ from calrig.instruments.types import Board, BoardIdentity, Stage, StageIdentity
 from calrig.instruments.wanted import while_wanted
 from calrig.runs.control import Control, Left
 from calrig.runs.stage_place import StagePlace
-from calrig.settings import RigSettings, StageSettings
+from calrig.settings import RigSettings
 
 log = logging.getLogger(__name__)
 
@@ -85,9 +85,9 @@ def open_rig(
         Ended: an end was asked for.
     """
     if settings.stage is None or settings.imu is None:
-        raise InstrumentError(f"rig {settings.name!r} has no ports: its simulated devices are not running")
+        raise _no_ports(settings)
     clock = clock_of(settings.stage.port)
-    axis = _open_axis(settings, settings.stage)
+    axis = _open_axis(settings)
     control.arm(axis.halt)
     board: Board | None = None
     try:
@@ -108,19 +108,32 @@ def open_rig(
             _stop_when_back(settings, clock, control, warn)
 
 
-def stop_stage(settings: RigSettings) -> None:
+def stop_stage(settings: RigSettings, opened: Callable[[], None] = lambda: None) -> None:
     """Opens the stage of a rig that nobody uses, tells it to stop, sees that it stands, and closes it.
+
+    Args:
+        settings: the rig.
+        opened: is called once the port has opened, or has not.
 
     Raises:
         InstrumentError: the rig has no port, or it does not open, or the stage is not known to stand.
     """
-    if settings.stage is None:
-        raise InstrumentError(f"rig {settings.name!r} has no ports: its simulated devices are not running")
-    with closing(_open_axis(settings, settings.stage)) as axis:
+    try:
+        axis = _open_axis(settings)
+    finally:
+        opened()
+    with closing(axis):
         axis.confirm_stopped(STANDS_S)
 
 
-def _open_axis(settings: RigSettings, stage: StageSettings) -> Axis:
+def _no_ports(settings: RigSettings) -> InstrumentError:
+    return InstrumentError(f"rig {settings.name!r} has no ports: its simulated devices are not running")
+
+
+def _open_axis(settings: RigSettings) -> Axis:
+    stage = settings.stage
+    if stage is None:
+        raise _no_ports(settings)
     return Axis(
         open_stage(stage.driver, stage.port, axis=stage.axis, baudrate=stage.baudrate),
         zero_deg=stage.zero_deg,

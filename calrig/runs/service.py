@@ -10,6 +10,7 @@ from pathlib import Path
 
 from calrig.analysis.active_calibration import active_calibration
 from calrig.analysis.errors import Conflict, Unknown
+from calrig.analysis.issuing import Issuer, Releases
 from calrig.analysis.origin import check_serial, provenance
 from calrig.analysis.stored_runs import stored_run
 from calrig.analysis.unresolved import unresolved
@@ -51,6 +52,7 @@ class RunService:
 
     def __init__(self, store: Store, rigs: Sequence[RigSettings], record: Path | None = None) -> None:
         self.store = store
+        self.issuer = Issuer(store, Releases.of(rigs))
         self.bus = Bus()
         self._rigs = {rig.name: rig for rig in rigs}
         self.meter = Meter(self._rigs)
@@ -88,9 +90,11 @@ class RunService:
         """
         check_serial(unit)
         settings = self._rig(rig)
-        return self._begin(settings, unit, plan, operator=operator, note=note, stage_at_deg=stage_at_deg)
+        return self._begin(
+            settings, unit, plan, operator=operator, who=operator, note=note, stage_at_deg=stage_at_deg
+        )
 
-    def follow_up(self, run_id: str, apart: Apart = run_apart) -> Run:
+    def follow_up(self, run_id: str, apart: Apart = run_apart, who: str | None = None) -> Run:
         """Starts the run that best separates what the diagnosis of a run (and those before it) could not.
 
         Raises:
@@ -102,8 +106,15 @@ class RunService:
             raise Conflict(f"run {run_id} was imported: no rig is known to follow it up on")
         settings = self._rig(run.rig)
         follow_up = FollowUpRun.designed(unresolved(self.store, run_id, apart), settings.limits_deg, apart)
+        operator = who or run.operator
         return self._begin(
-            settings, run.unit, follow_up.plan, operator=run.operator, follows=run_id, follow_up=follow_up
+            settings,
+            run.unit,
+            follow_up.plan,
+            operator=operator,
+            who=who,
+            follows=run_id,
+            follow_up=follow_up,
         )
 
     def _begin(
@@ -113,6 +124,7 @@ class RunService:
         plan: Plan,
         *,
         operator: str | None = None,
+        who: str | None = None,
         note: str | None = None,
         follows: str | None = None,
         follow_up: FollowUpRun | None = None,
@@ -121,7 +133,7 @@ class RunService:
         planned = planned_poses(plan, settings)
         verifies = None
         if plan.kind == "verification":
-            verifies = active_calibration(self.store, unit, settings.name)
+            verifies = active_calibration(self.store, unit, settings.name, plan.revision)
         with self._beginning:
             self._crew.require_free(settings.name)
             if stage_at_deg is not None:
@@ -132,12 +144,13 @@ class RunService:
                 plan=plan.model_dump(mode="json"),
                 status="queued",
                 operator=operator,
+                who=who,
                 note=note,
                 follows=follows,
                 provenance={
                     **provenance(operator),
                     "seed": plan.seed,
-                    **({} if verifies is None else {"verifies": verifies.run_id}),
+                    **({} if verifies is None else verifies.provenance()),
                     **({} if follow_up is None else {"follow_up": follow_up.provenance()}),
                 },
                 poses_total=0 if plan.kind == "static" else len(planned),
@@ -148,7 +161,7 @@ class RunService:
     def _employ(self, task: Task) -> None:
         """Starts a worker; called while nobody else begins a run."""
         left, ended = self._crew.left_rig, self._crew.ended
-        worker = Worker(task, self.store, self.bus, self.meter, left, ended, self._record)
+        worker = Worker(task, self.store, self.issuer, self.bus, self.meter, left, ended, self._record)
         self._crew.take(worker)
         worker.start()
 

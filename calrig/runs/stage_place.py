@@ -20,8 +20,8 @@ log = logging.getLogger(__name__)
 MOST_OFF_DEG = 10.0
 """A unit's offsets before any calibration turn its gravity by half of this."""
 SAY_SO = (
-    "turn the stage by hand to an elevation that you know and say which: `calrig run --stage-at DEGREES`, "
-    "or `stage_at_deg` of POST /api/runs"
+    'turn the stage by hand to an elevation that you know and say which: "The stage stands at" where the '
+    "page starts a run, `calrig run --stage-at DEGREES`, or `stage_at_deg` of POST /api/runs"
 )
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from typing import TypeVar
 
 from calrig.analysis.errors import Conflict
-from calrig.instruments.clock import WALL
+from calrig.instruments.clock import WALL, Clock, Event
 from calrig.instruments.errors import InstrumentError
 from calrig.instruments.ports import clock_of
 from calrig.runs.control import End
@@ -18,8 +21,18 @@ from calrig.settings import RigSettings
 
 SEEN_S = 9.0
 """How long a run that was told to end may take to see its stage stand, s of the rig's clock."""
+OPENS_S = 2.0
+"""How long a port may take to open until who asked hears that the stage could not be told, likewise."""
 BY_REQUEST = End("aborted", "the stage was stopped by request")
 T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class _Telling:
+    """A stage that nobody uses is being told; `opened` once its port has, or has not for a reason."""
+
+    opened: Event
+    errand: Errand[None]
 
 
 class Stops:
@@ -28,6 +41,8 @@ class Stops:
     def __init__(self, crew: Crew) -> None:
         self._crew = crew
         self._errands = Errands()
+        self._lock = threading.Lock()
+        self._telling: dict[str, _Telling] = {}  # by rig: a port that does not open is waited for once
 
     def stop(self, rig: RigSettings, answer: Callable[[], T]) -> Errand[T]:
         """Stops a rig's stage, whatever runs; who asks while it is being told shares that telling.
@@ -44,7 +59,7 @@ class Stops:
 
         worker = self._crew.on(rig.name)  # a run that began since has to be told anew
         key = "stop", rig.name, None if worker is None else worker.run_id
-        return self._errands.share(key, WALL if rig.stage is None else clock_of(rig.stage.port), stopped)
+        return self._errands.share(key, _clock_of(rig), stopped)
 
     def abort(self, worker: Worker, aborted: Callable[[], T]) -> Errand[T]:
         """Aborts a run; who asks meanwhile shares that."""
@@ -64,8 +79,12 @@ class Stops:
         return worker is not None and _told(worker, BY_REQUEST)
 
     def _stop_idle(self, rig: RigSettings) -> None:
+        telling = self._tell(rig)
+        telling.opened.wait(OPENS_S)
+        if not telling.opened.is_set():
+            raise Conflict(_not_open(rig, "its port"))
         try:
-            stop_stage(rig)
+            telling.errand.result()
         except InstrumentError as error:
             if self._stop_run_on(rig):  # a run may just have taken the port
                 return
@@ -73,6 +92,30 @@ class Stops:
             raise Conflict(
                 f"the stage of rig {rig.name!r} cannot be told to stop ({error}){advice}"
             ) from error
+
+    def _tell(self, rig: RigSettings) -> _Telling:
+        """Has a thread tell the stage, which goes on though nobody waits for it any more."""
+        clock = _clock_of(rig)
+        with self._lock:
+            telling = self._telling.get(rig.name)
+            if telling is None or telling.errand.future.done():
+                telling = self._telling[rig.name] = _Telling(clock.event(), Errand(clock))
+                work = partial(stop_stage, rig, telling.opened.set)
+                carry_out = partial(telling.errand.carry_out, work)
+                clock.thread(carry_out, f"stop of {rig.name}").start()
+            return telling
+
+
+def _clock_of(rig: RigSettings) -> Clock:
+    return WALL if rig.stage is None else clock_of(rig.stage.port)
+
+
+def _not_open(rig: RigSettings, what: str) -> str:
+    port = "" if rig.stage is None else f" {rig.stage.port}"
+    return (
+        f"the stage of rig {rig.name!r} cannot be told to stop: {what}{port} has not opened within "
+        f"{OPENS_S:g} s; it is told as soon as it does, but do not wait for that: cut its motor power"
+    )
 
 
 def _told(worker: Worker, end: End) -> bool:
@@ -84,6 +127,8 @@ def _told(worker: Worker, end: End) -> bool:
         Conflict: the stage is not known to stand.
     """
     worker.control.end(end)
+    if not worker.control.reached(OPENS_S):
+        raise Conflict(_not_open(worker.rig, f"for run {worker.run_id} its port"))
     left = worker.control.left(SEEN_S)
     if left is None:
         raise Conflict(

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import logging
-import math
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from calrig import logs
 from calrig.analysis.errors import NotTheSame
+from calrig.analysis.issuing import Fitted, Issuer
 from calrig.analysis.results import fitted
-from calrig.estimation.autoregressive import MIN_SAMPLES
 from calrig.instruments.clock import WALL
-from calrig.instruments.errors import BoardError, InstrumentError, LimitError
+from calrig.instruments.errors import InstrumentError
 from calrig.instruments.ports import clock_of
 from calrig.instruments.transcript import Tape, taped
 from calrig.instruments.wanted import for_at_most, while_wanted
@@ -30,8 +28,10 @@ from calrig.runs.resume import require_same_devices
 from calrig.runs.rig import Rig, open_rig
 from calrig.runs.stage_place import StagePlace
 from calrig.runs.static_log import keep_log
+from calrig.runs.suited import require_suited
 from calrig.runs.task import Task
 from calrig.store import Run, RunChanges, Status, Store, StoreError, StoreUnavailableError
+from calrig.store.issued import Draft
 
 log = logging.getLogger(__name__)
 
@@ -51,6 +51,7 @@ class Worker:
         self,
         task: Task,
         store: Store,
+        issuer: Issuer,
         bus: Bus,
         meter: Meter,
         left_rig: Callable[[Worker], None],
@@ -76,6 +77,8 @@ class Worker:
         self._left_rig = left_rig
         self._ended = ended
         self._store = store
+        self._issuer = issuer
+        self._draft: Draft | None = None
         self._record = record
         self._fields: RunChanges = {}
         self._warnings: list[str] = []
@@ -148,7 +151,9 @@ class Worker:
         told = [error, *self._warnings] if error else self._warnings
         fields: RunChanges = {**self._fields, "error": "; ".join(told) or None}
         fields["status"] = status
-        while not self._once(fields, lambda: self._recorder.state(status, fields)):
+        if status != "completed":
+            self._draft = None
+        while not self._once(fields, lambda: self._recorder.state(status, fields, self._draft)):
             if self._given_up.wait(TRY_AGAIN_S):
                 break
         self._ended(self)
@@ -163,7 +168,8 @@ class Worker:
         """Writes the end down in place of a run whose devices, or store, keep it from doing so in time."""
         self._given_up.set()
         fields: RunChanges = {"status": end.status, "error": end.reason}
-        self._once(fields, lambda: store.update_run(self.run_id, **(self.untold or fields)))
+        told = self.untold or fields
+        self._once(told, lambda: store.update_run(self.run_id, draft=self._draft, **told))
 
     def _once(self, fields: RunChanges, write: Callable[[], object]) -> bool:
         """Writes the run's end unless that has been done; returns False where the store cannot be told."""
@@ -196,8 +202,7 @@ class Worker:
             ) as rig,
         ):
             self.reached_rig = True
-            self._check_board(rig)
-            self._check_limits(rig)
+            require_suited(rig, task)
             self._note_origin(rig)
             if task.planned:
                 rig.place.take_up(rig.axis, homes=rig.stage_identity.homes)
@@ -213,7 +218,7 @@ class Worker:
                 self._fields["faults"] = rig.faults()
                 self._note_return(execution)
         if task.plan.kind != "static":
-            self._fields["result"] = self._result(execution)
+            self._note_result(execution)
         if task.follow_up is not None:
             self._fields["provenance"] = {**self._origin, "follow_up": task.follow_up.provenance()}
             self._fields["diagnosis"] = task.follow_up.diagnosis(self.run_id, execution.poses)
@@ -242,57 +247,23 @@ class Worker:
         self._fields["provenance"] = self._origin
         self._warnings.extend(execution.returned.warnings())
 
-    def _result(self, execution: Execution) -> dict[str, Any] | None:
-        """The result of the poses stored; None where all of them were excluded meanwhile."""
-        gyro = execution.gyro_figures()
-        poses = [stored.pose for stored in self._store.poses(self.run_id, include_excluded=False)]
+    def _note_result(self, execution: Execution) -> None:
+        """The result of the poses stored, and the draft that a calibration makes of its unit.
+
+        Neither, where all of the poses were excluded meanwhile.
+        """
+        run, gyro = self._task.run, execution.gyro_figures()
+        stored = self._store.poses(self.run_id)
+        poses = [one.pose for one in stored if one.excluded is None]
+        self._fields["result"] = None
         if not poses:
-            return None
+            return
         if self._task.verifies is not None:
-            return self._task.verifies.result(poses, gyro).to_dict()
-        return fitted(
-            self._store,
-            unit=self._task.run.unit,
-            rig=self._task.run.rig,
-            provenance=self._origin,
-            poses=poses,
-            gyro=gyro,
-        ).to_dict()
-
-    def _check_board(self, rig: Rig) -> None:
-        board, unit = rig.board_identity, self._task.run.unit
-        if board.serial and board.serial != unit:
-            raise BoardError(
-                f"rig {self.rig.name!r}: the board says it is unit {board.serial!r}, the run is for unit "
-                f"{unit!r}; nothing was moved: mount the right unit or correct the serial number"
-            )
-        if board.rate_hz is not None:
-            self._check_dwell(board.rate_hz)
-        elif board.max_rate_hz is not None and self._task.plan.rate_hz > board.max_rate_hz:
-            raise BoardError(
-                f"rig {self.rig.name!r}: the plan asks for {self._task.plan.rate_hz} Hz and the board gives "
-                f"{board.max_rate_hz} Hz at most; nothing was moved: lower rate_hz"
-            )
-
-    def _check_dwell(self, rate_hz: float) -> None:
-        """A board that has one rate only may be too slow for the plan's dwell."""
-        dwell_s = self._task.plan.dwell_s
-        count = dwell_s * rate_hz
-        if count < MIN_SAMPLES:
-            enough_s = math.ceil(2 * (MIN_SAMPLES + 1) / rate_hz) / 2
-            raise BoardError(
-                f"rig {self.rig.name!r}: the board gives {rate_hz:.1f} samples a second and no other rate: a "
-                f"dwell of {dwell_s:g} s holds about {count:.0f}, a reading needs {MIN_SAMPLES}; "
-                f"nothing was moved: dwell longer (dwell_s at least {enough_s:g})"
-            )
-
-    def _check_limits(self, rig: Rig) -> None:
-        """The controller's own limits, known only now, may be narrower than those the plan was checked by."""
-        low, high = rig.axis.limits_deg
-        for pose in self._task.planned:
-            if not low <= pose.target_deg <= high:
-                raise LimitError(
-                    f"rig {self.rig.name!r}: elevation {pose.target_deg:g}° is beyond the limits of rig and "
-                    f"controller together, {low:g}° to {high:g}°; nothing was moved: change the plan, or the "
-                    "controller's limits"
-                )
+            self._fields["result"] = self._task.verifies.result(poses, gyro).to_dict()
+            return
+        accepted = self._store.effects_in_force(run.unit, run.rig)
+        result = fitted(poses, accepted, self._origin, gyro)
+        self._fields["result"] = result.to_dict()
+        excluded = [one.index for one in stored if one.excluded is not None]
+        now = replace(run, provenance=self._origin, faults=self._fields["faults"])
+        self._draft = self._issuer.completing(now, Fitted(poses, result, accepted, excluded))

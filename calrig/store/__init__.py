@@ -1,6 +1,7 @@
 """Runs, poses, events and raw samples in one SQLite file (SQLModel tables, Alembic migrations)."""
 
 from calrig.store.backup import BackedUp, back_up
+from calrig.store.check_units import CheckUnit
 from calrig.store.errors import NotFound, StoreDamagedError, StoreError, StoreUnavailableError
 from calrig.store.event_log import Announced
 from calrig.store.records import (
@@ -26,6 +27,7 @@ __all__ = [
     "AcceptedEffect",
     "Announced",
     "BackedUp",
+    "CheckUnit",
     "ComparisonRow",
     "Event",
     "LeftAt",

@@ -12,11 +12,14 @@ from dataclasses import replace
 from typing import Any, cast, get_args
 
 import numpy as np
+from sqlalchemy.orm import object_session
 from sqlmodel import Session
 
+from calrig.calibration.conformity import Limit, limit_for
 from calrig.calibration.pose import Filtering, Pose
 from calrig.store import checksums
 from calrig.store.errors import NotFound, Unreadable
+from calrig.store.limits import limits_of
 from calrig.store.records import Progress, RawSamples, Run, SampleBlock, Status, StoredPose, Voided
 from calrig.store.tables import CalibrationTable, PoseTable, RunTable
 
@@ -82,7 +85,13 @@ def run_of(row: RunTable) -> Run:
         started_at=row.started_at,
         finished_at=row.finished_at,
         error=row.error,
+        limit=None if row.result is None else _limit_of(row),
     )
+
+
+def _limit_of(row: RunTable) -> Limit | None:
+    session = object_session(row)
+    return None if session is None else limit_for(limits_of(cast(Session, session)), row.unit, row.rig)
 
 
 def figures_of(run_id: int, result: dict[str, Any]) -> CalibrationTable:

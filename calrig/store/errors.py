@@ -12,7 +12,15 @@ class StoreError(Exception):
 
 
 class NotFound(StoreError):  # noqa: N818 (an answer, not a fault)
-    """There is no such run, or the run has no such pose."""
+    """There is no such run or revision, or the run has no such pose."""
+
+
+class Refused(StoreError):  # noqa: N818 (an answer, not a fault)
+    """What is stored does not allow this; the message says why and what to do."""
+
+
+class Taken(StoreError):  # noqa: N818 (likewise)
+    """Another program writes to the store; the message says which."""
 
 
 class StoreUnavailableError(StoreError):

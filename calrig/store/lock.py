@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from calrig.store import file_system
-from calrig.store.errors import StoreError, store_error
+from calrig.store.errors import StoreError, Taken, store_error
 
 FLAGS = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY
 BEGINNING = b'{"pid"'
@@ -46,7 +46,7 @@ class WriterLock:
                 raise file_system.on_a_network_drive(
                     database, f"it cannot be locked: {error.strerror}"
                 ) from error
-            raise StoreError(
+            raise Taken(
                 f"{database}: {holder} writes to it, and a store has one writer at a time: "
                 "stop that one first, or name another database with --db"
             ) from error

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Unpack
 
 from sqlmodel import Session, col, delete, func, insert, select
@@ -16,7 +16,6 @@ from calrig.store.convert import (
     pose_of,
     pose_values,
     run_number,
-    run_of,
     run_row,
     unpacked_block,
 )
@@ -25,15 +24,13 @@ from calrig.store.errors import NotFound, Unreadable
 from calrig.store.event_log import Announced
 from calrig.store.records import (
     UNFINISHED,
-    Document,
     RawSamples,
-    Run,
     RunChanges,
     SampleBlock,
     StoredPose,
     filtering_of,
 )
-from calrig.store.runs import POSES_AT_ONCE, change, replace_result
+from calrig.store.runs import POSES_AT_ONCE, change
 from calrig.store.tables import PoseTable, RunTable, SampleBlockTable
 
 SAMPLES_AT_ONCE = 1_000
@@ -124,26 +121,14 @@ class Poses(Part):
             counting = (PoseTable.run_id == run.id, col(PoseTable.excluded_reason).is_(None))
             return session.exec(select(func.count()).select_from(PoseTable).where(*counting)).one()
 
-    def exclude_pose(self, run_id: str, index: int, reason: str, *, result: Document | None) -> Run:
-        """Marks a pose as not counting and replaces the run's result; the pose is kept.
-
-        Args:
-            run_id: the run.
-            index: the pose.
-            reason: why it does not count; a second one replaces the first.
-            result: what the poses that are left give.
-
-        Raises:
-            NotFound: the run has no such pose.
-        """
-        with self._database.writing() as session:
+    def excluded_poses(self, run_id: str) -> list[int]:
+        """Indices of the poses of a run that do not count, in order."""
+        with self._database.reading() as session:
             run = run_row(session, run_id)
-            row = session.get(PoseTable, (run.id, index)) if 0 <= index < 2**63 else None
-            if row is None:
-                raise NotFound(f"run {run_id} has no pose {index}")
-            row.excluded_reason, row.excluded_at = reason, datetime.now(UTC)
-            replace_result(session, run, result)
-            return run_of(run)
+            wanted = select(PoseTable.pose_index).where(
+                PoseTable.run_id == run.id, col(PoseTable.excluded_reason).is_not(None)
+            )
+            return sorted(session.exec(wanted))
 
     def samples(self, run_id: str, pose: int | None = None) -> RawSamples:
         """The raw samples of a run in the order taken, or those of one pose's dwell; none once pruned.

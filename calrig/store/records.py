@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import Any, Literal, NamedTuple, TypedDict
 
 import numpy as np
 import numpy.typing as npt
 
+from calrig.calibration.conformity import Limit
 from calrig.calibration.pose import Filtering, Pose
 from calrig.calibration.uncertainty import Reference
 from calrig.calibration.verdict import Verdict, verdict
@@ -48,7 +49,10 @@ class Voided(TypedDict):
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """A run as CONTRACT section 2 shows it; times are aware and in UTC."""
+    """A run as CONTRACT section 2 shows it; times are aware and in UTC.
+
+    `limit` is the one that matches its unit and rig now; looked for only where there is a result.
+    """
 
     id: str
     unit: str
@@ -68,6 +72,9 @@ class Run:
     started_at: datetime | None
     finished_at: datetime | None
     error: str | None
+    suspect: Document | None = None
+    """Why its rig is in doubt, where somebody looked: `reason`, `check_run_id`. The store never knows."""
+    limit: Limit | None = None
 
     @property
     def verdict(self) -> Verdict | None:
@@ -76,13 +83,22 @@ class Run:
             return None
         verification = (self.plan or {}).get("kind") == "verification"
         mismatches = self.faults.get("move_mismatch", 0)
-        return verdict(self.result, self.diagnosis, verification=verification, move_mismatches=mismatches)
+        return verdict(
+            self.result,
+            self.diagnosis,
+            verification=verification,
+            move_mismatches=mismatches,
+            limit=self.limit,
+        )
 
 
 def reference_of(provenance: Document) -> Reference | None:
     """What the rig said of its stage when a run was made; None where it said nothing, or none was known."""
     stated = (provenance.get("rig") or {}).get("reference")
-    return None if stated is None else Reference(stated["std_deg"], stated.get("kind", "harmonic"))
+    if stated is None:
+        return None
+    usual = Reference(stated["std_deg"])
+    return replace(usual, **{key: stated[key] for key in ("kind", "distribution") if key in stated})
 
 
 def filtering_of(provenance: Document, plan: Document | None) -> Filtering | None:
@@ -138,7 +154,7 @@ class LeftAt:
 class AcceptedEffect:
     """An effect that a person accepted, of a unit or of a rig (the other is None), and the run it is from.
 
-    `parameters` are CONTRACT section 5's by name, numbers or null.
+    `parameters` are CONTRACT section 5's by name, numbers or null; `id` is the store's, of one that it gave.
     """
 
     run_id: str
@@ -147,6 +163,7 @@ class AcceptedEffect:
     name: str
     origin: str
     parameters: dict[str, float | None]
+    id: int | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True, slots=True)

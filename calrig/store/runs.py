@@ -10,12 +10,13 @@ from typing import Unpack, get_args
 from sqlmodel import Session, col, func, select
 
 from calrig.calibration.pose import Pose
-from calrig.store import event_log, staging
+from calrig.store import event_log, issued, staging, trail
 from calrig.store.convert import figures_of, run_number, run_of, run_row
 from calrig.store.database import Part
 from calrig.store.event_log import Announced
 from calrig.store.records import TERMINAL, UNFINISHED, Document, Run, RunChanges, Status
 from calrig.store.tables import CalibrationTable, RunTable, UnitTable
+from calrig.store.trail import Act, What
 
 POSES_AT_ONCE = 1000
 """Read together: an import has a hundred thousand."""
@@ -38,11 +39,13 @@ class Runs(Part):
         poses_total: int = 0,
         poses: Sequence[Pose] = (),
         result: Document | None = None,
+        draft: issued.Draft | None = None,
+        who: str | None = None,
     ) -> Run:
         """Makes a run and, where it is the first of its unit, the unit; announces the run's state.
 
-        An import gives `poses`, `result` and the status `completed` at once: all is stored or nothing. Nobody
-        waits meanwhile for longer than the copying of what was made ready takes.
+        An import gives `poses`, `result`, the status `completed` and the unit's next revision at once: all is
+        stored or nothing. Nobody waits meanwhile for longer than the copying of what was made ready takes.
         """
         now = datetime.now(UTC)
         with ExitStack() as stack:
@@ -72,6 +75,10 @@ class Runs(Part):
                 staging.take_over(session, row.id)
             replace_result(session, row, result)
             event_log.append(session, row, [event_log.state(row)])
+            what: What = "imported" if plan is None else "started"
+            trail.append(session, Act(what, who=who, unit=unit, rig=rig, run_id=str(row.id)), now)
+            if draft is not None:
+                issued.issue(session, row, draft)
             return run_of(row)
 
     def run(self, run_id: str) -> Run | None:
@@ -112,28 +119,29 @@ class Runs(Part):
         return found[:limit], found[limit - 1].id if len(found) > limit else None
 
     def update_run(
-        self, run_id: str, *, events: Sequence[Announced] = (), **changes: Unpack[RunChanges]
+        self,
+        run_id: str,
+        *,
+        events: Sequence[Announced] = (),
+        draft: issued.Draft | None = None,
+        **changes: Unpack[RunChanges],
     ) -> Run:
         """Changes a run and announces `events`, then, where a status was given, the new state.
 
         `started_at` is set by the first `running`, `finished_at` by a terminal status; a run that is resumed
         after an interruption loses `finished_at`. `error` stays unless given: clear it when a run is resumed.
+        A calibration that is completed gives `draft`, its unit's next revision.
         """
         with self._database.writing() as session:
             row = run_row(session, run_id)
             change(session, row, events, changes)
+            if draft is not None:
+                issued.issue(session, row, draft)
             return run_of(row)
 
     def set_result(self, run_id: str, result: Document | None) -> Run:
         """Replaces a run's result, and with it what comparisons show."""
         return self.update_run(run_id, result=result)
-
-    def void_run(self, run_id: str, reason: str) -> Run:
-        """Takes a run out of every comparison; it is kept. A second reason replaces the first."""
-        with self._database.writing() as session:
-            row = run_row(session, run_id)
-            row.voided_reason, row.voided_at = reason, datetime.now(UTC)
-            return run_of(row)
 
     def unfinished(self) -> list[Run]:
         """The runs that are queued, running or paused, the oldest first."""

@@ -6,16 +6,22 @@ from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Self
 
+from calrig.store.amendments import Amendments
+from calrig.store.check_units import CheckUnits
 from calrig.store.database import BUSY_TIMEOUT_S, Database, database_path
 from calrig.store.event_log import EventLog
+from calrig.store.issued import Issued
+from calrig.store.limits import Limits
 from calrig.store.places import Places
 from calrig.store.poses import Poses
 from calrig.store.records import Size
 from calrig.store.runs import Runs
+from calrig.store.trail import Trail
 from calrig.store.units import Units
+from calrig.store.users import Users
 
 
-class Store(Runs, Poses, EventLog, Units, Places):
+class Store(Runs, Poses, Amendments, EventLog, Units, Issued, Places, Limits, CheckUnits, Trail, Users):
     """An open store, shared by threads. Each method is one transaction, on the disk when it returns.
 
     A run that does not exist raises `NotFound` where it is not said otherwise; what SQLite cannot do raises

@@ -5,7 +5,7 @@
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import Dialect, String, TypeDecorator
+from sqlalchemy import Dialect, String, TypeDecorator, text
 from sqlmodel import Column, Field, ForeignKey, Index, LargeBinary, SQLModel
 
 from calrig.store.checksums import CheckedJson
@@ -28,6 +28,10 @@ class UtcText(TypeDecorator[datetime]):
             return None if value is None else datetime.fromisoformat(value)
         except (TypeError, ValueError) as error:
             raise Unreadable(f"a time is no time any more: {value!r}") from error
+
+
+Sha256 = String(64)
+"""A hash in hexadecimal."""
 
 
 class UnitTable(SQLModel, table=True):
@@ -154,6 +158,7 @@ class AcceptedEffectTable(SQLModel, table=True):
     origin: str
     parameters: dict[str, Any] = Field(sa_type=CheckedJson)
     accepted_at: datetime = Field(sa_type=UtcText)
+    withdrawn_at: datetime | None = Field(default=None, sa_type=UtcText)
 
 
 class TranscriptTable(SQLModel, table=True):
@@ -176,3 +181,79 @@ class StagePlaceTable(SQLModel, table=True):
     rig: str = Field(primary_key=True)
     stage_deg: float | None
     at: datetime = Field(sa_type=UtcText)
+
+
+class IssuedCalibrationTable(SQLModel, table=True):
+    """A revision of a unit's calibration: its bytes never change; its status is beside them."""
+
+    __tablename__ = "issued_calibration"
+    __table_args__ = (
+        Index(
+            "ix_issued_calibration_in_force", "unit", unique=True, sqlite_where=text("status = 'in_force'")
+        ),
+        Index("ix_issued_calibration_run_id", "run_id"),
+    )
+
+    unit: str = Field(primary_key=True, foreign_key="unit.serial")
+    revision: int = Field(primary_key=True)
+    run_id: int = Field(foreign_key="run.id")
+    document: str
+    sha256: str = Field(sa_type=Sha256)
+    status: str
+    basis: dict[str, Any] = Field(sa_type=CheckedJson)
+    verdict: dict[str, Any] = Field(sa_type=CheckedJson)
+    issued_at: datetime = Field(sa_type=UtcText)
+    issued_by: str | None = None
+    reason: str | None = None
+
+
+class TrailTable(SQLModel, table=True):
+    """Who did what, when and why: rows are added and never changed, each chained to the one before."""
+
+    __tablename__ = "trail"
+    __table_args__ = (Index("ix_trail_unit", "unit"),)
+
+    seq: int = Field(default=None, primary_key=True)
+    at: datetime = Field(sa_type=UtcText)
+    who: str | None
+    what: str
+    unit: str | None = None
+    rig: str | None = None
+    run_id: int | None = None
+    revision: int | None = None
+    reason: str | None = None
+    detail: dict[str, Any] = Field(sa_type=CheckedJson)
+    sha256: str = Field(sa_type=Sha256)
+
+
+class LimitTable(SQLModel, table=True):
+    """A limit in the order that limits are tried in: the first that matches a unit counts."""
+
+    __tablename__ = "limit_rule"
+
+    position: int = Field(primary_key=True)
+    name: str = Field(unique=True)
+    document: dict[str, Any] = Field(sa_type=CheckedJson)
+
+
+class UserTable(SQLModel, table=True):
+    """A person or program that is known: role, and the hash of its token (null: known by a proxy only)."""
+
+    __tablename__ = "user"
+
+    name: str = Field(primary_key=True)
+    role: str
+    token_sha256: str | None = Field(default=None, sa_type=Sha256, unique=True)
+    created_at: datetime = Field(sa_type=UtcText)
+    disabled_at: datetime | None = Field(default=None, sa_type=UtcText)
+
+
+class CheckUnitTable(SQLModel, table=True):
+    """The unit by which a rig is checked, and how often."""
+
+    __tablename__ = "check_unit"
+
+    rig: str = Field(primary_key=True)
+    unit: str = Field(foreign_key="unit.serial")
+    interval_days: float
+    named_at: datetime = Field(sa_type=UtcText)

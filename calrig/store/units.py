@@ -3,23 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from typing import Any
 
 import sqlalchemy
 from sqlmodel import Session, col, func, or_, select
 
 from calrig.store.checksums import check_numbers
-from calrig.store.convert import FIGURES, result_part, run_of, run_row
+from calrig.store.convert import FIGURES, result_part, run_of
 from calrig.store.database import Part
-from calrig.store.records import AcceptedEffect, ComparisonRow, Document, Run, Unit
-from calrig.store.tables import AcceptedEffectTable, CalibrationTable, RunTable, UnitTable, UtcText
+from calrig.store.errors import NotFound, Refused
+from calrig.store.records import AcceptedEffect, ComparisonRow, Run, Unit
+from calrig.store.tables import (
+    AcceptedEffectTable,
+    CalibrationTable,
+    CheckUnitTable,
+    IssuedCalibrationTable,
+    RunTable,
+    UnitTable,
+    UtcText,
+)
+from calrig.store.trail import Act, append
 
 _COUNTS = (
     col(RunTable.status) == "completed",
     col(RunTable.kind) == "calibration",
     col(RunTable.voided_reason).is_(None),
 )
+
+_AT_ONCE = 500
+"""Runs asked for by their ids in one question."""
+_STANDS = col(AcceptedEffectTable.withdrawn_at).is_(None)
 
 _COMPARED: tuple[Any, ...] = (
     RunTable.unit,
@@ -30,6 +43,14 @@ _COMPARED: tuple[Any, ...] = (
     CalibrationTable.crc32,
 )
 """In the order of `ComparisonRow`; columns, not objects of the tables: thousands come in milliseconds."""
+
+
+_KEPT_OF_UNITS: dict[Any, str] = {
+    RunTable: "runs",
+    CheckUnitTable: "a rig that is checked by it",
+    AcceptedEffectTable: "effects that were accepted",
+}
+"""What keeps a unit from being removed."""
 
 
 class Units(Part):
@@ -46,7 +67,9 @@ class Units(Part):
             return next(iter(_units(session, serial)), None)
 
     def comparison(self, serials: Sequence[str] | None = None) -> list[ComparisonRow]:
-        """The figures of every completed, not voided calibration, by unit, the oldest of each first.
+        """The figures of every calibration that counts, by unit, the oldest of each first.
+
+        That is: completed and not voided; no verification, static log or follow-up.
 
         Args:
             serials: the units to compare; None for all.
@@ -54,7 +77,7 @@ class Units(Part):
         wanted = (
             sqlalchemy.select(*_COMPARED)
             .join(CalibrationTable, col(CalibrationTable.run_id) == RunTable.id)
-            .where(*_COUNTS)
+            .where(*_COUNTS, col(RunTable.follows).is_(None))
             .order_by(col(RunTable.unit), col(RunTable.finished_at), col(RunTable.id))
         )
         if serials is not None:
@@ -62,8 +85,24 @@ class Units(Part):
         with self._database.reading() as session:
             return [_compared(row) for row in session.connection().execute(wanted)]
 
-    def latest_calibration_run(self, serial: str) -> Run | None:
-        """The latest completed, not voided `calibration` run (or import) whose scale is known, or None."""
+    def reference_figures(self, run_ids: Sequence[str]) -> dict[str, tuple[float, float | None]]:
+        """What the stage is worth in the bias (deg) and scale of runs that know it: type B, by run."""
+        found: dict[str, tuple[float, float | None]] = {}
+        with self._database.reading() as session:
+            for begin in range(0, len(run_ids), _AT_ONCE):
+                ids = [int(one) for one in run_ids[begin : begin + _AT_ONCE]]
+                wanted = select(RunTable.id, RunTable.result).where(col(RunTable.id).in_(ids))
+                for run_id, result in session.exec(wanted):
+                    reference = (result or {}).get("reference")
+                    if reference is not None:
+                        found[str(run_id)] = (reference["bias_std_deg"], reference["scale_std"])
+        return found
+
+    def latest_calibration_run(self, serial: str, *, follow_ups: bool = False) -> Run | None:
+        """The latest completed, not voided `calibration` run (or import) whose scale is known, or None.
+
+        `follow_ups` counts those as well, as stores did before there were revisions.
+        """
         wanted = (
             select(RunTable)
             .join(CalibrationTable)
@@ -71,38 +110,36 @@ class Units(Part):
             .order_by(col(RunTable.finished_at).desc(), col(RunTable.id).desc())
             .limit(1)
         )
+        if not follow_ups:
+            wanted = wanted.where(col(RunTable.follows).is_(None))
         with self._database.reading() as session:
             row = session.exec(wanted).first()
             return None if row is None else run_of(row)
 
-    def accept_effects(self, run_id: str, accepted: Sequence[AcceptedEffect]) -> None:
-        """Puts effects of a run's diagnosis in force from now on; the diagnosis says since when.
+    def remove_unit(self, serial: str, *, who: str | None = None) -> None:
+        """Removes a unit that nothing is known of.
 
-        Each for its unit or its rig, in place of an earlier one of that name.
+        Raises:
+            NotFound: there is no such unit.
+            Refused: it has runs or calibrations that were not withdrawn, or a rig is checked by it.
         """
-        now = datetime.now(UTC)
         with self._database.writing() as session:
-            run = run_row(session, run_id)
-            if run.diagnosis is not None:
-                run.diagnosis = _marked(run.diagnosis, accepted, now)
-            session.add_all(
-                AcceptedEffectTable(
-                    run_id=run.id,
-                    unit=effect.unit,
-                    rig=effect.rig,
-                    name=effect.name,
-                    origin=effect.origin,
-                    parameters=effect.parameters,
-                    accepted_at=now,
-                )
-                for effect in accepted
-            )
+            row = session.get(UnitTable, serial)
+            if row is None:
+                raise NotFound(f"there is no unit {serial!r}")
+            for table, kept in _KEPT_OF_UNITS.items():
+                if session.exec(select(table).where(table.unit == serial).limit(1)).first() is not None:
+                    raise Refused(f"unit {serial!r} has {kept} and is not removed")
+            _remove_revisions(session, serial)
+            session.delete(row)
+            append(session, Act("unit_removed", who=who, unit=serial))
 
     def effects_in_force(self, unit: str, rig: str | None) -> list[AcceptedEffect]:
-        """The effects accepted for a unit and for a rig, the latest of each name."""
+        """The effects accepted for a unit and for a rig: of each name the latest that was not taken back."""
         wanted = (
             select(AcceptedEffectTable)
             .where(or_(AcceptedEffectTable.unit == unit, col(AcceptedEffectTable.rig) == (rig or "")))
+            .where(_STANDS)
             .order_by(col(AcceptedEffectTable.id))
         )
         latest: dict[tuple[str | None, str], AcceptedEffect] = {}
@@ -115,14 +152,15 @@ class Units(Part):
                     name=row.name,
                     origin=row.origin,
                     parameters=row.parameters,
+                    id=row.id,
                 )
         return list(latest.values())
 
     def effect_names(self) -> dict[str, list[str]]:
-        """Names of the effects accepted for each unit that has any."""
+        """Names of the effects in force for each unit that has any."""
         wanted = (
             select(AcceptedEffectTable.unit, AcceptedEffectTable.name)
-            .where(col(AcceptedEffectTable.unit).is_not(None))
+            .where(col(AcceptedEffectTable.unit).is_not(None), _STANDS)
             .distinct()
             .order_by(col(AcceptedEffectTable.unit), col(AcceptedEffectTable.name))
         )
@@ -131,6 +169,23 @@ class Units(Part):
             for unit, name in session.exec(wanted):
                 found.setdefault(str(unit), []).append(name)
         return found
+
+
+def _remove_revisions(session: Session, serial: str) -> None:
+    """Those that nobody may use: drafts, and what was withdrawn. The trail keeps their hashes.
+
+    Raises:
+        Refused: another one was handed out.
+    """
+    wanted = select(IssuedCalibrationTable).where(IssuedCalibrationTable.unit == serial)
+    for row in session.exec(wanted).all():
+        if row.status not in ("draft", "withdrawn"):
+            raise Refused(
+                f"revision {row.revision} of unit {serial!r} is {row.status.replace('_', ' ')}: withdraw it "
+                "first, with the reason"
+            )
+        session.delete(row)
+    session.flush()
 
 
 def _units(session: Session, serial: str | None = None) -> list[Unit]:
@@ -153,14 +208,3 @@ def _compared(row: Sequence[Any]) -> ComparisonRow:
     unit, run_id, rig, finished_at, *figures, crc32 = row
     check_numbers(crc32, figures, f"the figures of run {run_id}")
     return ComparisonRow(unit, run_id, rig, finished_at, result_part(figures))
-
-
-def _marked(diagnosis: Document, accepted: Sequence[AcceptedEffect], now: datetime) -> Document:
-    """The diagnosis, saying when effects of it were accepted: those of that name and with those values."""
-    at = now.isoformat().replace("+00:00", "Z")
-    marked = []
-    for effect in diagnosis["effects"]:
-        values = {name: given and given["value"] for name, given in effect["parameters"].items()}
-        is_one = any((one.name, one.parameters) == (effect["name"], values) for one in accepted)
-        marked.append({**effect, "accepted_at": at} if is_one else effect)
-    return {**diagnosis, "effects": marked}

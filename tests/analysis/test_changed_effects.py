@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
-from support import lay_empty_store
 
-from calrig.analysis.diagnoses import Diagnoses
+from calrig.analysis.acceptance import Acceptance
 from calrig.analysis.errors import Conflict
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import build_result
@@ -17,14 +14,6 @@ from calrig.store import Run, Store
 
 POSES = [Pose(x, 0.8 + x, approach=1) for x in (-60.0, -30.0, 0.0, 30.0, 60.0)]
 CHANGED = {"from": "1", "to": "2"}
-
-
-@pytest.fixture
-def store(tmp_path: Path) -> Iterator[Store]:
-    path = tmp_path / "calrig.db"
-    lay_empty_store(path)
-    with Store.open(f"sqlite:///{path}", writer="tests") as opened:
-        yield opened
 
 
 def offset(z_mg: float, changed: dict[str, str] | None) -> dict[str, Any]:
@@ -36,6 +25,7 @@ def offset(z_mg: float, changed: dict[str, str] | None) -> dict[str, Any]:
         "origin": "sensor",
         "parameters": parameters,
         "changed": changed,
+        "confusable_with": [],
         "remedy": "subtract the offsets",
     }
 
@@ -57,12 +47,12 @@ def diagnosed(store: Store, *effects: dict[str, Any]) -> Run:
 def test_a_difference_between_two_runs_is_not_accepted(store: Store) -> None:
     run = diagnosed(store, offset(6.0, CHANGED))
     with pytest.raises(Conflict, match="diagnose the latest alone"):
-        Diagnoses(store).accept(run.id, ["accelerometer_offset"])
+        Acceptance(store).accept(run.id, ["accelerometer_offset"])
 
 
 def test_what_was_the_same_in_all_runs_is_accepted_beside_what_changed(store: Store) -> None:
     run = diagnosed(store, offset(6.0, CHANGED), offset(2.0, None), offset(5.0, CHANGED))
-    accepted = Diagnoses(store).accept(run.id, ["accelerometer_offset"])
+    accepted = Acceptance(store).accept(run.id, ["accelerometer_offset"])
     assert accepted.diagnosis is not None
     at = [effect.get("accepted_at") is not None for effect in accepted.diagnosis["effects"]]
     assert at == [False, True, False]

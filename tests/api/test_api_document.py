@@ -8,6 +8,7 @@ import pytest
 from pydantic import TypeAdapter
 from support import QUICK, ended
 
+from calrig.api import heavy
 from calrig.api.app import PARTS
 from calrig.api.openapi import KEPT, document
 
@@ -19,7 +20,7 @@ def test_the_document_kept_is_the_applications_own():
     assert kept == document(), "run `python -m calrig.api.openapi` and commit what it writes"
 
 
-def test_every_answer_is_what_the_document_says(shared_client):
+def test_every_answer_is_what_the_document_says(shared_client, monkeypatch):
     """The document is made from the answers' models; each JSON answer must fit its own one to the letter."""
     plan = {**QUICK, "sweeps": 4}
     begun = shared_client.post("/api/runs", json={"unit": "A/1", "plan": plan, "operator": "Ada"})
@@ -29,11 +30,16 @@ def test_every_answer_is_what_the_document_says(shared_client):
     still = {"kind": "static", "dwell_s": 20.0}
     static_id = shared_client.post("/api/runs", json={"unit": "A/1", "plan": still}).json()["id"]
     assert ended(shared_client, static_id)["status"] == "completed"
-    shared_client.post("/api/imports", files={"file": ("poses.csv", CSV)}, data={"unit": "B"})
+    shared_client.put("/api/rigs/bench-1/check-unit", json={"unit": "A/1", "interval_days": 7})
+    monkeypatch.setattr(heavy, "AT_ONCE_S", 0.0)  # for a job
+    file = {"file": ("poses.csv", CSV)}
+    job = shared_client.post("/api/imports?wait=false", files=file, data={"unit": "B"}).json()
     routes = [route for part in PARTS for route in part.router.routes if "GET" in route.methods]
     models = {route.path: route.response_model for route in routes if route.response_model is not None}
     names = {
         "/api/rigs/{name}/error-map": "bench-1",
+        "/api/rigs/{name}/check-unit": "bench-1",
+        "/api/rigs/{name}/figures/check-unit": "bench-1",
         "/api/rigs/{name}/figures/error-map": "bench-1",
         "/api/runs/{run_id}/figures/{name}": "residual",
         "/api/compare/figures/{name}": "bias",
@@ -41,6 +47,7 @@ def test_every_answer_is_what_the_document_says(shared_client):
     for path, model in models.items():
         told_by = static_id if path.endswith("/noise") else run_id
         url = path.replace("{run_id}", told_by).replace("{serial:path}", "A/1")
+        url = url.replace("{job_id}", job["id"])
         answer = shared_client.get(url.replace("{name}", names.get(path, "")))
         assert answer.status_code == 200, url
         TypeAdapter(model).validate_json(answer.content, strict=True)

@@ -146,7 +146,7 @@ def test_the_calibration_in_force_is_the_latest_that_counts(shared_client):
     first = upload(shared_client, POSES, "C-1").json()
     second = upload(shared_client, POSES.replace("0.4", "0.5"), "C-1").json()
     document = shared_client.get("/api/units/C-1/calibration").json()
-    assert document["schema"] == "calrig.calibration/1"
+    assert document["schema"] == "calrig.calibration/2"
     assert (document["run_id"], document["bias_deg"]) == (second["id"], second["result"]["bias_deg"])
     shared_client.post(f"/api/runs/{second['id']}/void", json={"reason": "wrong unit"})
     assert shared_client.get("/api/units/C-1/calibration").json()["run_id"] == first["id"]

@@ -91,7 +91,9 @@ def test_a_voided_run_stays_with_its_reason_and_counts_no_more(shared_client):
     assert shared_client.get("/api/units/V-1/calibration").status_code == 200
     run = shared_client.post(f"/api/runs/{run_id}/void", json={"reason": "the table was bumped"}).json()
     assert run["voided"]["reason"] == "the table was bumped"
-    assert shared_client.get("/api/units/V-1/calibration").status_code == 404
+    (revision,) = shared_client.get("/api/units/V-1/calibrations").json()
+    assert revision["status"] == "in_force", "there is nothing to put in its place"
+    assert revision["stale"] == [f"Run {run_id} has been voided: the table was bumped"]
     assert shared_client.get("/api/compare?unit=V-1").json()["units"][0]["runs"] == []
     assert shared_client.get(f"/api/runs/{run_id}").json()["result"] == run["result"]
 
@@ -152,11 +154,11 @@ def test_an_unknown_run_is_404_on_every_path(shared_client, method, path, run_id
         pytest.param({"unit": ""}, "serial", id="empty serial"),
         pytest.param({"unit": "x" * 10_240}, "serial", id="10 kB serial"),
         pytest.param({"unit": "A\x00B"}, "serial", id="unprintable serial"),
-        pytest.param({}, "unit", id="no unit"),
+        pytest.param({}, "Unit's serial number is missing", id="no unit"),
         pytest.param({"unit": "A", "rigg": "bench-1"}, "rigg", id="unknown field"),
         pytest.param({"unit": "A", "plan": {"swepes": 4}}, "swepes", id="unknown plan field"),
-        pytest.param({"unit": "A", "plan": {"sweeps": 0}}, "sweeps", id="no poses"),
-        pytest.param({"unit": "A", "plan": {"elevations_deg": []}}, "elevations_deg", id="no elevations"),
+        pytest.param({"unit": "A", "plan": {"sweeps": 0}}, "Sweeps must be at least 1", id="no poses"),
+        pytest.param({"unit": "A", "plan": {"elevations_deg": []}}, "Elevations", id="no elevations"),
         pytest.param({"unit": "A", "plan": {"sweeps": 10_000}}, "poses", id="100,000 poses"),
         pytest.param(
             {"unit": "A", "plan": {"elevations_deg": [0] * 100_000}}, "10000", id="100,000 elevations"

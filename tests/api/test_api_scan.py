@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 from simulated_devices import plug
+from support import wait_for
+
+from calrig.api import runs
 
 
 def test_a_look_at_the_ports_tells_who_answers_and_what_to_configure(shared_client, monkeypatch):
@@ -28,3 +34,24 @@ def test_the_ports_of_the_services_own_rigs_stay_free_for_a_stop(shared_client, 
     answer = shared_client.post("/api/rigs/scan").raise_for_status().json()
     assert [(one["port"], one["kind"]) for one in answer["found"]] == [(p, "busy") for p in sorted(ports)]
     assert all("a rig of this service" in one["identity"] for one in answer["found"])
+
+
+def test_who_asks_while_the_ports_are_looked_at_shares_that_look_and_takes_no_thread(
+    shared_client, monkeypatch
+):
+    looks, go_on = [], threading.Event()
+
+    def look(*, ours):
+        looks.append(ours)
+        assert go_on.wait(60)
+        return []
+
+    monkeypatch.setattr(runs.ports, "scan", look)
+    crowd = 60  # more than there are threads for requests
+    with ThreadPoolExecutor(crowd) as beside:
+        asked = [beside.submit(shared_client.post, "/api/rigs/scan") for _ in range(crowd)]
+        wait_for(lambda: looks, "a look")
+        assert shared_client.get("/api/rigs").status_code == 200
+        go_on.set()
+        assert {answer.result().status_code for answer in asked} == {200}
+    assert len(looks) < 5  # those that came when the first had ended began another

@@ -12,12 +12,15 @@ from starlette.requests import HTTPConnection
 from support import run_async, running_service, serving
 
 from calrig.api.access import Access
-from calrig.api.authentication import MOST_SESSIONS, SESSION_S, WAITING_EACH, Authentication, Sessions
+from calrig.api.authentication import WAITING_EACH, Authentication
 from calrig.api.openapi import document
+from calrig.api.sessions import MOST_SESSIONS, SESSION_S, Sessions
+from calrig.store.users import token_digest
 
 TOKEN = "the-benches-of-building-4"
 BEARER = {"Authorization": f"Bearer {TOKEN}"}
 OPEN = {("get", "/api/health"), ("get", "/api/login"), ("post", "/api/login")}
+STRANGER = {"needed": True, "logged_in": False, "name": None, "role": None, "session": False}
 EVERYTHING = [(method, path) for path, item in document()["paths"].items() for method in item]
 
 
@@ -87,7 +90,7 @@ def test_a_wrong_token_is_logged_without_being_written_down(asking, caplog):
 
 def test_among_many_wrong_tokens_who_has_the_right_one_or_a_session_comes_in_at_once():
     authentication = Authentication(Access(TOKEN, patience_s=3600.0))
-    session = authentication.sessions.begin()
+    session = authentication.sessions.begin(token_digest(TOKEN))
     outside, inside = asked_for("/api/rigs"), asked_for("/api/rigs", cookie=f"calrig_session_80={session}")
 
     async def status_of(check):
@@ -138,14 +141,19 @@ def asked_for(path, **headers):
 
 
 def test_a_person_logs_in_and_gets_a_cookie_that_is_not_the_token_and_no_script_reads(asking, person):
-    assert person.get("/api/login").json() == {"needed": True, "logged_in": False}
+    assert person.get("/api/login").json() == STRANGER
     answer = person.post("/api/login", json={"token": TOKEN})
     cookie = answer.headers["set-cookie"]
     assert TOKEN not in cookie
     for flag in ("HttpOnly", "SameSite=strict", "Path=/", f"Max-Age={SESSION_S:.0f}"):
         assert flag in cookie
     assert "Secure" not in cookie
-    assert person.get("/api/login").json() == {"needed": True, "logged_in": True}
+    assert person.get("/api/login").json() == {
+        **STRANGER,
+        "logged_in": True,
+        "role": "admin",
+        "session": True,
+    }
     assert person.get("/api/rigs").status_code == 200
 
 
@@ -158,7 +166,7 @@ def test_behind_a_proxy_with_tls_the_cookie_is_for_https_alone(asking):
 def test_logging_out_ends_the_session_also_for_a_copy_of_its_cookie(asking, person):
     person.post("/api/login", json={"token": TOKEN}).raise_for_status()
     copied = dict(person.cookies)
-    assert person.post("/api/logout").json() == {"needed": True, "logged_in": False}
+    assert person.post("/api/logout").json() == STRANGER
     assert not person.cookies
     again = httpx.get(asking.base_url.join("/api/rigs"), cookies=copied)
     assert again.status_code == 401
@@ -168,22 +176,22 @@ def test_logging_out_ends_the_session_also_for_a_copy_of_its_cookie(asking, pers
 def test_a_session_ends_after_a_days_work():
     now_s = 1000.0
     sessions = Sessions(clock=lambda: now_s)
-    value = sessions.begin()
+    value = sessions.begin("digest")
     now_s += SESSION_S - 1
-    assert sessions.holds(value)
+    assert sessions.token_of(value) == "digest"
     now_s += 2
-    assert not sessions.holds(value)
+    assert sessions.token_of(value) is None
 
 
 def test_the_oldest_session_gives_way_to_one_too_many():
     sessions = Sessions()
-    first, *others = [sessions.begin() for _ in range(MOST_SESSIONS + 1)]
-    assert not sessions.holds(first)
-    assert all(sessions.holds(other) for other in others)
+    first, *others = [sessions.begin(str(k)) for k in range(MOST_SESSIONS + 1)]
+    assert sessions.token_of(first) is None
+    assert all(sessions.token_of(other) for other in others)
     assert len(sessions) == MOST_SESSIONS
 
 
 def test_a_service_without_a_token_asks_nobody_to_log_in(shared_client):
-    assert shared_client.get("/api/login").json() == {"needed": False, "logged_in": False}
+    assert shared_client.get("/api/login").json() == {**STRANGER, "needed": False, "role": "admin"}
     assert shared_client.post("/api/login", json={"token": "whatever"}).json()["needed"] is False
     assert shared_client.get("/api/rigs", headers={"Authorization": "Bearer whatever"}).status_code == 200

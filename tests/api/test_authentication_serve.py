@@ -11,6 +11,7 @@ import httpx
 import pytest
 
 from calrig.api.access import AccessError, access_here
+from calrig.settings import Settings
 
 TOKEN = "the-benches-of-building-4"
 RIG = """
@@ -66,7 +67,7 @@ def test_without_a_token_others_are_not_let_in_and_the_command_says_how_to_make_
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.1.5"])
 def test_an_address_that_others_reach_needs_a_token(folder, host):
     with pytest.raises(AccessError, match="can be reached from other machines: set CALRIG_TOKEN"):
-        access_here(host, host, hosts=())
+        access_here(host, host, Settings())
 
 
 @pytest.mark.parametrize(
@@ -75,12 +76,12 @@ def test_an_address_that_others_reach_needs_a_token(folder, host):
 def test_a_token_that_could_be_guessed_or_typed_wrong_is_refused_everywhere(folder, monkeypatch, token, host):
     monkeypatch.setenv("CALRIG_TOKEN", token)
     with pytest.raises(AccessError, match="16 ASCII characters"):
-        access_here(host, host, hosts=())
+        access_here(host, host, Settings())
 
 
 def test_names_for_people_elsewhere_need_a_token_too(folder):
     with pytest.raises(AccessError, match="`hosts`"):
-        access_here("127.0.0.1", "127.0.0.1", hosts=["calrig.lab.example"])
+        access_here("127.0.0.1", "127.0.0.1", Settings(hosts=("calrig.lab.example",)))
 
 
 def test_on_all_addresses_it_says_that_it_asks_for_the_token_and_is_reached_by_each_of_them(

@@ -2,38 +2,18 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
-import time
 from contextlib import ExitStack, closing
 from http.client import HTTPConnection
-from pathlib import Path
 from typing import Any
 
 import httpx
-import psutil
+from endless_work import for_ever, working
 from support import imported, wait_for
 
 from calrig.analysis import diagnoses, stored_runs
+from calrig.api import imports
 from calrig.processes import pool
-
-
-def at_work(service: int) -> Path:
-    """Where the processes for heavy work of a service say that they have begun."""
-    folder = Path(tempfile.gettempdir()) / f"calrig-at-work-{service}"
-    folder.mkdir(exist_ok=True)
-    return folder
-
-
-def for_ever(*_: Any, **__: Any) -> None:
-    """A piece of work, in a process of the service in this process."""
-    (at_work(os.getppid()) / str(os.getpid())).touch()
-    time.sleep(3600.0)
-
-
-def working() -> list[int]:
-    """The processes that carry out such a piece."""
-    return [pid for one in at_work(os.getpid()).iterdir() if psutil.pid_exists(pid := int(one.name))]
 
 
 def asking(client: httpx.Client, run: dict[str, Any]) -> closing[HTTPConnection]:
@@ -61,6 +41,7 @@ def test_more_than_may_wait_is_429_and_told_when_to_come_back(shared_client, mon
         for _ in range(slots):
             others.enter_context(asking(shared_client, run))
         wait_for(lambda: len(working()) == slots, "all processes at work")
+        monkeypatch.setattr(imports, "on_disk", None)  # nothing is laid there in vain
         answer = shared_client.post("/api/imports", files={"file": ("p.csv", "x")}, data={"unit": "A"})
     assert answer.status_code == 429
     assert answer.headers["Retry-After"] == "5"

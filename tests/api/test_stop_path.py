@@ -12,9 +12,9 @@ import httpx
 import pytest
 from support import LONG, running_service, serving, wait_for
 
-from calrig.api import runs
 from calrig.instruments.ports import open_port
 from calrig.settings import RigSettings
+from calrig.store import Store
 
 THREADS = 40
 """Those that all requests of the application share."""
@@ -25,15 +25,15 @@ def no_thread_free(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> Ite
     """As many requests as there are threads wait, and some more for a thread, until what is given is set."""
     taken, release = threading.Semaphore(0), threading.Event()
 
-    def never_ending(*, ours: object) -> list[object]:
+    def never_ending(*_: object, **__: object) -> tuple[list[object], None]:
         taken.release()
         release.wait(60)
-        return []
+        return [], None
 
-    monkeypatch.setattr(runs.ports, "scan", never_ending)
+    monkeypatch.setattr(Store, "runs", never_ending)
     with ThreadPoolExecutor(THREADS + 5) as others:
         for _ in range(THREADS + 5):
-            others.submit(httpx.post, f"{client.base_url}/api/rigs/scan", timeout=60)
+            others.submit(httpx.get, f"{client.base_url}/api/runs", timeout=60)
         for _ in range(THREADS):
             assert taken.acquire(timeout=60)
         try:

@@ -88,6 +88,16 @@ def test_nothing_found_is_noise_only_where_the_pure_error_allows_it():
     assert unknown == "No effect found. How large the noise is, neither dwells nor revisited poses tell"
 
 
+def test_what_poses_repeat_to_is_not_called_the_noise_of_their_dwells():
+    """The run's verdict, by the dwells, says that more than noise is left: so must this, and why."""
+    tested = {"rejected": False, "freedom": [34.0, 26.0]}
+    restless = {**noise(1.05), "floor_deg": 0.003, "lack_of_fit": tested}
+    assert answer(restless) == (
+        "No effect found: the residual is what poses repeat to, 0.0210°, 7.0 times the noise within a dwell"
+    )
+    assert "consistent with noise" in answer({**restless, "floor_deg": 0.02})
+
+
 def test_what_effects_do_not_explain_is_said_beside_their_names():
     left = noise(4.0, rejected=True)
     (_, rest, _) = diagnosis_verdict(found("named", effect("backlash"), left=left)).says

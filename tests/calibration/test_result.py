@@ -46,6 +46,7 @@ def test_a_runs_result_has_the_contracts_keys_and_is_json():
         "temperature_c",
         "gyro",
         "reference",
+        "over_range",
     ]
     assert json.loads(json.dumps(document, allow_nan=False)) == document
     assert document["bias_deg"] == pytest.approx(0.5, abs=4 * document["bias_std_deg"])
@@ -87,6 +88,20 @@ def test_what_poses_do_not_say_is_null_not_missing():
         "temperature_c": None,
         "gyro": {"bias_dps": [None] * 3, "bias_std_dps": [None] * 3, "scale": None, "scale_std": None},
         "reference": None,
+        "over_range": {
+            "bias_deg": 0.2,
+            "scale": None,
+            "covariance": None,
+            "freedom": 0,
+            "expanded_uncertainty_deg": None,
+            "error_expanded_uncertainty_deg": None,
+            "coverage_factor": None,
+            "coverage": 0.95,
+            "elevation_deg": [0.0],
+            "lowest_error_deg": [0.0],
+            "highest_error_deg": [0.0],
+            "mean_error_deg": 0.0,
+        },
     }
 
 

@@ -36,7 +36,7 @@ def test_no_number_of_poses_shrinks_the_references_share():
     worth = uncertainty(line, theta_deg, STAGE)
 
     assert worth.type_b_deg == worth.reference_deg == 0.29
-    assert worth.expanded_deg == pytest.approx(2.0 * math.hypot(0.29, 0.01), rel=0.01)
+    assert worth.expanded_deg == pytest.approx(0.95 * math.sqrt(3.0) * 0.29, rel=0.01)
     assert worth.to_dict() == {
         "type_a_deg": worth.type_a_deg,
         "type_b_deg": 0.29,
@@ -122,7 +122,7 @@ def test_type_b_of_bias_and_scale_stand_beside_the_lines_own_errors():
 
     assert worth.bias_reference_std_deg == pytest.approx(0.29 * line.scale)
     assert worth.scale_reference_std == 0.0
-    assert worth.expanded_deg == pytest.approx(2.0 * math.hypot(worth.type_a_deg, 0.29))
+    assert worth.expanded_deg == worth.coverage_factor * math.hypot(worth.type_a_deg, 0.29)
 
 
 @pytest.mark.parametrize(("kind", "bias_deg"), [("common", 0.29), ("harmonic", 0.29), ("setting", 0.29 / 5)])

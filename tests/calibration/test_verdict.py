@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from calrig.calibration.noise_bound import upper_limit
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import build_result
 from calrig.calibration.uncertainty import Reference
-from calrig.calibration.verdict import upper_limit, verdict
+from calrig.calibration.verdict import verdict
 
 NOISE_DEG = 0.02
 

@@ -26,7 +26,12 @@ SIMULATED = """
 [[rig]]
 name = "bench-1"
 reference = { std_deg = 0.29, kind = "common" }
-simulated = { seed = 1, time_scale = 20.0, mount = { offset_deg = 0.8 } }
+
+[rig.simulated]
+seed = 1
+time_scale = 20.0
+stage = { velocity_dps = 60.0, acceleration_dps2 = 240.0, homing_velocity_dps = 30.0 }
+mount = { offset_deg = 0.8 }
 """
 
 

@@ -16,16 +16,33 @@ from calrig.store import Store
 
 def test_import_prints_the_run_id_and_export_gives_the_calibration_and_its_poses(folder):
     imported = calrig("import", "poses.csv", "--unit", "A/1")
-    assert (imported.stdout, imported.stderr) == ("1\n", "")
-    by_run = json.loads(calrig("export", "1").stdout)
+    assert imported.stdout == "1\n"
+    assert imported.stderr.startswith("· Not judged: the noise of a reading is not known")
+    exported = calrig("export", "1")
+    assert exported.stderr == imported.stderr
+    by_run = json.loads(exported.stdout)
     assert by_run == json.loads(calrig("export", "--unit", "A/1").stdout)
-    assert (by_run["schema"], by_run["unit"], by_run["run_id"]) == ("calrig.calibration/1", "A/1", "1")
+    assert (by_run["schema"], by_run["unit"], by_run["run_id"]) == ("calrig.calibration/2", "A/1", "1")
     assert "A/1" in calrig("export", "1", "--format", "c-header").stdout
     text = calrig("export", "--unit", "A/1", "--format", "csv").stdout
     assert text == calrig("export", "1", "--format", "csv").stdout
     (folder / "again.csv").write_text(text)
     calrig("import", "again.csv", "--unit", "B")
     assert json.loads(calrig("export", "--unit", "B").stdout)["bias_deg"] == by_run["bias_deg"]
+
+
+def test_import_export_and_api_say_the_same_of_the_limits_of_the_configuration(folder):
+    limit = '[[limit]]\nname = "flight"\nunits = "A*"\nscale = [0.9, 1.0]\n'
+    (folder / "calrig.toml").write_text(limit + (folder / "calrig.toml").read_text())
+    imported = calrig("import", "poses.csv", "--unit", "A").stderr
+    assert imported.startswith("· Fail against the limits “flight” (simple rule).\n· Scale 1.0")
+    assert calrig("export", "--unit", "A").stderr.endswith(imported)  # a draft: what fails is not released
+    with Store.open(store_url(), writer=None) as store:
+        run = store.run("1")
+        (revision,) = store.revisions("A")
+        assert imported.splitlines() == [f"· {said}" for said in run.verdict.says]
+        assert revision.verdict == run.verdict.to_dict()
+        assert revision.status == "draft"
 
 
 def test_a_bad_file_is_2_with_line_and_column_and_a_missing_one_too(folder):

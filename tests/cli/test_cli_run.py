@@ -13,9 +13,15 @@ from command_line import calrig, reason
     [
         pytest.param('{\n  "sweeps": 4,\n  "step_deg" 5\n}', "plan.json, line 3, column 14", id="no JSON"),
         pytest.param(
-            '{\n  "sweeps": 4,\n  "stepp": 5\n}', "plan.json, line 3, column 3: stepp", id="unknown"
+            '{\n  "sweeps": 4,\n  "stepp": 5\n}',
+            "plan.json, line 3, column 3: stepp is not known here",
+            id="unknown",
         ),
-        pytest.param('{"sweeps": "many"}', "plan.json, line 1, column 2: sweeps", id="wrong value"),
+        pytest.param(
+            '{"sweeps": "many"}',
+            "plan.json, line 1, column 2: sweeps is not a whole number",
+            id="wrong value",
+        ),
         pytest.param('{"sweeps": 9999}', "plan.json: the plan has", id="too many poses"),
         pytest.param('{"elevations_deg": [120]}', "120", id="beyond the limits"),
         pytest.param("[]", "plan.json", id="no object"),
@@ -56,3 +62,11 @@ def test_a_failed_run_is_1_and_json_still_says_what_happened(folder):
     assert "/dev/ttyABSENT0" in run["error"]
     (line,) = done.stderr.splitlines()
     assert line == f"calrig: run 1 failed: {run['error']}"
+
+
+def test_that_no_unit_can_pass_is_said_before_the_stage_is_even_looked_for(folder):
+    limit = '[[limit]]\nname = "flight"\nmax_error_deg = 0.3\nrule = "guarded"\n'
+    (folder / "calrig.toml").write_text(limit + (folder / "calrig.toml").read_text())
+    warning, failure = calrig("run", "--unit", "A", status=1).stderr.splitlines()
+    assert warning.startswith("warning: No unit can pass on this stage: its rig does not say")
+    assert failure.startswith("calrig: run 1 failed")

@@ -58,6 +58,7 @@ def test_defaults_are_those_of_the_contract() -> None:
         "velocity_dps": None,
         "wait_s": 0,
         "wait_temperature_c": None,
+        "revision": None,
         "seed": 0,
     }
     assert Plan().elevations() == list(range(-60, 61, 10))

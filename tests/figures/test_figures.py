@@ -13,6 +13,7 @@ import pytest
 from calrig import figures
 from calrig.calibration.partial_residuals import PartialResidual
 from calrig.calibration.pose import Pose
+from calrig.calibration.result import residuals
 
 
 def poses(bias_deg=0.8, scale=1.01, sweeps=2):
@@ -69,7 +70,7 @@ def effect(covariate="temperature_c", at=(3.0, 1.0, 2.0), effect_deg=(0.3, 0.1, 
 
 ALL = {
     "timeline": figures.timeline([0.0, 0.1], [0.0, None], [0.1, 0.2]),
-    "residual": figures.residual(poses(), bias_deg=0.8, scale=1.01, excluded={1}),
+    "residual": figures.residual(poses(), left_deg=residuals(poses(), 0.8, 1.01), excluded={1}),
     "history": figures.history(runs()),
     "bias": figures.compare("bias", {"A": runs(), "B": []}),
     "scale": figures.compare("scale", {"A": runs(scale=None, scale_std=None)}),
@@ -93,7 +94,8 @@ def test_plotly_itself_takes_every_property_of_a_figure_and_no_number_is_nan(nam
 
 
 def test_raw_residual_is_reading_minus_stage_and_a_true_calibration_leaves_nothing():
-    figure = figures.residual(poses(bias_deg=0.8, scale=1.01), bias_deg=0.8, scale=1.01)
+    measured = poses(bias_deg=0.8, scale=1.01)
+    figure = figures.residual(measured, left_deg=residuals(measured, 0.8, 1.01), scale=1.01)
     raw = [t for t in figure["data"] if t.get("yaxis") is None]
     calibrated = [t for t in figure["data"] if t.get("yaxis") == "y2"]
     for trace in raw:
@@ -112,7 +114,7 @@ def test_each_axis_of_a_residual_is_named_after_what_is_drawn_along_it():
         "raw (°)": reading - stage,
         "calibrated (°)": (reading - 0.7) / 1.02 - stage,
     }
-    figure = figures.residual(measured, bias_deg=0.7, scale=1.02)
+    figure = figures.residual(measured, left_deg=residuals(measured, 0.7, 1.02), scale=1.02)
     for trace in figure["data"]:
         for axis in ("x", "y"):
             title = figure["layout"][trace.get(f"{axis}axis", axis).replace(axis, f"{axis}axis")]["title"][
@@ -236,10 +238,28 @@ def test_a_serial_number_is_text_to_plotly_and_never_markup():
     assert figure["data"][0]["name"] == '&lt;a href="x"&gt;&amp;amp;&lt;/a&gt;'
 
 
-def test_more_units_than_colours_begin_again_with_the_first():
-    many = {f"unit {k}": runs() for k in range(len(figures.PALETTE) + 1)}
-    colours = [trace["line"]["color"] for trace in figures.compare("bias", many)["data"]]
-    assert colours == [*figures.PALETTE, figures.PALETTE[0]]
+@pytest.mark.parametrize(("chosen", "coloured"), [((), 8), (("unit 11", "unit 3"), 2)])
+def test_no_two_units_share_a_colour_but_the_grey_of_those_not_chosen(chosen, coloured):
+    many = {f"unit {k}": runs() for k in range(12)}
+    curves = [figures.Curve(name, poses(), 0.8, 1.01) for name in many]
+    for figure in (figures.compare("bias", many, chosen), figures.residuals_overlaid(curves, chosen)):
+        colours = {}
+        for trace in figure["data"]:
+            colours.setdefault(trace["name"], set()).add(trace.get("line", trace.get("marker"))["color"])
+        own = {name: colour for name, (colour,) in colours.items() if colour in figures.PALETTE}
+        assert len(colours) == 12
+        assert len(own) == len(set(own.values())) == coloured
+        assert own.keys() >= set(chosen)
+        last = [trace["name"] for trace in figure["data"]][-1]
+        assert last in own, "what has a colour is drawn over what has none"
+
+
+def test_a_control_chart_has_no_limit_where_there_is_none():
+    when = [datetime(2025, 1, day, tzinfo=UTC) for day in (1, 2, 3)]
+    figure = figures.control_chart(when, {"bias": [0.0, 0.5, 2.0]}, [float("inf"), 0.8, 1.0])
+    go.Figure(figure)
+    upper, lower, bias = figure["data"]
+    assert (upper["y"], lower["y"], bias["y"]) == ([None, 0.8, 1.0], [None, -0.8, -1.0], [0.0, 0.5, 2.0])
 
 
 def test_every_colour_stands_out_on_light_and_on_dark():

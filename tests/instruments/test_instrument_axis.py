@@ -9,7 +9,7 @@ from scripted_stage import Clock, ScriptedStage
 
 from calrig.instruments.axis import Axis, Motion
 from calrig.instruments.axis_goal import travel_time_s
-from calrig.instruments.errors import Halted, LimitError, StageError
+from calrig.instruments.errors import Halted, LimitError, PortBlocked, StageError
 
 
 @pytest.fixture
@@ -299,3 +299,29 @@ def test_a_stage_that_says_it_stands_and_moves_on_is_to_be_cut_from_power(axis, 
     stage.glimpse_deg = lambda: 1.0 * clock.at_s  # it creeps at 1°/s
     with pytest.raises(StageError, match=r"says READY, and turned by 0.05° meanwhile.*cut its motor power"):
         axis.confirm_stopped(timeout_s=2.0)
+
+
+def blocked(stage, times):
+    """The stage's way to halt, where its port takes nothing so many times."""
+    left = iter(range(times))
+
+    def halt():
+        if next(left, None) is not None:
+            raise PortBlocked("port x took nothing for 0.5 s")
+        stage.sent.append("ST")
+
+    return halt
+
+
+def test_a_stop_is_sent_again_where_its_port_did_not_take_it_in_time(axis, stage, monkeypatch):
+    monkeypatch.setattr(stage, "halt", blocked(stage, times=3))
+    axis.confirm_stopped(timeout_s=2.0)
+    assert stage.sent == ["ST", "ST"]
+
+
+def test_a_port_that_takes_no_stop_at_all_is_told_of_in_time(axis, stage, clock, monkeypatch):
+    monkeypatch.setattr(stage, "halt", blocked(stage, times=1000))
+    began_s = clock.at_s
+    with pytest.raises(StageError, match=r"not known to stand .*took nothing .*cut its motor power"):
+        axis.confirm_stopped(timeout_s=2.0)
+    assert clock.at_s - began_s == pytest.approx(2.0, abs=0.1)

@@ -15,6 +15,7 @@ from functools import partial
 
 import psutil
 import pytest
+from pieces import in_steps
 from support import wait_for
 
 from calrig.processes.pool import MOST_WAITING, Processes, WorkLost, WorkRefused, WorkTooLarge, run_apart
@@ -131,3 +132,21 @@ def test_a_process_does_not_outlive_a_parent_that_was_killed() -> None:
         worker = psutil.Process(int(parent.stdout.readline()))
         parent.kill()
     wait_for(lambda: not worker.is_running() or worker.status() == psutil.STATUS_ZOMBIE, "end of the orphan")
+
+
+def test_a_piece_tells_when_it_begins_and_how_far_it_is() -> None:
+    async def pieces() -> None:
+        heard: list[object] = []
+        async with processes() as pool:
+            in_hand = asyncio.create_task(pool.run(FOR_EVER))
+            await asyncio.sleep(0)
+            later = asyncio.create_task(
+                pool.run(in_steps, begun=lambda: heard.append("begun"), progress=heard.append)
+            )
+            await asyncio.sleep(0)
+            assert heard == [], "another one has the process"
+            in_hand.cancel()
+            assert await later == "done"
+            assert heard == ["begun", 0.25, 0.5]
+
+    asyncio.run(pieces())

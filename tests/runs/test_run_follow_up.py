@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 
 import pytest
-from run_rigs import diagnosed
+from run_rigs import TruthRig, diagnosed
 from support import running_service
 
 from calrig.analysis.errors import Conflict
@@ -37,9 +37,9 @@ def measured_without_witnesses() -> list[Pose]:
     return poses
 
 
-def test_a_follow_up_decides_between_the_suspects_and_confirms_on_poses_of_its_own(launch_rig, tmp_path):
-    rig = launch_rig("playing-rig", seed=5, mechanics={"backlash_deg": PLAY_DEG})
-    with running_service(tmp_path / "calrig.db", rig) as service:
+def test_a_follow_up_decides_between_the_suspects_and_confirms_on_poses_of_its_own(tmp_path):
+    rig = TruthRig("playing-rig", seed=5, mechanics={"backlash_deg": PLAY_DEG})
+    with rig.simulated, running_service(tmp_path / "calrig.db", rig.settings) as service:
         poses = measured_without_witnesses()
         first = service.store.create_run(
             unit="AS-1",
@@ -76,7 +76,7 @@ def test_a_follow_up_decides_between_the_suspects_and_confirms_on_poses_of_its_o
 def test_a_run_that_leaves_nothing_ambiguous_has_no_follow_up(service):
     run = completed(service, service.start(unit="AS-1", plan=ONE_SWEEP))
     with pytest.raises(Conflict, match="nothing is left to separate"):
-        service.follow_up(run.id)
+        service.follow_up(run.id, apart=lambda ask: ask())
     assert service.store.runs()[0][0].id == run.id
 
 

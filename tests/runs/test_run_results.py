@@ -76,6 +76,7 @@ def test_what_the_stage_is_worth_stands_beside_the_errors_that_the_noise_makes(m
         "kind": "harmonic",
         "bias_std_deg": pytest.approx(of_bias),
         "scale_std": pytest.approx(of_scale),
+        "distribution": "rectangular",
     }
 
 

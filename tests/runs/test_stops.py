@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 from run_rigs import CLOCK, ENDLESS, TruthRig, begin, moving, pass_time, plan, until
 from support import fast, known_as, lay_empty_store, wait_for
 
 from calrig.analysis.errors import Conflict
+from calrig.instruments.clock import Event
+from calrig.instruments.drivers import open_stage
+from calrig.instruments.types import Stage
 from calrig.runs.service import RunService
 from calrig.simulator.rig import SimulatedRig
 from calrig.store import Store
@@ -123,4 +127,48 @@ def test_a_stop_of_a_rig_whose_run_has_just_ended_is_told_to_the_stage_itself(
 ) -> None:
     service.wait(begin(service, plan(elevations_deg=[0], dwell_s=0.5)).id, 20)
     assert service.stop("bench-1").state == "idle"
+    assert bench.stands_for_good()
+
+
+@pytest.fixture
+def opens(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Event]]:
+    """Each opening of a stage's port, held up until it is set: as by a driver that hangs in the system."""
+    held: list[Event] = []
+
+    def late(*args: Any, **options: Any) -> Stage:
+        held.append(CLOCK.event())
+        held[-1].wait(60)
+        return open_stage(*args, **options)
+
+    monkeypatch.setattr("calrig.runs.rig.open_stage", late)
+    yield held
+    for one in held:
+        one.set()
+
+
+def test_a_port_that_does_not_open_is_told_of_soon_and_waited_for_once(
+    bench: TruthRig, service: RunService, opens: list[Event]
+) -> None:
+    for _ in range(3):
+        asked_s = CLOCK.now_s()
+        with pytest.raises(Conflict, match=r"bench-1.*has not opened within 2 s; it is told as soon as it"):
+            service.stop("bench-1")
+        assert CLOCK.now_s() - asked_s < 2.1
+    assert len(opens) == 1
+    opens[0].set()
+    assert service.stop("bench-1").state == "idle"
+    assert bench.stands_for_good()
+
+
+def test_a_run_whose_port_does_not_open_says_so_when_it_is_stopped_and_stops_its_stage_when_it_does(
+    bench: TruthRig, service: RunService, opens: list[Event]
+) -> None:
+    run = begin(service)
+    until(lambda: bool(opens), "opening")
+    asked_s = CLOCK.now_s()
+    with pytest.raises(Conflict, match=rf"for run {run.id} its port .* has not opened within 2 s"):
+        service.stop("bench-1")
+    assert CLOCK.now_s() - asked_s < 2.1
+    opens[0].set()
+    assert service.wait(run.id, 5).status == "aborted"
     assert bench.stands_for_good()

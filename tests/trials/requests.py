@@ -29,6 +29,8 @@ from schemathesis.specs.openapi.checks import (
     status_code_conformance,
 )
 
+from calrig.api import heavy
+from calrig.api.access import Access
 from calrig.settings import BoardSettings, ReferenceSettings, RigSettings, StageSettings
 from calrig.simulator.launch import launch
 from tests.support import FAST, LONG, QUICK, ended, running_service, serving
@@ -47,6 +49,9 @@ CHECKS = (
     response_schema_conformance,
 )
 POSES = "target_deg,reading_deg,supply_v\n-30,-29.5,3.3\n0,0.4,\n30,30.6,3.2\n"
+TOKEN = "the-benches-of-building-4"
+KNOWN = {"Authorization": f"Bearer {TOKEN}"}
+"""Of requests: some of them make users, after whom nobody else comes in."""
 STOPS = frozenset({"abort", "pause", "resume", "stop"})
 
 
@@ -96,7 +101,7 @@ def _asked(task: tuple[int, int, int]) -> _Asked:
     asked = _Asked()
     with _application() as client:
         there = _There(client, random.Random(first_seed))
-        schema = schemathesis.openapi.from_url(f"{client.base_url}/api/openapi.json")
+        schema = schemathesis.openapi.from_url(f"{client.base_url}/api/openapi.json", headers=KNOWN)
         operations = [result.ok() for result in schema.get_all_operations()]
         a_round = min(A_ROUND, max(n // (2 * len(operations)), 1))
         round_ = 0
@@ -124,7 +129,7 @@ def _ask(operation: Any, mode: Any, n: int, at_seed: int, there: _There, asked: 
     @given(case=operation.as_strategy(generation_mode=mode))
     def one(case: Any) -> None:
         there.name_what_is_there(case)
-        answer = case.call(timeout=ANSWER_S)
+        answer = case.call(timeout=ANSWER_S, headers=KNOWN)
         failures: list[str] = []
         try:
             case.validate_response(answer, checks=CHECKS)
@@ -155,6 +160,7 @@ class _There:
         ).raise_for_status().json()["id"]  # fmt: skip
         self._client.post(f"/api/runs/{measured}/diagnosis", json={}).raise_for_status()
         self._runs = (measured, measured, static, imported)
+        self._jobs = [""]
 
     def _measured(self, body: dict[str, Any]) -> str:
         begun = self._client.post("/api/runs", json={"unit": "A-1", **body}).raise_for_status().json()
@@ -170,6 +176,8 @@ class _There:
         if "run_id" in named:
             is_going = action in STOPS and self._rng.random() < 0.1
             named["run_id"] = self._going() if is_going else self._rng.choice(self._runs)
+        if "job_id" in named:
+            named["job_id"] = self._jobs[-1]
         if "serial" in named:
             named["serial"] = self._rng.choice(("A-1", "B/1"))
         if "index" in named:
@@ -190,7 +198,9 @@ class _There:
         return str(begun.json()["id"])
 
     def stop_what_began(self, case: Any, answer: Any) -> None:
-        """Aborts whatever runs: a plan may take days."""
+        """Aborts whatever runs: a plan may take days. A job is for the requests to come."""
+        if answer.status_code == 202:
+            self._jobs.append(answer.json()["id"])
         if case.method == "POST" and "/figures" not in case.path:
             for rig in self._client.get("/api/rigs").json():
                 if rig["run_id"] is not None:
@@ -201,6 +211,7 @@ class _There:
 @contextmanager
 def _application() -> Iterator[httpx.Client]:
     """The real application on a store of its own, with a fast simulated rig behind real ports."""
+    heavy.AT_ONCE_S = 0.0  # so that there are jobs: what is asked for here is soon done
     with ExitStack() as stack:
         folder = Path(stack.enter_context(TemporaryDirectory()))
         ports = stack.enter_context(launch(FAST))
@@ -212,6 +223,7 @@ def _application() -> Iterator[httpx.Client]:
             simulated={},
         )
         service = stack.enter_context(running_service(folder / "calrig.db", rig))
-        client = stack.enter_context(serving(service))
+        client = stack.enter_context(serving(service, access=Access(TOKEN)))
+        client.headers.update(KNOWN)
         client.timeout = httpx.Timeout(ANSWER_S)
         yield client

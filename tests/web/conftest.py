@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support import wait_for
+from support import PATIENCE_S, running_service, serving, wait_for
 
 CHROMIUM = Path("/usr/bin/chromium")
 ARGUMENTS = [
@@ -20,6 +20,8 @@ ARGUMENTS = [
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-sync",
+    "--renderer-process-limit=1",  # else each navigation starts two processes
+    "--disable-site-isolation-trials",
 ]
 DESK = {"width": 1280, "height": 900}
 
@@ -46,13 +48,24 @@ def forgiven() -> list[str]:
 
 
 @pytest.fixture(scope="package")
+def client(rig: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """A client of one service for all files but those that say otherwise: each test has a unit of its own.
+
+    To a browser another port is another site, of which it has kept nothing.
+    """
+    path = tmp_path_factory.mktemp("page") / "calrig.db"
+    with running_service(path, rig) as service, serving(service) as client:
+        yield client
+
+
+@pytest.fixture(scope="package")
 def tab(browser: Any) -> Iterator[Any]:
     """A profile with one tab for all tests: what the browser keeps of the page's files, it asks for once.
 
     A new window costs a headless Chromium half a second of processor time.
     """
     context = browser.new_context(accept_downloads=True, viewport=DESK)
-    context.set_default_timeout(60_000)
+    context.set_default_timeout(1000 * PATIENCE_S)
     yield context.new_page()
     context.close()
 
@@ -86,6 +99,10 @@ def page(client: Any, fresh_page: Any) -> Iterator[Any]:
     """A page that is left before the service goes, which it watches; no rig is busy when the test is over."""
     yield fresh_page
     fresh_page.goto("about:blank")
+    session = fresh_page.context.new_cdp_session(fresh_page)
+    kept = {"origin": str(client.base_url), "storageTypes": "local_storage"}
+    session.send("Storage.clearDataForOrigin", kept)
+    session.detach()
     for rig in client.get("/api/rigs").json():
         if rig["state"] == "busy":
             client.post(f"/api/rigs/{rig['name']}/stop").raise_for_status()
@@ -107,5 +124,5 @@ def expect(browser: Any) -> Any:
     """Playwright's assertions, which wait for what they expect."""
     from playwright.sync_api import expect
 
-    expect.set_options(timeout=60_000)
+    expect.set_options(timeout=1000 * PATIENCE_S)
     return expect

@@ -10,12 +10,6 @@ from .page_help import line_x, readings, until_pose
 pytestmark = pytest.mark.browser
 
 
-@pytest.fixture(scope="module")
-def client(shared_client):
-    """One service for all of this file: each test has a unit of its own."""
-    return shared_client
-
-
 REFUSED_422 = r"status of 422"
 
 
@@ -141,11 +135,21 @@ def test_a_plan_beyond_the_limits_is_refused_beside_the_button_and_nothing_start
     expect(page.locator("#plan-summary")).to_contain_text("soft limits")
     page.click("#start")
     expect(page.locator("#start-error")).to_contain_text("soft limits")
+    expect(page.locator("#stop_deg")).to_have_attribute("aria-invalid", "true")
     page.fill("#stop_deg", "60")
     page.fill("#sweeps", "9999999")
     page.click("#start")
-    expect(page.locator("#start-error")).to_contain_text("plan.sweeps")
+    expect(page.locator("#start-error")).to_have_text("Sweeps must be at most 10000")
     expect(page.locator("#sweeps")).to_have_attribute("aria-invalid", "true")
+    expect(page.locator("#sweeps")).to_be_focused()
+    page.fill("#sweeps", "4")
+    expect(page.locator("#sweeps")).not_to_have_attribute("aria-invalid", "true")
+    page.check("#as-list")
+    page.fill("#elevations_deg", "0; ten; 20")
+    expect(page.locator("#plan-summary")).to_have_text("Elevation 2 is not a number")
+    page.click("#start")
+    expect(page.locator("#start-error")).to_have_text("Elevation 2 is not a number")
+    expect(page.locator("#elevations_deg")).to_be_focused()
     assert client.get("/api/runs?unit=REFUSED").json()["items"] == []
 
 

@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import pytest
+from support import ended, running_service, serving
 
 from calrig.calibration.effects import CATALOGUE
 
@@ -21,6 +22,20 @@ REFUSED = r"status of (409|422)"
 def rig(launch_rig):
     """A fast rig whose table follows its motor with play, which nobody has told the calibration."""
     return launch_rig(mechanics={"backlash_deg": BACKLASH_DEG})
+
+
+@pytest.fixture(scope="module")
+def service(rig, tmp_path_factory):
+    """One service, whose process for diagnoses is started once: each test has units of its own."""
+    rigs = [rig, *(rig.model_copy(update={"name": name}) for name in ("bench-2", "bench-3"))]
+    with running_service(tmp_path_factory.mktemp("diagnosis") / "calrig.db", *rigs) as service:
+        yield service
+
+
+@pytest.fixture(scope="module")
+def client(service):
+    with serving(service) as client:
+        yield client
 
 
 def poses_with_backlash():
@@ -42,11 +57,13 @@ def unsettled_poses():
     return ["target_deg,reading_deg,time_s", *rows]
 
 
-def noise_alone(seed=0):
-    """Bias, scale and noise over one set of elevations."""
+def noise_alone(seed=0, more=""):
+    """Bias, scale and noise over one set of elevations; `more` columns with the same value in every pose."""
     rng = np.random.default_rng(seed)
     targets = [x for _ in range(4) for x in range(-60, 61, 15)]
-    return ["target_deg,reading_deg", *(f"{x},{0.8 + x + rng.normal(0, NOISE_DEG):.4f}" for x in targets)]
+    name, value = more.split("=") if more else ("", "")
+    rows = (f"{x},{0.8 + x + rng.normal(0, NOISE_DEG):.4f},{value}" for x in targets)
+    return [line.rstrip(",") for line in (f"target_deg,reading_deg,{name}", *rows)]
 
 
 def is_drawn(page, chart):
@@ -56,7 +73,7 @@ def is_drawn(page, chart):
 
 
 def test_a_run_is_traced_to_backlash_and_the_effect_put_in_force(page, client, service, go, expect):
-    run = imported(client, poses_with_backlash(), unit="MPU-1", rig="bench-1")
+    run = imported(client, poses_with_backlash(), "TRACED", rig="bench-3")
     go(f"#/runs/{run['id']}")
     verdict = page.get_by_test_id("verdict")
     expect(verdict).to_contain_text("More than noise is left.")
@@ -86,24 +103,54 @@ def test_a_run_is_traced_to_backlash_and_the_effect_put_in_force(page, client, s
 
     page.click("#accept-backlash")
     page.get_by_test_id("confirm").click()
-    expect(effect).to_contain_text("belongs to the error map of rig bench-1")
-    expect(verdict).to_contain_text("Good: only noise is left.")
-    assert [e.name for e in service.store.effects_in_force("MPU-1", "bench-1")] == ["backlash"]
+    expect(effect).to_contain_text("belongs to the error map of rig bench-3")
+    expect(verdict.locator(".headline")).to_have_text("Good: only noise is left.")
+    expect(verdict).to_have_class("verdict good")
+    assert [e.name for e in service.store.effects_in_force("TRACED", "bench-3")] == ["backlash"]
     shown = effect.locator(".accepted")
     (kept,) = client.get(f"/api/runs/{run['id']}").json()["diagnosis"]["effects"]
     expect(shown.locator("time")).to_have_attribute("datetime", kept["accepted_at"])
     page.reload()
-    expect(shown).to_contain_text("belongs to the error map of rig bench-1")  # kept with the run
+    expect(shown).to_contain_text("belongs to the error map of rig bench-3")  # kept with the run
     expect(shown.locator("time")).to_have_attribute("datetime", kept["accepted_at"])
     expect(page.locator("#accept-backlash")).to_have_count(0)
+
+    plan = {"kind": "verification", "elevations_deg": [-40, 0, 40], "sweeps": 2}
+    body = {"unit": "TRACED", "rig": "bench-3", "plan": plan}
+    verified = ended(client, client.post("/api/runs", json=body).raise_for_status().json()["id"])
+    go(f"#/runs/{verified['id']}")
+    expect(verdict.locator(".headline")).to_have_text(verified["verdict"]["says"][0])
+    expect(verdict).to_contain_text("As found, against the document: RMS error")
+    assert verified["verdict"]["ratio"] < 2.0  # by the raw reading it would be 67, without the effect 9
+
+    go(f"#/runs/{run['id']}")
+    page.click("#take-back-backlash")
+    page.fill("#reason", "the cable was loose")
+    page.get_by_test_id("confirm").click()
+    expect(verdict).to_contain_text("names backlash, which has not been accepted")
+    expect(page.locator("#accept-backlash")).to_be_visible()
+    assert service.store.effects_in_force("TRACED", "bench-3") == []
     considered = page.get_by_test_id("considered-backlash")
     considered.locator("summary").click()
     expect(considered.get_by_role("row", name="settling")).to_contain_text("worse")
 
 
+def test_run_and_diagnosis_do_not_contradict_each_other(page, client, go, expect):
+    """Dwells with a seventh of what the rig repeats to: more than noise is left, of no effect."""
+    run = imported(client, noise_alone(more=f"reading_stderr_deg={NOISE_DEG / 7:.5f}"), "RESTLESS")
+    go(f"#/runs/{run['id']}")
+    verdict, diagnosed = page.get_by_test_id("verdict"), page.get_by_test_id("diagnosis-verdict")
+    expect(verdict).to_contain_text("More than noise is left.")
+    page.click("#diagnose")
+    expect(diagnosed).to_contain_text("No effect found: the residual is what poses repeat to")
+    expect(diagnosed).to_contain_text("times the noise within a dwell")
+    expect(diagnosed).not_to_contain_text("consistent with noise")
+    expect(verdict).to_contain_text("Revisited poses repeat no better than")
+
+
 def test_every_effect_of_the_catalogue_is_shown_in_its_own_words(page, client, service, go, expect, forgiven):
     forgiven.append(REFUSED)  # these poses show none of them, so there is no figure of any
-    run = imported(client, noise_alone())
+    run = imported(client, noise_alone(), "CATALOGUE")
     client.post(f"/api/runs/{run['id']}/diagnosis", json={}).raise_for_status()
     found = client.get(f"/api/runs/{run['id']}/diagnosis").json()
     del found["grade"], found["says"]  # as an earlier version stored it
@@ -142,8 +189,8 @@ def shown_as(title, unit):
 
 
 def test_further_runs_of_the_unit_are_chosen_and_diagnosed_together(page, client, go, expect):
-    first, voided, shown = (imported(client, noise_alone(k)) for k in range(3))
-    imported(client, noise_alone(3), unit="ANOTHER")
+    first, voided, shown = (imported(client, noise_alone(k), "TOGETHER") for k in range(3))
+    imported(client, noise_alone(3), "ANOTHER")
     client.post(f"/api/runs/{voided['id']}/void", json={"reason": "bumped"}).raise_for_status()
     go(f"#/runs/{shown['id']}")
     picker = page.locator("#together")
@@ -169,7 +216,7 @@ def test_further_runs_of_the_unit_are_chosen_and_diagnosed_together(page, client
 
 
 def test_what_is_ambiguous_leads_to_the_run_that_separates_it(page, client, go, expect):
-    run = imported(client, ambiguous_poses(), rig="bench-1")
+    run = imported(client, ambiguous_poses(), "AMBIGUOUS", rig="bench-1")
     go(f"#/runs/{run['id']}")
     page.click("#diagnose")
     expect(page.get_by_test_id("diagnosis-verdict")).to_contain_text("Indistinguishable")
@@ -190,7 +237,7 @@ def test_what_is_ambiguous_leads_to_the_run_that_separates_it(page, client, go, 
     page.locator("#together summary").click()
     expect(page.get_by_label(f"Run {run['id']}, ")).to_be_checked()
     expect(page.get_by_label(f"Run {run['id']}, ")).to_be_disabled()  # it follows on that one
-    (second, _) = client.get("/api/runs").json()["items"]
+    (second, _) = client.get("/api/runs?unit=AMBIGUOUS").json()["items"]
     confirmed = second["diagnosis"]["confirmed_by"]
     assert confirmed["before_rms_deg"] > 2 * confirmed["after_rms_deg"]
     for key in ("before_rms_deg", "after_rms_deg"):
@@ -203,17 +250,17 @@ def test_what_is_ambiguous_leads_to_the_run_that_separates_it(page, client, go, 
 
 def test_without_a_rig_the_reason_why_nothing_can_be_separated_is_shown(page, client, go, expect, forgiven):
     forgiven.append(REFUSED)
-    run = imported(client, ambiguous_poses())
+    run = imported(client, ambiguous_poses(), "NO-RIG")
     go(f"#/runs/{run['id']}")
     page.click("#diagnose")
     page.click("#follow-up")
     expect(page.locator("#follow-up-error")).to_contain_text("no rig is known")
-    assert len(client.get("/api/runs").json()["items"]) == 1
+    assert len(client.get("/api/runs?unit=NO-RIG").json()["items"]) == 1
 
 
 def test_an_effect_that_cannot_correct_later_runs_is_refused_saying_why(page, client, go, expect, forgiven):
     forgiven.append(REFUSED)
-    run = imported(client, unsettled_poses())
+    run = imported(client, unsettled_poses(), "UNSETTLED")
     go(f"#/runs/{run['id']}")
     page.click("#diagnose")
     page.click("#accept-settling")
@@ -225,7 +272,7 @@ def test_a_lone_run_of_too_few_poses_is_refused_with_the_reason_and_the_page_goe
     page, client, go, expect, forgiven
 ):
     forgiven.append(REFUSED)
-    run = imported(client, noise_alone()[:6])
+    run = imported(client, noise_alone()[:6], "SHORT")
     go(f"#/runs/{run['id']}")
     page.locator("#together summary").click()
     expect(page.locator("#together")).to_contain_text("no other completed run")
@@ -235,14 +282,14 @@ def test_a_lone_run_of_too_few_poses_is_refused_with_the_reason_and_the_page_goe
 
 
 def test_noise_alone_is_accused_of_nothing_and_an_error_map_needs_three_units(page, client, go, expect):
-    runs = [imported(client, noise_alone(k), unit=f"U{k}", rig="bench-1") for k in range(2)]
+    runs = [imported(client, noise_alone(k), f"U{k}", rig="bench-2") for k in range(2)]
     go(f"#/runs/{runs[0]['id']}")
     page.click("#diagnose")
     expect(page.get_by_test_id("diagnosis-verdict")).to_contain_text("No effect found")
     summary = page.get_by_test_id("error-map-details").locator("summary")
     summary.click()
     expect(page.locator("#error-map")).to_contain_text("3 units")
-    imported(client, noise_alone(2), unit="U2", rig="bench-1")
+    imported(client, noise_alone(2), "U2", rig="bench-2")
     page.reload()
     summary.click()
     expect(page.get_by_test_id("error-map-chart").locator(".plot-container")).to_be_visible()

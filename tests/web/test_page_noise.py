@@ -8,19 +8,13 @@ import pytest
 pytestmark = pytest.mark.browser
 
 
-@pytest.fixture(scope="module")
-def client(shared_client):
-    """One service for all of this file: each test has a unit of its own."""
-    return shared_client
-
-
 def test_a_log_is_kept_on_the_rig_and_its_noise_shown(page, go, expect):
     go("#/noise")
     page.fill("#unit", "N-1")
     page.fill("#minutes", "0.5")
     page.click("#keep-log")
     page.wait_for_url("**/#/runs/*")
-    expect(page.locator("#status")).to_have_text("completed", timeout=20_000)
+    expect(page.locator("#status")).to_have_text("completed")
     expect(page.locator("#poses-table")).to_be_hidden()
     page.click("#study")
     rows = page.locator("#noise tbody tr")

@@ -12,12 +12,6 @@ from .page_help import ambiguous_poses, imported, imported_lines
 pytestmark = pytest.mark.browser
 
 
-@pytest.fixture(scope="module")
-def client(shared_client):
-    """One service for all of this file: each test has a unit of its own."""
-    return shared_client
-
-
 ON_TOP = """button => {
   const { left, top, width, height } = button.getBoundingClientRect();
   const inside = left >= 0 && top >= 0 && left + width <= innerWidth && top + height <= innerHeight;
@@ -47,6 +41,8 @@ def test_every_view_fits_and_has_it_in_view_wherever_that_is_scrolled_to(page, c
         f"#/compare?unit={unit}": 4,
         "#/noise": 0,
         "#/import": 0,
+        "#/trail": 0,
+        "#/users": 0,
         "#/none": 0,
     }
     for view, drawn in charts.items():

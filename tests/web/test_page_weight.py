@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from support import serving
 
 from .page_help import ambiguous_poses, imported_lines
 
@@ -12,6 +13,13 @@ FIRST_BYTES = 600_000
 """Half of what was promised: with 5 Mbit/s a second. Nine tenths of it are the charts' script."""
 NEXT_BYTES = 30_000
 CHARTLESS_BYTES = 80_000
+
+
+@pytest.fixture
+def client(service):
+    """A client of a service of which the browser has kept nothing."""
+    with serving(service) as client:
+        yield client
 
 
 @pytest.fixture

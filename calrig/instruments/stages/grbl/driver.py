@@ -15,6 +15,7 @@ from typing import Self
 from calrig.instruments import readback
 from calrig.instruments.errors import InstrumentError, StageError
 from calrig.instruments.ports import Port, open_port
+from calrig.instruments.stages.grbl.controller_settings import RATE, ControllerSettings
 from calrig.instruments.stages.grbl.count import Count
 from calrig.instruments.stages.grbl.modes import MARK, OF_A_MOVE, Modes
 from calrig.instruments.stages.grbl.states import status_of
@@ -33,7 +34,6 @@ from calrig.instruments.stages.lines import plain, unanswered
 from calrig.instruments.types import StageIdentity, StageStatus
 
 LOOKS_FOR_OFFSET = 24  # idle, GRBL adds its offset to every tenth report
-HOMING, SOFT_LIMITS, INCHES = 22, 20, 13
 
 
 class Grbl:
@@ -49,7 +49,7 @@ class Grbl:
         self._wire = GrblWire(port, self.faults)
         self._count = Count(self._index, self._name)
         self._asking = threading.RLock()
-        self._settings: dict[int, float] = {}
+        self._settings: ControllerSettings | None = None
         self._resets = 0
         self._homing = False
         self._modes = Modes(self._wire, self._name)
@@ -69,18 +69,17 @@ class Grbl:
         """
         with self._asking:
             report = self._report()
-            if not self._settings:
+            settings = self._settings
+            if settings is None:
                 raise StageError(f"{self._name} is in {report.state}, not by calrig: reset it first")
-            rate = self._setting(110)
-            offset_deg = self._count.offset_deg or 0.0
-            travel = self._setting(130) if self._settings.get(SOFT_LIMITS) else None
+            offset_deg, travel_deg = self._count.offset_deg or 0.0, settings.travel_deg
             return StageIdentity(
                 driver="grbl",
                 firmware=self._firmware or self._wire.firmware,
-                limits_deg=(-travel - offset_deg, travel - offset_deg) if travel else None,
-                velocity_dps=None if rate is None else rate / 60,
-                acceleration_dps2=self._setting(120),
-                homes=bool(self._settings.get(HOMING)),
+                limits_deg=(-travel_deg - offset_deg, travel_deg - offset_deg) if travel_deg else None,
+                velocity_dps=settings.velocity_dps,
+                acceleration_dps2=settings.acceleration_dps2,
+                homes=settings.homes,
             )
 
     def status(self) -> StageStatus:
@@ -124,10 +123,10 @@ class Grbl:
 
     def set_velocity(self, velocity_dps: float) -> None:
         """Sets the velocity of the moves that follow (StageError above the controller's own)."""
-        most = self._setting(110)
-        if most is not None and velocity_dps * 60 > most * (1 + 1e-9):
+        most_dps = self._settings.velocity_dps if self._settings else None
+        if most_dps is not None and velocity_dps > most_dps * (1 + 1e-9):
             raise StageError(
-                f"{self._name} turns at {most / 60:g}°/s at most (${110 + self._index}): {velocity_dps:g}°/s"
+                f"{self._name} turns at {most_dps:g}°/s at most (${RATE + self._index}): {velocity_dps:g}°/s"
             )
         self._feed_per_min = velocity_dps * 60
 
@@ -140,13 +139,13 @@ class Grbl:
         """
         with self._asking:
             self._wire.lines.refuse_if_halted("$H", self._name)
-            if not self._settings:
+            if self._settings is None:
                 self._report()
-            if self._settings and not self._settings.get(HOMING):
+            if self._settings and not self._settings.homes:
                 raise StageError(
                     f"{self._name} has no homing ($22=0) and no angle ({self._count.unreferenced}): "
                     "turn the stage to a known angle by hand and start a run that says so "
-                    "(calrig run --stage-at DEGREES)"
+                    '("The stage stands at" on the page, calrig run --stage-at DEGREES)'
                 )
             if self._wire.locked:
                 self._wire.restart()
@@ -206,9 +205,6 @@ class Grbl:
                         self._wire.restart()
             self._wire.lines.close()
 
-    def _setting(self, of_x: int) -> float | None:
-        return self._settings.get(of_x + self._index)
-
     def _report(self) -> Report:
         """A report, of a controller that is awake and known (StageError if it does not answer)."""
         report = self._look()
@@ -225,10 +221,10 @@ class Grbl:
         if report is None and self._wire.before_1_1:
             raise StageError(f"{self._name} speaks as {self._wire.firmware or 'a GRBL'} does, {NOT_1_1}")
         if report is None:
-            self._settings = {}  # they are read again when it answers again
+            self._settings = None  # they are read again when it answers again
             raise StageError(unanswered(self._name, "?", self.faults, "power, cable and baud rate"))
         self._count.hear_offset(report)
-        if not self._settings and report.state in ("Idle", "Alarm") and not self._homing:
+        if self._settings is None and report.state in ("Idle", "Alarm") and not self._homing:
             return self._learn(report)
         return report
 
@@ -242,10 +238,10 @@ class Grbl:
 
     def _learn(self, report: Report) -> Report:
         """Reads settings and offset, twice alike each, and whether the count can be an angle."""
-        settings = self._wire.settings_twice(SOFT_LIMITS, HOMING, 110 + self._index)
-        if not settings:
+        settings = ControllerSettings.read(self._wire, self._index)
+        if settings is None:
             raise StageError(f"{self._name} does not list its settings ($$) twice alike: check the cable")
-        if settings.get(INCHES):
+        if settings.in_inches:
             raise StageError(f"{self._name} reports in inches: set $13=0, so that a unit is a degree")
         for _ in range(LOOKS_FOR_OFFSET):
             if self._count.offset_deg is not None or not report.machine:
@@ -255,7 +251,7 @@ class Grbl:
         if (version := self._wire.inquire("$I", VERSION)) is not None:
             self._firmware = f"Grbl {version}"
         self._settings = settings
-        if not settings.get(HOMING) and not self._count.has_moved and report.state == "Idle":
+        if not settings.homes and not self._count.has_moved and report.state == "Idle":
             self._count.trust(report)
             self.faults["zero_not_homed"] = 1
         return report
@@ -278,7 +274,7 @@ class Grbl:
             self._heed()
             if self._homing:
                 self._homing, self._count.unreferenced, self._wire.answers = False, None, []
-        why, has_switch = self._count.unreferenced, bool(self._settings.get(HOMING))
+        why, has_switch = self._count.unreferenced, bool(self._settings and self._settings.homes)
         return status_of(report, self._homing, bool(self._settings), why, has_switch=has_switch)
 
     def _require_ok(self, command: str, answer: str | None) -> None:

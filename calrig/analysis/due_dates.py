@@ -1,0 +1,165 @@
+"""When each unit is due: by the drift of its history against its limits, else after a fixed interval."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from typing import Any, Literal
+
+import numpy as np
+
+from calrig.analysis.histories import SECONDS_PER_DAY, Histories, histories
+from calrig.calibration.conformity import Limit, limit_for
+from calrig.calibration.due_date import Bounds, Forecast, forecast
+from calrig.calibration.variance_components import IntArray
+from calrig.estimation.angles import FloatArray
+from calrig.store import Store
+
+INTERVAL_DAYS = 365.0
+"""Where nobody has set another one (`interval_days` in calrig.toml)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Due:
+    """When a unit is due; `due_at` None where it was never calibrated."""
+
+    due_at: datetime | None
+    overdue: bool
+    method: Literal["interval", "drift"] | None
+    says: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """As the API shows it."""
+        return {
+            "due_at": self.due_at,
+            "overdue": self.overdue,
+            "due_method": self.method,
+            "due_says": self.says,
+        }
+
+
+NEVER = Due(None, False, None, "It was never calibrated.")
+
+
+@dataclass(frozen=True, slots=True)
+class DueDates:
+    """Of every unit that was calibrated."""
+
+    units: Mapping[str, Due]
+
+    def of(self, serial: str) -> Due:
+        """Of one unit."""
+        return self.units.get(serial, NEVER)
+
+    @property
+    def overdue(self) -> int:
+        """How many are overdue."""
+        return sum(due.overdue for due in self.units.values())
+
+
+def due_dates(
+    store: Store,
+    found: Histories | None = None,
+    *,
+    serials: Collection[str] | None = None,
+    interval_days: float = INTERVAL_DAYS,
+    limits: Iterable[Limit] | None = None,
+    now: datetime | None = None,
+) -> DueDates:
+    """When each unit is due.
+
+    Args:
+        store: where they are.
+        found: all histories, where they are known already.
+        serials: the units to tell about; None for all.
+        interval_days: the interval that counts where a history says nothing.
+        limits: those there are, the first that matches a unit counts; without them the store's.
+        now: by which a unit is overdue; without it this moment.
+    """
+    found = histories(store) if found is None else found
+    now = now or datetime.now(UTC)
+    latest = {
+        row.unit: place for place, row in enumerate(found.rows) if serials is None or row.unit in serials
+    }
+    known = store.limits() if limits is None else list(limits)
+    limited = {serial: limit_for(known, serial, found.rows[place].rig) for serial, place in latest.items()}
+    in_force = _in_force(store, [serial for serial, limit in limited.items() if limit is not None])
+    units = {}
+    for serial, last in latest.items():
+        limit = limited[serial]
+        drifting = None
+        if limit is not None:
+            drifting = _by_drift(found, found.of(serial), limit, in_force.get(serial), interval_days)
+        units[serial] = _due(found, last, drifting, interval_days, now)
+    return DueDates(units)
+
+
+def _due(found: Histories, last: int, drifting: Forecast | None, interval_days: float, now: datetime) -> Due:
+    if drifting is not None and drifting.due_day is not None:
+        at = datetime.fromtimestamp(drifting.due_day * SECONDS_PER_DAY, UTC)
+        return Due(at, at < now, "drift", f"By its history: {drifting.why}.")
+    at = found.rows[last].finished_at + timedelta(days=interval_days)
+    why = "" if drifting is None else f"; {drifting.why}"
+    return Due(at, at < now, "interval", f"{interval_days:g} days after its last calibration{why}.")
+
+
+@dataclass(frozen=True, slots=True)
+class _InForce:
+    """The run that a unit's calibration in force is from, and the range it is for."""
+
+    run_id: str
+    range_deg: tuple[float, float]
+
+
+def _in_force(store: Store, serials: Sequence[str]) -> dict[str, _InForce]:
+    if not serials:
+        return {}
+    documents = ((one.unit, one.document) for one in store.all_in_force(serials))
+    return {unit: _InForce(doc["run_id"], tuple(doc["range_deg"])) for unit, doc in documents}
+
+
+def _by_drift(
+    found: Histories, places: IntArray, limit: Limit, in_force: _InForce | None, interval_days: float
+) -> Forecast | None:
+    """The soonest of the forecasts of all that a limit is on; None where no history tells anything.
+
+    Of the whole history where that lies on a line, else of what came after the last change.
+    """
+    told = []
+    since = places[found.segment()[places] == found.segment()[places[-1]]]
+    for day, value, variance, bounds in _limited(found, places, limit, in_force):
+        whole = forecast(day, value, variance, bounds, interval_days)
+        if whole is not None and not whole.fits:
+            late = day >= found.day[since[0]]
+            whole = forecast(day[late], value[late], variance[late], bounds, interval_days)
+        if whole is not None:
+            told.append(whole)
+    dated = [one for one in told if one.due_day is not None]
+    silent = next((one for one in told if one.due_day is None), None)
+    if silent is not None:
+        dated = [one for one in dated if (one.due_day or 0.0) < float(found.day[places[-1]]) + interval_days]
+    return min(dated, key=lambda one: one.due_day or 0.0, default=silent)
+
+
+def _limited(
+    found: Histories, places: IntArray, limit: Limit, in_force: _InForce | None
+) -> Iterator[tuple[FloatArray, FloatArray, FloatArray, Bounds]]:
+    """Days, values and variances of each figure that a limit is on, and its bounds."""
+    variances = [found.variance(figure) for figure in range(2)]
+    if variances[0] is None or variances[1] is None:
+        return
+    bias_var, scale_var = variances[0][places], variances[1][places]
+    bias, scale = (runs.value[places] for runs in found.figures)
+    day, known = found.day[places], np.isfinite(scale)
+    if limit.bias_deg is not None:
+        yield day, bias, bias_var, limit.bias_deg
+    if limit.scale is not None:
+        yield day[known], scale[known], scale_var[known], limit.scale
+    ids = [found.rows[place].run_id for place in places]
+    if limit.max_error_deg is not None and in_force is not None and in_force.run_id in ids:
+        base = ids.index(in_force.run_id)
+        for end in in_force.range_deg:
+            error = bias - bias[base] + end * (scale - scale[base])
+            variance = bias_var + end**2 * scale_var
+            yield day[known], error[known], variance[known], (-limit.max_error_deg, limit.max_error_deg)

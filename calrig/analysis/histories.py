@@ -1,0 +1,157 @@
+"""The histories of all units side by side: arrays of what their runs gave, and what changed between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+
+from calrig.calibration.changed_runs import Changes, changes
+from calrig.calibration.repeatability import Repeatability, Runs, pairs
+from calrig.calibration.variance_components import IntArray
+from calrig.estimation.angles import FloatArray
+from calrig.store import ComparisonRow, Store
+
+FIGURES = (("bias_deg", "bias_std_deg"), ("scale", "scale_std"))
+"""What is compared, with its standard error."""
+SECONDS_PER_DAY = 86_400.0
+
+
+@dataclass(frozen=True, slots=True)
+class Histories:
+    """N runs that count, by unit, the oldest of each first; arrays (N,) in that order.
+
+    Attributes:
+        rows: the runs.
+        serials: of the units, in their order here.
+        day: when each run finished, in days since 1970.
+        figures: bias and scale.
+        changes: what changed between each run and the next of its unit.
+    """
+
+    rows: list[ComparisonRow]
+    serials: list[str]
+    day: FloatArray
+    figures: tuple[Runs, Runs]
+    changes: Changes
+
+    def of(self, serial: str) -> IntArray:
+        """Places of a unit's runs."""
+        if serial not in self.serials:
+            return np.empty(0, dtype=np.intp)
+        return np.flatnonzero(self.figures[0].unit == self.serials.index(serial))
+
+    def changed_units(self) -> list[str]:
+        """Serials of the units that changed between two of their runs."""
+        units = self.figures[0].unit[self.changes.first[self.changes.changed]]
+        return [self.serials[unit] for unit in dict.fromkeys(units.tolist())]
+
+    def segment(self) -> IntArray:
+        """(N,) which stretch of an unchanged unit each run belongs to, from 0."""
+        begins = np.zeros(len(self.rows), dtype=np.intp)
+        if len(begins):
+            begins[1:] = self.figures[0].unit[1:] != self.figures[0].unit[:-1]
+            begins[self.changes.figures[0].second[self.changes.changed]] = 1
+        return np.cumsum(begins)
+
+    def variance(self, figure: int) -> FloatArray | None:
+        """(N,) of a run's figure about what its unit has: its own, re-clamping's and the day's.
+
+        None where repeatability is not known.
+        """
+        pooled = self.changes.pooled[figure]
+        if pooled is None:
+            return None
+        own = np.nan_to_num(self.figures[figure].std) ** 2
+        return np.asarray(own + max(pooled.between_days**2, SMALLEST[figure] ** 2), dtype=np.float64)
+
+    def freedom(self, figure: int) -> FloatArray | None:
+        """(N,) degrees of freedom that these variances rest on; None where they are not known.
+
+        Welch and Satterthwaite (GUM, JCGM 100:2008, G.4.1), a run's own standard error taken for known: the
+        less re-clamping and the day add beside it, the less it matters how few repeats tell of them.
+        """
+        pooled, variance = self.changes.pooled[figure], self.variance(figure)
+        if pooled is None or variance is None:
+            return None
+        share = max(pooled.between_days, SMALLEST[figure]) ** 2 / variance
+        return np.asarray(np.minimum(pooled.freedom / share**2, MOST_FREEDOM), dtype=np.float64)
+
+    @property
+    def pooled(self) -> tuple[Repeatability | None, ...]:
+        """How bias and scale repeat; None where the runs do not tell."""
+        return self.changes.pooled
+
+
+MOST_FREEDOM = 1e9
+"""As good as known."""
+SMALLEST = (1e-6, 1e-8)
+"""Below which no figure repeats: where runs are copies of one another, nothing is divided by zero."""
+
+
+def histories(store: Store) -> Histories:
+    """All of them: whether a unit has changed is held against how all others repeat."""
+    rows = store.comparison()
+    serials = list(dict.fromkeys(row.unit for row in rows))
+    rigs = {name: place for place, name in enumerate(dict.fromkeys(row.rig for row in rows))}
+    unit = np.repeat(np.arange(len(serials)), _counts(rows)) if rows else np.empty(0, dtype=np.intp)
+    rig = np.array([rigs[row.rig] for row in rows], dtype=np.intp)
+    day = np.array([row.finished_at.timestamp() / SECONDS_PER_DAY for row in rows])
+    _, day_of_rig = np.unique(np.floor(day).astype(np.intp) * len(rigs) + rig, return_inverse=True)
+    stage = _stage_variances(store, rows, unit, rig)
+    figures = tuple(
+        Runs(unit, rig, day_of_rig, _column(rows, name), _column(rows, std), stage[:, place])
+        for place, (name, std) in enumerate(FIGURES)
+    )
+    packed = tuple(
+        _Packed(*(np.ascontiguousarray(getattr(runs, name)).tobytes() for name in Runs.__slots__))
+        for runs in figures
+    )
+    return Histories(rows, serials, day, (figures[0], figures[1]), _changes(packed))
+
+
+@dataclass(frozen=True, slots=True)
+class _Packed:
+    """`Runs` that can be looked up."""
+
+    unit: bytes
+    rig: bytes
+    day: bytes
+    value: bytes
+    std: bytes
+    stage_variance: bytes
+
+    def runs(self) -> Runs:
+        unit, rig, day = (np.frombuffer(one, dtype=np.intp) for one in (self.unit, self.rig, self.day))
+        value, std, stage = (np.frombuffer(one) for one in (self.value, self.std, self.stage_variance))
+        return Runs(unit, rig, day, value, std, stage)
+
+
+@lru_cache(maxsize=4)
+def _changes(figures: tuple[_Packed, ...]) -> Changes:
+    """Kept while the store stays as it is: a page asks for the same many times."""
+    return changes(tuple(packed.runs() for packed in figures))
+
+
+def _counts(rows: list[ComparisonRow]) -> IntArray:
+    begins = np.flatnonzero([True, *(a.unit != b.unit for a, b in pairwise(rows))])
+    return np.diff(np.append(begins, len(rows)))
+
+
+def _column(rows: list[ComparisonRow], name: str) -> FloatArray:
+    return np.array([row.result[name] for row in rows], dtype=np.float64)
+
+
+def _stage_variances(store: Store, rows: list[ComparisonRow], unit: IntArray, rig: IntArray) -> FloatArray:
+    """(N, 2) what the stage is worth in bias and scale; looked up where a unit went to another rig alone."""
+    found = np.zeros((len(rows), len(FIGURES)))
+    first, second = pairs(unit)
+    moved = rig[first] != rig[second]
+    places = np.unique(np.concatenate([first[moved], second[moved]]))
+    known = store.reference_figures([rows[place].run_id for place in places])
+    for place in places:
+        bias, scale = known.get(rows[place].run_id, (0.0, None))
+        found[place] = bias**2, (scale or 0.0) ** 2
+    return found

@@ -1,0 +1,243 @@
+"""Drafts of a unit's calibration, and who puts them in force: CONTRACT section 6."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+from calrig.analysis.basis import basis_of, changed_since, chosen_effects, why_none, why_not_now
+from calrig.analysis.errors import Conflict
+from calrig.analysis.imported import Imported
+from calrig.analysis.results import fitted, gyro_of
+from calrig.analysis.stored_runs import checked_reason, stored_run
+from calrig.calibration.conformity import limit_for
+from calrig.calibration.pose import Pose
+from calrig.calibration.result import Result
+from calrig.calibration.verdict import verdict
+from calrig.export.calibration_json import calibration_content
+from calrig.settings import ReleasePolicy, RigSettings
+from calrig.store import AcceptedEffect, Run, Store
+from calrig.store.issued import Draft, Revision
+from calrig.store.records import Document, reference_of
+
+EVERY_ENTRY = 1_000_000
+BROUGHT_OVER = "in force when this store began to issue revisions"
+
+
+@dataclass(frozen=True, slots=True)
+class Releases:
+    """Who puts drafts in force: a rig's own `release`; of imports, the one of the first rig configured."""
+
+    of_rig: dict[str, ReleasePolicy]
+    default: ReleasePolicy = "auto"
+
+    @classmethod
+    def of(cls, rigs: Sequence[RigSettings]) -> Releases:
+        """As configured; `auto` where nothing is."""
+        return cls({rig.name: rig.release for rig in rigs}, rigs[0].release if rigs else "auto")
+
+    def puts_in_force(self, rig: str | None, answer: str) -> bool:
+        """Whether a draft with this answer to its limits is in force as soon as it is made."""
+        policy = self.of_rig.get(rig or "", self.default)
+        return answer != "fail" if policy == "auto" else policy == "pass" and answer == "pass"
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """The poses of a run that count, what they give, and what was taken out beside bias and scale."""
+
+    poses: Sequence[Pose]
+    result: Result
+    accepted: Sequence[AcceptedEffect]
+    excluded: Sequence[int] = ()
+    chosen: Sequence[str] | None = None
+
+
+class Issuer:
+    """Makes drafts of stored runs, and releases and withdraws revisions."""
+
+    def __init__(self, store: Store, releases: Releases | None = None) -> None:
+        self._store = store
+        self._releases = releases or Releases({})
+
+    def completing(self, run: Run, fit: Fitted) -> Draft | None:
+        """What the end of a run makes: the unit's next revision, or None.
+
+        A verification, a static log and a follow-up make none, nor do poses that leave the scale open.
+        """
+        if why_none(run) is not None or fit.result.scale is None:
+            return None
+        return self._draft(run, fit, by=run.operator, reason=None)
+
+    def importing(self, imported: Imported, *, by: str | None) -> Draft | None:
+        """What a file of poses makes as it is imported; None where its poses leave the scale open."""
+        if imported.content is None:
+            return None
+        limit = limit_for(self._store.limits(), imported.content["unit"], imported.content["rig"])
+        judged = verdict(imported.result, limit=limit, calibration=imported.content)
+        releases = self._releases.puts_in_force(None, judged.answer)
+        return Draft(imported.content, basis_of(imported.accepted, (), None), judged.to_dict(), releases, by)
+
+    def draft(
+        self,
+        unit: str,
+        run_id: str,
+        effects: Sequence[str] | None = None,
+        *,
+        by: str | None = None,
+        reason: str | None = None,
+    ) -> Revision:
+        """Makes a draft of a run, released at once where its rig's `release` says so.
+
+        Args:
+            unit: whose revision it becomes.
+            run_id: a completed calibration of that unit.
+            effects: names of accepted effects of the unit that enter; None for all.
+            by: who asks.
+            reason: why.
+
+        Raises:
+            Unknown: there is no such run.
+            Conflict: the run gives no calibration, is of another unit, or an effect has not been accepted.
+        """
+        run = stored_run(self._store, run_id)
+        if run.unit != unit:
+            raise Conflict(f"run {run_id} is of unit {run.unit!r}, not of {unit!r}")
+        if (why := why_none(run) or why_not_now(run)) is not None:
+            raise Conflict(f"run {run_id} {why}: it gives no calibration")
+        draft = self._draft(run, self._fit(run, effects), by=by, reason=reason)
+        return self._store.issue(run_id, draft)
+
+    def redraft(self, changed: Run, *, by: str | None, reason: str) -> Revision | None:
+        """The unit's next draft, after a run or what was accepted from it has changed.
+
+        It is of that run where its calibration is in force, else of the latest run that counts; none is made
+        where a current revision of it rests on the same already.
+        """
+        in_force, now = self._store.in_force(changed.unit), stored_run(self._store, changed.id)
+        if in_force is not None and in_force.run_id == now.id and now.unit == changed.unit:
+            base: Run | None = None if why_not_now(now) else now
+        else:
+            base = None
+        base = base or self._store.latest_calibration_run(changed.unit)
+        if base is None:
+            return None
+        fit = self._fit(base)
+        basis = basis_of(fit.accepted, fit.excluded, None)
+        for one in self._store.revisions(base.unit):
+            if one.run_id == base.id and one.status in ("draft", "in_force") and one.basis == basis:
+                return None
+        return self._store.issue(base.id, self._draft(base, fit, by=by, reason=reason))
+
+    def release(self, unit: str, number: int, *, by: str | None, reason: str) -> Revision:
+        """Puts a draft or a superseded revision in force.
+
+        Raises:
+            Refused: it is in force, or was withdrawn.
+            Conflict: its run has been voided.
+        """
+        found = self._store.revision(unit, number)
+        if found is not None and (voided := stored_run(self._store, found.run_id).voided):
+            raise Conflict(f"run {found.run_id} of revision {number} is voided ({voided['reason']})")
+        return self._store.release(unit, number, by, checked_reason(reason))
+
+    def withdraw(self, unit: str, number: int, *, by: str | None, reason: str) -> Revision:
+        """Takes a revision back for good.
+
+        Raises:
+            Refused: it has been withdrawn already.
+        """
+        return self._store.withdraw(unit, number, by, checked_reason(reason))
+
+    def listed(self, revisions: Sequence[Revision]) -> list[Document]:
+        """Revisions as CONTRACT section 2 lists them."""
+        return [
+            {
+                "revision": one.revision,
+                "status": one.status,
+                "run_id": one.run_id,
+                "effects": [effect["name"] for effect in one.document["effects"]],
+                "issued_at": one.issued_at,
+                "issued_by": one.issued_by,
+                "reason": one.reason,
+                "sha256": one.sha256,
+                "verdict": one.verdict,
+                "stale": reasons,
+            }
+            for one, reasons in zip(revisions, self._stale(revisions), strict=True)
+        ]
+
+    def bring_over(self) -> list[Revision]:
+        """Issues what was in force of units from before there were revisions; each of them once."""
+        made = []
+        for unit in self._store.units_without_revision():
+            run = self._store.latest_calibration_run(unit, follow_ups=True)
+            if run is not None:
+                draft = self._draft(run, self._fit(run), by=None, reason=BROUGHT_OVER, releases=True)
+                made.append(self._store.issue(run.id, draft))
+        return made
+
+    def _stale(self, revisions: Iterable[Revision]) -> list[list[str]]:
+        """Of each revision, what it rests on that has changed since it was made."""
+        now: dict[str, tuple[Run, list[AcceptedEffect], list[int]]] = {}
+        found = []
+        for one in revisions:
+            if one.run_id not in now:
+                run = stored_run(self._store, one.run_id)
+                accepted = self._store.effects_in_force(run.unit, run.rig)
+                now[one.run_id] = run, accepted, self._store.excluded_poses(run.id)
+            found.append(changed_since(one, *now[one.run_id]))
+        return found
+
+    def _fit(self, run: Run, chosen: Sequence[str] | None = None) -> Fitted:
+        """A stored run's poses as they count now, with the effects accepted now."""
+        accepted = chosen_effects(self._store.effects_in_force(run.unit, run.rig), chosen, run)
+        stored = self._store.poses(run.id)
+        poses = [one.pose for one in stored if one.excluded is None]
+        excluded = [one.index for one in stored if one.excluded is not None]
+        result = fitted(poses, accepted, run.provenance, gyro_of(run))
+        return Fitted(poses, result, accepted, excluded, chosen)
+
+    def _draft(
+        self, run: Run, fit: Fitted, *, by: str | None, reason: str | None, releases: bool | None = None
+    ) -> Draft:
+        content = calibration_content(
+            unit=run.unit,
+            rig=run.rig,
+            poses=fit.poses,
+            result=fit.result,
+            accepted=fit.accepted,
+            reference=reference_of(run.provenance),
+        )
+        mismatches = run.faults.get("move_mismatch", 0)
+        judged = verdict(
+            fit.result.to_dict(),
+            run.diagnosis,
+            move_mismatches=mismatches,
+            limit=limit_for(self._store.limits(), run.unit, run.rig),
+            calibration=content,
+        )
+        if releases is None:
+            releases = self._releases.puts_in_force(run.rig, judged.answer)
+        basis = basis_of(fit.accepted, fit.excluded, fit.chosen)
+        return Draft(content, basis, judged.to_dict(), releases, by, reason)
+
+
+def issued_since(store: Store, since: datetime | None) -> list[Document]:
+    """What was drafted, released and withdrawn over all units from a time on, oldest first."""
+    if since is not None and since.tzinfo is None:
+        since = since.replace(tzinfo=UTC)
+    return [
+        {
+            "at": entry.at,
+            "what": entry.act.what,
+            "unit": entry.act.unit,
+            "revision": entry.act.revision,
+            "run_id": entry.act.run_id,
+            "sha256": entry.act.detail["sha256"],
+            "by": entry.act.who,
+            "reason": entry.act.reason,
+        }
+        for entry in store.trail(what=("drafted", "released", "withdrawn"), since=since, limit=EVERY_ENTRY)
+    ]

@@ -1,0 +1,63 @@
+"""Limits as people give them, in a file or over HTTP, and what they mean for a run that has yet to begin."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calrig.analysis.errors import Conflict, Invalid
+from calrig.calibration.conformity import Limit, cannot_pass, limit_for
+from calrig.calibration.uncertainty import Reference
+from calrig.plan import Plan
+from calrig.settings import LimitSettings, RigSettings, Settings
+from calrig.store import Store
+
+
+def limit_of(given: LimitSettings) -> Limit:
+    """The limit that somebody wrote."""
+    return Limit(**given.model_dump())
+
+
+def keep_configured(settings: Settings, store: Store) -> None:
+    """Has the store hold the limits of the configuration, where it gives any, for all who read it."""
+    if settings.limit:
+        found = f"as {settings.file} has them"
+        store.replace_limits([limit_of(one) for one in settings.limit], who=None, reason=found)
+
+
+def replace(
+    store: Store, given: Sequence[LimitSettings], *, who: str | None, kept_in: str | None
+) -> list[Limit]:
+    """Puts limits in the place of those there are.
+
+    Args:
+        store: where they are kept.
+        given: the new ones, in the order that they are tried in.
+        who: changes them; None where nobody is known by name.
+        kept_in: the file that gives the limits; None where it does not.
+
+    Raises:
+        Conflict: they are kept in a file.
+        Invalid: two have one name.
+    """
+    if kept_in is not None:
+        raise Conflict(f"the limits stand in {kept_in} ([[limit]]): change them there and start calrig again")
+    names = [one.name for one in given]
+    for place, name in enumerate(names):
+        if name in names[:place]:
+            said = f"Limit {place + 1} is named {name!r} like another one: a verdict names its limit"
+            raise Invalid(said, [f"[{place}].name"])
+    store.replace_limits([limit_of(one) for one in given], who=who)
+    return store.limits()
+
+
+def cannot_pass_on(rig: RigSettings, unit: str, plan: Plan, store: Store) -> list[str]:
+    """Why no unit can pass its limits on a rig by a plan, said before anything moves; empty where one can."""
+    limit = limit_for(store.limits(), unit, rig.name)
+    if limit is None or plan.kind == "static":
+        return []
+    stated = rig.reference
+    reference = None if stated is None else Reference(stated.std_deg, stated.kind, stated.distribution)
+    theta_deg = np.array(plan.elevations() * plan.sweeps, dtype=np.float64)
+    return cannot_pass(limit, reference, theta_deg)

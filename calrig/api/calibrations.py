@@ -1,0 +1,216 @@
+"""Issued calibrations: the one in force byte for byte, every revision, drafts, release and withdrawal."""
+
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+
+from datetime import datetime
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Path, Query
+from fastapi.responses import PlainTextResponse, Response
+from pydantic import Field
+
+from calrig.analysis.active_calibration import header_of, wanted_revision
+from calrig.analysis.errors import Invalid
+from calrig.analysis.issuing import issued_since
+from calrig.api.callers import Who, requires
+from calrig.api.context import Context, KnownUnit
+from calrig.api.errors import problems
+from calrig.api.models import Answer, Body, Extremes, Reason
+from calrig.calibration.verdict import Verdict
+from calrig.store.issued import RevisionStatus
+
+CalibrationFormat = Literal["json", "c-header"]
+Number = Annotated[int, Path(ge=1, lt=2**31)]
+
+router = APIRouter(tags=["calibrations"])
+
+
+class NamedEffect(Answer):
+    """An accepted effect of the unit itself."""
+
+    name: str
+    parameters: dict[str, float | None]
+    formula: str
+
+
+class CalibrationGyro(Answer):
+    """The gyro's part of a calibration."""
+
+    bias_dps: list[float | None] = Field(min_length=3, max_length=3)
+    scale: float | None
+
+
+class UncertaintyAnswer(Answer):
+    """Standard uncertainties of a calibrated elevation; the expanded one contains them all."""
+
+    type_a_deg: float | None
+    type_b_deg: float | None
+    reference_deg: float | None
+    reference_bias_deg: float | None
+    reference_scale: float | None
+
+
+class AccelerometerAnswer(Answer):
+    """true = matrix·(raw − bias)."""
+
+    bias_g: list[float]
+    matrix: list[list[float]]
+
+
+class CalibrationAnswer(Answer):
+    """A unit's calibration (CONTRACT section 6); it never changes once issued."""
+
+    schema_: Literal["calrig.calibration/2"] = Field(alias="schema")
+    unit: str
+    revision: int
+    issued_at: datetime
+    sha256: str
+    run_id: str
+    calibrated_at: datetime | None
+    rig: str | None
+    range_deg: list[float] = Field(min_length=2, max_length=2)
+    model: str
+    bias_deg: float
+    scale: float
+    covariance: list[list[float]] | None
+    effects: list[NamedEffect]
+    gyro: CalibrationGyro | None
+    rms_raw_deg: float
+    rms_calibrated_deg: float | None
+    rms_with_effects_deg: float | None
+    expanded_uncertainty_deg: float | None
+    coverage_factor: float | None
+    coverage: float
+    level_known: bool
+    level_std_deg: float | None
+    accelerometer: AccelerometerAnswer | None
+    uncertainty: UncertaintyAnswer
+    temperature_c: Extremes | None
+    provenance: dict[str, Any]
+
+
+class RevisionAnswer(Answer):
+    """An issued revision: what it is of, who made it and why, and what it rests on that has changed since."""
+
+    revision: int
+    status: RevisionStatus
+    run_id: str
+    effects: list[str]
+    issued_at: datetime
+    issued_by: str | None
+    reason: str | None
+    sha256: str
+    verdict: Verdict
+    stale: list[str]
+
+
+class IssuedAnswer(Answer):
+    """Something that was done with a revision of a unit's calibration."""
+
+    at: datetime
+    what: Literal["drafted", "released", "withdrawn"]
+    unit: str
+    revision: int
+    run_id: str
+    sha256: str
+    by: str | None
+    reason: str | None
+
+
+class NewDraft(Body):
+    """A run, and which of the unit's accepted effects enter; all without a list."""
+
+    run_id: Annotated[str, Field(max_length=100)]
+    effects: Annotated[list[str], Field(max_length=100)] | None = None
+    reason: Annotated[str, Field(max_length=1000)] | None = None
+
+
+# The longer paths come first: `{serial:path}` would take their ends for parts of the serial number.
+@router.get(
+    "/api/units/{serial:path}/calibration",
+    response_model=CalibrationAnswer,
+    responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}, **problems(404, 409, 422)},
+    summary="The calibration in force",
+)
+def show_calibration(
+    serial: str,
+    context: Context,
+    revision: Annotated[str | None, Query(description="A number, or `latest`.")] = None,
+    format_: Annotated[CalibrationFormat, Query(alias="format")] = "json",
+) -> Response:
+    """Byte for byte as it was issued, its hash as `ETag`; `c-header` for flight code. 404 while none is."""
+    found = wanted_revision(context.store, serial, _wanted(revision))
+    headers = {"ETag": f'"{found.sha256}"'}
+    if format_ == "c-header":
+        return PlainTextResponse(header_of(found), headers=headers)
+    return Response(found.text.encode(), media_type="application/json", headers=headers)
+
+
+@router.get(
+    "/api/units/{serial:path}/calibrations",
+    response_model=list[RevisionAnswer],
+    responses=problems(404),
+    summary="Every issued revision, newest first",
+)
+def list_revisions(unit: KnownUnit, context: Context) -> object:
+    """At most one is in force; `stale` says what it rests on that has changed since it was made."""
+    return context.issuer.listed(context.store.revisions(unit.serial))
+
+
+@router.post(
+    "/api/units/{serial:path}/calibrations/{revision}/release",
+    dependencies=[requires("releaser")],
+    response_model=RevisionAnswer,
+    responses=problems(404, 409, 413, 422),
+    summary="Put a revision in force",
+)
+def release(unit: KnownUnit, revision: Number, body: Reason, context: Context, who: Who) -> object:
+    """A draft, or a superseded one again; the one in force until now is superseded."""
+    released = context.issuer.release(unit.serial, revision, by=who, reason=body.reason)
+    return context.issuer.listed([released])[0]
+
+
+@router.post(
+    "/api/units/{serial:path}/calibrations/{revision}/withdraw",
+    dependencies=[requires("releaser")],
+    response_model=RevisionAnswer,
+    responses=problems(404, 409, 413, 422),
+    summary="Take a revision back for good",
+)
+def withdraw(unit: KnownUnit, revision: Number, body: Reason, context: Context, who: Who) -> object:
+    """Where it was in force, none is afterwards."""
+    withdrawn = context.issuer.withdraw(unit.serial, revision, by=who, reason=body.reason)
+    return context.issuer.listed([withdrawn])[0]
+
+
+@router.post(
+    "/api/units/{serial:path}/calibrations",
+    dependencies=[requires("operator")],
+    status_code=201,
+    response_model=RevisionAnswer,
+    responses=problems(404, 409, 413, 422),
+    summary="Draft a calibration from a run",
+)
+def draft(unit: KnownUnit, body: NewDraft, context: Context, who: Who) -> object:
+    """Numbered and frozen; released as the `release` of the run's rig says."""
+    made = context.issuer.draft(unit.serial, body.run_id, body.effects, by=who, reason=body.reason)
+    return context.issuer.listed([made])[0]
+
+
+@router.get(
+    "/api/calibrations",
+    response_model=list[IssuedAnswer],
+    responses=problems(422),
+    summary="What was issued, released or withdrawn, oldest first",
+)
+def list_issued(context: Context, since: datetime | None = None) -> object:
+    """Over all units; `since` a time (without a zone, UTC)."""
+    return issued_since(context.store, since)
+
+
+def _wanted(revision: str | None) -> int | Literal["latest"] | None:
+    if revision is None or revision == "latest":
+        return revision  # type: ignore[return-value]
+    if not (revision.isascii() and revision.isdigit() and 0 < int(revision[:11]) < 2**31):
+        raise Invalid(f"revision {revision[:40]!r} is neither a number nor `latest`")
+    return int(revision)

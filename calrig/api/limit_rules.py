@@ -1,0 +1,54 @@
+"""Limits that units are held against, in the order that they are tried in."""
+
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+
+from typing import Annotated
+
+from fastapi import APIRouter, Body
+
+from calrig.analysis.limits import replace
+from calrig.api.callers import Who, requires
+from calrig.api.context import Context
+from calrig.api.errors import problems
+from calrig.api.models import Answer
+from calrig.calibration.conformity import Limit
+from calrig.settings import LimitSettings
+
+MOST_LIMITS = 100
+
+router = APIRouter(tags=["limits"])
+
+
+class LimitAnswer(Answer):
+    """A limit; null asks nothing of that figure. `bias_deg` and `scale` are lowest and highest."""
+
+    name: str
+    units: str
+    rig: str | None
+    max_error_deg: float | None
+    bias_deg: tuple[float, float] | None
+    scale: tuple[float, float] | None
+    rms_deg: float | None
+    expanded_uncertainty_deg: float | None
+    rule: str
+    guard: float
+
+
+@router.get("/api/limits", response_model=list[LimitAnswer], summary="The limits, in order")
+def list_limits(context: Context) -> list[Limit]:
+    """The first that matches a unit (and rig) counts. `guard` is w over U of the guarded rule."""
+    return context.store.limits()
+
+
+@router.put(
+    "/api/limits",
+    dependencies=[requires("admin")],
+    response_model=list[LimitAnswer],
+    responses=problems(409, 413, 422),
+    summary="Replace the limits",
+)
+def replace_limits(
+    body: Annotated[list[LimitSettings], Body(max_length=MOST_LIMITS)], context: Context, who: Who
+) -> list[Limit]:
+    """All of them at once. 409 where they are kept in calrig.toml."""
+    return replace(context.store, body, who=who, kept_in=context.limits_kept_in)

@@ -1,0 +1,80 @@
+"""The trail: who did what, when and why."""
+
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+
+from datetime import datetime
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query
+from pydantic import AwareDatetime, Field
+
+from calrig.api.context import Context
+from calrig.api.errors import problems
+from calrig.api.models import Answer
+from calrig.store.trail import Entry, What
+
+router = APIRouter(tags=["access"])
+
+
+class EntryAnswer(Answer):
+    """Something that was done; `who` is null where nobody was known by name."""
+
+    seq: int
+    at: datetime
+    who: str | None
+    what: What
+    unit: str | None
+    rig: str | None
+    run_id: str | None
+    revision: int | None
+    reason: str | None
+    detail: dict[str, Any]
+    sha256: str = Field(description="Of the entry before it and all that this one says.")
+
+
+class TrailAnswer(Answer):
+    """Entries, and whether the whole trail is as it was written."""
+
+    entries: list[EntryAnswer]
+    intact: bool
+    broken_at: int | None = Field(description="The first entry that is not what followed on the one before.")
+
+
+@router.get("/api/trail", response_model=TrailAnswer, responses=problems(422), summary="Who did what")
+def show_trail(
+    context: Context,
+    unit: str | None = None,
+    what: Annotated[list[What] | None, Query()] = None,
+    since: AwareDatetime | None = None,
+    after: Annotated[int | None, Query(ge=0, lt=2**63)] = None,
+    *,
+    newest_first: bool = False,
+    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+) -> object:
+    """Oldest first, or newest; `after` is the `seq` of the last entry seen, in the same order.
+
+    Of a unit are its runs' entries, and those of runs that were moved away from it.
+    """
+    entries = context.store.trail(
+        unit=unit, what=what or (), since=since, after=after, newest_first=newest_first, limit=limit
+    )
+    broken_at = context.store.broken_link()
+    shown = [_shown(entry) for entry in entries]
+    return {"entries": shown, "intact": broken_at is None, "broken_at": broken_at}
+
+
+def _shown(entry: Entry) -> dict[str, Any]:
+    act = entry.act
+    return {
+        "seq": entry.seq,
+        "at": entry.at,
+        "who": act.who,
+        "what": act.what,
+        "unit": act.unit,
+        "rig": act.rig,
+        "run_id": act.run_id,
+        "revision": act.revision,
+        "reason": act.reason,
+        "detail": act.detail,
+        "sha256": entry.sha256,
+    }

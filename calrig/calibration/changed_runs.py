@@ -1,0 +1,151 @@
+"""What changed between two runs of a unit, beyond what every re-clamping and every day changes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import stdtr
+
+from calrig.calibration.false_discovery import rejection_level
+from calrig.calibration.repeatability import (
+    BoolArray,
+    Repeatability,
+    Runs,
+    outlying,
+    pairs,
+    repeatability,
+)
+from calrig.calibration.variance_components import IntArray
+from calrig.estimation.angles import FloatArray
+
+FALSE_DISCOVERY_RATE = 0.05
+"""Of the units said to have changed, the share that chance is expected to have marked."""
+
+
+@dataclass(frozen=True, slots=True)
+class Differences:
+    """Each of K runs less the one before it, of one unit.
+
+    Attributes:
+        first, second: (K,) places of the runs.
+        value: (K,) difference.
+        std: (K,) its standard uncertainty; NaN without a repeatability.
+        sigma: (K,) the difference over it; NaN likewise.
+        p_value: (K,) two-sided, by Student's t; NaN likewise.
+        type_a_std: (K,) what the runs' own standard errors make of it.
+    """
+
+    first: IntArray
+    second: IntArray
+    value: FloatArray
+    std: FloatArray
+    sigma: FloatArray
+    p_value: FloatArray
+    type_a_std: FloatArray
+
+
+def differences(runs: Runs, pooled: Repeatability | None) -> Differences:
+    """Each run less the one before it, beside what both runs' errors, re-clamping, day and rig make of it.
+
+    u² = u₁² + u₂² + 2·s_run² + 2·s_day² (on another day or rig) + the stages' part (on another rig, the
+    larger of what their certificates and what their runs say): GUM, JCGM 100:2008, 5.1.2. Its p-value is
+    Student's t with the degrees of freedom of the repeatability, as if all of u² rested on them: on
+    the safe side where the runs' own errors are most of it.
+    """
+    first, second = pairs(runs.unit)
+    value = runs.value[second] - runs.value[first]
+    type_a = np.hypot(np.nan_to_num(runs.std[first]), np.nan_to_num(runs.std[second]))
+    nothing = np.full(len(first), np.nan)
+    if pooled is None:
+        return Differences(first, second, value, nothing, nothing, nothing, type_a)
+    other_rig = runs.rig[first] != runs.rig[second]
+    other_day = runs.day[first] != runs.day[second]
+    stages = np.maximum(runs.stage_variance[first] + runs.stage_variance[second], 2.0 * pooled.rig**2)
+    variance = type_a**2 + 2.0 * pooled.run**2 + np.where(other_rig, stages, 0.0)
+    if pooled.day:
+        variance = variance + np.where(other_day | other_rig, 2.0 * pooled.day**2, 0.0)
+    std = np.sqrt(variance)
+    sigma = np.divide(
+        value, std, out=np.where(value == 0.0, 0.0, np.copysign(np.inf, value)), where=std > 0.0
+    )
+    p_value = 2.0 * stdtr(pooled.freedom, -np.abs(sigma))
+    return Differences(first, second, value, std, sigma, p_value, type_a)
+
+
+@dataclass(frozen=True, slots=True)
+class Changes:
+    """What changed between consecutive runs, in all figures together.
+
+    Attributes:
+        unit: (N,) of the runs, as given.
+        figures: the differences of each figure, all of the same K pairs.
+        pooled: how each figure repeats; None where the runs do not tell.
+        p_value: (K,) of each pair, over its figures; NaN where not known.
+        unit_p_value: (units,) of each unit, over its pairs; NaN likewise.
+        level: what a unit's p-value must not exceed for the unit to count as changed.
+        changed: (K,) the pairs that do.
+    """
+
+    unit: IntArray
+    figures: tuple[Differences, ...]
+    pooled: tuple[Repeatability | None, ...]
+    p_value: FloatArray
+    unit_p_value: FloatArray
+    level: float
+    changed: BoolArray
+
+    @property
+    def first(self) -> IntArray:
+        """(K,) places of the earlier runs."""
+        return self.figures[0].first
+
+
+def changes(figures: tuple[Runs, ...]) -> Changes:
+    """Which units changed between which runs.
+
+    A pair's p-value is the least of its figures, times their number; a unit's the least of its pairs, times
+    theirs (Bonferroni). Units count as changed up to the level of Benjamini and Hochberg at
+    `FALSE_DISCOVERY_RATE`, and of their pairs those that alone would make them count.
+
+    Args:
+        figures: the same runs in one figure after the other.
+    """
+    first, second = pairs(figures[0].unit)
+    apart = np.zeros(len(first), dtype=bool)
+    for runs in figures:
+        apart |= _standing_out(runs, first, second)
+    pooled = tuple(repeatability(runs, second[apart]) for runs in figures)
+    found = tuple(differences(*both) for both in zip(figures, pooled, strict=True))
+    p_value = _least(np.array([one.p_value for one in found]), axis=0)
+    unit = figures[0].unit[first] if len(first) else np.empty(0, dtype=np.intp)
+    of_units = _by_unit(p_value, unit, int(figures[0].unit.max(initial=-1)) + 1)
+    level = rejection_level(of_units[np.isfinite(of_units)], FALSE_DISCOVERY_RATE)
+    tests = np.bincount(unit[np.isfinite(p_value)], minlength=len(of_units))
+    changed = np.nan_to_num(p_value, nan=1.0) * tests[unit] <= level if level > 0.0 else np.zeros_like(apart)
+    return Changes(figures[0].unit, found, pooled, p_value, of_units, level, changed)
+
+
+def _standing_out(runs: Runs, first: IntArray, second: IntArray) -> BoolArray:
+    """(K,) pairs whose difference is none of re-clamping's; those between two rigs say nothing of it."""
+    bare = differences(runs, None)
+    tested = np.flatnonzero(np.isfinite(bare.value) & (runs.rig[first] == runs.rig[second]))
+    out = np.zeros(len(first), dtype=bool)
+    out[tested[outlying(bare.value[tested], bare.type_a_std[tested] ** 2)]] = True
+    return out
+
+
+def _least(p_value: FloatArray, axis: int) -> FloatArray:
+    """Bonferroni over the known ones along an axis; NaN where there is none."""
+    known = np.isfinite(p_value)
+    least = np.where(known, p_value, np.inf).min(axis=axis)
+    tests = np.maximum(known.sum(axis=axis), 1)
+    return np.where(known.any(axis=axis), np.minimum(least * tests, 1.0), np.nan)
+
+
+def _by_unit(p_value: FloatArray, unit: IntArray, units: int) -> FloatArray:
+    least = np.full(units, np.inf)
+    known = np.isfinite(p_value)
+    np.minimum.at(least, unit[known], p_value[known])
+    tests = np.bincount(unit[known], minlength=units)
+    return np.where(tests > 0, np.minimum(least * np.maximum(tests, 1), 1.0), np.nan)

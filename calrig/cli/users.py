@@ -1,0 +1,160 @@
+"""`users`: who is known to the service, in which role, by which token."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import TYPE_CHECKING, Annotated, Any
+from urllib.parse import quote
+
+import typer
+
+from calrig.cli.options import Db, Json
+from calrig.errors import WorkError
+
+if TYPE_CHECKING:
+    from calrig.client import Client
+    from calrig.store import Store
+    from calrig.store.users import User
+
+app = typer.Typer(
+    help="Keep users and their roles, in the store or at a running service.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+Name = Annotated[str, typer.Argument(metavar="NAME", help="Letters, digits and . _ @ + -")]
+Server = Annotated[
+    str | None,
+    typer.Option(
+        metavar="URL",
+        envvar="CALRIG_SERVER",
+        show_envvar=False,
+        help="The running service that holds the store [CALRIG_SERVER], asked with CALRIG_TOKEN.",
+    ),
+]
+
+
+class RoleName(StrEnum):
+    """Each may what those before it may."""
+
+    viewer = "viewer"
+    operator = "operator"
+    releaser = "releaser"
+    admin = "admin"
+
+
+Role = Annotated[
+    RoleName,
+    typer.Option(
+        "--role",
+        help="viewer: looks, stops a stage; operator: runs, imports, diagnoses, notes; releaser: accepts, "
+        "releases, voids; admin: users and limits.",
+    ),
+]
+
+
+@app.command("add")
+def add(
+    name: Name,
+    role: Role = RoleName.viewer,
+    token: Annotated[
+        bool, typer.Option("--token/--no-token", help="Without one: known by a trusted proxy alone.")
+    ] = True,
+    db: Db = None,
+    server: Server = None,
+) -> None:
+    """Add a user and print the token, which is shown this once."""
+    if server:
+        body = {"name": name, "role": role.value, "token": token}
+        made = _client(server).post("/api/users", body)["token"]
+    else:
+        with _store(db) as store:
+            _, made = store.add_user(name, role.value, with_token=token)
+    if made is not None:
+        typer.echo(made)
+
+
+@app.command("token")
+def token(name: Name, db: Db = None, server: Server = None) -> None:
+    """Give a user a new token and print it; the one before opens nothing any more."""
+    if server:
+        made = _client(server).post(f"{_path(name)}/token", {})["token"]
+    else:
+        with _store(db) as store:
+            _, made = store.new_token(name)
+    typer.echo(made)
+
+
+@app.command("role")
+def role(
+    name: Name,
+    role: Annotated[RoleName, typer.Argument(metavar="ROLE", help="viewer, operator, releaser or admin.")],
+    db: Db = None,
+    server: Server = None,
+) -> None:
+    """Give a user another role."""
+    if server:
+        _client(server).post(f"{_path(name)}/role", {"role": role.value})
+    else:
+        with _store(db) as store:
+            store.set_role(name, role.value)
+
+
+@app.command("disable")
+def disable(name: Name, db: Db = None, server: Server = None) -> None:
+    """Let a user in no more; what they did stays theirs."""
+    if server:
+        _client(server).post(f"{_path(name)}/disable", {})
+    else:
+        with _store(db) as store:
+            store.disable_user(name)
+
+
+@app.command("list")
+def list_(as_json: Json = False, db: Db = None, server: Server = None) -> None:
+    """List everybody who is known, or was."""
+    from calrig.cli.output import print_json, print_users
+
+    if server:
+        users = _client(server).get("/api/users")
+    else:
+        from calrig.settings import store_url
+        from calrig.store import Store
+
+        with Store.open(store_url(db), writer=None) as store:
+            users = [_shown(user) for user in store.users()]
+    if as_json:
+        print_json(users)
+    else:
+        print_users(users)
+
+
+def _client(server: str) -> Client:
+    from calrig.client import Client
+
+    return Client(server)
+
+
+def _store(db: str | None) -> Store:
+    from calrig.settings import store_url
+    from calrig.store import Store
+    from calrig.store.errors import Taken
+
+    try:
+        return Store.open(store_url(db), writer="users")
+    except Taken as error:
+        raise WorkError(f"{error}; or ask a service that holds it: --server http://HOST:PORT") from error
+
+
+def _path(name: str) -> str:
+    return f"/api/users/{quote(name, safe='')}"
+
+
+def _shown(user: User) -> dict[str, Any]:
+    """As the service shows one."""
+    return {
+        "name": user.name,
+        "role": user.role,
+        "has_token": user.token_sha256 is not None,
+        "created_at": user.created_at.isoformat(),
+        "disabled_at": user.disabled_at and user.disabled_at.isoformat(),
+    }

@@ -1,0 +1,56 @@
+"""A running service, spoken to over HTTP with the token of CALRIG_TOKEN."""
+
+from __future__ import annotations
+
+import json
+import os
+from http.client import HTTPException
+from typing import Any
+from urllib.error import HTTPError, URLError
+from urllib.parse import urlsplit
+from urllib.request import Request, build_opener
+
+from calrig.errors import InputError, WorkError
+
+PATIENCE_S = 30.0
+
+
+class Client:
+    """The service at an address such as `http://lab-pc:8000`."""
+
+    def __init__(self, server: str) -> None:
+        if urlsplit(server).scheme not in {"http", "https"} or not urlsplit(server).netloc:
+            raise InputError(f"--server {server}: is no address such as http://lab-pc:8000")
+        self._server = server.rstrip("/")
+        self._open = build_opener().open
+
+    def get(self, path: str) -> Any:
+        """The JSON at a path; WorkError where the service refuses or cannot be reached."""
+        return self._ask(Request(self._server + path))  # noqa: S310 (http or https, as looked at above)
+
+    def post(self, path: str, body: dict[str, Any]) -> Any:
+        """The answer to a body; as `get`."""
+        data, headers = json.dumps(body).encode(), {"Content-Type": "application/json"}
+        return self._ask(Request(self._server + path, data, headers))  # noqa: S310 (likewise)
+
+    def _ask(self, request: Request) -> Any:
+        token = os.environ.get("CALRIG_TOKEN")
+        if token:
+            request.add_header("Authorization", f"Bearer {token}")
+        try:
+            with self._open(request, timeout=PATIENCE_S) as answer:
+                return json.load(answer)
+        except HTTPError as error:
+            raise WorkError(f"{self._server}: {_detail(error)}") from error
+        except (URLError, HTTPException, OSError) as error:
+            reason = getattr(error, "reason", None) or error
+            raise WorkError(f"{self._server}: does not answer ({reason})") from error
+        except ValueError as error:
+            raise WorkError(f"{self._server}: answers, and not as calrig does") from error
+
+
+def _detail(error: HTTPError) -> str:
+    try:
+        return str(json.load(error)["detail"])
+    except (ValueError, KeyError, TypeError):
+        return f"answers {error.code} {error.reason}"

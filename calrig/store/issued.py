@@ -1,0 +1,253 @@
+"""Issued calibrations: each revision's bytes never change; its status, who and why stand beside them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Literal, cast, get_args
+
+from sqlalchemy import func
+from sqlmodel import Session, col, select
+
+from calrig.store import trail
+from calrig.store.convert import run_number
+from calrig.store.database import Part
+from calrig.store.errors import NotFound, Refused, Unreadable
+from calrig.store.records import Document
+from calrig.store.tables import IssuedCalibrationTable, RunTable
+
+RevisionStatus = Literal["draft", "in_force", "superseded", "withdrawn"]
+
+
+@dataclass(frozen=True, slots=True)
+class Draft:
+    """What a revision is made of before it is numbered.
+
+    Attributes:
+        content: CONTRACT section 6 less what the store knows: run, revision, times, provenance, hash.
+        basis: what it rests on, to be held against the same later (`calrig.analysis.issuing`).
+        verdict: CONTRACT section 2's, as it was when it was made.
+        releases: whether it is put in force as it is made.
+        by: who made it; None where nobody is known by name.
+    """
+
+    content: Document
+    basis: Document
+    verdict: Document
+    releases: bool
+    by: str | None = None
+    reason: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Revision:
+    """A revision of a unit's calibration; `text` are the bytes as issued, in UTF-8 once encoded."""
+
+    unit: str
+    revision: int
+    status: RevisionStatus
+    run_id: str
+    text: str
+    sha256: str
+    basis: Document
+    verdict: Document
+    issued_at: datetime
+    issued_by: str | None
+    reason: str | None
+
+    @property
+    def document(self) -> Document:
+        """CONTRACT section 6."""
+        return cast(Document, json.loads(self.text))
+
+
+def canonical(document: Document) -> str:
+    """The text that a document's hash is of: keys in order, no blanks, every character as it is."""
+    return json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+
+
+def issue(session: Session, run: RunTable, draft: Draft) -> IssuedCalibrationTable:
+    """Numbers and freezes a draft of a finished run, in a transaction that somebody else has begun."""
+    now = datetime.now(UTC)
+    newest = select(func.max(IssuedCalibrationTable.revision)).where(IssuedCalibrationTable.unit == run.unit)
+    revision = (session.exec(newest).one() or 0) + 1
+    document = {
+        **draft.content,
+        "revision": revision,
+        "run_id": str(run.id),
+        "calibrated_at": None if run.finished_at is None else _iso_utc(run.finished_at),
+        "issued_at": _iso_utc(now),
+        "provenance": run.provenance,
+    }
+    sha256 = hashlib.sha256(canonical(document).encode()).hexdigest()
+    row = IssuedCalibrationTable(
+        unit=run.unit,
+        revision=revision,
+        run_id=run.id,
+        document=canonical({**document, "sha256": sha256}),
+        sha256=sha256,
+        status="draft",
+        basis=draft.basis,
+        verdict=draft.verdict,
+        issued_at=now,
+        issued_by=draft.by,
+        reason=draft.reason,
+    )
+    session.add(row)
+    session.flush()
+    _note(session, "drafted", row, draft.by, draft.reason, now)
+    if draft.releases:
+        _release(session, row, draft.by, draft.reason, now)
+    return row
+
+
+class Issued(Part):
+    """The revisions of units' calibrations. At most one of a unit is in force."""
+
+    def issue(self, run_id: str, draft: Draft) -> Revision:
+        """Makes the next revision of a run's unit."""
+        with self._database.writing() as session:
+            run = session.get(RunTable, run_number(run_id) or 0)
+            if run is None:
+                raise NotFound(f"there is no run {run_id}")
+            return _revision(issue(session, run, draft))
+
+    def revisions(self, unit: str) -> list[Revision]:
+        """All of a unit's, newest first."""
+        wanted = (
+            select(IssuedCalibrationTable)
+            .where(IssuedCalibrationTable.unit == unit)
+            .order_by(col(IssuedCalibrationTable.revision).desc())
+        )
+        with self._database.reading() as session:
+            return [_revision(row) for row in session.exec(wanted)]
+
+    def revision(self, unit: str, number: int) -> Revision | None:
+        """One of a unit's, or None."""
+        with self._database.reading() as session:
+            row = session.get(IssuedCalibrationTable, (unit, number))
+            return None if row is None else _revision(row)
+
+    def in_force(self, unit: str) -> Revision | None:
+        """The one in force, or None."""
+        return next(iter(self.all_in_force([unit])), None)
+
+    def all_in_force(self, units: Sequence[str] | None = None) -> list[Revision]:
+        """The ones in force, by unit; of all units where none are named."""
+        wanted = select(IssuedCalibrationTable).where(IssuedCalibrationTable.status == "in_force")
+        if units is not None:
+            wanted = wanted.where(col(IssuedCalibrationTable.unit).in_(units))
+        with self._database.reading() as session:
+            rows = session.exec(wanted.order_by(col(IssuedCalibrationTable.unit))).all()
+            return [_revision(row) for row in rows]
+
+    def release(self, unit: str, number: int, by: str | None, reason: str) -> Revision:
+        """Puts a draft, or a superseded revision once more, in force in place of the one that was.
+
+        Raises:
+            NotFound: there is no such revision.
+            Refused: it is in force already, or was withdrawn.
+        """
+        with self._database.writing() as session:
+            row = _row(session, unit, number)
+            if row.status not in ("draft", "superseded"):
+                other = ": make a new draft instead" if row.status == "withdrawn" else ""
+                raise Refused(f"revision {number} of unit {unit!r} is {_words(row.status)}{other}")
+            _release(session, row, by, reason, datetime.now(UTC))
+            return _revision(row)
+
+    def withdraw(self, unit: str, number: int, by: str | None, reason: str) -> Revision:
+        """Takes a revision back for good; where it was in force, none is afterwards.
+
+        Raises:
+            NotFound: there is no such revision.
+            Refused: it has been withdrawn.
+        """
+        with self._database.writing() as session:
+            row = _row(session, unit, number)
+            if row.status == "withdrawn":
+                raise Refused(f"revision {number} of unit {unit!r} has been withdrawn already")
+            row.status = "withdrawn"
+            _note(session, "withdrawn", row, by, reason, datetime.now(UTC))
+            session.flush()
+            return _revision(row)
+
+    def units_without_revision(self) -> list[str]:
+        """Units that runs are of and no revision is."""
+        issued = select(IssuedCalibrationTable.unit)
+        wanted = select(RunTable.unit).where(col(RunTable.unit).not_in(issued)).distinct()
+        with self._database.reading() as session:
+            return sorted(session.exec(wanted))
+
+
+def _release(
+    session: Session, row: IssuedCalibrationTable, by: str | None, reason: str | None, now: datetime
+) -> None:
+    wanted = select(IssuedCalibrationTable).where(
+        IssuedCalibrationTable.unit == row.unit, IssuedCalibrationTable.status == "in_force"
+    )
+    before = session.exec(wanted).first()
+    if before is not None:
+        before.status = "superseded"
+        session.flush()  # the database refuses two in force
+    row.status = "in_force"
+    session.flush()
+    detail = {} if before is None else {"supersedes": before.revision}
+    _note(session, "released", row, by, reason, now, detail)
+
+
+def _note(
+    session: Session,
+    what: trail.What,
+    row: IssuedCalibrationTable,
+    by: str | None,
+    reason: str | None,
+    now: datetime,
+    detail: Document | None = None,
+) -> None:
+    said = {"sha256": row.sha256, **(detail or {})}
+    act = trail.Act(what, by, row.unit, None, str(row.run_id), row.revision, reason, said)
+    trail.append(session, act, now)
+
+
+def _row(session: Session, unit: str, number: int) -> IssuedCalibrationTable:
+    row = session.get(IssuedCalibrationTable, (unit, number))
+    if row is None:
+        raise NotFound(f"unit {unit!r} has no revision {number}")
+    return row
+
+
+def _revision(row: IssuedCalibrationTable) -> Revision:
+    what = f"revision {row.revision} of unit {row.unit!r}"
+    try:
+        document = json.loads(row.document)
+        sha256 = hashlib.sha256(canonical({k: v for k, v in document.items() if k != "sha256"}).encode())
+    except (TypeError, ValueError, AttributeError) as error:
+        raise Unreadable(f"{what} is no document any more: {error}") from error
+    if sha256.hexdigest() != row.sha256 or row.status not in get_args(RevisionStatus):
+        raise Unreadable(f"{what} is not what was issued")
+    return Revision(
+        unit=row.unit,
+        revision=row.revision,
+        status=cast(RevisionStatus, row.status),
+        run_id=str(row.run_id),
+        text=row.document,
+        sha256=row.sha256,
+        basis=row.basis,
+        verdict=row.verdict,
+        issued_at=row.issued_at,
+        issued_by=row.issued_by,
+        reason=row.reason,
+    )
+
+
+def _words(status: str) -> str:
+    return {"in_force": "in force already", "withdrawn": "withdrawn"}.get(status, status)
+
+
+def _iso_utc(time: datetime) -> str:
+    """ISO 8601 in UTC with a `Z`, as the API writes times."""
+    return time.astimezone(UTC).isoformat().replace("+00:00", "Z")

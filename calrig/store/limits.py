@@ -1,0 +1,46 @@
+"""Limits, in the order that they are tried in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from sqlmodel import Session, col, delete, select
+
+from calrig.calibration.conformity import Limit
+from calrig.store.database import Part
+from calrig.store.tables import LimitTable
+from calrig.store.trail import Act, append
+
+_IN_THIS_SESSION = "limits"
+
+
+class Limits(Part):
+    """What units are held against."""
+
+    def limits(self) -> list[Limit]:
+        """All of them; the first that matches a unit counts."""
+        with self._database.reading() as session:
+            return list(limits_of(session))
+
+    def replace_limits(self, limits: Sequence[Limit], *, who: str | None, reason: str | None = None) -> None:
+        """Puts others in their place, and into the trail where they differ."""
+        with self._database.writing() as session:
+            before = limits_of(session)
+            if before == tuple(limits):
+                return
+            session.exec(delete(LimitTable))
+            session.add_all(
+                LimitTable(position=place, name=limit.name, document=limit.to_dict())
+                for place, limit in enumerate(limits)
+            )
+            detail = {"before": [one.to_dict() for one in before], "now": [one.to_dict() for one in limits]}
+            append(session, Act("limits_changed", who=who, reason=reason, detail=detail))
+
+
+def limits_of(session: Session) -> tuple[Limit, ...]:
+    """The limits that a session sees; read once, for a page of runs asks for every run."""
+    known: tuple[Limit, ...] | None = session.info.get(_IN_THIS_SESSION)
+    if known is None:
+        rows = session.exec(select(LimitTable).order_by(col(LimitTable.position)))
+        known = session.info[_IN_THIS_SESSION] = tuple(Limit.from_dict(row.document) for row in rows)
+    return known

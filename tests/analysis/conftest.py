@@ -1,0 +1,23 @@
+"""A store in a file of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from support import lay_empty_store
+
+from calrig.store import Store
+
+
+@pytest.fixture
+def database(tmp_path: Path) -> Path:
+    return tmp_path / "calrig.db"
+
+
+@pytest.fixture
+def store(database: Path) -> Iterator[Store]:
+    lay_empty_store(database)
+    with Store.open(f"sqlite:///{database}", writer="tests") as opened:
+        yield opened

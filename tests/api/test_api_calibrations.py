@@ -1,0 +1,119 @@
+"""Issued calibrations over HTTP: the bytes as issued, the list, release, withdrawal, the feed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+
+import pytest
+from support import imported, running_service, serving
+
+POSES = "target_deg,reading_deg\n-30,-29.5\n0,0.4\n30,30.6\n"
+
+
+@pytest.fixture(scope="module")
+def client(rig, tmp_path_factory):
+    """A client of a service whose rig has its drafts released by a person."""
+    path = tmp_path_factory.mktemp("issued") / "calrig.db"
+    with (
+        running_service(path, rig.model_copy(update={"release": "manual"})) as service,
+        serving(service) as one,
+    ):
+        yield one
+
+
+@pytest.fixture
+def unit(client, request):
+    """The address of a unit whose two drafts nobody has released."""
+    serial = request.node.name[:90]
+    for reading in ("0.4", "0.5"):
+        imported(client, serial, POSES.replace("0.4", reading))
+    return f"/api/units/{serial}"
+
+
+def act(client, unit, revision, what, reason="reviewed"):
+    return client.post(f"{unit}/calibrations/{revision}/{what}", json={"reason": reason})
+
+
+def test_nothing_is_in_force_until_released_and_then_the_bytes_stay(client, unit):
+    assert client.get(f"{unit}/calibration").status_code == 404
+    draft = client.get(f"{unit}/calibration", params={"revision": "latest"})
+    assert draft.json()["revision"] == 2
+    released = act(client, unit, 2, "release").raise_for_status().json()
+    assert (released["revision"], released["status"], released["stale"]) == (2, "in_force", [])
+    in_force = client.get(f"{unit}/calibration")
+    assert in_force.content == draft.content == client.get(f"{unit}/calibration?revision=2").content
+    document = in_force.json()
+    sha256 = document.pop("sha256")
+    text = json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    assert sha256 == released["sha256"] == hashlib.sha256(text.encode()).hexdigest()
+    assert in_force.headers["etag"] == f'"{sha256}"'
+    assert document["unit"] in client.get(f"{unit}/calibration?format=c-header").text
+
+
+def test_the_list_says_of_each_what_came_of_it(client, unit):
+    act(client, unit, 1, "release")
+    act(client, unit, 2, "release", "newer")
+    act(client, unit, 2, "withdraw", "the clamp was loose")
+    listed = client.get(f"{unit}/calibrations").json()
+    assert [(one["revision"], one["status"]) for one in listed] == [(2, "withdrawn"), (1, "superseded")]
+    assert listed[0].keys() >= {
+        "run_id", "effects", "issued_at", "issued_by", "reason", "sha256", "verdict", "stale",
+    }  # fmt: skip
+    assert client.get(f"{unit}/calibration").status_code == 404
+    assert client.get(unit).json()["revision_in_force"] is None
+    assert act(client, unit, 1, "release").status_code == 200, "a superseded one may be released again"
+
+
+def test_a_draft_of_a_run_is_made_by_request(client, unit):
+    run_id = client.get(unit).json()["runs"][-1]["id"]
+    body = {"run_id": run_id, "effects": [], "reason": "once more"}
+    made = client.post(f"{unit}/calibrations", json=body)
+    assert (made.status_code, made.json()["revision"], made.json()["run_id"]) == (201, 3, run_id)
+    assert (made.json()["status"], made.json()["reason"]) == ("draft", "once more")
+
+
+@pytest.mark.parametrize(
+    ("path", "body", "status", "says"),
+    [
+        ("calibrations/9/release", {"reason": "x"}, 404, "has no revision 9"),
+        ("calibrations/1/release", {"reason": " "}, 422, "a reason is needed"),
+        ("calibrations/1/release", {}, 422, "Reason is missing"),
+        ("calibrations", {"run_id": "999"}, 404, "there is no run 999"),
+        ("calibrations", {"run_id": "1", "effects": ["latency"]}, 409, "run 1 is of unit"),
+    ],
+)
+def test_what_cannot_be_is_refused_with_why(client, unit, path, body, status, says):
+    if path == "calibrations":
+        imported(client, "first-of-all", POSES)
+    answer = client.post(f"{unit}/{path}", json=body)
+    assert answer.status_code == status
+    assert says in answer.json()["detail"]
+
+
+@pytest.mark.parametrize(
+    ("wanted", "status"), [("1", 200), ("3", 404), ("0", 422), ("one", 422), ("9" * 30, 422)]
+)
+def test_a_revision_is_asked_for_by_number(client, unit, wanted, status):
+    assert client.get(f"{unit}/calibration", params={"revision": wanted}).status_code == status
+
+
+def test_the_feed_tells_what_was_done_since_a_time_over_all_units(client, unit):
+    act(client, unit, 1, "release")
+    before = client.get("/api/calibrations").json()[-1]
+    assert (before["what"], before["revision"], before["reason"]) == ("released", 1, "reviewed")
+    act(client, unit, 1, "withdraw", "wrong")
+    since = client.get("/api/calibrations", params={"since": before["at"]}).json()
+    assert [(one["what"], one["revision"]) for one in since] == [("released", 1), ("withdrawn", 1)]
+    assert client.get("/api/calibrations", params={"since": "yesterday"}).status_code == 422
+
+
+def test_a_verification_applies_the_revision_it_names_and_409_without_one(client, unit):
+    plan = {"kind": "verification", "elevations_deg": [0], "sweeps": 1}
+    serial = unit.rsplit("/", 1)[1]
+    refused = client.post("/api/runs", json={"unit": serial, "plan": plan})
+    assert (refused.status_code, "no calibration in force" in refused.json()["detail"]) == (409, True)
+    refused = client.post("/api/runs", json={"unit": serial, "plan": {**plan, "revision": 7}})
+    assert (refused.status_code, "no revision 7" in refused.json()["detail"]) == (409, True)
+    wrong = client.post("/api/runs", json={"unit": serial, "plan": {"revision": 1}})
+    assert (wrong.status_code, "only a verification" in wrong.json()["detail"]) == (422, True)

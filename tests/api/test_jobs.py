@@ -1,0 +1,154 @@
+"""Long work that nobody waits for: a job says how far it is and what came of it, and ends when it is told."""
+
+from __future__ import annotations
+
+import logging
+import random
+from typing import Any
+
+import httpx
+import pytest
+from endless_work import for_ever, working
+from support import POSES, imported, running_service, serving, wait_for
+
+from calrig.analysis import diagnoses
+from calrig.api import heavy, job
+
+TARGETS = [x for x in range(-60, 61, 5) for _ in range(2)]
+RANDOM = random.Random(1)
+MANY = "target_deg,reading_deg\n" + "".join(f"{x},{x + 0.8 + RANDOM.gauss(0, 0.03):.4f}\n" for x in TARGETS)
+LOG = "time_s,gyro_x_dps\n" + "".join(f"{k / 100},{RANDOM.gauss(0, 0.1):.5f}\n" for k in range(3000))
+
+
+@pytest.fixture
+def _nobody_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not even two seconds."""
+    monkeypatch.setattr(heavy, "AT_ONCE_S", 0.0)
+
+
+def begun(client: httpx.Client, path: str, **request: Any) -> str:
+    """The path of the job that a request has begun."""
+    answer = client.post(path, params={"wait": "false"}, **request)
+    assert answer.status_code == 202, answer.text
+    assert answer.headers["Location"] == f"/api/jobs/{answer.json()['id']}"
+    return str(answer.headers["Location"])
+
+
+def over(client: httpx.Client, path: str) -> list[dict[str, Any]]:
+    """What a job says of itself, again and again until it has ended."""
+    said: list[dict[str, Any]] = []
+
+    def ended() -> bool:
+        said.append(client.get(path).raise_for_status().json())
+        return said[-1]["state"] not in ("queued", "running")
+
+    wait_for(ended, "end of the job")
+    return said
+
+
+@pytest.mark.usefixtures("_nobody_waits")
+def test_a_diagnosis_tells_how_far_it_is_and_where_it_is_found(shared_client):
+    run_id = imported(shared_client, "AS-1", MANY)["id"]
+    said = over(shared_client, begun(shared_client, f"/api/runs/{run_id}/diagnosis", json={}))
+    fractions = [one["fraction"] for one in said]
+    assert fractions == sorted(fractions)
+    assert {0.0, 1.0} < set(fractions), "some of the search is seen done before all of it is"
+    assert {k / 5 for k in range(6)} >= set(fractions), "one search over all poses, four in folds"
+    path = f"/api/runs/{run_id}/diagnosis"
+    assert {**said[-1], "id": ""} == {
+        "id": "", "state": "done", "fraction": 1.0, "result": path, "error": None,
+    }  # fmt: skip
+    found = shared_client.get(path).json()
+    assert found["n_poses"] == len(TARGETS)
+    assert shared_client.post(path, json={}).json() == found, "as it is answered to who waits"
+
+
+@pytest.mark.usefixtures("_nobody_waits")
+def test_a_job_that_is_cancelled_ends_its_process_and_keeps_nothing(shared_client, monkeypatch):
+    run_id = imported(shared_client, "AS-1")["id"]
+    monkeypatch.setattr(diagnoses, "trace", for_ever)
+    path = begun(shared_client, f"/api/runs/{run_id}/diagnosis", json={})
+    wait_for(working, "its beginning")
+    queued = begun(shared_client, "/api/imports", files={"file": ("p.csv", POSES)}, data={"unit": "B"})
+    assert shared_client.get(path).json()["state"] == "running"
+    assert shared_client.get(queued).json()["state"] == "queued"
+    assert shared_client.get(queued).json()["fraction"] is None, "an import cannot say"
+    for one in (queued, path, path):
+        assert shared_client.delete(one).raise_for_status().json()["state"] == "cancelled"
+    assert not working()
+    assert shared_client.get(path).json() == shared_client.delete(path).json()
+    assert shared_client.get(f"/api/runs/{run_id}/diagnosis").status_code == 404
+    assert shared_client.get("/api/runs", params={"unit": "B"}).json()["items"] == []
+
+
+@pytest.mark.usefixtures("_nobody_waits")
+def test_what_fails_says_why_as_it_would_to_who_waits(shared_client):
+    request: dict[str, Any] = {"files": {"file": ("p.csv", "target_deg\nx\n")}, "data": {"unit": "B"}}
+    failed = over(shared_client, begun(shared_client, "/api/imports", **request))[-1]
+    assert (failed["state"], failed["result"]) == ("failed", None)
+    refused = shared_client.post("/api/imports", **request)
+    assert (refused.status_code, refused.json()["detail"]) == (422, failed["error"])
+
+
+@pytest.mark.usefixtures("_nobody_waits")
+def test_a_defect_is_in_the_log_with_its_job(shared_client, monkeypatch, caplog):
+    run_id = imported(shared_client, "AS-1")["id"]
+    monkeypatch.setattr(diagnoses, "trace", int)
+    path = begun(shared_client, f"/api/runs/{run_id}/diagnosis", json={})
+    assert over(shared_client, path)[-1]["error"] == "calrig failed inside; the service's log says where"
+    (line,) = [one for one in caplog.records if one.name == "calrig.api.job"]
+    assert line.levelno == logging.ERROR
+    assert f"(POST /api/runs/{run_id}/diagnosis): failed" in line.getMessage()
+    assert line.exc_info is not None
+    assert line.fields.keys() == {"job", "state", "duration_s"}  # type: ignore[attr-defined]
+
+
+@pytest.mark.usefixtures("_nobody_waits")
+def test_what_is_kept_nowhere_else_is_kept_with_its_job_for_a_while(shared_client, monkeypatch):
+    request = {"files": {"file": ("log.csv", LOG)}}
+    path = begun(shared_client, "/api/noise", **request)
+    assert shared_client.get(f"{path}/result").status_code == 409
+    done = over(shared_client, path)[-1]
+    assert done["result"] == f"{path}/result"
+    kept = shared_client.get(done["result"])
+    assert kept.headers["Content-Type"] == "application/json"
+    assert kept.json() == shared_client.post("/api/noise", **request).json()
+    monkeypatch.setattr(job, "MOST_BYTES", 0)
+    later = begun(shared_client, "/api/noise", **request)
+    over(shared_client, later)
+    assert shared_client.get(f"{later}/result").status_code == 200
+    gone = shared_client.get(path)
+    assert gone.status_code == 404
+    assert "it ended long ago" in gone.json()["detail"]
+
+
+@pytest.mark.usefixtures("_nobody_waits")
+def test_the_oldest_of_many_that_ended_are_forgotten(shared_client, monkeypatch):
+    monkeypatch.setattr(job, "MOST_FINISHED", 2)
+    request: dict[str, Any] = {"files": {"file": ("p.csv", POSES)}, "data": {"unit": "C"}}
+    paths = []
+    for _ in range(4):
+        paths.append(begun(shared_client, "/api/imports", **request))
+        assert over(shared_client, paths[-1])[-1]["result"].startswith("/api/runs/")
+    assert [shared_client.get(path).status_code for path in paths] == [404, 404, 200, 200]
+
+
+def test_what_is_done_within_two_seconds_is_answered_as_ever(shared_client):
+    file = {"file": ("p.csv", POSES)}
+    imported(shared_client, "AS-1")  # a process for it is there
+    answer = shared_client.post("/api/imports", files=file, data={"unit": "D"}, params={"wait": "false"})
+    assert (answer.status_code, answer.json()["unit"]) == (201, "D")
+
+
+def test_no_job_of_another_life_of_the_service_is_known(rig, store_path, monkeypatch):
+    monkeypatch.setattr(heavy, "AT_ONCE_S", 0.0)
+    monkeypatch.setattr(diagnoses, "trace", for_ever)
+    with running_service(store_path, rig) as service:
+        with serving(service) as client:
+            run_id = imported(client, "AS-1")["id"]
+            path = begun(client, f"/api/runs/{run_id}/diagnosis", json={})
+            wait_for(working, "its beginning")
+        assert not working(), "it ends with the service"
+    with running_service(store_path, rig) as service, serving(service) as client:
+        assert client.get(path).status_code == client.delete(path).status_code == 404
+        assert client.get("/api/jobs/1").status_code == 404

@@ -1,0 +1,215 @@
+"""A result against limits: what is decided, by how much, and what is said of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from calrig.calibration.conformity import Limit
+from calrig.calibration.fit import Line
+from calrig.calibration.pose import Pose
+from calrig.calibration.result import ReferenceFigures, apply_calibration, build_result
+from calrig.calibration.uncertainty import Reference
+from calrig.calibration.verdict import verdict
+from calrig.settings import LimitSettings
+
+STAGE = Reference(0.029, "harmonic")  # a limit of ±0.05°: U = 0.048° alone
+NOISE_DEG = 0.005
+
+
+def poses(n=52, scale=1.002, bias_deg=0.8, bent_deg=0.0, seed=0):
+    rng = np.random.default_rng(seed)
+    theta = np.tile([*range(-60, 61, 10), *range(60, -61, -10)], n // 26 + 1)[:n]
+    reading = (
+        bias_deg + scale * theta + bent_deg * np.cos(np.radians(6.0 * theta)) + rng.normal(0, NOISE_DEG, n)
+    )
+    return [
+        Pose(target_deg=float(a), reading_deg=float(r), reading_stderr_deg=NOISE_DEG)
+        for a, r in zip(theta, reading, strict=True)
+    ]
+
+
+def judged(reference=STAGE, calibration=None, move_mismatches=0, *, of=None, **asked):
+    result = build_result(of or poses(), None, (), reference).to_dict()
+    limit = Limit("flight", **asked)
+    return verdict(result, limit=limit, calibration=calibration, move_mismatches=move_mismatches)
+
+
+def known_level(of=None, reference=STAGE):
+    """Of section 6's document, what a limit looks at, with the level known."""
+    over = build_result(of or poses(), None, (), reference).to_dict()["over_range"]
+    return {**over, "level_known": True}
+
+
+@pytest.mark.parametrize(
+    ("bent_deg", "answer"),
+    [(0.0, "pass"), (0.08, "conditional_pass"), (0.12, "conditional_fail"), (0.2, "fail")],
+)
+def test_the_largest_error_is_what_is_left_and_the_answer_one_of_four(bent_deg, answer):
+    """0.12° allowed, U about 0.05°: bent by so much at 0°, ±60° and against it at ±30°."""
+    one = judged(of=poses(bent_deg=bent_deg), max_error_deg=0.12, rule="guarded")
+    assert (one.answer, one.limit) == (answer, "flight")
+    assert one.says[0].endswith("against the limits “flight” (guarded rule, w = 1·U).")
+    assert "of the elevation less its mean over −60° to 60° (the level is not known)" in one.says[1]
+
+
+def test_a_pass_says_its_own_risk_and_only_a_pass_does():
+    one = judged(max_error_deg=0.07)
+    assert one.answer == "pass"
+    assert one.probability_of_false_accept == pytest.approx(1.0 - one.probability_of_conformity)
+    assert 0.9 < one.probability_of_conformity <= 1.0
+    assert any("risk of a false acceptance" in said for said in one.says)
+    failed = judged(of=poses(bent_deg=0.2), max_error_deg=0.12)
+    assert (failed.answer, failed.probability_of_false_accept) == ("fail", None)
+    assert failed.probability_of_conformity < 0.01
+    assert not any("false acceptance" in said for said in failed.says)
+
+
+def test_a_bias_is_not_decided_while_the_level_is_not_known():
+    """Clamped askew by twice what is allowed, and still nobody can say so: neither a pass nor a fail."""
+    one = judged(bias_deg=(-0.4, 0.4), scale=(0.99, 1.01))
+    assert one.answer == "conditional_pass"
+    assert any(said.startswith("Bias 0.80°: not decided") for said in one.says)
+    assert any(said.startswith("Scale 1.00198") and said.endswith(": pass.") for said in one.says)
+    assert one.probability_of_conformity > 0.99  # of what can be decided
+
+
+@pytest.mark.parametrize(("bias_deg", "answer"), [(0.8, "fail"), (0.2, "pass")])
+def test_with_the_level_known_it_is(bias_deg, answer):
+    of = poses(bias_deg=bias_deg)
+    assert judged(of=of, calibration=known_level(of), bias_deg=(-0.4, 0.4)).answer == answer
+
+
+def test_the_document_goes_before_the_result():
+    """A solution of stage and units together knows a scale better, and finds another one."""
+    other = {**known_level(), "scale": 1.02}
+    assert judged(scale=(0.99, 1.01)).answer == "pass"
+    assert judged(scale=(0.99, 1.01), calibration=other).answer == "fail"
+
+
+@pytest.mark.parametrize("rule", ["simple", "guarded"])
+@pytest.mark.parametrize("asked", [{"max_error_deg": 9.0}, {"scale": (0.5, 1.5)}, {"rms_deg": 9.0}])
+def test_without_a_reference_nothing_passes(rule, asked):
+    one = judged(None, rule=rule, **asked)
+    assert (one.answer, one.probability_of_conformity) == ("conditional_pass", None)
+    assert "How probable it is that the unit conforms is not known." in one.says
+
+
+def test_an_expanded_uncertainty_that_is_too_large_fails_however_good_the_unit():
+    one = judged(max_error_deg=1.0, expanded_uncertainty_deg=0.04)
+    assert (one.answer, one.probability_of_conformity) == ("fail", 0.0)
+    assert any("at most 0.040° allowed: fail" in said for said in one.says)
+
+
+def test_an_rms_is_held_with_its_own_uncertainty():
+    assert judged(rms_deg=0.0052).answer == "pass"
+    assert judged(rms_deg=0.0052, rule="guarded").answer == "conditional_pass"
+    assert judged(rms_deg=0.0080, rule="guarded").answer == "pass"
+
+
+def test_the_worst_figure_is_the_answer():
+    assert judged(of=poses(bent_deg=0.2), max_error_deg=0.12, scale=(0.5, 1.5)).answer == "fail"
+
+
+def test_what_is_not_to_be_relied_on_does_not_pass():
+    one = judged(max_error_deg=1.0, move_mismatches=2)
+    assert one.answer == "conditional_pass"
+    assert one.says[0].startswith("Not to be relied on")
+
+
+def test_a_result_of_an_earlier_version_is_not_decided():
+    result = build_result(poses(), None, (), STAGE).to_dict()
+    del result["over_range"]
+    one = verdict(result, limit=Limit("flight", max_error_deg=1.0))
+    assert (one.answer, one.says[0]) == (
+        "conditional_pass",
+        "Conditional pass against the limits “flight”: not decided.",
+    )
+
+
+def test_a_reading_that_does_not_follow_the_stage_fails():
+    stuck = [Pose(target_deg=t, reading_deg=0.0) for t in (-30.0, 0.0, 30.0)]
+    assert judged(of=stuck, max_error_deg=1.0).answer == "fail"
+
+
+def verified(at_deg, elevations_deg=(20.0,) * 6, stated=STAGE):
+    """A verification of poses that read so much too high once a perfect calibration is applied."""
+    rng = np.random.default_rng(1)
+    there = [t + rng.normal(0, 1e-3) for t in elevations_deg]  # as a stage reports it
+    of = [
+        Pose(target_deg=t, stage_deg=s, reading_deg=s + at_deg, reading_stderr_deg=NOISE_DEG)
+        for t, s in zip(elevations_deg, there, strict=True)
+    ]
+    figures = ReferenceFigures(stated.std_deg, stated.kind, stated.std_deg, 0.001, stated.distribution)
+    line = Line(0.0, 1.0, 0.001, 1e-5, None, None)
+    return apply_calibration(of, None, line, (), figures).to_dict()
+
+
+def test_a_verification_is_held_as_found_against_the_document():
+    """The same shift everywhere may be the clamping's; a fan of errors is the unit's."""
+    limit = Limit("flight", max_error_deg=0.1, scale=(0.5, 1.5))
+    everywhere = tuple(range(-60, 61, 10))
+    shifted = verdict(verified(0.3, everywhere), verification=True, limit=limit)
+    assert (shifted.answer, shifted.left) == ("pass", "more_than_noise")
+    fanned = verified(0.0, everywhere)
+    fanned["over_range"]["highest_error_deg"][-1] = 0.2
+    assert verdict(fanned, verification=True, limit=limit).answer == "fail"
+
+
+def test_at_one_elevation_nothing_is_relative_to_the_others():
+    one = verdict(
+        verified(0.3), verification=True, limit=Limit("flight", max_error_deg=0.1, scale=(0.5, 1.5))
+    )
+    assert one.answer == "conditional_pass"
+    assert any(said.startswith("Largest error: not decided") for said in one.says)
+    assert any(said.startswith("Scale: not decided") for said in one.says)
+
+
+def test_a_verdict_is_json():
+    one = judged(max_error_deg=0.07).to_dict()
+    assert list(one) == [
+        "answer",
+        "left",
+        "ratio",
+        "says",
+        "limit",
+        "probability_of_conformity",
+        "probability_of_false_accept",
+    ]
+    assert isinstance(one["says"], list)
+
+
+POSITIVE = st.none() | st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
+ENDS = st.none() | st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 2).map(sorted)
+ASKED = {
+    "max_error_deg": POSITIVE,
+    "bias_deg": ENDS,
+    "scale": ENDS,
+    "rms_deg": POSITIVE,
+    "expanded_uncertainty_deg": POSITIVE,
+    "rule": st.sampled_from(["simple", "guarded"]),
+    "guard": st.floats(min_value=0.0, exclude_min=True, max_value=10.0),
+}
+RESULTS = [build_result(poses(), None, (), reference).to_dict() for reference in (STAGE, None)]
+
+
+@settings(max_examples=60)
+@given(st.fixed_dictionaries(ASKED))
+@example({"rms_deg": 1e-300})
+@example(
+    {"rms_deg": 1e308, "max_error_deg": 5e-324, "scale": (-1e308, 1e308), "rule": "guarded", "guard": 10.0}
+)
+def test_whatever_can_be_asked_is_answered(asked):
+    try:
+        limit = Limit(**LimitSettings(name="any", **asked).model_dump())
+    except ValueError:
+        return  # the lower end is not below the upper one, or nothing is asked
+    known, unknown = (verdict(result, limit=limit) for result in RESULTS)
+    assert {known.answer, unknown.answer} <= {"pass", "conditional_pass", "conditional_fail", "fail"}
+    assert unknown.answer != "pass"
+    assert unknown.probability_of_conformity is None
+    assert (known.probability_of_false_accept is None) == (known.answer != "pass")
+    assert known.probability_of_conformity is None or 0.0 <= known.probability_of_conformity <= 1.0
+    assert not any("nan" in said or "inf°" in said for said in known.says)

@@ -1,0 +1,1 @@
+"""How often control charts of short histories raise a false alarm, and how soon they see a shift."""

@@ -1,0 +1,57 @@
+"""What is wrong with an input is told in the page's own words, by the name that its field has there."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from pydantic import TypeAdapter, ValidationError
+
+from calrig.invalid_fields import SHOWN, TITLES, in_words, path_of, sentence
+from calrig.plan import Plan
+from calrig.settings import LimitSettings, packed
+
+
+def problems(kind, given):
+    with pytest.raises(ValidationError) as raised:
+        TypeAdapter(kind).validate_python(given)
+    return raised.value.errors()
+
+
+@pytest.mark.parametrize(
+    ("given", "said", "path"),
+    [
+        ({"elevations_deg": [0, "ten"]}, "Elevation 2 is not a number", "elevations_deg[1]"),
+        ({"elevations_deg": []}, "Elevations has 0 entries, fewer than 1", "elevations_deg"),
+        ({"sweeps": 1.5}, "Sweeps is not a whole number", "sweeps"),
+        ({"sweeps": 0}, "Sweeps must be at least 1", "sweeps"),
+        ({"step_deg": 0}, "Step must be greater than 0", "step_deg"),
+        ({"dwell_s": float("nan")}, "Dwell time is not a finite number", "dwell_s"),
+        ({"order": "backwards"}, "Order is none of 'sweep', 'random' or 'given'", "order"),
+        ({"sweep": 3}, "“sweep” is not known here", "sweep"),
+        ({"sweeps": 9999}, "the plan has 129987 poses; the most a run takes is 10000", ""),
+    ],
+)
+def test_a_plans_mistake_is_told_by_the_name_of_its_field(given, said, path):
+    (problem,) = problems(Plan, given)
+    assert (sentence(problem), path_of(problem)) == (said, path)
+
+
+def test_a_limits_mistake_says_which_limit():
+    given = [{"name": "a", "rms_deg": 1.0}, {"name": "b", "rms_deg": "small"}]
+    (problem,) = problems(list[LimitSettings], given)
+    assert (sentence(problem), path_of(problem)) == ("RMS error of limit 2 is not a number", "[1].rms_deg")
+
+
+def test_of_many_mistakes_the_first_few_are_told_and_the_others_counted():
+    wrong = dict.fromkeys(["sweeps", "settle_s", "dwell_s", "rate_hz", "seed"], "x")
+    assert in_words(problems(Plan, wrong)).endswith("; and 2 more")
+    assert in_words(problems(Plan, wrong)).count("; ") == SHOWN
+
+
+def test_the_names_are_those_of_the_page():
+    """`field("sweeps", "Sweeps", …)` in the form of the plan; what follows a comma tells its use."""
+    form = (packed("web") / "plan.js").read_text()
+    shown = dict(re.findall(r'field\("(\w+)", "([^",]+)', form))
+    assert len(shown) >= 10
+    assert {name: TITLES[name] for name in shown} == shown

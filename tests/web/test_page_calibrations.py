@@ -1,0 +1,72 @@
+"""Issued calibrations on a unit's page: what is in force, what changed since, release and withdrawal."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from .page_help import figures_of, imported
+
+pytestmark = pytest.mark.browser
+
+
+@pytest.fixture(scope="module")
+def client(shared_client):
+    """One service for all of this file: each test has a unit of its own."""
+    return shared_client
+
+
+def in_force(client, unit):
+    return client.get(f"/api/units/{unit}/calibration").json()
+
+
+def confirm(page, reason):
+    page.get_by_label("Reason").fill(reason)
+    page.get_by_test_id("confirm").click()
+
+
+def test_page_and_file_show_the_same_revision_after_effects_and_exclusions(page, client, go, expect):
+    run = imported(client, "ONE-1")
+    client.post(f"/api/runs/{run['id']}/poses/2/exclude", json={"reason": "knocked"}).raise_for_status()
+    go("#/units/ONE-1")
+    expect(page.locator("#sha256")).to_have_text(in_force(client, "ONE-1")["sha256"])
+    shown = figures_of(page, "#calibration")
+    document = in_force(client, "ONE-1")
+    assert (shown["Revision"], document["revision"]) == ("2", 2)
+    assert shown["Bias"].startswith(f"{document['bias_deg']:.4f} ± ")
+    assert shown["Scale"].startswith(f"{document['scale']:.5f} ± ")
+    with page.expect_download() as download:
+        page.locator("#calibration-json").click()
+    assert json.loads(download.value.path().read_text()) == document
+    row = page.locator("#revisions-table [data-revision='2']")
+    expect(row).to_contain_text("pose 2 of run")
+    expect(page.locator("#revisions-table [data-revision='1']")).to_contain_text("superseded")
+
+
+def test_there_is_a_way_back_and_each_step_has_a_reason(page, client, go, expect):
+    imported(client, "BACK-1")
+    imported(client, "BACK-1", bias_deg=0.7)
+    go("#/units/BACK-1")
+    first = page.locator("#revisions-table [data-revision='1']")
+    first.get_by_role("button", name="Release…").click()
+    confirm(page, "the clamp was loose in run 2")
+    expect(first).to_contain_text("in force")
+    expect(page.locator("#calibration")).to_contain_text("0.5")
+    assert in_force(client, "BACK-1")["revision"] == 1
+    first.get_by_role("button", name="Withdraw…").click()
+    confirm(page, "wrong after all")
+    expect(page.locator("#calibration")).to_contain_text("None")
+    assert client.get("/api/units/BACK-1/calibration").status_code == 404
+    assert [r["status"] for r in client.get("/api/units/BACK-1/calibrations").json()] == [
+        "superseded",
+        "withdrawn",
+    ]
+
+
+def test_the_page_says_what_the_revision_in_force_rests_on_that_has_changed(page, client, go, expect):
+    run = imported(client, "STALE-1")
+    client.post(f"/api/runs/{run['id']}/void", json={"reason": "wrong stage"}).raise_for_status()
+    go("#/units/STALE-1")
+    expect(page.get_by_test_id("stale")).to_contain_text("has been voided: wrong stage")
+    expect(page.locator("#calibration")).to_contain_text(in_force(client, "STALE-1")["sha256"])

@@ -1,0 +1,82 @@
+"""Users on the page: an admin adds one, who logs in with the token and is offered what their role may."""
+
+from __future__ import annotations
+
+import pytest
+from support import serving
+
+from calrig.api.access import Access
+
+from .page_help import imported
+
+pytestmark = pytest.mark.browser
+
+TOKEN = "the-benches-of-building-4"
+
+
+@pytest.fixture
+def client(service):
+    """A program that has the one token of its service."""
+    with serving(service, access=Access(TOKEN, patience_s=0.1)) as client:
+        client.headers["Authorization"] = f"Bearer {TOKEN}"
+        yield client
+
+
+def log_in(page, token):
+    page.fill("#token", token)
+    page.keyboard.press("Enter")
+
+
+def test_an_admin_adds_a_user_whose_page_offers_what_they_may(page, client, go, expect):
+    run = imported(client, "A")
+    go("#/users")
+    log_in(page, TOKEN)
+    page.fill("#user-name", "ada")
+    page.select_option("#user-role", "viewer")
+    page.click("#add-user")
+    token = page.locator("#new-token").inner_text()
+    row = page.locator("#users-table tbody tr").filter(has_text="ada")
+    expect(row).to_contain_text("by token")
+    assert token not in row.inner_text()
+
+    go("#/units")
+    page.click("#log-out")
+    log_in(page, token)
+    expect(page.locator("#who")).to_have_text("ada (viewer)")
+    expect(page.locator("#users-link")).to_be_hidden()
+    go(f"#/runs/{run['id']}")
+    expect(page.locator("#poses-table tbody tr").first).to_be_visible()
+    for button in ("#void", "#move", "#note", "[aria-label^=Exclude]"):
+        expect(page.locator(button)).to_have_count(0)
+    expect(page.locator("button.stop")).to_be_visible()
+    page.click("button.stop")
+    expect(page.locator("#stop-line")).to_contain_text("the stage was told to stop")
+
+    client.post("/api/users/ada/role", json={"role": "releaser"}).raise_for_status()
+    page.reload()
+    page.click("#void")
+    page.fill("#reason", "slipped")
+    page.get_by_test_id("confirm").click()
+    expect(page.locator("#void-reason")).to_contain_text("slipped")
+    go("#/trail")
+    expect(page.locator("#trail-table tbody tr").first).to_contain_text("ada")
+
+
+def test_a_role_is_changed_and_a_user_disabled(page, client, go, expect, forgiven):
+    forgiven.append("status of 409")
+    client.post("/api/users", json={"name": "root", "role": "admin"}).raise_for_status()
+    client.post("/api/users", json={"name": "ben", "role": "viewer", "token": False}).raise_for_status()
+    go("#/users")
+    log_in(page, TOKEN)
+    row = page.locator("#users-table tbody tr").filter(has_text="ben")
+    expect(row).to_contain_text("by a trusted proxy")
+    page.get_by_label("Role of ben").select_option("operator")
+    expect(page.get_by_label("Role of ben")).to_have_value("operator")
+    page.get_by_role("button", name="Disable ben").click()
+    page.get_by_test_id("confirm").click()
+    expect(row).to_contain_text("no more")
+    users = {user["name"]: user for user in client.get("/api/users").json()}
+    assert (users["ben"]["role"], users["ben"]["disabled_at"] is not None) == ("operator", True)
+    page.get_by_label("Role of root").select_option("viewer")
+    expect(page.locator("#error-root")).to_contain_text("root is the last admin")
+    expect(page.get_by_label("Role of root")).to_have_value("admin")

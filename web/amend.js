@@ -1,0 +1,100 @@
+// What is done to a run after it was measured: the buttons at its head, each with a question.
+
+import { post } from "./api.js";
+import { askConfirmation, askReason } from "./ask.js";
+import { field, h } from "./dom.js";
+import { may } from "./me.js";
+
+/** For a run at `path`, ended or not. */
+export function amendments(run, path, ended) {
+  const offered = [
+    may("operator") && ["note", "Add a note…", () => askNote(run, path)],
+    ended && may("releaser") && ["move", "Correct the serial number…", () => askUnit(run, path)],
+    ended && may("releaser") && !run.voided && ["void", "Void this run…", () => askVoid(run, path)],
+    ended && may("releaser") && run.voided && ["unvoid", "Count it again…", () => askUnvoid(run, path)],
+  ];
+  return h(
+    "div",
+    { class: "buttons" },
+    offered
+      .filter(Boolean)
+      .map(([id, text, ask]) => h("button", { type: "button", id, on: { click: ask } }, text)),
+  );
+}
+
+function askVoid(run, path) {
+  return askReason(
+    {
+      title: `Void run ${run.id}?`,
+      text: "The run is kept, struck through, and left out of every comparison.",
+      action: "Void the run",
+    },
+    (reason) => post(`${path}/void`, { reason }),
+  );
+}
+
+function askUnvoid(run, path) {
+  return askReason(
+    {
+      title: `Count run ${run.id} again?`,
+      text: `It was voided: ${run.voided.reason}. From now on it is compared like any other.`,
+      action: "Count it again",
+      kind: "primary",
+    },
+    (reason) => post(`${path}/unvoid`, { reason }),
+  );
+}
+
+function askUnit(run, path) {
+  const serial = h("input", { id: "right-unit", required: true, maxlength: "100", autocomplete: "off" });
+  return askReason(
+    {
+      title: `Which unit is run ${run.id} of?`,
+      text:
+        `It stands under ${run.unit}. It moves to the right unit with its follow-ups; the trail of both units ` +
+        "says so.",
+      action: "Move the run",
+      kind: "primary",
+      before: field("right-unit", "Serial number", serial),
+    },
+    (reason) => post(`${path}/unit`, { unit: serial.value.trim(), reason }),
+  );
+}
+
+function askNote(run, path) {
+  const note = h("textarea", { id: "note", required: true, maxlength: "10000", rows: "4" });
+  return askConfirmation(
+    {
+      title: `Note something of run ${run.id}`,
+      text: "It stands below what is noted already, with the time and your name where that is known.",
+      action: "Add the note",
+      before: [h("label", { for: "note" }, "Note"), note],
+    },
+    () => post(`${path}/note`, { note: note.value }),
+  );
+}
+
+/** Leaves a pose out of the result. */
+export function askExclude(path, pose) {
+  return askReason(
+    {
+      title: `Exclude pose ${pose.index}?`,
+      text: "The pose is kept, struck through; the result is computed without it.",
+      action: "Exclude the pose",
+    },
+    (reason) => post(`${path}/poses/${pose.index}/exclude`, { reason }),
+  );
+}
+
+/** Takes it in again. */
+export function askInclude(path, pose) {
+  return askReason(
+    {
+      title: `Include pose ${pose.index} again?`,
+      text: `It was excluded: ${pose.excluded}. The result is computed with it.`,
+      action: "Include the pose",
+      kind: "primary",
+    },
+    (reason) => post(`${path}/poses/${pose.index}/include`, { reason }),
+  );
+}

@@ -1,0 +1,143 @@
+// A unit's issued calibrations: the revision in force as its document has it, and every revision with its status.
+
+import { get, post } from "./api.js";
+import { askReason } from "./ask.js";
+import { fill, h, headings, runHref, statusPill, tableBox } from "./dom.js";
+import { moment, plusMinus, range, significant } from "./format.js";
+import { may } from "./me.js";
+
+/** Two cards that read themselves anew after each release, withdrawal or draft. */
+export class Calibrations {
+  constructor(serial, signal) {
+    this.path = `/api/units/${encodeURIComponent(serial)}`;
+    this.signal = signal;
+    this.inForce = h("section", { class: "card", id: "calibration", "aria-labelledby": "in-force-title" });
+    this.revisions = h("section", { class: "card", id: "revisions", "aria-labelledby": "revisions-title" });
+    this.elements = [this.inForce, this.revisions];
+    window.addEventListener("calrig:done", () => this.read(), { signal });
+  }
+
+  async read() {
+    const revisions = await get(`${this.path}/calibrations`, this.signal);
+    const current = revisions.find(({ status }) => status === "in_force");
+    const document = current && (await get(`${this.path}/calibration?revision=${current.revision}`, this.signal));
+    fill(
+      this.inForce,
+      h("h2", { id: "in-force-title" }, "Calibration in force"),
+      document ? this.#document(document, current) : none(revisions),
+    );
+    this.revisions.hidden = !revisions.length;
+    fill(
+      this.revisions,
+      h("h2", { id: "revisions-title" }, "Revisions"),
+      tableBox("Revisions of this unit's calibration", this.#table(revisions)),
+    );
+  }
+
+  #document(document, { stale, verdict }) {
+    const file = `${this.path}/calibration?revision=${document.revision}`;
+    return [
+      stale.length > 0 &&
+        h(
+          "div",
+          { class: "verdict unknown", role: "status", "data-testid": "stale" },
+          h("p", { class: "headline" }, "It rests on something that has changed since it was made."),
+          stale.map((reason) => h("p", {}, reason)),
+          may("operator") && this.#redraft(document.run_id),
+        ),
+      h(
+        "dl",
+        { class: "figures" },
+        figures(document, verdict).map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))),
+      ),
+      h("p", { class: "muted sha" }, "SHA-256 ", h("code", { id: "sha256" }, document.sha256)),
+      h(
+        "p",
+        { class: "downloads" },
+        h("a", { href: file, download: "calibration.json", id: "calibration-json" }, "Calibration (JSON)"),
+        h("a", { href: `${file}&format=c-header`, download: "calibration.h" }, "C header"),
+      ),
+    ];
+  }
+
+  #table(revisions) {
+    const rows = revisions.map((one) =>
+      h(
+        "tr",
+        { class: one.status === "withdrawn" && "voided", "data-revision": one.revision },
+        h("th", { scope: "row" }, one.revision),
+        h("td", {}, statusPill(one.status.replace("_", " "), { "data-status": one.status })),
+        h("td", {}, moment(one.issued_at), one.issued_by && ` by ${one.issued_by}`),
+        h("td", {}, h("a", { href: runHref(one.run_id) }, `run ${one.run_id}`)),
+        h("td", {}, one.effects.map((name) => name.replaceAll("_", " ")).join(", ") || "–"),
+        h("td", { class: "wrap" }, [one.reason, ...one.stale].filter(Boolean).map((text) => h("p", {}, text))),
+        h("td", { class: "buttons" }, this.#actions(one)),
+      ),
+    );
+    const head = headings("Revision", "Status", "Issued", "From", "Effects applied", "Why, and what has changed since", "");
+    return h("table", { id: "revisions-table" }, head, h("tbody", {}, rows));
+  }
+
+  #actions({ revision, status }) {
+    const path = `${this.path}/calibrations/${revision}`;
+    const action = (verb, text) =>
+      h("button", { type: "button", on: { click: () => ask(verb, revision, text, path) } }, `${verb}…`);
+    return [
+      may("releaser") &&
+        (status === "draft" || status === "superseded") &&
+        action("Release", "It is put in force; the revision in force until now is superseded."),
+      may("releaser") &&
+        status !== "withdrawn" &&
+        action("Withdraw", "It is kept, struck through, and can never be in force again."),
+    ];
+  }
+
+  #redraft(runId) {
+    const question = {
+      title: `New draft from run ${runId}?`,
+      text: "Computed from the poses and effects that count now, with a number and a hash of its own.",
+      action: "Make the draft",
+    };
+    const make = (reason) => post(`${this.path}/calibrations`, { run_id: runId, reason });
+    return h("button", { type: "button", on: { click: () => askReason(question, make) } }, "New draft…");
+  }
+}
+
+function ask(verb, revision, text, path) {
+  askReason({ title: `${verb} revision ${revision}?`, text, action: `${verb} it` }, (reason) =>
+    post(`${path}/${verb.toLowerCase()}`, { reason }),
+  );
+}
+
+function none(revisions) {
+  const draft = revisions.find(({ status }) => status === "draft");
+  const words = draft
+    ? `None: revision ${draft.revision} is a draft and waits to be released.`
+    : "None: no completed run that counts determines the scale, or all revisions were withdrawn.";
+  return h("p", { class: "muted" }, words);
+}
+
+function figures(document, verdict) {
+  const [bias, scale] = document.covariance?.map((row, k) => Math.sqrt(row[k])) ?? [];
+  const effects = document.effects.map(({ name, formula }) => h("div", { title: formula }, name.replaceAll("_", " ")));
+  const expanded = document.expanded_uncertainty_deg;
+  return [
+    ["Revision", document.revision],
+    ["Bias", plusMinus(document.bias_deg, bias, "°")],
+    ["Scale", plusMinus(document.scale, scale)],
+    ["Effects applied", effects.length ? effects : "none"],
+    ["RMS error, calibrated", significant(document.rms_calibrated_deg, 3, "°")],
+    ["RMS error, with effects", significant(document.rms_with_effects_deg, 3, "°")],
+    [
+      "Expanded uncertainty",
+      expanded === null
+        ? "not known: the rig states no reference"
+        : `${significant(expanded, 2, "°")} (k = ${significant(document.coverage_factor, 3)})`,
+    ],
+    ["Elevations", range(...document.range_deg, 0, "°")],
+    ["Temperature", range(document.temperature_c?.min, document.temperature_c?.max, 1, "°C")],
+    ["Issued", moment(document.issued_at)],
+    ["From run", h("a", { href: runHref(document.run_id) }, document.run_id)],
+    ["Is this good?", verdict.says[0] ?? "not judged"],
+  ];
+}

@@ -1,0 +1,102 @@
+// Work that takes long: the service goes on with it, the page shows how far it is, a person may cancel it.
+
+import { ApiError, begin, get, remove } from "./api.js";
+import { h } from "./dom.js";
+
+const LOOK_MS = 400;
+const UNDER_WAY = new Set(["queued", "running"]);
+
+/**
+ * A line to be put where the work is asked for. `doing` says what is done, `share` what the fraction is one of;
+ * `signal` is aborted when the view is left.
+ */
+export class LongWork {
+  constructor(id, { doing, share }, signal) {
+    this.words = { doing, share };
+    this.signal = signal;
+    this.says = h("p", { id: `${id}-says`, class: "muted", role: "status", "aria-live": "polite" });
+    this.bar = h("progress", { max: "1", "aria-labelledby": `${id}-says` });
+    this.button = h(
+      "button",
+      { type: "button", id: `${id}-cancel`, on: { click: () => this.#cancel() } },
+      "Cancel",
+    );
+    this.element = h(
+      "div",
+      { id: `${id}-progress`, class: "long-work", hidden: true },
+      h("div", {}, this.says, this.bar),
+      this.button,
+    );
+  }
+
+  /** Asks for it. Whether it was done: false where it was cancelled or the view left, in which case it goes on. */
+  carryOut(path, body) {
+    this.asked = new AbortController();
+    this.#show({ state: "running", fraction: null });
+    return this.#untilEnd(async () => {
+      const { job } = await begin(path, body, this.asked.signal);
+      if (job) sessionStorage.setItem(path, job);
+      return job ? this.#follow(path) : true;
+    });
+  }
+
+  /** Whether this tab has asked for it and not heard of its end: then `resume` goes on as `carryOut` would. */
+  static isUnderWay(path) {
+    return sessionStorage.getItem(path) !== null;
+  }
+
+  resume(path) {
+    return this.#untilEnd(() => this.#follow(path));
+  }
+
+  async #untilEnd(work) {
+    this.element.hidden = false;
+    this.button.disabled = false;
+    try {
+      return await work();
+    } catch (error) {
+      if (error.name !== "AbortError") throw error;
+      return false;
+    } finally {
+      this.element.hidden = true;
+      this.job = null;
+    }
+  }
+
+  async #follow(path) {
+    this.job = sessionStorage.getItem(path);
+    let job;
+    try {
+      while (UNDER_WAY.has((job = await get(this.job, this.signal)).state)) {
+        this.#show(job);
+        await new Promise((done) => setTimeout(done, LOOK_MS));
+      }
+    } catch (error) {
+      if (error.status === 404) sessionStorage.removeItem(path);
+      throw error;
+    }
+    sessionStorage.removeItem(path);
+    if (job.state === "failed") throw new ApiError(job.error, 0);
+    return job.state === "done";
+  }
+
+  #show({ state, fraction }) {
+    const share = fraction === null ? "" : ` ${Math.round(100 * fraction)}\u00a0% of ${this.words.share}.`;
+    this.says.textContent =
+      state === "queued" ? "Waiting: the service does other such work first." : `${this.words.doing}${share}`;
+    if (fraction === null) this.bar.removeAttribute("value");
+    else this.bar.value = fraction;
+  }
+
+  async #cancel() {
+    this.button.disabled = true;
+    if (!this.job) return this.asked.abort(); // the service ends what nobody waits for
+    try {
+      await remove(this.job);
+    } catch (error) {
+      if (!(error instanceof ApiError)) throw error;
+      this.says.textContent = error.message;
+      this.button.disabled = false;
+    }
+  }
+}

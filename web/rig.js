@@ -1,0 +1,113 @@
+// A rig: the unit it is checked by, when it last passed, and which runs are in doubt.
+
+import { get, put, remove } from "./api.js";
+import { askConfirmation } from "./ask.js";
+import { Chart } from "./charts.js";
+import { errorLine, field, fill, h, headings, onSubmit, runHref, statusPill, tableBox, unitLink } from "./dom.js";
+import { fixed, isKnown, moment, plural, significant } from "./format.js";
+import { may } from "./me.js";
+
+const STATES = { passed: "good", failed: "poor", not_known: "unknown" };
+const HEADLINES = { passed: "The rig passes.", failed: "The rig fails.", not_known: "Nothing can be said yet." };
+const WORDS = { passed: "passed", failed: "failed", not_known: "not known" };
+const EVERY_DAYS = 30;
+
+export async function rigView({ root, parts: [name], signal }) {
+  const path = `/api/rigs/${encodeURIComponent(name)}/check-unit`;
+  const card = h("section", { class: "card", id: "check", "aria-labelledby": "check-title" });
+  const chart = new Chart("check-chart", "Control chart: the check unit's bias and scale", { signal });
+  const read = async () => {
+    const [named, units] = await Promise.all([get("/api/check-units", signal), get("/api/units", signal)]);
+    const check = named.some(({ rig }) => rig === name) ? await get(path, signal) : null;
+    const form = may("releaser") && naming(path, check, units, read);
+    fill(
+      card,
+      h("h2", { id: "check-title" }, "Check unit"),
+      check ? standing(check) : h("p", { class: "muted" }, "None: nothing tells whether this rig has changed."),
+      form,
+      check && tableBox("Checks", checks(check)),
+    );
+    chart.element.hidden = !check;
+    if (check) await chart.load(`/api/rigs/${encodeURIComponent(name)}/figures/check-unit`);
+  };
+  fill(root, h("h1", {}, `Rig ${name}`), card, chart.element);
+  await read();
+}
+
+function standing(check) {
+  const figures = [
+    ["Unit", unitLink(check.unit)],
+    ["Every", plural(check.interval_days, "day")],
+    ["Last check", moment(check.last_check_at)],
+    ["Last passed", moment(check.last_passed_at)],
+    [check.overdue ? "Next check (overdue)" : "Next check", moment(check.due_at)],
+  ];
+  const suspects = check.suspect_runs.map((id, k) => [k > 0 && ", ", h("a", { href: runHref(id) }, id)]);
+  return [
+    h(
+      "div",
+      { class: `verdict ${STATES[check.state]}`, role: "status" },
+      h("p", { class: "headline" }, HEADLINES[check.state]),
+      h("p", {}, check.says),
+      suspects.length > 0 && h("p", { id: "suspects" }, h("strong", {}, "Runs in doubt: "), suspects),
+    ),
+    h(
+      "dl",
+      { class: "figures" },
+      figures.map(([title, value]) => h("div", {}, h("dt", {}, title), h("dd", {}, value))),
+    ),
+  ];
+}
+
+function naming(path, check, units, read) {
+  const serials = units.map(({ serial }) => h("option", { value: serial, selected: serial === check?.unit }, serial));
+  const unit = h("select", { id: "check-unit", required: true }, serials);
+  const days = h("input", {
+    id: "check-days",
+    type: "number",
+    min: "0.1",
+    step: "any",
+    required: true,
+    value: check?.interval_days ?? EVERY_DAYS,
+  });
+  const error = errorLine("check-error");
+  const save = h("button", { type: "submit", id: "name-check", class: check ? null : "primary" }, check ? "Change" : "Name it");
+  const drop = check && h("button", { type: "button", id: "drop-check" }, "Go without…");
+  const form = h(
+    "form",
+    {},
+    h("div", { class: "fields two" }, field("check-unit", "Unit", unit), field("check-days", "Check every, days", days)),
+    error.element,
+    h("div", { class: "buttons" }, save, drop),
+  );
+  onSubmit(form, save, error, async () => {
+    await put(path, { unit: unit.value, interval_days: Number(days.value) });
+    await read();
+  });
+  drop?.addEventListener("click", async () => {
+    const question = {
+      title: "Go without a check unit?",
+      text: "No run of this rig is in doubt any more for what a check said. Its runs stay as they are.",
+      action: "Go without",
+    };
+    if (await askConfirmation(question, () => remove(path))) await read();
+  });
+  return units.length > 0 && form;
+}
+
+function checks({ checks: all }) {
+  const rows = all.toReversed().map((check) =>
+    h(
+      "tr",
+      {},
+      h("th", { scope: "row" }, h("a", { href: runHref(check.run_id) }, check.run_id)),
+      h("td", {}, moment(check.finished_at)),
+      h("td", { class: "number" }, significant(check.bias_deg, 4, "°")),
+      h("td", { class: "number" }, significant(check.scale, 6)),
+      h("td", { class: "number" }, isKnown(check.average) ? fixed(check.average, 2, "σ") : "–"),
+      h("td", { class: "plain" }, check.is_check ? statusPill(WORDS[check.verdict]) : h("span", { class: "muted" }, "history")),
+    ),
+  );
+  const head = headings("Run", "Finished", "#Bias", "#Scale", "#Moving average", "Verdict");
+  return h("table", { id: "checks-table" }, head, h("tbody", {}, rows));
+}

@@ -1,0 +1,44 @@
+// Where a stage without homing stands, by the word of whoever starts a run: folded until it is asked for.
+
+import { get } from "./api.js";
+import { field, fill, h } from "./dom.js";
+
+const ASKED_FOR = "--stage-at"; // in the error of a run that needs to know
+
+/** `value()` is the elevation or null; `look()` opens it where the last run on `rigName()` ended for want of it. */
+export function stagePlace(rigName, signal) {
+  const input = h("input", {
+    id: "stage_at_deg",
+    type: "number",
+    step: "any",
+    min: "-360",
+    max: "360",
+    placeholder: "as remembered",
+  });
+  const why = h("p", { id: "stage-at-why", class: "muted" });
+  const element = h(
+    "details",
+    { id: "stage-place" },
+    h("summary", {}, "Stage without homing"),
+    why,
+    field("stage_at_deg", "The stage stands at, °", input),
+  );
+
+  async function look() {
+    const rig = rigName();
+    const query = new URLSearchParams({ rig, limit: 1 });
+    const { items } = await get(`/api/runs?${query}`, signal);
+    if (rig !== rigName()) return;
+    const [last] = items;
+    const isAskedFor = Boolean(last?.error?.includes(ASKED_FOR));
+    element.open = isAskedFor || input.value !== "";
+    fill(
+      why,
+      isAskedFor
+        ? `Run ${last.id}, the last one on this rig, needs to be told: ${last.error}`
+        : "Needed only where the service does not know where it stands, or somebody has turned it by hand.",
+    );
+  }
+
+  return { element, look, value: () => (input.value === "" ? null : Number(input.value)) };
+}
