@@ -252,7 +252,9 @@ def _says_no_more(step: Found, offered: Sequence[Candidate]) -> bool:
     The more forms the two have together, the more of them fit noise a little better than one.
     """
     behind = dict(step.considered)
-    forms = sum(c.label == step.candidate.label for c in offered)
+    same = [c for c in offered if c.label == step.candidate.label]
+    # an instant has paid for its choice among all of them
+    forms = len({tuple(m.shape.form for m in c.members) for c in same} if _is_on_trial(same[0]) else same)
     margin = COMPANION_MARGIN + 2.0 * float(np.log(max(forms, 1)))
     return any(behind.get(member.label, np.inf) < margin for member in step.candidate.members)
 
