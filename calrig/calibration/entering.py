@@ -77,12 +77,12 @@ def _says_no_more(step: Found, offered: Sequence[Candidate]) -> bool:
     behind = dict(step.considered)
     same = [c for c in offered if c.label == step.candidate.label]
     # an instant has paid for its choice among all of them
-    forms = len({tuple(m.shape.form for m in c.members) for c in same} if _is_on_trial(same[0]) else same)
+    forms = len({tuple(m.shape.form for m in c.members) for c in same} if is_on_trial(same[0]) else same)
     margin = COMPANION_MARGIN + 2.0 * float(np.log(max(forms, 1)))
     return any(behind.get(member.label, np.inf) < margin for member in step.candidate.members)
 
 
-def _is_on_trial(candidate: Candidate) -> bool:
+def is_on_trial(candidate: Candidate) -> bool:
     """Whether it is a pair of which one was chosen among places that differ from one to the next."""
     return len(candidate.members) > 1 and any(
         m.shape.scanned and m.shape.place_cost > 1 for m in candidate.members

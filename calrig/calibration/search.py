@@ -13,7 +13,7 @@ from calrig.calibration.backward import parted, tenable
 from calrig.calibration.candidates import Candidate, goes_round
 from calrig.calibration.channels import READING
 from calrig.calibration.effect import HIDDEN
-from calrig.calibration.entering import entering, hidden, plain
+from calrig.calibration.entering import entering, hidden, is_on_trial, plain
 from calrig.calibration.gate import Verdict, gate
 from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import Fit, NoiseModel, noise_of
@@ -261,7 +261,7 @@ def _against_rivals(
     r: Responses, candidates: Sequence[Candidate], found: list[Found], one: Found, *, curves: bool
 ) -> list[Found]:
     others = [f.candidate for f in found if f is not one]
-    offered = [c for c in _offered(r, candidates, others, set()) if c.beside is None or c.shape.series]
+    offered = [c for c in _offered(r, candidates, others, set()) if not is_on_trial(c)]
     if one.candidate.shape.series and not curves:  # they take a little from every term of a turn
         offered = [c for c in offered if c.named]
     model = fitted_model(r, others)
