@@ -30,8 +30,8 @@ UNSTABLE = 1e-3
 """Chance that the coefficients of a true effect differ as much between the whole and a part of the poses."""
 ESTIMABLE = 1e-4
 """Of a column, what the others must leave of it: a slip in the block left out is a bias in all the others."""
-FORESEEN = 0.3
-"""Of the size of a curve's part, what the other blocks must show of it."""
+WAVY, FORESEEN = 9, 0.03
+"""Columns of a curve that has parts within one block; of the size of a part, what the others must show."""
 Intp = npt.NDArray[np.intp]
 
 
@@ -131,12 +131,13 @@ def _shown(r: Responses, accepted: Sequence[Candidate], train: Intp) -> list[Can
         own = _flat(candidate.columns[train])
         left = own - before @ np.linalg.lstsq(before, own, rcond=None)[0]
         if np.linalg.norm(left) > ESTIMABLE * np.linalg.norm(own):
-            shown.append(candidate if candidate.named else _as_far_as_shown(candidate, train, before))
+            wavy = candidate.columns.shape[2] >= WAVY
+            shown.append(_as_far_as_shown(candidate, train, before) if wavy else candidate)
     return shown
 
 
 def _as_far_as_shown(curve: Candidate, train: Intp, before: FloatArray) -> Candidate:
-    """A curve of no name less what it does where no pose is left: a spline would fly off there."""
+    """A wavy curve less what it does where no pose is left: the spline would fly off there."""
     whole, _ = np.linalg.qr(_flat(curve.columns))
     directions = whole.reshape(*curve.columns.shape)
     own = _flat(directions[train])

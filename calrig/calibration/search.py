@@ -13,17 +13,18 @@ from calrig.calibration.backward import parted, tenable
 from calrig.calibration.candidates import Candidate, goes_round
 from calrig.calibration.channels import READING
 from calrig.calibration.effect import HIDDEN
+from calrig.calibration.entering import entering, hidden, is_on_trial, plain
 from calrig.calibration.gate import Verdict, gate
 from calrig.calibration.model import model_columns
-from calrig.calibration.noise_model import STRONG_RHO, Fit, NoiseModel, noise_of
+from calrig.calibration.noise_model import Fit, NoiseModel, noise_of
 from calrig.calibration.outliers import most_outliers, outlier
-from calrig.calibration.ranking import COMPANION_MARGIN, Found, named, pair
+from calrig.calibration.ranking import Found, named
 from calrig.calibration.responses import Responses
 from calrig.calibration.revisits import is_of_the_curve, leaves_more, with_free_curve
 from calrig.calibration.run_changes import is_level, with_free_levels
 from calrig.calibration.screen import Screen
 from calrig.calibration.sensor_model import Model, fitted_model
-from calrig.calibration.series import needed, needed_changes, on_their_places
+from calrig.calibration.series import on_their_places
 from calrig.calibration.worth import is_worth_a_name
 from calrig.estimation.angles import FloatArray
 
@@ -173,95 +174,25 @@ def _search(
             kept, r, candidates = kept[others], r.rows(others), [c.rows(others) for c in candidates]
             found = [f.rows(others) for f in found]
             continue
-        entering: list[Found] = []
+        steps: list[Found] = []
         if verdict.passes and not _is_full(accepted, len(known)):
             best = named(r, accepted, verdict.candidates, verdict.ratios, verdict.p_value)
             if not is_worth_a_name(r, accepted, best):
                 refused.add(best.candidate.label)
                 continue
-            entering = _entering(r, accepted, _plain(r, accepted, best, verdict), verdict, judged)
+            steps = entering(r, accepted, plain(r, accepted, best, verdict), verdict, judged)
         elif not _is_full(accepted, len(known)):
-            entering = _hidden(r, model, verdict, judged)
-        if not entering:
+            steps = hidden(r, model, verdict, judged)
+        if not steps:
             p_values = verdict.p_value, verdict.least_p_value
             return Findings(r, kept, tuple(found), model.fitted, model.columns, *p_values)
-        entered = _reconsidered(r, candidates, [*found, *entering], len(known))
+        entered = _reconsidered(r, candidates, [*found, *steps], len(known))
         entered = on_their_places(r, candidates, entered)
         if found and not tenable(r, [f.candidate for f in entered]):
-            refused.add(entering[0].candidate.label)
+            refused.add(steps[0].candidate.label)
             continue
         found, dropped = parted(r, entered, len(known))
         refused.update(dropped)
-
-
-def _entering(
-    r: Responses,
-    accepted: Sequence[Candidate],
-    best: Found,
-    verdict: Verdict,
-    judged: Callable[[Model], Verdict],
-) -> list[Found]:
-    """The best candidate's effects, of a series those needed; or two that together explain far more.
-
-    Of these the second has to pass beside the first.
-    """
-    if best.candidate.beside is None:
-        two = pair(r, accepted, verdict.candidates, verdict.ratios, best)
-        of_second = two and judged(fitted_model(r, [*accepted, two[0]]))
-        if two and of_second and of_second.passes:
-            second = replace(best, candidate=two[1], rivals=(), p_value=of_second.p_value)
-            return [replace(best, candidate=two[0], rivals=()), second]
-    members: Sequence[Candidate] = needed_changes(r, accepted, best.candidate)
-    if best.candidate.shape.series:
-        members = needed(r, accepted, members)
-    return [replace(best, candidate=member) for member in members]
-
-
-def _hidden(r: Responses, model: Model, verdict: Verdict, judged: Callable[[Model], Verdict]) -> list[Found]:
-    """Two effects of which each alone leaves the other, which then looks like noise that wanders.
-
-    The best enters on trial; both stay where each passes the gate beside the other.
-    """
-    if model.fitted.noise.rho.max() < STRONG_RHO or not verdict.candidates:
-        return []
-    first = named(r, model.accepted, verdict.candidates, verdict.ratios, verdict.p_value)
-    beside = [*model.accepted, first.candidate]
-    of_second = judged(fitted_model(r, beside))
-    if not of_second.passes:
-        return []
-    second = named(r, beside, of_second.candidates, of_second.ratios, of_second.p_value)
-    of_first = judged(fitted_model(r, [*model.accepted, second.candidate]))
-    if not of_first.passes or not is_worth_a_name(r, beside, second):
-        return []
-    both = (replace(first, p_value=of_first.p_value), second)
-    return [replace(one, candidate=member) for one in both for member in one.candidate.members]
-
-
-def _plain(r: Responses, accepted: Sequence[Candidate], best: Found, verdict: Verdict) -> Found:
-    """The best candidate; of several effects offered as one, one alone where that says as much."""
-    if best.candidate.beside is None or not _says_no_more(best, verdict.candidates):
-        return best
-    single = [k for k, c in enumerate(verdict.candidates) if c.beside is None]
-    offered = [verdict.candidates[k] for k in single]
-    return named(r, accepted, offered, verdict.ratios[single], verdict.p_value)
-
-
-def _says_no_more(step: Found, offered: Sequence[Candidate]) -> bool:
-    """Whether one of several effects offered as one explains the poses nearly as well by itself.
-
-    The more forms the two have together, the more of them fit noise a little better than one.
-    """
-    behind = dict(step.considered)
-    forms = sum(c.label == step.candidate.label for c in offered)
-    margin = COMPANION_MARGIN + 2.0 * float(np.log(max(forms, 1)))
-    return any(behind.get(member.label, np.inf) < margin for member in step.candidate.members)
-
-
-def _is_on_trial(candidate: Candidate) -> bool:
-    """Whether it is a pair of which one was chosen among places that differ from one to the next."""
-    return len(candidate.members) > 1 and any(
-        m.shape.scanned and m.shape.place_cost > 1 for m in candidate.members
-    )
 
 
 def _is_full(accepted: Sequence[Candidate], known: int) -> bool:
@@ -330,7 +261,7 @@ def _against_rivals(
     r: Responses, candidates: Sequence[Candidate], found: list[Found], one: Found, *, curves: bool
 ) -> list[Found]:
     others = [f.candidate for f in found if f is not one]
-    offered = [c for c in _offered(r, candidates, others, set()) if c.beside is None or c.shape.series]
+    offered = [c for c in _offered(r, candidates, others, set()) if not is_on_trial(c)]
     if one.candidate.shape.series and not curves:  # they take a little from every term of a turn
         offered = [c for c in offered if c.named]
     model = fitted_model(r, others)

@@ -92,7 +92,7 @@ def test_read_on_the_move_time_and_angle_are_one_thing() -> None:
 
 
 def test_a_slip_that_a_warm_up_hides_is_found_with_it() -> None:
-    run = WORLDS["first board"].run("slip against temperature", 1)
+    run = WORLDS["first board"].run("slip against temperature", 0)
     found = document(diagnose([run.poses], bootstraps=BOOTSTRAPS, cross_fit=False), ["1"])
     assert {"mount_slip", "temperature_bias"} <= {effect["name"] for effect in found["effects"]}
 
