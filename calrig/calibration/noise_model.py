@@ -192,13 +192,29 @@ def orthonormal(gram: FloatArray, size: FloatArray) -> FloatArray:
     """
     safe = np.where(size > 0.0, size, 1.0)
     unit = gram / (safe[:, :, None] * safe[:, None, :])
-    if gram.shape[1] == 1:
-        values, vectors = unit[:, 0], np.ones_like(unit)
-    else:
-        values, vectors = np.linalg.eigh(unit)
+    if gram.shape[1] <= 2:
+        return _one_after_the_other(unit) / safe[:, :, None]
+    values, vectors = np.linalg.eigh(unit)
     there = values > SINGULAR * np.maximum(values[:, -1:], 1.0)
     scale = np.where(there, 1.0 / np.sqrt(np.where(there, values, 1.0)), 0.0)
     return np.asarray(vectors * scale[:, None, :] / safe[:, :, None], dtype=np.float64)
+
+
+def _one_after_the_other(gram: FloatArray) -> FloatArray:
+    """The same of one column or two, of unit size, as Gram and Schmidt: thousands without a call for each."""
+    turn = np.zeros_like(gram)
+    turn[:, 0, 0] = _unit(gram[:, 0, 0])
+    if gram.shape[1] == 2:
+        along = gram[:, 0, 1] * turn[:, 0, 0]
+        turn[:, 1, 1] = _unit(gram[:, 1, 1] - along**2)
+        turn[:, 0, 1] = -along * turn[:, 0, 0] * turn[:, 1, 1]
+    return turn
+
+
+def _unit(power: FloatArray) -> FloatArray:
+    """(b,) what makes columns of sums of squares (b,) unit ones; 0 of what is nothing."""
+    there = power > SINGULAR
+    return np.where(there, 1.0 / np.sqrt(np.where(there, power, 1.0)), 0.0)
 
 
 def _innovations(

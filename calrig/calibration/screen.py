@@ -98,10 +98,11 @@ class Screen:
         for first in range(0, len(indices), at_once):
             columns = np.stack([self._candidates[i].columns for i in indices[first : first + at_once]])
             stack = self._noise.rotated(np.moveaxis(columns, 3, 1))
-            yield [
-                _beside(self._noise.innovations(stack, self._r.starts, base.share), base.columns)
-                for base in self._bases
-            ]
+            yield [_beside(self._white(stack, base.share), base.columns) for base in self._bases]
+
+    def _white(self, rotated: FloatArray, share: float) -> FloatArray:
+        """Innovations of rotated columns: themselves where none of the correlation is undone."""
+        return rotated if share == 0.0 else self._noise.innovations(rotated, self._r.starts, share)
 
     def once(self, residuals: FloatArray) -> Float32Array:
         """(C,) reductions of −2 log likelihood for residuals (n, J) of the model."""

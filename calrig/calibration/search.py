@@ -225,7 +225,7 @@ def _offered(
             return False
         if c.beside is not None:
             return not any(one.label in once or one.name in always for one in c.members)
-        if not followed.issuperset(c.shape.beside):
+        if c.shape.beside and not followed.issuperset(c.shape.beside):
             return False
         if c.label in once or not (c.follows is None or c.follows in present):
             return False

@@ -154,6 +154,7 @@ class _Curve:
         self._names = [r.base_names[k] for k in self._base_at]
         self._felt, self._size = self._placed()
         self.width = self._straight.shape[2]
+        self._largest = np.abs(self._straight).max(axis=(0, 1))
         for _, at in self._on_axes:
             self._straight[:, :, at] = 0.0
         self._moves = FeltMoves(self._straight, self._names, r.channels)
@@ -272,11 +273,10 @@ class _Curve:
         longer += np.radians(across / length)
         turns = turn[:, None] * self._felt
         lengths = (size * longer)[:, None] * self._felt + (length - 1.0)[:, None] * self._size
-        largest = np.abs(model_columns(self._r, self._accepted)).max(axis=(0, 1))
         for member, at in self._on_axes:
             for k in range(at.start, at.stop):
                 change = np.zeros(len(beta))
-                change[k] = STEP / (largest[k] or 1.0)
+                change[k] = STEP / (self._largest[k] or 1.0)
                 more, less = (
                     self._error_of(member, (beta + side)[at], felt_deg) for side in (change, -change)
                 )

@@ -16,8 +16,8 @@ EDGE_POSES = 3
 """A slip needs this many poses on either side: fewer are outliers."""
 PARTS = (0.3, 0.7)
 """Of a dwell that came after a slip: as they are scanned."""
-COARSE = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Parts that a parabola is then laid through."""
+COARSE, FINER = np.linspace(0.0, 1.0, 5), np.linspace(-0.2, 0.2, 9)
+"""Of the parts, and about the best of those: the likelihood has one hump."""
 TOGETHER = 3
 """Of the gaps every so many is tried together with what else comes with time: the others lie close by."""
 MOST_INSTANTS = 150
@@ -72,16 +72,13 @@ def _refine(r: Responses, shape: Shape, criterion: Callable[[Shape], float]) -> 
         return None
     first = int(np.searchsorted(r.time_s, shape.at["at_s"])) if r.time_s is not None else 0
     here = {**shape.at, "pose": float(first)}
-    tried = [_in_dwell(r, {**here, "part": part}) for part in COARSE]
-    values = [criterion(one) for one in tried]
-    least = int(np.argmin(values))
-    if 0 < least < len(COARSE) - 1:
-        before, at_least, after = values[least - 1 : least + 2]
-        bend = before - 2.0 * at_least + after
-        part = COARSE[least] + 0.5 * (COARSE[1] - COARSE[0]) * (before - after) / (bend or np.inf)
-        lowest = _in_dwell(r, {**here, "part": part})
-        return min((tried[least], lowest), key=criterion)
-    return tried[least]
+
+    def best(parts: FloatArray) -> Shape:
+        return min((_in_dwell(r, {**here, "part": float(part)}) for part in parts), key=criterion)
+
+    coarse = best(COARSE)
+    finer = coarse.at["part"] + FINER
+    return best(finer[(finer >= 0.0) & (finer <= 1.0)])
 
 
 def _on_reading_deg(p: Applied) -> FloatArray:
