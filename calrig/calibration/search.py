@@ -244,7 +244,9 @@ def _reconsidered(
 ) -> list[Found]:
     """Each effect but the first known ones against its rivals once more, with all the others in the model.
 
-    It does not bring a companion with it that was looked for at many instants: that would enter unjudged.
+    It may bring a companion of its own with it, but none that was looked for at many instants: that would
+    enter unjudged. What another one has given way to may change what explains the rest, hence again until
+    nothing changes.
     """
     if len(found) == known + 1:
         return found
@@ -257,11 +259,19 @@ def _reconsidered(
     return found
 
 
+def _brings(pair: Candidate, one: Candidate) -> bool:
+    return any(member.label == one.label for member in pair.members)
+
+
 def _against_rivals(
     r: Responses, candidates: Sequence[Candidate], found: list[Found], one: Found, *, curves: bool
 ) -> list[Found]:
     others = [f.candidate for f in found if f is not one]
-    offered = [c for c in _offered(r, candidates, others, set()) if not is_on_trial(c)]
+    offered = [
+        c
+        for c in _offered(r, candidates, others, set())
+        if c.beside is None or c.shape.series or (_brings(c, one.candidate) and not is_on_trial(c))
+    ]
     if one.candidate.shape.series and not curves:  # they take a little from every term of a turn
         offered = [c for c in offered if c.named]
     model = fitted_model(r, others)
