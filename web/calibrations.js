@@ -14,7 +14,16 @@ export class Calibrations {
     this.inForce = h("section", { class: "card", id: "calibration", "aria-labelledby": "in-force-title" });
     this.revisions = h("section", { class: "card", id: "revisions", "aria-labelledby": "revisions-title" });
     this.elements = [this.inForce, this.revisions];
-    window.addEventListener("calrig:done", () => this.read(), { signal });
+    window.addEventListener("calrig:done", () => this.#readAgain(), { signal });
+  }
+
+  /** After something was done here, unless the person has gone elsewhere meanwhile. */
+  async #readAgain() {
+    try {
+      await this.read();
+    } catch (error) {
+      if (!this.signal.aborted) throw error;
+    }
   }
 
   async read() {
