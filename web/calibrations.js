@@ -19,6 +19,7 @@ export class Calibrations {
 
   /** After something was done here, unless the person has gone elsewhere meanwhile. */
   async #readAgain() {
+    if (this.unitIsGone) return;
     try {
       await this.read();
     } catch (error) {

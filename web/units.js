@@ -53,7 +53,7 @@ export async function unitView({ root, parts: [serial], signal }) {
     root,
     h("h1", {}, "Unit ", h("span", { class: "serial" }, unit.serial)),
     h("p", { class: "muted" }, `${plural(unit.n_runs, "run")}, known since `, moment(unit.created_at)),
-    unit.n_runs === 0 && may("releaser") && removal(serial, path),
+    unit.n_runs === 0 && may("releaser") && removal(serial, path, calibrations),
     calibrations.elements,
     unitHistory(serial, signal),
     chart.element,
@@ -77,7 +77,7 @@ export async function unitView({ root, parts: [serial], signal }) {
 }
 
 /** Of a unit whose runs were moved to their right serial number. */
-function removal(serial, path) {
+function removal(serial, path, calibrations) {
   const question = {
     title: `Remove unit ${serial}?`,
     text: "It has no runs. The trail keeps what was done to it.",
@@ -85,7 +85,8 @@ function removal(serial, path) {
   };
   const button = h("button", { type: "button", id: "remove-unit" }, "Remove this empty unit…");
   button.addEventListener("click", async () => {
-    if (await askConfirmation(question, () => remove(path))) location.hash = "#/units";
+    const removed = () => remove(path).then(() => (calibrations.unitIsGone = true));
+    if (await askConfirmation(question, removed)) location.hash = "#/units";
   });
   return h("p", {}, button);
 }
