@@ -1,0 +1,15 @@
+"""The demo rig has four effects at once, each of which alone leaves others that look like wandering noise."""
+
+from __future__ import annotations
+
+import pytest
+from demo import judged, measured
+
+from calrig.simulator.virtual_clock import VirtualClock
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize("seed", [3, 7, 9])
+def test_all_four_effects_are_found_where_they_hide_each_other(seed, tmp_path):
+    result = judged(measured(seed, tmp_path, VirtualClock()))
+    assert (result["held"], result["wrong"]) == (4, []), result
