@@ -71,7 +71,7 @@ function due({ due_at: at, overdue, due_says: says }) {
     h("strong", {}, "Due: "),
     at ? moment(at) : "not known",
     overdue && h("span", { class: "tag warns" }, "overdue"),
-    ` ${says}`,
+    `: ${says}`,
   );
 }
 
