@@ -105,7 +105,7 @@ def _computed_s(pid: int) -> float:
     """Processor time of a process's threads, to the nanosecond (Linux, proc_pid_schedstat)."""
     total_ns = 0
     for thread in Path(f"/proc/{pid}/task").iterdir():
-        with suppress(FileNotFoundError):  # it has ended
+        with suppress(FileNotFoundError, ProcessLookupError):  # it has ended
             total_ns += int((thread / "schedstat").read_text("ascii").split()[0])
     return total_ns / 1e9
 
