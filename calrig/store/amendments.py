@@ -8,7 +8,7 @@ from typing import Any
 
 from sqlmodel import Session, col, select
 
-from calrig.store.convert import run_of, run_row
+from calrig.store.convert import iso_utc, run_of, run_row
 from calrig.store.database import Part
 from calrig.store.errors import NotFound, Refused
 from calrig.store.records import AcceptedEffect, Document, Run
@@ -196,7 +196,7 @@ def _accepted_from(session: Session, run: RunTable) -> Sequence[AcceptedEffectTa
 
 def _marked(diagnosis: Document, accepted: Sequence[AcceptedEffect], now: datetime) -> Document:
     """The diagnosis, saying when effects of it were accepted: those of that name and with those values."""
-    at = now.isoformat().replace("+00:00", "Z")
+    at = iso_utc(now)
     marked = []
     for effect in diagnosis["effects"]:
         values = {name: given and given["value"] for name, given in effect["parameters"].items()}

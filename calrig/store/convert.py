@@ -9,6 +9,7 @@ import zipfile
 import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
 from typing import Any, cast, get_args
 
 import numpy as np
@@ -32,6 +33,11 @@ _ANGLE = "angle_deg"
 """Packed only where the board sends it."""
 LARGEST_BLOCK = 500_000_000
 """Bytes of it unpacked: a quarter of an hour at 8 kHz."""
+
+
+def iso_utc(time: datetime) -> str:
+    """ISO 8601 in UTC with a `Z`, as the API writes times."""
+    return time.astimezone(UTC).isoformat().replace("+00:00", "Z")
 
 
 def run_number(run_id: str) -> int | None:

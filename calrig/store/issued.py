@@ -13,7 +13,7 @@ from sqlalchemy import func
 from sqlmodel import Session, col, select
 
 from calrig.store import trail
-from calrig.store.convert import run_number
+from calrig.store.convert import iso_utc, run_number
 from calrig.store.database import Part
 from calrig.store.errors import NotFound, Refused, Unreadable
 from calrig.store.records import Document
@@ -78,8 +78,8 @@ def issue(session: Session, run: RunTable, draft: Draft) -> IssuedCalibrationTab
         **draft.content,
         "revision": revision,
         "run_id": str(run.id),
-        "calibrated_at": None if run.finished_at is None else _iso_utc(run.finished_at),
-        "issued_at": _iso_utc(now),
+        "calibrated_at": None if run.finished_at is None else iso_utc(run.finished_at),
+        "issued_at": iso_utc(now),
         "provenance": run.provenance,
     }
     sha256 = hashlib.sha256(canonical(document).encode()).hexdigest()
@@ -246,8 +246,3 @@ def _revision(row: IssuedCalibrationTable) -> Revision:
 
 def _words(status: str) -> str:
     return {"in_force": "in force already", "withdrawn": "withdrawn"}.get(status, status)
-
-
-def _iso_utc(time: datetime) -> str:
-    """ISO 8601 in UTC with a `Z`, as the API writes times."""
-    return time.astimezone(UTC).isoformat().replace("+00:00", "Z")

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import pytest
-from support import lay_empty_store
 
 from calrig.analysis.acceptance import Acceptance
 from calrig.analysis.amendments import Records
@@ -20,14 +18,6 @@ from calrig.store import Run, Store
 from calrig.store.errors import NotFound, Refused
 
 POSES = [Pose(theta, 0.5 + 1.01 * theta + 0.02 * (-1) ** k) for k, theta in enumerate(range(-60, 61, 10))]
-
-
-@pytest.fixture
-def store(tmp_path: Path) -> Iterator[Store]:
-    path = tmp_path / "calrig.db"
-    lay_empty_store(path)
-    with Store.open(f"sqlite:///{path}", writer="tests") as opened:
-        yield opened
 
 
 @pytest.fixture

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
-
 import pytest
-from support import lay_empty_store
 
 from calrig.analysis.error_map import error_map
 from calrig.calibration.pose import Pose
@@ -18,14 +14,6 @@ STAGES_OWN_DEG = [0.02, -0.04, 0.04, -0.04, 0.02]
 """Of the stage at each elevation: no part of it looks like bias or scale."""
 WORN_DEG = [-0.03, 0.06, -0.06, 0.06, -0.03]
 """What the stage had before it was repaired."""
-
-
-@pytest.fixture
-def store(tmp_path: Path) -> Iterator[Store]:
-    path = tmp_path / "calrig.db"
-    lay_empty_store(path)
-    with Store.open(f"sqlite:///{path}", writer="tests") as opened:
-        yield opened
 
 
 def calibrated(store: Store, unit: str, of_stage_deg: list[float], rig: str = "bench-1") -> Run:
