@@ -46,12 +46,22 @@ class UnitTable(SQLModel, table=True):
 
 
 class RunTable(SQLModel, table=True):
-    """A run. Documents that are only ever shown whole are JSON."""
+    """A run. Documents that are only ever shown whole are JSON.
+
+    `id` is the store's own key, which the other tables refer to; everybody else knows the run by `uid`.
+    """
 
     __tablename__ = "run"
-    __table_args__ = (Index("ix_run_unit_id", "unit", "id"), Index("ix_run_status", "status"))
+    __table_args__ = (
+        Index("ix_run_uid", "uid", unique=True),
+        # a page of the list, newest first, of all runs, of a unit or of a status, reads no others
+        Index("ix_run_created_at_id", "created_at", "id"),
+        Index("ix_run_unit_created_at_id", "unit", "created_at", "id"),
+        Index("ix_run_status_created_at_id", "status", "created_at", "id"),
+    )
 
     id: int = Field(default=None, primary_key=True)
+    uid: str
     unit: str = Field(foreign_key="unit.serial")
     rig: str | None
     kind: str
@@ -214,7 +224,10 @@ class IssuedCalibrationTable(SQLModel, table=True):
 
 
 class TrailTable(SQLModel, table=True):
-    """Who did what, when and why: rows are added and never changed, each chained to the one before."""
+    """Who did what, when and why: rows are added and never changed, each chained to the one before.
+
+    `run_id` is what everybody knows the run by.
+    """
 
     __tablename__ = "trail"
     __table_args__ = (Index("ix_trail_unit", "unit"),)
@@ -225,7 +238,7 @@ class TrailTable(SQLModel, table=True):
     what: str
     unit: str | None = None
     rig: str | None = None
-    run_id: int | None = None
+    run_id: str | None = None
     revision: int | None = None
     reason: str | None = None
     detail: dict[str, Any] = Field(sa_type=CheckedJson)

@@ -76,6 +76,7 @@ def fill(path) -> None:
             [
                 {
                     "id": number,
+                    "uid": str(number),
                     "unit": unit,
                     "rig": "bench-1",
                     "kind": "calibration",

@@ -147,6 +147,35 @@ def test_a_store_of_every_earlier_revision_is_brought_up_to_date(url, database, 
     assert stored_revision(copy) == revision
 
 
+def test_the_trail_of_a_store_of_counted_runs_stays_whole_and_goes_on(url, database):
+    """Its hashes are of the runs' numbers, as the calrig of that time wrote them."""
+    make_as_of(database, "0006")
+    with closing(sqlite3.connect(database)) as connection, connection:
+        connection.executemany(f"INSERT INTO trail VALUES ({', '.join('?' * 11)})", COUNTED)
+    with Store.open(url, writer="serve") as store:
+        assert store.broken_link() is None
+        store.void_run("1", "slipped again")
+        run = store.create_run(unit="A", rig="r", plan={}, status="queued", provenance={}, follows="1")
+        assert [entry.act.run_id for entry in store.trail()] == ["1", None, "1", "1", run.id]
+        assert run.follows == "1"
+        assert store.broken_link() is None
+    with closing(sqlite3.connect(database)) as connection, connection:
+        connection.execute("UPDATE trail SET run_id = '01' WHERE seq = 3")
+    with Store.open(url, writer=None) as store:
+        assert store.broken_link() == 3
+
+
+COUNTED = [
+    (1, "2026-01-02T03:04:05.000006+00:00", "ada", "started", "A", "r", 1, None, None,
+     '{" crc32":2745614147}', "73743b8f6878368557d05c801213a3a1668331307d6e2c2a0d249369a97bf15f"),
+    (2, "2026-01-02T03:04:05.000007+00:00", None, "limits_changed", None, None, None, None, None,
+     '{" crc32":2745614147}', "e1e3675ae8f0b2831da52ee27739230054dcccbc45b3a190f462c5db053be548"),
+    (3, "2026-01-02T03:04:05.000008+00:00", None, "voided", "A", "r", 1, None, "slipped",
+     '{" crc32":2745614147}', "3540c38d1ce2b0c22766a03b42ac716e7201725c92b2e4a9f5ae42644b9955d3"),
+]  # fmt: skip
+"""Rows of a trail that calrig wrote at revision 0006, when a run's id was its number."""
+
+
 def make_as_of(database: Path, revision: str) -> None:
     """A store as calrig made it at that revision, with one completed run."""
     from alembic import command
