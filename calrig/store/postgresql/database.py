@@ -16,6 +16,7 @@ from calrig.store.checksums import from_json, to_json
 from calrig.store.database import LOOK_S, Database
 from calrig.store.errors import StoreDamagedError, StoreError
 from calrig.store.postgresql.errors import DAMAGED, store_error
+from calrig.store.postgresql.set_up import is_set_up, set_up
 from calrig.store.records import Size
 from calrig.store.revisions import migrate, revisions
 
@@ -80,8 +81,8 @@ class PostgresqlDatabase(Database):
         head = revisions()[-1]
         with self._engine.connect() as connection:
             stored = self._stored_revision(connection)
-        if stored == head:
-            return
+            if stored == head and (not self._may_write or is_set_up(connection)):
+                return
         if stored is not None and stored not in revisions():
             raise StoreError(
                 f"{self.name}: was written by a newer calrig (revision {stored}; this one knows up to "
@@ -109,6 +110,8 @@ class PostgresqlDatabase(Database):
             connection.execute(text("SELECT pg_advisory_xact_lock(:turn)"), {"turn": TURN})
             if self._stored_revision(connection) != head:
                 migrate(connection)
+            if not is_set_up(connection):
+                set_up(connection)
 
     @contextmanager
     def reading(self) -> Iterator[Session]:
