@@ -7,12 +7,15 @@ from types import TracebackType
 from typing import Self
 
 from calrig.store.amendments import Amendments
+from calrig.store.bench_commands import BenchCommands
+from calrig.store.benches import Benches
 from calrig.store.check_units import CheckUnits
 from calrig.store.database import BUSY_TIMEOUT_S
 from calrig.store.engines import open_database
 from calrig.store.event_log import EventLog
 from calrig.store.issued import Issued
 from calrig.store.limits import Limits
+from calrig.store.parcels import Parcels
 from calrig.store.places import Places
 from calrig.store.poses import Poses
 from calrig.store.records import Size
@@ -22,7 +25,22 @@ from calrig.store.units import Units
 from calrig.store.users import Users
 
 
-class Store(Runs, Poses, Amendments, EventLog, Units, Issued, Places, Limits, CheckUnits, Trail, Users):
+class Store(
+    Runs,
+    Poses,
+    Amendments,
+    EventLog,
+    Units,
+    Issued,
+    Places,
+    Limits,
+    CheckUnits,
+    Trail,
+    Users,
+    Benches,
+    BenchCommands,
+    Parcels,
+):
     """An open store, shared by threads. Each method is one transaction, on the disk when it returns.
 
     A run that does not exist raises `NotFound` where it is not said otherwise; what the database cannot do

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import psycopg
 from sqlalchemy import URL, Connection, create_engine, inspect, make_url, text
@@ -25,7 +26,7 @@ TURN = 0x63616C726967
 are read and written again in one turn, as under SQLite's one writer.
 """
 CONNECT_S = 5
-ALIVE = {
+ALIVE: dict[str, Any] = {
     "connect_timeout": CONNECT_S,
     "keepalives_idle": 10,
     "keepalives_interval": 5,
@@ -127,12 +128,13 @@ class PostgresqlDatabase(Database):
             yield connection
 
     @contextmanager
-    def writing(self, on: Connection | None = None) -> Iterator[Session]:
+    def writing(self, on: Connection | None = None, *, in_turn: bool = True) -> Iterator[Session]:
         """As `Database.writing`."""
         if not self._may_write:
             raise StoreError(f"{self.name}: was opened for reading only")
         with self._in_words(), Session(self._engine if on is None else on) as session:
-            self._take_turn(session)
+            if in_turn:
+                self._take_turn(session)
             yield session
             session.commit()
 

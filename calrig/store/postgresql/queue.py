@@ -6,7 +6,6 @@ in `run_order`; a job that comes twice, late or not at all changes nothing of it
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Coroutine
 from typing import Any
 
@@ -14,31 +13,13 @@ import psycopg
 from procrastinate import App, SyncPsycopgConnector
 from procrastinate.connector import BaseConnector
 
+from calrig.store.rig_queues import queue_of
+
 CARRY_OUT = "carry_out"
 """The only task: `carry_out(run_uid, epoch)`."""
-LONGEST_QUEUE = 40
-"""Bytes. Its channel, `procrastinate_queue_v1#` and the name, has to fit PostgreSQL's 63."""
-LONGEST_BENCH = 24
-"""Bytes of a bench's name: what leaves room for a rig in the name of a queue."""
-OF_A_BENCH = "rig:{bench}/"
-"""What the names of all queues of a bench begin with, and of no other's: `/` is in no bench's name."""
 
 HandOver = Callable[[str, int], Coroutine[Any, Any, None]]
-"""Takes a run's id and an epoch."""
-
-
-def queue_of(bench: str, rig: str) -> str:
-    """The queue of a bench's rig, and the lock of its jobs: `rig:hall-2/bench-1`, a long one with a hash.
-
-    Raises:
-        ValueError: the bench's name is longer than `LONGEST_BENCH`.
-    """
-    if len(bench.encode()) > LONGEST_BENCH:
-        raise ValueError(f"the name of bench {bench!r} is longer than {LONGEST_BENCH} bytes")
-    prefix = OF_A_BENCH.format(bench=bench)
-    if len((prefix + rig).encode()) <= LONGEST_QUEUE:
-        return prefix + rig
-    return prefix + hashlib.sha256(rig.encode()).hexdigest()[: LONGEST_QUEUE - len(prefix.encode())]
+"""Takes a run's id and an epoch: parameters `run_uid` and `epoch`."""
 
 
 def defer(connection: psycopg.Connection[Any], bench: str, rig: str, run_uid: str, epoch: int) -> None:
