@@ -15,13 +15,13 @@ from calrig.store.engines import open_database
 from calrig.store.event_log import EventLog
 from calrig.store.issued import Issued
 from calrig.store.limits import Limits
-from calrig.store.parcels import Parcels
 from calrig.store.places import Places
 from calrig.store.poses import Poses
 from calrig.store.records import Size
 from calrig.store.runs import Runs
 from calrig.store.trail import Trail
 from calrig.store.units import Units
+from calrig.store.unpacking import Unpacking
 from calrig.store.users import Users
 
 
@@ -39,7 +39,7 @@ class Store(
     Users,
     Benches,
     BenchCommands,
-    Parcels,
+    Unpacking,
 ):
     """An open store, shared by threads. Each method is one transaction, on the disk when it returns.
 

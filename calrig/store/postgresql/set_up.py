@@ -37,7 +37,7 @@ CREATE OR REPLACE TRIGGER calrig_tell AFTER INSERT ON parcel
     FOR EACH ROW EXECUTE FUNCTION calrig_tell_parcel_v1();
 CREATE OR REPLACE TRIGGER calrig_tell AFTER INSERT ON bench_command
     FOR EACH ROW EXECUTE FUNCTION calrig_tell_command_v1();
-CREATE OR REPLACE TRIGGER calrig_tell_answer AFTER UPDATE OF taken_at, answered_at ON bench_command
+CREATE OR REPLACE TRIGGER calrig_tell_answer AFTER UPDATE OF answered_at ON bench_command
     FOR EACH ROW EXECUTE FUNCTION calrig_tell_answer_v1();
 CREATE OR REPLACE TRIGGER calrig_tell AFTER UPDATE OF said ON bench
     FOR EACH ROW WHEN (OLD.said::text IS DISTINCT FROM NEW.said::text)

@@ -46,7 +46,7 @@ class Unpacked:
     held: dict[str, str] = field(default_factory=dict)
 
 
-class Parcels(Part):
+class Unpacking(Part):
     """The deliveries of benches, at the centre."""
 
     def has_parcels(self, but_of: Collection[str] = ()) -> bool:
@@ -200,7 +200,7 @@ def _update(
     if run.status != "completed" or not states:
         return
     if n_poses < told.progress.poses_done:
-        raise Unreadable(f"of {told.progress['poses_done']} poses of run {run.uid} {n_poses} are there")
+        raise Unreadable(f"of {told.progress.poses_done} poses of run {run.uid} {n_poses} are there")
     replace_result(session, run, told.result)
     session.flush()
     if run.kind != "static":
