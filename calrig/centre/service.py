@@ -74,6 +74,11 @@ class CentreService:
         """Drafts and releases, by what the benches' rigs say of `release` now."""
         return Issuer(self.store, self._rigs.releases())
 
+    @property
+    def stuck(self) -> Mapping[str, str]:
+        """Runs of which a delivery is kept that this process cannot unpack, and why."""
+        return self._unpacker.stuck
+
     def rigs(self) -> list[RigState]:
         """Every rig of every bench, as it last said that it stands."""
         return self._rigs.states()
