@@ -17,12 +17,15 @@ from calrig.store.places import Places
 from calrig.store.poses import Poses
 from calrig.store.records import Size
 from calrig.store.runs import Runs
+from calrig.store.spool import Spool
 from calrig.store.trail import Trail
 from calrig.store.units import Units
 from calrig.store.users import Users
 
 
-class Store(Runs, Poses, Amendments, EventLog, Units, Issued, Places, Limits, CheckUnits, Trail, Users):
+class Store(
+    Runs, Poses, Amendments, EventLog, Units, Issued, Places, Limits, CheckUnits, Trail, Users, Spool
+):
     """An open store, shared by threads. Each method is one transaction, on the disk when it returns.
 
     A run that does not exist raises `NotFound` where it is not said otherwise; what the database cannot do
