@@ -41,6 +41,7 @@ from calrig.api import (
 )
 from calrig.api.access import TOKEN, Access
 from calrig.api.authentication import Authentication
+from calrig.api.bench_page import BenchPage
 from calrig.api.context import ApiContext
 from calrig.api.limits import JSON_BYTES, BodyPatience
 from calrig.api.origin_check import OriginCheck
@@ -84,6 +85,7 @@ def create_app(
     access: Access = EVERYBODY,
     interval_days: float = INTERVAL_DAYS,
     limits_kept_in: str | None = None,
+    is_bench: bool = False,
 ) -> FastAPI:
     """Makes the application; nothing of it is shared with another one.
 
@@ -93,6 +95,7 @@ def create_app(
         access: the token that is asked for and the names the service has.
         interval_days: after which a unit is due whose history says nothing.
         limits_kept_in: the file that gives the limits, which then are not changed over HTTP.
+        is_bench: whether it is a bench's own page, which leaves to the centre what only that may do.
     """
 
     @asynccontextmanager
@@ -105,6 +108,8 @@ def create_app(
     app = api(lifespan)
     app.state.context = ApiContext(service, service.store, limits_kept_in, interval_days=interval_days)
     app.state.authentication = Authentication(access, service.store.users)
+    if is_bench:
+        app.add_middleware(BenchPage)
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=6)  # event streams never
     app.add_middleware(OriginCheck, app.state.authentication)
     app.add_middleware(RequestLog)
