@@ -1,4 +1,4 @@
-"""A rig's orders: each is taken at most once, when the rig is free, and then carried out or said to have failed.
+"""A rig's orders: each is taken at most once, when the rig is free, and carried out or said to have failed.
 
 The row of an order is the truth; a job of Procrastinate's only says that it is worth a look.
 """
@@ -135,7 +135,7 @@ class RigOrders:
         self._end(run_id, status, said)
 
     def _settle(self) -> None:
-        """Orders that were taken, and of which the spool does not know: nobody can tell what became of them."""
+        """Orders that were taken, and of which the spool does not know: what became of them is in doubt."""
         with self._link.centre() as centre:
             ordered = epochs_taken(centre, self._rig.name)
         known = self._store.taken_epochs()

@@ -20,7 +20,8 @@ from procrastinate.jobs import Status
 
 from calrig.agent.link import Link, LinkDown
 from calrig.store.postgresql.database import ALIVE
-from calrig.store.postgresql.queue import app_of, queue_of
+from calrig.store.postgresql.queue import app_of
+from calrig.store.rig_queues import queue_of
 
 log = logging.getLogger(__name__)
 

@@ -1,7 +1,7 @@
 """A bench's own page: it shows everything, starts and stops runs, and leaves the rest to the centre.
 
-What is changed in a bench's spool beside its runs would never reach the centre, which alone amends runs, issues
-calibrations and knows people.
+What is changed in a bench's spool beside its runs would never reach the centre, which alone amends runs,
+issues calibrations and knows people.
 """
 
 from __future__ import annotations

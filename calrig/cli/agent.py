@@ -48,27 +48,23 @@ def agent(
 ) -> None:
     """Carry out the runs of this machine's rigs for a centre.
 
-    Without the centre it finishes what it has begun, keeps it, and delivers it later; its page starts, stops and
-    shows runs as ever. CALRIG_TOKEN is the token that the page asks for.
+    Without the centre it finishes what it has begun, keeps it, and delivers it later; its page starts, stops
+    and shows runs as ever. CALRIG_TOKEN is the token that the page asks for.
     """
     if context.invoked_subcommand is not None:
         return
     from calrig.agent.address import checked_url
     from calrig.api.access import access_here
     from calrig.api.address import address_of, listen
+    from calrig.cli.local_service import local_service
     from calrig.logs import configure_log
     from calrig.settings import load_settings, store_url
 
     url, settings = checked_url(store_url(db)), load_settings(config)
     configure_log(log_format)
-    access, listening = None, nullcontext(None)
-    if port is not None:
-        access = access_here(host, address_of(host, port), settings)
-        listening = closing(listen(host, port))
-    from calrig.cli.local_service import local_service
-
+    access = None if port is None else access_here(host, address_of(host, port), settings)
     with (
-        listening as listener,
+        nullcontext() if port is None else closing(listen(host, port)) as listener,
         local_service(_spool_url(spool), "agent", settings.rig, settings, record, drafts=False) as service,
         suppress(KeyboardInterrupt),
     ):

@@ -14,6 +14,7 @@ from typing import Any
 from sqlmodel import Session, col, select
 
 from calrig.store.convert import iso_utc, pose_of, run_of
+from calrig.store.parcel_document import packed_row
 from calrig.store.records import TERMINAL, Document
 from calrig.store.tables import EventTable, PoseTable, RunTable, SampleBlockTable, TranscriptTable
 
@@ -139,6 +140,8 @@ class _Wrapping:
         """What the store says of the run."""
         run = run_of(self._run)
         said = {name: getattr(run, name) for name in RUN_FIELDS}
+        if run.follows is not None or "follow_up" in run.provenance:
+            said["diagnosis"] = run.diagnosis  # of a follow-up, which diagnoses itself
         for name in ("created_at", "started_at", "finished_at"):
             said[name] = None if said[name] is None else iso_utc(said[name])
         return said
@@ -163,7 +166,7 @@ class _Wrapping:
             .order_by(col(EventTable.seq).desc())
             .limit(1)
         )
-        return self._session.exec(wanted).first() or {}
+        return dict(self._session.exec(wanted).first() or {})
 
     def _poses(self, indices: Sequence[int]) -> list[Document]:
         if not indices:
@@ -174,7 +177,7 @@ class _Wrapping:
             .order_by(col(PoseTable.pose_index))
         )
         found = (pose_of(row, self._run.uid, None) for row in self._session.exec(wanted))
-        return [{"index": one.index, **one.pose.row(), "excluded": one.excluded} for one in found]
+        return [packed_row(one.index, one.pose, one.excluded) for one in found]
 
     def transcripts(self) -> dict[str, Any]:
         """What went over each port before the run failed."""
