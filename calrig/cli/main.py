@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 import calrig
-from calrig.cli import diagnosis, noise, records, rigs, run, serve, users
+from calrig.cli import benches, diagnosis, enroll, noise, records, rigs, run, serve, users
 from calrig.cli.exit_status import Commands
 
 app = typer.Typer(
@@ -37,6 +37,10 @@ COMMANDS: dict[str, Callable[..., None]] = {
 for name, command in COMMANDS.items():
     app.command(name)(command)
 app.add_typer(users.app, name="users")
+app.add_typer(benches.app, name="bench")
+agent = typer.Typer(help="Carry out on this bench what its centre orders.", no_args_is_help=True)
+agent.command("enroll")(enroll.enroll)
+app.add_typer(agent, name="agent")
 
 
 def main() -> None:

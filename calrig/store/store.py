@@ -10,6 +10,7 @@ from calrig.store.amendments import Amendments
 from calrig.store.check_units import CheckUnits
 from calrig.store.database import BUSY_TIMEOUT_S
 from calrig.store.engines import open_database
+from calrig.store.enrolment import Enrolment
 from calrig.store.event_log import EventLog
 from calrig.store.issued import Issued
 from calrig.store.limits import Limits
@@ -22,7 +23,9 @@ from calrig.store.units import Units
 from calrig.store.users import Users
 
 
-class Store(Runs, Poses, Amendments, EventLog, Units, Issued, Places, Limits, CheckUnits, Trail, Users):
+class Store(
+    Runs, Poses, Amendments, EventLog, Units, Issued, Places, Limits, CheckUnits, Trail, Users, Enrolment
+):
     """An open store, shared by threads. Each method is one transaction, on the disk when it returns.
 
     A run that does not exist raises `NotFound` where it is not said otherwise; what the database cannot do
