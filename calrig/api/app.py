@@ -16,6 +16,7 @@ import calrig
 from calrig.analysis.due_dates import INTERVAL_DAYS
 from calrig.api import (
     amendments,
+    benches,
     calibrations,
     changes,
     check_unit,
@@ -49,7 +50,7 @@ from calrig.api.proxies import TrustedProxies
 from calrig.api.request_log import RequestLog
 from calrig.api.turns import BeginInTurn
 from calrig.runs.services import Service
-from calrig.settings import packed
+from calrig.settings import CentreSettings, packed
 
 PARTS = (
     runs,
@@ -71,6 +72,7 @@ PARTS = (
     limit_rules,
     login,
     users,
+    benches,
     trail,
     metrics,
 )
@@ -86,6 +88,7 @@ def create_app(
     interval_days: float = INTERVAL_DAYS,
     limits_kept_in: str | None = None,
     is_bench: bool = False,
+    centre: CentreSettings | None = None,
 ) -> FastAPI:
     """Makes the application; nothing of it is shared with another one.
 
@@ -96,6 +99,7 @@ def create_app(
         interval_days: after which a unit is due whose history says nothing.
         limits_kept_in: the file that gives the limits, which then are not changed over HTTP.
         is_bench: whether it is a bench's own page, which leaves to the centre what only that may do.
+        centre: how agents reach the database of a centre, where that is not as the centre does.
     """
 
     @asynccontextmanager
@@ -106,7 +110,13 @@ def create_app(
         await _app.state.context.processes.close()
 
     app = api(lifespan)
-    app.state.context = ApiContext(service, service.store, limits_kept_in, interval_days=interval_days)
+    app.state.context = ApiContext(
+        service,
+        service.store,
+        limits_kept_in,
+        interval_days=interval_days,
+        centre=centre or CentreSettings(),
+    )
     app.state.authentication = Authentication(access, service.store.users)
     if is_bench:
         app.add_middleware(BenchPage)

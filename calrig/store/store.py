@@ -12,6 +12,7 @@ from calrig.store.benches import Benches
 from calrig.store.check_units import CheckUnits
 from calrig.store.database import BUSY_TIMEOUT_S
 from calrig.store.engines import open_database
+from calrig.store.enrolment import Enrolment
 from calrig.store.event_log import EventLog
 from calrig.store.issued import Issued
 from calrig.store.limits import Limits
@@ -41,6 +42,7 @@ class Store(
     Benches,
     BenchCommands,
     Unpacking,
+    Enrolment,
     Spool,
 ):
     """An open store, shared by threads. Each method is one transaction, on the disk when it returns.
