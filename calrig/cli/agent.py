@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from contextlib import closing, nullcontext, suppress
 from typing import TYPE_CHECKING, Annotated
@@ -26,7 +27,7 @@ SPOOL = "spool.db"
 def agent(
     context: typer.Context,
     db: Annotated[
-        str | None, typer.Option(metavar="URL", help="The centre's database, as this bench may [CALRIG_DB].")
+        str | None, typer.Option(metavar="URL", help="The centre's database [CALRIG_DB, or as enrolled].")
     ] = None,
     config: Config = None,
     spool: Annotated[
@@ -58,9 +59,9 @@ def agent(
     from calrig.api.address import address_of, listen
     from calrig.cli.local_service import local_service
     from calrig.logs import configure_log
-    from calrig.settings import load_settings, store_url
+    from calrig.settings import load_settings
 
-    url, settings = checked_url(store_url(db)), load_settings(config)
+    url, settings = checked_url(_centre_url(db)), load_settings(config)
     configure_log(log_format)
     access = None if port is None else access_here(host, address_of(host, port), settings)
     with (
@@ -69,6 +70,16 @@ def agent(
         suppress(KeyboardInterrupt),
     ):
         _work(service, url, listener, access)
+
+
+def _centre_url(db: str | None) -> str:
+    """The URL of the centre's database: as named, or as `calrig agent enroll` has left it."""
+    from calrig.settings import centre_url_file, store_url
+
+    kept = centre_url_file()
+    if db or os.environ.get("CALRIG_DB") or not kept.is_file():
+        return store_url(db)
+    return kept.read_text().strip()
 
 
 def _spool_url(spool: str | None) -> str:
