@@ -69,7 +69,13 @@ def _serve_on(
             service.store.prune_samples(datetime.now(UTC) - timedelta(days=settings.keep_samples_days))
 
         kept_in = str(settings.file) if settings.limit else None
-        app = create_app(service, access=access, limits_kept_in=kept_in, interval_days=settings.interval_days)
+        app = create_app(
+            service,
+            access=access,
+            limits_kept_in=kept_in,
+            interval_days=settings.interval_days,
+            centre=settings.centre,
+        )
 
         def say_ready() -> None:
             rigs = ", ".join(f"{r.name} (simulated)" if r.simulated else r.name for r in service.rigs())

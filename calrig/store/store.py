@@ -12,6 +12,7 @@ from calrig.store.benches import Benches
 from calrig.store.check_units import CheckUnits
 from calrig.store.database import BUSY_TIMEOUT_S
 from calrig.store.engines import open_database
+from calrig.store.enrolment import Enrolment
 from calrig.store.event_log import EventLog
 from calrig.store.issued import Issued
 from calrig.store.limits import Limits
@@ -19,6 +20,7 @@ from calrig.store.places import Places
 from calrig.store.poses import Poses
 from calrig.store.records import Size
 from calrig.store.runs import Runs
+from calrig.store.spool import Spool
 from calrig.store.trail import Trail
 from calrig.store.units import Units
 from calrig.store.unpacking import Unpacking
@@ -40,6 +42,8 @@ class Store(
     Benches,
     BenchCommands,
     Unpacking,
+    Enrolment,
+    Spool,
 ):
     """An open store, shared by threads. Each method is one transaction, on the disk when it returns.
 
