@@ -52,9 +52,10 @@ def postgresql_template(postgresql_server: str) -> tuple[str, str]:
     from calrig.store import Store
 
     name = f"calrig_empty_{os.environ.get('PYTEST_XDIST_TESTRUNUID', uuid.uuid4().hex)[:16]}"
-    with _as_superuser(postgresql_server) as run, suppress(ProgrammingError):  # another worker was first
-        run(f"CREATE DATABASE {name}")
-    Store.open(_url(postgresql_server, name), writer="tests").close()
+    with _as_superuser(postgresql_server) as run:
+        with suppress(ProgrammingError):  # another worker was first
+            run(f"CREATE DATABASE {name}")
+        Store.open(_url(postgresql_server, name), writer="tests").close()
     return postgresql_server, name
 
 

@@ -48,7 +48,7 @@ from calrig.api.origin_check import OriginCheck
 from calrig.api.proxies import TrustedProxies
 from calrig.api.request_log import RequestLog
 from calrig.api.turns import BeginInTurn
-from calrig.runs.service import RunService
+from calrig.runs.services import Service
 from calrig.settings import CentreSettings, packed
 
 PARTS = (
@@ -80,7 +80,7 @@ EVERYBODY = Access()
 
 
 def create_app(
-    service: RunService,
+    service: Service,
     *,
     web: Path | None = None,
     access: Access = EVERYBODY,

@@ -18,7 +18,7 @@ from calrig.api.job import Jobs
 from calrig.api.streams import Streams
 from calrig.processes.pool import Processes
 from calrig.runs.errands import Errands
-from calrig.runs.service import RunService
+from calrig.runs.services import Service
 from calrig.settings import CentreSettings
 from calrig.store import Run, Store, Unit
 
@@ -32,7 +32,7 @@ class ApiContext:
     `limits_kept_in` is the file that gives the limits; None where people change them over HTTP.
     """
 
-    service: RunService
+    service: Service
     store: Store
     limits_kept_in: str | None = None
     streams: Streams = field(default_factory=Streams)

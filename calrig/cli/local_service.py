@@ -4,15 +4,43 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calrig.errors import InputError, WorkError
 
 if TYPE_CHECKING:
+    from calrig.centre.service import CentreService
     from calrig.runs.service import RunService
     from calrig.settings import RigSettings, Settings
+
+
+@contextmanager
+def centre_service(url: str, command: str, settings: Settings) -> Iterator[CentreService]:
+    """The service of a centre over its database; its rigs are its benches'.
+
+    Raises:
+        InputError: rigs are configured here, which no centre carries runs out on.
+    """
+    from calrig.analysis.issuing import Issuer
+    from calrig.analysis.limits import keep_configured
+    from calrig.settings import DEMO_RIG
+    from calrig.store import Store
+
+    if settings.rig != (DEMO_RIG,):
+        rigs = ", ".join(repr(rig.name) for rig in settings.rig)
+        raise InputError(
+            f"{settings.file}: configures rig {rigs}, and a centre has none of its own: move them to the "
+            "calrig.toml of a bench, which `calrig agent` runs on the machine with the ports"
+        )
+    with Store.open(url, writer=command) as store:
+        keep_configured(settings, store)
+        Issuer(store).bring_over()
+        from calrig.centre.service import CentreService
+
+        with closing(CentreService(store, url)) as service:
+            yield service
 
 
 @contextmanager
@@ -38,7 +66,13 @@ def local_service(
             from calrig.runs.recovery import mark_interrupted, stop_stages
             from calrig.runs.service import RunService
             from calrig.store import Store
+            from calrig.store.engines import is_centre, shown
 
+            if is_centre(url):
+                raise InputError(
+                    f"--db: {shown(url)} is a centre's, whose benches carry runs out: start the run at the "
+                    "centre's page, or at the bench of the rig"
+                )
             configured, troubles = {rig.name: rig for rig in settings.rig}, dict[str, str]()
 
             def stop(rig_names: Sequence[str]) -> None:

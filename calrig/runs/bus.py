@@ -34,3 +34,10 @@ class Bus:
             watchers = list(self._watchers.get(run_id, ()))
         for wake in watchers:
             wake()
+
+    def wake_all(self) -> None:
+        """Calls everybody: what happened meanwhile was not heard."""
+        with self._lock:
+            watchers = [wake for watching in self._watchers.values() for wake in watching]
+        for wake in watchers:
+            wake()

@@ -78,10 +78,12 @@ class RunService:
         operator: str | None = None,
         note: str | None = None,
         stage_at_deg: float | None = None,
+        queue: bool = False,  # noqa: ARG002 (a rig of this machine has no queue yet: busy is refused)
     ) -> Run:
         """Starts a run on a rig (the first one configured where none is named) and returns it at once.
 
-        `stage_at_deg` is a person's word for the elevation at which a stage without homing stands.
+        `stage_at_deg` is a person's word for the elevation at which a stage without homing stands; `queue`
+        asks to wait for a busy rig, which only a centre does.
 
         Raises:
             Invalid: the serial number or an elevation of the plan is out of bounds; nothing was stored.

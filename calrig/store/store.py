@@ -7,6 +7,8 @@ from types import TracebackType
 from typing import Self
 
 from calrig.store.amendments import Amendments
+from calrig.store.bench_commands import BenchCommands
+from calrig.store.benches import Benches
 from calrig.store.check_units import CheckUnits
 from calrig.store.database import BUSY_TIMEOUT_S
 from calrig.store.engines import open_database
@@ -20,11 +22,26 @@ from calrig.store.records import Size
 from calrig.store.runs import Runs
 from calrig.store.trail import Trail
 from calrig.store.units import Units
+from calrig.store.unpacking import Unpacking
 from calrig.store.users import Users
 
 
 class Store(
-    Runs, Poses, Amendments, EventLog, Units, Issued, Places, Limits, CheckUnits, Trail, Users, Enrolment
+    Runs,
+    Poses,
+    Amendments,
+    EventLog,
+    Units,
+    Issued,
+    Places,
+    Limits,
+    CheckUnits,
+    Trail,
+    Users,
+    Benches,
+    BenchCommands,
+    Unpacking,
+    Enrolment,
 ):
     """An open store, shared by threads. Each method is one transaction, on the disk when it returns.
 

@@ -15,8 +15,6 @@ from procrastinate import App, PsycopgConnector
 from psycopg.errors import InsufficientPrivilege
 from sqlalchemy import make_url
 
-from calrig.store import Store
-
 NOW = "2026-11-22T12:00:00.000000"
 FILLING = f"""
     INSERT INTO run_order (run_uid, bench, rig, epoch, wish, document, taken_epoch, ordered_at)
@@ -189,7 +187,6 @@ def test_a_bench_of_one_centre_is_nobody_in_anothers_database(
     centre: Centre, urls: dict[str, str], new_database: object
 ) -> None:
     other = new_database()
-    Store.open(other, writer="tests").close()
     prepare(other)
     elsewhere = make_url(urls["a"]).set(database=make_url(other).database)
     with pytest.raises(psycopg.OperationalError, match="permission denied for database"):

@@ -14,7 +14,7 @@ from typing import Any
 
 import httpx
 import pytest
-from a_centre import Centre, connect, of, prepare, turn
+from a_centre import Centre, connect, of, turn
 from sqlalchemy import make_url
 from starlette.exceptions import HTTPException
 from support import serving
@@ -109,10 +109,11 @@ class TestCodes:
             with turn(server):
                 server.execute(f"CREATE ROLE {plain} LOGIN")
                 server.execute(f"CREATE DATABASE {plain} OWNER {plain}")
-            with Store.open(url, writer="tests") as store:
-                prepare(url)
-                with pytest.raises(Refused, match="GRANT calrig_bench TO … WITH ADMIN OPTION"):
-                    store.add_bench("b")
+            with (
+                Store.open(url, writer="tests") as store,
+                pytest.raises(Refused, match="GRANT calrig_bench TO … WITH ADMIN OPTION"),
+            ):
+                store.add_bench("b")
             with turn(server):
                 server.execute(f"DROP DATABASE {plain} WITH (FORCE)")
                 server.execute(f"DROP ROLE {plain}")

@@ -17,7 +17,7 @@ from socketserver import BaseRequestHandler, ThreadingTCPServer
 import httpx
 import psycopg
 import pytest
-from a_centre import Centre, connect, of, prepare
+from a_centre import Centre, connect, of
 from sqlalchemy import make_url
 from support import serving
 from typer.testing import CliRunner, Result
@@ -95,7 +95,6 @@ def joined(tls_server: tuple[str, int, Path]) -> str:
         server.execute("CREATE DATABASE centre")
     url = of(admin, database="centre")
     with Store.open(url, writer="tests") as store:
-        prepare(url)
         _, code = store.add_bench("b")
         _, told = store.enroll_bench(code, host="db.lab.example", port=port)
     return checked_by(told, ca)

@@ -187,11 +187,12 @@ def make_as_of(database: Path, revision: str) -> None:
         config.attributes["connection"] = connection
         command.upgrade(config, revision)
         at = "2026-01-02T03:04:05.000006+00:00"
+        uid, one = ("uid,", "'1',") if revision >= "0007" else ("", "")
         for statement in (
             f"INSERT INTO unit (serial, created_at) VALUES ('A', '{at}')",
-            "INSERT INTO run (id, unit, rig, kind, status, progress, result, faults, provenance, created_at, "
-            "started_at, finished_at) VALUES (1, 'A', 'r', 'calibration', 'completed', '{}', "
-            f"'{{\"bias_deg\":0.25}}', '{{}}', '{{}}', '{at}', '{at}', '{at}')",
+            f"INSERT INTO run (id, {uid} unit, rig, kind, status, progress, result, faults, provenance, "
+            f"created_at, started_at, finished_at) VALUES (1, {one} 'A', 'r', 'calibration', 'completed', "
+            f"'{{}}', '{{\"bias_deg\":0.25}}', '{{}}', '{{}}', '{at}', '{at}', '{at}')",
             "INSERT INTO calibration (run_id, bias_deg, rms_raw_deg) VALUES (1, 0.25, 0.3)",
             "INSERT INTO pose (run_id, pose_index, target_deg, reading_deg, covariates) "
             "VALUES (1, 0, 10, 10.25, '{\"humidity\":0.4}')",
