@@ -13,7 +13,7 @@ there; their correlation stays the null's, for noise that wanders makes slow eff
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,6 +39,10 @@ instants does not raise the bar for an effect of one parameter.
 """
 FIRST_DRAWS, MORE_DRAWS = 24, 49
 FEWEST_DRAWS = 99
+FEW_DRAWS, FAR = 8, 40.0
+"""Of −2 log likelihood, beyond the largest of so few draws: what noise comes nowhere near. Of the draws that
+follow only those are fitted that the screen takes half as far.
+"""
 CLEAR_SHARE = 5
 CLEAR, CLEAR_AT_FIRST = 10.0, 15.0
 """Of −2 log likelihood, beyond the largest of a fifth of all draws: the rest would not reach it either. Nor
@@ -100,19 +104,21 @@ def gate(
     trial = _Trial(r, columns_with, candidates, noise)
     ratios = trial.screen.ratios(fitted.residuals[None])
     observed, alternative = trial.observed(ratios)
-    null = np.empty((0, len(observed)))
+    null, draws, least_gain = np.empty((0, len(observed))), 0, -np.inf
     clear_after = max(FEWEST_DRAWS, round(1.0 / level) - 1, bootstraps // CLEAR_SHARE)
-    steps = (FIRST_DRAWS, MORE_DRAWS, clear_after, 2 * clear_after, bootstraps)
-    for draws in sorted({min(step, bootstraps) for step in steps}):
-        values = _resampled(r, alternative, noise, rng, draws - len(null))
-        null = np.concatenate([null, trial.gains_of_noise(values)])
+    steps = {min(step, bootstraps) for step in (FIRST_DRAWS, MORE_DRAWS, clear_after, 2 * clear_after)}
+    for values in _drawn(r, alternative, noise, rng, sorted({*steps, bootstraps})):
+        draws += len(values)
+        null = np.concatenate([null, trial.gains_of_noise(values, least_gain)])
         best, of_noise = _above_bars(trial.labels, observed, null)
         exceeded = int((of_noise >= best).sum())
-        margin = CLEAR if draws > FIRST_DRAWS else CLEAR_AT_FIRST
-        is_clear = (decide_only or draws >= clear_after) and best > of_noise.max() + margin
+        ahead = best - of_noise.max()
+        margin = FAR if draws < FIRST_DRAWS else CLEAR_AT_FIRST if draws == FIRST_DRAWS else CLEAR
+        is_clear = (decide_only or draws >= clear_after) and ahead > margin
         if is_clear or exceeded >= level * (bootstraps + 1):
             break
-    p_value = (1 + exceeded) / (1 + len(null))
+        least_gain = best / 2.0 if ahead > FAR else -np.inf
+    p_value = (1 + exceeded) / (1 + draws)
     passes = is_clear or p_value <= level
     return Verdict(candidates, ratios[0], float(observed.max()), p_value, passes, least)
 
@@ -167,12 +173,17 @@ class _Trial:
         parts = fitted.beta[best], fitted.covariance[best], fitted.residuals[best]
         return gains[0], Fit(*parts, noise, float(fitted.criterion[best]))
 
-    def gains_of_noise(self, values: FloatArray) -> FloatArray:
-        """(b, L) the same in sets of responses (b, n, J) drawn from the noise.
+    def gains_of_noise(self, values: FloatArray, least_gain: float) -> FloatArray:
+        """(≤ b, L) the same in sets of responses (b, n, J) drawn from the noise, of those that may gain so much.
 
         There the screen is right: the forms that lead on it reach what all would (`LEADERS`).
         """
-        labels, candidates = self._leaders(self.screen.ratios(values), LEADERS)
+        ratios = self.screen.ratios(values)
+        may = (ratios - self._penalties).max(axis=1) >= least_gain
+        if not may.any():
+            return np.empty((0, len(self.labels)))
+        values, ratios = values[may], ratios[may]
+        labels, candidates = self._leaders(ratios, LEADERS)
         null = self._drawn.null(values)
         return self._gains(labels, candidates, null, *self._drawn.beside(values, candidates))
 
@@ -216,6 +227,17 @@ class _Trial:
         kinds, of_kind = np.unique(chosen, return_inverse=True)
         each = side_by_side([self._columns_with([self._candidates[k]]) for k in kinds])
         return np.asarray(each[of_kind.ravel()], dtype=np.float64)
+
+
+def _drawn(
+    r: Responses, alternative: Fit, noise: NoiseModel, rng: np.random.Generator, steps: Sequence[int]
+) -> Iterator[FloatArray]:
+    """(b, n, J) responses of noise alone, so many in all after each step; of the first step few beforehand."""
+    before = 0
+    for draws in steps:
+        values = _resampled(r, alternative, noise, rng, draws - before)
+        yield from np.split(values, [FEW_DRAWS]) if before == 0 else (values,)
+        before = draws
 
 
 def _resampled(
