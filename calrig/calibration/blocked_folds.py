@@ -83,6 +83,7 @@ def not_predictive(
         offered: candidates of these poses; a shape without a name among them becomes the rival.
     """
     accepted = [f.candidate for f in found]
+    with_all = {along: rms(_errors(r, accepted, fold)) for along, fold in _folds(r).items()}
 
     def judged(place: int, one: Found) -> Found:
         others = [c for c in accepted if c is not one.candidate]
@@ -90,7 +91,7 @@ def not_predictive(
         if rival is None:
             return one
         for along, fold in _folds(r).items():
-            helps = rms(_errors(r, accepted, fold)) < rms(_errors(r, others, fold))
+            helps = with_all[along] < rms(_errors(r, others, fold))
             if not helps and _contradicts(r, accepted, place, whole, fold):
                 return one.against(rival, f"it does not foretell poses of a block of {along} left out")
         return one

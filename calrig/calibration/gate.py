@@ -22,8 +22,8 @@ import numpy.typing as npt
 from calrig.calibration.candidates import Candidate
 from calrig.calibration.drawn_fits import DrawnFits
 from calrig.calibration.effects import UNNAMED
-from calrig.calibration.model import side_by_side
-from calrig.calibration.noise_model import Fit, NoiseModel, fits, noise_of
+from calrig.calibration.fits_beside import fits_beside
+from calrig.calibration.noise_model import Fit, NoiseModel, fit, noise_of
 from calrig.calibration.responses import Responses
 from calrig.calibration.screen import Float32Array, Screen
 from calrig.estimation.angles import FloatArray
@@ -153,7 +153,6 @@ class _Trial:
         self.labels = list(dict.fromkeys(label for label, _ in by_form))
         self._forms = [np.array(indices) for indices in by_form.values()]
         self._label_of = np.array([self.labels.index(label) for label, _ in by_form])
-        self._replacing = np.array([c.shape.replaces is not None for c in candidates])
         self._drawn = DrawnFits(r, columns_with, candidates, noise)
 
     def observed(self, ratios: Float32Array) -> tuple[FloatArray, Fit]:
@@ -162,21 +161,20 @@ class _Trial:
         Every form of every effect is fitted: the screen has the null's noise, in which a large effect is half
         hidden, and favours forms that say too little.
         """
-        labels, candidates = self._leaders(ratios, len(self._forms))
-        values = self._r.values[None]
-        null = fits(self._r, values, self._model[None]).criterion
-        many = np.repeat(values, candidates.shape[1], axis=0)
-        fitted = fits(self._r, many, self._columns(candidates.ravel()))
-        gains = self._gains(labels, candidates, null, fitted.criterion, self._own(fitted.beta, candidates))
-        best = int(np.argmin(fitted.criterion + self._penalties[candidates[0]]))
-        noise = NoiseModel(fitted.rotation[best], fitted.rho[best])
-        parts = fitted.beta[best], fitted.covariance[best], fitted.residuals[best]
-        return gains[0], Fit(*parts, noise, float(fitted.criterion[best]))
+        labels, chosen = self._leaders(ratios, len(self._forms))
+        candidates = [self._candidates[k] for k in chosen[0]]
+        null = np.array([fit(self._r, self._model).criterion])
+        fitted = fits_beside(self._r, self._columns_with, candidates)
+        own = [beta[-c.columns.shape[2] :] for beta, c in zip(fitted.beta, candidates, strict=True)]
+        gains = self._gains(labels, chosen, null, fitted.criterion, own)
+        best = candidates[int(np.argmin(fitted.criterion + self._penalties[chosen[0]]))]
+        return gains[0], fit(self._r, self._columns_with([best]))
 
     def gains_of_noise(self, values: FloatArray, least_gain: float) -> FloatArray:
-        """(≤ b, L) the same in sets of responses (b, n, J) drawn from the noise, of those that may gain so much.
+        """(≤ b, L) the same in sets of responses (b, n, J) drawn from the noise.
 
-        There the screen is right: the forms that lead on it reach what all would (`LEADERS`).
+        Of those alone that gain as much on the screen. There it is right: the forms that lead on it reach what
+        all would (`LEADERS`).
         """
         ratios = self.screen.ratios(values)
         may = (ratios - self._penalties).max(axis=1) >= least_gain
@@ -186,11 +184,6 @@ class _Trial:
         labels, candidates = self._leaders(ratios, LEADERS)
         null = self._drawn.null(values)
         return self._gains(labels, candidates, null, *self._drawn.beside(values, candidates))
-
-    def _own(self, beta: FloatArray, candidates: Intp) -> list[FloatArray]:
-        """The candidates' own coefficients among those of their models (b·k, p)."""
-        first = self._model.shape[2] - self._replacing[candidates.ravel()]
-        return [one[at:] for one, at in zip(beta, first.tolist(), strict=True)]
 
     def _gains(
         self,
@@ -222,17 +215,11 @@ class _Trial:
         leading = np.argsort(-scores, axis=1, kind="stable")[:, :most]
         return self._label_of[leading], np.take_along_axis(best, leading, axis=1)
 
-    def _columns(self, chosen: Intp) -> FloatArray:
-        """(m, n, J, p) of the model with each of the chosen candidates; narrower ones end in zeros."""
-        kinds, of_kind = np.unique(chosen, return_inverse=True)
-        each = side_by_side([self._columns_with([self._candidates[k]]) for k in kinds])
-        return np.asarray(each[of_kind.ravel()], dtype=np.float64)
-
 
 def _drawn(
     r: Responses, alternative: Fit, noise: NoiseModel, rng: np.random.Generator, steps: Sequence[int]
 ) -> Iterator[FloatArray]:
-    """(b, n, J) responses of noise alone, so many in all after each step; of the first step few beforehand."""
+    """(b, n, J) responses of noise alone, as many in all as each step says, few of the first beforehand."""
     before = 0
     for draws in steps:
         values = _resampled(r, alternative, noise, rng, draws - before)
