@@ -173,8 +173,8 @@ class _Trial:
     def gains_of_noise(self, values: FloatArray, least_gain: float) -> FloatArray:
         """(≤ b, L) the same in sets of responses (b, n, J) drawn from the noise.
 
-        Of those alone that gain as much on the screen. There it is right: the forms that lead on it reach what
-        all would (`LEADERS`).
+        Of those alone that gain as much on the screen. There it is right: the forms that lead on it reach
+        what all would (`LEADERS`).
         """
         ratios = self.screen.ratios(values)
         may = (ratios - self._penalties).max(axis=1) >= least_gain
@@ -195,16 +195,15 @@ class _Trial:
     ) -> FloatArray:
         """(b, L) reductions of −2 log likelihood, less penalties, by the best candidate of each name.
 
-        Minus infinity for names that do not lead on the screen, and for what physics rules out.
+        Minus infinity for names that do not lead on the screen, and for gains that physics rules out.
         """
-        possible = [
-            self._candidates[k].is_possible(beta)
-            for k, beta in zip(candidates.ravel().tolist(), own, strict=True)
-        ]
         gained = null[:, None] - criterion.reshape(labels.shape) - self._penalties[candidates]
+        flat = candidates.ravel().tolist()
+        for k in np.flatnonzero(gained > 0.0).tolist():
+            if not self._candidates[flat[k]].is_possible(own[k]):
+                gained.flat[k] = -np.inf
         gains = np.full((len(labels), len(self.labels)), -np.inf)
-        reached = np.where(np.reshape(possible, labels.shape), gained, -np.inf)
-        np.maximum.at(gains, (np.arange(len(labels))[:, None], labels), reached)
+        np.maximum.at(gains, (np.arange(len(labels))[:, None], labels), gained)
         return gains
 
     def _leaders(self, ratios: Float32Array, most: int) -> tuple[Intp, Intp]:

@@ -30,7 +30,7 @@ STEPS = 8
 NEGLIGIBLE = 0.03
 """Of a channel's residuals: what is less than that from being linear is as good as linear."""
 LEFT_BEHIND = 60.0
-"""Of the criterion: so far behind, a fit that bends by the noise stays linear, for that is worth 12 at most."""
+"""Of the criterion: so far behind, a fit that bends by the noise stays linear: it is worth 12 at most."""
 LARGEST_G = 0.5
 """Of an axis' error; a vector with more says nothing of the angle, and the fit stays linear."""
 KEPT = 8
