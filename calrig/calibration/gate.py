@@ -23,7 +23,7 @@ from calrig.calibration.candidates import Candidate
 from calrig.calibration.drawn_fits import DrawnFits
 from calrig.calibration.effects import UNNAMED
 from calrig.calibration.fits_beside import fits_beside
-from calrig.calibration.noise_model import Fit, NoiseModel, fit, noise_of
+from calrig.calibration.noise_model import STRONG_RHO, Fit, NoiseModel, fit, noise_of
 from calrig.calibration.responses import Responses
 from calrig.calibration.screen import Float32Array, Screen
 from calrig.estimation.angles import FloatArray
@@ -39,9 +39,10 @@ instants does not raise the bar for an effect of one parameter.
 """
 FIRST_DRAWS, MORE_DRAWS = 24, 49
 FEWEST_DRAWS = 99
-FEW_DRAWS, FAR = 8, 40.0
-"""Of −2 log likelihood, beyond the largest of so few draws: what noise comes nowhere near. Of the draws that
-follow only those are fitted that the screen takes half as far.
+FEW_DRAWS, FAR, NEAR = 8, 40.0, 10.0
+"""Of −2 log likelihood: beyond the largest of so few draws by `FAR`, what noise comes nowhere near. Of the
+draws that follow only those are fitted that the screen takes half as far; and where noise is not strongly
+correlated, those that it takes to within `NEAR`: of 1,000 draws none to two gain 10 more than it says.
 """
 CLEAR_SHARE = 5
 CLEAR, CLEAR_AT_FIRST = 10.0, 15.0
@@ -118,6 +119,8 @@ def gate(
         if is_clear or exceeded >= level * (bootstraps + 1):
             break
         least_gain = best / 2.0 if ahead > FAR else -np.inf
+        if draws >= FIRST_DRAWS and noise.rho.max() < STRONG_RHO:
+            least_gain = max(least_gain, best - NEAR)
     p_value = (1 + exceeded) / (1 + draws)
     passes = is_clear or p_value <= level
     return Verdict(candidates, ratios[0], float(observed.max()), p_value, passes, least)
@@ -161,7 +164,7 @@ class _Trial:
         Every form of every effect is fitted: the screen has the null's noise, in which a large effect is half
         hidden, and favours forms that say too little.
         """
-        labels, chosen = self._leaders(ratios, len(self._forms))
+        labels, chosen, _ = self._leaders(ratios, len(self._forms))
         candidates = [self._candidates[k] for k in chosen[0]]
         null = np.array([fit(self._r, self._model).criterion])
         fitted = fits_beside(self._r, self._columns_with, candidates)
@@ -171,19 +174,19 @@ class _Trial:
         return gains[0], fit(self._r, self._columns_with([best]))
 
     def gains_of_noise(self, values: FloatArray, least_gain: float) -> FloatArray:
-        """(≤ b, L) the same in sets of responses (b, n, J) drawn from the noise.
+        """(b, L) the same in sets of responses (b, n, J) drawn from the noise.
 
-        Of those alone that gain as much on the screen. There it is right: the forms that lead on it reach
-        what all would (`LEADERS`).
+        There the screen is right: the forms that lead on it reach what all would (`LEADERS`), and where it
+        takes none of them as far as some least gain, what it says will do.
         """
-        ratios = self.screen.ratios(values)
-        may = (ratios - self._penalties).max(axis=1) >= least_gain
-        if not may.any():
-            return np.empty((0, len(self.labels)))
-        values, ratios = values[may], ratios[may]
-        labels, candidates = self._leaders(ratios, LEADERS)
-        null = self._drawn.null(values)
-        return self._gains(labels, candidates, null, *self._drawn.beside(values, candidates))
+        labels, candidates, scores = self._leaders(self.screen.ratios(values), LEADERS)
+        gains = self._of_labels(labels, scores)
+        may = scores[:, 0] >= least_gain
+        if may.any():
+            values, labels, candidates = values[may], labels[may], candidates[may]
+            null = self._drawn.null(values)
+            gains[may] = self._gains(labels, candidates, null, *self._drawn.beside(values, candidates))
+        return gains
 
     def _gains(
         self,
@@ -202,17 +205,22 @@ class _Trial:
         for k in np.flatnonzero(gained > 0.0).tolist():
             if not self._candidates[flat[k]].is_possible(own[k]):
                 gained.flat[k] = -np.inf
+        return self._of_labels(labels, gained)
+
+    def _of_labels(self, labels: Intp, gained: FloatArray) -> FloatArray:
+        """(b, L) the largest of each label's gains (b, k); minus infinity where it has none."""
         gains = np.full((len(labels), len(self.labels)), -np.inf)
         np.maximum.at(gains, (np.arange(len(labels))[:, None], labels), gained)
         return gains
 
-    def _leaders(self, ratios: Float32Array, most: int) -> tuple[Intp, Intp]:
-        """(b, k) the best candidates of the forms that lead on the screen, after their labels."""
+    def _leaders(self, ratios: Float32Array, most: int) -> tuple[Intp, Intp, FloatArray]:
+        """(b, k) labels, candidates and screened gains of the forms that lead on the screen, best first."""
         penalised = ratios - self._penalties
         best = np.stack([indices[penalised[:, indices].argmax(axis=1)] for indices in self._forms], axis=1)
         scores = np.take_along_axis(penalised, best, axis=1)
         leading = np.argsort(-scores, axis=1, kind="stable")[:, :most]
-        return self._label_of[leading], np.take_along_axis(best, leading, axis=1)
+        chosen, gains = (np.take_along_axis(of_forms, leading, axis=1) for of_forms in (best, scores))
+        return self._label_of[leading], chosen, gains
 
 
 def _drawn(
