@@ -21,7 +21,7 @@ from calrig.calibration.pose import Pose
 from calrig.calibration.pose_columns import complete
 from calrig.calibration.report import effect_documents, model_words
 from calrig.calibration.responses import Responses, names_of, responses_of
-from calrig.calibration.search import Findings, search
+from calrig.calibration.search import Findings, near_rivals, search
 from calrig.estimation.angles import FloatArray
 
 BOOTSTRAPS = 999
@@ -84,7 +84,7 @@ def diagnose(
     if cross_fit:
         of_kept = [c.rows(findings.kept) for c in candidates]
         of_folds = None if progress is None else _after_the_first(progress)
-        held_out = cross_validate(left, of_kept, rng, of_folds)
+        held_out = cross_validate(left, of_kept, rng, near_rivals(findings.found), of_folds)
         predictive = not_predictive(left, findings.found, findings.fitted, of_kept)
         findings = replace(findings, found=predictive)
         blocks = blocked(left, [f.candidate for f in findings.found])

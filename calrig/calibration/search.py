@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -34,6 +34,10 @@ MOST_EFFECTS, MOST_COLUMNS = 5, 0.35
 """A series, such as the orders of a turn, is one effect of several terms; columns to a pose at most."""
 FREEDOM = 3
 ROUNDS = 3
+HOPELESS = 80.0
+"""Of the criterion, behind an effect in all poses: with a quarter of them left out it is some 60 behind."""
+Rivals = Mapping[str, frozenset[str]]
+"""Labels by that of the effect."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +66,7 @@ def search(
     bootstraps: int,
     level: float = LEVEL,
     decide_only: bool = False,
+    rivals: Rivals | None = None,
 ) -> Findings:
     """Finds the effects in some poses, and leaves outliers among those aside.
 
@@ -75,14 +80,15 @@ def search(
         bootstraps: how many a step.
         level: of the gate.
         decide_only: whether no p-value will be told.
+        rivals: of each effect that a search of more poses found, the labels it is to be held against again.
     """
     judge = partial(gate, rng=rng, bootstraps=bootstraps, decide_only=decide_only)
     if len(r.run_ids) < 2:
-        return _beside_curves(r, candidates, judge, level)
+        return _beside_curves(r, candidates, judge, level, rivals)
     levels = [is_level(r, c.columns) for c in candidates]
     shapes = [c for c, of_level in zip(candidates, levels, strict=True) if not of_level]
     judge = partial(judge, level=level / 2.0)
-    within = _search(with_free_levels(r), shapes, judge)
+    within = _search(with_free_levels(r), shapes, judge, rivals=rivals)
     kept = within.kept
     # what a place was scanned for shows within the runs or not at all
     between = [
@@ -91,18 +97,22 @@ def search(
         if of_level or not any(member.shape.scanned for member in c.members)
     ]
     # levels that differ look like noise that wanders: what wanders within the runs is the measure of it
-    whole = _search(r.rows(kept), between, partial(judge, noise=_noise_beside(within)), within.found)
+    whole = _search(r.rows(kept), between, partial(judge, noise=_noise_beside(within)), within.found, rivals)
     return replace(whole, kept=kept[whole.kept])
 
 
 def _beside_curves(
-    r: Responses, candidates: Sequence[Candidate], judge: Callable[..., Verdict], level: float
+    r: Responses,
+    candidates: Sequence[Candidate],
+    judge: Callable[..., Verdict],
+    level: float,
+    rivals: Rivals | None,
 ) -> Findings:
     """The search of one run; where it leaves too much, once more beginning with what no curve explains.
 
     The better of the two stands, by likelihood with penalties, in the same poses.
     """
-    first = _search(r, candidates, partial(judge, level=level))
+    first = _search(r, candidates, partial(judge, level=level), rivals=rivals)
     r = r.rows(first.kept)
     free = with_free_curve(r)
     if free is None or not leaves_more(r, first.fitted.residuals[:, 0]):
@@ -110,9 +120,9 @@ def _beside_curves(
     offered = [c.rows(first.kept) for c in candidates]
     others = [c for c in offered if not is_of_the_curve(c)]
     judge = partial(judge, level=level / 2.0)
-    between = _search(free, others, judge)
+    between = _search(free, others, judge, rivals=rivals)
     r, curves = r.rows(between.kept), [c.rows(between.kept) for c in offered if is_of_the_curve(c)]
-    again = _search(r, curves, partial(judge, noise=_noise_beside(between)), between.found)
+    again = _search(r, curves, partial(judge, noise=_noise_beside(between)), between.found, rivals)
     again = _with_curves(again, [c.rows(again.kept) for c in curves], len(between.found))
     again = replace(again, kept=first.kept[between.kept][again.kept])
     return again if len(again.kept) == len(first.kept) and _criterion(again) < _criterion(first) else first
@@ -145,6 +155,7 @@ def _search(
     candidates: Sequence[Candidate],
     judge: Callable[..., Verdict],
     known: Sequence[Found] = (),
+    rivals: Rivals | None = None,
 ) -> Findings:
     """The search in one base, with effects in the model that are known already; `judge` is the gate.
 
@@ -186,7 +197,7 @@ def _search(
         if not steps:
             p_values = verdict.p_value, verdict.least_p_value
             return Findings(r, kept, tuple(found), model.fitted, model.columns, *p_values)
-        entered = _reconsidered(r, candidates, [*found, *steps], len(known))
+        entered = _reconsidered(r, candidates, [*found, *steps], len(known), rivals)
         entered = on_their_places(r, candidates, entered)
         if found and not tenable(r, [f.candidate for f in entered]):
             refused.add(steps[0].candidate.label)
@@ -240,7 +251,13 @@ def _enters_once(c: Candidate) -> bool:
 
 
 def _reconsidered(
-    r: Responses, candidates: Sequence[Candidate], found: list[Found], known: int, *, curves: bool = False
+    r: Responses,
+    candidates: Sequence[Candidate],
+    found: list[Found],
+    known: int,
+    rivals: Rivals | None = None,
+    *,
+    curves: bool = False,
 ) -> list[Found]:
     """Each effect but the first known ones against its rivals once more, with all the others in the model.
 
@@ -253,10 +270,26 @@ def _reconsidered(
     for _ in range(ROUNDS):
         before = [f.candidate.label for f in found]
         for one in found[known:]:
-            found = _against_rivals(r, candidates, found, one, curves=curves)
+            found = _against_rivals(r, _rivals_of(one, candidates, rivals), found, one, curves=curves)
         if [f.candidate.label for f in found] == before:
             break
     return found
+
+
+def _rivals_of(one: Found, candidates: Sequence[Candidate], rivals: Rivals | None) -> Sequence[Candidate]:
+    """Those that are not known to be hopeless against an effect."""
+    label = one.candidate.label
+    if rivals is None or label not in rivals:
+        return candidates
+    return [c for c in candidates if c.label == label or c.label in rivals[label]]
+
+
+def near_rivals(found: Sequence[Found]) -> Rivals:
+    """Of each effect found, the labels that came near enough to be considered where poses are left out."""
+    return {
+        f.candidate.label: frozenset(label for label, behind in f.considered if behind < HOPELESS)
+        for f in found
+    }
 
 
 def _brings(pair: Candidate, one: Candidate) -> bool:
