@@ -17,11 +17,12 @@ from calrig.calibration.channels import SCALE_UNIT_DEG
 from calrig.calibration.experiment_design import predicted
 from calrig.calibration.fit import rms
 from calrig.calibration.model import model_columns
+from calrig.calibration.near_rivals import Rivals
 from calrig.calibration.noise_model import fit
 from calrig.calibration.pose import Pose
 from calrig.calibration.responses import Responses, responses_of
 from calrig.calibration.run_changes import with_free_levels
-from calrig.calibration.search import Findings, Rivals, search
+from calrig.calibration.search import Findings, search
 from calrig.calibration.sensor_model import fitted_model, linear_about
 from calrig.estimation.angles import FloatArray
 

@@ -17,11 +17,12 @@ from calrig.calibration.experiment_design import ambiguous_of, design
 from calrig.calibration.fit import fit_line, residuals_deg, rms
 from calrig.calibration.lack_of_fit import LackOfFit, lack_of_fit, warning_of
 from calrig.calibration.leave_one_out import standing_without_one
+from calrig.calibration.near_rivals import near_rivals
 from calrig.calibration.pose import Pose
 from calrig.calibration.pose_columns import complete
 from calrig.calibration.report import effect_documents, model_words
 from calrig.calibration.responses import Responses, names_of, responses_of
-from calrig.calibration.search import Findings, near_rivals, search
+from calrig.calibration.search import Findings, search
 from calrig.estimation.angles import FloatArray
 
 BOOTSTRAPS = 999

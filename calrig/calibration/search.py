@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -16,6 +16,7 @@ from calrig.calibration.effect import HIDDEN
 from calrig.calibration.entering import entering, hidden, is_on_trial, plain
 from calrig.calibration.gate import Verdict, gate
 from calrig.calibration.model import model_columns
+from calrig.calibration.near_rivals import Rivals, near_among
 from calrig.calibration.noise_model import Fit, NoiseModel, noise_of
 from calrig.calibration.outliers import most_outliers, outlier
 from calrig.calibration.ranking import Found, named
@@ -34,10 +35,6 @@ MOST_EFFECTS, MOST_COLUMNS = 5, 0.35
 """A series, such as the orders of a turn, is one effect of several terms; columns to a pose at most."""
 FREEDOM = 3
 ROUNDS = 3
-HOPELESS = 80.0
-"""Of the criterion, behind an effect in all poses: with a quarter of them left out it is some 60 behind."""
-Rivals = Mapping[str, frozenset[str]]
-"""Labels by that of the effect."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,26 +267,10 @@ def _reconsidered(
     for _ in range(ROUNDS):
         before = [f.candidate.label for f in found]
         for one in found[known:]:
-            found = _against_rivals(r, _rivals_of(one, candidates, rivals), found, one, curves=curves)
+            found = _against_rivals(r, near_among(candidates, one, rivals), found, one, curves=curves)
         if [f.candidate.label for f in found] == before:
             break
     return found
-
-
-def _rivals_of(one: Found, candidates: Sequence[Candidate], rivals: Rivals | None) -> Sequence[Candidate]:
-    """Those that are not known to be hopeless against an effect."""
-    label = one.candidate.label
-    if rivals is None or label not in rivals:
-        return candidates
-    return [c for c in candidates if c.label == label or c.label in rivals[label]]
-
-
-def near_rivals(found: Sequence[Found]) -> Rivals:
-    """Of each effect found, the labels that came near enough to be considered where poses are left out."""
-    return {
-        f.candidate.label: frozenset(label for label, behind in f.considered if behind < HOPELESS)
-        for f in found
-    }
 
 
 def _brings(pair: Candidate, one: Candidate) -> bool:

@@ -18,9 +18,8 @@ from calrig.calibration.candidates import Candidate
 from calrig.calibration.channels import ANGLE, NORM, READING
 from calrig.calibration.effect import Applied, Circumstances
 from calrig.calibration.felt_moves import FeltMoves
-from calrig.calibration.fits_beside import fits_beside
-from calrig.calibration.model import model_columns, own_columns, replaced, side_by_side
-from calrig.calibration.noise_model import Fit, fit, fits
+from calrig.calibration.model import model_columns, own_columns, replaced
+from calrig.calibration.noise_model import Fit, fit
 from calrig.calibration.responses import Responses
 from calrig.calibration.run_changes import since
 from calrig.calibration.sensor_vector import TURNS_THE_SENSOR, VectorError, sin_cos, turned_vector
@@ -29,8 +28,6 @@ from calrig.estimation.angles import FloatArray
 STEPS = 8
 NEGLIGIBLE = 0.03
 """Of a channel's residuals: what is less than that from being linear is as good as linear."""
-LEFT_BEHIND = 60.0
-"""Of the criterion: so far behind, a fit that bends by the noise stays linear: it is worth 12 at most."""
 LARGEST_G = 0.5
 """Of an axis' error; a vector with more says nothing of the angle, and the fit stays linear."""
 KEPT = 8
@@ -69,7 +66,7 @@ def fitted_model(r: Responses, accepted: Sequence[Candidate]) -> Model:
 
 @lru_cache(maxsize=KEPT)
 def _fitted_model(r: Responses, accepted: tuple[Candidate, ...]) -> Model:
-    curve = _Curve(r, accepted)
+    curve = Curve(r, accepted)
     straight = step = _fitted(r, accepted)
     for _ in range(STEPS):
         beta = step.fitted.beta
@@ -81,57 +78,11 @@ def _fitted_model(r: Responses, accepted: tuple[Candidate, ...]) -> Model:
     return straight
 
 
-def fitted_beside(
-    r: Responses, accepted: Sequence[Candidate], shortlist: Sequence[Candidate]
-) -> list[tuple[float, FloatArray]]:
-    """Criterion and own coefficients of each of several candidates beside the accepted effects.
-
-    All are fitted at once, linear about what is accepted; once more, and again, those that bend.
-    """
-    at = fitted_model(r, accepted)
-    curves = [_Curve(r, [*accepted, candidate]) for candidate in shortlist]
-    penalties = [float(np.log(len(r))) * candidate.parameters for candidate in shortlist]
-
-    def columns_with(more: Sequence[Candidate]) -> FloatArray:
-        return model_columns(at.responses, [*at.accepted, *more])
-
-    straight = fits_beside(at.responses, columns_with, shortlist)
-    fitted = list(zip(straight.criterion.tolist(), straight.beta, straight.residuals, strict=True))
-    found = [(criterion, beta) for criterion, beta, _ in fitted]
-    bent = list(range(len(shortlist)))
-    for step in range(1 + STEPS):
-        if step > 0:
-            fitted = _fitted_straightened(r, [curves[k].straightened(found[k][1]) for k in bent])
-        for k, (criterion, beta, _) in zip(bent, fitted, strict=True):
-            found[k] = criterion, beta[: curves[k].width]
-        least = min(criterion + penalty for (criterion, _), penalty in zip(found, penalties, strict=True))
-        bent = [
-            k
-            for k, (criterion, _, residuals) in zip(bent, fitted, strict=True)
-            if curves[k].bends_yet(found[k][1], residuals, criterion + penalties[k] - least)
-        ]
-        if not bent:
-            break
-    for k in bent:  # it does not come to rest: the linear fit
-        linear = fit(r, model_columns(r, [*accepted, shortlist[k]]))
-        found[k] = linear.criterion, linear.beta
-    return [(criterion, beta[curve.own[-1]]) for (criterion, beta), curve in zip(found, curves, strict=True)]
-
-
-def _fitted_straightened(
-    r: Responses, steps: Sequence[tuple[Responses, Sequence[Candidate]]]
-) -> list[tuple[float, FloatArray, FloatArray]]:
-    """Criterion, coefficients (≥ p,) and residuals (n, J) of several linear models, each of its responses."""
-    values = np.stack([straight.values for straight, _ in steps])
-    fitted = fits(r, values, side_by_side([model_columns(*step) for step in steps]))
-    return list(zip(fitted.criterion.tolist(), fitted.beta, fitted.residuals, strict=True))
-
-
 def linear_about(
     r: Responses, accepted: Sequence[Candidate], beta: FloatArray
 ) -> tuple[Responses, tuple[Candidate, ...]]:
     """Responses and effects whose linear model is exact at some coefficients (p,), fitted elsewhere."""
-    curve = _Curve(r, accepted)
+    curve = Curve(r, accepted)
     if not curve.bends or not curve.is_possible(beta):
         return r, tuple(accepted)
     return curve.straightened(beta)
@@ -139,7 +90,7 @@ def linear_about(
 
 def parts_deg(r: Responses, accepted: Sequence[Candidate], beta: FloatArray) -> list[FloatArray]:
     """(n,) what each of the effects adds to the readings, beside all the others."""
-    curve = _Curve(r, accepted)
+    curve = Curve(r, accepted)
     whole = curve.of_effects(beta)[:, 0]
     parts = []
     for own in curve.own:
@@ -154,7 +105,7 @@ def _fitted(r: Responses, accepted: tuple[Candidate, ...]) -> Model:
     return Model(r, accepted, columns, fit(r, columns))
 
 
-class _Curve:
+class Curve:
     """The responses as the function of all coefficients (p,) that they are."""
 
     def __init__(self, r: Responses, accepted: Sequence[Candidate]) -> None:
@@ -198,19 +149,9 @@ class _Curve:
 
     def is_near(self, beta: FloatArray, residuals: FloatArray) -> bool:
         """Whether residuals (n, J) of a linear fit are what the model leaves, as far as noise can show."""
-        return not self.bends or self._bent_by(beta, residuals) < NEGLIGIBLE
+        return not self.bends or self.bent_by(beta, residuals) < NEGLIGIBLE
 
-    def bends_yet(self, beta: FloatArray, residuals: FloatArray, behind: float) -> bool:
-        """Whether a linear fit is worth another about its coefficients.
-
-        Not one so far behind the best, in its penalised criterion, that bending so little does not matter.
-        """
-        if not self.bends:
-            return False
-        by = self._bent_by(beta, residuals)
-        return by >= NEGLIGIBLE and behind < LEFT_BEHIND * max(by, 1.0) and self.is_possible(beta)
-
-    def _bent_by(self, beta: FloatArray, residuals: FloatArray) -> float:
+    def bent_by(self, beta: FloatArray, residuals: FloatArray) -> float:
         """Of a channel's residuals, how far off they are at most for being those of a linear fit."""
         size = np.hypot(residuals.std(axis=0), self._r.rounding)
         return float((np.abs(self.residuals(beta) - residuals) / size).max())
