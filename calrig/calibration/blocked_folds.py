@@ -106,7 +106,7 @@ def not_predictive(
 
 def _folds(r: Responses) -> dict[str, Intp]:
     """(n,) block of each pose, for each way to lay them: along every run, and over the elevations."""
-    first = np.flatnonzero(r.starts)
+    first = np.unique([0, *np.flatnonzero(r.starts)])  # what a run began with may have been left out
     length = np.diff([*first, len(r)])
     since = np.arange(len(r)) - np.repeat(first, length)
     folds = {}

@@ -127,13 +127,14 @@ class Screen:
             parts.append(np.concatenate([self._ratios(values, some) for some in self._made], axis=1))
         return np.concatenate(parts)[:, self._as_given]
 
-    def _ratios_once(self, values: Sequence[_Values], stack: FloatArray) -> FloatArray:
+    def _ratios_once(self, values: Sequence[_Values], stack: FloatArray) -> Float32Array:
         """(C,) those of one set of residuals, for candidates whose rotated columns are (J, C, p, n)."""
         shares_left = [
             _share_left_once(own, self._white(stack, base.share), base.columns)
             for own, base in zip(values, self._bases, strict=True)
         ]
-        return self._best_of_shares(values, [left[None] for left in shares_left])[0]
+        (ratios,) = self._best_of_shares(values, [left[None] for left in shares_left])
+        return np.asarray(ratios, dtype=np.float32)
 
     def _values(self, residuals: FloatArray) -> list[_Values]:
         """Residuals (b, n, J) at each share, and their likelihood without a candidate."""
