@@ -6,28 +6,32 @@ among all candidates.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from itertools import permutations
 
 from calrig.calibration.candidates import Candidate
 from calrig.calibration.ranking import Found
 
 HOPELESS = 80.0
 """Of the criterion, behind an effect in all poses: with a quarter of them left out it is some 60 behind."""
-Rivals = Mapping[str, frozenset[str]]
+Rivals = Mapping[str, Collection[str]]
 """Labels by that of the effect."""
 
 
 def near_rivals(found: Sequence[Found]) -> Rivals:
-    """Of each effect found, the labels that are not hopeless against it."""
+    """Of each effect found, the labels that are not hopeless against it.
+
+    Among them all others that were found, alone and two as one: it may stand in for them until they enter.
+    """
+    labels = [f.candidate.label for f in found]
+    every = {*labels, *(" + ".join(two) for two in permutations(labels, 2))}
     return {
-        f.candidate.label: frozenset(label for label, behind in f.considered if behind < HOPELESS)
+        f.candidate.label: every.union(label for label, behind in f.considered if behind < HOPELESS)
         for f in found
     }
 
 
 def near_among(candidates: Sequence[Candidate], one: Found, rivals: Rivals | None) -> Sequence[Candidate]:
-    """The candidates that are not known to be hopeless against an effect, its own among them."""
-    label = one.candidate.label
-    if rivals is None or label not in rivals:
-        return candidates
-    return [c for c in candidates if c.label == label or c.label in rivals[label]]
+    """The candidates that are not known to be hopeless against an effect."""
+    near = None if rivals is None else rivals.get(one.candidate.label)
+    return candidates if near is None else [c for c in candidates if c.label in near]
