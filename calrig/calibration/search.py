@@ -33,8 +33,7 @@ LEVEL = 0.01
 """The nominal rate at which a search of noise alone says something."""
 MOST_EFFECTS, MOST_COLUMNS = 5, 0.35
 """A series, such as the orders of a turn, is one effect of several terms; columns to a pose at most."""
-FREEDOM = 3
-ROUNDS = 3
+FREEDOM, ROUNDS = 3, 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,8 +161,7 @@ def _search(
     """
     found = list(known)
     refused: set[str] = set()
-    kept = np.arange(len(r))
-    fewest = len(r) - most_outliers(len(r))
+    kept, fewest = np.arange(len(r)), len(r) - most_outliers(len(r))
 
     def judged(model: Model) -> Verdict:
         def columns_with(more: Sequence[Candidate]) -> FloatArray:
@@ -194,7 +192,8 @@ def _search(
         if not steps:
             p_values = verdict.p_value, verdict.least_p_value
             return Findings(r, kept, tuple(found), model.fitted, model.columns, *p_values)
-        entered = _reconsidered(r, candidates, [*found, *steps], len(known), rivals)
+        fresh = steps[0] if rivals is not None and len(steps) == 1 else None
+        entered = _reconsidered(r, candidates, [*found, *steps], len(known), rivals, fresh=fresh)
         entered = on_their_places(r, candidates, entered)
         if found and not tenable(r, [f.candidate for f in entered]):
             refused.add(steps[0].candidate.label)
@@ -254,19 +253,23 @@ def _reconsidered(
     known: int,
     rivals: Rivals | None = None,
     *,
+    fresh: Found | None = None,
     curves: bool = False,
 ) -> list[Found]:
     """Each effect but the first known ones against its rivals once more, with all the others in the model.
 
     It may bring a companion of its own with it, but none that was looked for at many instants: that would
     enter unjudged. What another one has given way to may change what explains the rest, hence again until
-    nothing changes.
+    nothing changes. A fresh one has just been held against all of them, with the same others.
     """
     if len(found) == known + 1:
         return found
+    entered = [f.candidate for f in found]
     for _ in range(ROUNDS):
         before = [f.candidate.label for f in found]
         for one in found[known:]:
+            if one is fresh and [f.candidate for f in found] == entered:  # by identity
+                continue
             found = _against_rivals(r, near_among(candidates, one, rivals), found, one, curves=curves)
         if [f.candidate.label for f in found] == before:
             break
@@ -289,8 +292,7 @@ def _against_rivals(
     if one.candidate.shape.series and not curves:  # they take a little from every term of a turn
         offered = [c for c in offered if c.named]
     model = fitted_model(r, others)
-    screen = Screen(r, model.columns, offered, model.fitted.noise)
-    ratios = screen.once(model.fitted.residuals)
+    ratios = Screen(r, model.columns, offered, model.fitted.noise).once(model.fitted.residuals)
     again = named(r, others, offered, ratios, one.p_value, one.candidate)
     place = next(k for k, f in enumerate(found) if f is one)
     members = [replace(again, candidate=member) for member in again.candidate.members]
