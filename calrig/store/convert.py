@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import io
+import math
 import zipfile
 import zlib
 from collections.abc import Iterable, Sequence
@@ -141,6 +142,9 @@ def result_part(figures: Sequence[float | None]) -> dict[str, Any]:
 def pose_values(run_id: int, index: int, pose: Pose) -> dict[str, Any]:
     """A pose as the columns of its table."""
     values = {name: getattr(pose, name) for name in _POSE_FIELDS}
+    for name in POSE_NUMBERS:  # SQLite takes what is no number for null, PostgreSQL keeps it
+        if isinstance(values[name], float) and math.isnan(values[name]):
+            values[name] = None
     crc32 = checksums.of_numbers((run_id, index, *(values[name] for name in POSE_NUMBERS)))
     return {"run_id": run_id, "pose_index": index, **values, "crc32": crc32}
 

@@ -5,7 +5,7 @@
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import Dialect, String, TypeDecorator, text
+from sqlalchemy import BigInteger, Dialect, Integer, String, TypeDecorator, text
 from sqlmodel import Column, Field, ForeignKey, Index, LargeBinary, SQLModel
 
 from calrig.store.checksums import CheckedJson
@@ -32,6 +32,8 @@ class UtcText(TypeDecorator[datetime]):
 
 Sha256 = String(64)
 """A hash in hexadecimal."""
+Crc32 = BigInteger().with_variant(Integer(), "sqlite")
+"""Unsigned 32 bits, one more than PostgreSQL's integer holds."""
 
 
 class UnitTable(SQLModel, table=True):
@@ -97,7 +99,7 @@ class CalibrationTable(SQLModel, table=True):
     rms_with_effects_deg: float | None
     temperature_min_c: float | None
     temperature_max_c: float | None
-    crc32: int | None = None
+    crc32: int | None = Field(default=None, sa_type=Crc32)
 
 
 class PoseTable(SQLModel, table=True):
@@ -125,7 +127,7 @@ class PoseTable(SQLModel, table=True):
     covariates: dict[str, Any] = Field(sa_type=CheckedJson)
     excluded_reason: str | None = None
     excluded_at: datetime | None = Field(default=None, sa_type=UtcText)
-    crc32: int | None = None
+    crc32: int | None = Field(default=None, sa_type=Crc32)
 
 
 class EventTable(SQLModel, table=True):
@@ -200,7 +202,11 @@ class IssuedCalibrationTable(SQLModel, table=True):
     __tablename__ = "issued_calibration"
     __table_args__ = (
         Index(
-            "ix_issued_calibration_in_force", "unit", unique=True, sqlite_where=text("status = 'in_force'")
+            "ix_issued_calibration_in_force",
+            "unit",
+            unique=True,
+            sqlite_where=text("status = 'in_force'"),
+            postgresql_where=text("status = 'in_force'"),
         ),
         Index("ix_issued_calibration_run_id", "run_id"),
     )

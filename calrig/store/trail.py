@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from typing import Any, Literal
 
 import sqlalchemy
-from sqlmodel import Session, col, func, or_, select
+from sqlmodel import Session, col, or_, select
 
 from calrig.run_ids import is_number
 from calrig.store.checksums import to_json
@@ -101,7 +101,7 @@ class Trail(Part):
         if after is not None:
             wanted = wanted.where(seq < after if newest_first else seq > after)
         if unit is not None:
-            moved_away = func.json_extract(col(TrailTable.detail), "$.from") == unit
+            moved_away = col(TrailTable.detail)["from"].as_string() == unit
             wanted = wanted.where(or_(col(TrailTable.unit) == unit, moved_away))
         if what:
             wanted = wanted.where(col(TrailTable.what).in_(what))
