@@ -32,6 +32,11 @@ def is_run_id(text: str) -> bool:
     return is_uuid(text) or is_number(text)
 
 
+def short_name(run_id: str) -> str:
+    """What a run is called where there is little room: a UUID by its first 8 characters."""
+    return run_id[:8] if is_uuid(run_id) else run_id
+
+
 def begins_uuid(text: str) -> bool:
     """Whether text is a UUID, or as much of one's beginning as a person may type for it."""
     return FEWEST <= len(text) <= len(_FORM) and is_uuid(text + _FORM[len(text) :])

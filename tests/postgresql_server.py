@@ -21,8 +21,8 @@ ENGINE = os.environ.get("CALRIG_TEST_ENGINE", "sqlite")
 """What keeps the stores of those tests that are about something else; those of `tests/store` try both."""
 _SERVER: list[tuple[str, str]] = []
 MakeDatabase = Callable[[], str]
-HURRY = ("fsync = off", "full_page_writes = off")
-"""What is lost with the power is of no interest here."""
+HURRY = ("fsync = off", "full_page_writes = off", "autovacuum = off")
+"""A power cut is of no interest here, and who looks at a template keeps it from being copied."""
 
 
 @pytest.fixture(scope="session")
@@ -52,9 +52,8 @@ def postgresql_template(postgresql_server: str) -> tuple[str, str]:
     from calrig.store import Store
 
     name = f"calrig_empty_{os.environ.get('PYTEST_XDIST_TESTRUNUID', uuid.uuid4().hex)[:16]}"
-    with _as_superuser(postgresql_server) as run:
-        with suppress(ProgrammingError):  # another worker was first
-            run(f"CREATE DATABASE {name}")
+    with _as_superuser(postgresql_server) as run, suppress(ProgrammingError):  # another worker was first
+        run(f"CREATE DATABASE {name}")
         Store.open(_url(postgresql_server, name), writer="tests").close()
     return postgresql_server, name
 

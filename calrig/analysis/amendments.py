@@ -114,7 +114,7 @@ class Records:
         if run.unit == unit:
             raise Conflict(f"run {run_id} is of unit {unit!r} already")
         of_unit, _ = self._store.runs(unit=run.unit, limit=2**31)
-        moving = [ended_run(self._store, number) for number in _chain(run_id, of_unit)]
+        moving = [ended_run(self._store, one) for one in _chain(run_id, of_unit)]
         for one in moving:
             _check_movable(one, {m.id for m in moving}, of_unit)
         self._store.move_runs({one.id: self._result_for(one, unit) for one in moving}, unit, why, who=who)
@@ -181,7 +181,7 @@ def _chain(run_id: str, of_unit: Sequence[Run]) -> list[str]:
             near[run.follows].add(run.id)
     found, fresh = {run_id}, {run_id}
     while fresh:
-        fresh = set().union(*(near[number] for number in fresh)) - found
+        fresh = set().union(*(near[one] for one in fresh)) - found
         found |= fresh
     return [run.id for run in reversed(of_unit) if run.id in found]
 

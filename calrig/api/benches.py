@@ -17,7 +17,8 @@ from calrig.api.context import Context
 from calrig.api.errors import problems
 from calrig.api.limits import ENROLL_PATH, LOGIN_BYTES
 from calrig.api.models import Answer, Body
-from calrig.store.enrolment import BENCH_NAME, WrongCode
+from calrig.store.enrolment import WrongCode
+from calrig.store.rig_queues import BENCH_NAME
 
 router = APIRouter(tags=["benches"])
 log = logging.getLogger(__name__)

@@ -40,7 +40,7 @@ def enroll(
     path = out or centre_url_file()
     with _secret(path) as file:  # which can be written: the code is not spent for nothing
         joined = service.post("/api/benches/enroll", {"code": code})
-        file.write(_checked_by(joined["db"], ca) + "\n")
+        file.write(checked_by(joined["db"], ca) + "\n")
     typer.echo(f"this is bench {joined['bench']} now; the URL of the centre's database is in {path}")
 
 
@@ -68,7 +68,7 @@ def _believed(ca: Path) -> ssl.SSLContext:
         raise InputError(f"--ca {ca}: {error.strerror or error}") from error
 
 
-def _checked_by(db: str, ca: Path | None) -> str:
+def checked_by(db: str, ca: Path | None) -> str:
     """The database's URL with the certificates that its server is checked by, where it is."""
     from sqlalchemy import make_url
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import secrets
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -12,11 +11,10 @@ from sqlmodel import Session, select
 from calrig.store.bench_tables import BenchTable
 from calrig.store.database import Part
 from calrig.store.errors import NotFound, Refused
+from calrig.store.rig_queues import BENCH_NAME
 from calrig.store.trail import Act, append
 from calrig.store.users import token_digest
 
-BENCH_NAME = re.compile(r"[A-Za-z0-9_.-]{1,20}")
-"""It stands in the names of its role and of its rigs' queues, which PostgreSQL bounds."""
 CODE_LASTS = timedelta(days=1)
 NO_CENTRE = "benches join a centre, whose store is in PostgreSQL: `calrig serve --db postgresql+psycopg://…`"
 

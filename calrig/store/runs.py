@@ -158,11 +158,12 @@ class Runs(Part):
         with self._database.reading() as session:
             return [run_of(row) for row in session.exec(wanted)]
 
-    def ids_beginning(self, prefix: str, limit: int = 10) -> list[str]:
-        """Ids of runs that begin so, in their own order, and no more of them than `limit`."""
-        begins = col(RunTable.uid).startswith(prefix, autoescape=True)
+    def uuids_beginning(self, prefix: str, limit: int) -> list[str]:
+        """Ids that begin so, numbers not counted, in their own order and no more of them than `limit`."""
+        uid = col(RunTable.uid)
+        begin = select(uid).where(uid.startswith(prefix, autoescape=True), uid.contains("-"))
         with self._database.reading() as session:
-            return list(session.exec(select(RunTable.uid).where(begins).order_by(RunTable.uid).limit(limit)))
+            return list(session.exec(begin.order_by(uid).limit(limit)))
 
     def count_runs(self) -> dict[str, int]:
         """How many runs there are of each status, those without any as well."""

@@ -54,9 +54,10 @@ class RunTable(SQLModel, table=True):
     __tablename__ = "run"
     __table_args__ = (
         Index("ix_run_uid", "uid", unique=True),
-        # a page of the list, newest first, of all runs, of a unit or of a status, reads no others
+        # a page of the list, newest first, reads no others: of all runs, of a unit, of a rig, of a status
         Index("ix_run_created_at_id", "created_at", "id"),
         Index("ix_run_unit_created_at_id", "unit", "created_at", "id"),
+        Index("ix_run_rig_created_at_id", "rig", "created_at", "id"),
         Index("ix_run_status_created_at_id", "status", "created_at", "id"),
     )
 

@@ -19,6 +19,7 @@ def upgrade() -> None:
         run.create_index("ix_run_uid", ["uid"], unique=True)
         run.create_index("ix_run_created_at_id", ["created_at", "id"])
         run.create_index("ix_run_unit_created_at_id", ["unit", "created_at", "id"])
+        run.create_index("ix_run_rig_created_at_id", ["rig", "created_at", "id"])
         run.create_index("ix_run_status_created_at_id", ["status", "created_at", "id"])
     with op.batch_alter_table("trail") as trail:
         trail.alter_column("run_id", existing_type=sa.Integer(), type_=sa.String())

@@ -9,12 +9,9 @@ from dataclasses import dataclass
 
 import psycopg
 import pytest
-from procrastinate.schema import SchemaManager
-from sqlalchemy import create_engine, make_url
+from sqlalchemy import make_url
 
 from calrig.store import Store
-from calrig.store.postgresql.database import url_of
-from calrig.store.postgresql.roles import secure
 
 
 def connect(url: str) -> psycopg.Connection:
@@ -24,14 +21,8 @@ def connect(url: str) -> psycopg.Connection:
 
 
 def prepare(url: str) -> None:
-    """What a centre lays beside its tables: Procrastinate's, and the rights of benches."""
-    engine = create_engine(url_of(url))
-    with engine.begin() as connection:
-        raw = connection.connection.driver_connection
-        if raw.execute("SELECT to_regclass('procrastinate_jobs')").fetchone() == (None,):
-            raw.execute(SchemaManager.get_schema())
-        secure(connection)
-    engine.dispose()
+    """What a centre does before anything else: what is missing of its database is laid."""
+    Store.open(url, writer="tests").close()
 
 
 def forget_roles(admin: str) -> None:
@@ -83,7 +74,6 @@ def owned_template(postgresql_server: str) -> Iterator[tuple[str, str]]:
             server.execute(f"GRANT calrig_bench TO {owner} WITH ADMIN OPTION")
             server.execute(f"CREATE DATABASE {name} OWNER {owner}")
         url = of(postgresql_server, database=name, username=owner)
-        Store.open(url, writer="tests").close()
         prepare(url)
         yield name, owner
         with turn(server):
@@ -100,7 +90,6 @@ def centre(postgresql_server: str, owned_template: tuple[str, str]) -> Iterator[
         with turn(server):
             server.execute(f"CREATE DATABASE {name} TEMPLATE {template} OWNER {owner}")
         url = of(postgresql_server, database=name, username=owner)
-        prepare(url)
         with Store.open(url, writer="tests") as store:
             yield Centre(store, url)
         forget_roles(of(postgresql_server, database=name))

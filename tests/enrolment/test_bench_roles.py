@@ -15,8 +15,6 @@ from procrastinate import App, PsycopgConnector
 from psycopg.errors import InsufficientPrivilege
 from sqlalchemy import make_url
 
-from calrig.store import Store
-
 NOW = "2026-11-22T12:00:00.000000"
 FILLING = f"""
     INSERT INTO run_order (run_uid, bench, rig, epoch, wish, document, taken_epoch, ordered_at)
@@ -189,7 +187,6 @@ def test_a_bench_of_one_centre_is_nobody_in_anothers_database(
     centre: Centre, urls: dict[str, str], new_database: object
 ) -> None:
     other = new_database()
-    Store.open(other, writer="tests").close()
     prepare(other)
     elsewhere = make_url(urls["a"]).set(database=make_url(other).database)
     with pytest.raises(psycopg.OperationalError, match="permission denied for database"):
@@ -225,16 +222,31 @@ def test_what_a_revoked_bench_still_has_open_shows_it_nothing(
         bench.execute("SELECT procrastinate_register_worker_v1()")
 
 
-def test_rights_that_are_laid_are_not_laid_again_and_lost_ones_are(
-    centre: Centre, bench: psycopg.Connection
-) -> None:
+def test_rights_that_are_laid_are_not_laid_again(centre: Centre, urls: dict[str, str]) -> None:
     with connect(centre.url) as owner:
         policies = "SELECT oid FROM pg_policy ORDER BY oid"
         before = owner.execute(policies).fetchall()
         prepare(centre.url)
         assert owner.execute(policies).fetchall() == before
-        owner.execute(
-            "REVOKE ALL ON ALL TABLES IN SCHEMA public FROM calrig_bench"
-        )  # as `pg_restore --no-acl`
-        prepare(centre.url)
-    assert bench.execute("SELECT name FROM bench").fetchall() == [("a",)]
+
+
+@pytest.mark.parametrize(
+    "lost",
+    [
+        "REVOKE ALL ON ALL TABLES IN SCHEMA public FROM calrig_bench",  # `pg_restore --no-acl`
+        "REVOKE CONNECT ON DATABASE {database} FROM {role}; GRANT CONNECT ON DATABASE {database} TO PUBLIC",
+    ],
+    ids=["of the tables", "of the database"],
+)
+def test_rights_that_a_restored_dump_does_not_bring_are_laid_anew(
+    centre: Centre, urls: dict[str, str], lost: str
+) -> None:
+    url = make_url(urls["a"])
+    with connect(centre.url) as owner:
+        owner.execute(lost.format(database=url.database, role=f'"{url.username}"'))
+    prepare(centre.url)
+    with connect(urls["a"]) as bench:
+        assert bench.execute("SELECT name FROM bench").fetchall() == [("a",)]
+    with connect(centre.url) as owner:
+        query = "SELECT has_database_privilege('public', current_database(), 'CONNECT')"
+        assert owner.execute(query).fetchone() == (False,)

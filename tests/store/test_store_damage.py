@@ -58,7 +58,7 @@ def same(name: str, answer: Any, truth: Any) -> bool:
 def test_a_flipped_bit_is_said_or_does_no_harm_and_never_gives_another_number(
     url, database, result, tmp_path
 ):
-    run_id = filled(url, result, poses=12)
+    run_id = filled(url, result, poses=30)
     with Store.open(url, writer=None) as store:
         truth = everything(store, run_id)
     sound = database.read_bytes()

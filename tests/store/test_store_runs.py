@@ -73,10 +73,10 @@ def test_ids_are_found_by_how_they_begin(store, new_run):
     )
     for run_id in (second, other, first):
         new_run(run_id=run_id)
-    assert store.ids_beginning("0123ab") == [first, second]
-    assert store.ids_beginning("0123ab", limit=1) == [first]
-    assert store.ids_beginning("0123abcd-") == [first]
-    assert store.ids_beginning("%") == store.ids_beginning("_123ab") == []
+    assert store.uuids_beginning("0123ab", 9) == [first, second]
+    assert store.uuids_beginning("0123ab", 1) == [first]
+    assert store.uuids_beginning("0123abcd-", 9) == [first]
+    assert store.uuids_beginning("%", 9) == store.uuids_beginning("_123ab", 9) == []
 
 
 def test_each_change_of_state_is_announced_with_it(store, new_run):

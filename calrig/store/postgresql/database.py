@@ -17,6 +17,7 @@ from calrig.store.checksums import from_json, to_json
 from calrig.store.database import LOOK_S, Database
 from calrig.store.errors import StoreDamagedError, StoreError
 from calrig.store.postgresql.errors import DAMAGED, store_error
+from calrig.store.postgresql.roles import is_secure, secure
 from calrig.store.postgresql.set_up import is_set_up, set_up
 from calrig.store.records import Size
 from calrig.store.revisions import migrate, revisions
@@ -82,7 +83,8 @@ class PostgresqlDatabase(Database):
         head = revisions()[-1]
         with self._engine.connect() as connection:
             stored = self._stored_revision(connection)
-            if stored == head and (not self._may_write or is_set_up(connection)):
+            is_ready = not self._may_write or (is_set_up(connection) and is_secure(connection))
+            if stored == head and is_ready:
                 return
         if stored is not None and stored not in revisions():
             raise StoreError(
@@ -113,6 +115,7 @@ class PostgresqlDatabase(Database):
                 migrate(connection)
             if not is_set_up(connection):
                 set_up(connection)
+            secure(connection)
 
     @contextmanager
     def reading(self) -> Iterator[Session]:

@@ -73,6 +73,7 @@ _LAID = """
        AND has_table_privilege((SELECT oid FROM pg_roles WHERE rolname = :group), 'run_order', 'SELECT')
        AND NOT has_database_privilege('public', current_database(), 'CONNECT, TEMP')
 """
+_JOINED = "SELECT role FROM bench JOIN pg_roles ON rolname = role WHERE revoked_at IS NULL"
 _MAY_GRANT = """
     SELECT pg_has_role(:group, 'MEMBER WITH ADMIN OPTION')
         OR rolcreaterole AND current_setting('server_version_num')::int < 160000
@@ -98,6 +99,8 @@ def secure(connection: Connection) -> None:
     statements = _statements(connection)
     for statement in statements:
         connection.exec_driver_sql(statement)
+    for role in connection.scalars(text(_JOINED)).all():  # a dump does not tell who may connect
+        _let_connect(connection, role)
     connection.exec_driver_sql(f"COMMENT ON FUNCTION calrig_my_bench() IS '{_mark(statements)}'")
 
 
@@ -143,8 +146,7 @@ def let_in(connection: Connection, role: str) -> str:
     _run(connection, sql.SQL("GRANT {} TO {}").format(sql.Identifier(GROUP), name))
     # only who has a role's rights may end its connections
     _run(connection, sql.SQL("GRANT {} TO CURRENT_USER").format(name))
-    database = sql.Identifier(_database(connection))
-    _run(connection, sql.SQL("GRANT CONNECT ON DATABASE {} TO {}").format(database, name))
+    _let_connect(connection, role)
     return password
 
 
@@ -156,6 +158,12 @@ def shut_out(connection: Connection, role: str) -> None:
     ends = "SELECT pg_terminate_backend(pid, :end_ms) FROM pg_stat_activity WHERE usename = :role"
     connection.execute(text(ends), {"end_ms": END_MS, "role": role})
     connection.commit()
+
+
+def _let_connect(connection: Connection, role: str) -> None:
+    database = sql.Identifier(_database(connection))
+    grant = sql.SQL("GRANT CONNECT ON DATABASE {} TO {}")
+    _run(connection, grant.format(database, sql.Identifier(role)))
 
 
 def _has_group(connection: Connection) -> bool:
