@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.backward import parted, tenable
-from calrig.calibration.candidates import Candidate, goes_round
+from calrig.calibration.candidates import Candidate, companions_of, goes_round
 from calrig.calibration.channels import READING
 from calrig.calibration.effect import HIDDEN
-from calrig.calibration.entering import entering, hidden, is_on_trial, plain
+from calrig.calibration.entering import entering, hidden, is_on_trial, plain, with_another
 from calrig.calibration.gate import Verdict, gate
 from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import Fit, NoiseModel, noise_of
@@ -29,7 +29,9 @@ from calrig.calibration.worth import is_worth_a_name
 from calrig.estimation.angles import FloatArray
 
 LEVEL = 0.01
-"""The nominal rate at which a search of noise alone says something."""
+"""The nominal rate at which a search of noise alone says something, all its ways of saying so together."""
+AT_FIRST = 0.75
+"""Of the level, what the search of a run spends at first; the rest is for the search beside curves."""
 MOST_EFFECTS, MOST_COLUMNS = 5, 0.35
 """A series, such as the orders of a turn, is one effect of several terms; columns to a pose at most."""
 FREEDOM = 3
@@ -102,14 +104,14 @@ def _beside_curves(
 
     The better of the two stands, by likelihood with penalties, in the same poses.
     """
-    first = _search(r, candidates, partial(judge, level=level))
+    first = _search(r, candidates, partial(judge, level=AT_FIRST * level))
     r = r.rows(first.kept)
     free = with_free_curve(r)
     if free is None or not leaves_more(r, first.fitted.residuals[:, 0]):
         return first
     offered = [c.rows(first.kept) for c in candidates]
     others = [c for c in offered if not is_of_the_curve(c)]
-    judge = partial(judge, level=level / 2.0)
+    judge = partial(judge, level=(1.0 - AT_FIRST) * level)
     between = _search(free, others, judge)
     r, curves = r.rows(between.kept), [c.rows(between.kept) for c in offered if is_of_the_curve(c)]
     again = _search(r, curves, partial(judge, noise=_noise_beside(between)), between.found)
@@ -162,7 +164,8 @@ def _search(
             return model_columns(model.responses, [*model.accepted, *more])
 
         offered = _offered(model.responses, candidates, model.accepted, refused)
-        return judge(model.responses, columns_with, model.fitted, offered)
+        companions = companions_of(model.accepted)
+        return judge(model.responses, columns_with, model.fitted, offered, companions=companions)
 
     while True:
         accepted = [f.candidate for f in found]
@@ -177,10 +180,13 @@ def _search(
         steps: list[Found] = []
         if verdict.passes and not _is_full(accepted, len(known)):
             best = named(r, accepted, verdict.candidates, verdict.ratios, verdict.p_value)
-            if not is_worth_a_name(r, accepted, best):
+            if is_worth_a_name(r, accepted, best):
+                steps = entering(r, accepted, plain(r, accepted, best, verdict), verdict, judged)
+            else:
+                steps = with_another(r, model, best, judged)
+            if not steps:
                 refused.add(best.candidate.label)
                 continue
-            steps = entering(r, accepted, plain(r, accepted, best, verdict), verdict, judged)
         elif not _is_full(accepted, len(known)):
             steps = hidden(r, model, verdict, judged)
         if not steps:
