@@ -6,6 +6,7 @@ last, `revision` the same four digits), and let tests/store/test_store_migration
 
 from alembic import context
 
+from calrig.store import bench_tables  # noqa: F401 (its tables belong to the metadata)
 from calrig.store.tables import SQLModel
 
 context.configure(

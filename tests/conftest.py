@@ -15,6 +15,12 @@ from typing import Any
 import httpx
 import pytest
 from hypothesis import HealthCheck, settings
+from postgresql_server import (  # noqa: F401 (fixtures)
+    _stores_are_databases,
+    new_database,
+    postgresql_server,
+    postgresql_template,
+)
 from support import QUICK, fast, known_as, running_service, serving
 
 from calrig.plan import Plan

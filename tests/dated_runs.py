@@ -8,8 +8,9 @@ from typing import Any
 
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import build_result
+from calrig.run_ids import new_run_id
 from calrig.store import Run, Store
-from calrig.store.convert import figures_of
+from calrig.store.convert import figures_of, run_row
 from calrig.store.tables import RunTable, UnitTable
 
 FIRST_DAY = datetime(2025, 1, 1, 9, tzinfo=UTC)
@@ -49,17 +50,20 @@ def lay(store: Store, *runs: tuple[str, float, dict[str, Any], dict[str, Any]]) 
             if session.get(UnitTable, unit) is None:
                 session.add(UnitTable(serial=unit, created_at=at(day)))
                 session.flush()
+            followed = columns.get("follows")
             row = RunTable(
-                **{"unit": unit, "rig": "bench-1", "kind": "calibration", "status": "completed", "plan": None}
+                **{"uid": new_run_id(), "unit": unit, "rig": "bench-1", "plan": None}
+                | {"kind": "calibration", "status": "completed"}
                 | {"progress": {"poses_done": 0, "poses_total": 0, "fraction": 1.0, "remaining_s": 0.0}}
                 | {"result": result, "faults": {}, "provenance": {}}
                 | {"created_at": at(day), "started_at": at(day), "finished_at": at(day), **columns}
+                | {"follows": None if followed is None else run_row(session, followed).id}
             )
             session.add(row)
             rows.append(row)
         session.flush()
         session.add_all(figures_of(row.id, row.result) for row in rows)
-        return [str(row.id) for row in rows]
+        return [row.uid for row in rows]
 
 
 def ran(

@@ -15,7 +15,8 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from support import known_as, lay_empty_store
+from empty_store import lay_empty_store
+from support import known_as
 
 from calrig.calibration.diagnosis import diagnose
 from calrig.calibration.pose import Pose

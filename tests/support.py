@@ -10,13 +10,12 @@ import time
 from collections.abc import Callable, Coroutine, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
-from functools import cache
 from http.client import HTTPConnection
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
 import httpx
+from postgresql_server import store_at
 
 from calrig.settings import BoardSettings, ReferenceSettings, RigSettings, StageSettings
 from calrig.simulator.config import SimulatorSettings
@@ -113,30 +112,14 @@ def declared(client: httpx.Client, path: str, kind: str, n_bytes: int) -> tuple[
         return answer.status, json.loads(answer.read())["detail"]
 
 
-@cache
-def _empty_store() -> bytes:
-    from calrig.store import Store
-
-    with TemporaryDirectory() as folder:
-        Store.open(f"sqlite:///{folder}/calrig.db", writer="tests").close()
-        return Path(folder, "calrig.db").read_bytes()
-
-
-def lay_empty_store(path: Path) -> None:
-    """Lays an empty store where there is none: a copy of one that its migrations have made once."""
-    if not path.exists():
-        path.write_bytes(_empty_store())
-
-
 @contextmanager
 def running_service(store_path: Path, *rigs: RigSettings) -> Iterator[Any]:
     """A run service over the store at the path."""
     from calrig.runs.service import RunService
     from calrig.store import Store
 
-    lay_empty_store(store_path)
     with (
-        Store.open(f"sqlite:///{store_path}", writer="tests") as store,
+        Store.open(store_at(store_path), writer="tests") as store,
         closing(RunService(store, rigs)) as service,
     ):
         yield service

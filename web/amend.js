@@ -2,7 +2,7 @@
 
 import { post } from "./api.js";
 import { askConfirmation, askReason } from "./ask.js";
-import { field, h } from "./dom.js";
+import { field, h, runName } from "./dom.js";
 import { may } from "./me.js";
 
 /** For a run at `path`, ended or not. */
@@ -25,7 +25,7 @@ export function amendments(run, path, ended) {
 function askVoid(run, path) {
   return askReason(
     {
-      title: `Void run ${run.id}?`,
+      title: `Void run ${runName(run.id)}?`,
       text: "The run is kept, struck through, and left out of every comparison.",
       action: "Void the run",
     },
@@ -36,7 +36,7 @@ function askVoid(run, path) {
 function askUnvoid(run, path) {
   return askReason(
     {
-      title: `Count run ${run.id} again?`,
+      title: `Count run ${runName(run.id)} again?`,
       text: `It was voided: ${run.voided.reason}. From now on it is compared like any other.`,
       action: "Count it again",
       kind: "primary",
@@ -49,7 +49,7 @@ function askUnit(run, path) {
   const serial = h("input", { id: "right-unit", required: true, maxlength: "100", autocomplete: "off" });
   return askReason(
     {
-      title: `Which unit is run ${run.id} of?`,
+      title: `Which unit is run ${runName(run.id)} of?`,
       text:
         `It stands under ${run.unit}. It moves to the right unit with its follow-ups; the trail of both units ` +
         "says so.",
@@ -65,7 +65,7 @@ function askNote(run, path) {
   const note = h("textarea", { id: "note", required: true, maxlength: "10000", rows: "4" });
   return askConfirmation(
     {
-      title: `Note something of run ${run.id}`,
+      title: `Note something of run ${runName(run.id)}`,
       text: "It stands below what is noted already, with the time and your name where that is known.",
       action: "Add the note",
       before: [h("label", { for: "note" }, "Note"), note],

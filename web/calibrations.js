@@ -2,7 +2,7 @@
 
 import { get, post } from "./api.js";
 import { askReason } from "./ask.js";
-import { fill, h, headings, runHref, statusPill, tableBox } from "./dom.js";
+import { fill, h, headings, runLink, runName, statusPill, tableBox } from "./dom.js";
 import { moment, plusMinus, range, significant } from "./format.js";
 import { may } from "./me.js";
 
@@ -78,7 +78,7 @@ export class Calibrations {
         h("th", { scope: "row" }, one.revision),
         h("td", {}, statusPill(one.status.replace("_", " "), { "data-status": one.status })),
         h("td", {}, moment(one.issued_at), one.issued_by && ` by ${one.issued_by}`),
-        h("td", {}, h("a", { href: runHref(one.run_id) }, `run ${one.run_id}`)),
+        h("td", {}, runLink(one.run_id, "run ")),
         h("td", {}, one.effects.map((name) => name.replaceAll("_", " ")).join(", ") || "–"),
         h("td", { class: "wrap" }, [one.reason, ...one.stale].filter(Boolean).map((text) => h("p", {}, text))),
         h("td", { class: "buttons" }, this.#actions(one)),
@@ -104,7 +104,7 @@ export class Calibrations {
 
   #redraft(runId) {
     const question = {
-      title: `New draft from run ${runId}?`,
+      title: `New draft from run ${runName(runId)}?`,
       text: "Computed from the poses and effects that count now, with a number and a hash of its own.",
       action: "Make the draft",
     };
@@ -147,7 +147,7 @@ function figures(document, verdict) {
     ["Elevations", range(...document.range_deg, 0, "°")],
     ["Temperature", range(document.temperature_c?.min, document.temperature_c?.max, 1, "°C")],
     ["Issued", moment(document.issued_at)],
-    ["From run", h("a", { href: runHref(document.run_id) }, document.run_id)],
+    ["From run", runLink(document.run_id)],
     ["Is this good?", verdict.says[0] ?? "not judged"],
   ];
 }

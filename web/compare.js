@@ -2,7 +2,7 @@
 
 import { get } from "./api.js";
 import { Chart } from "./charts.js";
-import { fill, h, headings, runHref, suspectTag, tableBox, unitLink } from "./dom.js";
+import { fill, h, headings, runLink, suspectTag, tableBox, unitLink } from "./dom.js";
 import { isKnown, moment, plural, plusMinus, range, significant } from "./format.js";
 
 const CHARTS = [
@@ -192,7 +192,7 @@ function everyRun(units) {
           "tr",
           {},
           h("th", { scope: "row" }, unitLink(unit)),
-          h("td", {}, h("a", { href: runHref(run.run_id) }, run.run_id), suspectTag(run.suspect)),
+          h("td", {}, runLink(run.run_id), suspectTag(run.suspect)),
           figureCells(run),
         ),
       ),

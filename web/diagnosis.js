@@ -2,7 +2,7 @@
 
 import { ApiError, get } from "./api.js";
 import { Chart } from "./charts.js";
-import { errorLine, fill, h } from "./dom.js";
+import { errorLine, fill, h, runName } from "./dom.js";
 import { effectCard } from "./effect.js";
 import { knowEffects } from "./effects.js";
 import { followUpBox } from "./followup.js";
@@ -156,7 +156,7 @@ function summary(diagnosis) {
       "p",
       { class: "muted" },
       `Cross-validation over ${plural(heldOut.n_poses, "pose")} of `,
-      `${diagnosis.runs.length > 1 ? "runs" : "run"} ${diagnosis.runs.join(", ")}: search and fit were repeated `,
+      `${diagnosis.runs.length > 1 ? "runs" : "run"} ${diagnosis.runs.map(runName).join(", ")}: search and fit were repeated `,
       `without the poses they predict; for blocks, the fit alone (${heldOut.how}).`,
     ),
     h("p", { class: "model" }, diagnosis.final.model),

@@ -43,6 +43,18 @@ export function runHref(id) {
   return `#/runs/${encodeURIComponent(id)}`;
 }
 
+const UUID = /^[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}$/;
+
+/** What a run is called where people read: a UUID by its first 8 characters, a number of older days as it is. */
+export function runName(id) {
+  return UUID.test(id) ? id.slice(0, 8) : id;
+}
+
+/** A run by that name, after `word`; the address and the title have the whole id. */
+export function runLink(id, word = "") {
+  return h("a", { href: runHref(id), title: id }, word + runName(id));
+}
+
 export function rigHref(name) {
   return `#/rigs/${encodeURIComponent(name)}`;
 }

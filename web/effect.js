@@ -3,7 +3,7 @@
 import { post } from "./api.js";
 import { askConfirmation, askReason } from "./ask.js";
 import { Chart } from "./charts.js";
-import { h, headings, tableBox } from "./dom.js";
+import { h, headings, runName, tableBox } from "./dom.js";
 import {
   candidateWords,
   covariateWords,
@@ -67,7 +67,8 @@ function figures(effect) {
 /** Between which runs it changed; nothing of what was the same in all of them. */
 function change({ changed }) {
   if (!changed) return null;
-  const words = `Changed from run ${changed.from} to run ${changed.to}: the values are the later less the earlier ones.`;
+  const [from, to] = [changed.from, changed.to].map(runName);
+  const words = `Changed from run ${from} to run ${to}: the values are the later less the earlier ones.`;
   return h("p", { class: "changed", "data-testid": "changed" }, words);
 }
 

@@ -2,7 +2,7 @@
 
 import { ApiError, get } from "./api.js";
 import { Chart } from "./charts.js";
-import { errorLine, fill, h, headings, runHref, statusPill, tableBox } from "./dom.js";
+import { errorLine, fill, h, headings, runLink, statusPill, tableBox } from "./dom.js";
 import { fixed, isKnown, moment, plusMinus, significant } from "./format.js";
 import { LongWork } from "./longwork.js";
 import { may } from "./me.js";
@@ -85,7 +85,7 @@ function pValue(p) {
 
 function row(change, diagnoseBoth) {
   const number = (text) => h("td", { class: "number" }, text);
-  const link = (id) => h("td", {}, h("a", { href: runHref(id) }, id));
+  const link = (id) => h("td", {}, runLink(id));
   const untraced = change.verdict === "changed" && change.effects === null && may("operator");
   const button = untraced && h("button", { type: "button" }, "Diagnose both");
   if (button) button.addEventListener("click", () => diagnoseBoth(change));

@@ -2,7 +2,7 @@
 
 import { get, post, postForm } from "./api.js";
 import { Chart } from "./charts.js";
-import { errorLine, field, fill, h, headings, onSubmit, runHref, tableBox } from "./dom.js";
+import { errorLine, field, fill, h, headings, onSubmit, runHref, runLink, tableBox } from "./dom.js";
 import { NOT_KNOWN, fixed, isKnown, significant } from "./format.js";
 
 /** Without a run: a form for a file, and one that records a log on a rig. With one: what its samples say. */
@@ -25,7 +25,7 @@ async function ofRun(root, id, signal) {
   const still = run.plan?.kind === "static";
   const heading = still ? `Noise of unit ${run.unit}` : `Filters on unit ${run.unit}`;
   const busy = h("p", { class: "muted" }, "Computing…");
-  fill(root, h("h1", {}, heading), h("p", {}, h("a", { href: runHref(id) }, `Run ${id}`)), busy, shown);
+  fill(root, h("h1", {}, heading), h("p", {}, runLink(id, "Run ")), busy, shown);
   if (still) show(shown, await get(`${path}/noise`, signal), noiseTable, signal);
   else show(shown, await get(`${path}/filters`, signal), filterTable, signal);
   busy.remove();

@@ -3,7 +3,7 @@
 import { get, put, remove } from "./api.js";
 import { askConfirmation } from "./ask.js";
 import { Chart } from "./charts.js";
-import { errorLine, field, fill, h, headings, onSubmit, runHref, statusPill, tableBox, unitLink } from "./dom.js";
+import { errorLine, field, fill, h, headings, onSubmit, runLink, statusPill, tableBox, unitLink } from "./dom.js";
 import { fixed, isKnown, moment, plural, significant } from "./format.js";
 import { may } from "./me.js";
 
@@ -42,7 +42,7 @@ function standing(check) {
     ["Last passed", moment(check.last_passed_at)],
     [check.overdue ? "Next check (overdue)" : "Next check", moment(check.due_at)],
   ];
-  const suspects = check.suspect_runs.map((id, k) => [k > 0 && ", ", h("a", { href: runHref(id) }, id)]);
+  const suspects = check.suspect_runs.map((id, k) => [k > 0 && ", ", runLink(id)]);
   return [
     h(
       "div",
@@ -100,7 +100,7 @@ function checks({ checks: all }) {
     h(
       "tr",
       {},
-      h("th", { scope: "row" }, h("a", { href: runHref(check.run_id) }, check.run_id)),
+      h("th", { scope: "row" }, runLink(check.run_id)),
       h("td", {}, moment(check.finished_at)),
       h("td", { class: "number" }, significant(check.bias_deg, 4, "°")),
       h("td", { class: "number" }, significant(check.scale, 6)),

@@ -4,7 +4,7 @@ import { ApiError, get, post } from "./api.js";
 import { amendments, askExclude, askInclude } from "./amend.js";
 import { Chart } from "./charts.js";
 import { DiagnosisPanel } from "./diagnosis.js";
-import { errorLine, fill, h, tableBox } from "./dom.js";
+import { errorLine, fill, h, runName, tableBox } from "./dom.js";
 import { wayOn } from "./interrupted.js";
 import { LivePanel, TERMINAL } from "./live.js";
 import { may } from "./me.js";
@@ -132,7 +132,7 @@ class RunPage {
 
   #show(run) {
     if (this.run && this.run.status !== run.status)
-      this.spoken.textContent = `Run ${run.id} is ${run.status}`;
+      this.spoken.textContent = `Run ${runName(run.id)} is ${run.status}`;
     this.run = run;
     for (const part of this.ofPoses) part.hidden = run.plan?.kind === "static";
     fill(

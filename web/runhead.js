@@ -1,6 +1,6 @@
 // What a run is called, its status, and its downloads.
 
-import { h, rigHref, runHref, statusPill, unitHref, unitLink } from "./dom.js";
+import { h, rigHref, runLink, runName, statusPill, unitHref, unitLink } from "./dom.js";
 import { moment } from "./format.js";
 import { interruptions } from "./interrupted.js";
 
@@ -8,13 +8,13 @@ export function heading(run) {
   return h(
     "div",
     {},
-    h("h1", { class: run.voided && "voided" }, `Run ${run.id} · `, unitLink(run.unit)),
+    h("h1", { class: run.voided && "voided", title: run.id }, `Run ${runName(run.id)} · `, unitLink(run.unit)),
     h(
       "p",
       { class: "facts" },
       statusPill(run.status, { id: "status" }),
       run.follows &&
-        h("span", { id: "follows" }, "follow-up of ", h("a", { href: runHref(run.follows) }, `run ${run.follows}`)),
+        h("span", { id: "follows" }, "follow-up of ", runLink(run.follows, "run ")),
       h("span", {}, run.rig ? `rig ${run.rig}` : "no rig"),
       run.operator && h("span", {}, `by ${run.operator}`),
       h("span", {}, run.finished_at ? "finished " : "created ", moment(run.finished_at ?? run.created_at)),

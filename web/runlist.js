@@ -1,7 +1,7 @@
 // Runs, newest first, by unit, rig and status.
 
 import { get } from "./api.js";
-import { errorLine, fill, h, headings, runHref, statusPill, suspectTag, tableBox, unitLink } from "./dom.js";
+import { errorLine, fill, h, headings, runLink, statusPill, suspectTag, tableBox, unitLink } from "./dom.js";
 import { moment, plusMinus, significant } from "./format.js";
 
 const STATUSES = ["queued", "running", "paused", "completed", "failed", "aborted", "interrupted"];
@@ -13,7 +13,7 @@ export function runRow(run, { withUnit = true } = {}) {
   return h(
     "tr",
     { class: run.voided && "voided", "data-run": run.id },
-    h("th", { scope: "row" }, h("a", { href: runHref(run.id) }, run.id)),
+    h("th", { scope: "row" }, runLink(run.id)),
     withUnit && h("td", {}, unitLink(run.unit)),
     h("td", {}, run.rig ?? "–"),
     h(

@@ -1,7 +1,7 @@
 // Where a stage without homing stands, by the word of whoever starts a run: folded until it is asked for.
 
 import { get } from "./api.js";
-import { field, fill, h } from "./dom.js";
+import { field, fill, h, runName } from "./dom.js";
 
 const ASKED_FOR = "--stage-at"; // in the error of a run that needs to know
 
@@ -35,7 +35,7 @@ export function stagePlace(rigName, signal) {
     fill(
       why,
       isAskedFor
-        ? `Run ${last.id}, the last one on this rig, needs to be told: ${last.error}`
+        ? `Run ${runName(last.id)}, the last one on this rig, needs to be told: ${last.error}`
         : "Needed only where the service does not know where it stands, or somebody has turned it by hand.",
     );
   }

@@ -1,7 +1,7 @@
 // The first view: start a run, see the rigs, find the runs there are.
 
 import { get, post } from "./api.js";
-import { errorLine, field, fill, h, onSubmit, rigHref, runHref, statusPill } from "./dom.js";
+import { errorLine, field, fill, h, onSubmit, rigHref, runHref, runLink, statusPill } from "./dom.js";
 import { planForm } from "./plan.js";
 import { portsLook } from "./ports.js";
 import { onRigs } from "./rigs.js";
@@ -108,7 +108,7 @@ function showRigs(list, rigs) {
         h("span", { class: "rig-name" }, h("a", { href: rigHref(rig.name) }, rig.name), rig.simulated && h("span", { class: "tag" }, "simulated")),
         statusPill(rig.state),
         h("span", { class: "muted" }, `stage ${rig.stage}, board ${rig.imu}`),
-        rig.run_id && h("a", { href: runHref(rig.run_id) }, `Watch run ${rig.run_id}`),
+        rig.run_id && runLink(rig.run_id, "Watch run "),
       ),
     ),
     rigs.length === 0 && h("li", { class: "muted" }, "No rig is configured."),

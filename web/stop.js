@@ -1,7 +1,7 @@
 // The stop buttons in the page's header: in view on every page, one click, no question asked.
 
 import { ApiError, post } from "./api.js";
-import { fill, h } from "./dom.js";
+import { fill, h, runName } from "./dom.js";
 import { onRigs } from "./rigs.js";
 
 const BUTTONS = 3;
@@ -66,7 +66,7 @@ async function stop(name, line) {
   say(line, `Stopping ${name}…`, "muted");
   try {
     const { state, run_id: run } = await post(`/api/rigs/${encodeURIComponent(name)}/stop`);
-    const ended = run ? ` Run ${run} ends; its poses are kept.` : "";
+    const ended = run ? ` Run ${runName(run)} ends; its poses are kept.` : "";
     say(line, `${name}: the stage was told to stop.${ended}${state === "unreachable" ? ` ${CUT}` : ""}`, "told");
     line.timer = setTimeout(() => (line.hidden = true), CALM_MS);
   } catch (error) {

@@ -1,7 +1,7 @@
 // Other runs of the unit, to be diagnosed together with the one that is shown: a folded list of checkboxes.
 
 import { ApiError, get } from "./api.js";
-import { fill, h } from "./dom.js";
+import { fill, h, runName } from "./dom.js";
 import { moment, plural } from "./format.js";
 
 const LISTED = 100;
@@ -68,7 +68,7 @@ export class Together {
       this.#count();
     });
     const poses = plural(run.result.n_poses, "pose");
-    const words = [`Run ${run.id}, `, moment(run.finished_at), `, ${poses}`, isFollowed && ", followed on"];
+    const words = [`Run ${runName(run.id)}, `, moment(run.finished_at), `, ${poses}`, isFollowed && ", followed on"];
     return h("label", {}, box, h("span", {}, words));
   }
 }

@@ -1,7 +1,7 @@
 // The trail: who did what, when and why; of all units, or of one.
 
 import { get } from "./api.js";
-import { errorLine, field, fill, h, headings, runHref, tableBox, unitLink } from "./dom.js";
+import { errorLine, field, fill, h, headings, runLink, tableBox, unitLink } from "./dom.js";
 import { moment } from "./format.js";
 
 const PAGE = 50;
@@ -102,7 +102,7 @@ function row({ seq, at, who, what, unit, rig, run_id: run, revision, reason, det
     h("td", {}, who ?? "–"),
     h("td", {}, `${WORDS[what]}${details(what, detail)}${revision ? `, revision ${revision}` : ""}`),
     h("td", {}, unit ? unitLink(unit) : (rig ?? "–")),
-    h("td", {}, run ? h("a", { href: runHref(run) }, run) : "–"),
+    h("td", {}, run ? runLink(run) : "–"),
     h("td", {}, reason ?? detail.note ?? "–"),
   );
 }

@@ -114,7 +114,7 @@ class Records:
         if run.unit == unit:
             raise Conflict(f"run {run_id} is of unit {unit!r} already")
         of_unit, _ = self._store.runs(unit=run.unit, limit=2**31)
-        moving = [ended_run(self._store, number) for number in _chain(run_id, of_unit)]
+        moving = [ended_run(self._store, one) for one in _chain(run_id, of_unit)]
         for one in moving:
             _check_movable(one, {m.id for m in moving}, of_unit)
         self._store.move_runs({one.id: self._result_for(one, unit) for one in moving}, unit, why, who=who)
@@ -170,7 +170,10 @@ class Records:
 
 
 def _chain(run_id: str, of_unit: Sequence[Run]) -> list[str]:
-    """A run, those it follows on and those that follow on it, by whatever way; the oldest first."""
+    """A run, those it follows on and those that follow on it, by whatever way; the oldest first.
+
+    `of_unit` are all of its unit, the newest first.
+    """
     near: dict[str, set[str]] = {run.id: set() for run in of_unit}
     for run in of_unit:
         if run.follows in near:
@@ -178,9 +181,9 @@ def _chain(run_id: str, of_unit: Sequence[Run]) -> list[str]:
             near[run.follows].add(run.id)
     found, fresh = {run_id}, {run_id}
     while fresh:
-        fresh = set().union(*(near[number] for number in fresh)) - found
+        fresh = set().union(*(near[one] for one in fresh)) - found
         found |= fresh
-    return sorted(found, key=int)
+    return [run.id for run in reversed(of_unit) if run.id in found]
 
 
 def _check_movable(run: Run, moving: Set[str], of_unit: Sequence[Run]) -> None:
@@ -190,9 +193,10 @@ def _check_movable(run: Run, moving: Set[str], of_unit: Sequence[Run]) -> None:
             "void it, and verify the right unit"
         )
     for other in of_unit:
-        together = set((other.diagnosis or {}).get("runs", ()))
-        if run.id in together and not {other.id, *together} <= moving:
-            stays = ", ".join(sorted({other.id, *together} - moving))
+        together = (other.diagnosis or {}).get("runs", ())
+        stay = [one for one in dict.fromkeys((*together, other.id)) if one not in moving]
+        if run.id in together and stay:
+            stays = ", ".join(stay)
             raise Conflict(
                 f"the diagnosis of run {other.id} is of run {run.id} and of others that stay with unit "
                 f"{run.unit!r} ({stays}): diagnose run {other.id} alone first"

@@ -70,4 +70,7 @@ class _Standing(Collector):
         yield GaugeMetricFamily(
             "calrig_store_size_bytes", "The store's file and its write-ahead log.", size.used_bytes
         )
-        yield GaugeMetricFamily("calrig_store_free_bytes", "Room left on the store's disk.", size.free_bytes)
+        if size.free_bytes is not None:
+            yield GaugeMetricFamily(
+                "calrig_store_free_bytes", "Room left on the store's disk.", size.free_bytes
+            )

@@ -9,7 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from calrig.cli.input_files import names_a_file, read_log_file, read_poses_file
-from calrig.cli.options import COLUMNS, AccelRange, Db, Json
+from calrig.cli.options import COLUMNS, SHORTENED, AccelRange, Db, Json
+from calrig.cli.typed_ids import whole_id
 from calrig.errors import InputError
 
 
@@ -17,7 +18,7 @@ def diagnose(
     sources: Annotated[
         list[str],
         typer.Argument(
-            metavar="FILE.csv|RUN_ID...", help=f"Poses of one unit, or ids of its runs. {COLUMNS}"
+            metavar="FILE.csv|RUN_ID...", help=f"Poses of one unit, or ids of its runs{SHORTENED}. {COLUMNS}"
         ),
     ],
     as_json: Json = False,
@@ -88,4 +89,5 @@ def _of_runs(run_ids: Sequence[str], db: str | None) -> dict[str, Any]:
     from calrig.store import Store
 
     with Store.open(store_url(db), writer=None) as store:
-        return Diagnoses(store).question(run_ids[-1], run_ids[:-1])()
+        *more, last = (whole_id(store, typed) for typed in run_ids)
+        return Diagnoses(store).question(last, more)()

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from calrig.cli.typed_ids import looks_like_an_id
 from calrig.errors import InputError
 
 if TYPE_CHECKING:
@@ -23,8 +24,8 @@ LARGEST_PLAN = 1_000_000
 
 
 def names_a_file(source: str) -> bool:
-    """A run's id is a number; anything else is taken for a file, so that a wrong name is said to be one."""
-    return not source.isascii() or not source.isdigit() or Path(source).is_file()
+    """A file or, of what could be no run's id, a wrong name of one, so that it is said to be that."""
+    return not looks_like_an_id(source) or Path(source).is_file()
 
 
 def in_utf8(name: str) -> str:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calrig.cli.input_files import names_a_file, read_log_file
-from calrig.cli.options import COLUMNS, AccelRange, Db, GyroRange, Json, Plot, Rate
+from calrig.cli.options import COLUMNS, SHORTENED, AccelRange, Db, GyroRange, Json, Plot, Rate
+from calrig.cli.typed_ids import whole_id
 from calrig.errors import InputError
 
 if TYPE_CHECKING:
@@ -57,7 +58,7 @@ def filters(
     source: Annotated[
         str,
         typer.Argument(
-            metavar="FILE.csv|RUN_ID", help=f"A log with rest and motion, or a run's id. {COLUMNS}"
+            metavar="FILE.csv|RUN_ID", help=f"A log with rest and motion, or a run's id{SHORTENED}. {COLUMNS}"
         ),
     ],
     as_json: Json = False,
@@ -107,4 +108,4 @@ def _filters_of_run(run_id: str, db: str | None) -> FilterStudy:
     from calrig.store import Store
 
     with Store.open(store_url(db), writer=None) as store:
-        return filters_of_run(store, run_id)
+        return filters_of_run(store, whole_id(store, run_id))

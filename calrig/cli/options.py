@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 COLUMNS = "Columns: calrig/docs/poses.md."
+SHORTENED = " (the first 6 characters of a UUID do)"
 Db = Annotated[str | None, typer.Option(metavar="FILE", help="Store: a path or a URL [CALRIG_DB].")]
 Config = Annotated[str | None, typer.Option(metavar="FILE", help="Configuration [CALRIG_CONFIG].")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]

@@ -10,7 +10,8 @@ from typing import Annotated
 import typer
 
 from calrig.cli.input_files import in_utf8, read_bytes
-from calrig.cli.options import COLUMNS, Db, Rig, UnitSerial
+from calrig.cli.options import COLUMNS, SHORTENED, Db, Rig, UnitSerial
+from calrig.cli.typed_ids import whole_id
 from calrig.errors import InputError
 
 
@@ -50,7 +51,9 @@ def import_(
 
 
 def export(
-    run_id: Annotated[str | None, typer.Argument(metavar="RUN_ID", help="The run to export.")] = None,
+    run_id: Annotated[
+        str | None, typer.Argument(metavar="RUN_ID", help=f"The run to export{SHORTENED}.")
+    ] = None,
     unit: Annotated[str | None, typer.Option(metavar="SERIAL", help="The unit, by its run in force.")] = None,
     format_: Annotated[
         Format, typer.Option("--format", help="The calibration, or its poses (csv).")
@@ -68,6 +71,8 @@ def export(
     if (run_id is None) == (unit is None):
         raise InputError("export: name either a RUN_ID or --unit SERIAL")
     with Store.open(store_url(db), writer=None) as store:
+        if run_id is not None:
+            run_id = whole_id(store, run_id)
         if run_id is not None and format_ is Format.csv:
             sys.stdout.write(write_poses(counted_poses(store, stored_run(store, run_id).id)))
             return

@@ -18,6 +18,7 @@ from calrig.figures.parts import (
     layout_of,
     line_of,
 )
+from calrig.run_ids import short_name
 
 Run = Mapping[str, Any]
 """A run as CONTRACT section 2's comparison lists it: `run_id, finished_at, bias_deg, bias_std_deg, …`."""
@@ -108,7 +109,7 @@ def _over_time(name: str, runs: Sequence[Run], key: str, std_key: str | None, co
     trace = line_of(name, [_iso(r["finished_at"]) for r in runs], [r[key] for r in runs], colour)
     trace["mode"] = "lines+markers"
     trace["marker"] = {"color": colour, "size": 7}
-    trace["customdata"] = [str(r["run_id"]) for r in runs]
+    trace["customdata"] = [short_name(r["run_id"]) for r in runs]
     trace["hovertemplate"] = "run %{customdata}: %{y:.5f}"
     if std_key:
         trace["error_y"] = error_bars([r[std_key] for r in runs], colour)

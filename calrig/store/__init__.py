@@ -1,6 +1,5 @@
 """Runs, poses, events and raw samples in one SQLite file (SQLModel tables, Alembic migrations)."""
 
-from calrig.store.backup import BackedUp, back_up
 from calrig.store.check_units import CheckUnit
 from calrig.store.errors import NotFound, StoreDamagedError, StoreError, StoreUnavailableError
 from calrig.store.event_log import Announced
@@ -20,6 +19,7 @@ from calrig.store.records import (
     Unit,
     Voided,
 )
+from calrig.store.sqlite.backup import BackedUp, back_up
 from calrig.store.store import Store
 
 __all__ = [

@@ -178,7 +178,7 @@ class Amendments(Part):
 
 
 def _act(what: What, run: RunTable, who: str | None, reason: str | None = None, **detail: Any) -> Act:
-    return Act(what, who=who, unit=run.unit, rig=run.rig, run_id=str(run.id), reason=reason, detail=detail)
+    return Act(what, who=who, unit=run.unit, rig=run.rig, run_id=run.uid, reason=reason, detail=detail)
 
 
 def _pose(session: Session, run_id: str, index: int) -> tuple[RunTable, PoseTable]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import io
-import re
+import math
 import zipfile
 import zlib
 from collections.abc import Iterable, Sequence
@@ -14,10 +14,11 @@ from typing import Any, cast, get_args
 
 import numpy as np
 from sqlalchemy.orm import object_session
-from sqlmodel import Session
+from sqlmodel import Session, select
 
 from calrig.calibration.conformity import Limit, limit_for
 from calrig.calibration.pose import Filtering, Pose
+from calrig.run_ids import is_run_id
 from calrig.store import checksums
 from calrig.store.errors import NotFound, Unreadable
 from calrig.store.limits import limits_of
@@ -40,9 +41,11 @@ def iso_utc(time: datetime) -> str:
     return time.astimezone(UTC).isoformat().replace("+00:00", "Z")
 
 
-def run_number(run_id: str) -> int | None:
-    """The row that an id stands for; None where no run could ever have it."""
-    return int(run_id) if re.fullmatch(r"[1-9][0-9]{0,17}", run_id, re.ASCII) else None
+def find_run(session: Session, run_id: str) -> RunTable | None:
+    """The row of a run, or None; what could be no id is not asked for."""
+    if not is_run_id(run_id):
+        return None
+    return session.exec(select(RunTable).where(RunTable.uid == run_id)).first()
 
 
 def run_row(session: Session, run_id: str) -> RunTable:
@@ -51,7 +54,7 @@ def run_row(session: Session, run_id: str) -> RunTable:
     Raises:
         NotFound: it is not.
     """
-    row = session.get(RunTable, run_number(run_id) or 0)
+    row = find_run(session, run_id)
     if row is None:
         raise NotFound(f"there is no run {run_id}")
     return row
@@ -65,15 +68,25 @@ def check_texts(values: Iterable[object], what: str) -> None:
 
 def run_of(row: RunTable) -> Run:
     """The run of a row."""
-    texts = (row.unit, row.rig, row.kind, row.status, row.operator, row.note, row.voided_reason, row.error)
-    check_texts(texts, f"run {row.id}")
+    texts = (
+        row.uid,
+        row.unit,
+        row.rig,
+        row.kind,
+        row.status,
+        row.operator,
+        row.note,
+        row.voided_reason,
+        row.error,
+    )
+    check_texts(texts, f"run {row.uid}")
     if row.status not in get_args(Status):
-        raise Unreadable(f"run {row.id} is not what was stored: there is no status {row.status[:40]!r}")
+        raise Unreadable(f"run {row.uid} is not what was stored: there is no status {row.status[:40]!r}")
     voided: Voided | None = None
     if row.voided_reason is not None and row.voided_at is not None:
         voided = {"reason": row.voided_reason, "at": row.voided_at}
     return Run(
-        id=str(row.id),
+        id=row.uid,
         unit=row.unit,
         rig=row.rig,
         status=cast(Status, row.status),
@@ -82,7 +95,7 @@ def run_of(row: RunTable) -> Run:
         result=row.result,
         diagnosis=row.diagnosis,
         faults=row.faults,
-        follows=None if row.follows is None else str(row.follows),
+        follows=None if row.follows is None else _followed_by(row),
         provenance=row.provenance,
         operator=row.operator,
         note=row.note,
@@ -93,6 +106,15 @@ def run_of(row: RunTable) -> Run:
         error=row.error,
         limit=None if row.result is None else _limit_of(row),
     )
+
+
+def _followed_by(row: RunTable) -> str:
+    """The id of the run that a run follows; few follow any."""
+    session = cast(Session, object_session(row))
+    followed = session.exec(select(RunTable.uid).where(RunTable.id == row.follows)).first()
+    if followed is None:
+        raise Unreadable(f"the run that run {row.uid} follows is missing")
+    return followed
 
 
 def _limit_of(row: RunTable) -> Limit | None:
@@ -120,13 +142,16 @@ def result_part(figures: Sequence[float | None]) -> dict[str, Any]:
 def pose_values(run_id: int, index: int, pose: Pose) -> dict[str, Any]:
     """A pose as the columns of its table."""
     values = {name: getattr(pose, name) for name in _POSE_FIELDS}
+    for name in POSE_NUMBERS:  # SQLite takes what is no number for null, PostgreSQL keeps it
+        if isinstance(values[name], float) and math.isnan(values[name]):
+            values[name] = None
     crc32 = checksums.of_numbers((run_id, index, *(values[name] for name in POSE_NUMBERS)))
     return {"run_id": run_id, "pose_index": index, **values, "crc32": crc32}
 
 
-def pose_of(row: PoseTable, filtering: Filtering | None) -> StoredPose:
-    """The pose of a row, read through the run's filter."""
-    what = f"pose {row.pose_index} of run {row.run_id}"
+def pose_of(row: PoseTable, run_id: str, filtering: Filtering | None) -> StoredPose:
+    """The pose of a row, of the run with that id, read through the run's filter."""
+    what = f"pose {row.pose_index} of run {run_id}"
     numbers = (getattr(row, name) for name in POSE_NUMBERS)
     checksums.check_numbers(row.crc32, (row.run_id, row.pose_index, *numbers), what)
     pose = Pose(**{name: getattr(row, name) for name in _POSE_FIELDS}, filtering=filtering)

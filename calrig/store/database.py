@@ -1,262 +1,82 @@
-"""The SQLite file: finding it, opening it, and short transactions on it from many threads."""
+"""What a store asks of its database, whichever engine keeps it: short transactions from many threads."""
 
 from __future__ import annotations
 
-import shutil
-import sqlite3
-import threading
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
-from pathlib import Path
-from typing import cast
-from urllib.parse import unquote
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
 
-from sqlalchemy import Connection, QueuePool, create_engine, event, make_url
-from sqlalchemy.exc import ArgumentError, StatementError
+from sqlalchemy import Connection
+from sqlalchemy.exc import StatementError
 from sqlmodel import Session
 
-from calrig.instruments.wanted import require_wanted
-from calrig.store import file_system, migrate
-from calrig.store.checksums import from_json, to_json
-from calrig.store.connecting import connect, is_a_table
-from calrig.store.copying import check_sound
-from calrig.store.errors import StoreError, StoreUnavailableError, Unreadable, damaged, store_error
-from calrig.store.lock import WriterLock
-from calrig.store.records import UNFINISHED, Size
+from calrig.store.errors import StoreDamagedError, StoreError, Unreadable
+from calrig.store.records import Size
 
 BUSY_TIMEOUT_S = 10.0
 LOOK_S = 0.1
 """How soon a write that waits for its turn notices that it is not wanted any more."""
 
 
-def database_path(url: str) -> Path:
-    """The file that an SQLAlchemy URL names; `%3F` in it stands for `?`, and so on.
+class Database(ABC):
+    """An open database. Threads share it: writes take turns, reads never wait for them.
 
-    Raises:
-        StoreError: it is not the URL of a SQLite file.
-    """
-    try:
-        parsed = make_url(url)
-    except ArgumentError as error:
-        raise StoreError(f"{url!r} is neither a path nor an SQLAlchemy URL") from error
-    if parsed.get_backend_name() != "sqlite" or parsed.host or "?" in url:
-        shown = parsed.render_as_string(hide_password=True)
-        raise StoreError(f"{shown}: a store is a SQLite file: name it by its path or as sqlite:///path")
-    _, _, quoted = url.partition(":///")  # SQLAlchemy unquotes it from 2.1 on only
-    named = unquote(quoted, errors="surrogateescape")
-    if not named or named == ":memory:":
-        raise StoreError(f"{url}: a store in memory would be lost: name a file")
-    path = Path(named).resolve()
-    try:
-        path.exists()
-    except OSError as error:
-        raise StoreError(
-            f"{path}: cannot be looked at ({error.strerror}): name another file with --db"
-        ) from error
-    return path
-
-
-class Database:
-    """An open database. Threads share it: writes take turns, reads never wait for them (WAL).
-
-    Args:
-        path: the database's file.
-        writer: what the writer does (`serve`, `run`, `import`); None opens for reading only.
-        busy_timeout_s: how long to wait for a lock that another process holds.
-        left_by_the_dead: as `calrig.store.Store.open`.
-
-    Raises:
-        StoreError: as `calrig.store.Store.open`.
+    Attributes:
+        name: what messages call it: a path, or a URL without its password.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        writer: str | None,
-        busy_timeout_s: float,
-        left_by_the_dead: Callable[[Sequence[str]], None] = lambda _: None,
-    ) -> None:
-        self.path = path
-        self._timeout_s = busy_timeout_s
-        self._writes = threading.Lock()
-        if path.is_dir():
-            raise StoreError(f"{path}: is a folder: name a file in it with --db")
-        if path.exists() and not path.is_file():
-            raise StoreError(
-                f"{path}: is not a file but a {file_system.kind_of(path.stat())}: name one with --db"
-            )
-        self._engine = create_engine(
-            "sqlite://",
-            creator=self._connect,
-            json_serializer=to_json,
-            json_deserializer=from_json,
-            poolclass=QueuePool,
-            pool_size=8,
-            max_overflow=-1,  # a thread never waits for a connection, only for the write lock
-        )
-        event.listen(self._engine, "begin", self._begin)
-        self._write_engine = self._engine.execution_options(calrig_writes=True)
-        self._uri = path.as_uri()
-        if writer:
-            file_system.refuse_network(path)
-        self._lock = WriterLock(path, writer) if writer else None
-        try:
-            if self._lock:
-                left_by_the_dead(self._rigs_in_use())
-                self._prepare_for_writing()
-            else:
-                self._check_for_reading()
-        except BaseException:
-            self.close()
-            raise
+    name: str
 
-    def _rigs_in_use(self) -> list[str]:
-        """Rigs of unfinished runs; none where the file cannot be read, which the checks to come will say."""
-        if not self.path.is_file() or self.path.stat().st_size == 0:  # opened, it would lose its -wal file
-            return []
-        marks = ", ".join("?" * len(UNFINISHED))
-        wanted = f"SELECT DISTINCT rig FROM run WHERE rig IS NOT NULL AND status IN ({marks})"  # noqa: S608
-        try:
-            with closing(connect(f"{self._uri}?mode=ro", self._timeout_s)) as file:
-                if not is_a_table(file, "run"):
-                    return []
-                return [name for (name,) in file.execute(wanted, UNFINISHED)]
-        except (sqlite3.Error, UnicodeDecodeError):
-            return []
-
-    def _prepare_for_writing(self) -> None:
-        uri = None
-        try:
-            with suppress(FileExistsError):  # an older one keeps the mode it was given
-                file_system.make_private(self.path)
-        except OSError as error:
-            raise store_error(error, self.path) from error
-        if file_system.has_writer(self.path):
-            # It died, perhaps with the power: a good moment for damage, which is looked for first.
-            uri = file_system.reading_uri(self.path, self._timeout_s)
-            with closing(connect(uri, self._timeout_s)) as connection:
-                check_sound(connection, self.path)
-        stored = migrate.stored_revision(self.path, uri)
-        migrate.check_not_newer(self.path, stored)
-        with self._in_words():
-            if stored is not None:
-                self._engine.connect().close()  # where that cannot be done, nothing is migrated
-            migrate.upgrade(self.path, stored)
-            self._engine.connect().close()
-
-    def _check_for_reading(self) -> None:
-        stored = None
-        if self.path.is_file():
-            self._uri = file_system.reading_uri(self.path, self._timeout_s)
-            stored = migrate.stored_revision(self.path, self._uri)
-        if stored is None:
-            raise StoreError(
-                f"{self.path}: there is no calrig database: name one with --db, "
-                "or make one with `calrig serve`, `calrig run` or `calrig import`"
-            )
-        migrate.check_not_newer(self.path, stored)
-        if stored != migrate.revisions()[-1]:
-            raise StoreError(
-                f"{self.path}: was written by an older calrig (revision {stored}): run `calrig serve` once, "
-                "which keeps a copy and brings it up to date"
-            )
-
-    def _connect(self) -> sqlite3.Connection:
-        connection = connect(self._uri, self._timeout_s, isolation_level=None, check_same_thread=False)
-        connection.execute("PRAGMA foreign_keys = ON")
-        connection.execute("PRAGMA synchronous = FULL")
-        if self._lock:
-            (mode,) = connection.execute("PRAGMA journal_mode = WAL").fetchone()
-            if mode != "wal":
-                connection.close()
-                raise file_system.on_a_network_drive(self.path, f"its journal stays {mode!r}")
-        else:
-            connection.execute("PRAGMA query_only = ON")
-        return connection
-
-    @contextmanager
-    def reading(self) -> Iterator[Session]:
+    @abstractmethod
+    def reading(self) -> AbstractContextManager[Session]:
         """A session that sees one state of the database throughout."""
-        with self._in_words(), Session(self._engine) as session:
-            yield session
-        if self._uri.endswith(file_system.AS_IT_LIES) and file_system.has_writer(self.path):
-            raise StoreUnavailableError(f"{self.path}: a writer has taken it while it was read: try again")
 
-    @contextmanager
-    def staging(self) -> Iterator[Connection]:
+    @abstractmethod
+    def staging(self) -> AbstractContextManager[Connection]:
         """A connection with temporary tables of its own, which are gone when the block ends.
 
         What is laid there keeps nobody from writing; `writing(on=it)` then takes it over in little time.
         """
-        with self._in_words(), self._engine.connect() as connection:
-            connection.detach()  # it is closed in earnest
-            yield connection
 
-    @contextmanager
-    def writing(self, on: Connection | None = None) -> Iterator[Session]:
-        """A session whose changes are on the disk when the block ends, or none of them where it raises.
+    @abstractmethod
+    def writing(self, on: Connection | None = None) -> AbstractContextManager[Session]:
+        """A session whose changes are kept when the block ends, or none of them where it raises.
 
         Args:
             on: what `staging` gave; without it any connection.
 
         Raises:
-            StoreError: it cannot be written; of waiting for a lock, what `require_wanted` raises as well.
+            StoreError: it cannot be written; of waiting for a turn, what `require_wanted` raises as well.
         """
-        if self._lock is None:
-            raise StoreError(f"{self.path}: was opened for reading only")
-        where = self._write_engine if on is None else on.execution_options(calrig_writes=True)
-        with self._in_words(), self._turn(), Session(where) as session, session.begin():
-            yield session
 
-    @contextmanager
-    def _turn(self) -> Iterator[None]:
-        """One write at a time; who waits for another one's end gives up once nobody wants his own."""
-        while not self._writes.acquire(timeout=LOOK_S):
-            require_wanted()
-        try:
-            yield
-        finally:
-            self._writes.release()
-
-    def _begin(self, connection: Connection) -> None:
-        # A transaction that will write says so at once: turning a read into a write can fail midway.
-        if connection.get_execution_options().get("calrig_writes"):
-            self._lock_for_writing(cast(sqlite3.Connection, connection.connection.dbapi_connection))
-        else:
-            connection.exec_driver_sql("BEGIN")
-
-    def _lock_for_writing(self, raw: sqlite3.Connection) -> None:
-        """Waits for another program's lock in short stretches, as long as somebody wants the write."""
-        give_up_s = time.monotonic() + self._timeout_s
-        raw.execute(f"PRAGMA busy_timeout = {1000 * min(LOOK_S, self._timeout_s):.0f}")
-        try:
-            while True:
-                try:
-                    raw.execute("BEGIN IMMEDIATE")
-                    return
-                except sqlite3.OperationalError as error:
-                    is_busy = error.sqlite_errorname.startswith("SQLITE_BUSY")
-                    if not is_busy or time.monotonic() >= give_up_s:
-                        raise
-                require_wanted()
-        finally:
-            raw.execute(f"PRAGMA busy_timeout = {1000 * self._timeout_s:.0f}")
-
+    @abstractmethod
     def give_back_space(self) -> None:
-        """Shortens the file by the pages that deletions left empty."""
-        with self._in_words(), self._turn(), self._engine.connect() as connection:
-            raw = cast(sqlite3.Connection, connection.connection.driver_connection)
-            raw.executescript("PRAGMA incremental_vacuum")  # `execute` steps once: one page
+        """Gives back what deletions left empty."""
+
+    @abstractmethod
+    def size(self) -> Size:
+        """What the store takes, and what is left where it lies."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Closes every connection."""
+
+    @abstractmethod
+    def _error(self, error: BaseException | None) -> StoreError:
+        """What the engine reported, in words and with what to do."""
+
+    @abstractmethod
+    def _damaged(self, what: str) -> StoreDamagedError:
+        """The error for something else in the database than was written."""
 
     @contextmanager
     def _in_words(self) -> Iterator[None]:
         try:
             yield
         except Unreadable as error:
-            raise damaged(self.path, str(error)) from error
+            raise self._damaged(str(error)) from error
         except UnicodeDecodeError as error:
-            raise damaged(self.path, str(error)) from error
+            raise self._damaged(str(error)) from error
         except UnicodeEncodeError as error:
             raise self._no_text(error) from error
         except StatementError as error:
@@ -264,28 +84,13 @@ class Database:
                 raise self._no_text(error.orig) from error
             if isinstance(error.orig, ValueError):
                 raise ValueError(f"cannot be stored: {error.orig}") from error
-            raise store_error(error.orig, self.path) from error
-        except sqlite3.Error as error:
-            raise store_error(error, self.path) from error
+            raise self._error(error.orig) from error
 
     def _no_text(self, error: UnicodeEncodeError) -> StoreError:
         """The error for a name of another encoding, as a terminal or a folder may have it."""
         return StoreError(
-            f"{self.path}: keeps UTF-8 text, and {error.object[:60]!a} is none: write it in UTF-8"
+            f"{self.name}: keeps UTF-8 text, and {error.object[:60]!a} is none: write it in UTF-8"
         )
-
-    def size(self) -> Size:
-        """What the store takes of its disk."""
-        files = (self.path, self.path.with_name(f"{self.path.name}-wal"))
-        used_bytes = sum(file_system.size_bytes(file) for file in files)
-        return Size(used_bytes, shutil.disk_usage(self.path.parent).free)
-
-    def close(self) -> None:
-        """Closes every connection and lets the writer's lock go."""
-        self._engine.dispose()
-        if self._lock:
-            self._lock.close()
-            self._lock = None
 
 
 class Part:

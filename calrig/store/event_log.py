@@ -42,11 +42,11 @@ class EventLog(Part):
                 .limit(limit)
             )
             rows = session.exec(wanted).all()
-            check_texts((row.type for row in rows), f"the log of run {run.id}")
+            check_texts((row.type for row in rows), f"the log of run {run.uid}")
             found = [Event(seq=row.seq, type=row.type, data=row.data) for row in rows]
             for expected, event in enumerate(found, start=seq + 1):
                 if event.seq != expected:
-                    raise Unreadable(f"event {expected} of run {run.id} is missing")
+                    raise Unreadable(f"event {expected} of run {run.uid} is missing")
             return found
 
     def keep_transcripts(self, run_id: str, texts: Mapping[str, str]) -> None:

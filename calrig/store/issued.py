@@ -13,7 +13,7 @@ from sqlalchemy import func
 from sqlmodel import Session, col, select
 
 from calrig.store import trail
-from calrig.store.convert import iso_utc, run_number
+from calrig.store.convert import iso_utc, run_row
 from calrig.store.database import Part
 from calrig.store.errors import NotFound, Refused, Unreadable
 from calrig.store.records import Document
@@ -77,7 +77,7 @@ def issue(session: Session, run: RunTable, draft: Draft) -> IssuedCalibrationTab
     document = {
         **draft.content,
         "revision": revision,
-        "run_id": str(run.id),
+        "run_id": run.uid,
         "calibrated_at": None if run.finished_at is None else iso_utc(run.finished_at),
         "issued_at": iso_utc(now),
         "provenance": run.provenance,
@@ -110,10 +110,7 @@ class Issued(Part):
     def issue(self, run_id: str, draft: Draft) -> Revision:
         """Makes the next revision of a run's unit."""
         with self._database.writing() as session:
-            run = session.get(RunTable, run_number(run_id) or 0)
-            if run is None:
-                raise NotFound(f"there is no run {run_id}")
-            return _revision(issue(session, run, draft))
+            return _revision(issue(session, run_row(session, run_id), draft))
 
     def revisions(self, unit: str) -> list[Revision]:
         """All of a unit's, newest first."""
@@ -209,7 +206,7 @@ def _note(
     detail: Document | None = None,
 ) -> None:
     said = {"sha256": row.sha256, **(detail or {})}
-    act = trail.Act(what, by, row.unit, None, str(row.run_id), row.revision, reason, said)
+    act = trail.Act(what, by, row.unit, None, _revision(row).run_id, row.revision, reason, said)
     trail.append(session, act, now)
 
 
@@ -233,7 +230,7 @@ def _revision(row: IssuedCalibrationTable) -> Revision:
         unit=row.unit,
         revision=row.revision,
         status=cast(RevisionStatus, row.status),
-        run_id=str(row.run_id),
+        run_id=document["run_id"],
         text=row.document,
         sha256=row.sha256,
         basis=row.basis,

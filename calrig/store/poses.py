@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from datetime import datetime
-from typing import Unpack
+from typing import Any, Unpack
 
 from sqlmodel import Session, col, delete, func, insert, select
 from sqlmodel.sql.expression import SelectOfScalar
@@ -15,7 +15,6 @@ from calrig.store.convert import (
     packed_arrays,
     pose_of,
     pose_values,
-    run_number,
     run_row,
     unpacked_block,
 )
@@ -58,11 +57,11 @@ class Poses(Part):
         Returns:
             The events' numbers, as `append_events`.
         """
-        blocks = [_row_of(run_id, block) for block in samples]
+        blocks = [_columns_of(block) for block in samples]
         with self._database.writing() as session:
             run = run_row(session, run_id)
             session.execute(insert(PoseTable), [pose_values(run.id, index, pose)])
-            session.add_all(blocks)
+            session.add_all(SampleBlockTable(run_id=run.id, **block) for block in blocks)
             return change(session, run, events, changes)
 
     def add_samples(
@@ -73,10 +72,10 @@ class Poses(Part):
         **changes: Unpack[RunChanges],
     ) -> list[int]:
         """Stores samples of no pose, as a static log has them, with events and changes as `add_pose`."""
-        blocks = [_row_of(run_id, block) for block in samples]
+        blocks = [_columns_of(block) for block in samples]
         with self._database.writing() as session:
             run = run_row(session, run_id)
-            session.add_all(blocks)
+            session.add_all(SampleBlockTable(run_id=run.id, **block) for block in blocks)
             return change(session, run, events, changes)
 
     def poses(self, run_id: str, *, include_excluded: bool = True) -> list[StoredPose]:
@@ -86,7 +85,7 @@ class Poses(Part):
             _require_all(session, run)
             wanted = _by_index(run).execution_options(yield_per=POSES_AT_ONCE)
             filtering = _filtering_of(run)
-            found = (pose_of(pose, filtering) for pose in session.exec(wanted))
+            found = (pose_of(pose, run.uid, filtering) for pose in session.exec(wanted))
             return [pose for pose in found if include_excluded or pose.excluded is None]
 
     def pose_batches(self, run_id: str) -> Iterator[list[StoredPose]]:
@@ -99,16 +98,16 @@ class Poses(Part):
             run = run_row(session, run_id)
             _require_all(session, run)
             filtering, wanted = _filtering_of(run), _by_index(run)
-        return self._batches(wanted, filtering)
+        return self._batches(wanted, run_id, filtering)
 
     def _batches(
-        self, wanted: SelectOfScalar[PoseTable], filtering: Filtering | None
+        self, wanted: SelectOfScalar[PoseTable], run_id: str, filtering: Filtering | None
     ) -> Iterator[list[StoredPose]]:
         last = -1
         while True:
             some = wanted.where(col(PoseTable.pose_index) > last).limit(POSES_AT_ONCE)
             with self._database.reading() as session:
-                batch = [pose_of(pose, filtering) for pose in session.exec(some)]
+                batch = [pose_of(pose, run_id, filtering) for pose in session.exec(some)]
             if not batch:
                 return
             last = batch[-1].index
@@ -192,7 +191,7 @@ def _require_all(session: Session, run: RunTable) -> None:
     except (TypeError, ValueError, AttributeError, OverflowError) as error:
         raise _not_as_stored(run, error) from error
     if missing > 0:
-        raise Unreadable(f"{missing} poses of run {run.id} are missing")
+        raise Unreadable(f"{missing} poses of run {run.uid} are missing")
 
 
 def _filtering_of(run: RunTable) -> Filtering | None:
@@ -203,18 +202,17 @@ def _filtering_of(run: RunTable) -> Filtering | None:
 
 
 def _not_as_stored(run: RunTable, error: Exception) -> Unreadable:
-    return Unreadable(f"the documents of run {run.id} are not what was stored: {error}")
+    return Unreadable(f"the documents of run {run.uid} are not what was stored: {error}")
 
 
-def _row_of(run_id: str, block: SampleBlock) -> SampleBlockTable:
-    """A block as a row; compresses, hence not for inside a transaction."""
-    return SampleBlockTable(
-        run_id=run_number(run_id) or 0,
-        pose_index=block.pose_index,
-        phase=block.phase,
-        n_samples=len(block.time_s),
-        data=packed_arrays(block),
-    )
+def _columns_of(block: SampleBlock) -> dict[str, Any]:
+    """A block as the columns of its table, less the run; compresses, hence not for inside a transaction."""
+    return {
+        "pose_index": block.pose_index,
+        "phase": block.phase,
+        "n_samples": len(block.time_s),
+        "data": packed_arrays(block),
+    }
 
 
 def _block_numbers(session: Session, run_id: str, pose: int | None) -> list[tuple[int, int]]:

@@ -168,10 +168,10 @@ class AcceptedEffect:
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """What the store takes of its disk, and what room is left there."""
+    """What the store takes, and what room is left on its disk; None where that is another machine's."""
 
     used_bytes: int
-    free_bytes: int
+    free_bytes: int | None
 
 
 @dataclass(frozen=True, slots=True)

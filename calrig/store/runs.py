@@ -7,12 +7,14 @@ from contextlib import ExitStack
 from datetime import UTC, datetime
 from typing import Unpack, get_args
 
-from sqlmodel import Session, col, func, select
+from sqlmodel import Session, col, func, select, tuple_
 
 from calrig.calibration.pose import Pose
+from calrig.run_ids import is_uuid, new_run_id
 from calrig.store import event_log, issued, staging, trail
-from calrig.store.convert import figures_of, run_number, run_of, run_row
+from calrig.store.convert import figures_of, find_run, run_of, run_row
 from calrig.store.database import Part
+from calrig.store.errors import Refused
 from calrig.store.event_log import Announced
 from calrig.store.records import TERMINAL, UNFINISHED, Document, Run, RunChanges, Status
 from calrig.store.tables import CalibrationTable, RunTable, UnitTable
@@ -41,20 +43,31 @@ class Runs(Part):
         result: Document | None = None,
         draft: issued.Draft | None = None,
         who: str | None = None,
+        run_id: str | None = None,
     ) -> Run:
         """Makes a run and, where it is the first of its unit, the unit; announces the run's state.
 
         An import gives `poses`, `result`, the status `completed` and the unit's next revision at once: all is
         stored or nothing. Nobody waits meanwhile for longer than the copying of what was made ready takes.
+        The bench that a run began on gives its `run_id`, a UUID; elsewhere a new one is minted here.
+
+        Raises:
+            Refused: there is a run of that id.
+            ValueError: it is no UUID.
         """
+        if run_id is not None and not is_uuid(run_id):
+            raise ValueError(f"{run_id!r} is not a UUID, which the id of a new run is")
         now = datetime.now(UTC)
         with ExitStack() as stack:
             staged = stack.enter_context(staging.staged(self._database, poses)) if poses else None
             session = stack.enter_context(self._database.writing(on=staged))
+            if run_id is not None and find_run(session, run_id) is not None:
+                raise Refused(f"there is a run {run_id} already")
             if session.get(UnitTable, unit) is None:
                 session.add(UnitTable(serial=unit, created_at=now))
                 session.flush()
             row = RunTable(
+                uid=run_id or new_run_id(),
                 unit=unit,
                 rig=rig,
                 kind=(plan or {}).get("kind", "calibration"),
@@ -76,7 +89,7 @@ class Runs(Part):
             replace_result(session, row, result)
             event_log.append(session, row, [event_log.state(row)])
             what: What = "imported" if plan is None else "started"
-            trail.append(session, Act(what, who=who, unit=unit, rig=rig, run_id=str(row.id)), now)
+            trail.append(session, Act(what, who=who, unit=unit, rig=rig, run_id=row.uid), now)
             if draft is not None:
                 issued.issue(session, row, draft)
             return run_of(row)
@@ -84,7 +97,7 @@ class Runs(Part):
     def run(self, run_id: str) -> Run | None:
         """The run, or None."""
         with self._database.reading() as session:
-            row = session.get(RunTable, run_number(run_id) or 0)
+            row = find_run(session, run_id)
             return None if row is None else run_of(row)
 
     def runs(
@@ -98,23 +111,25 @@ class Runs(Part):
     ) -> tuple[list[Run], str | None]:
         """A page of runs, the newest first, and the cursor of the next page (None after the last).
 
-        A cursor stays good while runs are added: no run is shown twice or left out.
+        The newest is the one made last, wherever that was: it may have been delivered days later. The cursor
+        is the id of the last run shown, and stays good while runs are added: none is shown twice or left out.
 
         Raises:
             ValueError: the cursor is not one that this method gave, or the limit is below 1.
         """
         if limit < 1:
             raise ValueError(f"limit is {limit}; a page holds at least 1 run")
-        wanted = select(RunTable).order_by(col(RunTable.id).desc()).limit(limit + 1)
+        made, number = col(RunTable.created_at), col(RunTable.id)
+        wanted = select(RunTable).order_by(made.desc(), number.desc()).limit(limit + 1)
         for column, value in ((RunTable.unit, unit), (RunTable.rig, rig), (RunTable.status, status)):
             if value is not None:
                 wanted = wanted.where(column == value)
-        if cursor is not None:
-            before = run_number(cursor)
-            if before is None:
-                raise ValueError(f"cursor {cursor!r} is not one that this list gave")
-            wanted = wanted.where(col(RunTable.id) < before)
         with self._database.reading() as session:
+            if cursor is not None:
+                last = find_run(session, cursor)
+                if last is None:
+                    raise ValueError(f"cursor {cursor!r} is not one that this list gave")
+                wanted = wanted.where(tuple_(made, number) < (last.created_at, last.id))
             found = [run_of(row) for row in session.exec(wanted)]
         return found[:limit], found[limit - 1].id if len(found) > limit else None
 
@@ -145,9 +160,17 @@ class Runs(Part):
 
     def unfinished(self) -> list[Run]:
         """The runs that are queued, running or paused, the oldest first."""
-        wanted = select(RunTable).where(col(RunTable.status).in_(UNFINISHED)).order_by(col(RunTable.id))
+        oldest_first = (col(RunTable.created_at), col(RunTable.id))
+        wanted = select(RunTable).where(col(RunTable.status).in_(UNFINISHED)).order_by(*oldest_first)
         with self._database.reading() as session:
             return [run_of(row) for row in session.exec(wanted)]
+
+    def uuids_beginning(self, prefix: str, limit: int) -> list[str]:
+        """Ids that begin so, numbers not counted, in their own order and no more of them than `limit`."""
+        uid = col(RunTable.uid)
+        begin = select(uid).where(uid.startswith(prefix, autoescape=True), uid.contains("-"))
+        with self._database.reading() as session:
+            return list(session.exec(begin.order_by(uid).limit(limit)))
 
     def count_runs(self) -> dict[str, int]:
         """How many runs there are of each status, those without any as well."""

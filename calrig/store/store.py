@@ -1,4 +1,4 @@
-"""The store: every run, pose, event and raw sample, in one SQLite file."""
+"""The store: every run, pose, event and raw sample, in one SQLite file or a PostgreSQL database."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import Self
 
 from calrig.store.amendments import Amendments
 from calrig.store.check_units import CheckUnits
-from calrig.store.database import BUSY_TIMEOUT_S, Database, database_path
+from calrig.store.database import BUSY_TIMEOUT_S
+from calrig.store.engines import open_database
 from calrig.store.event_log import EventLog
 from calrig.store.issued import Issued
 from calrig.store.limits import Limits
@@ -24,8 +25,8 @@ from calrig.store.users import Users
 class Store(Runs, Poses, Amendments, EventLog, Units, Issued, Places, Limits, CheckUnits, Trail, Users):
     """An open store, shared by threads. Each method is one transaction, on the disk when it returns.
 
-    A run that does not exist raises `NotFound` where it is not said otherwise; what SQLite cannot do raises
-    `StoreError`; a document with a NaN in it raises ValueError (what is not known is None).
+    A run that does not exist raises `NotFound` where it is not said otherwise; what the database cannot do
+    raises `StoreError`; a document with a NaN in it raises ValueError (what is not known is None).
     """
 
     @classmethod
@@ -40,18 +41,20 @@ class Store(Runs, Poses, Amendments, EventLog, Units, Issued, Places, Limits, Ch
         """Opens a store; a writer makes it where there is none and brings an older one up to date.
 
         Args:
-            url: SQLAlchemy URL of a SQLite file, as `calrig.settings.store_url` gives it.
-            writer: what the writer does (`serve`, `run`, `import`), told to whoever finds the store taken;
-                None opens it for reading, which always may.
-            busy_timeout_s: how long to wait for another process's lock on the file.
-            left_by_the_dead: is told by a writer which rigs have unfinished runs, which no living program
-                carries out, before anything else is done: looking through a large file can take a while.
+            url: SQLAlchemy URL of a SQLite file or a PostgreSQL database, as `calrig.settings.store_url`
+                gives it.
+            writer: what the writer does (`serve`, `run`, `import`), told to whoever finds the store taken
+                (PostgreSQL takes any number of writers); None opens it for reading, which always may.
+            busy_timeout_s: how long to wait for another process's lock.
+            left_by_the_dead: is told by the one writer of a file which rigs have unfinished runs, which no
+                living program carries out, before anything else is done: looking through a large file can
+                take a while.
 
         Raises:
             StoreError: another writer holds it; it is absent (for a reader), older (for a reader), newer,
                 not SQLite, another program's, unreadable, read-only, or the disk is full.
         """
-        return cls(Database(database_path(url), writer, busy_timeout_s, left_by_the_dead))
+        return cls(open_database(url, writer, busy_timeout_s, left_by_the_dead))
 
     def size(self) -> Size:
         """What the store takes of its disk."""

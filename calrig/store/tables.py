@@ -5,7 +5,7 @@
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import Dialect, String, TypeDecorator, text
+from sqlalchemy import BigInteger, Dialect, Integer, String, TypeDecorator, text
 from sqlmodel import Column, Field, ForeignKey, Index, LargeBinary, SQLModel
 
 from calrig.store.checksums import CheckedJson
@@ -32,6 +32,8 @@ class UtcText(TypeDecorator[datetime]):
 
 Sha256 = String(64)
 """A hash in hexadecimal."""
+Crc32 = BigInteger().with_variant(Integer(), "sqlite")
+"""Unsigned 32 bits, one more than PostgreSQL's integer holds."""
 
 
 class UnitTable(SQLModel, table=True):
@@ -44,12 +46,23 @@ class UnitTable(SQLModel, table=True):
 
 
 class RunTable(SQLModel, table=True):
-    """A run. Documents that are only ever shown whole are JSON."""
+    """A run. Documents that are only ever shown whole are JSON.
+
+    `id` is the store's own key, which the other tables refer to; everybody else knows the run by `uid`.
+    """
 
     __tablename__ = "run"
-    __table_args__ = (Index("ix_run_unit_id", "unit", "id"), Index("ix_run_status", "status"))
+    __table_args__ = (
+        Index("ix_run_uid", "uid", unique=True),
+        # a page of the list, newest first, reads no others: of all runs, of a unit, of a rig, of a status
+        Index("ix_run_created_at_id", "created_at", "id"),
+        Index("ix_run_unit_created_at_id", "unit", "created_at", "id"),
+        Index("ix_run_rig_created_at_id", "rig", "created_at", "id"),
+        Index("ix_run_status_created_at_id", "status", "created_at", "id"),
+    )
 
     id: int = Field(default=None, primary_key=True)
+    uid: str
     unit: str = Field(foreign_key="unit.serial")
     rig: str | None
     kind: str
@@ -86,7 +99,7 @@ class CalibrationTable(SQLModel, table=True):
     rms_with_effects_deg: float | None
     temperature_min_c: float | None
     temperature_max_c: float | None
-    crc32: int | None = None
+    crc32: int | None = Field(default=None, sa_type=Crc32)
 
 
 class PoseTable(SQLModel, table=True):
@@ -114,7 +127,7 @@ class PoseTable(SQLModel, table=True):
     covariates: dict[str, Any] = Field(sa_type=CheckedJson)
     excluded_reason: str | None = None
     excluded_at: datetime | None = Field(default=None, sa_type=UtcText)
-    crc32: int | None = None
+    crc32: int | None = Field(default=None, sa_type=Crc32)
 
 
 class EventTable(SQLModel, table=True):
@@ -189,7 +202,11 @@ class IssuedCalibrationTable(SQLModel, table=True):
     __tablename__ = "issued_calibration"
     __table_args__ = (
         Index(
-            "ix_issued_calibration_in_force", "unit", unique=True, sqlite_where=text("status = 'in_force'")
+            "ix_issued_calibration_in_force",
+            "unit",
+            unique=True,
+            sqlite_where=text("status = 'in_force'"),
+            postgresql_where=text("status = 'in_force'"),
         ),
         Index("ix_issued_calibration_run_id", "run_id"),
     )
@@ -208,7 +225,10 @@ class IssuedCalibrationTable(SQLModel, table=True):
 
 
 class TrailTable(SQLModel, table=True):
-    """Who did what, when and why: rows are added and never changed, each chained to the one before."""
+    """Who did what, when and why: rows are added and never changed, each chained to the one before.
+
+    `run_id` is what everybody knows the run by.
+    """
 
     __tablename__ = "trail"
     __table_args__ = (Index("ix_trail_unit", "unit"),)
@@ -219,7 +239,7 @@ class TrailTable(SQLModel, table=True):
     what: str
     unit: str | None = None
     rig: str | None = None
-    run_id: int | None = None
+    run_id: str | None = None
     revision: int | None = None
     reason: str | None = None
     detail: dict[str, Any] = Field(sa_type=CheckedJson)

@@ -9,8 +9,9 @@ from datetime import UTC, datetime
 from typing import Any, Literal
 
 import sqlalchemy
-from sqlmodel import Session, col, func, or_, select
+from sqlmodel import Session, col, or_, select
 
+from calrig.run_ids import is_number
 from calrig.store.checksums import to_json
 from calrig.store.database import Part
 from calrig.store.records import Document
@@ -60,7 +61,7 @@ def append(session: Session, act: Act, now: datetime | None = None) -> TrailTabl
         what=act.what,
         unit=act.unit,
         rig=act.rig,
-        run_id=None if act.run_id is None else int(act.run_id),
+        run_id=act.run_id,
         revision=act.revision,
         reason=act.reason,
         detail=act.detail,
@@ -100,7 +101,7 @@ class Trail(Part):
         if after is not None:
             wanted = wanted.where(seq < after if newest_first else seq > after)
         if unit is not None:
-            moved_away = func.json_extract(col(TrailTable.detail), "$.from") == unit
+            moved_away = col(TrailTable.detail)["from"].as_string() == unit
             wanted = wanted.where(or_(col(TrailTable.unit) == unit, moved_away))
         if what:
             wanted = wanted.where(col(TrailTable.what).in_(what))
@@ -139,8 +140,11 @@ _SAID: tuple[Any, ...] = (
 
 def _chained(before: str, said: Sequence[Any]) -> str:
     """SHA-256 over the entry before and all that this one says."""
-    seq, at, *rest = said
-    text = to_json([before, seq, at.astimezone(UTC).isoformat(timespec="microseconds"), *rest])
+    seq, at, who, what, unit, rig, run_id, *rest = said
+    if run_id is not None and is_number(run_id):
+        run_id = int(run_id)  # as which it was hashed when runs were counted
+    time = at.astimezone(UTC).isoformat(timespec="microseconds")
+    text = to_json([before, seq, time, who, what, unit, rig, run_id, *rest])
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -150,7 +154,7 @@ def _entry(row: TrailTable) -> Entry:
         who=row.who,
         unit=row.unit,
         rig=row.rig,
-        run_id=None if row.run_id is None else str(row.run_id),
+        run_id=row.run_id,
         revision=row.revision,
         reason=row.reason,
         detail=row.detail,

@@ -36,7 +36,7 @@ _STANDS = col(AcceptedEffectTable.withdrawn_at).is_(None)
 
 _COMPARED: tuple[Any, ...] = (
     RunTable.unit,
-    sqlalchemy.cast(RunTable.id, sqlalchemy.String),
+    RunTable.uid,
     RunTable.rig,
     RunTable.finished_at,
     *(getattr(CalibrationTable, name) for name in FIGURES),
@@ -90,12 +90,12 @@ class Units(Part):
         found: dict[str, tuple[float, float | None]] = {}
         with self._database.reading() as session:
             for begin in range(0, len(run_ids), _AT_ONCE):
-                ids = [int(one) for one in run_ids[begin : begin + _AT_ONCE]]
-                wanted = select(RunTable.id, RunTable.result).where(col(RunTable.id).in_(ids))
+                some = run_ids[begin : begin + _AT_ONCE]
+                wanted = select(RunTable.uid, RunTable.result).where(col(RunTable.uid).in_(some))
                 for run_id, result in session.exec(wanted):
                     reference = (result or {}).get("reference")
                     if reference is not None:
-                        found[str(run_id)] = (reference["bias_std_deg"], reference["scale_std"])
+                        found[run_id] = (reference["bias_std_deg"], reference["scale_std"])
         return found
 
     def latest_calibration_run(self, serial: str, *, follow_ups: bool = False) -> Run | None:
@@ -137,16 +137,17 @@ class Units(Part):
     def effects_in_force(self, unit: str, rig: str | None) -> list[AcceptedEffect]:
         """The effects accepted for a unit and for a rig: of each name the latest that was not taken back."""
         wanted = (
-            select(AcceptedEffectTable)
+            select(AcceptedEffectTable, RunTable.uid)
+            .join(RunTable)
             .where(or_(AcceptedEffectTable.unit == unit, col(AcceptedEffectTable.rig) == (rig or "")))
             .where(_STANDS)
             .order_by(col(AcceptedEffectTable.id))
         )
         latest: dict[tuple[str | None, str], AcceptedEffect] = {}
         with self._database.reading() as session:
-            for row in session.exec(wanted):
+            for row, run_id in session.exec(wanted):
                 latest[row.unit, row.name] = AcceptedEffect(
-                    run_id=str(row.run_id),
+                    run_id=run_id,
                     unit=row.unit,
                     rig=row.rig,
                     name=row.name,

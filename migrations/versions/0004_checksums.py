@@ -8,5 +8,6 @@ down_revision = "0003"
 
 
 def upgrade() -> None:
-    op.add_column("pose", sa.Column("crc32", sa.Integer(), nullable=True))
-    op.add_column("calibration", sa.Column("crc32", sa.Integer(), nullable=True))
+    crc32 = sa.BigInteger().with_variant(sa.Integer(), "sqlite")
+    op.add_column("pose", sa.Column("crc32", crc32, nullable=True))
+    op.add_column("calibration", sa.Column("crc32", crc32, nullable=True))

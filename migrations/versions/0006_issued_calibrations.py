@@ -29,6 +29,7 @@ def upgrade() -> None:
         ["unit"],
         unique=True,
         sqlite_where=sa.text("status = 'in_force'"),
+        postgresql_where=sa.text("status = 'in_force'"),
     )
     op.create_index("ix_issued_calibration_run_id", "issued_calibration", ["run_id"])
     op.create_table(

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from support import lay_empty_store
+from postgresql_server import store_at
 
 from calrig.store import Store
 
@@ -18,6 +18,5 @@ def database(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def store(database: Path) -> Iterator[Store]:
-    lay_empty_store(database)
-    with Store.open(f"sqlite:///{database}", writer="tests") as opened:
+    with Store.open(store_at(database), writer="tests") as opened:
         yield opened

@@ -84,7 +84,7 @@ class TestUndone:
         run = new_run()
         with pytest.raises(Refused, match="is not voided"):
             records.unvoid(run.id, "why not")
-        with pytest.raises(Refused, match="pose 3 of run 1 is not excluded"):
+        with pytest.raises(Refused, match=f"pose 3 of run {run.id} is not excluded"):
             records.include_pose(run.id, 3)
         assert told(store) == []
 
@@ -157,7 +157,8 @@ class TestMoved:
     ) -> None:
         run = diagnosed(store, new_run(), 3.0)
         Acceptance(store).accept(run.id, [OFFSET])
-        with pytest.raises(Refused, match=f"{OFFSET} was accepted from run 1 for unit 'WRONG': take it back"):
+        words = f"{OFFSET} was accepted from run {run.id} for unit 'WRONG': take it back"
+        with pytest.raises(Refused, match=words):
             records.move(run.id, "RIGHT", "misread")
         assert store.unit("RIGHT") is None
         Acceptance(store).take_back(run.id, [OFFSET], "of another unit")

@@ -59,7 +59,7 @@ def test_what_does_not_count_is_in_no_difference(store: Store) -> None:
     voided = ran(store, "U0", 100, 9.0)
     store.void_run(voided.id, "wrong unit")
     ran(store, "U0", 101, 9.0, kind="verification")
-    ran(store, "U0", 102, 9.0, follows=int(before[-1]["to"]))
+    ran(store, "U0", 102, 9.0, follows=before[-1]["to"])
     assert unit_changes(store, "U0") == before
 
 

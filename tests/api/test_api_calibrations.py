@@ -80,12 +80,13 @@ def test_a_draft_of_a_run_is_made_by_request(client, unit):
         ("calibrations/1/release", {"reason": " "}, 422, "a reason is needed"),
         ("calibrations/1/release", {}, 422, "Reason is missing"),
         ("calibrations", {"run_id": "999"}, 404, "there is no run 999"),
-        ("calibrations", {"run_id": "1", "effects": ["latency"]}, 409, "run 1 is of unit"),
+        ("calibrations", {"run_id": "OTHER", "effects": ["latency"]}, 409, "run OTHER is of unit"),
     ],
 )
 def test_what_cannot_be_is_refused_with_why(client, unit, path, body, status, says):
-    if path == "calibrations":
-        imported(client, "first-of-all", POSES)
+    other = imported(client, "another", POSES)["id"]
+    if body.get("run_id") == "OTHER":
+        body, says = {**body, "run_id": other}, says.replace("OTHER", other)
     answer = client.post(f"{unit}/{path}", json=body)
     assert answer.status_code == status
     assert says in answer.json()["detail"]

@@ -21,7 +21,7 @@ NASTY = (
 PATHS = (
     "/api/runs/{}", "/api/runs/{}/poses", "/api/runs/{}/samples", "/api/runs/{}/events",
     "/api/runs/{}/diagnosis", "/api/runs/{}/transcript", "/api/runs/{}/figures/residual",
-    "/api/runs/1/figures/{}", "/api/runs/1/samples?pose={}",
+    "/api/runs/RUN/figures/{}", "/api/runs/RUN/samples?pose={}",
     "/api/rigs/{}/error-map", "/api/rigs/{}/figures/error-map", "/api/units/{}", "/api/units/{}/calibration",
     "/api/compare?unit={}", "/api/compare/figures/{}", "/web/{}", "/web/vendor/{}", "/{}",
 )  # fmt: skip
@@ -29,7 +29,6 @@ PATHS = (
 
 @pytest.fixture(scope="module")
 def run(shared_client):
-    """The first of its store."""
     return imported(shared_client, "AS-1", POSES)
 
 
@@ -43,13 +42,13 @@ def test_no_path_or_query_reaches_a_file_or_the_database(shared_client, run, pat
             quote(nasty, safe="").replace(".", "%2e"),
             quote(nasty, safe="/"),
         ):
-            connection.request("GET", path.format(written))
+            connection.request("GET", path.replace("RUN", run["id"]).format(written))
             answer = connection.getresponse()
             text = answer.read().decode()
             assert answer.status in {404, 405, 422}, (written, text)
             assert "root:" not in text
     connection.close()
-    assert shared_client.get("/api/runs/1").json() == run
+    assert shared_client.get(f"/api/runs/{run['id']}").json() == run
 
 
 @pytest.mark.parametrize("key", ["unit", "rig", "status", "cursor", "limit"])

@@ -40,6 +40,7 @@ def _run(number: int, at: datetime) -> RunTable:
     plan = {"kind": "calibration", "elevations_deg": [float(e) for e in range(-60, 61, 5)]}
     return RunTable(
         id=number,
+        uid=str(number),
         unit=f"U{number % UNITS:03}",
         rig=f"bench-{number % UNITS % RIGS}",
         kind="calibration",

@@ -9,7 +9,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from support import lay_empty_store
+from empty_store import lay_empty_store
 
 from calrig.analysis.amendments import Records
 from calrig.analysis.issuing import Issuer

@@ -16,7 +16,7 @@ import psutil
 from sqlmodel import insert
 from support import running_service, serving
 
-from calrig.store.database import Database
+from calrig.store.sqlite.database import SqliteDatabase
 from calrig.store.tables import CalibrationTable, RunTable, UnitTable
 
 CALRIG = (sys.executable, "-m", "calrig")
@@ -68,7 +68,7 @@ def fill(path) -> None:
     units = [f"AS-{k:04d}" for k in range(UNITS)]
     runs = [(unit, start + timedelta(hours=k)) for unit in units for k in range(RUNS_A_UNIT)]
     document = {"seed": 1, "elevations_deg": list(range(100)), "words": "x" * 1000}
-    database = Database(path, "benchmark", 10.0)
+    database = SqliteDatabase(path, "benchmark", 10.0)
     with database.writing() as session:
         session.execute(insert(UnitTable), [{"serial": unit, "created_at": start} for unit in units])
         session.execute(
@@ -76,6 +76,7 @@ def fill(path) -> None:
             [
                 {
                     "id": number,
+                    "uid": str(number),
                     "unit": unit,
                     "rig": "bench-1",
                     "kind": "calibration",

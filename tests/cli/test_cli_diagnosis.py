@@ -29,8 +29,9 @@ def test_a_file_is_diagnosed_and_a_run_made_of_it_likewise(warming):
     of_file = json.loads(calrig("diagnose", warming, "--json").stdout)
     assert [effect["name"] for effect in of_file["effects"]] == ["temperature_bias"]
     assert of_file["runs"] == [warming]
-    calrig("import", warming, "--unit", "A")
-    shown = calrig("diagnose", "1").stdout
+    run_id = calrig("import", warming, "--unit", "A").stdout.strip()
+    assert json.loads(calrig("diagnose", run_id[:6], "--json").stdout)["runs"] == [run_id]
+    shown = calrig("diagnose", run_id).stdout
     assert shown.startswith("named: reading = bias + scale·θ + temperature_bias")
     before, after = (f"{of_file[model]['held_out_rms_deg']:.4f}°" for model in ("base", "final"))
     assert re.search(rf"held-out poses +│ +{before} │ +{after}", shown)
@@ -67,6 +68,11 @@ def test_a_bad_file_is_one_line_and_status_2(folder, command, content, words):
     assert re.search(words, reason(command, "bad.csv", status=2))
 
 
-def test_files_and_runs_are_not_mixed(folder):
-    said = reason("diagnose", "poses.csv", "17", status=2)
+@pytest.mark.parametrize("run_id", ["17", "3f0c9e", "3f0c9e52-8d1b-4b7a-9c56-0e1a7d2b4c88"])
+def test_files_and_runs_are_not_mixed_and_a_file_of_that_name_is_meant(folder, run_id):
+    said = reason("diagnose", "poses.csv", run_id, status=2)
     assert said == "calrig: diagnose: name files or run ids, not both"
+    calrig("import", "poses.csv", "--unit", "A")
+    assert reason("diagnose", run_id, status=1) == f"calrig: there is no run {run_id}"
+    (folder / run_id).write_text("target_deg,reading_deg\n0,0.1\n10,x\n")
+    assert f"{run_id}: line 3, column reading_deg" in reason("diagnose", run_id, status=2)

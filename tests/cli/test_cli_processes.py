@@ -92,7 +92,7 @@ def test_ctrl_c_aborts_the_run_and_keeps_its_poses(bench):
         run = json.loads(process.stdout.read())
     assert (process.returncode, run["status"]) == (1, "aborted")
     assert run["progress"]["poses_done"] >= 1
-    assert "calrig: run 1 aborted" in shown
+    assert f"calrig: run {run['id']} aborted" in shown
     assert "Traceback" not in shown
 
 

@@ -5,27 +5,30 @@ from __future__ import annotations
 import json
 import os
 import re
+from uuid import UUID
 
 import pytest
 from command_line import POSES, calrig, reason
 from support import LONG, wait_for
 
+from calrig.calibration.pose import Pose
 from calrig.settings import store_url
 from calrig.store import Store
 
 
 def test_import_prints_the_run_id_and_export_gives_the_calibration_and_its_poses(folder):
     imported = calrig("import", "poses.csv", "--unit", "A/1")
-    assert imported.stdout == "1\n"
+    run_id = imported.stdout.rstrip("\n")
+    assert str(UUID(run_id)) == run_id
     assert imported.stderr.startswith("· Not judged: the noise of a reading is not known")
-    exported = calrig("export", "1")
+    exported = calrig("export", run_id)
     assert exported.stderr == imported.stderr
     by_run = json.loads(exported.stdout)
     assert by_run == json.loads(calrig("export", "--unit", "A/1").stdout)
-    assert (by_run["schema"], by_run["unit"], by_run["run_id"]) == ("calrig.calibration/2", "A/1", "1")
-    assert "A/1" in calrig("export", "1", "--format", "c-header").stdout
+    assert (by_run["schema"], by_run["unit"], by_run["run_id"]) == ("calrig.calibration/2", "A/1", run_id)
+    assert "A/1" in calrig("export", run_id, "--format", "c-header").stdout
     text = calrig("export", "--unit", "A/1", "--format", "csv").stdout
-    assert text == calrig("export", "1", "--format", "csv").stdout
+    assert text == calrig("export", run_id, "--format", "csv").stdout
     (folder / "again.csv").write_text(text)
     calrig("import", "again.csv", "--unit", "B")
     assert json.loads(calrig("export", "--unit", "B").stdout)["bias_deg"] == by_run["bias_deg"]
@@ -34,11 +37,12 @@ def test_import_prints_the_run_id_and_export_gives_the_calibration_and_its_poses
 def test_import_export_and_api_say_the_same_of_the_limits_of_the_configuration(folder):
     limit = '[[limit]]\nname = "flight"\nunits = "A*"\nscale = [0.9, 1.0]\n'
     (folder / "calrig.toml").write_text(limit + (folder / "calrig.toml").read_text())
-    imported = calrig("import", "poses.csv", "--unit", "A").stderr
+    done = calrig("import", "poses.csv", "--unit", "A")
+    run_id, imported = done.stdout.strip(), done.stderr
     assert imported.startswith("· Fail against the limits “flight” (simple rule).\n· Scale 1.0")
     assert calrig("export", "--unit", "A").stderr.endswith(imported)  # a draft: what fails is not released
     with Store.open(store_url(), writer=None) as store:
-        run = store.run("1")
+        run = store.run(run_id)
         (revision,) = store.revisions("A")
         assert imported.splitlines() == [f"· {said}" for said in run.verdict.says]
         assert revision.verdict == run.verdict.to_dict()
@@ -60,6 +64,22 @@ def test_what_there_is_not_to_export_is_1(folder):
     assert reason("export", status=2) == reason("export", "1", "--unit", "A", status=2) == both_or_neither
 
 
+def test_the_beginning_of_an_id_will_do_where_no_other_begins_so(folder):
+    first, second = ("0123abcd-0000-4000-8000-000000000000", "0123abce-0000-4000-8000-000000000000")
+    with Store.open(store_url(), writer="import") as store:
+        for run_id, reading_deg in ((first, 0.5), (second, 0.7)):
+            poses = [Pose(0.0, reading_deg), Pose(10.0, 10.0)]
+            given = {"plan": None, "status": "completed", "provenance": {}, "poses": poses}
+            store.create_run(unit="A", rig=None, run_id=run_id, **given)
+    for typed in ("0123abcd", "0123ABCD-0", first):
+        assert "\n0.0,0.5\n" in calrig("export", typed, "--format", "csv").stdout
+    assert reason("export", "0123ab", "--format", "csv", status=2) == (
+        f"calrig: run 0123ab: several ids begin so ({first}, {second}): type more of the one that is meant"
+    )
+    for typed in ("0123a", "0123abcf", "123abcd"):
+        assert reason("export", typed, status=1) == f"calrig: there is no run {typed}"
+
+
 def test_a_store_that_is_none_is_1(folder):
     (folder / "calrig.db").write_text("this is not a database at all, and it is longer than its header")
     assert "calrig.db" in reason("import", "poses.csv", "--unit", "A", status=1)
@@ -76,10 +96,10 @@ def test_a_store_that_is_being_written_is_1_and_says_by_whom(folder):
 
 
 def test_a_backup_of_an_idle_store_is_the_store(folder):
-    calrig("import", "poses.csv", "--unit", "A")
+    run_id = calrig("import", "poses.csv", "--unit", "A").stdout.strip()
     assert calrig("backup", "copy.db").stdout.startswith("copy.db: 1 runs, 3 poses, ")
-    copied = calrig("export", "1", "--db", "copy.db").stdout
-    assert json.loads(copied) == json.loads(calrig("export", "1").stdout)
+    copied = calrig("export", run_id, "--db", "copy.db").stdout
+    assert json.loads(copied) == json.loads(calrig("export", run_id).stdout)
 
 
 def test_a_backup_in_the_middle_of_a_run_is_one_file_with_every_pose_announced_before(
@@ -120,9 +140,9 @@ def test_a_file_that_a_backup_would_spoil_or_cannot_make_is_2(folder, name, word
 def test_names_of_another_encoding_are_taken_or_refused_in_words(folder):
     latin = os.fsdecode(b"poses-\xe4.csv")
     (folder / latin).write_text(POSES)
-    assert calrig("import", latin, "--unit", "A", "--db", latin + ".db").stdout == "1\n"
+    run_id = calrig("import", latin, "--unit", "A", "--db", latin + ".db").stdout.strip()
     with Store.open(store_url(latin + ".db"), writer=None) as store:
-        assert store.run("1").provenance["imported_from"] == "poses-\\udce4.csv"
+        assert store.run(run_id).provenance["imported_from"] == "poses-\\udce4.csv"
     odd = os.fsdecode(b"\xe4")
     assert "UTF-8" in reason("import", "poses.csv", "--unit", "A", "--rig", odd, status=1)
     calrig("import", "poses.csv", "--unit", "A")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pytest
 from command_line import calrig, reason
@@ -61,7 +62,7 @@ def test_a_failed_run_is_1_and_json_still_says_what_happened(folder):
     assert run["status"] == "failed"
     assert "/dev/ttyABSENT0" in run["error"]
     (line,) = done.stderr.splitlines()
-    assert line == f"calrig: run 1 failed: {run['error']}"
+    assert line == f"calrig: run {run['id']} failed: {run['error']}"
 
 
 def test_that_no_unit_can_pass_is_said_before_the_stage_is_even_looked_for(folder):
@@ -69,4 +70,4 @@ def test_that_no_unit_can_pass_is_said_before_the_stage_is_even_looked_for(folde
     (folder / "calrig.toml").write_text(limit + (folder / "calrig.toml").read_text())
     warning, failure = calrig("run", "--unit", "A", status=1).stderr.splitlines()
     assert warning.startswith("warning: No unit can pass on this stage: its rig does not say")
-    assert failure.startswith("calrig: run 1 failed")
+    assert re.match(r"calrig: run [0-9a-f-]{36} failed", failure)

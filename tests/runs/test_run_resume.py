@@ -188,7 +188,7 @@ def test_the_stage_is_told_to_stop_before_anything_else(
 ) -> None:
     path = tmp_path / "left.db"
     with Store.open(f"sqlite:///{path}", writer="serve") as left:  # as a program leaves it that dies
-        left.create_run(unit="A", rig="bench-1", plan={}, status="running", provenance={})
+        run_id = left.create_run(unit="A", rig="bench-1", plan={}, status="running", provenance={}).id
         left.create_run(unit="B", rig="bench-2", plan={}, status="completed", provenance={})
     stage = open_stage("smc100", bench.settings.stage.port)
     while stage.status().state in ("not_referenced", "homing"):
@@ -208,7 +208,7 @@ def test_the_stage_is_told_to_stop_before_anything_else(
         assert path.read_bytes() == before
 
     with Store.open(f"sqlite:///{path}", writer="serve", left_by_the_dead=stop) as again:
-        assert mark_interrupted(again, {}) == ["1"]
+        assert mark_interrupted(again, {}) == [run_id]
         assert [run.status for run in again.runs()[0]] == ["completed", "interrupted"]
 
 

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from empty_store import lay_empty_store
 from run_rigs import CLOCK, ENDLESS, TruthRig, begin, moving, pass_time, plan, until
-from support import fast, known_as, lay_empty_store, wait_for
+from support import fast, known_as, wait_for
 
 from calrig.analysis.errors import Conflict
 from calrig.instruments.clock import Event

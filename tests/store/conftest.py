@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support import lay_empty_store
+from empty_store import lay_empty_store
 
 from calrig.store import Run, Store
 
@@ -22,9 +22,20 @@ def url(database: Path) -> str:
     return f"sqlite:///{database}"
 
 
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """What holds of a store holds on every engine; what is about a file, on that of files."""
+    if "engine" in metafunc.fixturenames:
+        of_a_file = {"database", "url"}.intersection(metafunc.fixturenames)
+        metafunc.parametrize("engine", ["sqlite"] if of_a_file else ["sqlite", "postgresql"])
+
+
 @pytest.fixture
-def store(url: str, database: Path) -> Iterator[Store]:
-    lay_empty_store(database)
+def store(engine: str, request: pytest.FixtureRequest) -> Iterator[Store]:
+    if engine == "postgresql":
+        url = request.getfixturevalue("new_database")()
+    else:
+        url = request.getfixturevalue("url")
+        lay_empty_store(request.getfixturevalue("database"))
     with Store.open(url, writer="test") as opened:
         yield opened
 

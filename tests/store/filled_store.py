@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from support import lay_empty_store
+from empty_store import lay_empty_store
 
 from calrig.calibration.pose import Pose
 from calrig.store import SampleBlock, Store

@@ -58,7 +58,7 @@ def same(name: str, answer: Any, truth: Any) -> bool:
 def test_a_flipped_bit_is_said_or_does_no_harm_and_never_gives_another_number(
     url, database, result, tmp_path
 ):
-    run_id = filled(url, result, poses=12)
+    run_id = filled(url, result, poses=30)
     with Store.open(url, writer=None) as store:
         truth = everything(store, run_id)
     sound = database.read_bytes()
@@ -84,18 +84,18 @@ def test_a_flipped_bit_is_said_or_does_no_harm_and_never_gives_another_number(
     assert said > 10, "most of a store is samples, and each block of them has a checksum"
 
 
-def read_samples(url: str, writer: str | None) -> None:
+def read_samples(url: str, run_id: str, writer: str | None) -> None:
     with Store.open(url, writer=writer) as store:
-        store.samples("1")
+        store.samples(run_id)
 
 
 @pytest.mark.parametrize("writer", ["serve", None])
 def test_a_truncated_file_is_said_and_left_alone(url, database, writer):
-    filled(url)
+    run_id = filled(url)
     os.truncate(database, database.stat().st_size // 2)
     was = database.read_bytes()
     with pytest.raises(StoreDamagedError, match=r"damaged: keep a copy.*calrig backup"):
-        read_samples(url, writer)
+        read_samples(url, run_id, writer)
     assert database.read_bytes() == was
 
 
@@ -143,9 +143,9 @@ def test_poses_and_events_that_vanished_are_missed(url, database):
         connection.execute("DELETE FROM event WHERE seq = 3")
         connection.commit()
     with Store.open(url, writer=None) as store:
-        with pytest.raises(StoreDamagedError, match="1 poses of run 1 are missing"):
+        with pytest.raises(StoreDamagedError, match=f"1 poses of run {run_id} are missing"):
             store.poses(run_id)
-        with pytest.raises(StoreDamagedError, match="event 3 of run 1 is missing"):
+        with pytest.raises(StoreDamagedError, match=f"event 3 of run {run_id} is missing"):
             store.events_after(run_id)
 
 
@@ -156,6 +156,6 @@ def test_a_reading_whose_digit_has_changed_is_noticed(url, database):
         connection.commit()
     with (
         Store.open(url, writer=None) as store,
-        pytest.raises(StoreDamagedError, match="pose 2 of run 1 is not what was stored"),
+        pytest.raises(StoreDamagedError, match=f"pose 2 of run {run_id} is not what was stored"),
     ):
         store.poses(run_id)

@@ -76,6 +76,6 @@ def test_the_stages_of_a_store_that_is_refused_are_stopped_all_the_same(url, dat
     assert stopped == ["r"]
 
 
-def test_functions_that_a_schema_must_not_call_are_refused_it(store):
+def test_functions_that_a_schema_must_not_call_are_refused_it(store, database):
     with store._database.reading() as session:
         assert session.connection().exec_driver_sql("PRAGMA trusted_schema").scalar() == 0

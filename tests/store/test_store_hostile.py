@@ -101,17 +101,18 @@ PLANTED = [
 
 
 @pytest.fixture(scope="module")
-def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def sound(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A store and the id of the run in it."""
     database = tmp_path_factory.mktemp("sound") / "calrig.db"
     figures = {"bias_deg": 0.25, "scale": 1.0, "rms_raw_deg": 0.2, "rms_calibrated_deg": 0.1}
-    filled(f"sqlite:///{database}", figures, poses=2)
-    return database
+    return database, filled(f"sqlite:///{database}", figures, poses=2)
 
 
 @pytest.mark.parametrize(("table", "column", "values"), PLANTED)
 def test_what_was_planted_is_read_or_said_to_be_damaged(sound, tmp_path, table, column, values):
+    original, run_id = sound
     database = tmp_path / "calrig.db"
-    shutil.copy(sound, database)
+    shutil.copy(original, database)
     with (
         Store.open(f"sqlite:///{database}", writer=None) as store,
         closing(sqlite3.connect(database)) as by_hand,
@@ -120,18 +121,18 @@ def test_what_was_planted_is_read_or_said_to_be_damaged(sound, tmp_path, table, 
             planted = value() if callable(value) else value
             by_hand.execute(f"UPDATE {table} SET {column} = ?", (planted,))
             by_hand.commit()
-            look_at_everything(store, name)
+            look_at_everything(store, run_id, name)
 
 
-def look_at_everything(store: Store, planted: str) -> None:
+def look_at_everything(store: Store, run_id: str, planted: str) -> None:
     asked = {
-        "run": lambda: store.run("1"),
+        "run": lambda: store.run(run_id),
         "runs": store.runs,
         "unit": lambda: store.unit("A"),
-        "poses": lambda: store.poses("1"),
-        "events": lambda: store.events_after("1"),
-        "samples": lambda: store.samples("1"),
-        "blocks": lambda: list(store.sample_blocks("1")),
+        "poses": lambda: store.poses(run_id),
+        "events": lambda: store.events_after(run_id),
+        "samples": lambda: store.samples(run_id),
+        "blocks": lambda: list(store.sample_blocks(run_id)),
         "comparison": store.comparison,
     }
     for name, ask in asked.items():

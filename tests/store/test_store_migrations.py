@@ -11,7 +11,8 @@ import pytest
 from sqlalchemy import create_engine
 
 from calrig.settings import packed
-from calrig.store import Store, StoreError, migrate
+from calrig.store import Store, StoreError, revisions
+from calrig.store.sqlite.migrating import stored_revision
 
 LATER = """
 import sqlalchemy as sa
@@ -32,12 +33,12 @@ def later_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, then: str = "
     """From here on calrig is one revision ahead; returns that revision."""
     folder = tmp_path / "migrations"
     shutil.copytree(packed("migrations"), folder, ignore=shutil.ignore_patterns("__pycache__"))
-    down = migrate.revisions()[-1]
+    down = revisions.revisions()[-1]
     revision = f"{int(down) + 1:04}"
     (folder / "versions" / f"{revision}_makers.py").write_text(
         LATER.format(revision=revision, down=down, then=then)
     )
-    monkeypatch.setattr(migrate, "packed", lambda _: folder)
+    monkeypatch.setattr(revisions, "packed", lambda _: folder)
     return revision
 
 
@@ -58,19 +59,19 @@ def test_migrations_and_tables_say_the_same(store, database):
         context = MigrationContext.configure(connection, opts={"compare_type": True})
         assert compare_metadata(context, SQLModel.metadata) == []
     scripts = ScriptDirectory(str(packed("migrations")))
-    assert [s.revision for s in scripts.walk_revisions()][::-1] == migrate.revisions()
-    assert scripts.get_heads() == migrate.revisions()[-1:]
+    assert [s.revision for s in scripts.walk_revisions()][::-1] == revisions.revisions()
+    assert scripts.get_heads() == revisions.revisions()[-1:]
 
 
 def test_a_new_database_needs_no_copy(store, database):
-    assert migrate.stored_revision(database) == migrate.revisions()[-1]
+    assert stored_revision(database) == revisions.revisions()[-1]
     assert list(database.parent.glob("*.bak*")) == []
 
 
 def test_an_older_database_is_brought_up_to_date_after_a_copy_is_kept(
     filled, url, database, tmp_path, monkeypatch
 ):
-    before = migrate.stored_revision(database)
+    before = stored_revision(database)
     revision = later_program(tmp_path, monkeypatch)
 
     with pytest.raises(StoreError, match=r"older calrig.*run `calrig serve` once"):
@@ -78,11 +79,11 @@ def test_an_older_database_is_brought_up_to_date_after_a_copy_is_kept(
     with Store.open(url, writer="serve") as store:
         assert store.run(filled).unit == "A"
 
-    assert migrate.stored_revision(database) == revision
+    assert stored_revision(database) == revision
     with closing(sqlite3.connect(database)) as connection:
         assert connection.execute("SELECT serial, maker FROM unit").fetchall() == [("A", "unknown")]
     copy = database.with_name(f"calrig.db.before-{revision}.bak")
-    assert migrate.stored_revision(copy) == before
+    assert stored_revision(copy) == before
     with closing(sqlite3.connect(copy)) as connection:
         assert connection.execute("SELECT unit FROM run").fetchall() == [("A",)]
     Store.open(url, writer="serve").close()
@@ -131,7 +132,7 @@ def test_a_newer_database_is_refused_untouched_with_what_to_do(filled, url, data
     assert database.read_bytes() == was
 
 
-@pytest.mark.parametrize("revision", migrate.revisions()[:-1])
+@pytest.mark.parametrize("revision", revisions.revisions()[:-1])
 def test_a_store_of_every_earlier_revision_is_brought_up_to_date(url, database, revision):
     make_as_of(database, revision)
     with Store.open(url, writer="serve") as store:
@@ -141,9 +142,38 @@ def test_a_store_of_every_earlier_revision_is_brought_up_to_date(url, database, 
         (row,) = store.comparison()
         assert (row.unit, row.result["bias_deg"]) == ("A", 0.25)
         assert [(event.seq, event.type) for event in store.events_after("1")] == [(1, "state")]
-    assert migrate.stored_revision(database) == migrate.revisions()[-1]
-    copy = database.with_name(f"calrig.db.before-{migrate.revisions()[-1]}.bak")
-    assert migrate.stored_revision(copy) == revision
+    assert stored_revision(database) == revisions.revisions()[-1]
+    copy = database.with_name(f"calrig.db.before-{revisions.revisions()[-1]}.bak")
+    assert stored_revision(copy) == revision
+
+
+def test_the_trail_of_a_store_of_counted_runs_stays_whole_and_goes_on(url, database):
+    """Its hashes are of the runs' numbers, as the calrig of that time wrote them."""
+    make_as_of(database, "0006")
+    with closing(sqlite3.connect(database)) as connection, connection:
+        connection.executemany(f"INSERT INTO trail VALUES ({', '.join('?' * 11)})", COUNTED)
+    with Store.open(url, writer="serve") as store:
+        assert store.broken_link() is None
+        store.void_run("1", "slipped again")
+        run = store.create_run(unit="A", rig="r", plan={}, status="queued", provenance={}, follows="1")
+        assert [entry.act.run_id for entry in store.trail()] == ["1", None, "1", "1", run.id]
+        assert run.follows == "1"
+        assert store.broken_link() is None
+    with closing(sqlite3.connect(database)) as connection, connection:
+        connection.execute("UPDATE trail SET run_id = '01' WHERE seq = 3")
+    with Store.open(url, writer=None) as store:
+        assert store.broken_link() == 3
+
+
+COUNTED = [
+    (1, "2026-01-02T03:04:05.000006+00:00", "ada", "started", "A", "r", 1, None, None,
+     '{" crc32":2745614147}', "73743b8f6878368557d05c801213a3a1668331307d6e2c2a0d249369a97bf15f"),
+    (2, "2026-01-02T03:04:05.000007+00:00", None, "limits_changed", None, None, None, None, None,
+     '{" crc32":2745614147}', "e1e3675ae8f0b2831da52ee27739230054dcccbc45b3a190f462c5db053be548"),
+    (3, "2026-01-02T03:04:05.000008+00:00", None, "voided", "A", "r", 1, None, "slipped",
+     '{" crc32":2745614147}', "3540c38d1ce2b0c22766a03b42ac716e7201725c92b2e4a9f5ae42644b9955d3"),
+]  # fmt: skip
+"""Rows of a trail that calrig wrote at revision 0006, when a run's id was its number."""
 
 
 def make_as_of(database: Path, revision: str) -> None:
@@ -157,11 +187,12 @@ def make_as_of(database: Path, revision: str) -> None:
         config.attributes["connection"] = connection
         command.upgrade(config, revision)
         at = "2026-01-02T03:04:05.000006+00:00"
+        uid, one = ("uid,", "'1',") if revision >= "0007" else ("", "")
         for statement in (
             f"INSERT INTO unit (serial, created_at) VALUES ('A', '{at}')",
-            "INSERT INTO run (id, unit, rig, kind, status, progress, result, faults, provenance, created_at, "
-            "started_at, finished_at) VALUES (1, 'A', 'r', 'calibration', 'completed', '{}', "
-            f"'{{\"bias_deg\":0.25}}', '{{}}', '{{}}', '{at}', '{at}', '{at}')",
+            f"INSERT INTO run (id, {uid} unit, rig, kind, status, progress, result, faults, provenance, "
+            f"created_at, started_at, finished_at) VALUES (1, {one} 'A', 'r', 'calibration', 'completed', "
+            f"'{{}}', '{{\"bias_deg\":0.25}}', '{{}}', '{{}}', '{at}', '{at}', '{at}')",
             "INSERT INTO calibration (run_id, bias_deg, rms_raw_deg) VALUES (1, 0.25, 0.3)",
             "INSERT INTO pose (run_id, pose_index, target_deg, reading_deg, covariates) "
             "VALUES (1, 0, 10, 10.25, '{\"humidity\":0.4}')",

@@ -16,7 +16,7 @@ import pytest
 
 import calrig
 from calrig.store import Store, StoreError
-from calrig.store.errors import store_error
+from calrig.store.sqlite.errors import store_error
 
 ROOT = Path(calrig.__file__).parent.parent
 
@@ -166,7 +166,7 @@ def test_a_folder_or_a_missing_folder_is_said(tmp_path):
 @pytest.mark.parametrize(
     ("url", "why"),
     [
-        ("postgresql://me:secret@host/db", r"postgresql://me:\*\*\*@host/db: a store is a SQLite file"),
+        ("mysql://me:secret@host/db", r"mysql://me:\*\*\*@host/db: a store is a SQLite file"),
         ("sqlite://", "in memory would be lost"),
         ("sqlite:///:memory:", "in memory would be lost"),
         ("sqlite:///x.db?mode=ro", "a store is a SQLite file"),

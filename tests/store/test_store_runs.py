@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import math
 from datetime import UTC, datetime, timedelta
+from uuid import UUID
 
 import pytest
+from dated_runs import gave, lay
 
 from calrig.calibration.pose import Pose
+from calrig.run_ids import new_run_id
 from calrig.store import AcceptedEffect, NotFound, Store, StoreError
+from calrig.store.errors import Refused
 
+NOBODY = "00000000-0000-4000-8000-000000000000"
+"""A UUID that no run has."""
 PROGRESS = {"poses_done": 3, "poses_total": 52, "fraction": 3 / 52, "remaining_s": None}
 
 
@@ -33,12 +39,44 @@ def test_a_run_comes_back_as_it_was_made(store, new_run):
     assert abs(datetime.now(UTC) - made.created_at) < timedelta(minutes=1)
 
 
-@pytest.mark.parametrize("run_id", ["7", "0", "-1", "x", "", "1.0", "9" * 40, "١", " 1", "1\n"])
+@pytest.mark.parametrize(
+    "run_id", ["7", "0", "-1", "x", "", "1.0", "9" * 40, "١", " 1", "1\n", "\udcff", "\0", NOBODY]
+)
 def test_an_unknown_run_is_none_and_cannot_be_changed(store, new_run, run_id):
     new_run()
     assert store.run(run_id) is None
     with pytest.raises(NotFound, match="there is no run"):
         store.update_run(run_id, status="running")
+
+
+def test_a_bench_mints_the_id_of_a_run_that_begins_there(store, new_run):
+    run_id = new_run_id()
+    assert new_run(run_id=run_id).id == run_id
+    assert store.run(run_id).id == run_id
+    with pytest.raises(Refused, match=f"there is a run {run_id} already"):
+        new_run(unit="B", run_id=run_id)
+    assert store.unit("B") is None
+    for no_uuid in ("17", "", run_id.upper(), run_id.replace("-", "")):
+        with pytest.raises(ValueError, match="is not a UUID"):
+            new_run(run_id=no_uuid)
+
+
+def test_elsewhere_the_store_mints_a_random_uuid(new_run):
+    ids = {new_run().id for _ in range(20)}
+    assert len(ids) == 20
+    assert {UUID(run_id).version for run_id in ids} == {4}
+
+
+def test_ids_are_found_by_how_they_begin(store, new_run):
+    first, second, other = (
+        f"{begin}-0000-4000-8000-000000000000" for begin in ("0123abcd", "0123abce", "f" * 8)
+    )
+    for run_id in (second, other, first):
+        new_run(run_id=run_id)
+    assert store.uuids_beginning("0123ab", 9) == [first, second]
+    assert store.uuids_beginning("0123ab", 1) == [first]
+    assert store.uuids_beginning("0123abcd-", 9) == [first]
+    assert store.uuids_beginning("%", 9) == store.uuids_beginning("_123ab", 9) == []
 
 
 def test_each_change_of_state_is_announced_with_it(store, new_run):
@@ -113,6 +151,25 @@ def test_runs_are_listed_newest_first_and_a_cursor_survives_new_runs(store, new_
         store.runs(cursor="x")
     with pytest.raises(ValueError, match="at least 1"):
         store.runs(limit=0)
+
+
+def test_a_run_that_is_delivered_late_is_listed_by_when_it_was_made(store):
+    yesterday, today, delivered = lay(store, *(("A", day, gave(), {}) for day in (1, 2, 0.5)))
+    first, cursor = store.runs(limit=1)
+    then, cursor = store.runs(limit=1, cursor=cursor)
+    last, _ = store.runs(limit=1, cursor=cursor)
+    assert [run.id for run in first + then + last] == [today, yesterday, delivered]
+    with pytest.raises(ValueError, match="not one that this list gave"):
+        store.runs(cursor=new_run_id())
+
+
+def test_runs_of_one_moment_are_each_on_one_page(store):
+    laid = lay(store, *(("A", 1, gave(), {}) for _ in range(5)))
+    seen, cursor = store.runs(limit=2)
+    while cursor is not None:
+        page, cursor = store.runs(unit="A", limit=2, cursor=cursor)
+        seen += page
+    assert [run.id for run in seen] == laid[::-1]
 
 
 def test_an_import_is_stored_at_once_or_not_at_all(store, new_run, result):

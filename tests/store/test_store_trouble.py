@@ -14,7 +14,8 @@ from filled_store import block, filled
 from test_store_migrations import later_program
 
 from calrig.calibration.pose import Pose
-from calrig.store import Store, StoreError, StoreUnavailableError, file_system
+from calrig.store import Store, StoreError, StoreUnavailableError
+from calrig.store.sqlite import file_system
 
 
 class Disk(type(Path())):

@@ -9,6 +9,7 @@ import pytest
 from support import ended, running_service, serving
 
 from calrig.calibration.effects import CATALOGUE
+from calrig.run_ids import short_name
 
 from .page_help import BACKLASH_DEG, NOISE_DEG, ambiguous_poses, figures_of
 from .page_help import imported_lines as imported
@@ -198,11 +199,13 @@ def test_further_runs_of_the_unit_are_chosen_and_diagnosed_together(page, client
     picker.locator("summary").click()
     box = picker.get_by_role("checkbox")
     expect(box).to_have_count(1)
-    picker.get_by_label(f"Run {first['id']}, ").check()
+    picker.get_by_label(f"Run {short_name(first['id'])}, ").check()
     expect(picker.locator("summary")).to_have_text("Diagnose together with 1 more run")
 
     page.click("#diagnose")
-    expect(page.locator("#diagnosis-found")).to_contain_text(f"runs {first['id']}, {shown['id']}")
+    expect(page.locator("#diagnosis-found")).to_contain_text(
+        f"runs {short_name(first['id'])}, {short_name(shown['id'])}"
+    )
     assert client.get(f"/api/runs/{shown['id']}/diagnosis").json()["runs"] == [first["id"], shown["id"]]
 
     page.reload()
@@ -211,7 +214,7 @@ def test_further_runs_of_the_unit_are_chosen_and_diagnosed_together(page, client
     expect(box).to_be_checked()
     box.uncheck()
     page.click("#diagnose")
-    expect(page.locator("#diagnosis-found")).to_contain_text(f"poses of run {shown['id']}:")
+    expect(page.locator("#diagnosis-found")).to_contain_text(f"poses of run {short_name(shown['id'])}:")
     assert client.get(f"/api/runs/{shown['id']}/diagnosis").json()["runs"] == [shown["id"]]
 
 
@@ -231,12 +234,12 @@ def test_what_is_ambiguous_leads_to_the_run_that_separates_it(page, client, go, 
 
     page.click("#follow-up")
     page.wait_for_url(lambda url: not url.endswith(f"/runs/{run['id']}"))
-    expect(page.locator("#follows")).to_have_text(f"follow-up of run {run['id']}")
+    expect(page.locator("#follows")).to_have_text(f"follow-up of run {short_name(run['id'])}")
     expect(page.locator("#status")).to_have_text("completed")
     expect(page.locator("[data-effect=backlash]")).to_contain_text("named")
     page.locator("#together summary").click()
-    expect(page.get_by_label(f"Run {run['id']}, ")).to_be_checked()
-    expect(page.get_by_label(f"Run {run['id']}, ")).to_be_disabled()  # it follows on that one
+    expect(page.get_by_label(f"Run {short_name(run['id'])}, ")).to_be_checked()
+    expect(page.get_by_label(f"Run {short_name(run['id'])}, ")).to_be_disabled()  # it follows on that one
     (second, _) = client.get("/api/runs?unit=AMBIGUOUS").json()["items"]
     confirmed = second["diagnosis"]["confirmed_by"]
     assert confirmed["before_rms_deg"] > 2 * confirmed["after_rms_deg"]

@@ -7,6 +7,7 @@ import pytest
 from dated_runs import at, gave, lay, ran
 from support import running_service, serving
 
+from calrig.run_ids import short_name
 from calrig.store.tables import CheckUnitTable
 
 from .page_help import imported_lines
@@ -128,7 +129,7 @@ def test_a_rig_whose_check_unit_fails_puts_runs_in_doubt(page, client, store, go
     page.reload()
     expect(page.locator("#check .headline")).to_have_text("The rig fails.")
     expect(page.get_by_test_id("check-chart").locator(".plot-container")).to_be_visible()
-    page.locator("#suspects").get_by_role("link", name=during.id, exact=True).click()
+    page.locator("#suspects").get_by_role("link", name=short_name(during.id), exact=True).click()
     expect(page.locator("#suspect-reason")).to_contain_text("check unit U00 failed on rig bench-1")
     go("#/units/U05")
     row = page.locator(f"#history-table tr[data-run='{during.id}']")

@@ -7,6 +7,7 @@ import pytest
 from support import LONG, serving
 
 from calrig.api.access import Access
+from calrig.run_ids import short_name
 
 from .page_help import imported
 
@@ -62,7 +63,7 @@ def test_a_session_that_ends_while_a_run_is_watched_asks_again_and_the_run_is_th
 
     expect(page.locator("h1")).to_have_text("Log in")
     log_in(page)
-    expect(page.locator("h1")).to_contain_text(f"Run {run['id']}")
+    expect(page.locator("h1")).to_contain_text(f"Run {short_name(run['id'])}")
     expect(page.locator("#status")).to_have_text("running")
     page.click("button.stop")
     expect(page.locator("#status")).to_have_text("aborted")

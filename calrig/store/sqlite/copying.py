@@ -7,9 +7,10 @@ import os
 import sqlite3
 from pathlib import Path
 
-from calrig.store import file_system
-from calrig.store.connecting import connect
-from calrig.store.errors import StoreError, damaged, store_error
+from calrig.store.errors import StoreError
+from calrig.store.sqlite import file_system
+from calrig.store.sqlite.connecting import connect
+from calrig.store.sqlite.errors import damaged, store_error
 
 PAGES_AT_ONCE = 2000
 """Eight megabytes: between two such pieces Ctrl-C is heard."""

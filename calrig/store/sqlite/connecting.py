@@ -6,7 +6,8 @@ import sqlite3
 from pathlib import Path
 from typing import Any
 
-from calrig.store.errors import StoreError, store_error
+from calrig.store.errors import StoreError
+from calrig.store.sqlite.errors import store_error
 
 MOST_NAMED = 5
 IS_VIRTUAL = "(type = 'table' AND rootpage = 0)"

@@ -11,8 +11,9 @@ import stat
 from datetime import UTC, datetime
 from pathlib import Path
 
-from calrig.store import file_system
-from calrig.store.errors import StoreError, Taken, store_error
+from calrig.store.errors import StoreError, Taken
+from calrig.store.sqlite import file_system
+from calrig.store.sqlite.errors import store_error
 
 FLAGS = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY
 BEGINNING = b'{"pid"'

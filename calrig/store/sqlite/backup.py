@@ -6,11 +6,11 @@ import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from calrig.store import file_system, migrate
-from calrig.store.connecting import connect
-from calrig.store.copying import BUSY_TIMEOUT_S, copy_database
-from calrig.store.database import database_path
 from calrig.store.errors import StoreError
+from calrig.store.sqlite import file_system, migrating
+from calrig.store.sqlite.connecting import connect
+from calrig.store.sqlite.copying import BUSY_TIMEOUT_S, copy_database
+from calrig.store.sqlite.database import database_path
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ def back_up(url: str, target: Path) -> BackedUp:
     database = database_path(url)
     if not database.is_file():
         raise StoreError(f"{database}: there is no calrig database: name one with --db")
-    if migrate.stored_revision(database, file_system.reading_uri(database, BUSY_TIMEOUT_S)) is None:
+    if migrating.stored_revision(database, file_system.reading_uri(database, BUSY_TIMEOUT_S)) is None:
         raise StoreError(f"{database}: is empty: there is nothing to keep a copy of")
     copy_database(database, target)
     with contextlib.closing(connect(target.resolve().as_uri() + file_system.AS_IT_LIES)) as copy:

@@ -8,8 +8,9 @@ import sqlite3
 import stat
 from pathlib import Path
 
-from calrig.store.connecting import connect
-from calrig.store.errors import StoreError, damaged, store_error
+from calrig.store.errors import StoreError
+from calrig.store.sqlite.connecting import connect
+from calrig.store.sqlite.errors import damaged, store_error
 
 NETWORK = frozenset(
     {"nfs", "nfs4", "cifs", "smb3", "smbfs", "afs", "ncpfs", "fuse.sshfs", "fuse.davfs", "fuse.rclone"}

@@ -1,32 +1,17 @@
-"""Which revision a database is at, and bringing it to the program's after a copy is kept.
-
-A revision is the four digits its file in migrations/versions begins with, so that the newest one is found
-without importing Alembic, which is needed only when there is something to do.
-"""
+"""Which revision a file is at, and bringing it to the program's after a copy is kept."""
 
 from __future__ import annotations
 
 import contextlib
 import os
-import re
 import sqlite3
 from pathlib import Path
 
-from calrig.settings import packed
-from calrig.store.connecting import connect, refuse_foreign
-from calrig.store.copying import copy_database
-from calrig.store.errors import StoreError, damaged, store_error
-
-
-def revisions() -> list[str]:
-    """The program's revisions, oldest first."""
-    found = (
-        re.match(r"(\d{4})_\w+\.py$", file.name) for file in (packed("migrations") / "versions").iterdir()
-    )
-    known = sorted(match[1] for match in found if match)
-    if not known:
-        raise StoreError(f"{packed('migrations')}: holds no migrations: install calrig again")
-    return known
+from calrig.store.errors import StoreError
+from calrig.store.revisions import migrate, revisions
+from calrig.store.sqlite.connecting import connect, refuse_foreign
+from calrig.store.sqlite.copying import copy_database
+from calrig.store.sqlite.errors import damaged, store_error
 
 
 def stored_revision(database: Path, uri: str | None = None) -> str | None:
@@ -34,7 +19,7 @@ def stored_revision(database: Path, uri: str | None = None) -> str | None:
 
     Args:
         database: the file.
-        uri: how to open it for reading only, as `calrig.store.file_system.reading_uri` says.
+        uri: how to open it for reading only, as `calrig.store.sqlite.file_system.reading_uri` says.
 
     Raises:
         StoreError: it cannot be read, is not SQLite, is another program's, or holds what would act by itself.
@@ -111,8 +96,6 @@ def _keep_copy(database: Path, head: str) -> Path:
 
 
 def _run_alembic(database: Path) -> None:
-    from alembic import command
-    from alembic.config import Config
     from sqlalchemy import NullPool, create_engine, event, text
 
     # Foreign keys stay off: SQLite changes a table by copying it, and they are checked before the commit.
@@ -128,10 +111,7 @@ def _run_alembic(database: Path) -> None:
         connection.exec_driver_sql("BEGIN IMMEDIATE")  # type: ignore[attr-defined]
 
     with engine.begin() as connection:
-        config = Config()
-        config.set_main_option("script_location", str(packed("migrations")).replace("%", "%%"))
-        config.attributes["connection"] = connection
-        command.upgrade(config, "head")
+        migrate(connection)
         orphans = connection.execute(text("PRAGMA foreign_key_check")).all()
         if orphans:
             raise ValueError(f"{len(orphans)} rows would lose what they refer to")

@@ -1,0 +1,99 @@
+"""The tables of a centre and its benches; in a file's store only a bench's own (`taken_order`, `delivery`).
+
+What a bench's role may touch of them is in `calrig.store.postgresql.roles`.
+"""
+
+# No `from __future__ import annotations`: SQLModel reads the annotations of the classes.
+
+from datetime import datetime
+from typing import Any
+
+from sqlmodel import Column, Field, Index, LargeBinary, SQLModel
+
+from calrig.store.checksums import CheckedJson
+from calrig.store.tables import Sha256, UtcText
+
+
+class BenchTable(SQLModel, table=True):
+    """A bench that has joined: its database role, and what it last said of itself."""
+
+    __tablename__ = "bench"
+
+    name: str = Field(primary_key=True)
+    hall: str | None = None
+    role: str | None = Field(default=None, unique=True)
+    code_sha256: str | None = Field(default=None, sa_type=Sha256)
+    code_until: datetime | None = Field(default=None, sa_type=UtcText)
+    enrolled_at: datetime | None = Field(default=None, sa_type=UtcText)
+    revoked_at: datetime | None = Field(default=None, sa_type=UtcText)
+    last_seen_at: datetime | None = Field(default=None, sa_type=UtcText)
+    said: dict[str, Any] = Field(sa_type=CheckedJson)
+
+
+class RunOrderTable(SQLModel, table=True):
+    """What a bench is to do with a run: only the newest epoch counts, and only what is newer than taken."""
+
+    __tablename__ = "run_order"
+    __table_args__ = (Index("ix_run_order_bench", "bench"),)
+
+    run_uid: str = Field(primary_key=True)
+    bench: str = Field(foreign_key="bench.name")
+    rig: str
+    epoch: int
+    wish: str
+    document: dict[str, Any] = Field(sa_type=CheckedJson)
+    taken_epoch: int = 0
+    ordered_at: datetime = Field(sa_type=UtcText)
+
+
+class BenchCommandTable(SQLModel, table=True):
+    """Stop, abort, pause or resume, asked of a bench while somebody waits for the answer."""
+
+    __tablename__ = "bench_command"
+    __table_args__ = (Index("ix_bench_command_bench", "bench"),)
+
+    id: int = Field(default=None, primary_key=True)
+    bench: str = Field(foreign_key="bench.name")
+    kind: str
+    rig: str | None = None
+    run_uid: str | None = None
+    asked_at: datetime = Field(sa_type=UtcText)
+    taken_at: datetime | None = Field(default=None, sa_type=UtcText)
+    answered_at: datetime | None = Field(default=None, sa_type=UtcText)
+    withdrawn_at: datetime | None = Field(default=None, sa_type=UtcText)
+    answer: dict[str, Any] | None = Field(default=None, sa_type=CheckedJson)
+
+
+class ParcelTable(SQLModel, table=True):
+    """What a bench has delivered and nobody has unpacked yet."""
+
+    __tablename__ = "parcel"
+    __table_args__ = (Index("ix_parcel_bench_seq", "bench", "seq", unique=True),)
+
+    id: int = Field(default=None, primary_key=True)
+    bench: str = Field(foreign_key="bench.name")
+    seq: int
+    run_uid: str
+    document: dict[str, Any] = Field(sa_type=CheckedJson)
+    data: bytes | None = Field(default=None, sa_column=Column(LargeBinary))
+    delivered_at: datetime = Field(sa_type=UtcText)
+
+
+class TakenOrderTable(SQLModel, table=True):
+    """On a bench: the newest epoch of a run that it has acted on."""
+
+    __tablename__ = "taken_order"
+
+    run_uid: str = Field(primary_key=True)
+    epoch: int
+
+
+class DeliveryTable(SQLModel, table=True):
+    """On a bench: how far a run has been delivered to the centre."""
+
+    __tablename__ = "delivery"
+
+    run_uid: str = Field(primary_key=True)
+    event_seq: int
+    sample_block_id: int
+    is_complete: bool

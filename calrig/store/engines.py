@@ -1,0 +1,39 @@
+"""Which engine keeps a store: a SQLite file, or PostgreSQL where many benches share one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from sqlalchemy import make_url
+from sqlalchemy.exc import ArgumentError
+
+from calrig.store.database import Database
+from calrig.store.errors import StoreError
+from calrig.store.sqlite.database import SqliteDatabase, database_path
+
+EXTRA = "pip install 'calrig[centre]'"
+
+
+def is_centre(url: str) -> bool:
+    """Whether a store's URL names a PostgreSQL database."""
+    try:
+        return make_url(url).get_backend_name() == "postgresql"
+    except ArgumentError:
+        return False  # which the path of a file will say
+
+
+def open_database(
+    url: str,
+    writer: str | None,
+    busy_timeout_s: float,
+    left_by_the_dead: Callable[[Sequence[str]], None],
+) -> Database:
+    """Opens what a store's URL names; arguments and errors as of `calrig.store.Store.open`."""
+    if not is_centre(url):
+        return SqliteDatabase(database_path(url), writer, busy_timeout_s, left_by_the_dead)
+    try:
+        from calrig.store.postgresql.database import PostgresqlDatabase
+    except ModuleNotFoundError as error:
+        shown = make_url(url).render_as_string(hide_password=True)
+        raise StoreError(f"{shown}: needs {error.name}: {EXTRA}") from error
+    return PostgresqlDatabase(url, writer, busy_timeout_s)

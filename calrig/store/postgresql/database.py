@@ -1,0 +1,170 @@
+"""The PostgreSQL database: any number of processes write to it, one transaction at a time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import psycopg
+from sqlalchemy import URL, Connection, create_engine, inspect, make_url, text
+from sqlalchemy.exc import OperationalError
+from sqlmodel import Session
+
+from calrig.instruments.wanted import require_wanted
+from calrig.store.checksums import from_json, to_json
+from calrig.store.database import LOOK_S, Database
+from calrig.store.errors import StoreDamagedError, StoreError
+from calrig.store.postgresql.errors import DAMAGED, store_error
+from calrig.store.records import Size
+from calrig.store.revisions import migrate, revisions
+
+TURN = 0x63616C726967
+"""Advisory lock of who writes: numbers that follow on one another (revisions, the trail, a run's events)
+are read and written again in one turn, as under SQLite's one writer.
+"""
+CONNECT_S = 5
+ALIVE = {
+    "connect_timeout": CONNECT_S,
+    "keepalives_idle": 10,
+    "keepalives_interval": 5,
+    "keepalives_count": 3,
+    "tcp_user_timeout": 15_000,
+    "application_name": "calrig",
+}
+"""Of libpq: a server that has gone, or a cable, is noticed within half a minute."""
+
+
+def url_of(url: str) -> URL:
+    """The URL with psycopg as its driver, whichever it names."""
+    return make_url(url).set(drivername="postgresql+psycopg")
+
+
+class PostgresqlDatabase(Database):
+    """An open PostgreSQL database.
+
+    Args:
+        url: SQLAlchemy URL.
+        writer: None opens for reading only.
+        busy_timeout_s: how long to wait for one's turn to write.
+
+    Raises:
+        StoreError: as `calrig.store.Store.open`.
+    """
+
+    def __init__(self, url: str, writer: str | None, busy_timeout_s: float) -> None:
+        parsed = url_of(url)
+        self.name = parsed.render_as_string(hide_password=True)
+        self._timeout_s = busy_timeout_s
+        self._may_write = writer is not None
+        self._engine = create_engine(
+            parsed,
+            json_serializer=to_json,
+            json_deserializer=from_json,
+            pool_size=8,
+            max_overflow=-1,
+            pool_pre_ping=True,  # the server may have been started again
+            connect_args=ALIVE,
+        )
+        self._reads = self._engine.execution_options(
+            isolation_level="REPEATABLE READ", postgresql_readonly=True
+        )
+        try:
+            with self._in_words():
+                self._prepare()
+        except BaseException:
+            self.close()
+            raise
+
+    def _prepare(self) -> None:
+        head = revisions()[-1]
+        with self._engine.connect() as connection:
+            stored = self._stored_revision(connection)
+        if stored == head:
+            return
+        if stored is not None and stored not in revisions():
+            raise StoreError(
+                f"{self.name}: was written by a newer calrig (revision {stored}; this one knows up to "
+                f"{head}); nothing was changed: install the newer calrig"
+            )
+        if not self._may_write:
+            why, remedy = "there is no calrig database", "make one with `calrig serve` or `calrig move-store`"
+            if stored is not None:
+                why = f"was written by an older calrig (revision {stored})"
+                remedy = "run `calrig serve` once, which brings it up to date"
+            raise StoreError(f"{self.name}: {why}: {remedy}")
+        self._upgrade(head)
+
+    def _stored_revision(self, connection: Connection) -> str | None:
+        tables = inspect(connection).get_table_names()
+        if "alembic_version" not in tables:
+            return None
+        if "calibration" not in tables:
+            raise StoreError(f"{self.name}: is another program's database: name another one with --db")
+        return connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
+
+    def _upgrade(self, head: str) -> None:
+        """Brings the tables up to date, all of it or nothing; of several processes the first does it."""
+        with self._engine.begin() as connection:
+            connection.execute(text("SELECT pg_advisory_xact_lock(:turn)"), {"turn": TURN})
+            if self._stored_revision(connection) != head:
+                migrate(connection)
+
+    @contextmanager
+    def reading(self) -> Iterator[Session]:
+        """As `Database.reading`."""
+        with self._in_words(), Session(self._reads) as session:
+            yield session
+
+    @contextmanager
+    def staging(self) -> Iterator[Connection]:
+        """As `Database.staging`."""
+        with self._in_words(), self._engine.connect() as connection:
+            connection.detach()  # it is closed in earnest
+            yield connection
+
+    @contextmanager
+    def writing(self, on: Connection | None = None) -> Iterator[Session]:
+        """As `Database.writing`."""
+        if not self._may_write:
+            raise StoreError(f"{self.name}: was opened for reading only")
+        with self._in_words(), Session(self._engine if on is None else on) as session:
+            self._take_turn(session)
+            yield session
+            session.commit()
+
+    def _take_turn(self, session: Session) -> None:
+        """Waits for the other writers in short stretches, as long as somebody wants the write."""
+        give_up_s = time.monotonic() + self._timeout_s
+        while True:
+            require_wanted()
+            session.execute(text(f"SET LOCAL lock_timeout = {1000 * min(LOOK_S, self._timeout_s):.0f}"))
+            try:
+                session.execute(text("SELECT pg_advisory_xact_lock(:turn)"), {"turn": TURN})
+            except OperationalError as error:
+                is_busy = isinstance(error.orig, psycopg.errors.LockNotAvailable)
+                if not is_busy or time.monotonic() >= give_up_s:
+                    raise
+                session.rollback()
+                continue
+            session.execute(text(f"SET LOCAL lock_timeout = {1000 * self._timeout_s:.0f}"))
+            return
+
+    def give_back_space(self) -> None:
+        """Nothing: the server's own autovacuum does."""
+
+    def size(self) -> Size:
+        """What the database takes on the server."""
+        with self._in_words(), self._engine.connect() as connection:
+            used_bytes = connection.execute(text("SELECT pg_database_size(current_database())")).scalar_one()
+        return Size(used_bytes, None)
+
+    def close(self) -> None:
+        """Closes every connection."""
+        self._engine.dispose()
+
+    def _error(self, error: BaseException | None) -> StoreError:
+        return store_error(error, self.name)
+
+    def _damaged(self, what: str) -> StoreDamagedError:
+        return StoreDamagedError(f"{self.name}: {DAMAGED} ({what})")
