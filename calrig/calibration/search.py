@@ -182,7 +182,7 @@ def _search(
             best = named(r, accepted, verdict.candidates, verdict.ratios, verdict.p_value)
             if is_worth_a_name(r, accepted, best):
                 steps = entering(r, accepted, plain(r, accepted, best, verdict), verdict, judged)
-            else:
+            elif companions_of([best.candidate]):
                 steps = with_another(r, model, best, judged)
             if not steps:
                 refused.add(best.candidate.label)
