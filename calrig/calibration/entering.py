@@ -94,3 +94,8 @@ def is_on_trial(candidate: Candidate) -> bool:
     return len(candidate.members) > 1 and any(
         m.shape.scanned and m.shape.place_cost > 1 for m in candidate.members
     )
+
+
+def brings(pair: Candidate, one: Candidate) -> bool:
+    """Whether an effect is among several that are offered as one."""
+    return any(member.label == one.label for member in pair.members)
