@@ -6,7 +6,6 @@ import csv
 import json
 
 import pytest
-from dated_runs import gave, lay
 from support import DATA
 
 from .page_help import figures_of, imported, row_of
@@ -16,22 +15,6 @@ pytestmark = pytest.mark.browser
 
 WARMUP = DATA / "mpu6050_warmup_poses.csv"
 REFUSED_422 = r"status of 422"
-
-
-def test_a_run_is_shown_by_the_beginning_of_its_id_and_one_of_older_days_by_its_number(
-    page, client, service, go, expect
-):
-    lay(service.store, ("OLD", 1.0, gave(), {"uid": "17"}))
-    run = imported(client, "NEW")
-    go("#/")
-    links = page.locator("#runs-table tbody th a")
-    expect(links).to_have_text([run["id"][:8], "17"])
-    expect(links.first).to_have_attribute("title", run["id"])
-    links.first.click()
-    page.wait_for_url(f"**/#/runs/{run['id']}")
-    expect(page.locator("h1")).to_have_text(f"Run {run['id'][:8]} · NEW")
-    go("#/runs/17")
-    expect(page.locator("h1")).to_have_text("Run 17 · OLD")
 
 
 def test_units_are_compared_with_their_errors(page, client, go, expect):
