@@ -22,7 +22,8 @@ AND data_type = 'character varying' AND collation_name IS DISTINCT FROM 'C'
 def order_by_bytes(**_: Any) -> None:
     """Has PostgreSQL order text as SQLite does, whatever language its database was made for.
 
-    After each migration, for what it has added: serial numbers, names and times come in one order on both.
+    Serial numbers, names and times come in one order on both. Before the migrations, for what is there, and
+    after each, for what it has added: a column that a policy names cannot be changed any more.
     """
     connection: Connection = context.config.attributes["connection"]
     if connection.dialect.name != "postgresql":
@@ -42,4 +43,5 @@ context.configure(
     on_version_apply=order_by_bytes,
 )
 with context.begin_transaction():
+    order_by_bytes()
     context.run_migrations()

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from contextlib import closing
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
 import httpx
 from empty_store import lay_empty_store
 from filled_store import block
+from sqlalchemy import create_engine
 from support import imported, serving
 
 from calrig.calibration.pose import Pose
 from calrig.store import AcceptedEffect, Store
+from calrig.store.raw_rows import tables
 
 POSES = "target_deg,reading_deg,+5V\n-30,-29.5,5.01\n0,-0.4,4.99\n30,30.6,5.00\n60,60.9,5.02\n"
 LIMIT = {"name": "flight", "units": "A*", "max_error_deg": 0.5, "rule": "guarded"}
@@ -71,3 +75,18 @@ def _amend(client: httpx.Client) -> None:
     asked("POST", f"/api/runs/{second}/note", note="wärmer, 温度 ↑ \u2028 'quoted' \\n \t tab")
     asked("POST", f"/api/runs/{third}/void", reason="clamped askew")
     asked("POST", f"/api/runs/{first}/unit", unit="A-3", reason="a wrong label")
+
+
+@contextmanager
+def by_hand(file: Path) -> Iterator[sqlite3.Connection]:
+    with closing(sqlite3.connect(file)) as connection, connection:
+        yield connection
+
+
+def rows_in(url: str) -> dict[str, int]:
+    """How many rows each table has that has any."""
+    engine = create_engine(url)
+    with engine.connect() as connection:
+        counted = {t.name: connection.execute(t.select()).all() for t in tables()}
+    engine.dispose()
+    return {name: len(rows) for name, rows in counted.items() if rows}
