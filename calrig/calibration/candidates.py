@@ -83,15 +83,15 @@ class Candidate:
     def is_possible(self, beta: FloatArray) -> bool:
         """Whether the coefficients (≥ p,), its own first, are any that physics allows."""
         first = 0
-        for one in self.members:
-            width = one.columns.shape[2]
-            own = beta[first : first + width]
-            # of a difference either sign: what a parameter may not be by itself, it may have lost
-            senses = (own,) if one.changed is None else (own, -own)
-            if not any(one.effect.possible(one.shape, sense) for sense in senses):
+        if self.beside is not None:
+            first = self.beside.columns.shape[2]
+            if not self.beside.is_possible(beta):
                 return False
-            first += width
-        return True
+        own = beta[first : self.columns.shape[2]]
+        if self.effect.possible(self.shape, own):
+            return True
+        # of a difference either sign: what a parameter may not be by itself, it may have lost
+        return self.changed is not None and self.effect.possible(self.shape, -own)
 
     @property
     def follows(self) -> str | None:

@@ -9,11 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.candidates import Candidate, candidate_at
+from calrig.calibration.curves_beside import fitted_beside
 from calrig.calibration.effect import Shape
 from calrig.calibration.places import refined
 from calrig.calibration.responses import Responses
 from calrig.calibration.screen import Float32Array, Screen
-from calrig.calibration.sensor_model import fitted_beside, fitted_model
+from calrig.calibration.sensor_model import fitted_model
 from calrig.estimation.angles import FloatArray
 
 MARGIN = 6.0
