@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 import calrig
-from calrig.cli import diagnosis, fleet, noise, records, rigs, run, serve, users
+from calrig.cli import diagnosis, fleet, move_store, noise, records, rigs, run, serve, users
 from calrig.cli.exit_status import Commands
 
 app = typer.Typer(
@@ -29,6 +29,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "import": records.import_,
     "export": records.export,
     "backup": records.backup,
+    "move-store": move_store.move_store,
     "diagnose": diagnosis.diagnose,
     "gravity": diagnosis.gravity,
     "noise": noise.noise,

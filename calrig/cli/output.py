@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from calrig.instruments.scan import Found
     from calrig.settings import RigSettings
     from calrig.store import Run
+    from calrig.store.moving import Moved
 
 
 def print_json(document: dict[str, Any] | list[dict[str, Any]]) -> None:
@@ -103,6 +104,13 @@ def _way_in(user: dict[str, Any]) -> str:
     if user["disabled_at"] is not None:
         return "no more"
     return "by token, or a trusted proxy" if user["has_token"] else "by a trusted proxy"
+
+
+def print_moved(moved: Moved) -> None:
+    """Prints what a store that was taken over consists of; `--json` has the hashes in full."""
+    rows = ((table.name, str(table.rows), f"{table.sha256[:16]}…") for table in moved.tables)
+    _print_table(("table", "rows", "SHA-256, the same at both ends"), rows)
+    _print(f"moved in {moved.duration_s:.1f} s")
 
 
 def print_diagnosis(found: dict[str, Any]) -> None:
