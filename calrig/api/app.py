@@ -42,6 +42,7 @@ from calrig.api import (
 )
 from calrig.api.access import TOKEN, Access
 from calrig.api.authentication import Authentication
+from calrig.api.bench_page import BenchPage
 from calrig.api.context import ApiContext
 from calrig.api.limits import JSON_BYTES, BodyPatience
 from calrig.api.origin_check import OriginCheck
@@ -86,6 +87,7 @@ def create_app(
     access: Access = EVERYBODY,
     interval_days: float = INTERVAL_DAYS,
     limits_kept_in: str | None = None,
+    is_bench: bool = False,
     centre: CentreSettings | None = None,
 ) -> FastAPI:
     """Makes the application; nothing of it is shared with another one.
@@ -96,6 +98,7 @@ def create_app(
         access: the token that is asked for and the names the service has.
         interval_days: after which a unit is due whose history says nothing.
         limits_kept_in: the file that gives the limits, which then are not changed over HTTP.
+        is_bench: whether it is a bench's own page, which leaves to the centre what only that may do.
         centre: how agents reach the database of a centre, where that is not as the centre does.
     """
 
@@ -115,6 +118,8 @@ def create_app(
         centre=centre or CentreSettings(),
     )
     app.state.authentication = Authentication(access, service.store.users)
+    if is_bench:
+        app.add_middleware(BenchPage)
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=6)  # event streams never
     app.add_middleware(OriginCheck, app.state.authentication)
     app.add_middleware(RequestLog)

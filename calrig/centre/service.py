@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
 
 from calrig.analysis.active_calibration import ActiveCalibration, active_calibration
 from calrig.analysis.errors import Conflict, Unknown
@@ -24,6 +23,7 @@ from calrig.runs.bus import Bus
 from calrig.runs.errands import Errand, Errands
 from calrig.runs.follow_up import FollowUpRun
 from calrig.runs.meter import Meter
+from calrig.runs.ordered import order_part
 from calrig.runs.planned import planned_poses
 from calrig.runs.rig_states import RigState
 from calrig.runs.stopping import BY_REQUEST
@@ -74,6 +74,11 @@ class CentreService:
         """Drafts and releases, by what the benches' rigs say of `release` now."""
         return Issuer(self.store, self._rigs.releases())
 
+    @property
+    def stuck(self) -> Mapping[str, str]:
+        """Runs of which a delivery is kept that this process cannot unpack, and why."""
+        return self._unpacker.stuck
+
     def rigs(self) -> list[RigState]:
         """Every rig of every bench, as it last said that it stands."""
         return self._rigs.states()
@@ -101,8 +106,7 @@ class CentreService:
         """
         check_serial(unit)
         on = self._rigs.known(rig)
-        more = {} if stage_at_deg is None else {"stage_at_deg": stage_at_deg}
-        return self._begin(on, unit, plan, operator, operator, note, more=more, queue=queue)
+        return self._begin(on, unit, plan, operator, operator, note, stage_at_deg=stage_at_deg, queue=queue)
 
     def follow_up(self, run_id: str, apart: Apart = run_apart, who: str | None = None) -> Run:
         """As `RunService.follow_up`."""
@@ -110,7 +114,8 @@ class CentreService:
         if run.rig is None:
             raise Conflict(f"run {run_id} was imported: no rig is known to follow it up on")
         on = self._rigs.known(run.rig)
-        designed = FollowUpRun.designed(unresolved(self.store, run_id, apart), on.settings.limits_deg, apart)
+        earlier = unresolved(self.store, run_id, apart)
+        designed = FollowUpRun.designed(earlier, run, on.settings.limits_deg, apart)
         operator = who or run.operator
         return self._begin(on, run.unit, designed.plan, operator, who, follows=run_id, follow_up=designed)
 
@@ -125,7 +130,7 @@ class CentreService:
         *,
         follows: str | None = None,
         follow_up: FollowUpRun | None = None,
-        more: Mapping[str, Any] | None = None,
+        stage_at_deg: float | None = None,
         queue: bool = False,
     ) -> Run:
         planned = planned_poses(plan, on.settings)
@@ -151,7 +156,7 @@ class CentreService:
                 **({} if follow_up is None else {"follow_up": follow_up.provenance()}),
             },
             poses_total=0 if plan.kind == "static" else len(planned),
-            more=more,
+            more=order_part(stage_at_deg=stage_at_deg, verifies=verifies, follow_up=follow_up),
             waits=queue,
         )
 

@@ -5,17 +5,18 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections.abc import Mapping
 
 from calrig.store import StoreError
 from calrig.store.store import Store
-from calrig.store.unpacking import Conclude
+from calrig.store.unpacking import Conclude, Kept
 
 log = logging.getLogger(__name__)
 
 LOOK_S = 1.0
 """How often it looks though nobody said that something has come."""
-AGAIN_S = 10.0
-"""How often a run is looked at again that could not be unpacked: what it lacked may have come."""
+AGAIN_S = 60.0
+"""How often a run is tried again that could not be unpacked: what was in the way may have been mended."""
 
 
 class Unpacker:
@@ -29,16 +30,16 @@ class Unpacker:
     def __init__(self, store: Store, conclude: Conclude) -> None:
         self._store, self._conclude = store, conclude
         self._news, self._closing = threading.Event(), False
-        self._held: dict[str, str] = {}
+        self._kept = Kept()
         self._said: dict[str, str] = {}
         self._again_s = time.monotonic() + AGAIN_S
         self._is_up = True
         self._thread = threading.Thread(target=self._run, name="unpacking", daemon=True)
 
     @property
-    def held(self) -> dict[str, str]:
+    def stuck(self) -> Mapping[str, str]:
         """Why runs are not unpacked any further, by run."""
-        return dict(self._held)
+        return self._kept.stuck
 
     def start(self) -> None:
         """Begins, in its thread."""
@@ -72,14 +73,13 @@ class Unpacker:
         """Unpacks some; returns whether there may be more."""
         if time.monotonic() >= self._again_s:
             self._again_s = time.monotonic() + AGAIN_S
-            self._held = {}
+            self._kept = Kept()
             self._store.settle_withdrawn()
-        if not self._store.has_parcels(self._held):
+        if not self._store.has_parcels(self._kept):
             return False
-        done = self._store.unpack_parcels(self._conclude, self._held)
-        for run_id, why in done.held.items():
+        self._kept = self._store.unpack_parcels(self._conclude, self._kept)
+        for run_id, why in self._kept.stuck.items():
             if self._said.get(run_id) != why:
                 log.error("run %s: a delivery is kept and cannot be unpacked: %s", run_id, why)
-        self._said.update(done.held)
-        self._held = {**self._held, **done.held}
+        self._said.update(self._kept.stuck)
         return True

@@ -45,7 +45,13 @@ def centre_service(url: str, command: str, settings: Settings) -> Iterator[Centr
 
 @contextmanager
 def local_service(
-    url: str, command: str, rigs: Sequence[RigSettings], settings: Settings, record: Path | None
+    url: str,
+    command: str,
+    rigs: Sequence[RigSettings],
+    settings: Settings,
+    record: Path | None,
+    *,
+    drafts: bool = True,
 ) -> Iterator[RunService]:
     """The run service over the store; its simulated rigs start beside, for a process takes its time.
 
@@ -57,11 +63,12 @@ def local_service(
         rigs: those that runs may be started on.
         settings: all that is configured.
         record: folder that takes what passes on the wires; None keeps the last minute only.
+        drafts: whether completed calibrations make drafts here; a bench leaves them to its centre.
     """
     with ExitStack() as stack:
         with ThreadPoolExecutor(1) as beside:
             starting = beside.submit(lambda: [stack.enter_context(_with_ports(rig)) for rig in rigs])
-            from calrig.analysis.issuing import Issuer
+            from calrig.analysis.issuing import Issuer, NoDrafts, Releases
             from calrig.analysis.limits import keep_configured
             from calrig.runs.recovery import mark_interrupted, stop_stages
             from calrig.runs.service import RunService
@@ -81,9 +88,10 @@ def local_service(
             store = stack.enter_context(Store.open(url, writer=command, left_by_the_dead=stop))
             mark_interrupted(store, troubles)
             keep_configured(settings, store)
-            Issuer(store).bring_over()
+            issuer = Issuer(store, Releases.of(rigs)) if drafts else NoDrafts(store)
+            issuer.bring_over()
             powered = starting.result()
-        service = RunService(store, powered, record)
+        service = RunService(store, powered, record, issuer)
         stack.callback(service.close)
         yield service
 

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 import calrig
-from calrig.cli import benches, diagnosis, enroll, noise, records, rigs, run, serve, users
+from calrig.cli import agent, benches, diagnosis, enroll, noise, records, rigs, run, serve, users
 from calrig.cli.exit_status import Commands
 
 app = typer.Typer(
@@ -38,9 +38,8 @@ for name, command in COMMANDS.items():
     app.command(name)(command)
 app.add_typer(users.app, name="users")
 app.add_typer(benches.app, name="bench")
-agent = typer.Typer(help="Carry out on this bench what its centre orders.", no_args_is_help=True)
-agent.command("enroll")(enroll.enroll)
-app.add_typer(agent, name="agent")
+agent.app.command("enroll")(enroll.enroll)
+app.add_typer(agent.app, name="agent")
 
 
 def main() -> None:

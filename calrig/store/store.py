@@ -20,6 +20,7 @@ from calrig.store.places import Places
 from calrig.store.poses import Poses
 from calrig.store.records import Size
 from calrig.store.runs import Runs
+from calrig.store.spool import Spool
 from calrig.store.trail import Trail
 from calrig.store.units import Units
 from calrig.store.unpacking import Unpacking
@@ -42,6 +43,7 @@ class Store(
     BenchCommands,
     Unpacking,
     Enrolment,
+    Spool,
 ):
     """An open store, shared by threads. Each method is one transaction, on the disk when it returns.
 

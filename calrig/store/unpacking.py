@@ -8,7 +8,7 @@ delivers after it; other runs go on.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any, get_args
@@ -16,6 +16,7 @@ from typing import Any, get_args
 from pydantic import ValidationError
 from sqlalchemy.exc import InterfaceError, OperationalError
 from sqlmodel import Session, col, func, insert, select
+from sqlmodel.sql.expression import Select
 
 from calrig.run_ids import is_uuid
 from calrig.store import issued, trail
@@ -38,51 +39,66 @@ Conclude = Callable[[Run, Sequence[StoredPose]], Conclusion]
 """Computes it, by what is in force at the centre; is called in the transaction, and may read the store."""
 
 
-@dataclass(frozen=True, slots=True)
-class Unpacked:
-    """How many parcels were, and why those of some runs were not, by run."""
+class _TooSoon(Unreadable):
+    """What comes before it has not been unpacked."""
 
-    number: int = 0
-    held: dict[str, str] = field(default_factory=dict)
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """Parcels that are not tried: of runs with one that cannot be unpacked, and those that came too soon.
+
+    Attributes:
+        stuck: why not, by run.
+        early: runs of those that wait for others of their run, by the parcel's number.
+    """
+
+    stuck: Mapping[str, str] = field(default_factory=dict)
+    early: Mapping[int, str] = field(default_factory=dict)
 
 
 class Unpacking(Part):
     """The deliveries of benches, at the centre."""
 
-    def has_parcels(self, but_of: Collection[str] = ()) -> bool:
-        """Whether there are any, but for those of some runs."""
-        wanted = select(ParcelTable.id).where(col(ParcelTable.run_uid).not_in(but_of)).limit(1)
+    def has_parcels(self, but: Kept = Kept()) -> bool:
+        """Whether there are any to be tried."""
         with self._database.reading() as session:
-            return session.exec(wanted).first() is not None
+            return session.exec(_next(but).limit(1)).first() is not None
 
-    def unpack_parcels(self, conclude: Conclude, but_of: Collection[str] = ()) -> Unpacked:
-        """Unpacks the oldest parcels, `AT_ONCE` at most, but for those of some runs."""
-        wanted = (
-            select(ParcelTable.id, ParcelTable.run_uid)
-            .where(col(ParcelTable.run_uid).not_in(but_of))
-            .order_by(col(ParcelTable.id))
-            .limit(AT_ONCE)
-        )
-        number, held = 0, dict[str, str]()
+    def unpack_parcels(self, conclude: Conclude, but: Kept = Kept()) -> Kept:
+        """Unpacks the oldest parcels, `AT_ONCE` at most; returns which are not to be tried from now on."""
+        stuck, early = dict(but.stuck), dict(but.early)
         with self._database.writing() as session:
-            for parcel_id, run_uid in session.exec(wanted).all():
-                if run_uid in held:
+            for parcel_id, run_uid in session.exec(_next(but).limit(AT_ONCE)).all():
+                if run_uid in stuck:
                     continue
                 try:
                     with session.begin_nested():
                         _unpack(session, parcel_id, conclude)
-                    number += 1
+                    early = {number: run for number, run in early.items() if run != run_uid}
+                except _TooSoon:
+                    early[parcel_id] = run_uid
                 except (OperationalError, InterfaceError):
                     raise  # of the server: what is in the parcel has nothing to do with it
                 except Exception as error:  # noqa: BLE001 (whatever it is, other runs go on)
-                    held[run_uid] = _in_words(error)
-        return Unpacked(number, held)
+                    stuck[run_uid] = _in_words(error)
+        return Kept(stuck, early)
 
     def count_parcels(self) -> dict[str, int]:
         """How many wait, by bench."""
         wanted = select(ParcelTable.bench, func.count()).group_by(col(ParcelTable.bench))
         with self._database.reading() as session:
             return dict(session.exec(wanted).all())
+
+
+def _next(but: Kept) -> Select[int, str]:
+    """Numbers and runs of the parcels to be tried, in the order delivered."""
+    return (
+        select(ParcelTable.id, ParcelTable.run_uid)
+        .where(
+            col(ParcelTable.run_uid).not_in(but.stuck.keys()), col(ParcelTable.id).not_in(but.early.keys())
+        )
+        .order_by(col(ParcelTable.id))
+    )
 
 
 def _in_words(error: Exception) -> str:
@@ -160,12 +176,12 @@ def _news(session: Session, run: RunTable, events: Sequence[DeliveredEvent]) -> 
     """The events that are not stored yet.
 
     Raises:
-        Unreadable: one before them is missing.
+        _TooSoon: one before them is missing.
     """
     last = session.exec(select(func.max(EventTable.seq)).where(EventTable.run_id == run.id)).one() or 0
     news = [event for event in events if event.seq > last]
     if [event.seq for event in news] != list(range(last + 1, last + 1 + len(news))):
-        raise Unreadable(f"event {last + 1} of run {run.uid} has not been delivered")
+        raise _TooSoon(f"event {last + 1} of run {run.uid} has not been delivered")
     return news
 
 
