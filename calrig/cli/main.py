@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 import calrig
-from calrig.cli import agent, benches, diagnosis, enroll, noise, records, rigs, run, serve, users
+from calrig.cli import agent, benches, diagnosis, enroll, fleet, noise, records, rigs, run, serve, users
 from calrig.cli.exit_status import Commands
 
 app = typer.Typer(
@@ -33,6 +33,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "gravity": diagnosis.gravity,
     "noise": noise.noise,
     "filters": noise.filters,
+    "fleet": fleet.fleet,
 }
 for name, command in COMMANDS.items():
     app.command(name)(command)

@@ -146,6 +146,22 @@ def print_diagnosis(found: dict[str, Any]) -> None:
         _print(f"a follow-up run would separate {names} by {sigmas}: POST /api/runs/ID/follow-up")
 
 
+def print_fleet(found: dict[str, Any]) -> None:
+    """Prints what a fleet's re-analysis changed, and how large each rig's error is."""
+    n, changed = found["runs"], found["changed"]
+    _print(f"{n} runs in {found['duration_s']:.1f} s, {len(changed)} with another verdict", style="bold")
+    if changed:
+        rows = [(c["run_id"], c["verdict_before"] or "", c["verdict_now"] or "") for c in changed]
+        _print_table(("run", "before", "now"), rows, justify="left")
+    maps = [(rig["rig"], rig["units"], rig["map"]["error_deg"]) for rig in found["rigs"]]
+    by_rig = [
+        (name, str(units), str(len(errors)), _number(max(map(abs, errors), default=None), "°"))
+        for name, units, errors in maps
+    ]
+    if by_rig:
+        _print_table(("rig", "units", "places in common", "largest error"), by_rig)
+
+
 def print_gravity(found: dict[str, Any]) -> None:
     """Prints a calibration against gravity: what was found, and |a| less 1 g before and after."""
     names = [effect["name"] for effect in found["effects"]]
