@@ -44,7 +44,7 @@ WORDS = {
     409: "The rig is busy, the run's state does not allow this, or the stage was not seen to stand",
     413: "The body is too large",
     422: "Invalid",
-    429: "Too many wrong tokens came from there, or too much heavy work is waiting",
+    429: "Too many wrong tokens or codes came from there, or too much heavy work is waiting",
     503: "The store or the disk is full, the store locked or read-only, too many uploads or event streams "
     "are in hand, or a process was killed",
 }

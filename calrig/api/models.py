@@ -46,6 +46,10 @@ class StartRun(Body):
         default=None,
         description="Elevation at which a stage without homing stands, by the word of somebody who looked.",
     )
+    queue: bool = Field(
+        default=False,
+        description="At a centre, whether it waits its turn where the rig is busy or its bench away.",
+    )
 
 
 class Reason(Body):
@@ -78,14 +82,20 @@ class Health(Answer):
 
 
 class RigAnswer(Answer):
-    """A rig and what it is doing; `stage` and `imu` are its drivers."""
+    """A rig and what it is doing; `stage` and `imu` are its drivers.
+
+    At a centre with the bench that has it; `offline`, with the state last known, once that says nothing more.
+    """
 
     name: str
     stage: str
     imu: str
     simulated: bool
-    state: Literal["idle", "busy", "unreachable"]
+    state: Literal["idle", "busy", "unreachable", "offline"]
     run_id: str | None
+    bench: str | None
+    hall: str | None
+    last_seen_at: datetime | None
 
 
 class ProgressAnswer(Answer):

@@ -10,7 +10,20 @@ from typing import Annotated
 import typer
 
 import calrig
-from calrig.cli import diagnosis, fleet, move_store, noise, records, rigs, run, serve, users
+from calrig.cli import (
+    agent,
+    benches,
+    diagnosis,
+    enroll,
+    fleet,
+    move_store,
+    noise,
+    records,
+    rigs,
+    run,
+    serve,
+    users,
+)
 from calrig.cli.exit_status import Commands
 
 app = typer.Typer(
@@ -39,6 +52,9 @@ COMMANDS: dict[str, Callable[..., None]] = {
 for name, command in COMMANDS.items():
     app.command(name)(command)
 app.add_typer(users.app, name="users")
+app.add_typer(benches.app, name="bench")
+agent.app.command("enroll")(enroll.enroll)
+app.add_typer(agent.app, name="agent")
 
 
 def main() -> None:

@@ -113,6 +113,21 @@ def print_moved(moved: Moved) -> None:
     _print(f"moved in {moved.duration_s:.1f} s")
 
 
+def print_benches(benches: Sequence[dict[str, Any]]) -> None:
+    """Prints which benches may join, have joined or have left."""
+    if not benches:
+        _print("no bench has joined: `calrig bench add NAME` makes a code for the first one")
+        return
+    rows = ((b["name"], b["hall"] or "", _standing(b), (b["last_seen_at"] or "")[:19]) for b in benches)
+    _print_table(("bench", "hall", "is", "last seen, UTC"), rows, justify="left")
+
+
+def _standing(bench: dict[str, Any]) -> str:
+    if bench["code_until"] is not None:
+        return f"awaited until {bench['code_until'][:16]} UTC"
+    return "revoked" if bench["revoked_at"] is not None else "joined"
+
+
 def print_diagnosis(found: dict[str, Any]) -> None:
     """Prints a diagnosis: verdict, each effect with parameters and evidence, the error before and after."""
     from calrig.calibration.effects import EFFECTS

@@ -39,11 +39,14 @@ class Database(ABC):
         """
 
     @abstractmethod
-    def writing(self, on: Connection | None = None) -> AbstractContextManager[Session]:
+    def writing(
+        self, on: Connection | None = None, *, in_turn: bool = True
+    ) -> AbstractContextManager[Session]:
         """A session whose changes are kept when the block ends, or none of them where it raises.
 
         Args:
             on: what `staging` gave; without it any connection.
+            in_turn: False for what counts nothing on and so waits for no other writer, where the engine can.
 
         Raises:
             StoreError: it cannot be written; of waiting for a turn, what `require_wanted` raises as well.

@@ -21,6 +21,7 @@ What = Literal[
     "started", "imported", "excluded", "included", "voided", "unvoided", "noted", "moved",
     "accepted", "taken_back", "drafted", "released", "withdrawn", "limits_changed",
     "check_unit_changed", "user_added", "user_changed", "unit_removed",
+    "bench_added", "bench_enrolled", "bench_revoked",
 ]  # fmt: skip
 
 FIRST = "0" * 64
