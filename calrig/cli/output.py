@@ -106,6 +106,13 @@ def _way_in(user: dict[str, Any]) -> str:
     return "by token, or a trusted proxy" if user["has_token"] else "by a trusted proxy"
 
 
+def print_moved(moved: Moved) -> None:
+    """Prints what a store that was taken over consists of; `--json` has the hashes in full."""
+    rows = ((table.name, str(table.rows), f"{table.sha256[:16]}…") for table in moved.tables)
+    _print_table(("table", "rows", "SHA-256, the same at both ends"), rows)
+    _print(f"moved in {moved.duration_s:.1f} s")
+
+
 def print_benches(benches: Sequence[dict[str, Any]]) -> None:
     """Prints which benches may join, have joined or have left."""
     if not benches:
@@ -119,13 +126,6 @@ def _standing(bench: dict[str, Any]) -> str:
     if bench["code_until"] is not None:
         return f"awaited until {bench['code_until'][:16]} UTC"
     return "revoked" if bench["revoked_at"] is not None else "joined"
-
-
-def print_moved(moved: Moved) -> None:
-    """Prints what a store that was taken over consists of; `--json` has the hashes in full."""
-    rows = ((table.name, str(table.rows), f"{table.sha256[:16]}…") for table in moved.tables)
-    _print_table(("table", "rows", "SHA-256, the same at both ends"), rows)
-    _print(f"moved in {moved.duration_s:.1f} s")
 
 
 def print_diagnosis(found: dict[str, Any]) -> None:
