@@ -30,7 +30,7 @@ from calrig.store.runs import first_progress, new_row, replace_result
 from calrig.store.tables import EventTable, PoseTable, RunTable, SampleBlockTable, TranscriptTable
 from calrig.store.trail import Act
 
-AT_ONCE = 50
+AT_ONCE = 20
 """Parcels in one transaction: others wait for their turn to write meanwhile."""
 
 Conclusion = tuple[Document | None, issued.Draft | None]
