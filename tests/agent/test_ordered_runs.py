@@ -58,7 +58,7 @@ def test_a_follow_up_rests_on_the_same_poses_and_finds_the_same_in_them() -> Non
             reading_deg = elevation_deg - approach * 0.03 + rng.gauss(0.0, 0.025)
             poses.append(
                 Pose(
-                    elevation_deg,
+                    float(elevation_deg),
                     reading_deg,
                     approach=approach,
                     time_s=4.0 * len(poses),
@@ -71,7 +71,7 @@ def test_a_follow_up_rests_on_the_same_poses_and_finds_the_same_in_them() -> Non
     assert run.follow_up is not None
     again = run.follow_up.earlier
     assert (again.run_ids, again.poses) == (earlier.run_ids, earlier.poses)
-    assert [found.name for found in again.findings.found] == [found.name for found in earlier.findings.found]
+    assert str(again.findings.found) == str(earlier.findings.found)
     assert run.follow_up.provenance() == {
         "separates": ["backlash", "settling"],
         "deciding": 2,
