@@ -147,7 +147,7 @@ def test_pause_and_resume_reach_the_bench(
 def test_an_interrupted_run_is_taken_up_again_from_the_centre(
     page: httpx.Client, centre: HandWritten, rig: Rig, spool: Path
 ) -> None:
-    plan = {**QUICK, "sweeps": 4}
+    plan = {**QUICK, "sweeps": 40}
     with agent_at(centre.bench_url, spool, rig):
         run_id = started(page, plan=plan)
         wait_for(lambda: run_of(page, run_id)["progress"]["poses_done"] >= 2, "poses")
@@ -158,7 +158,7 @@ def test_an_interrupted_run_is_taken_up_again_from_the_centre(
     assert done["started_at"] == left["started_at"]
     assert done["faults"]["interrupted"] == 1
     assert [pose["pass"] for pose in page.get(f"/api/runs/{run_id}/poses").json()] == [
-        sweep for sweep in range(4) for _ in range(3)
+        sweep for sweep in range(40) for _ in range(3)
     ]
 
 
