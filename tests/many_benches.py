@@ -146,7 +146,7 @@ class ManyBenches:
             session.commit()
             return len(asked)
 
-    def answered_late(self, kind: str, rig: str, ago_s: float) -> None:
+    def unanswered(self, kind: str, rig: str, ago_s: float) -> None:
         """A command lies there that its bench has not answered."""
         with Session(self._engine) as session:
             asked_at = datetime.now(UTC) - timedelta(seconds=ago_s)

@@ -1,4 +1,4 @@
-"""The benches' page: forty rigs of a real centre, hall by hall, found by filters, live by one request a look."""
+"""The benches' page: forty rigs of a real centre hall by hall, found by filters, live by one request."""
 
 from __future__ import annotations
 
