@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from typing import Any
 
 import httpx
 import pytest
+from dated_runs import FIRST_DAY, gave, lay
 from many_benches import ManyBenches, a_day_in_the_halls, centre_with_benches
-from support import serving
+from support import serving, wait_for
 
 Hall = tuple[httpx.Client, ManyBenches]
 
@@ -60,8 +62,6 @@ def test_a_failure_that_was_seen_to_is_told_no_more(halls: Hall) -> None:
     client.post(f"/api/runs/{voided.id}/void", json={"reason": "the wrong unit"}).raise_for_status()
     assert client.post(f"/api/runs/{interrupted.id}/resume").json()["status"] == "queued"
     benches.begin(interrupted, 13)
-    from support import wait_for
-
     wait_for(lambda: not [rig for rig in rigs_of(client).values() if rig["unresolved"]], "a fresh answer")
     assert rigs_of(client)["rig-02"]["run"]["id"] == interrupted.id
 
@@ -76,8 +76,6 @@ def test_an_answer_is_304_until_something_happens(halls: Hall) -> None:
     again = client.get(path, headers=known)
     assert (again.status_code, again.content) == (304, b"")
     benches.order("rig-01", "A")
-    from support import wait_for
-
     changed = wait_for(lambda: (a := client.get(path, headers=known)).status_code == 200 and a, "the order")
     assert changed.headers["etag"] != first.headers["etag"]
     assert changed.headers["content-encoding"] == "gzip"
@@ -104,3 +102,17 @@ def test_a_bench_that_never_spoke_is_there_without_rigs(halls: Hall) -> None:
     benches.store.add_bench("bench-9", "hall 10")
     bench = client.get("/api/benches/overview").json()[-1]
     assert (bench["name"], bench["state"], bench["rigs"]) == ("bench-9", "never_seen", [])
+
+
+def test_units_are_overdue_the_longest_first(halls: Hall) -> None:
+    client, benches = halls
+    lay(
+        benches.store,
+        ("AS-2", 30.0, gave(), {"rig": "rig-01"}),
+        ("AS-1", 10.0, gave(), {"rig": "rig-02"}),
+        ("AS-3", (datetime.now(UTC) - FIRST_DAY).days, gave(), {"rig": "rig-02"}),
+    )
+    found = client.get("/api/overdue").raise_for_status().json()
+    assert [one["unit"] for one in found] == ["AS-1", "AS-2"]
+    assert found[0]["due_says"] == "365 days after its last calibration."
+    assert [one["unit"] for one in client.get("/api/overdue?limit=1").json()] == ["AS-1"]

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from dated_runs import gave, lay
 from many_benches import ManyBenches, a_day_in_the_halls, centre_with_benches
 from support import serving, wait_for
 
@@ -181,6 +182,17 @@ def test_benches_come_and_go_while_somebody_watches(
     lab.beat("bench-1", ago_s=60)
     expect(row(page, "rig-01")).to_contain_text("offline")
     expect(page.locator("[role=status].for-screen-readers")).to_contain_text("Rig rig-01: offline.")
+
+
+def test_units_that_are_overdue_are_named(benches: tuple[Any, ManyBenches], show: Show, expect: Any) -> None:
+    _, lab = benches
+    lay(lab.store, *((f"AS-{k:02d}", float(k), gave(), {"rig": "rig-01"}) for k in range(12)))
+    page = show(40)
+    lines = page.locator("#overdue li")
+    expect(lines).to_have_count(8)
+    expect(lines.first).to_contain_text("AS-00 was due")
+    page.get_by_role("link", name="All units, and when each is due").click()
+    expect(page.locator("h1")).to_have_text("Units")
 
 
 def test_the_page_leads_there_where_rigs_have_benches(
