@@ -18,7 +18,7 @@ from calrig.api.models import Problem
 from calrig.api.origin_check import HEADERS, NOT_KEPT
 from calrig.invalid_fields import SHOWN, in_words, path_of
 from calrig.processes.pool import WorkError, WorkLost, WorkRefused, WorkTooLarge
-from calrig.store.errors import NotFound, Refused, StoreError, StoreUnavailableError
+from calrig.store.errors import NotFound, NotText, Refused, StoreError, StoreUnavailableError
 
 log = logging.getLogger(__name__)
 
@@ -26,7 +26,12 @@ FIELDS = "Calrig-Fields"
 """The header of a refusal with the places that are wrong, percent-encoded: `plan.elevations_deg[1]`."""
 
 STATUS: dict[type[RunsError], int] = {Unknown: 404, Conflict: 409, Invalid: 422}
-STORE_STATUS: dict[type[StoreError], int] = {NotFound: 404, Refused: 409, StoreUnavailableError: 503}
+STORE_STATUS: dict[type[StoreError], int] = {
+    NotFound: 404,
+    Refused: 409,
+    NotText: 422,
+    StoreUnavailableError: 503,
+}
 
 DEFECT = "calrig failed inside; the service's log says where"
 

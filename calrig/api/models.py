@@ -5,7 +5,7 @@
 from datetime import datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from calrig.calibration.over_range import OverRange
 from calrig.calibration.verdict import Verdict
@@ -18,6 +18,14 @@ class Body(BaseModel):
     """What a client sends: a field nobody knows is a mistake, and said to be one."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    @field_validator("*", mode="after")
+    @classmethod
+    def _has_no_nul(cls, value: Any) -> Any:
+        """SQLite would keep one and PostgreSQL would not: no store could be moved that has any."""
+        if isinstance(value, str) and "\0" in value:
+            raise ValueError("has a NUL character in it, which is no text")
+        return value
 
 
 class Answer(BaseModel):

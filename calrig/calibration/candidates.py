@@ -165,6 +165,13 @@ def candidates_of(r: Responses) -> list[Candidate]:
     return [*shown[: len(shown) - unnamed], *together, *shown[len(shown) - unnamed :]]
 
 
+def companions_of(accepted: Sequence[Candidate]) -> set[str]:
+    """Names of the effects that are declared to come together with some of those in a model."""
+    present = {c.name for c in accepted}
+    asked = {name for c in accepted for name in c.effect.together_with}
+    return asked | {name for name, effect in EFFECTS.items() if present.intersection(effect.together_with)}
+
+
 def _together(a: Candidate, b: Candidate) -> Candidate:
     return Candidate(b.effect, b.shape, np.concatenate([a.columns, b.columns], axis=2), a)
 

@@ -2,7 +2,8 @@
 
 Searching a catalogue and keeping what lowers a criterion finds an effect in pure noise in 19–45 % of cases.
 What holds its rate is the maximum over all candidates, hence a family-wise p-value, bootstrapped under the
-current model for these very poses.
+current model for these very poses. Beside an effect that others are declared to come with, these few are a
+family of their own: noise alone is not asked that.
 
 The statistic is the gain of the best candidates in full likelihood, coefficients and noise fitted anew with
 each of them, less the penalties. The noise of the null alone would not do: a large effect is taken for a
@@ -13,13 +14,14 @@ there; their correlation stays the null's, for noise that wanders makes slow eff
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.candidates import Candidate
+from calrig.calibration.channels import BoolArray
 from calrig.calibration.drawn_fits import DrawnFits
 from calrig.calibration.effects import UNNAMED
 from calrig.calibration.fits_beside import fits_beside
@@ -79,6 +81,7 @@ def gate(
     level: float,
     noise: NoiseModel | None = None,
     *,
+    companions: Collection[str] = (),
     decide_only: bool = False,
 ) -> Verdict:
     """Judges the best of all candidates against its distribution under the current model.
@@ -94,6 +97,8 @@ def gate(
         bootstraps: how many at most.
         level: of the decision that the p-value is for.
         noise: of the null, where a larger model tells it better than what the current one leaves.
+        companions: labels that are declared to come together with what is in the model. Set beforehand, they
+            are judged by themselves and all others by themselves, each of the two families at the level.
         decide_only: whether the p-value is of no interest where it is clear that it lies below the level.
     """
     least = 1.0 / (bootstraps + 1)
@@ -105,35 +110,43 @@ def gate(
     trial = _Trial(r, columns_with, candidates, noise)
     ratios = trial.screen.ratios(fitted.residuals[None])
     observed, alternative = trial.observed(ratios)
+    expected = np.array([label in companions for label in trial.labels])
+    families = [family for family in (expected, ~expected) if family.any()]
     null, draws, least_gain = np.empty((0, len(observed))), 0, -np.inf
     clear_after = max(FEWEST_DRAWS, round(1.0 / level) - 1, bootstraps // CLEAR_SHARE)
     steps = {min(step, bootstraps) for step in (FIRST_DRAWS, MORE_DRAWS, clear_after, 2 * clear_after)}
     for values in _drawn(r, alternative, noise, rng, sorted({*steps, bootstraps})):
         draws += len(values)
         null = np.concatenate([null, trial.gains_of_noise(values, least_gain)])
-        best, of_noise = _above_bars(trial.labels, observed, null)
-        exceeded = int((of_noise >= best).sum())
-        ahead = best - of_noise.max()
+        judged = [_above_bars(trial.labels, observed, null, family) for family in families]
+        exceeded = min(int((of_noise >= best).sum()) for best, of_noise in judged)
+        ahead = max(best - of_noise.max() for best, of_noise in judged)
         margin = FAR if draws < FIRST_DRAWS else CLEAR_AT_FIRST if draws == FIRST_DRAWS else CLEAR
-        is_clear = (decide_only or draws >= clear_after) and ahead > margin
+        is_clear = (decide_only or draws >= min(clear_after, bootstraps)) and ahead > margin
         if is_clear or exceeded >= level * (bootstraps + 1):
             break
-        least_gain = best / 2.0 if ahead > FAR else -np.inf
+        lowest = min(best for best, _ in judged)  # of either family the draws have to tell
+        least_gain = lowest / 2.0 if ahead > FAR else -np.inf
         if draws >= FIRST_DRAWS and noise.rho.max() < STRONG_RHO:
-            least_gain = max(least_gain, best - NEAR)
+            least_gain = max(least_gain, lowest - NEAR)
     p_value = (1 + exceeded) / (1 + draws)
     passes = is_clear or p_value <= level
     return Verdict(candidates, ratios[0], float(observed.max()), p_value, passes, least)
 
 
-def _above_bars(labels: Sequence[str], observed: FloatArray, null: FloatArray) -> tuple[float, FloatArray]:
-    """By how much the best of all names exceeds its own bar, and in (b,) searches of noise."""
+def _above_bars(
+    labels: Sequence[str], observed: FloatArray, null: FloatArray, family: BoolArray
+) -> tuple[float, FloatArray]:
+    """By how much the best of a family's names exceeds its own bar, and in (b,) searches of noise.
+
+    The bars are quantiles of noise and observation together: noise that they were set by alone exceeds them
+    less often than noise that they have not seen.
+    """
     shares = np.array([UNNAMED_QUANTILE if label.startswith(UNNAMED) else QUANTILE for label in labels])
-    ordered = np.sort(null, axis=0)
-    bars = np.maximum(
-        ordered[np.minimum((shares * len(null)).astype(int), len(null) - 1), range(len(labels))], 0.0
-    )
-    return float((observed - bars).max()), (null - bars).max(axis=1)
+    every = np.sort(np.concatenate([null, observed[None]]), axis=0)
+    places = np.minimum((shares * len(every)).astype(int), len(null) - 1)
+    bars = np.maximum(every[places, range(len(labels))], 0.0)
+    return float((observed - bars)[family].max()), (null - bars)[:, family].max(axis=1)
 
 
 class _Trial:

@@ -238,7 +238,9 @@ def _ranked(
         if key not in best or ratios[index] > ratios[best[key]] + SAME:
             best[key] = index
     order = sorted(best.values(), key=lambda i: bic_penalty * offered[i].parameters - float(ratios[i]))
-    shortlist = [offered[index] for index in order[:SHORTLIST]]
+    # what is not linear gains more than the screen can tell
+    bent = [index for index in order[SHORTLIST:] if offered[index].effect.not_linear is not None]
+    shortlist = [offered[index] for index in (*order[:SHORTLIST], *bent)]
     shortlist = [_refined(r, accepted, c, leads=k == 0) for k, c in enumerate(shortlist)]
     ranked = []
     for c, (criterion, own) in zip(shortlist, fitted_beside(r, accepted, shortlist), strict=True):

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.backward import parted, tenable
-from calrig.calibration.candidates import Candidate, goes_round
+from calrig.calibration.candidates import Candidate, companions_of, goes_round
 from calrig.calibration.channels import READING
 from calrig.calibration.effect import HIDDEN
-from calrig.calibration.entering import entering, hidden, is_on_trial, plain
+from calrig.calibration.entering import brings, entering, hidden, is_on_trial, plain, with_another
 from calrig.calibration.gate import Verdict, gate
 from calrig.calibration.model import model_columns
 from calrig.calibration.near_rivals import Rivals, near_among
@@ -29,8 +29,8 @@ from calrig.calibration.series import on_their_places
 from calrig.calibration.worth import is_worth_a_name
 from calrig.estimation.angles import FloatArray
 
-LEVEL = 0.01
-"""The nominal rate at which a search of noise alone says something."""
+LEVEL, AT_FIRST = 0.01, 0.75
+"""Nominal rate at which noise alone says something; the share of it spent before a search beside curves."""
 MOST_EFFECTS, MOST_COLUMNS = 5, 0.35
 """A series, such as the orders of a turn, is one effect of several terms; columns to a pose at most."""
 FREEDOM, ROUNDS = 3, 3
@@ -108,14 +108,14 @@ def _beside_curves(
 
     The better of the two stands, by likelihood with penalties, in the same poses.
     """
-    first = _search(r, candidates, partial(judge, level=level), rivals=rivals)
+    first = _search(r, candidates, partial(judge, level=AT_FIRST * level), rivals=rivals)
     r = r.rows(first.kept)
     free = with_free_curve(r)
     if free is None or not leaves_more(r, first.fitted.residuals[:, 0]):
         return first
     offered = [c.rows(first.kept) for c in candidates]
     others = [c for c in offered if not is_of_the_curve(c)]
-    judge = partial(judge, level=level / 2.0)
+    judge = partial(judge, level=(1.0 - AT_FIRST) * level)
     between = _search(free, others, judge, rivals=rivals)
     r, curves = r.rows(between.kept), [c.rows(between.kept) for c in offered if is_of_the_curve(c)]
     again = _search(r, curves, partial(judge, noise=_noise_beside(between)), between.found, rivals)
@@ -167,8 +167,9 @@ def _search(
         def columns_with(more: Sequence[Candidate]) -> FloatArray:
             return model_columns(model.responses, [*model.accepted, *more])
 
-        offered = _offered(model.responses, candidates, model.accepted, refused)
-        return judge(model.responses, columns_with, model.fitted, offered)
+        seen, companions = model.responses, companions_of(model.accepted)
+        offered = _offered(seen, candidates, model.accepted, refused)
+        return judge(seen, columns_with, model.fitted, offered, companions=companions)
 
     while True:
         accepted = [f.candidate for f in found]
@@ -183,10 +184,13 @@ def _search(
         steps: list[Found] = []
         if verdict.passes and not _is_full(accepted, len(known)):
             best = named(r, accepted, verdict.candidates, verdict.ratios, verdict.p_value)
-            if not is_worth_a_name(r, accepted, best):
+            if is_worth_a_name(r, accepted, best):
+                steps = entering(r, accepted, plain(r, accepted, best, verdict), verdict, judged)
+            elif companions_of([best.candidate]):
+                steps = with_another(r, model, best, judged)
+            if not steps:
                 refused.add(best.candidate.label)
                 continue
-            steps = entering(r, accepted, plain(r, accepted, best, verdict), verdict, judged)
         elif not _is_full(accepted, len(known)):
             steps = hidden(r, model, verdict, judged)
         if not steps:
@@ -276,10 +280,6 @@ def _reconsidered(
     return found
 
 
-def _brings(pair: Candidate, one: Candidate) -> bool:
-    return any(member.label == one.label for member in pair.members)
-
-
 def _against_rivals(
     r: Responses, candidates: Sequence[Candidate], found: list[Found], one: Found, *, curves: bool
 ) -> list[Found]:
@@ -287,7 +287,7 @@ def _against_rivals(
     offered = [
         c
         for c in _offered(r, candidates, others, set())
-        if c.beside is None or c.shape.series or (_brings(c, one.candidate) and not is_on_trial(c))
+        if c.beside is None or c.shape.series or (brings(c, one.candidate) and not is_on_trial(c))
     ]
     if one.candidate.shape.series and not curves:  # they take a little from every term of a turn
         offered = [c for c in offered if c.named]

@@ -13,6 +13,7 @@ import typer
 
 from calrig.cli.options import Db, Json
 from calrig.cli.users import Server
+from calrig.errors import InputError
 
 if TYPE_CHECKING:
     from calrig.client import Client
@@ -82,8 +83,13 @@ def _client(server: str) -> Client:
 def _writing(db: str | None) -> Iterator[Store]:
     from calrig.settings import store_url
     from calrig.store import Store
+    from calrig.store.engines import is_centre
+    from calrig.store.enrolment import NO_CENTRE
 
-    with Store.open(store_url(db), writer="bench") as store:
+    url = store_url(db)
+    if not is_centre(url):  # which opening would make, where there is none
+        raise InputError(NO_CENTRE)
+    with Store.open(url, writer="bench") as store:
         yield store
 
 

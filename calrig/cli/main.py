@@ -10,7 +10,20 @@ from typing import Annotated
 import typer
 
 import calrig
-from calrig.cli import agent, benches, diagnosis, enroll, noise, records, rigs, run, serve, users
+from calrig.cli import (
+    agent,
+    benches,
+    diagnosis,
+    enroll,
+    fleet,
+    move_store,
+    noise,
+    records,
+    rigs,
+    run,
+    serve,
+    users,
+)
 from calrig.cli.exit_status import Commands
 
 app = typer.Typer(
@@ -29,10 +42,12 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "import": records.import_,
     "export": records.export,
     "backup": records.backup,
+    "move-store": move_store.move_store,
     "diagnose": diagnosis.diagnose,
     "gravity": diagnosis.gravity,
     "noise": noise.noise,
     "filters": noise.filters,
+    "fleet": fleet.fleet,
 }
 for name, command in COMMANDS.items():
     app.command(name)(command)

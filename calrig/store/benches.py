@@ -186,6 +186,9 @@ class Benches(Part):
 
     def settle_withdrawn(self, error: str | None = NOT_BEGUN) -> None:
         """Says of the runs whose order was taken back what became of them, where nobody has yet."""
+        with self._database.reading() as session:
+            if session.exec(_withdrawn().limit(1)).first() is None:
+                return  # nobody waits for a turn to write nothing
         with self._database.writing() as session:
             _settle(session, error)
 
@@ -224,13 +227,17 @@ def take_back(session: Session, *which: Any) -> bool:
     return bool(session.execute(withdrawn).all())
 
 
-def _settle(session: Session, error: str | None) -> None:
-    wanted = (
+def _withdrawn() -> Any:
+    """Queued runs whose order was taken back, each with the epoch that its bench had taken before."""
+    return (
         select(RunTable, RunOrderTable.taken_epoch)
         .join(RunOrderTable, col(RunOrderTable.run_uid) == col(RunTable.uid))
         .where(RunTable.status == "queued", RunOrderTable.wish == "none")
     )
-    for row, taken_epoch in session.exec(wanted).all():
+
+
+def _settle(session: Session, error: str | None) -> None:
+    for row, taken_epoch in session.exec(_withdrawn()).all():
         if taken_epoch == 0:
             change(session, row, (), {"status": "aborted", "error": error})
         else:

@@ -9,6 +9,8 @@ import zlib
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 from sqlalchemy import JSON, Dialect, TypeDecorator
 
 from calrig.store.errors import Unreadable
@@ -24,6 +26,13 @@ def of_numbers(numbers: Iterable[float | None]) -> int:
     return zlib.crc32(struct.pack(f"<{len(values)}d", *values))
 
 
+def of_rows(numbers: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """(N,) the same of each row of numbers (N, p), NaN where one is not known."""
+    rows = np.ascontiguousarray(np.where(np.isnan(numbers), math.nan, numbers + 0.0), dtype="<f8")
+    each = rows.view(f"V{8 * rows.shape[1]}").ravel().tolist() if rows.size else []
+    return np.fromiter(map(zlib.crc32, each), dtype=np.float64, count=len(rows))
+
+
 def check_numbers(stored: int | None, numbers: Iterable[float | None], what: str) -> None:
     """Raises Unreadable where numbers are not those stored; rows older than checksums have None."""
     try:
@@ -37,6 +46,11 @@ def check_numbers(stored: int | None, numbers: Iterable[float | None], what: str
 def to_json(value: object) -> str:
     """JSON as it is stored: the same text for the same document."""
     return json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+
+
+def stored_text(document: dict[str, Any]) -> str:
+    """The text that a document becomes in the store."""
+    return to_json({**document, KEY: zlib.crc32(to_json(document).encode())})
 
 
 class CheckedJson(TypeDecorator[dict[str, Any]]):

@@ -10,7 +10,7 @@ from sqlalchemy import Connection
 from sqlalchemy.exc import StatementError
 from sqlmodel import Session
 
-from calrig.store.errors import StoreDamagedError, StoreError, Unreadable
+from calrig.store.errors import NotText, StoreDamagedError, StoreError, Unreadable
 from calrig.store.records import Size
 
 BUSY_TIMEOUT_S = 10.0
@@ -89,11 +89,9 @@ class Database(ABC):
                 raise ValueError(f"cannot be stored: {error.orig}") from error
             raise self._error(error.orig) from error
 
-    def _no_text(self, error: UnicodeEncodeError) -> StoreError:
+    def _no_text(self, error: UnicodeEncodeError) -> NotText:
         """The error for a name of another encoding, as a terminal or a folder may have it."""
-        return StoreError(
-            f"{self.name}: keeps UTF-8 text, and {error.object[:60]!a} is none: write it in UTF-8"
-        )
+        return NotText(f"{self.name}: keeps UTF-8 text, and {error.object[:60]!a} is none: write it in UTF-8")
 
 
 class Part:

@@ -15,6 +15,8 @@ from calrig.store.database import BUSY_TIMEOUT_S
 from calrig.store.engines import open_database
 from calrig.store.enrolment import Enrolment
 from calrig.store.event_log import EventLog
+from calrig.store.fleet import Fleet
+from calrig.store.fleet_findings import FleetFindings
 from calrig.store.issued import Issued
 from calrig.store.limits import Limits
 from calrig.store.places import Places
@@ -48,6 +50,8 @@ class Store(
     Unpacking,
     Enrolment,
     Spool,
+    Fleet,
+    FleetFindings,
 ):
     """An open store, shared by threads. Each method is one transaction, on the disk when it returns.
 

@@ -20,7 +20,7 @@ from sqlmodel.sql.expression import Select
 
 from calrig.run_ids import is_uuid
 from calrig.store import issued, trail
-from calrig.store.bench_tables import DeliveryTable, ParcelTable, RunOrderTable
+from calrig.store.bench_tables import BenchTable, DeliveryTable, ParcelTable, RunOrderTable
 from calrig.store.convert import find_run, pose_of, pose_values, run_of, unpacked_block
 from calrig.store.database import Part
 from calrig.store.errors import Unreadable
@@ -30,7 +30,7 @@ from calrig.store.runs import first_progress, new_row, replace_result
 from calrig.store.tables import EventTable, PoseTable, RunTable, SampleBlockTable, TranscriptTable
 from calrig.store.trail import Act
 
-AT_ONCE = 50
+AT_ONCE = 20
 """Parcels in one transaction: others wait for their turn to write meanwhile."""
 
 Conclusion = tuple[Document | None, issued.Draft | None]
@@ -117,6 +117,8 @@ def _unpack(session: Session, parcel_id: int, conclude: Conclude) -> None:
     if news:
         session.execute(insert(EventTable), [{"run_id": run.id, **event.model_dump()} for event in news])
         _update(session, run, delivered, news, conclude)
+        if run.status in TERMINAL:
+            session.get_one(RunOrderTable, run.uid).wish = "done"  # no bench is in doubt about it any more
     for port, said in (delivered.transcripts or {}).items():
         _add_transcript(session, run, port, said)
     if delivered.samples is not None:
@@ -140,6 +142,7 @@ def _begun_at_bench(session: Session, parcel: ParcelTable, delivered: ParcelDocu
     if not is_uuid(parcel.run_uid):
         raise Unreadable(f"{parcel.run_uid[:80]!r} is no id of a run")
     now, told = datetime.now(UTC), delivered.run
+    _require_own(session, parcel.bench, told.rig)
     run = new_row(
         session,
         told.created_at,
@@ -170,6 +173,14 @@ def _begun_at_bench(session: Session, parcel: ParcelTable, delivered: ParcelDocu
     )
     session.flush()
     return run
+
+
+def _require_own(session: Session, bench: str, rig: str) -> None:
+    """Raises Unreadable where another bench has a rig of that name: a run of it is for that one to tell."""
+    wanted = select(BenchTable).where(col(BenchTable.name) != bench, col(BenchTable.revoked_at).is_(None))
+    for other in session.exec(wanted):
+        if any(one.get("name") == rig for one in other.said.get("rigs", [])):
+            raise Unreadable(f"bench {bench} delivers a run of rig {rig!r}, which bench {other.name} has")
 
 
 def _news(session: Session, run: RunTable, events: Sequence[DeliveredEvent]) -> list[DeliveredEvent]:
@@ -234,7 +245,13 @@ def _poses(session: Session, run: RunTable) -> list[StoredPose]:
 
 
 def _add_poses(session: Session, run: RunTable, poses: Sequence[DeliveredPose]) -> None:
-    known = set(session.exec(select(PoseTable.pose_index).where(PoseTable.run_id == run.id)))
+    if not poses:
+        return
+    delivered = [one.index for one in poses]
+    wanted = select(PoseTable.pose_index).where(
+        PoseTable.run_id == run.id, col(PoseTable.pose_index).in_(delivered)
+    )
+    known = set(session.exec(wanted))
     rows: list[dict[str, Any]] = [
         {
             **pose_values(run.id, one.index, one.pose()),

@@ -16,7 +16,7 @@ import numpy as np
 import psycopg
 from empty_store import lay_empty_store
 from psycopg.types.json import Json
-from sqlalchemy import create_engine, make_url
+from sqlalchemy import make_url
 from support import QUICK, fast, known_as, wait_for
 
 from calrig.agent.agent import Agent
@@ -27,9 +27,7 @@ from calrig.runs.service import RunService
 from calrig.simulator.rig import SimulatedRig
 from calrig.simulator.virtual_clock import VirtualClock
 from calrig.store import Store
-from calrig.store.postgresql.database import url_of
 from calrig.store.postgresql.queue import defer
-from calrig.store.postgresql.roles import secure
 
 BENCH = "hall-2"
 STANDS_DPS = 1e-6
@@ -211,10 +209,6 @@ class Delivery:
 @contextmanager
 def hand_written(url: str) -> Iterator[HandWritten]:
     """The database with the bench in it, whose role is no superuser."""
-    engine = create_engine(url_of(url))
-    with engine.begin() as connection:
-        secure(connection)
-    engine.dispose()
     with Store.open(url, writer="tests") as store:
         _, code = store.add_bench(BENCH)
         bench_url = store.enroll_bench(code)[1]
@@ -285,7 +279,7 @@ class Cable:
 
 @contextmanager
 def rigs_of(*names: str, **options: Any) -> Iterator[list[Rig]]:
-    """Rigs in one virtual time, which goes on as fast as it is computed."""
+    """Rigs in one virtual time; the options are the simulator's."""
     clock = VirtualClock(10.0)
     with ExitStack() as stack:
         stack.callback(clock.stop)

@@ -14,11 +14,9 @@ import psycopg
 import pytest
 from support import PATIENCE_S, QUICK, ended, serving, wait_for
 from table_bench import MakeCentre, Measured, TableBench
-from typer.testing import CliRunner
 
 import calrig
 from calrig.centre.service import CentreService
-from calrig.cli.main import app
 from calrig.plan import Plan
 from calrig.store import Store
 
@@ -136,11 +134,14 @@ def test_the_stop_of_a_process_does_not_end_what_benches_do(
     assert bench.take(run_id, 1) == "begin"
 
 
+CALRIG = (sys.executable, "-m", "calrig")
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(calrig.__file__).parents[1])}
+
+
 def test_calrig_serve_on_a_database_is_a_centre(url: str, bench: TableBench, tmp_path: Path):
-    command = [sys.executable, "-m", "calrig", "serve", "--port", "0", "--db", url]
-    environment = {**os.environ, "PYTHONPATH": str(Path(calrig.__file__).parents[1])}
+    command = [*CALRIG, "serve", "--port", "0", "--db", url]
     with subprocess.Popen(
-        command, stdout=subprocess.PIPE, text=True, cwd=tmp_path, env=environment
+        command, stdout=subprocess.PIPE, text=True, cwd=tmp_path, env=ENVIRONMENT
     ) as process:
         assert process.stdout is not None
         said = process.stdout.readline()
@@ -160,16 +161,21 @@ def test_calrig_serve_on_a_database_is_a_centre(url: str, bench: TableBench, tmp
         (("serve", "--port", "0", "--config", "calrig.toml"), "'bench-1', and a centre has none of its own"),
         (("run", "--unit", "A"), "is a centre's, whose benches carry runs out"),
     ],
+    ids=["serve", "run"],
 )
-def test_a_centre_has_no_rigs_of_its_own(
-    url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], why: str
-):
-    monkeypatch.chdir(tmp_path)
+def test_a_centre_has_no_rigs_of_its_own(url: str, tmp_path: Path, arguments: tuple[str, ...], why: str):
     devices = 'stage = { driver = "smc100", port = "/dev/a" }\nimu = { driver = "calrig", port = "/dev/b" }'
-    Path("calrig.toml").write_text(f'[[rig]]\nname = "bench-1"\n{devices}\n')
+    (tmp_path / "calrig.toml").write_text(f'[[rig]]\nname = "bench-1"\n{devices}\n')
 
-    done = CliRunner().invoke(app, [*arguments, "--db", url])
+    done = subprocess.run(
+        [*CALRIG, *arguments, "--db", url],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env=ENVIRONMENT,
+        check=False,
+    )
 
-    assert done.exit_code == 2
+    assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert why in line

@@ -88,9 +88,9 @@ def test_a_stop_that_reaches_nobody_is_withdrawn_and_said_to_be(
 def test_a_bench_that_has_a_stop_and_says_nothing_is_not_said_to_stand(
     patient_centre: CentreService, bench: TableBench, clock: VirtualClock
 ):
-    with clock.taking_part():  # time stands until this thread waits by it
+    with clock.taking_part():  # time stands wherever this thread does not wait by it
         asking = patient_centre.begin_stop("bench-1")
-        wait_for(bench.command, "stop")
+        clock.until(bench.command, "stop")
 
         with pytest.raises(Conflict, match="hall-2 has the stop and has not said that the stage stands: go"):
             asking.result()

@@ -117,6 +117,18 @@ def test_a_bench_delivers_its_own_runs_only(
     other.close()
 
 
+def test_a_bench_tells_of_no_rig_that_is_another_bench_s(
+    centre: CentreService, bench: TableBench, measured: Measured, url: str, caplog: pytest.LogCaptureFixture
+):
+    stranger = TableBench(url, "hall-9", rig="bench-9")
+    stranger.deliver(measured.run.id, measured.parcels)
+    with caplog.at_level(logging.ERROR):
+        wait_for(lambda: "which bench hall-2 has" in caplog.text, "refusal")
+    stranger.close()
+
+    assert centre.store.run(measured.run.id) is None
+
+
 def test_the_centre_makes_the_result_and_the_revision_by_what_is_in_force_there(
     centre: CentreService, bench: TableBench, measured: Measured
 ):

@@ -290,6 +290,11 @@ class TestFromATerminal:
         assert [file.name for file in tmp_path.iterdir()] == ["centre.url"]
         assert kept.read_text() == "postgresql+psycopg://of-another-centre\n"
 
+    def test_a_file_is_no_centre_and_none_is_made(self, tmp_path: Path) -> None:
+        said = calrig("bench", "add", "b", "--db", tmp_path / "calrig.db", status=2)
+        assert "benches join a centre, whose store is in PostgreSQL" in said.stderr
+        assert list(tmp_path.iterdir()) == []
+
     def test_no_code_goes_over_a_network_in_plain_text(self, tmp_path: Path) -> None:
         said = calrig("agent", "enroll", "--centre", "http://centre.lab:8000", "--code", "x", status=2)
         assert "code and password could be read on the way: name it by https://" in said.stderr
