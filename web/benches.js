@@ -24,7 +24,8 @@ export async function benchesView({ root, query, signal }) {
   function apply() {
     const { rigs, count } = filters.choose(benches);
     halls.choose(rigs);
-    shown.textContent = count ? `${rigs.size} of ${plural(count, "rig")} shown.` : "No bench has told of a rig yet.";
+    const text = count ? `${rigs.size} of ${plural(count, "rig")} shown.` : "No bench has told of a rig yet.";
+    if (shown.textContent !== text) shown.textContent = text; // else it would be read out each time
   }
 
   async function look() {
@@ -42,13 +43,11 @@ export async function benchesView({ root, query, signal }) {
   await look();
   fill(root, h("h1", {}, "Benches"), filters.element, shown, error.element, told, halls.element, overdue);
   again(look, LOOK_MS, error, signal);
-  const due = () => showOverdue(overdue, signal);
-  await due();
-  again(due, OVERDUE_MS, error, signal);
+  again(() => showOverdue(overdue, signal), OVERDUE_MS, error, signal, 0);
 }
 
-/** Does it every so often, and at once when somebody looks at the page again, until `signal` aborts. */
-function again(act, every_ms, error, signal) {
+/** Does it after `first_ms` and then every so often while somebody looks at the page, until `signal` aborts. */
+function again(act, every_ms, error, signal, first_ms = every_ms) {
   let timer;
   let began = Date.now();
   const go = async () => {
@@ -68,7 +67,7 @@ function again(act, every_ms, error, signal) {
   };
   document.addEventListener("visibilitychange", back, { signal });
   signal.addEventListener("abort", () => clearTimeout(timer));
-  timer = setTimeout(go, every_ms);
+  timer = setTimeout(go, first_ms);
 }
 
 /** As `GET /api/rigs` has them, for the stop buttons: nobody asks for both. */

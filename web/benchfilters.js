@@ -21,6 +21,11 @@ export function hallOf(bench) {
   return bench.hall ?? NO_HALL;
 }
 
+/** What tells a rig from every other one. */
+export function keyOf(bench, rig) {
+  return `${bench.name}/${rig.name}`;
+}
+
 /** Names with numbers in them as people sort them, the nameless last. */
 export function inOrder(a, b) {
   if ((a === NO_HALL) !== (b === NO_HALL)) return a === NO_HALL ? 1 : -1;
@@ -85,7 +90,7 @@ export class BenchFilters {
     history.replaceState(history.state, "", `#/benches${text && `?${text}`}`);
   }
 
-  /** The names of the rigs that are wanted, and how many there are; counts beside each choice follow. */
+  /** The keys of the rigs that are wanted, and how many there are; counts beside each choice follow. */
   choose(benches) {
     const words = this.text.value.trim().toLowerCase().split(/\s+/);
     const all = benches.flatMap((bench) => bench.rigs.map((rig) => ({ bench, rig })));
@@ -97,7 +102,7 @@ export class BenchFilters {
     this.counts.get(ANY).textContent = here.length;
     for (const [key, , is] of KINDS) this.counts.get(key).textContent = here.filter(({ rig }) => is(rig)).length;
     this.#showHalls(benches, ofKind);
-    return { rigs: new Set(ofKind.filter(isHere).map(({ rig }) => rig.name)), count: all.length };
+    return { rigs: new Set(ofKind.filter(isHere).map(({ bench, rig }) => keyOf(bench, rig))), count: all.length };
   }
 
   /** A hall that was asked for stays a choice, also while no bench is in it. */

@@ -1,7 +1,7 @@
 // The rigs as tables, one a hall: rows stay where they are and only what has changed is written anew, so that
 // neither the keyboard's place nor a pressed button is lost while forty rigs go on.
 
-import { hallOf, inOrder } from "./benchfilters.js";
+import { hallOf, inOrder, keyOf } from "./benchfilters.js";
 import { fill, h, headings, rigHref, runHref, runLink, runName, statusPill, unitLink } from "./dom.js";
 import { duration, fixed, moment, plural } from "./format.js";
 import { stopButton } from "./stop.js";
@@ -27,16 +27,16 @@ export class Halls {
     const news = [];
     for (const bench of benches) {
       this.benches.get(bench.name).show(bench);
-      for (const rig of bench.rigs) news.push(this.rows.get(rig.name).show(rig, bench));
+      for (const rig of bench.rigs) news.push(this.rows.get(keyOf(bench, rig)).show(rig, bench));
     }
     const told = news.filter(Boolean);
     if (told.length) this.announce(told.join(" "));
   }
 
-  /** Shows the rigs of these names alone, and what has none of them not at all; a bench without rigs stays. */
-  choose(names) {
-    const isAll = names.size === this.rows.size;
-    for (const [name, { element }] of this.rows) element.hidden = !names.has(name);
+  /** Shows the rigs of these keys alone, and what has none of them not at all; a bench without rigs stays. */
+  choose(keys) {
+    const isAll = keys.size === this.rows.size;
+    for (const [key, { element }] of this.rows) element.hidden = !keys.has(key);
     for (const { element } of this.benches.values()) {
       element.hidden = !isAll && !element.querySelector("tr.rig:not([hidden])");
     }
@@ -58,7 +58,7 @@ export class Halls {
         const head = new BenchHead();
         const rows = bench.rigs.map((rig) => new RigRow(rig.name));
         this.benches.set(bench.name, head);
-        bench.rigs.forEach((rig, place) => this.rows.set(rig.name, rows[place]));
+        bench.rigs.forEach((rig, place) => this.rows.set(keyOf(bench, rig), rows[place]));
         head.element.append(...rows.map(({ element }) => element));
         return head.element;
       });
