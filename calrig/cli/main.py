@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 import calrig
-from calrig.cli import diagnosis, noise, records, rigs, run, serve, users
+from calrig.cli import diagnosis, noise, records, rigs, run, serve, solve, users
 from calrig.cli.exit_status import Commands
 
 app = typer.Typer(
@@ -31,6 +31,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "backup": records.backup,
     "diagnose": diagnosis.diagnose,
     "gravity": diagnosis.gravity,
+    "solve": solve.solve,
     "noise": noise.noise,
     "filters": noise.filters,
 }

@@ -146,6 +146,39 @@ def print_gravity(found: dict[str, Any]) -> None:
     _print_warnings(found["warnings"])
 
 
+def print_solution(found: dict[str, Any]) -> None:
+    """Prints a joint solution: what an elevation is worth, units, mounts, map, the error before and after."""
+    verdict = "stage and units told apart" if found["separable"] else "stage and units not told apart"
+    _print(f"{verdict}; a pose's noise is {_number(found['noise_deg'], '°')}", style="bold")
+    for unit in found["units"]:
+        worst = max(unit["elevation_std_deg"]["std_deg"])
+        low, high = unit["range_deg"]
+        _print(
+            f"\nunit {unit['unit']}: elevation ± {worst:.2g}° at most, {low:g}° to {high:g}°, less its mean"
+        )
+        for name, parameter in unit["parameters"].items():
+            _print_parameter(name, parameter)
+    _print("")
+    mounts = (
+        (one["mount"], one["unit"], f"{one['mount_deg']:g}°", *_with_std(one["angle_deg"], "°"))
+        for one in found["mounts"]
+    )
+    _print_table(("mount", "unit", "stated", "found", "±"), mounts)
+    error, orders = found["stage"]["map"]["error_deg"], len(found["stage"]["harmonics"])
+    _print(f"map of the stage: {min(error):+.3f}° to {max(error):+.3f}°, {orders} orders")
+    if found["stage"]["backlash_deg"] is not None:
+        _print_parameter("backlash_deg", found["stage"]["backlash_deg"])
+    before, after = (_number(found[model]["held_out_rms_deg"], "°") for model in ("before", "final"))
+    _print(f"RMS of held-out stretches: {before} believing the stage, {after} with its map")
+    _print_warnings(found["warnings"])
+    if found["advice"] is not None:
+        _print(f"what would help: {found['advice']['says']}")
+
+
+def _with_std(parameter: dict[str, float], unit: str) -> tuple[str, str]:
+    return _number(parameter["value"], unit), _number(parameter["std"], unit)
+
+
 def print_noise(found: dict[str, Any]) -> None:
     """Prints CONTRACT section 7's noise document: the paper's Table 2 for this unit, then the summary."""
     from calrig.noise.units import bias_instability, level, white_density
