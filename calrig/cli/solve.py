@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calrig.cli.input_files import names_a_file, read_bytes
-from calrig.cli.options import COLUMNS, SHORTENED, Db, Json
+from calrig.cli.options import COLUMNS, SHORTENED, Db, Json, Plot
 from calrig.cli.typed_ids import whole_id
 from calrig.errors import InputError, WorkError
 
@@ -47,6 +47,7 @@ def solve(
     linear: Linear = False,
     period: Periods = None,
     out: Out = None,
+    plot: Plot = None,
     as_json: Json = False,
     db: Db = None,
 ) -> None:
@@ -55,7 +56,9 @@ def solve(
     from calrig.calibration.joint.solution import solve as solve_together
     from calrig.calibration.pose import DiagnosisError
     from calrig.cli import output
+    from calrig.figures.files import writer_of
 
+    draw = None if plot is None else writer_of(plot)
     lots, said = _lots(sources, unit or [], db)
     try:
         solution = solve_together(lots, linear=linear, periods_deg=period or [])
@@ -65,6 +68,10 @@ def solve(
     document["warnings"] = [*said, *document["warnings"]]
     if out is not None:
         _write(out, solution)
+    if draw is not None:
+        from calrig.figures.joint import joint_figures
+
+        draw("Stage and units solved together", joint_figures(solution))
     if as_json:
         output.print_json(document)
     else:

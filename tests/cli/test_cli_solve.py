@@ -7,6 +7,7 @@ import math
 import re
 
 import numpy as np
+import plotly.graph_objects as go
 import pytest
 from command_line import calrig, reason
 
@@ -86,6 +87,16 @@ def test_out_has_what_turns_readings_into_elevations(mounts, folder):
     assert np.ptp(on_map["map"]["error_deg"]) == pytest.approx(
         0.3 * 2.0 * math.sin(math.radians(60.0)), abs=0.35
     )
+
+
+def test_the_map_is_drawn(mounts, folder):
+    calrig("solve", "all.csv", "--plot", "map.html")
+    page = (folder / "map.html").read_text(encoding="utf-8")
+    (drawn,) = re.findall(r'<script type="application/json" id="drawn">(.*?)</script>', page, re.DOTALL)
+    figure = json.loads(drawn)
+    go.Figure(figure)  # raises on any property that plotly does not know
+    before, after = ([t["y"] for t in figure["data"] if t["xaxis"] == axis] for axis in ("x2", "x3"))
+    assert max(map(max, after)) < 0.3 * max(map(max, before))
 
 
 def test_runs_of_the_store_are_solved_by_their_ids(mounts):

@@ -1,4 +1,7 @@
-"""The joint solution against its bound: `python -m tests.joint [--seeds N] [--rigs N] [--minutes M]`."""
+"""The joint solution against its bound: `python -m tests.joint [--seeds N] [--rigs N] [--minutes M]`.
+
+With `--example FILE.csv` the poses of one such rig instead, for `calrig solve`.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
+from pathlib import Path
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # inherited by the workers
 
@@ -29,8 +33,12 @@ def main() -> None:
     parser.add_argument(
         "--minutes", type=float, default=math.inf, help="stop each table's case after its share"
     )
+    parser.add_argument("--example", type=Path, metavar="FILE.csv")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     wanted = parser.parse_args()
+    if wanted.example is not None:
+        wanted.example.write_text(example(), encoding="utf-8")
+        return
     share_s = 60.0 * wanted.minutes / (len(BOUNDS) + len(COVERAGE))
     with ProcessPoolExecutor(wanted.workers, mp_context=get_context("spawn")) as workers:
         sys.stdout.write(
@@ -53,6 +61,19 @@ def main() -> None:
             )
             sys.stdout.write(_covered(name, judged))
             sys.stdout.flush()
+
+
+def example() -> str:
+    """A unit clamped at three angles of a stage of twelve harmonics, as CSV."""
+    case = COVERAGE["{0, 1, 3}·360/7, full turn"]
+    lots = case.bench(0).measured(np.random.default_rng(0))
+    names = ("target_deg", "stage_deg", "reading_deg", "approach", "accel_y_g", "accel_z_g", "temperature_c")
+    rows = [
+        [f"{getattr(pose, name):.6g}" for name in names] + ["AS-0042", lot.mount, f"{lot.nominal_deg:.4f}"]
+        for lot in lots
+        for pose in lot.poses
+    ]
+    return "\n".join(",".join(row) for row in [[*names, "unit", "mount", "mount_deg"], *rows]) + "\n"
 
 
 def _judged(workers: ProcessPoolExecutor, case: Case, seeds: range, share_s: float) -> list[Judged]:

@@ -33,14 +33,23 @@ def held_out(fit: Fit) -> HeldOut:
     """Foretells every pose that was not left out as wild, once."""
     table = fit.problem.table.rows(fit.kept)
     folds = stretches(table)
-    believed = replace(fit.problem, table=replace(table, approach=np.zeros(len(table))), orders=())
     solved = replace(fit.problem, table=table)
     return HeldOut(
-        before_deg=_rms_deg(_errors(believed, folds, None)),
+        before_deg=_rms_deg(_errors(_without_map(solved), folds, None)),
         final_deg=_rms_deg(_errors(solved, folds, fit.parameters)),
         stretches=int(folds.max()) + 1,
         n_poses=len(table),
     )
+
+
+def believing_the_stage(fit: Fit) -> Fit:
+    """The same units and mounts on a stage without a map."""
+    return fitted(_without_map(fit.problem), fit.weights)
+
+
+def _without_map(problem: Problem) -> Problem:
+    table = problem.table
+    return replace(problem, table=replace(table, approach=np.zeros(len(table))), orders=())
 
 
 def stretches(table: Table) -> Intp:
