@@ -47,10 +47,9 @@ def allan_deviation(channels: Sequence[ChannelNoise]) -> Figure:
         curve, colour = channel.allan, colour_of(k)
         if len(curve.tau_s) == 0:
             continue
-        data.append(
-            band_of(channel.name, *(v.tolist() for v in (curve.tau_s, curve.low, curve.high)), colour)
-        )
-        line = line_of(channel.name, curve.tau_s.tolist(), curve.deviation.tolist(), colour)
+        tau_s, low, high = curve.tau_s.tolist(), curve.low.tolist(), curve.high.tolist()
+        data.append(band_of(channel.name, tau_s, low, high, colour))
+        line = line_of(channel.name, tau_s, curve.deviation.tolist(), colour)
         hover = f"τ = %{{x:.3g}} s: %{{y:.3g}} {channel.unit}"
         data.append({**line, "legendgroup": channel.name, "hovertemplate": hover})
         data += _fitted(channel, colour, apart=len(channels) == 1)

@@ -222,6 +222,7 @@ def test_a_mount_that_stands_elsewhere_than_was_said_is_told_of(lots):
     [
         (lambda p: replace(p, reading_deg=-p.reading_deg, accel_y_g=-p.accel_y_g), "turn against the stage"),
         (lambda p: replace(p, reading_deg=np.radians(p.reading_deg)), "m0: .*(radians|no single angle)"),
+        (lambda p: replace(p, accel_z_g=9.81 * p.accel_z_g, accel_y_g=9.81 * p.accel_y_g), "feels 1 g"),
     ],
 )
 def test_readings_that_cannot_be_meant_are_refused(lots, change, words):
@@ -230,7 +231,9 @@ def test_readings_that_cannot_be_meant_are_refused(lots, change, words):
 
 
 def test_too_few_poses_and_other_axes_are_refused(lots):
-    with pytest.raises(DiagnosisError, match="4 poses are too few"):
+    with pytest.raises(DiagnosisError, match="4 poses are too few: at least 8"):
         solve([replace(lots[0], poses=lots[0].poses[:4])])
+    with pytest.raises(DiagnosisError, match="12 poses are too few for 20 parameters"):
+        solve([replace(lot, poses=lot.poses[:4]) for lot in lots])
     with pytest.raises(DiagnosisError, match="mount m0 has its axis -x along the stage's"):
         solve([replace(lots[0], axis="-x"), *lots[1:]])

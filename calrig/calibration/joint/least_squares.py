@@ -27,8 +27,10 @@ WILD = 7.0
 ROUNDS = 4
 MEDIAN_OF_TWO, MEDIAN_OF_ONE = 1.3863, 0.4549
 """Medians of χ² with two degrees of freedom and with one."""
-LEAST_NOISE = 1e-9
-"""What is left of poses without noise, g."""
+LEAST_NOISE = 1e-6
+"""Of poses without noise, as cells of six decimals have it, g."""
+GROSS_G = 0.5
+"""A vector whose length is off by more is none of gravity."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,13 +132,15 @@ def without_wild_poses(problem: Problem) -> tuple[Fit, FloatArray]:
 
     Where many are far off it is the model that is wrong, and none is left out.
     """
-    weights = np.ones(len(problem.table))
+    size = np.hypot(problem.table.vector_g[:, 0], problem.table.vector_g[:, 1])
+    gross = np.abs(size - 1.0) > GROSS_G
+    weights = np.where(gross, 0.0, 1.0)
     fit = fitted(problem, weights, robust=True)
     for _ in range(ROUNDS):
-        far = distances(fit)
-        wild = far > WILD
+        wild = gross | (distances(fit) > WILD)
         if wild.sum() > most_outliers(len(wild)):
-            return fitted(problem, np.ones(len(weights)), fit.parameters), np.ones(len(weights))
+            weights = np.where(gross, 0.0, 1.0)
+            break
         if (wild == (weights == 0.0)).all():
             break
         weights = np.where(wild, 0.0, 1.0)

@@ -58,7 +58,7 @@ def mapped(fit: Fit) -> Mapped:
     mounts[:, at] = mean
     angles, stds = _over(mounts, np.degrees(fit.parameters), np.degrees(np.degrees(fit.covariance)))
     noise_deg = float(np.degrees(fit.noise))
-    play = float(coefficients[-1]), float(np.sqrt(covariance[-1, -1]))
+    play = float(coefficients[-1]), float(np.sqrt(max(covariance[-1, -1], 0.0)))
     return Mapped(
         stage_deg=dial,
         error_deg=error,

@@ -8,6 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
+from calrig.calibration.joint.least_squares import GROSS_G
 from calrig.calibration.joint.table import Mount, Mounted, Table
 from calrig.calibration.motion import approach_of
 from calrig.calibration.pose import DiagnosisError, Pose
@@ -19,6 +20,8 @@ FEWEST_OF_A_MOUNT = 2
 SAME_DEG = 12.0
 """Two lots of poses of one mount differ by no more: errors of 150 mg turn a vector by 9°."""
 LEAST_TEMPERATURE_RANGE_C = 0.05
+TOLD = 3
+"""Of the warnings, in an error."""
 TOGETHER = 0.7
 """Mean resultant length of reading less dial: poses of one mount lie within some 40° of each other."""
 
@@ -46,7 +49,8 @@ def table_of(lots: Sequence[Mounted]) -> tuple[Table, list[str]]:
             del by_name[name]
     n = sum(len(lot.poses) for same in by_name.values() for lot in same)
     if n < FEWEST_POSES:
-        raise DiagnosisError(f"{n} poses are too few: at least {FEWEST_POSES} are needed")
+        why = f" ({'; '.join(warnings[:TOLD])})" if warnings else ""
+        raise DiagnosisError(f"{n} poses are too few: at least {FEWEST_POSES} are needed{why}")
     return _columns(list(by_name.values())), warnings
 
 
@@ -63,6 +67,7 @@ def _checked(lot: Mounted, warnings: list[str]) -> Mounted:
     found = Mounted(lot.unit, lot.mount, lot.nominal_deg, lot.source, run, lot.axis)
     if not run:
         return found
+    _refuse_no_gravity(found)
     dial, reading = _dial_deg(run), np.array([pose.reading_deg for pose in run])
     on_the_dials_turn = dial + wrap_deg(reading - dial - _angle_deg(run))
     try:
@@ -81,17 +86,33 @@ def _checked(lot: Mounted, warnings: list[str]) -> Mounted:
     return found
 
 
+def _refuse_no_gravity(lot: Mounted) -> None:
+    """Vectors of a unit at rest are 1 g long, but for a few that went wrong."""
+    vectors = _vectors(lot.poses)
+    size_g = float(np.median(np.hypot(vectors[:, 0], vectors[:, 1])))
+    if abs(size_g - 1.0) > GROSS_G:
+        raise DiagnosisError(
+            f"{lot.source}: mount {lot.mount}: accel_y_g and accel_z_g together are {size_g:g} g long, and "
+            "a unit at rest whose x lies along the stage feels 1 g"
+        )
+
+
 def _refuse_twice(lots: Sequence[Mounted]) -> None:
-    for one, other in combinations(lots, 2):
-        if len(one.poses) > 1 and _figures(one.poses) == _figures(other.poses):
+    seen: dict[tuple[Figures, ...], Mounted] = {}
+    for lot in lots:
+        one = seen.setdefault(tuple(map(_figures, lot.poses)), lot)
+        if one is not lot and len(lot.poses) > 1:
             raise DiagnosisError(
-                f"{other.source} (unit {other.unit}, mount {other.mount}) holds the very same poses as "
+                f"{lot.source} (unit {lot.unit}, mount {lot.mount}) holds the very same poses as "
                 f"{one.source} (unit {one.unit}, mount {one.mount}): it was given twice"
             )
 
 
-def _figures(poses: Sequence[Pose]) -> list[tuple[float | None, ...]]:
-    return [(p.target_deg, p.stage_deg, p.reading_deg, p.accel_y_g, p.accel_z_g) for p in poses]
+Figures = tuple[float | None, ...]
+
+
+def _figures(pose: Pose) -> Figures:
+    return pose.target_deg, pose.stage_deg, pose.reading_deg, pose.accel_y_g, pose.accel_z_g
 
 
 def _refuse_overlap(same: Sequence[Mounted]) -> None:

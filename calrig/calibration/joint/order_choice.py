@@ -44,6 +44,11 @@ class Choice:
     untold: tuple[float, ...]
 
 
+def of_the_unit(linear: bool) -> int:
+    """Highest order that a unit's own error of angle has."""
+    return OF_LINEAR if linear else OF_CUBIC
+
+
 def chosen(rich: Fit, known_orders: Collection[float] = ()) -> Choice:
     """Forward selection on the normal equations of a fit that has every order in it.
 
@@ -52,7 +57,7 @@ def chosen(rich: Fit, known_orders: Collection[float] = ()) -> Choice:
         known_orders: of gears whose periods are known: in the map whatever the gate says.
     """
     problem = rich.problem
-    own = OF_LINEAR if problem.linear else OF_CUBIC
+    own = of_the_unit(problem.linear)
     open_yet = {
         order: problem.order_at(k)
         for k, order in enumerate(problem.orders)

@@ -55,7 +55,7 @@ def solution_document(solution: Solution) -> dict[str, Any]:
 def parameters_of(solution: Solution, unit: int) -> dict[str, Value]:
     """A unit's parameters in the units of documents; those of temperature where the data carry them."""
     fit, at = solution.fit, solution.fit.problem.unit_at(unit)
-    values, stds = fit.parameters[at], np.sqrt(np.diag(fit.covariance)[at])
+    values, stds = fit.parameters[at], np.sqrt(np.maximum(np.diag(fit.covariance)[at], 0.0))
     free = fit.problem.free()[at]
     found: dict[str, Value] = {}
     for name, (stated_as, factor) in UNITS.items():
@@ -69,7 +69,7 @@ def parameters_of(solution: Solution, unit: int) -> dict[str, Value]:
 
 def _unit(solution: Solution, unit: int) -> dict[str, Any]:
     coefficients, covariance = polynomial(solution.fit, unit)
-    stds = np.sqrt(np.diag(covariance)) if not solution.fit.problem.linear else [None, None]
+    stds = np.sqrt(np.maximum(np.diag(covariance), 0.0)) if not solution.fit.problem.linear else [None, None]
     worth = solution.worths[unit]
     names = ("deg_per_deg2", "deg_per_deg3")
     projected = {n: _value(c, s) for n, c, s in zip(names, coefficients.tolist(), stds, strict=True)}

@@ -10,10 +10,15 @@ import numpy as np
 from calrig.calibration.joint.elevation import Worth, worth
 from calrig.calibration.joint.least_squares import WILD, Fit, distances, fitted, without_wild_poses
 from calrig.calibration.joint.mounts import table_of
-from calrig.calibration.joint.order_choice import Choice, chosen
+from calrig.calibration.joint.order_choice import Choice, chosen, of_the_unit
 from calrig.calibration.joint.problem import Problem
 from calrig.calibration.joint.stage_map import TURN_DEG, resolved_orders
 from calrig.calibration.joint.table import Mounted, Table
+from calrig.calibration.pose import DiagnosisError
+
+FEWEST_SPARE = 8
+"""Responses beside the parameters, which the noise is found from."""
+SPARE_AN_ORDER = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,13 +75,30 @@ def solve_table(
 ) -> Solution:
     """The same of poses in columns."""
     known = [TURN_DEG / period for period in periods_deg]
-    n_responses = int((1 + table.has_vector).sum())
-    orders = sorted({*resolved_orders(table.dial_deg, n_responses), *known})
-    rich, weights = without_wild_poses(Problem(table, tuple(orders), linear))
+    orders = _offered(table, linear, known)
+    rich, weights = without_wild_poses(Problem(table, orders, linear))
     choice = chosen(rich, known)
     fit = fitted(Problem(table, choice.orders, linear), weights)
     worths = tuple(worth(fit, unit) for unit in range(len(table.units)))
     return Solution(fit, choice, worths, (*warnings, *_of_poses(fit)))
+
+
+def _offered(table: Table, linear: bool, known: Sequence[float]) -> tuple[float, ...]:
+    """Orders that the map may have: those that it always has, and as many more as leave the noise to be seen.
+
+    Raises:
+        DiagnosisError: the poses are fewer than the parameters need.
+    """
+    always = {float(order) for order in range(1, of_the_unit(linear) + 1)} | set(known)
+    needed = int(Problem(table, tuple(always), linear).free().sum())
+    spare = int((1 + table.has_vector).sum()) - needed
+    if spare < FEWEST_SPARE:
+        raise DiagnosisError(
+            f"{len(table)} poses are too few for {needed} parameters of stage, mounts and units: take more "
+            "of each mount"
+        )
+    more = [order for order in resolved_orders(table.dial_deg) if order not in always]
+    return tuple(sorted({*always, *more[: spare // SPARE_AN_ORDER]}))
 
 
 def _of_poses(fit: Fit) -> list[str]:

@@ -41,12 +41,13 @@ def widest_gap_deg(dial_deg: FloatArray) -> float:
     return float(np.diff(at, append=at[0] + TURN_DEG).max())
 
 
-def resolved_orders(dial_deg: FloatArray, n_responses: int) -> list[float]:
-    """Whole orders that such poses can tell: below half the density of angles, few beside the responses."""
+def resolved_orders(dial_deg: FloatArray) -> list[float]:
+    """Whole orders that such poses can tell: below half the density of the angles."""
     at = np.unique(np.round(np.mod(dial_deg, TURN_DEG) / SAME_DIAL_DEG))
     arc_deg = TURN_DEG - widest_gap_deg(dial_deg)
     spacing_deg = max(arc_deg, SAME_DIAL_DEG) / max(len(at) - 1, 1)
-    highest = min(HIGHEST_ORDER, (TURN_DEG / spacing_deg - 1.0) / 2.0, n_responses / 8.0)
+    dense = (TURN_DEG / spacing_deg - 1.0) / 2.0
+    highest = min(HIGHEST_ORDER, dense, (len(at) - 1) / 2.0)
     return [float(order) for order in range(1, int(highest) + 1)]
 
 
