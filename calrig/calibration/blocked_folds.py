@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -83,14 +84,19 @@ def not_predictive(
         offered: candidates of these poses; a shape without a name among them becomes the rival.
     """
     accepted = [f.candidate for f in found]
+    folds = _folds(r)
+
+    @cache
+    def rms_with_all(along: str) -> float:
+        return rms(_errors(r, accepted, folds[along]))
 
     def judged(place: int, one: Found) -> Found:
         others = [c for c in accepted if c is not one.candidate]
         rival = _nameless(one.candidate, offered) if one.candidate.named else None
         if rival is None:
             return one
-        for along, fold in _folds(r).items():
-            helps = rms(_errors(r, accepted, fold)) < rms(_errors(r, others, fold))
+        for along, fold in folds.items():
+            helps = rms_with_all(along) < rms(_errors(r, others, fold))
             if not helps and _contradicts(r, accepted, place, whole, fold):
                 return one.against(rival, f"it does not foretell poses of a block of {along} left out")
         return one
@@ -100,7 +106,7 @@ def not_predictive(
 
 def _folds(r: Responses) -> dict[str, Intp]:
     """(n,) block of each pose, for each way to lay them: along every run, and over the elevations."""
-    first = np.flatnonzero(r.starts)
+    first = np.unique([0, *np.flatnonzero(r.starts)])  # what a run began with may have been left out
     length = np.diff([*first, len(r)])
     since = np.arange(len(r)) - np.repeat(first, length)
     folds = {}

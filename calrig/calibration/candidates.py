@@ -83,15 +83,15 @@ class Candidate:
     def is_possible(self, beta: FloatArray) -> bool:
         """Whether the coefficients (≥ p,), its own first, are any that physics allows."""
         first = 0
-        for one in self.members:
-            width = one.columns.shape[2]
-            own = beta[first : first + width]
-            # of a difference either sign: what a parameter may not be by itself, it may have lost
-            senses = (own,) if one.changed is None else (own, -own)
-            if not any(one.effect.possible(one.shape, sense) for sense in senses):
+        if self.beside is not None:
+            first = self.beside.columns.shape[2]
+            if not self.beside.is_possible(beta):
                 return False
-            first += width
-        return True
+        own = beta[first : self.columns.shape[2]]
+        if self.effect.possible(self.shape, own):
+            return True
+        # of a difference either sign: what a parameter may not be by itself, it may have lost
+        return self.changed is not None and self.effect.possible(self.shape, -own)
 
     @property
     def follows(self) -> str | None:
@@ -163,6 +163,13 @@ def candidates_of(r: Responses) -> list[Candidate]:
     together += _series(r, all_along)
     unnamed = sum(not candidate.named for candidate in shown)
     return [*shown[: len(shown) - unnamed], *together, *shown[len(shown) - unnamed :]]
+
+
+def companions_of(accepted: Sequence[Candidate]) -> set[str]:
+    """Names of the effects that are declared to come together with some of those in a model."""
+    present = {c.name for c in accepted}
+    asked = {name for c in accepted for name in c.effect.together_with}
+    return asked | {name for name, effect in EFFECTS.items() if present.intersection(effect.together_with)}
 
 
 def _together(a: Candidate, b: Candidate) -> Candidate:

@@ -17,6 +17,7 @@ from calrig.calibration.channels import SCALE_UNIT_DEG
 from calrig.calibration.experiment_design import predicted
 from calrig.calibration.fit import rms
 from calrig.calibration.model import model_columns
+from calrig.calibration.near_rivals import Rivals
 from calrig.calibration.noise_model import fit
 from calrig.calibration.pose import Pose
 from calrig.calibration.responses import Responses, responses_of
@@ -26,8 +27,10 @@ from calrig.calibration.sensor_model import fitted_model, linear_about
 from calrig.estimation.angles import FloatArray
 
 FOLDS = 4
-BOOTSTRAPS = 199
-"""Enough to tell 1 % from more; the p-value that is reported comes from the search over all poses."""
+BOOTSTRAPS = 270
+"""Enough to tell ¾ % from more, one draw of noise beyond it allowed; the p-value that is reported comes from
+the search over all poses.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +46,7 @@ def cross_validate(
     r: Responses,
     candidates: Sequence[Candidate],
     rng: np.random.Generator,
+    rivals: Rivals | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> CrossValidation:
     """Predicts every pose once, by a search and a fit over the other folds; base on the same folds.
@@ -51,6 +55,7 @@ def cross_validate(
         r: the responses.
         candidates: of these poses.
         rng: of the gate's bootstrap.
+        rivals: what a search of all poses found, to be held against again in each fold.
         progress: is told the share of folds done after each.
     """
     fold = folds_of(r)
@@ -63,9 +68,8 @@ def cross_validate(
         train, test = np.flatnonzero(fold != k), np.flatnonzero(fold == k)
         seen = r.rows(train)
         base[test] = errors_deg(r, (), fit(seen, seen.base).beta, test)
-        findings = search(
-            seen, [c.rows(train) for c in candidates], rng, bootstraps=BOOTSTRAPS, decide_only=True
-        )
+        of_fold = [c.rows(train) for c in candidates]
+        findings = search(seen, of_fold, rng, bootstraps=BOOTSTRAPS, decide_only=True, rivals=rivals)
         if not findings.found:
             final[test] = base[test]
             continue

@@ -17,6 +17,7 @@ from calrig.calibration.experiment_design import ambiguous_of, design
 from calrig.calibration.fit import fit_line, residuals_deg, rms
 from calrig.calibration.lack_of_fit import LackOfFit, lack_of_fit, warning_of
 from calrig.calibration.leave_one_out import standing_without_one
+from calrig.calibration.near_rivals import near_rivals
 from calrig.calibration.pose import Pose
 from calrig.calibration.pose_columns import complete
 from calrig.calibration.report import effect_documents, model_words
@@ -84,7 +85,7 @@ def diagnose(
     if cross_fit:
         of_kept = [c.rows(findings.kept) for c in candidates]
         of_folds = None if progress is None else _after_the_first(progress)
-        held_out = cross_validate(left, of_kept, rng, of_folds)
+        held_out = cross_validate(left, of_kept, rng, near_rivals(findings.found), of_folds)
         predictive = not_predictive(left, findings.found, findings.fitted, of_kept)
         findings = replace(findings, found=predictive)
         blocks = blocked(left, [f.candidate for f in findings.found])

@@ -101,7 +101,7 @@ class _Model:
         self._made: dict[int, _Columns] = {}
         self._again = None
         if noise.rho.max() >= STRONG_RHO:
-            self._again = RepeatedSteps(r, self._base.plain)
+            self._again = RepeatedSteps(r, self._base.plain[np.any(self._base.plain != 0.0, axis=1)])
 
     def alone(self, values: FloatArray) -> FloatArray:
         """(b,) criterion in responses (b, n, J)."""
@@ -158,7 +158,8 @@ class _Model:
         width = beside.shape[1]
         taken = max(1.0, (self._width + width) / len(self._r.channels))
         if self._again is not None:
-            return self._again.criterion(left, beside, at, taken)
+            steps = self._again.steps(left, beside, at, taken)
+            return steps.products.criterion(*steps.products.noises(taken)), steps.more
         products = lagged_products(left.reshape(-1, *self._r.values.shape), self._r.starts, self._r.rounding)
         return products.criterion(*products.noises(taken)), np.zeros((len(left), width))
 

@@ -139,6 +139,7 @@ class Circumstances:
     Attributes:
         approach: +1, −1; 0 where unknown, to which backlash adds nothing.
         move_deg: θ less the pose before's; NaN for a run's first pose, to which a move adds nothing.
+        travel_deg: way since the stage last turned; without it all play is taken up.
         time_s: without it a slip has happened: the unit stands as it stood last.
         kappa: share of a gyro scale error times the move that the filter still shows.
     """
@@ -147,6 +148,7 @@ class Circumstances:
     temperature_c: FloatArray | None = None
     time_s: FloatArray | None = None
     move_deg: FloatArray | None = None
+    travel_deg: FloatArray | None = None
     velocity_dps: FloatArray | None = None
     kappa: FloatArray | None = None
 
@@ -231,8 +233,8 @@ class Effect:
         settled: the places to take for those refined, by their standard errors: a value that is known.
         look_alikes: places that these poses may not tell from a shape's, the likeliest first.
         distinct: whether two shapes at different places can both be in one model of these poses; else always.
-        reported: a document's parameters from coefficients and their covariance.
-        evidence: sentences about a shape in these poses.
+        reported, evidence: a document's parameters of coefficients and covariance; sentences about a shape.
+        not_linear: (n,) a channel, what the forms' columns do not say, of the effect's own coefficients.
         possible: whether coefficients are any that the physics allows.
         follows: offered by itself only once this effect is in the model.
         together_with: effects that it is offered together with, as one: each alone may look like noise.
@@ -259,6 +261,7 @@ class Effect:
     distinct: Callable[[Responses, Shape, Shape], bool] | None = None
     reported: Callable[[Shape, FloatArray, FloatArray], Documents] = linear
     evidence: Callable[[Responses, Shape], list[str]] = lambda _r, _shape: []
+    not_linear: Callable[[Responses, FloatArray], Mapping[str, FloatArray]] | None = None
     possible: Callable[[Shape, FloatArray], bool] = lambda _shape, _beta: True
     follows: str | None = None
     together_with: tuple[str, ...] = ()
@@ -269,8 +272,7 @@ class Effect:
 
     def __post_init__(self) -> None:
         for part in fields(self):
-            required = part.default is MISSING
-            if required and getattr(self, part.name) in ("", (), None):
+            if part.default is MISSING and getattr(self, part.name) in ("", (), None):
                 raise EffectError(f"the effect {self.name!r} lacks its {part.name}")
         if self.on_reading_deg is None and self.on_vector_g is None:
             raise EffectError(f"the effect {self.name!r} lacks its on_reading_deg, or its on_vector_g")
@@ -286,11 +288,9 @@ class Effect:
 
     def documented(self, shape: Shape, beta: FloatArray, covariance: FloatArray) -> dict[str, Any]:
         """A document's `parameters`: what was fitted or refined with its standard error, the rest without."""
-        found: dict[str, Any] = dict(self.reported(shape, beta, covariance))
-        for name, value in shape.at.items():
-            if name not in HIDDEN:
-                found[name] = {"value": float(value), "std": shape.at_std.get(name)}
-        return found
+        places = {name: float(value) for name, value in shape.at.items() if name not in HIDDEN}
+        of_places = {name: {"value": at, "std": shape.at_std.get(name)} for name, at in places.items()}
+        return {**self.reported(shape, beta, covariance), **of_places}
 
 
 def _of_the_catalogue(name: str) -> Effect:

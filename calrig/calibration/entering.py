@@ -41,20 +41,27 @@ def entering(
 
 
 def hidden(r: Responses, model: Model, verdict: Verdict, judged: Callable[[Model], Verdict]) -> list[Found]:
-    """Two effects of which each alone leaves the other, which then looks like noise that wanders.
-
-    The best enters on trial; both stay where each passes the gate beside the other.
-    """
+    """Two effects of which each alone leaves the other, which then looks like noise that wanders."""
     if model.fitted.noise.rho.max() < STRONG_RHO or not verdict.candidates:
         return []
     first = named(r, model.accepted, verdict.candidates, verdict.ratios, verdict.p_value)
+    return with_another(r, model, first, judged)
+
+
+def with_another(r: Responses, model: Model, first: Found, judged: Callable[[Model], Verdict]) -> list[Found]:
+    """An effect on trial and the best beside it, where each passes the gate beside the other.
+
+    So enters what is worth no name alone: a slip that a warm-up undoes makes the reading worse without it.
+    """
     beside = [*model.accepted, first.candidate]
     of_second = judged(fitted_model(r, beside))
     if not of_second.passes:
         return []
     second = named(r, beside, of_second.candidates, of_second.ratios, of_second.p_value)
-    of_first = judged(fitted_model(r, [*model.accepted, second.candidate]))
-    if not of_first.passes or not is_worth_a_name(r, beside, second):
+    with_second = [*model.accepted, second.candidate]
+    of_first = judged(fitted_model(r, with_second))
+    worth = is_worth_a_name(r, beside, second) and is_worth_a_name(r, with_second, first)
+    if not of_first.passes or not worth:
         return []
     both = (replace(first, p_value=of_first.p_value), second)
     return [replace(one, candidate=member) for one in both for member in one.candidate.members]
@@ -87,3 +94,8 @@ def is_on_trial(candidate: Candidate) -> bool:
     return len(candidate.members) > 1 and any(
         m.shape.scanned and m.shape.place_cost > 1 for m in candidate.members
     )
+
+
+def brings(pair: Candidate, one: Candidate) -> bool:
+    """Whether an effect is among several that are offered as one."""
+    return any(member.label == one.label for member in pair.members)

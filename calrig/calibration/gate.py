@@ -2,7 +2,8 @@
 
 Searching a catalogue and keeping what lowers a criterion finds an effect in pure noise in 19–45 % of cases.
 What holds its rate is the maximum over all candidates, hence a family-wise p-value, bootstrapped under the
-current model for these very poses.
+current model for these very poses. Beside an effect that others are declared to come with, these few are a
+family of their own: noise alone is not asked that.
 
 The statistic is the gain of the best candidates in full likelihood, coefficients and noise fitted anew with
 each of them, less the penalties. The noise of the null alone would not do: a large effect is taken for a
@@ -13,17 +14,18 @@ there; their correlation stays the null's, for noise that wanders makes slow eff
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.candidates import Candidate
+from calrig.calibration.channels import BoolArray
 from calrig.calibration.drawn_fits import DrawnFits
 from calrig.calibration.effects import UNNAMED
-from calrig.calibration.model import side_by_side
-from calrig.calibration.noise_model import Fit, NoiseModel, fits, noise_of
+from calrig.calibration.fits_beside import fits_beside
+from calrig.calibration.noise_model import STRONG_RHO, Fit, NoiseModel, fit, noise_of
 from calrig.calibration.responses import Responses
 from calrig.calibration.screen import Float32Array, Screen
 from calrig.estimation.angles import FloatArray
@@ -39,6 +41,11 @@ instants does not raise the bar for an effect of one parameter.
 """
 FIRST_DRAWS, MORE_DRAWS = 24, 49
 FEWEST_DRAWS = 99
+FEW_DRAWS, FAR, NEAR = 8, 40.0, 10.0
+"""Of −2 log likelihood: beyond the largest of so few draws by `FAR`, what noise comes nowhere near. Of the
+draws that follow only those are fitted that the screen takes half as far; and where noise is not strongly
+correlated, those that it takes to within `NEAR`: of 1,000 draws none to two gain 10 more than it says.
+"""
 CLEAR_SHARE = 5
 CLEAR, CLEAR_AT_FIRST = 10.0, 15.0
 """Of −2 log likelihood, beyond the largest of a fifth of all draws: the rest would not reach it either. Nor
@@ -74,6 +81,7 @@ def gate(
     level: float,
     noise: NoiseModel | None = None,
     *,
+    companions: Collection[str] = (),
     decide_only: bool = False,
 ) -> Verdict:
     """Judges the best of all candidates against its distribution under the current model.
@@ -89,6 +97,8 @@ def gate(
         bootstraps: how many at most.
         level: of the decision that the p-value is for.
         noise: of the null, where a larger model tells it better than what the current one leaves.
+        companions: labels that are declared to come together with what is in the model. Set beforehand, they
+            are judged by themselves and all others by themselves, each of the two families at the level.
         decide_only: whether the p-value is of no interest where it is clear that it lies below the level.
     """
     least = 1.0 / (bootstraps + 1)
@@ -100,31 +110,43 @@ def gate(
     trial = _Trial(r, columns_with, candidates, noise)
     ratios = trial.screen.ratios(fitted.residuals[None])
     observed, alternative = trial.observed(ratios)
-    null = np.empty((0, len(observed)))
+    expected = np.array([label in companions for label in trial.labels])
+    families = [family for family in (expected, ~expected) if family.any()]
+    null, draws, least_gain = np.empty((0, len(observed))), 0, -np.inf
     clear_after = max(FEWEST_DRAWS, round(1.0 / level) - 1, bootstraps // CLEAR_SHARE)
-    steps = (FIRST_DRAWS, MORE_DRAWS, clear_after, 2 * clear_after, bootstraps)
-    for draws in sorted({min(step, bootstraps) for step in steps}):
-        values = _resampled(r, alternative, noise, rng, draws - len(null))
-        null = np.concatenate([null, trial.gains_of_noise(values)])
-        best, of_noise = _above_bars(trial.labels, observed, null)
-        exceeded = int((of_noise >= best).sum())
-        margin = CLEAR if draws > FIRST_DRAWS else CLEAR_AT_FIRST
-        is_clear = (decide_only or draws >= clear_after) and best > of_noise.max() + margin
+    steps = {min(step, bootstraps) for step in (FIRST_DRAWS, MORE_DRAWS, clear_after, 2 * clear_after)}
+    for values in _drawn(r, alternative, noise, rng, sorted({*steps, bootstraps})):
+        draws += len(values)
+        null = np.concatenate([null, trial.gains_of_noise(values, least_gain)])
+        judged = [_above_bars(trial.labels, observed, null, family) for family in families]
+        exceeded = min(int((of_noise >= best).sum()) for best, of_noise in judged)
+        ahead = max(best - of_noise.max() for best, of_noise in judged)
+        margin = FAR if draws < FIRST_DRAWS else CLEAR_AT_FIRST if draws == FIRST_DRAWS else CLEAR
+        is_clear = (decide_only or draws >= min(clear_after, bootstraps)) and ahead > margin
         if is_clear or exceeded >= level * (bootstraps + 1):
             break
-    p_value = (1 + exceeded) / (1 + len(null))
+        lowest = min(best for best, _ in judged)  # of either family the draws have to tell
+        least_gain = lowest / 2.0 if ahead > FAR else -np.inf
+        if draws >= FIRST_DRAWS and noise.rho.max() < STRONG_RHO:
+            least_gain = max(least_gain, lowest - NEAR)
+    p_value = (1 + exceeded) / (1 + draws)
     passes = is_clear or p_value <= level
     return Verdict(candidates, ratios[0], float(observed.max()), p_value, passes, least)
 
 
-def _above_bars(labels: Sequence[str], observed: FloatArray, null: FloatArray) -> tuple[float, FloatArray]:
-    """By how much the best of all names exceeds its own bar, and in (b,) searches of noise."""
+def _above_bars(
+    labels: Sequence[str], observed: FloatArray, null: FloatArray, family: BoolArray
+) -> tuple[float, FloatArray]:
+    """By how much the best of a family's names exceeds its own bar, and in (b,) searches of noise.
+
+    The bars are quantiles of noise and observation together: noise that they were set by alone exceeds them
+    less often than noise that they have not seen.
+    """
     shares = np.array([UNNAMED_QUANTILE if label.startswith(UNNAMED) else QUANTILE for label in labels])
-    ordered = np.sort(null, axis=0)
-    bars = np.maximum(
-        ordered[np.minimum((shares * len(null)).astype(int), len(null) - 1), range(len(labels))], 0.0
-    )
-    return float((observed - bars).max()), (null - bars).max(axis=1)
+    every = np.sort(np.concatenate([null, observed[None]]), axis=0)
+    places = np.minimum((shares * len(every)).astype(int), len(null) - 1)
+    bars = np.maximum(every[places, range(len(labels))], 0.0)
+    return float((observed - bars)[family].max()), (null - bars)[:, family].max(axis=1)
 
 
 class _Trial:
@@ -147,7 +169,6 @@ class _Trial:
         self.labels = list(dict.fromkeys(label for label, _ in by_form))
         self._forms = [np.array(indices) for indices in by_form.values()]
         self._label_of = np.array([self.labels.index(label) for label, _ in by_form])
-        self._replacing = np.array([c.shape.replaces is not None for c in candidates])
         self._drawn = DrawnFits(r, columns_with, candidates, noise)
 
     def observed(self, ratios: Float32Array) -> tuple[FloatArray, Fit]:
@@ -156,30 +177,29 @@ class _Trial:
         Every form of every effect is fitted: the screen has the null's noise, in which a large effect is half
         hidden, and favours forms that say too little.
         """
-        labels, candidates = self._leaders(ratios, len(self._forms))
-        values = self._r.values[None]
-        null = fits(self._r, values, self._model[None]).criterion
-        many = np.repeat(values, candidates.shape[1], axis=0)
-        fitted = fits(self._r, many, self._columns(candidates.ravel()))
-        gains = self._gains(labels, candidates, null, fitted.criterion, self._own(fitted.beta, candidates))
-        best = int(np.argmin(fitted.criterion + self._penalties[candidates[0]]))
-        noise = NoiseModel(fitted.rotation[best], fitted.rho[best])
-        parts = fitted.beta[best], fitted.covariance[best], fitted.residuals[best]
-        return gains[0], Fit(*parts, noise, float(fitted.criterion[best]))
+        labels, chosen, _ = self._leaders(ratios, len(self._forms))
+        candidates = [self._candidates[k] for k in chosen[0]]
+        null = np.array([fit(self._r, self._model).criterion])
+        fitted = fits_beside(self._r, self._columns_with, candidates)
+        own = [beta[-c.columns.shape[2] :] for beta, c in zip(fitted.beta, candidates, strict=True)]
+        gains = self._gains(labels, chosen, null, fitted.criterion, own)
+        best = candidates[int(np.argmin(fitted.criterion + self._penalties[chosen[0]]))]
+        return gains[0], fit(self._r, self._columns_with([best]))
 
-    def gains_of_noise(self, values: FloatArray) -> FloatArray:
+    def gains_of_noise(self, values: FloatArray, least_gain: float) -> FloatArray:
         """(b, L) the same in sets of responses (b, n, J) drawn from the noise.
 
-        There the screen is right: the forms that lead on it reach what all would (`LEADERS`).
+        There the screen is right: the forms that lead on it reach what all would (`LEADERS`), and where it
+        takes none of them as far as some least gain, what it says will do.
         """
-        labels, candidates = self._leaders(self.screen.ratios(values), LEADERS)
-        null = self._drawn.null(values)
-        return self._gains(labels, candidates, null, *self._drawn.beside(values, candidates))
-
-    def _own(self, beta: FloatArray, candidates: Intp) -> list[FloatArray]:
-        """The candidates' own coefficients among those of their models (b·k, p)."""
-        first = self._model.shape[2] - self._replacing[candidates.ravel()]
-        return [one[at:] for one, at in zip(beta, first.tolist(), strict=True)]
+        labels, candidates, scores = self._leaders(self.screen.ratios(values), LEADERS)
+        gains = self._of_labels(labels, scores)
+        may = scores[:, 0] >= least_gain
+        if may.any():
+            values, labels, candidates = values[may], labels[may], candidates[may]
+            null = self._drawn.null(values)
+            gains[may] = self._gains(labels, candidates, null, *self._drawn.beside(values, candidates))
+        return gains
 
     def _gains(
         self,
@@ -191,31 +211,40 @@ class _Trial:
     ) -> FloatArray:
         """(b, L) reductions of −2 log likelihood, less penalties, by the best candidate of each name.
 
-        Minus infinity for names that do not lead on the screen, and for what physics rules out.
+        Minus infinity for names that do not lead on the screen, and for gains that physics rules out.
         """
-        possible = [
-            self._candidates[k].is_possible(beta)
-            for k, beta in zip(candidates.ravel().tolist(), own, strict=True)
-        ]
         gained = null[:, None] - criterion.reshape(labels.shape) - self._penalties[candidates]
+        flat = candidates.ravel().tolist()
+        for k in np.flatnonzero(gained > 0.0).tolist():
+            if not self._candidates[flat[k]].is_possible(own[k]):
+                gained.flat[k] = -np.inf
+        return self._of_labels(labels, gained)
+
+    def _of_labels(self, labels: Intp, gained: FloatArray) -> FloatArray:
+        """(b, L) the largest of each label's gains (b, k); minus infinity where it has none."""
         gains = np.full((len(labels), len(self.labels)), -np.inf)
-        reached = np.where(np.reshape(possible, labels.shape), gained, -np.inf)
-        np.maximum.at(gains, (np.arange(len(labels))[:, None], labels), reached)
+        np.maximum.at(gains, (np.arange(len(labels))[:, None], labels), gained)
         return gains
 
-    def _leaders(self, ratios: Float32Array, most: int) -> tuple[Intp, Intp]:
-        """(b, k) the best candidates of the forms that lead on the screen, after their labels."""
+    def _leaders(self, ratios: Float32Array, most: int) -> tuple[Intp, Intp, FloatArray]:
+        """(b, k) labels, candidates and screened gains of the forms that lead on the screen, best first."""
         penalised = ratios - self._penalties
         best = np.stack([indices[penalised[:, indices].argmax(axis=1)] for indices in self._forms], axis=1)
         scores = np.take_along_axis(penalised, best, axis=1)
         leading = np.argsort(-scores, axis=1, kind="stable")[:, :most]
-        return self._label_of[leading], np.take_along_axis(best, leading, axis=1)
+        chosen, gains = (np.take_along_axis(of_forms, leading, axis=1) for of_forms in (best, scores))
+        return self._label_of[leading], chosen, gains
 
-    def _columns(self, chosen: Intp) -> FloatArray:
-        """(m, n, J, p) of the model with each of the chosen candidates; narrower ones end in zeros."""
-        kinds, of_kind = np.unique(chosen, return_inverse=True)
-        each = side_by_side([self._columns_with([self._candidates[k]]) for k in kinds])
-        return np.asarray(each[of_kind.ravel()], dtype=np.float64)
+
+def _drawn(
+    r: Responses, alternative: Fit, noise: NoiseModel, rng: np.random.Generator, steps: Sequence[int]
+) -> Iterator[FloatArray]:
+    """(b, n, J) responses of noise alone, as many in all as each step says, few of the first beforehand."""
+    before = 0
+    for draws in steps:
+        values = _resampled(r, alternative, noise, rng, draws - before)
+        yield from np.split(values, [FEW_DRAWS]) if before == 0 else (values,)
+        before = draws
 
 
 def _resampled(

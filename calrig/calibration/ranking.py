@@ -9,11 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.candidates import Candidate, candidate_at
+from calrig.calibration.curves_beside import fitted_beside
 from calrig.calibration.effect import Shape
 from calrig.calibration.places import refined
 from calrig.calibration.responses import Responses
 from calrig.calibration.screen import Float32Array, Screen
-from calrig.calibration.sensor_model import fitted_beside, fitted_model
+from calrig.calibration.sensor_model import fitted_model
 from calrig.estimation.angles import FloatArray
 
 MARGIN = 6.0
@@ -237,7 +238,9 @@ def _ranked(
         if key not in best or ratios[index] > ratios[best[key]] + SAME:
             best[key] = index
     order = sorted(best.values(), key=lambda i: bic_penalty * offered[i].parameters - float(ratios[i]))
-    shortlist = [offered[index] for index in order[:SHORTLIST]]
+    # what is not linear gains more than the screen can tell
+    bent = [index for index in order[SHORTLIST:] if offered[index].effect.not_linear is not None]
+    shortlist = [offered[index] for index in (*order[:SHORTLIST], *bent)]
     shortlist = [_refined(r, accepted, c, leads=k == 0) for k, c in enumerate(shortlist)]
     ranked = []
     for c, (criterion, own) in zip(shortlist, fitted_beside(r, accepted, shortlist), strict=True):

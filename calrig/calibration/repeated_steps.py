@@ -7,10 +7,12 @@ columns are made once for all responses, those of a candidate's once for all tha
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
-from calrig.calibration.lagged_products import lagged_products
+from calrig.calibration.lagged_products import LaggedProducts, lagged_products
 from calrig.calibration.noise_model import ITERATIONS
 from calrig.calibration.responses import Responses
 from calrig.estimation.angles import FloatArray
@@ -18,19 +20,30 @@ from calrig.estimation.angles import FloatArray
 Intp = npt.NDArray[np.intp]
 
 
+class Steps(NamedTuple):
+    """What all steps leave of m responses: residuals (m, n·J), and their products.
+
+    By how much coefficients changed since the first step: `inside` (m, q) those of the model, `more` (m, w)
+    those beside it.
+    """
+
+    residuals: FloatArray
+    products: LaggedProducts
+    inside: FloatArray
+    more: FloatArray
+
+
 class RepeatedSteps:
-    """Steps on from the first, for a model's columns (q, n·J)."""
+    """Steps on from the first, for a model's columns (q, n·J), none of them nothing."""
 
     def __init__(self, r: Responses, model: FloatArray) -> None:
         self._r = r
-        self._model = model[np.any(model != 0.0, axis=1)]
+        self._model = model
         self._lagged = _lagged(self._model[None], r)[0]
         self._own = _products(self._lagged[None], self._model[None], r)[0]
 
-    def criterion(
-        self, left: FloatArray, beside: FloatArray, at: Intp, taken: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """(m,) criterion after all steps, and (m, w) by how much coefficients changed since the first.
+    def steps(self, left: FloatArray, beside: FloatArray, at: Intp, taken: float) -> Steps:
+        """All steps.
 
         Args:
             left: (m, n·J) what the first step leaves.
@@ -64,7 +77,7 @@ class RepeatedSteps:
             residuals = left - inside[:, :q] @ self._model
             residuals -= (inside[:, None, q:] @ beside[at])[:, 0]
             products = lagged_products(residuals.reshape(-1, *r.values.shape), r.starts, r.rounding)
-        return products.criterion(*products.noises(taken)), inside[:, q:]
+        return Steps(residuals, products, inside[:, :q], inside[:, q:])
 
 
 def _weights(rotation: FloatArray, rho: FloatArray) -> FloatArray:

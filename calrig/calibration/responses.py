@@ -24,6 +24,7 @@ from calrig.calibration.motion import (
     motion_of,
     moves_deg,
 )
+from calrig.calibration.play import travel_deg
 from calrig.calibration.pose import DiagnosisError, Pose
 from calrig.calibration.pose_columns import (
     column_of,
@@ -65,6 +66,7 @@ class Responses:
         run: (n,) index of the run that each pose is of, into `run_ids`.
         theta_deg: (n,) elevation that each pose stands for.
         move_deg: (n,) θ less that of the pose before; 0 where it is not known.
+        travel_deg: (n,) way since the stage last turned; infinite where nothing says that it is short.
         starts: (n,) whether a pose follows on nothing: the first of its run, or any in a table by angle.
         approach, time_s, temperature_c: (n,) or None where not known of every pose.
         motion: of the stage while the readings were taken; None where not known of every pose.
@@ -86,6 +88,7 @@ class Responses:
     run_ids: tuple[str, ...]
     theta_deg: FloatArray
     move_deg: FloatArray
+    travel_deg: FloatArray
     starts: BoolArray
     approach: FloatArray | None
     time_s: FloatArray | None
@@ -121,6 +124,7 @@ class Responses:
             run=run,
             theta_deg=self.theta_deg[chosen],
             move_deg=self.move_deg[chosen],
+            travel_deg=self.travel_deg[chosen],
             starts=self.starts[chosen] | (np.diff(run, prepend=run[:1]) != 0),
             approach=pick(self.approach),
             time_s=pick(self.time_s),
@@ -187,13 +191,15 @@ def responses_of(runs: Sequence[Sequence[Pose]], run_ids: Sequence[str] | None =
         warnings.append(NO_HISTORY)
     senses = [sense for run in kept if (sense := approach_of(run)) is not None]
     covariates, said = covariates_of(poses, theta, reading)
+    approach = np.concatenate(senses) if len(senses) == len(kept) else None
     return Responses(
         run=run_index,
         run_ids=names_of(runs, kept, run_ids),
         theta_deg=theta,
         move_deg=move,
+        travel_deg=travel_deg(move, approach, starts),
         starts=starts,
-        approach=np.concatenate(senses) if len(senses) == len(kept) else None,
+        approach=approach,
         time_s=column_of(poses, "time_s"),
         temperature_c=column_of(poses, "temperature_c"),
         motion=joined([motion_of(run) for run in kept]),

@@ -20,6 +20,7 @@ from calrig.calibration.filter_share import filter_share
 from calrig.calibration.fit import Line, fit_line, residuals_deg, rms
 from calrig.calibration.motion import approach_of, motion_of, moves_deg
 from calrig.calibration.over_range import OverRange, over_range
+from calrig.calibration.play import travel_deg
 from calrig.calibration.pose import Pose
 from calrig.calibration.uncertainty import Reference, ReferenceKind, reference_part
 from calrig.estimation.angles import FloatArray, wrap_deg
@@ -220,12 +221,14 @@ def circumstances(poses: Sequence[Pose]) -> Circumstances:
     def column(values: list[float | None]) -> FloatArray | None:
         return None if None in values else np.array(values, dtype=np.float64)
 
-    motion = motion_of(poses)
+    motion, approach, move_deg = motion_of(poses), approach_of(poses), moves_deg(poses)
+    starts = np.arange(len(poses)) == 0
     return Circumstances(
-        approach=approach_of(poses),
+        approach=approach,
         temperature_c=column([pose.temperature_c for pose in poses]),
         time_s=column([pose.time_s for pose in poses]),
-        move_deg=moves_deg(poses),
+        move_deg=move_deg,
+        travel_deg=travel_deg(move_deg, approach, starts),
         velocity_dps=motion.velocity_dps if motion else None,
         kappa=filter_share(poses),
     )

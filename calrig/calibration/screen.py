@@ -92,12 +92,16 @@ class Screen:
         cost = following * np.log(1.0 - rho**2).sum() + ((rho / PRIOR_RHO_STD) ** 2).sum()
         return _Base(share, base.reshape(len(model), -1, base.shape[1]), float(cost))
 
-    def _beside(self, width: int) -> Iterator[list[_Beside]]:
-        """The candidates of one width at each share, some at a time."""
+    def _stacks(self, width: int) -> Iterator[FloatArray]:
+        """The candidates of one width, some at a time: their rotated columns (J, C, p, n)."""
         indices, at_once = self._by_width[width], max(1, BLOCK // (width * self._r.values.size))
         for first in range(0, len(indices), at_once):
             columns = np.stack([self._candidates[i].columns for i in indices[first : first + at_once]])
-            stack = self._noise.rotated(np.moveaxis(columns, 3, 1))
+            yield self._noise.rotated(np.moveaxis(columns, 3, 1))
+
+    def _beside(self, width: int) -> Iterator[list[_Beside]]:
+        """The candidates of one width at each share, some at a time."""
+        for stack in self._stacks(width):
             yield [_beside(self._white(stack, base.share), base.columns) for base in self._bases]
 
     def _white(self, rotated: FloatArray, share: float) -> FloatArray:
@@ -107,8 +111,8 @@ class Screen:
     def once(self, residuals: FloatArray) -> Float32Array:
         """(C,) reductions of −2 log likelihood for residuals (n, J) of the model."""
         values = self._values(residuals[None])
-        parts = [self._ratios(values, some) for width in self._by_width for some in self._beside(width)]
-        return np.asarray(np.concatenate(parts, axis=1)[0, self._as_given], dtype=np.float32)
+        parts = [self._ratios_once(values, some) for width in self._by_width for some in self._stacks(width)]
+        return np.asarray(np.concatenate(parts)[self._as_given], dtype=np.float32)
 
     def ratios(self, residuals: FloatArray) -> Float32Array:
         """(b, C) the same of b sets of residuals (b, n, J); what it makes for that serves the next."""
@@ -122,6 +126,15 @@ class Screen:
             values = self._values(residuals[first : first + BATCH])
             parts.append(np.concatenate([self._ratios(values, some) for some in self._made], axis=1))
         return np.concatenate(parts)[:, self._as_given]
+
+    def _ratios_once(self, values: Sequence[_Values], stack: FloatArray) -> Float32Array:
+        """(C,) those of one set of residuals, for candidates whose rotated columns are (J, C, p, n)."""
+        shares_left = [
+            _share_left_once(own, self._white(stack, base.share), base.columns)
+            for own, base in zip(values, self._bases, strict=True)
+        ]
+        (ratios,) = self._best_of_shares(values, [left[None] for left in shares_left])
+        return np.asarray(ratios, dtype=np.float32)
 
     def _values(self, residuals: FloatArray) -> list[_Values]:
         """Residuals (b, n, J) at each share, and their likelihood without a candidate."""
@@ -138,19 +151,35 @@ class Screen:
 
     def _ratios(self, values: Sequence[_Values], candidates: Sequence[_Beside]) -> Float32Array:
         """(b, C) the best of all shares, against the best without the candidate."""
+        shares_left = [_share_left(own, some) for own, some in zip(values, candidates, strict=True)]
+        return self._best_of_shares(values, shares_left)
+
+    def _best_of_shares(self, values: Sequence[_Values], shares_left: Sequence[Float32Array]) -> Float32Array:
+        """(b, C) from what is left at each share (b, C)."""
         n, first = len(self._r), values[0].null
         least = np.minimum.reduce(
             [
-                _share_left(own, of_share) * np.exp((own.null - first) / n).astype(np.float32)[:, None]
-                for own, of_share in zip(values, candidates, strict=True)
+                left * np.exp((own.null - first) / n).astype(np.float32)[:, None]
+                for own, left in zip(values, shares_left, strict=True)
             ]
         )
         gain = (np.min([own.null for own in values], axis=0) - first).astype(np.float32)
         return np.asarray(gain[:, None] - np.float32(n) * np.log(least), dtype=np.float32)
 
 
-def _beside(white: FloatArray, base: FloatArray) -> _Beside:
-    """Columns of candidates (J, C, p, n) beside a base (J, n, q)."""
+class _Turned(NamedTuple):
+    """What makes columns of candidates orthonormal beside a base.
+
+    `across` (C, p, p) does, in rows; `inside` (q, p·C) and `products` (J, C, p, p) are as `_Beside` has them.
+    """
+
+    across: FloatArray
+    inside: FloatArray
+    products: FloatArray
+
+
+def _turned(white: FloatArray, base: FloatArray) -> _Turned:
+    """Of candidates (J, C, p, n) beside a base (J, n, q)."""
     channels, count, width, n = white.shape
     inside = (white.reshape(channels, -1, n) @ base).reshape(channels, count, width, -1)
     every = inside.sum(axis=0)
@@ -162,10 +191,16 @@ def _beside(white: FloatArray, base: FloatArray) -> _Beside:
     left += of_base.reshape(inside.shape) @ np.swapaxes(every, 1, 2)
     turn = orthonormal(left.sum(axis=0), np.sqrt(np.einsum("jckk->ck", whole)))
     across = np.swapaxes(turn, 1, 2)
-    turned = across * white if width == 1 else across @ white
-    columns = np.ascontiguousarray(np.swapaxes(turned, 1, 2), dtype=np.float32)
     inward = np.swapaxes(across @ every, 0, 1).reshape(-1, base.shape[2]).T
-    return _Beside(columns, inward.astype(np.float32), (across @ left @ turn).astype(np.float32))
+    return _Turned(across, inward, across @ left @ turn)
+
+
+def _beside(white: FloatArray, base: FloatArray) -> _Beside:
+    """Columns of candidates (J, C, p, n) beside a base (J, n, q)."""
+    across, inside, products = _turned(white, base)
+    turned = across * white if white.shape[2] == 1 else across @ white
+    columns = np.ascontiguousarray(np.swapaxes(turned, 1, 2), dtype=np.float32)
+    return _Beside(columns, inside.astype(np.float32), products.astype(np.float32))
 
 
 def _joined(parts: Sequence[_Beside]) -> _Beside:
@@ -203,3 +238,16 @@ def _share_left(values: _Values, candidates: _Beside) -> Float32Array:
         change += 1.0
         left *= np.maximum(change, np.float32(SMALLEST), out=change)
     return np.asarray(left, dtype=np.float32)
+
+
+def _share_left_once(values: _Values, white: FloatArray, base: FloatArray) -> Float32Array:
+    """(C,) the same of one set of values, for candidates (J, C, p, n) beside a base (J, n, q)."""
+    channels, count, width, n = white.shape
+    across, inside, products = _turned(white, base)
+    along = (white.reshape(channels, -1, n) @ values.white[:, 0, :, None]).reshape(channels, count, width, 1)
+    of_base = (values.of_base[:, 0] @ inside).reshape(channels, width, count)
+    within = (across @ along)[..., 0] - np.swapaxes(of_base, 1, 2)
+    total = within.sum(axis=0)
+    change = (products @ total[:, :, None])[..., 0] - 2.0 * within
+    change = (change * total).sum(axis=2) / values.power[:, :1]
+    return np.asarray(np.maximum(1.0 + change, SMALLEST).prod(axis=0), dtype=np.float32)

@@ -10,12 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.backward import parted, tenable
-from calrig.calibration.candidates import Candidate, goes_round
+from calrig.calibration.candidates import Candidate, companions_of, goes_round
 from calrig.calibration.channels import READING
 from calrig.calibration.effect import HIDDEN
-from calrig.calibration.entering import entering, hidden, is_on_trial, plain
+from calrig.calibration.entering import brings, entering, hidden, is_on_trial, plain, with_another
 from calrig.calibration.gate import Verdict, gate
 from calrig.calibration.model import model_columns
+from calrig.calibration.near_rivals import Rivals, near_among
 from calrig.calibration.noise_model import Fit, NoiseModel, noise_of
 from calrig.calibration.outliers import most_outliers, outlier
 from calrig.calibration.ranking import Found, named
@@ -28,12 +29,11 @@ from calrig.calibration.series import on_their_places
 from calrig.calibration.worth import is_worth_a_name
 from calrig.estimation.angles import FloatArray
 
-LEVEL = 0.01
-"""The nominal rate at which a search of noise alone says something."""
+LEVEL, AT_FIRST = 0.01, 0.75
+"""Nominal rate at which noise alone says something; the share of it spent before a search beside curves."""
 MOST_EFFECTS, MOST_COLUMNS = 5, 0.35
 """A series, such as the orders of a turn, is one effect of several terms; columns to a pose at most."""
-FREEDOM = 3
-ROUNDS = 3
+FREEDOM, ROUNDS = 3, 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +62,7 @@ def search(
     bootstraps: int,
     level: float = LEVEL,
     decide_only: bool = False,
+    rivals: Rivals | None = None,
 ) -> Findings:
     """Finds the effects in some poses, and leaves outliers among those aside.
 
@@ -75,14 +76,15 @@ def search(
         bootstraps: how many a step.
         level: of the gate.
         decide_only: whether no p-value will be told.
+        rivals: of each effect that a search of more poses found, the labels it is to be held against again.
     """
     judge = partial(gate, rng=rng, bootstraps=bootstraps, decide_only=decide_only)
     if len(r.run_ids) < 2:
-        return _beside_curves(r, candidates, judge, level)
+        return _beside_curves(r, candidates, judge, level, rivals)
     levels = [is_level(r, c.columns) for c in candidates]
     shapes = [c for c, of_level in zip(candidates, levels, strict=True) if not of_level]
     judge = partial(judge, level=level / 2.0)
-    within = _search(with_free_levels(r), shapes, judge)
+    within = _search(with_free_levels(r), shapes, judge, rivals=rivals)
     kept = within.kept
     # what a place was scanned for shows within the runs or not at all
     between = [
@@ -91,28 +93,32 @@ def search(
         if of_level or not any(member.shape.scanned for member in c.members)
     ]
     # levels that differ look like noise that wanders: what wanders within the runs is the measure of it
-    whole = _search(r.rows(kept), between, partial(judge, noise=_noise_beside(within)), within.found)
+    whole = _search(r.rows(kept), between, partial(judge, noise=_noise_beside(within)), within.found, rivals)
     return replace(whole, kept=kept[whole.kept])
 
 
 def _beside_curves(
-    r: Responses, candidates: Sequence[Candidate], judge: Callable[..., Verdict], level: float
+    r: Responses,
+    candidates: Sequence[Candidate],
+    judge: Callable[..., Verdict],
+    level: float,
+    rivals: Rivals | None,
 ) -> Findings:
     """The search of one run; where it leaves too much, once more beginning with what no curve explains.
 
     The better of the two stands, by likelihood with penalties, in the same poses.
     """
-    first = _search(r, candidates, partial(judge, level=level))
+    first = _search(r, candidates, partial(judge, level=AT_FIRST * level), rivals=rivals)
     r = r.rows(first.kept)
     free = with_free_curve(r)
     if free is None or not leaves_more(r, first.fitted.residuals[:, 0]):
         return first
     offered = [c.rows(first.kept) for c in candidates]
     others = [c for c in offered if not is_of_the_curve(c)]
-    judge = partial(judge, level=level / 2.0)
-    between = _search(free, others, judge)
+    judge = partial(judge, level=(1.0 - AT_FIRST) * level)
+    between = _search(free, others, judge, rivals=rivals)
     r, curves = r.rows(between.kept), [c.rows(between.kept) for c in offered if is_of_the_curve(c)]
-    again = _search(r, curves, partial(judge, noise=_noise_beside(between)), between.found)
+    again = _search(r, curves, partial(judge, noise=_noise_beside(between)), between.found, rivals)
     again = _with_curves(again, [c.rows(again.kept) for c in curves], len(between.found))
     again = replace(again, kept=first.kept[between.kept][again.kept])
     return again if len(again.kept) == len(first.kept) and _criterion(again) < _criterion(first) else first
@@ -145,6 +151,7 @@ def _search(
     candidates: Sequence[Candidate],
     judge: Callable[..., Verdict],
     known: Sequence[Found] = (),
+    rivals: Rivals | None = None,
 ) -> Findings:
     """The search in one base, with effects in the model that are known already; `judge` is the gate.
 
@@ -154,15 +161,15 @@ def _search(
     """
     found = list(known)
     refused: set[str] = set()
-    kept = np.arange(len(r))
-    fewest = len(r) - most_outliers(len(r))
+    kept, fewest = np.arange(len(r)), len(r) - most_outliers(len(r))
 
     def judged(model: Model) -> Verdict:
         def columns_with(more: Sequence[Candidate]) -> FloatArray:
             return model_columns(model.responses, [*model.accepted, *more])
 
-        offered = _offered(model.responses, candidates, model.accepted, refused)
-        return judge(model.responses, columns_with, model.fitted, offered)
+        seen, companions = model.responses, companions_of(model.accepted)
+        offered = _offered(seen, candidates, model.accepted, refused)
+        return judge(seen, columns_with, model.fitted, offered, companions=companions)
 
     while True:
         accepted = [f.candidate for f in found]
@@ -177,16 +184,20 @@ def _search(
         steps: list[Found] = []
         if verdict.passes and not _is_full(accepted, len(known)):
             best = named(r, accepted, verdict.candidates, verdict.ratios, verdict.p_value)
-            if not is_worth_a_name(r, accepted, best):
+            if is_worth_a_name(r, accepted, best):
+                steps = entering(r, accepted, plain(r, accepted, best, verdict), verdict, judged)
+            elif companions_of([best.candidate]):
+                steps = with_another(r, model, best, judged)
+            if not steps:
                 refused.add(best.candidate.label)
                 continue
-            steps = entering(r, accepted, plain(r, accepted, best, verdict), verdict, judged)
         elif not _is_full(accepted, len(known)):
             steps = hidden(r, model, verdict, judged)
         if not steps:
             p_values = verdict.p_value, verdict.least_p_value
             return Findings(r, kept, tuple(found), model.fitted, model.columns, *p_values)
-        entered = _reconsidered(r, candidates, [*found, *steps], len(known))
+        fresh = steps[0] if rivals is not None and len(steps) == 1 else None
+        entered = _reconsidered(r, candidates, [*found, *steps], len(known), rivals, fresh=fresh)
         entered = on_their_places(r, candidates, entered)
         if found and not tenable(r, [f.candidate for f in entered]):
             refused.add(steps[0].candidate.label)
@@ -240,27 +251,33 @@ def _enters_once(c: Candidate) -> bool:
 
 
 def _reconsidered(
-    r: Responses, candidates: Sequence[Candidate], found: list[Found], known: int, *, curves: bool = False
+    r: Responses,
+    candidates: Sequence[Candidate],
+    found: list[Found],
+    known: int,
+    rivals: Rivals | None = None,
+    *,
+    fresh: Found | None = None,
+    curves: bool = False,
 ) -> list[Found]:
     """Each effect but the first known ones against its rivals once more, with all the others in the model.
 
     It may bring a companion of its own with it, but none that was looked for at many instants: that would
     enter unjudged. What another one has given way to may change what explains the rest, hence again until
-    nothing changes.
+    nothing changes. A fresh one has just been held against all of them, with the same others.
     """
     if len(found) == known + 1:
         return found
+    entered = [f.candidate for f in found]
     for _ in range(ROUNDS):
         before = [f.candidate.label for f in found]
         for one in found[known:]:
-            found = _against_rivals(r, candidates, found, one, curves=curves)
+            if one is fresh and [f.candidate for f in found] == entered:  # by identity
+                continue
+            found = _against_rivals(r, near_among(candidates, one, rivals), found, one, curves=curves)
         if [f.candidate.label for f in found] == before:
             break
     return found
-
-
-def _brings(pair: Candidate, one: Candidate) -> bool:
-    return any(member.label == one.label for member in pair.members)
 
 
 def _against_rivals(
@@ -270,13 +287,12 @@ def _against_rivals(
     offered = [
         c
         for c in _offered(r, candidates, others, set())
-        if c.beside is None or c.shape.series or (_brings(c, one.candidate) and not is_on_trial(c))
+        if c.beside is None or c.shape.series or (brings(c, one.candidate) and not is_on_trial(c))
     ]
     if one.candidate.shape.series and not curves:  # they take a little from every term of a turn
         offered = [c for c in offered if c.named]
     model = fitted_model(r, others)
-    screen = Screen(r, model.columns, offered, model.fitted.noise)
-    ratios = screen.once(model.fitted.residuals)
+    ratios = Screen(r, model.columns, offered, model.fitted.noise).once(model.fitted.residuals)
     again = named(r, others, offered, ratios, one.p_value, one.candidate)
     place = next(k for k, f in enumerate(found) if f is one)
     members = [replace(again, candidate=member) for member in again.candidate.members]

@@ -18,8 +18,9 @@ from calrig.calibration.candidates import Candidate
 from calrig.calibration.channels import ANGLE, NORM, READING
 from calrig.calibration.effect import Applied, Circumstances
 from calrig.calibration.felt_moves import FeltMoves
-from calrig.calibration.model import model_columns, own_columns, replaced, side_by_side
-from calrig.calibration.noise_model import Fit, fit, fits
+from calrig.calibration.model import model_columns, own_columns, replaced
+from calrig.calibration.noise_model import Fit, fit
+from calrig.calibration.own_bends import OwnBends
 from calrig.calibration.responses import Responses
 from calrig.calibration.run_changes import since
 from calrig.calibration.sensor_vector import TURNS_THE_SENSOR, VectorError, sin_cos, turned_vector
@@ -66,7 +67,7 @@ def fitted_model(r: Responses, accepted: Sequence[Candidate]) -> Model:
 
 @lru_cache(maxsize=KEPT)
 def _fitted_model(r: Responses, accepted: tuple[Candidate, ...]) -> Model:
-    curve = _Curve(r, accepted)
+    curve = Curve(r, accepted)
     straight = step = _fitted(r, accepted)
     for _ in range(STEPS):
         beta = step.fitted.beta
@@ -78,42 +79,11 @@ def _fitted_model(r: Responses, accepted: tuple[Candidate, ...]) -> Model:
     return straight
 
 
-def fitted_beside(
-    r: Responses, accepted: Sequence[Candidate], shortlist: Sequence[Candidate]
-) -> list[tuple[float, FloatArray]]:
-    """Criterion and own coefficients of each of several candidates beside the accepted effects.
-
-    All are fitted at once, linear about what is accepted; once more, and again, those that bend.
-    """
-    at = fitted_model(r, accepted)
-    curves = [_Curve(r, [*accepted, candidate]) for candidate in shortlist]
-    steps = [(at.responses, (*at.accepted, candidate)) for candidate in shortlist]
-    found = [(np.inf, np.empty(0))] * len(shortlist)
-    bent = list(range(len(shortlist)))
-    for _ in range(1 + STEPS):
-        values = np.stack([straight.values for straight, _ in steps])
-        fitted = fits(r, values, side_by_side([model_columns(*step) for step in steps]))
-        open_yet = []
-        for place, k in enumerate(bent):
-            beta = fitted.beta[place, : curves[k].width]
-            found[k] = float(fitted.criterion[place]), beta
-            if not curves[k].is_near(beta, fitted.residuals[place]) and curves[k].is_possible(beta):
-                open_yet.append(k)
-        bent = open_yet
-        if not bent:
-            break
-        steps = [curves[k].straightened(found[k][1]) for k in bent]
-    for k in bent:  # it does not come to rest: the linear fit
-        linear = fit(r, model_columns(r, [*accepted, shortlist[k]]))
-        found[k] = linear.criterion, linear.beta
-    return [(criterion, beta[curve.own[-1]]) for (criterion, beta), curve in zip(found, curves, strict=True)]
-
-
 def linear_about(
     r: Responses, accepted: Sequence[Candidate], beta: FloatArray
 ) -> tuple[Responses, tuple[Candidate, ...]]:
     """Responses and effects whose linear model is exact at some coefficients (p,), fitted elsewhere."""
-    curve = _Curve(r, accepted)
+    curve = Curve(r, accepted)
     if not curve.bends or not curve.is_possible(beta):
         return r, tuple(accepted)
     return curve.straightened(beta)
@@ -121,7 +91,7 @@ def linear_about(
 
 def parts_deg(r: Responses, accepted: Sequence[Candidate], beta: FloatArray) -> list[FloatArray]:
     """(n,) what each of the effects adds to the readings, beside all the others."""
-    curve = _Curve(r, accepted)
+    curve = Curve(r, accepted)
     whole = curve.of_effects(beta)[:, 0]
     parts = []
     for own in curve.own:
@@ -136,7 +106,7 @@ def _fitted(r: Responses, accepted: tuple[Candidate, ...]) -> Model:
     return Model(r, accepted, columns, fit(r, columns))
 
 
-class _Curve:
+class Curve:
     """The responses as the function of all coefficients (p,) that they are."""
 
     def __init__(self, r: Responses, accepted: Sequence[Candidate]) -> None:
@@ -158,7 +128,8 @@ class _Curve:
         for _, at in self._on_axes:
             self._straight[:, :, at] = 0.0
         self._moves = FeltMoves(self._straight, self._names, r.channels)
-        self.bends = bool(self._on_axes) or self._moves.bends
+        self._own_bends = OwnBends(r, self._members, self._member_at)
+        self.bends = bool(self._on_axes) or self._moves.bends or self._own_bends.bends
 
     def _placed(self) -> tuple[FloatArray, FloatArray]:
         """(n, p) what turns the sensor itself, degrees, and what its vector is longer by, g."""
@@ -180,10 +151,12 @@ class _Curve:
 
     def is_near(self, beta: FloatArray, residuals: FloatArray) -> bool:
         """Whether residuals (n, J) of a linear fit are what the model leaves, as far as noise can show."""
-        if not self.bends:
-            return True
+        return not self.bends or self.bent_by(beta, residuals) < NEGLIGIBLE
+
+    def bent_by(self, beta: FloatArray, residuals: FloatArray) -> float:
+        """Of a channel's residuals, how far off they are at most for being those of a linear fit."""
         size = np.hypot(residuals.std(axis=0), self._r.rounding)
-        return bool((np.abs(self.residuals(beta) - residuals) < NEGLIGIBLE * size).all())
+        return float((np.abs(self.residuals(beta) - residuals) / size).max())
 
     def is_possible(self, beta: FloatArray) -> bool:
         """Whether what is left of the vector still says where the sensor points."""
@@ -198,7 +171,7 @@ class _Curve:
 
     def _bent(self, beta: FloatArray) -> FloatArray:
         """(n, J) what is not linear in the coefficients."""
-        return self._on_axes_of(beta) + self._moves.over(beta)
+        return self._on_axes_of(beta) + self._moves.over(beta) + self._own_bends.over(beta)
 
     def residuals(self, beta: FloatArray) -> FloatArray:
         """(n, J) what the model leaves of the measured responses."""
@@ -283,4 +256,5 @@ class _Curve:
                 turned, lengthened = follow(more, less, change[k])
                 turns[:, k] += turned
                 lengths[:, k] += size * lengthened
-        return self._r.columns({READING: turns, ANGLE: turns, NORM: lengths}) + self._moves.slope(beta)
+        of_axes = self._r.columns({READING: turns, ANGLE: turns, NORM: lengths})
+        return of_axes + self._moves.slope(beta) + self._own_bends.slope(beta)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from calrig.instruments.scan import Found
     from calrig.settings import RigSettings
     from calrig.store import Run
+    from calrig.store.moving import Moved
 
 
 def print_json(document: dict[str, Any] | list[dict[str, Any]]) -> None:
@@ -105,6 +106,28 @@ def _way_in(user: dict[str, Any]) -> str:
     return "by token, or a trusted proxy" if user["has_token"] else "by a trusted proxy"
 
 
+def print_moved(moved: Moved) -> None:
+    """Prints what a store that was taken over consists of; `--json` has the hashes in full."""
+    rows = ((table.name, str(table.rows), f"{table.sha256[:16]}…") for table in moved.tables)
+    _print_table(("table", "rows", "SHA-256, the same at both ends"), rows)
+    _print(f"moved in {moved.duration_s:.1f} s")
+
+
+def print_benches(benches: Sequence[dict[str, Any]]) -> None:
+    """Prints which benches may join, have joined or have left."""
+    if not benches:
+        _print("no bench has joined: `calrig bench add NAME` makes a code for the first one")
+        return
+    rows = ((b["name"], b["hall"] or "", _standing(b), (b["last_seen_at"] or "")[:19]) for b in benches)
+    _print_table(("bench", "hall", "is", "last seen, UTC"), rows, justify="left")
+
+
+def _standing(bench: dict[str, Any]) -> str:
+    if bench["code_until"] is not None:
+        return f"awaited until {bench['code_until'][:16]} UTC"
+    return "revoked" if bench["revoked_at"] is not None else "joined"
+
+
 def print_diagnosis(found: dict[str, Any]) -> None:
     """Prints a diagnosis: verdict, each effect with parameters and evidence, the error before and after."""
     from calrig.calibration.effects import EFFECTS
@@ -129,6 +152,22 @@ def print_diagnosis(found: dict[str, Any]) -> None:
         sigmas = f"{found['follow_up']['separation_sigma']:.1f} standard errors"
         names = " from ".join(EFFECTS[name].title for name in found["follow_up"]["separates"])
         _print(f"a follow-up run would separate {names} by {sigmas}: POST /api/runs/ID/follow-up")
+
+
+def print_fleet(found: dict[str, Any]) -> None:
+    """Prints what a fleet's re-analysis changed, and how large each rig's error is."""
+    n, changed = found["runs"], found["changed"]
+    _print(f"{n} runs in {found['duration_s']:.1f} s, {len(changed)} with another verdict", style="bold")
+    if changed:
+        rows = [(c["run_id"], c["verdict_before"] or "", c["verdict_now"] or "") for c in changed]
+        _print_table(("run", "before", "now"), rows, justify="left")
+    maps = [(rig["rig"], rig["units"], rig["map"]["error_deg"]) for rig in found["rigs"]]
+    by_rig = [
+        (name, str(units), str(len(errors)), _number(max(map(abs, errors), default=None), "°"))
+        for name, units, errors in maps
+    ]
+    if by_rig:
+        _print_table(("rig", "units", "places in common", "largest error"), by_rig)
 
 
 def print_gravity(found: dict[str, Any]) -> None:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,6 +14,9 @@ from calrig.cli.input_files import in_utf8, read_bytes
 from calrig.cli.options import COLUMNS, SHORTENED, Db, Rig, UnitSerial
 from calrig.cli.typed_ids import whole_id
 from calrig.errors import InputError
+
+if TYPE_CHECKING:
+    from calrig.calibration.packed_poses import PackedPoses
 
 
 class Format(StrEnum):
@@ -58,9 +62,15 @@ def export(
     format_: Annotated[
         Format, typer.Option("--format", help="The calibration, or its poses (csv).")
     ] = Format.json,
+    parquet: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write the poses of all completed runs there.")
+    ] = None,
     db: Db = None,
 ) -> None:
-    """Print a calibration as JSON or as a C header, or its poses as CSV; standard error has its verdict."""
+    """Print a calibration as JSON or as a C header, or its poses as CSV; standard error has its verdict.
+
+    With --parquet: the poses of all completed runs into files.
+    """
     from calrig.analysis.active_calibration import header_of, newest_of_run, wanted_revision
     from calrig.analysis.stored_runs import counted_poses, stored_run
     from calrig.cli.output import print_says
@@ -68,6 +78,11 @@ def export(
     from calrig.settings import store_url
     from calrig.store import Store
 
+    if parquet is not None:
+        if run_id is not None or unit is not None:
+            raise InputError("export: --parquet writes the poses of all runs: name no run or unit beside it")
+        _export_all(parquet, db)
+        return
     if (run_id is None) == (unit is None):
         raise InputError("export: name either a RUN_ID or --unit SERIAL")
     with Store.open(store_url(db), writer=None) as store:
@@ -91,6 +106,28 @@ def export(
             sys.stdout.write(header_of(found))
         else:
             sys.stdout.write(found.text + "\n")
+
+
+def _export_all(folder: Path, db: str | None) -> None:
+    from calrig.cli.progress import late_bar
+    from calrig.export.poses_parquet import write_poses
+    from calrig.settings import store_url
+    from calrig.store import Store
+
+    with Store.open(store_url(db), writer=None) as store, late_bar("exporting") as show:
+        runs = [run for part in store.completed_runs() for run in part]
+        n_poses = 0
+
+        def pieces() -> Iterator[PackedPoses]:
+            nonlocal n_poses
+            n_runs = 0
+            for piece in store.packed_poses(runs):
+                yield piece
+                n_runs, n_poses = n_runs + len(piece), n_poses + int(piece.first[-1])
+                show(n_runs / len(runs))
+
+        files = write_poses(folder, pieces())
+    typer.echo(f"{folder}: {len(runs)} runs, {n_poses} poses in {len(files)} files")
 
 
 def backup(

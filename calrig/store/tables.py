@@ -277,3 +277,19 @@ class CheckUnitTable(SQLModel, table=True):
     unit: str = Field(foreign_key="unit.serial")
     interval_days: float
     named_at: datetime = Field(sa_type=UtcText)
+
+
+class FleetFindingTable(SQLModel, table=True):
+    """What a fleet's re-analysis found in a run last, by which poses and which catalogue.
+
+    No key of the store's own: the runs may be of another store.
+    """
+
+    __tablename__ = "fleet_finding"
+
+    run_uid: str = Field(primary_key=True)
+    poses_sha256: str = Field(sa_type=Sha256)
+    catalogue: str = Field(sa_type=Sha256)
+    diagnosis: dict[str, Any] | None = Field(default=None, sa_type=CheckedJson)
+    error: str | None = None
+    at: datetime = Field(sa_type=UtcText)

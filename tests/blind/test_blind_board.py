@@ -102,6 +102,12 @@ def test_a_run_without_an_effect_has_none() -> None:
     assert not judged.found
 
 
+def test_a_slip_that_makes_the_reading_worse_without_the_warm_up_enters_with_it() -> None:
+    (judged,) = _judged("slip against temperature", 1, SHARE_BOOTSTRAPS, first=1079)
+    assert judged.both
+    assert judged.nothing_else
+
+
 @pytest.mark.statistical
 @pytest.mark.timeout(600)
 def test_noise_alone_is_left_alone(share: Judge) -> None:

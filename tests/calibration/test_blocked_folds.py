@@ -71,6 +71,14 @@ def test_a_curve_of_time_is_good_between_poses_and_bad_beyond_them() -> None:
     assert rms(in_time.final_deg) > rms(in_time.base_deg)
 
 
+def test_a_run_whose_first_pose_was_left_out_is_laid_in_the_same_blocks() -> None:
+    r = run_of(4e-4 * TIMES_S)
+    rest = np.arange(1, N_POSES)
+    later = blocked(r.rows(rest), [one(r, "time_drift").rows(rest)])
+    assert tuple(b.along for b in later) == ALONG
+    assert all(rms(b.final_deg) < 1.5 * NOISE_DEG for b in later)
+
+
 def test_a_block_that_hides_an_effect_is_predicted_without_it() -> None:
     """A slip after the eighth pose: without the first block it is a bias like any other."""
     r = run_of(0.3 * (TIMES_S > 37.0))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 import pytest
@@ -65,12 +65,13 @@ def test_ratios_of_one_white_channel_are_those_of_least_squares() -> None:
     assert ratios == pytest.approx(expected, abs=1e-3)
 
 
-def judged(r: Responses, bootstraps: int, level: float = 0.01) -> Verdict:
+def judged(r: Responses, bootstraps: int, level: float = 0.01, companions: Collection[str] = ()) -> Verdict:
     def columns_with(more: Sequence[Candidate]) -> np.ndarray:
         return model_columns(r, more)
 
     rng = np.random.default_rng(1)
-    return gate(r, columns_with, fit(r, r.base), candidates_of(r), rng, bootstraps, level)
+    base = fit(r, r.base)
+    return gate(r, columns_with, base, candidates_of(r), rng, bootstraps, level, companions=companions)
 
 
 def test_what_no_bootstrap_comes_near_has_the_smallest_p_value_that_as_many_can_tell() -> None:
@@ -96,6 +97,13 @@ def test_of_searches_of_noise_no_more_are_accused_than_the_p_value_says() -> Non
     for level in (0.05, 0.2, 0.5):
         expected = 60 * level
         assert abs((p_values <= level).sum() - expected) <= 3.0 * np.sqrt(expected * (1.0 - level)), level
+
+
+def test_what_is_declared_to_come_along_is_not_lost_among_all_that_could() -> None:
+    drifting = readings_of_a_drifting_rig(drift_deg=0.05)
+    assert not judged(drifting, 999).passes
+    assert judged(drifting, 999, companions={"time_drift"}).passes
+    assert not judged(drifting, 999, companions={"backlash"}).passes
 
 
 @pytest.mark.parametrize("size_deg", [0.12, 0.6, 3.0, 30.0])

@@ -2,19 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
-from calrig.calibration.effect import APPROACH, Effect, NotInFlight, Parameter, Parameters, Shape
+import numpy as np
+
+from calrig.calibration.channels import ANGLE, MOVE, READING
+from calrig.calibration.effect import APPROACH, Applied, Effect, NotInFlight, Parameter, Parameters, Shape
 from calrig.calibration.effect_terms import turned, within
+from calrig.calibration.play import slack_deg
 from calrig.calibration.responses import Responses
+from calrig.estimation.angles import FloatArray
 
 LARGEST_DEG = 30.0
 """A tooth of a gear of twelve: beyond it the teeth do not meet any more."""
+TURNED_DEG = 1e-9
+"""Of way before a move: none, but for rounding; the stage turned there."""
 
 
 def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
     if r.approach is not None and {-1.0, 1.0} <= set(r.approach):
         yield Shape(turned(r, r.approach / 2.0), ("backlash_deg",))
+
+
+def _in_play(r: Responses, beta: FloatArray) -> Mapping[str, FloatArray]:
+    """What is missing where the table stands in its play, after a turn that was followed by a short way."""
+    play_deg, sense = float(beta[0]), -np.sign(beta[0]) * (0.0 if r.approach is None else r.approach)
+    before_deg = r.travel_deg - np.abs(r.move_deg)
+    slack = slack_deg(play_deg, r.travel_deg)
+    slack_before = np.where(before_deg > TURNED_DEG, slack_deg(play_deg, before_deg), 0.0)
+    return {READING: sense * slack, ANGLE: sense * slack, MOVE: sense * (slack - slack_before)}
+
+
+def _on_reading_deg(p: Applied) -> FloatArray:
+    play_deg, approach = p.value("backlash_deg"), p.column("approach")
+    whole = play_deg / 2.0 * approach
+    if p.given.travel_deg is None:
+        return np.asarray(whole)
+    return np.asarray(whole - np.sign(play_deg) * approach * slack_deg(play_deg, p.given.travel_deg))
 
 
 EFFECT = Effect(
@@ -24,9 +48,10 @@ EFFECT = Effect(
     scope="rig",
     covariate=APPROACH,
     parameters=(Parameter("backlash_deg", "Hysteresis (up − down)", "°"),),
-    formula="backlash_deg/2·approach",
+    formula="backlash_deg/2·approach once the play is taken up",
     forms=_forms,
-    on_reading_deg=lambda p: p.value("backlash_deg") / 2.0 * p.column("approach"),
+    on_reading_deg=_on_reading_deg,
+    not_linear=_in_play,
     in_c=NotInFlight("it belongs to the rig's stage"),
     apart="random order tells it from settling, reversals smaller than it from hysteresis of the mount",
     remedy="approach every elevation from the same side, or preload the gear with a spring",

@@ -1,0 +1,77 @@
+"""Poses of many runs one after the other in arrays: what a million runs are read and screened in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from calrig.calibration.pose import COLUMNS, Pose
+from calrig.estimation.angles import FloatArray
+
+Intp = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PackedPoses:
+    """The poses that count of R runs, N together, each run's in the order measured.
+
+    Attributes:
+        run_ids: of the R runs.
+        first: (R + 1,) where each run's poses begin, and N.
+        columns: (N,) each: CONTRACT section 4's numeric columns and covariates by name, NaN where not known.
+        units, rigs: (R,) what each run is of and was made on, None where not known.
+    """
+
+    run_ids: tuple[str, ...]
+    first: Intp
+    columns: Mapping[str, FloatArray]
+    units: tuple[str | None, ...]
+    rigs: tuple[str | None, ...]
+
+    def __len__(self) -> int:
+        return len(self.run_ids)
+
+    @property
+    def counts(self) -> Intp:
+        """(R,) poses of each run."""
+        return np.diff(self.first)
+
+    @property
+    def theta_deg(self) -> FloatArray:
+        """(N,) the elevation that each pose stands for, as `Pose.theta_deg`."""
+        target, stage = self.columns["target_deg"], self.columns.get("stage_deg")
+        return target if stage is None else np.where(np.isnan(stage), target, stage)
+
+    @property
+    def covariates(self) -> list[str]:
+        """Columns that CONTRACT section 4 does not know."""
+        return [name for name in self.columns if name not in COLUMNS]
+
+    def runs(self, chosen: Intp) -> PackedPoses:
+        """Some of the runs, in the order given."""
+        counts = self.counts[chosen]
+        first = np.concatenate([[0], np.cumsum(counts)])
+        rows = np.repeat(self.first[chosen] - first[:-1], counts) + np.arange(first[-1])
+        columns = {name: column[rows] for name, column in self.columns.items()}
+        run_ids, units, rigs = (
+            tuple(names[k] for k in chosen.tolist()) for names in (self.run_ids, self.units, self.rigs)
+        )
+        return PackedPoses(run_ids, first, columns, units, rigs)
+
+
+def packed(runs: Mapping[str, Sequence[Pose]]) -> PackedPoses:
+    """Poses of runs by id, as arrays, of units and rigs that are not told."""
+    rows = [pose.row() for poses in runs.values() for pose in poses]
+    counts = [len(poses) for poses in runs.values()]
+    names = dict.fromkeys(name for row in rows for name in row)
+    columns = {name: _numbers(row.get(name) for row in rows) for name in names}
+    first = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
+    unknown = (None,) * len(runs)
+    return PackedPoses(tuple(runs), first, columns, unknown, unknown)
+
+
+def _numbers(values: Iterable[float | None]) -> FloatArray:
+    return np.array(list(values), dtype=np.float64)  # None becomes NaN

@@ -1,0 +1,157 @@
+"""All completed runs and their poses at once, in pieces, for what looks at a whole fleet.
+
+Each piece is a transaction of its own over a range of the poses' key: nothing is held open meanwhile, on a
+file that a service writes to as on a server.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import sqlalchemy
+from sqlmodel import Session
+
+from calrig.calibration.packed_poses import PackedPoses
+from calrig.calibration.pose import COLUMNS
+from calrig.estimation.angles import FloatArray
+from calrig.store import checksums
+from calrig.store.convert import POSE_NUMBERS
+from calrig.store.database import Part
+from calrig.store.errors import Unreadable
+from calrig.store.tables import PoseTable, RunTable
+
+RUNS_AT_ONCE = 5_000
+POSES_AT_ONCE = 100_000
+ROWS_AT_ONCE = 10_000
+"""Made into numbers together: as objects they take ten times the room."""
+Numbers = npt.NDArray[np.float64]
+
+_RUN, _POSE = sqlalchemy.inspect(RunTable).local_table.c, sqlalchemy.inspect(PoseTable).local_table.c
+_LISTED = (
+    _RUN.id,
+    _RUN.uid,
+    _RUN.unit,
+    _RUN.rig,
+    _RUN.diagnosis["verdict"].as_string(),
+    _RUN.progress["poses_done"].as_integer(),
+)
+_COUNTS = (_RUN.status == "completed", _RUN.kind != "static", _RUN.voided_reason.is_(None))
+_IS_EXCLUDED = sqlalchemy.case((_POSE.excluded_reason.is_(None), 0), else_=1)
+_ROW = (_POSE.run_id, _POSE.pose_index, *(_POSE[name] for name in POSE_NUMBERS), _POSE.crc32, _IS_EXCLUDED)
+_N_CHECKED = 2 + len(POSE_NUMBERS)
+"""Numbers that a pose's checksum is over, the first of `_ROW`."""
+_COVARIATES = sqlalchemy.cast(_POSE.covariates, sqlalchemy.String)
+_NO_COVARIATES = ("{}", checksums.stored_text({}))
+
+
+@dataclass(frozen=True, slots=True)
+class ListedRun:
+    """A completed run that counts, with the verdict of its last diagnosis (None: it has none).
+
+    `number` is the store's own key, in the order of which runs are read.
+    """
+
+    number: int
+    id: str
+    unit: str
+    rig: str | None
+    verdict: str | None
+    n_poses: int
+
+
+class Fleet(Part):
+    """What there is of all runs together."""
+
+    def completed_runs(self) -> Iterator[list[ListedRun]]:
+        """Every completed run with poses that is not voided, in the order made, some at a time."""
+        last = 0
+        while True:
+            wanted = sqlalchemy.select(*_LISTED).where(*_COUNTS, _RUN.id > last).order_by(_RUN.id)
+            with self._database.reading() as session:
+                rows = session.connection().execute(wanted.limit(RUNS_AT_ONCE)).all()
+            if not rows:
+                return
+            last = rows[-1][0]
+            yield [ListedRun(*row[:-1], n_poses=row[-1] or 0) for row in rows]
+
+    def packed_poses(self, runs: Sequence[ListedRun]) -> Iterator[PackedPoses]:
+        """The poses that count of some runs, in the order of `completed_runs`, some runs at a time.
+
+        Raises:
+            StoreDamagedError: poses are missing, or are not what was stored.
+        """
+        for some in _together(runs):
+            with self._database.reading() as session:
+                yield _packed(session, some)
+
+
+def _together(runs: Sequence[ListedRun]) -> Iterator[Sequence[ListedRun]]:
+    """Runs one after the other whose poses are read together; one with very many by itself."""
+    begin, n_poses = 0, 0
+    for k, run in enumerate(runs):
+        if k > begin and n_poses + run.n_poses > POSES_AT_ONCE:
+            yield runs[begin:k]
+            begin, n_poses = k, 0
+        n_poses += run.n_poses
+    if begin < len(runs):
+        yield runs[begin:]
+
+
+def _packed(session: Session, runs: Sequence[ListedRun]) -> PackedPoses:
+    numbers = np.array([run.number for run in runs])
+    between = _POSE.run_id.between(int(numbers[0]), int(numbers[-1]))
+    rows = _numbers(session, between)
+    of_run = np.searchsorted(numbers, rows[:, 0])
+    rows = rows[numbers[np.minimum(of_run, len(numbers) - 1)] == rows[:, 0]]
+    _check(rows, runs, np.searchsorted(numbers, rows[:, 0]))
+    rows = rows[rows[:, -1] == 0.0]
+    first = np.searchsorted(rows[:, 0], [*numbers, np.inf]).astype(np.intp)
+    columns = {name: np.ascontiguousarray(rows[:, 2 + k]) for k, name in enumerate(COLUMNS)}
+    covariates = _covariates(session, between, rows)
+    ids, units, rigs = zip(*((run.id, run.unit, run.rig) for run in runs), strict=True)
+    return PackedPoses(ids, first, {**columns, **covariates}, units, rigs)
+
+
+def _numbers(session: Session, between: sqlalchemy.ColumnElement[bool]) -> Numbers:
+    """(N, len(_ROW)) of poses by run and index, NaN where there is no number."""
+    wanted = sqlalchemy.select(*_ROW).where(between).order_by(_POSE.run_id, _POSE.pose_index)
+    found = session.connection().execute(wanted, execution_options={"yield_per": ROWS_AT_ONCE})
+    try:
+        parts = [np.array([tuple(row) for row in part], dtype=np.float64) for part in found.partitions()]
+    except (TypeError, ValueError) as error:  # SQLite keeps anything in any column
+        raise Unreadable(f"a pose is not what was stored: {error}") from error
+    return np.concatenate([np.empty((0, len(_ROW))), *parts])
+
+
+def _check(rows: Numbers, runs: Sequence[ListedRun], of_run: npt.NDArray[np.intp]) -> None:
+    """Raises Unreadable where poses are missing, or are not those stored; older ones have no checksum."""
+    missing = np.array([run.n_poses for run in runs]) - np.bincount(of_run, minlength=len(runs))
+    for k in np.flatnonzero(missing > 0)[:1]:
+        raise Unreadable(f"{missing[k]} poses of run {runs[k].id} are missing")
+    stored = rows[:, _N_CHECKED]
+    differs = ~np.isnan(stored) & (checksums.of_rows(rows[:, :_N_CHECKED]) != stored)
+    for k in np.flatnonzero(differs)[:1]:
+        raise Unreadable(f"pose {rows[k, 1]:.0f} of run {runs[of_run[k]].id} is not what was stored")
+
+
+def _covariates(
+    session: Session, between: sqlalchemy.ColumnElement[bool], rows: Numbers
+) -> dict[str, FloatArray]:
+    """(N,) each further column of the poses in these rows."""
+    wanted = (
+        sqlalchemy.select(_POSE.run_id, _POSE.pose_index, _POSE.covariates)
+        .where(between, _COVARIATES.not_in(_NO_COVARIATES))
+        .order_by(_POSE.run_id, _POSE.pose_index)
+    )
+    found = session.connection().execute(wanted).all()
+    places = {key: k for k, key in enumerate(map(tuple, rows[:, :2].tolist()))} if found else {}
+    columns: dict[str, FloatArray] = {}
+    for run, index, values in found:
+        place = places.get((run, index))
+        for name, value in values.items() if place is not None else ():
+            column = columns.setdefault(name, np.full(len(rows), np.nan))
+            column[place] = np.nan if value is None else value
+    return columns

@@ -1,0 +1,121 @@
+"""A fleet read once more: who is diagnosed, what is told, and that nothing is done twice."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calrig.analysis import fleet
+from calrig.analysis.error_map import error_map
+from calrig.analysis.fleet import reanalyse
+from calrig.analysis.fleet_workers import Workers, own_processes
+from calrig.calibration.pose import Pose
+from calrig.calibration.result import build_result
+from calrig.errors import WorkError
+from calrig.export.poses_parquet import write_poses
+from calrig.store import Run, Store
+
+THETA_DEG = np.tile(np.concatenate([np.linspace(-60, 60, 13), np.linspace(60, -60, 13)]), 2)
+APPROACH = np.tile(np.repeat([1, -1], 13), 2)
+
+
+def calibrated(
+    store: Store, unit: str, seed: int, backlash_deg: float = 0.0, rig: str = "bench-1", n: int = 52
+) -> Run:
+    rng = np.random.default_rng(seed)
+    reading = 0.8 + THETA_DEG + backlash_deg / 2.0 * APPROACH + rng.normal(0.0, 0.03, len(THETA_DEG))
+    poses = [
+        Pose(float(t), float(r), approach=int(a), time_s=5.0 * k)
+        for k, (t, r, a) in enumerate(zip(THETA_DEG[:n], reading, APPROACH, strict=False))
+    ]
+    result = build_result(poses).to_dict()
+    given: dict[str, Any] = {"plan": None, "status": "completed", "provenance": {}}
+    return store.create_run(unit=unit, rig=rig, poses=poses, result=result, **given)
+
+
+@contextmanager
+def unseen(_what: str) -> Iterator[Callable[[float], None]]:
+    yield lambda share: None
+
+
+@contextmanager
+def nobody() -> Iterator[Workers]:
+    pytest.fail("nothing is left to be diagnosed")
+    yield
+
+
+@pytest.fixture
+def runs(store: Store) -> dict[str, Run]:
+    """A backlash nobody has seen, noise, noise that was once taken for something, too few poses."""
+    made = {
+        "backlash": calibrated(store, "A", 1, backlash_deg=0.2),
+        "noise": calibrated(store, "B", 2),
+        "mistaken": calibrated(store, "C", 3),
+        "short": calibrated(store, "D", 4, n=5),
+    }
+    store.update_run(made["mistaken"].id, diagnosis={"verdict": "named", "effects": []})
+    return made
+
+
+def test_what_stands_out_or_had_a_name_is_diagnosed_once_more(store, runs):
+    found = reanalyse(store, store, own_processes, unseen)
+    assert set(found) == {"runs", "changed", "rigs", "duration_s"}
+    assert found["runs"] == 4
+    assert found["changed"] == [
+        {"run_id": runs["backlash"].id, "verdict_before": None, "verdict_now": "named"},
+        {"run_id": runs["mistaken"].id, "verdict_before": "named", "verdict_now": "nothing"},
+    ]
+    assert set(store.findings()) == {runs["backlash"].id, runs["mistaken"].id}
+    assert store.finding_document(runs["backlash"].id)["effects"][0]["name"] == "backlash"
+    assert store.run(runs["mistaken"].id).diagnosis["verdict"] == "named"  # what people saw stays
+
+
+def test_nothing_is_done_twice_until_poses_or_catalogue_change(store, runs, monkeypatch):
+    first = reanalyse(store, store, own_processes, unseen)
+    assert reanalyse(store, store, nobody, unseen)["changed"] == first["changed"]
+    before = store.findings()
+    store.exclude_pose(runs["mistaken"].id, 3, "bumped", result=None)
+    reanalyse(store, store, own_processes, unseen)
+    after = store.findings()
+    assert [run for run in after if after[run] != before[run]] == [runs["mistaken"].id]
+    monkeypatch.setattr(fleet, "catalogue_version", lambda: "f" * 64)
+    with pytest.raises(WorkError, match="another calrig"):  # the processes still have that of the files
+        reanalyse(store, store, own_processes, unseen)
+
+
+def test_findings_can_go_elsewhere_and_the_screen_read_parquet(store, runs, tmp_path: Path):
+    listed = [run for part in store.completed_runs() for run in part]
+    write_poses(tmp_path / "poses", store.packed_poses(listed))
+    store.void_run(runs["noise"].id, "bumped")  # the files have it still
+    calibrated(store, "E", 5)  # and lack this one
+    with Store.open(f"sqlite:///{tmp_path / 'found.db'}", writer="tests") as results:
+        found = reanalyse(store, results, own_processes, unseen, tmp_path / "poses")
+        assert set(results.findings()) == {runs["backlash"].id, runs["mistaken"].id}
+    assert store.findings() == {}
+    direct = reanalyse(store, store, own_processes, unseen)
+    assert (found["runs"], found["changed"], found["rigs"]) == (4, direct["changed"], direct["rigs"])
+
+
+def test_the_map_of_a_rig_is_the_mean_of_its_units_over_all_their_runs(store):
+    for seed, unit in enumerate("ABC"):
+        calibrated(store, unit, seed, backlash_deg=0.1)
+    expected = error_map(store, "bench-1")  # of the newest run of each unit, which is its only one
+    (found,) = reanalyse(store, store, own_processes, unseen)["rigs"]
+    assert (found["rig"], found["units"]) == ("bench-1", 3)
+    assert found["map"]["stage_deg"] == expected.stage_deg
+    assert found["map"]["approach"] == expected.approach
+    assert found["map"]["error_deg"] == pytest.approx(expected.error_deg, abs=1e-12)
+    assert found["map"]["std_deg"] == pytest.approx(expected.std_deg, abs=1e-12)
+    for unit in "ABC":
+        calibrated(store, unit, 9, backlash_deg=0.3)  # as many runs again, of one noise
+    calibrated(store, "D", 4, rig="bench-2")
+    both, alone = reanalyse(store, store, own_processes, unseen)["rigs"]
+    senses = np.array(both["map"]["approach"])
+    errors = np.array(both["map"]["error_deg"])
+    assert errors[senses > 0].mean() - errors[senses < 0].mean() == pytest.approx(0.2, abs=0.01)
+    assert (alone["rig"], alone["units"], alone["map"]["error_deg"]) == ("bench-2", 1, [])

@@ -1,0 +1,46 @@
+"""Candidates fitted together beside one model, and each by a fit of its own; what a fold asks of again."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from blind.cells import CELLS
+
+from calrig.calibration.candidates import candidates_of
+from calrig.calibration.fits_beside import fits_beside
+from calrig.calibration.model import model_columns
+from calrig.calibration.near_rivals import near_among, near_rivals
+from calrig.calibration.noise_model import fit
+from calrig.calibration.responses import responses_of
+from calrig.calibration.search import search
+
+
+def test_fits_beside_a_model_are_those_of_one_after_the_other() -> None:
+    """Of every width at once, and of those that take the place of a column of the base.
+
+    But for the degrees of freedom of their noise, which are those of the widest.
+    """
+    r = responses_of([CELLS["backlash and periodic"].run(1).poses])
+    candidates = candidates_of(r)
+    some = [*candidates[::40], next(c for c in candidates if c.shape.replaces)]
+    assert {c.columns.shape[2] for c in some} >= {1, 2, 5}
+
+    together = fits_beside(r, lambda more: model_columns(r, more), some)
+
+    for k, candidate in enumerate(some):
+        alone = fit(r, model_columns(r, [candidate]))
+        assert together.criterion[k] == pytest.approx(alone.criterion, abs=1e-2)
+        assert together.residuals[k] == pytest.approx(alone.residuals, abs=1e-5)
+        assert together.beta[k] == pytest.approx(alone.beta, rel=1e-2, abs=1e-4)
+
+
+def test_a_fold_asks_again_of_what_was_found_and_of_what_came_near() -> None:
+    r = responses_of([CELLS["backlash and temperature"].run(1).poses])
+    candidates = candidates_of(r)
+    findings = search(r, candidates, np.random.default_rng(1), bootstraps=99)
+    backlash = next(f for f in findings.found if f.candidate.name == "backlash")
+
+    near = {c.label for c in near_among(candidates, backlash, near_rivals(findings.found))}
+
+    assert {f.candidate.label for f in findings.found} <= near < {c.label for c in candidates}
+    assert near_among(candidates, backlash, None) == candidates

@@ -1,0 +1,82 @@
+"""Backlash where the stage has turned and not come far: the table stands in its play."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calrig.calibration.candidates import candidates_of
+from calrig.calibration.correction import effect_on_reading_deg
+from calrig.calibration.diagnosis import diagnose, document
+from calrig.calibration.effect import Circumstances
+from calrig.calibration.play import travel_deg
+from calrig.calibration.pose import Pose
+from calrig.calibration.responses import responses_of
+from calrig.calibration.result import build_result
+from calrig.calibration.sensor_model import fitted_model
+
+NOISE_DEG, PLAY_DEG = 0.02, 0.4
+
+
+def to_and_fro(seed: int = 1, sweeps: int = 6) -> list[Pose]:
+    """Moves of 0.5 to 1.5°, but 0.1 to 0.4° after each turn; the gyro feels what the table does."""
+    rng = np.random.default_rng(seed)
+    senses = np.repeat([1.0, -1.0] * (sweeps // 2), 14)
+    moves = rng.uniform(0.5, 1.5, len(senses))
+    turned = np.flatnonzero(np.diff(senses)) + 1
+    moves[turned] = rng.uniform(0.1, PLAY_DEG, len(turned))
+    motor_deg = np.cumsum(senses * moves)
+    table_deg, stands_deg = [], motor_deg[0] - PLAY_DEG / 2.0
+    for at in motor_deg:
+        stands_deg = float(np.clip(stands_deg, at - PLAY_DEG / 2.0, at + PLAY_DEG / 2.0))
+        table_deg.append(stands_deg)
+    readings = 0.3 + np.array(table_deg) + rng.normal(0.0, NOISE_DEG, len(senses))
+    felt = np.diff(table_deg, prepend=np.nan) + rng.normal(0.0, 0.01, len(senses))
+    return [
+        Pose(
+            target_deg=float(motor),
+            reading_deg=float(reading),
+            approach=int(sense),
+            time_s=3.0 * k,
+            gyro_move_deg=float(move) if k else None,
+        )
+        for k, (motor, reading, sense, move) in enumerate(zip(motor_deg, readings, senses, felt, strict=True))
+    ]
+
+
+def test_the_way_since_a_turn_is_short_only_where_the_stage_came_from_within() -> None:
+    moves, senses = np.array([np.nan, 5.0, -0.3, -4.0, -1.0, 2.0]), np.array([1.0, 1, -1, -1, 1, 1])
+    starts = np.arange(6) == 0
+    expected = [np.inf, np.inf, 0.3, 4.3, np.inf, np.inf]  # the fifth was come to from beyond
+    np.testing.assert_allclose(travel_deg(moves, senses, starts), expected)
+    assert np.isinf(travel_deg(moves, None, starts)).all()
+
+
+def test_a_backlash_is_found_alone_though_some_poses_lie_within_the_play() -> None:
+    found = document(diagnose([to_and_fro()], bootstraps=199), ["1"])
+    (effect,) = found["effects"]
+    play = effect["parameters"]["backlash_deg"]
+    assert (effect["name"], effect["verdict"]) == ("backlash", "named")
+    assert play["value"] == pytest.approx(-PLAY_DEG, abs=4.0 * play["std"])
+    assert found["final"]["held_out_rms_deg"] < 1.15 * NOISE_DEG
+
+
+def test_what_is_applied_is_what_was_fitted() -> None:
+    poses = to_and_fro()
+    r = responses_of([poses])
+    backlash = next(c for c in candidates_of(r) if c.name == "backlash")
+    model = fitted_model(r, [backlash])
+    play_deg = float(model.fitted.beta[-1])
+    result = build_result(poses, effects=[("backlash", {"backlash_deg": play_deg})])
+    assert result.rms_with_effects_deg == pytest.approx(float(model.fitted.residuals[1:, 0].std()), rel=0.05)
+
+
+def test_without_the_way_all_play_is_taken_up() -> None:
+    r = responses_of([to_and_fro()])
+    effect = next(c for c in candidates_of(r) if c.name == "backlash").effect
+    parameters = {"backlash_deg": -PLAY_DEG}
+    known = Circumstances(approach=r.approach, travel_deg=r.travel_deg)
+    whole = effect_on_reading_deg(effect.name, parameters, r.theta_deg, Circumstances(approach=r.approach))
+    there = effect_on_reading_deg(effect.name, parameters, r.theta_deg, known)
+    assert np.abs(whole) == pytest.approx(PLAY_DEG / 2.0)
+    assert (there != whole).sum() == 5
