@@ -56,6 +56,7 @@ def solve(
     from calrig.calibration.joint.solution import solve as solve_together
     from calrig.calibration.pose import DiagnosisError
     from calrig.cli import output
+    from calrig.cli.solve_output import print_solution
     from calrig.figures.files import writer_of
 
     draw = None if plot is None else writer_of(plot)
@@ -75,7 +76,7 @@ def solve(
     if as_json:
         output.print_json(document)
     else:
-        output.print_solution(document)
+        print_solution(document)
 
 
 def _lots(sources: Sequence[str], units: Sequence[str], db: str | None) -> tuple[list[Mounted], list[str]]:
