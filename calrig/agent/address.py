@@ -17,7 +17,8 @@ def checked_url(url: str) -> str:
     if not is_centre(url):
         raise WorkError("an agent needs the URL of its centre's database: --db postgresql+psycopg://…")
     try:
-        import psycopg  # noqa: F401 (whether it is there)
+        import procrastinate  # noqa: F401 (whether they are there)
+        import psycopg  # noqa: F401
 
         from calrig.store.postgresql.agent_url import is_on_this_machine
     except ModuleNotFoundError as error:

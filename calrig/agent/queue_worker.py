@@ -11,6 +11,7 @@ import asyncio
 import logging
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 import psycopg
 import psycopg_pool
@@ -59,15 +60,16 @@ class QueueWorker:
             except LinkDown:
                 pass  # the heartbeat tells of it
             except (ProcrastinateException, psycopg.Error, psycopg_pool.PoolTimeout, ValueError) as error:
-                if said != str(error):
-                    log.warning("jobs are not taken, orders are looked for all the same: %s", error)
-                said = str(error)
+                if said != (why := " ".join(str(error.__cause__ or error).split())):
+                    log.warning("jobs are not taken, orders are looked for all the same: %s", why)
+                said = why
             self._closing.wait(AGAIN_S)
 
     def close(self) -> None:
         """Ends it; may be called from any thread."""
         self._closing.set()
-        self._ending()
+        with suppress(RuntimeError):  # its loop has just ended by itself
+            self._ending()
 
     async def _hand_over(self, run_uid: str, epoch: int) -> None:
         log.info("a job says that run %s has an order of epoch %d", run_uid, epoch)

@@ -33,6 +33,7 @@ from calrig.api import (
     measurements,
     metrics,
     noise,
+    overview,
     pages,
     plans,
     runs,
@@ -73,6 +74,7 @@ PARTS = (
     login,
     users,
     benches,
+    overview,
     trail,
     metrics,
 )

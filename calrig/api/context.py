@@ -15,6 +15,7 @@ from calrig.analysis.histories import Histories
 from calrig.analysis.issuing import Issuer
 from calrig.api.attempts import Attempts
 from calrig.api.job import Jobs
+from calrig.api.looks import Lately
 from calrig.api.streams import Streams
 from calrig.processes.pool import Processes
 from calrig.runs.errands import Errands
@@ -29,6 +30,7 @@ class ApiContext:
 
     `scans` are looks at the ports, one at a time; `jobs` heavy work that no request waits for.
     `centre` tells how agents reach a centre's database, `enrolling` counts those that try to join.
+    `lately` keeps for a moment what many watch.
     `limits_kept_in` is the file that gives the limits; None where people change them over HTTP.
     """
 
@@ -42,6 +44,7 @@ class ApiContext:
     jobs: Jobs = field(default_factory=Jobs)
     centre: CentreSettings = field(default_factory=CentreSettings)
     enrolling: Attempts = field(default_factory=Attempts)
+    lately: Lately = field(default_factory=Lately)
 
     @property
     def diagnoses(self) -> Diagnoses:

@@ -37,7 +37,8 @@ class BenchRig:
 
     def state(self, run_id: str | None) -> RigState:
         """As `GET /api/rigs` shows it; `run_id` is the unfinished run that the centre knows on it."""
-        on_it = run_id or (self.said.get("run_id") if self.said.get("state") == "busy" else None)
+        said_run = self.said.get("run_id") if self.said.get("state") == "busy" else None
+        on_it = run_id or (said_run if isinstance(said_run, str) else None)
         return RigState(
             name=self.settings.name,
             stage=str(self.said.get("stage") or ""),

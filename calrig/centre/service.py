@@ -13,6 +13,7 @@ from calrig.analysis.origin import check_serial, provenance
 from calrig.analysis.stored_runs import stored_run
 from calrig.analysis.unresolved import unresolved
 from calrig.centre.asking import Asking, seen
+from calrig.centre.bench_counts import BenchCounts
 from calrig.centre.bench_rigs import BenchRig, BenchRigs
 from calrig.centre.conclusions import concluded
 from calrig.centre.unpacker import Unpacker
@@ -60,6 +61,7 @@ class CentreService:
         self._asking = Asking(store, clock)
         self._errands = Errands()
         self._unpacker = Unpacker(store, lambda run, poses: concluded(store, self.issuer, run, poses))
+        self.meter.registry.register(BenchCounts(store, lambda: self.stuck))
         heard: dict[str, Callable[[str], object]] = {
             EVENTS: self.bus.wake,
             PARCELS: self._unpacker.wake,

@@ -26,9 +26,8 @@ from calrig.store.tables import EventTable, RunTable
 from calrig.store.trail import Act
 
 NOT_BEGUN = "taken back before its bench had begun it"
-_NOT_TAKEN = and_(
-    col(RunOrderTable.taken_epoch) < col(RunOrderTable.epoch), col(RunOrderTable.wish) != "none"
-)
+NOT_TAKEN = and_(col(RunOrderTable.taken_epoch) < col(RunOrderTable.epoch), col(RunOrderTable.wish) != "none")
+"""Of an order that its bench may still take."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,7 +219,7 @@ def take_back(session: Session, *which: Any) -> bool:
     """Takes those orders back that are not taken yet; returns whether there were any."""
     withdrawn = (
         update(RunOrderTable)
-        .where(_NOT_TAKEN, *which)
+        .where(NOT_TAKEN, *which)
         .values(epoch=RunOrderTable.epoch + 1, wish="none")
         .returning(col(RunOrderTable.run_uid))
         .execution_options(synchronize_session=False)

@@ -9,9 +9,10 @@ from __future__ import annotations
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate
 from typing import Any
 
-from sqlmodel import Session, col, select
+from sqlmodel import Session, col, func, select
 
 from calrig.store.convert import iso_utc, pose_of, run_of
 from calrig.store.parcel_document import packed_row
@@ -20,8 +21,9 @@ from calrig.store.tables import EventTable, PoseTable, RunTable, SampleBlockTabl
 
 VERSION = 1
 EVENTS_A_PARCEL = 500
-BLOCKS_AT_ONCE = 8
-"""Some hundred kilobytes: what is sent, and kept in memory, together."""
+BLOCKS_AT_ONCE = 32
+BYTES_AT_ONCE = 1_000_000
+"""Of samples: what is sent, and kept in memory, together."""
 RUN_FIELDS = (
     "id", "unit", "rig", "status", "plan", "progress", "result", "faults", "follows", "provenance",
     "operator", "note", "created_at", "started_at", "finished_at", "error",
@@ -57,43 +59,63 @@ def next_parcels(session: Session, run: RunTable, epoch: int, before: Delivered)
         epoch: of the order that it is carried out by.
         before: how far it has been delivered.
     """
-    events, blocks, is_all = _what_is_left(session, run, before)
-    end = events.pop() if is_all and events and _is_end(events[-1]) else None
     wrap = _Wrapping(session, run, epoch)
+    events = _events_after(session, run, before)
+    if len(events) > EVENTS_A_PARCEL:
+        del events[EVENTS_A_PARCEL:]
+        after = replace(before, event_seq=events[-1].seq)
+        return [wrap.parcel(wrap.run_before(events, after), after, events)]
+    end = events.pop() if events and _is_end(events[-1]) else None
     parcels, after = [], before
     if events:
         after = replace(after, event_seq=events[-1].seq)
-        said = wrap.run_now() if is_all and end is None else wrap.run_at(after.event_seq)
+    said = wrap.run_now() if end is None else wrap.run_before(events, after)
+    if events:
         parcels.append(wrap.parcel(said, after, events))
-    for block in blocks[:BLOCKS_AT_ONCE]:
+    blocks, are_all = _blocks_after(session, run, before)
+    for block in blocks:
         after = replace(after, sample_block_id=block.id)
-        said = wrap.run_now() if is_all and end is None else wrap.run_at(after.event_seq)
         parcels.append(wrap.parcel(said, after, block=block))
-    if end is not None and len(blocks) <= BLOCKS_AT_ONCE:
+    if end is not None and are_all:
         after = replace(after, event_seq=end.seq, is_complete=True)
         parcels.append(wrap.parcel(wrap.run_now(), after, [end], transcripts=wrap.transcripts()))
     return parcels
 
 
-def _what_is_left(
-    session: Session, run: RunTable, before: Delivered
-) -> tuple[list[EventTable], Sequence[SampleBlockTable], bool]:
-    """The next events; the blocks after them, one more than fits; whether no event comes after these."""
-    events = session.exec(
+def _events_after(session: Session, run: RunTable, before: Delivered) -> list[EventTable]:
+    """The next events, one more than fits where there are more."""
+    wanted = (
         select(EventTable)
         .where(EventTable.run_id == run.id, EventTable.seq > before.event_seq)
         .order_by(col(EventTable.seq))
         .limit(EVENTS_A_PARCEL + 1)
-    ).all()
-    if len(events) > EVENTS_A_PARCEL:
-        return list(events[:EVENTS_A_PARCEL]), [], False
-    blocks = session.exec(
-        select(SampleBlockTable)
-        .where(SampleBlockTable.run_id == run.id, SampleBlockTable.id > before.sample_block_id)
-        .order_by(col(SampleBlockTable.id))
+    )
+    return list(session.exec(wanted).all())
+
+
+def _blocks_after(
+    session: Session, run: RunTable, before: Delivered
+) -> tuple[Sequence[SampleBlockTable], bool]:
+    """The next blocks of samples, as many as go together, and whether none comes after them."""
+    number = col(SampleBlockTable.id)
+    last_pose = select(SampleBlockTable.pose_index).where(number == before.sample_block_id).scalar_subquery()
+    wanted = (
+        select(SampleBlockTable.id)
+        .where(SampleBlockTable.run_id == run.id, number > before.sample_block_id)
+        .where(col(SampleBlockTable.pose_index) >= func.coalesce(last_pose, 0))  # for the index: it rises
+        .order_by(number)
         .limit(BLOCKS_AT_ONCE + 1)
+    )
+    numbers = session.exec(wanted).all()
+    if not numbers:
+        return [], True
+    sizes = session.exec(
+        select(func.length(SampleBlockTable.data)).where(number.in_(numbers)).order_by(number)
     ).all()
-    return list(events), blocks, True
+    fitting = sum(total <= BYTES_AT_ONCE for total in accumulate(sizes))
+    some = numbers[: max(1, min(BLOCKS_AT_ONCE, fitting))]
+    blocks = session.exec(select(SampleBlockTable).where(number.in_(some)).order_by(number)).all()
+    return blocks, len(some) == len(numbers)
 
 
 def _is_end(event: EventTable) -> bool:
@@ -146,24 +168,27 @@ class _Wrapping:
             said[name] = None if said[name] is None else iso_utc(said[name])
         return said
 
-    def run_at(self, seq: int) -> Document:
-        """What it said when an event was announced; of faults and provenance, what it says now."""
-        state, progress = self._latest("state", seq), self._latest("progress", seq)
+    def run_before(self, events: Sequence[EventTable], after: Delivered) -> Document:
+        """The same, less what has happened since the last of these events: it goes on.
+
+        Of its faults and provenance, what is so now.
+        """
+        states = [event.data for event in events if event.type == "state"]
         begun = {"poses_done": 0, "fraction": 0.0, "remaining_s": None}
         return {
             **self.run_now(),
-            "status": state["status"],
-            "error": state["error"],
-            "progress": progress or {**self._run.progress, **begun},
+            "status": states[-1]["status"] if states else "running",
+            "error": states[-1]["error"] if states else None,
+            "progress": self._progress_at(after.event_seq) or {**self._run.progress, **begun},
             "result": None,
             "finished_at": None,
         }
 
-    def _latest(self, kind: str, seq: int) -> Document:
+    def _progress_at(self, seq: int) -> Document:
         wanted = (
             select(EventTable.data)
-            .where(EventTable.run_id == self._run.id, EventTable.seq <= seq, EventTable.type == kind)
-            .order_by(col(EventTable.seq).desc())
+            .where(EventTable.run_id == self._run.id, EventTable.seq <= seq, EventTable.type == "progress")
+            .order_by(col(EventTable.seq).desc())  # there is one after each pose: it is not far to look
             .limit(1)
         )
         return dict(self._session.exec(wanted).first() or {})

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import datetime
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from sqlalchemy import Select
-from sqlmodel import and_, col, func, or_, select
+from sqlmodel import Session, col, func, or_, select
 
 from calrig.store.bench_tables import DeliveryTable, TakenOrderTable
 from calrig.store.convert import run_row
@@ -60,14 +59,9 @@ class Spool(Part):
             return dict(session.exec(select(TakenOrderTable.run_uid, TakenOrderTable.epoch)).all())
 
     def undelivered(self) -> list[str]:
-        """Ids of the runs of which something may be left to deliver, the oldest first."""
-        wanted = (
-            _with_delivery(select(RunTable.uid))
-            .where(_is_open())
-            .order_by(col(RunTable.created_at), col(RunTable.id))
-        )
+        """Ids of the runs of which something may be left to deliver, in the order they came here."""
         with self._database.reading() as session:
-            return list(session.scalars(wanted))
+            return [run.uid for run in _open_runs(session)]
 
     def next_parcels(self, run_id: str) -> list[Parcel]:
         """What a run is to deliver next, in order and not too much of it; empty where nothing is left now."""
@@ -79,43 +73,43 @@ class Spool(Part):
 
     def delivered(self, parcels: Sequence[Parcel]) -> None:
         """Keeps that the centre has these, which are all that lay before the last one of each run."""
+        last = {parcel.run_id: parcel.after for parcel in parcels}
         with self._database.writing() as session:
-            for parcel in parcels:
-                after = parcel.after
-                session.merge(
-                    DeliveryTable(
-                        run_uid=parcel.run_id,
-                        event_seq=after.event_seq,
-                        sample_block_id=after.sample_block_id,
-                        is_complete=after.is_complete,
-                    )
-                )
+            for run_id, after in last.items():
+                session.merge(DeliveryTable(run_uid=run_id, **asdict(after)))
 
     def outbox(self) -> Outbox:
         """How much waits to be delivered, and since when."""
-        later = EventTable.seq > func.coalesce(DeliveryTable.event_seq, 0)
-        events = _with_delivery(select(func.count(), func.min(EventTable.at))).join(
-            EventTable, and_(EventTable.run_id == RunTable.id, later)
-        )
-        beyond = col(SampleBlockTable.id) > func.coalesce(DeliveryTable.sample_block_id, 0)
-        blocks = _with_delivery(select(func.count())).join(
-            SampleBlockTable, and_(SampleBlockTable.run_id == RunTable.id, beyond)
-        )
+        n_events, n_blocks, waiting_since = 0, 0, []
         with self._database.reading() as session:
-            n_events, oldest_at = session.execute(events.where(_is_open())).one()
-            n_blocks = session.execute(blocks.where(_is_open())).scalar_one()
-        return Outbox(n_events, n_blocks, oldest_at)
+            for run in _open_runs(session):
+                later = EventTable.run_id == run.id, EventTable.seq > (run.event_seq or 0)
+                n, oldest_at = session.exec(select(func.count(), func.min(EventTable.at)).where(*later)).one()
+                beyond = SampleBlockTable.run_id == run.id, SampleBlockTable.id > (run.sample_block_id or 0)
+                n_events += n
+                n_blocks += session.exec(select(func.count()).where(*beyond)).one()
+                if oldest_at is not None:
+                    waiting_since.append(oldest_at)
+        return Outbox(n_events, n_blocks, min(waiting_since, default=None))
 
 
-def _with_delivery(wanted: Any) -> Select[Any]:
-    chosen: Select[Any] = wanted.select_from(RunTable).outerjoin(
-        DeliveryTable, col(DeliveryTable.run_uid) == col(RunTable.uid)
+class _OpenRun(NamedTuple):
+    """A run that is not known to be delivered whole."""
+
+    id: int
+    uid: str
+    event_seq: int | None
+    sample_block_id: int | None
+
+
+def _open_runs(session: Session) -> list[_OpenRun]:
+    """Every such run, in the order they came here; it is asked for often, and so read from indices alone."""
+    wanted = (
+        select(RunTable.id, RunTable.uid, DeliveryTable.event_seq, DeliveryTable.sample_block_id)
+        .outerjoin(DeliveryTable, col(DeliveryTable.run_uid) == col(RunTable.uid))
+        .where(or_(col(DeliveryTable.run_uid).is_(None), col(DeliveryTable.is_complete).is_(False)))
     )
-    return chosen
-
-
-def _is_open() -> Any:
-    return or_(col(DeliveryTable.run_uid).is_(None), col(DeliveryTable.is_complete).is_(False))
+    return sorted(_OpenRun(*row) for row in session.exec(wanted))
 
 
 def _delivered(row: DeliveryTable) -> Delivered:

@@ -7,6 +7,7 @@ from types import TracebackType
 from typing import Self
 
 from calrig.store.amendments import Amendments
+from calrig.store.bench_backlog import BenchBacklog
 from calrig.store.bench_commands import BenchCommands
 from calrig.store.benches import Benches
 from calrig.store.check_units import CheckUnits
@@ -21,6 +22,7 @@ from calrig.store.limits import Limits
 from calrig.store.places import Places
 from calrig.store.poses import Poses
 from calrig.store.records import Size
+from calrig.store.rig_standing import RigStandings
 from calrig.store.runs import Runs
 from calrig.store.spool import Spool
 from calrig.store.trail import Trail
@@ -43,6 +45,8 @@ class Store(
     Users,
     Benches,
     BenchCommands,
+    BenchBacklog,
+    RigStandings,
     Unpacking,
     Enrolment,
     Spool,

@@ -117,6 +117,8 @@ def _unpack(session: Session, parcel_id: int, conclude: Conclude) -> None:
     if news:
         session.execute(insert(EventTable), [{"run_id": run.id, **event.model_dump()} for event in news])
         _update(session, run, delivered, news, conclude)
+        if run.status in TERMINAL:
+            session.get_one(RunOrderTable, run.uid).wish = "done"  # no bench is in doubt about it any more
     for port, said in (delivered.transcripts or {}).items():
         _add_transcript(session, run, port, said)
     if delivered.samples is not None:

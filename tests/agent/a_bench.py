@@ -278,12 +278,12 @@ class Cable:
 
 
 @contextmanager
-def rigs_of(*names: str) -> Iterator[list[Rig]]:
-    """Rigs in one virtual time, which goes on as fast as it is computed."""
+def rigs_of(*names: str, **options: Any) -> Iterator[list[Rig]]:
+    """Rigs in one virtual time; the options are the simulator's."""
     clock = VirtualClock(10.0)
     with ExitStack() as stack:
         stack.callback(clock.stop)
-        rigs = [Rig(name, clock) for name in names]
+        rigs = [Rig(name, clock, **options) for name in names]
         for rig in rigs:
             stack.enter_context(rig.simulated)
         yield rigs

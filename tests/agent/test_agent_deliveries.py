@@ -22,7 +22,7 @@ def once_in_order(events: list[dict]) -> bool:
 def test_cut_off_in_mid_run_the_bench_ends_it_and_delivers_it_once(
     centre: HandWritten, rig: Rig, spool: Path, cable: Cable
 ) -> None:
-    run_id = centre.order(plan={**QUICK, "sweeps": 6})
+    run_id = centre.order(plan={**QUICK, "sweeps": 30})
     with agent_at(cable.url, spool, rig) as agent:
         wait_for(lambda: centre.delivered(run_id).poses, "poses")
         cable.cut()
@@ -33,7 +33,7 @@ def test_cut_off_in_mid_run_the_bench_ends_it_and_delivers_it_once(
         cable.mend()
         told, store = centre.ended(run_id), agent.service.store
     assert once_in_order(told.events)
-    assert told.poses == list(range(18))
+    assert told.poses == list(range(90))
     assert told.states == ["queued", "running", "completed"]
     assert told.documents[: len(before.documents)] == before.documents
     with Store.open(f"sqlite:///{spool}", writer=None) as store:
@@ -43,17 +43,19 @@ def test_cut_off_in_mid_run_the_bench_ends_it_and_delivers_it_once(
 def test_a_server_that_throws_the_bench_out_meets_it_again(
     centre: HandWritten, rig: Rig, spool: Path
 ) -> None:
-    run_id = centre.order(plan={**QUICK, "sweeps": 6})
-    with agent_at(centre.bench_url, spool, rig):
+    run_id = centre.order(plan=ENDLESS)
+    with agent_at(centre.bench_url, spool, rig) as agent:
         for _ in range(3):
             seen = len(centre.delivered(run_id).events)
             centre.connection.execute(
-                "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE usename <> session_user"
+                "SELECT pg_terminate_backend(pid) FROM pg_stat_activity "
+                "WHERE datname = current_database() AND usename <> session_user"
             )
             wait_for(lambda n=seen: len(centre.delivered(run_id).events) > n, "more of it")
-        told = centre.ended(run_id)
+        agent.service.abort(run_id)
+        told, n_poses = centre.ended(run_id), len(agent.service.store.poses(run_id))
     assert {event["seq"] for event in told.events} == set(range(1, told.events[-1]["seq"] + 1))
-    assert sorted(set(told.poses)) == list(range(18))
+    assert sorted(set(told.poses)) == list(range(n_poses))
 
 
 def test_a_run_begun_without_the_centre_is_delivered_by_a_later_program(

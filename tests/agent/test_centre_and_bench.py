@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import random
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -11,8 +12,8 @@ from pathlib import Path
 import httpx
 import numpy as np
 import pytest
-from a_bench import ENDLESS, Cable, HandWritten, Rig, agent_at
-from support import QUICK, ended, serving, wait_for
+from a_bench import ENDLESS, Cable, HandWritten, Rig, agent_at, rigs_of
+from support import QUICK, ended, imported, serving, wait_for
 
 from calrig.centre.service import CentreService
 from calrig.store import Store
@@ -78,6 +79,46 @@ def test_a_verification_applies_the_revision_that_the_centre_issued(
     assert len(page.get("/api/units/AS-1/calibrations").json()) == 1
 
 
+PLAY_DEG = 0.06
+
+
+def poses_with_play() -> str:
+    """Readings on a stage with play, as a file: without witnesses, moves not yet settled look the same."""
+    rng, lines = random.Random(3), ["target_deg,reading_deg,pass,approach,time_s"]
+    for sweep in range(4):
+        approach = 1 if sweep % 2 == 0 else -1
+        for elevation_deg in range(-60 * approach, 61 * approach, 10 * approach):
+            reading_deg = elevation_deg - approach * PLAY_DEG / 2 + rng.gauss(0.0, 0.025)
+            lines.append(f"{elevation_deg},{reading_deg},{sweep},{approach},{4.0 * (len(lines) - 1)}")
+    return "\n".join(lines)
+
+
+def test_a_follow_up_rests_on_runs_that_only_the_centre_has(
+    page: httpx.Client, centre: HandWritten, spool: Path
+) -> None:
+    with (
+        rigs_of("bench-1", seed=5, mechanics={"backlash_deg": PLAY_DEG}) as (rig,),
+        agent_at(centre.bench_url, spool, rig) as agent,
+    ):
+        first = imported(page, "AS-1", poses_with_play(), rig="bench-1")
+        found = page.post(f"/api/runs/{first['id']}/diagnosis", json={}).raise_for_status().json()
+        assert found["verdict"] == "ambiguous"
+        second = wait_for(lambda: _begun(page, first["id"]), "bench")
+        done = ended(page, second["id"])
+        assert agent.service.store.run(first["id"]) is None
+    assert (done["status"], done["follows"]) == ("completed", first["id"])
+    assert done["provenance"]["follow_up"]["decided_on"]
+    assert done["diagnosis"]["runs"] == [first["id"], second["id"]]
+    decided = {effect["name"]: effect["confusable_with"] for effect in done["diagnosis"]["effects"]}
+    assert decided["backlash"] == []
+
+
+def _begun(page: httpx.Client, run_id: str) -> dict | None:
+    """The follow-up of a run, once there is a bench to carry it out."""
+    answer = page.post(f"/api/runs/{run_id}/follow-up")
+    return answer.json() if answer.status_code == 201 else None
+
+
 def test_a_stop_at_the_centre_stops_the_stage(
     page: httpx.Client, centre: HandWritten, rig: Rig, spool: Path
 ) -> None:
@@ -106,7 +147,7 @@ def test_pause_and_resume_reach_the_bench(
 def test_an_interrupted_run_is_taken_up_again_from_the_centre(
     page: httpx.Client, centre: HandWritten, rig: Rig, spool: Path
 ) -> None:
-    plan = {**QUICK, "sweeps": 4}
+    plan = {**QUICK, "sweeps": 40}
     with agent_at(centre.bench_url, spool, rig):
         run_id = started(page, plan=plan)
         wait_for(lambda: run_of(page, run_id)["progress"]["poses_done"] >= 2, "poses")
@@ -117,7 +158,7 @@ def test_an_interrupted_run_is_taken_up_again_from_the_centre(
     assert done["started_at"] == left["started_at"]
     assert done["faults"]["interrupted"] == 1
     assert [pose["pass"] for pose in page.get(f"/api/runs/{run_id}/poses").json()] == [
-        sweep for sweep in range(4) for _ in range(3)
+        sweep for sweep in range(40) for _ in range(3)
     ]
 
 
