@@ -22,6 +22,7 @@ from calrig.cli import (
     rigs,
     run,
     serve,
+    solve,
     users,
 )
 from calrig.cli.exit_status import Commands
@@ -45,6 +46,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "move-store": move_store.move_store,
     "diagnose": diagnosis.diagnose,
     "gravity": diagnosis.gravity,
+    "solve": solve.solve,
     "noise": noise.noise,
     "filters": noise.filters,
     "fleet": fleet.fleet,
