@@ -18,6 +18,7 @@ from hypothesis import HealthCheck, settings
 from postgresql_server import (  # noqa: F401 (fixtures)
     _stores_are_databases,
     new_database,
+    on_a_server,
     postgresql_server,
     postgresql_template,
 )
@@ -45,8 +46,12 @@ def pytest_configure(config: pytest.Config) -> None:
     config.option.loadscopereorder = False
 
 
+@pytest.hookimpl(tryfirst=True)  # before the marks are chosen from
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The files of the page come first: few and long tests, which at the end would leave workers idle."""
+    """Marks what needs a PostgreSQL server; files of the page come first, which at the end would hold it up."""
+    for item in items:
+        if on_a_server(item):
+            item.add_marker("centre")
     items.sort(key=lambda item: item.get_closest_marker("browser") is None)
 
 

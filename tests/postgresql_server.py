@@ -96,6 +96,12 @@ def store_at(path: Path) -> str:
     return _url(server, name)
 
 
+def on_a_server(item: pytest.Item) -> bool:
+    """Whether a test uses the server."""
+    parameters = getattr(getattr(item, "callspec", None), "params", {})
+    return parameters.get("engine") == "postgresql" or "postgresql_server" in getattr(item, "fixturenames", ())
+
+
 @contextmanager
 def _as_superuser(server: str) -> Iterator[Callable[[str], None]]:
     engine = create_engine(
