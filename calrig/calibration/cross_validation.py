@@ -59,7 +59,7 @@ def cross_validate(
         candidates: of these poses.
         rng: of the gate's bootstrap.
         rivals: what a search of all poses found, to be held against again in each fold.
-        noises: what noise gained in that search.
+        noises: what noise gained in that search: likelihood ratios, which know no pose's reading.
         progress: is told the share of folds done after each.
     """
     fold = folds_of(r)
