@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import os
 from http.client import HTTPException
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.error import HTTPError, URLError
 from urllib.parse import urlsplit
-from urllib.request import Request, build_opener
+from urllib.request import HTTPSHandler, Request, build_opener
 
 from calrig.errors import InputError, WorkError
+
+if TYPE_CHECKING:
+    import ssl
 
 PATIENCE_S = 30.0
 
@@ -18,11 +21,12 @@ PATIENCE_S = 30.0
 class Client:
     """The service at an address such as `http://lab-pc:8000`."""
 
-    def __init__(self, server: str) -> None:
+    def __init__(self, server: str, certificates: ssl.SSLContext | None = None) -> None:
+        """`certificates` says whose are believed; without it those that this machine trusts."""
         if urlsplit(server).scheme not in {"http", "https"} or not urlsplit(server).netloc:
-            raise InputError(f"--server {server}: is no address such as http://lab-pc:8000")
+            raise InputError(f"{server}: is no address such as http://lab-pc:8000")
         self._server = server.rstrip("/")
-        self._open = build_opener().open
+        self._open = build_opener(HTTPSHandler(context=certificates)).open
 
     def get(self, path: str) -> Any:
         """The JSON at a path; WorkError where the service refuses or cannot be reached."""
@@ -32,6 +36,10 @@ class Client:
         """The answer to a body; as `get`."""
         data, headers = json.dumps(body).encode(), {"Content-Type": "application/json"}
         return self._ask(Request(self._server + path, data, headers))  # noqa: S310 (likewise)
+
+    def delete(self, path: str) -> Any:
+        """The answer to the end of what is at a path; as `get`."""
+        return self._ask(Request(self._server + path, method="DELETE"))  # noqa: S310 (likewise)
 
     def _ask(self, request: Request) -> Any:
         token = os.environ.get("CALRIG_TOKEN")

@@ -135,6 +135,13 @@ class LimitSettings(_Strict):
         return self
 
 
+class CentreSettings(_Strict):
+    """How agents reach a centre's database, where that is not as the centre itself does."""
+
+    agent_db_host: Annotated[str, Field(pattern=r"^[\w.:-]+$", max_length=253)] | None = None
+    agent_db_port: int | None = Field(default=None, ge=1, le=65535)
+
+
 class Settings(_Strict):
     """Everything configured."""
 
@@ -151,6 +158,8 @@ class Settings(_Strict):
     """The header in which they say it."""
     keep_samples_days: float | None = Field(default=None, gt=0)
     """Raw samples of runs older than this are deleted when the service starts; null keeps them for ever."""
+
+    centre: CentreSettings = CentreSettings()
 
     _file: Path | None = PrivateAttr(default=None)
 
@@ -258,6 +267,11 @@ def store_url(db: str | None = None) -> str:
     for reserved in "%?#":  # what a URL would take for something else than a part of the name
         path = path.replace(reserved, f"%{ord(reserved):02X}")
     return f"sqlite:///{path}"
+
+
+def centre_url_file() -> Path:
+    """Where `calrig agent enroll` leaves the URL of the centre's database, and `calrig agent` finds it."""
+    return platformdirs.user_config_path("calrig") / "centre.url"
 
 
 def packed(folder: str) -> Path:

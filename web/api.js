@@ -22,6 +22,13 @@ export async function get(path, signal) {
   return request(path, { signal });
 }
 
+/** What is new since the answer of `tag`: `{ tag, answer }`, or null where nothing is. */
+export async function getNews(path, tag, signal) {
+  const response = await sent(path, { signal, headers: tag ? { "If-None-Match": tag } : {} });
+  if (response.status === 304) return null;
+  return { tag: response.headers.get("ETag"), answer: await response.json() };
+}
+
 export async function post(path, body = {}, signal) {
   return request(path, {
     signal,
@@ -69,7 +76,7 @@ async function sent(path, options) {
     window.dispatchEvent(new Event("calrig:lost"));
     throw new Unreachable();
   }
-  if (response.ok) return response;
+  if (response.ok || response.status === 304) return response;
   if (response.status === 401 && path !== "/api/login") window.dispatchEvent(new Event("calrig:login"));
   throw await refusal(response);
 }

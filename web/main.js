@@ -4,7 +4,7 @@ import { fill, h, visible } from "./dom.js";
 import { watchHealth } from "./health.js";
 import { loginState, loginView, logOut } from "./login.js";
 import { iAm, may } from "./me.js";
-import { watchRigs } from "./rigs.js";
+import { onRigs, watchRigs } from "./rigs.js";
 import { startView } from "./start.js";
 import { runView } from "./run.js";
 import { stopButtons } from "./stop.js";
@@ -19,6 +19,7 @@ const ROUTES = [
   [/^\/units\/([^/]+)$/, async (shown) => (await import("./units.js")).unitView(shown)],
   [/^\/compare$/, async (shown) => (await import("./compare.js")).compareView(shown)],
   [/^\/limits$/, async (shown) => (await import("./limits.js")).limitsView(shown)],
+  [/^\/benches$/, async (shown) => (await import("./benches.js")).benchesView(shown)],
   [/^\/rigs\/([^/]+)$/, async (shown) => (await import("./rig.js")).rigView(shown)],
   [/^\/import$/, importView],
   [/^\/trail$/, async (shown) => (await import("./trail.js")).trailView(shown)],
@@ -31,6 +32,7 @@ const root = document.getElementById("view");
 const stop = document.getElementById("stop");
 const leave = document.getElementById("log-out");
 const name = document.getElementById("who");
+const benches = document.getElementById("benches-link");
 const users = document.getElementById("users-link");
 let leaving = new AbortController();
 let locked = false;
@@ -134,5 +136,6 @@ leave.addEventListener("click", async () => {
   lock();
 });
 watchHealth(document.getElementById("banner"));
+onRigs((rigs) => (benches.hidden = !rigs.some(({ bench }) => bench)));
 stopButtons(stop, document.getElementById("stop-line"));
 begin();

@@ -28,9 +28,24 @@ export async function watchRigs() {
   timer = setTimeout(watchRigs, REFRESH_MS);
 }
 
+/** Somebody has looked already: nobody needs to for a while. */
+export function rigsAre(rigs) {
+  clearTimeout(timer);
+  timer = setTimeout(watchRigs, REFRESH_MS);
+  take(rigs);
+}
+
+/** What tells whether rigs have changed: that their bench was seen again is no news. */
+export function standing(rigs) {
+  return JSON.stringify(rigs.map((rig) => ({ ...rig, last_seen_at: null })));
+}
+
 async function look() {
-  const rigs = await get("/api/rigs");
-  if (JSON.stringify(rigs) === JSON.stringify(latest)) return;
+  take(await get("/api/rigs"));
+}
+
+function take(rigs) {
+  if (latest && standing(rigs) === standing(latest)) return;
   latest = rigs;
   for (const listener of listeners) listener(rigs);
 }

@@ -4,7 +4,7 @@ import { get, post } from "./api.js";
 import { errorLine, field, fill, h, onSubmit, rigHref, runHref, runLink, statusPill } from "./dom.js";
 import { planForm } from "./plan.js";
 import { portsLook } from "./ports.js";
-import { onRigs } from "./rigs.js";
+import { onRigs, standing } from "./rigs.js";
 import { runList } from "./runlist.js";
 import { stagePlace } from "./stageplace.js";
 
@@ -117,10 +117,10 @@ function showRigs(list, rigs) {
 
 /** The rigs as they change; the runs only then, too. */
 function keepFresh(rigList, runs, rigs, signal) {
-  let before = JSON.stringify(rigs);
+  let before = standing(rigs);
   onRigs((now) => {
-    if (JSON.stringify(now) === before) return;
-    before = JSON.stringify(now);
+    if (standing(now) === before) return;
+    before = standing(now);
     showRigs(rigList, now);
     runs.refresh();
   }, signal);

@@ -35,6 +35,13 @@ export function stopButtons(place, line) {
   });
 }
 
+/** One for a rig in a list, which is heard as its own; what comes of it is said in the page's header. */
+export function stopButton(name) {
+  const element = button(name, document.getElementById("stop-line"));
+  element.querySelector("span").className = "for-screen-readers";
+  return element;
+}
+
 function button(name, line) {
   const text = h("span", {}, name);
   const element = h("button", { type: "button", class: "stop", "data-rig": name }, "Stop ", text);

@@ -24,6 +24,9 @@ const WORDS = {
   user_added: "added a user",
   user_changed: "changed a user",
   unit_removed: "removed an empty unit",
+  bench_added: "let a bench join",
+  bench_enrolled: "joined as a bench",
+  bench_revoked: "let a bench in no more",
 };
 
 export async function trailView({ root, query, signal }) {

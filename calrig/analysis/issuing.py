@@ -224,6 +224,18 @@ class Issuer:
         return Draft(content, basis, judged.to_dict(), releases, by, reason)
 
 
+class NoDrafts(Issuer):
+    """The issuer of a bench: its centre drafts what it has been delivered, and numbers it."""
+
+    def completing(self, run: Run, fit: Fitted) -> Draft | None:  # noqa: ARG002 (as of any issuer)
+        """None."""
+        return None
+
+    def bring_over(self) -> list[Revision]:
+        """None."""
+        return []
+
+
 def issued_since(store: Store, since: datetime | None) -> list[Document]:
     """What was drafted, released and withdrawn over all units from a time on, oldest first."""
     if since is not None and since.tzinfo is None:

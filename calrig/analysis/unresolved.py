@@ -11,20 +11,28 @@ from calrig.calibration.diagnosis import diagnose
 from calrig.calibration.pose import DiagnosisError, Pose
 from calrig.calibration.search import Findings
 from calrig.processes.pool import Apart, run_apart
-from calrig.store import Run, Store
+from calrig.store import Store
 
 
 @dataclass(frozen=True, slots=True)
 class Unresolved:
     """Runs of one unit in the order measured, the poses of each that count, and what was found in them."""
 
-    runs: list[Run]
+    run_ids: list[str]
     poses: list[list[Pose]]
     findings: Findings
 
+    @classmethod
+    def of(cls, run_ids: list[str], poses: list[list[Pose]], apart: Apart = run_apart) -> Unresolved:
+        """Runs whose poses are diagnosed quickly: without errors on held-out poses; as `unresolved`."""
+        try:
+            return cls(run_ids, poses, apart(partial(_found, poses)))
+        except DiagnosisError as error:
+            raise Conflict(f"run {run_ids[-1]}: {error}") from error
+
 
 def unresolved(store: Store, run_id: str, apart: Apart = run_apart) -> Unresolved:
-    """A run with those it follows on, diagnosed quickly: without errors on held-out poses.
+    """A run with those it follows on, diagnosed quickly.
 
     Args:
         store: has them.
@@ -37,12 +45,7 @@ def unresolved(store: Store, run_id: str, apart: Apart = run_apart) -> Unresolve
         Invalid: they are too many.
     """
     runs = runs_together(store, run_id)
-    poses = poses_together(store, runs)
-    try:
-        findings = apart(partial(_found, poses))
-    except DiagnosisError as error:
-        raise Conflict(f"run {run_id}: {error}") from error
-    return Unresolved(runs, poses, findings)
+    return Unresolved.of([run.id for run in runs], poses_together(store, runs), apart)
 
 
 def _found(poses: list[list[Pose]]) -> Findings:

@@ -16,6 +16,7 @@ import calrig
 from calrig.analysis.due_dates import INTERVAL_DAYS
 from calrig.api import (
     amendments,
+    benches,
     calibrations,
     changes,
     check_unit,
@@ -32,6 +33,7 @@ from calrig.api import (
     measurements,
     metrics,
     noise,
+    overview,
     pages,
     plans,
     runs,
@@ -41,14 +43,15 @@ from calrig.api import (
 )
 from calrig.api.access import TOKEN, Access
 from calrig.api.authentication import Authentication
+from calrig.api.bench_page import BenchPage
 from calrig.api.context import ApiContext
 from calrig.api.limits import JSON_BYTES, BodyPatience
 from calrig.api.origin_check import OriginCheck
 from calrig.api.proxies import TrustedProxies
 from calrig.api.request_log import RequestLog
 from calrig.api.turns import BeginInTurn
-from calrig.runs.service import RunService
-from calrig.settings import packed
+from calrig.runs.services import Service
+from calrig.settings import CentreSettings, packed
 
 PARTS = (
     runs,
@@ -70,6 +73,8 @@ PARTS = (
     limit_rules,
     login,
     users,
+    benches,
+    overview,
     trail,
     metrics,
 )
@@ -78,12 +83,14 @@ EVERYBODY = Access()
 
 
 def create_app(
-    service: RunService,
+    service: Service,
     *,
     web: Path | None = None,
     access: Access = EVERYBODY,
     interval_days: float = INTERVAL_DAYS,
     limits_kept_in: str | None = None,
+    is_bench: bool = False,
+    centre: CentreSettings | None = None,
 ) -> FastAPI:
     """Makes the application; nothing of it is shared with another one.
 
@@ -93,6 +100,8 @@ def create_app(
         access: the token that is asked for and the names the service has.
         interval_days: after which a unit is due whose history says nothing.
         limits_kept_in: the file that gives the limits, which then are not changed over HTTP.
+        is_bench: whether it is a bench's own page, which leaves to the centre what only that may do.
+        centre: how agents reach the database of a centre, where that is not as the centre does.
     """
 
     @asynccontextmanager
@@ -103,8 +112,16 @@ def create_app(
         await _app.state.context.processes.close()
 
     app = api(lifespan)
-    app.state.context = ApiContext(service, service.store, limits_kept_in, interval_days=interval_days)
+    app.state.context = ApiContext(
+        service,
+        service.store,
+        limits_kept_in,
+        interval_days=interval_days,
+        centre=centre or CentreSettings(),
+    )
     app.state.authentication = Authentication(access, service.store.users)
+    if is_bench:
+        app.add_middleware(BenchPage)
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=6)  # event streams never
     app.add_middleware(OriginCheck, app.state.authentication)
     app.add_middleware(RequestLog)

@@ -13,11 +13,14 @@ from calrig.analysis.due_dates import INTERVAL_DAYS, DueDates, due_dates
 from calrig.analysis.errors import Unknown
 from calrig.analysis.histories import Histories
 from calrig.analysis.issuing import Issuer
+from calrig.api.attempts import Attempts
 from calrig.api.job import Jobs
+from calrig.api.looks import Lately
 from calrig.api.streams import Streams
 from calrig.processes.pool import Processes
 from calrig.runs.errands import Errands
-from calrig.runs.service import RunService
+from calrig.runs.services import Service
+from calrig.settings import CentreSettings
 from calrig.store import Run, Store, Unit
 
 
@@ -26,10 +29,12 @@ class ApiContext:
     """The service behind the API, its store to read from, open event streams, processes for heavy work.
 
     `scans` are looks at the ports, one at a time; `jobs` heavy work that no request waits for.
+    `centre` tells how agents reach a centre's database, `enrolling` counts those that try to join.
+    `lately` keeps for a moment what many watch.
     `limits_kept_in` is the file that gives the limits; None where people change them over HTTP.
     """
 
-    service: RunService
+    service: Service
     store: Store
     limits_kept_in: str | None = None
     streams: Streams = field(default_factory=Streams)
@@ -37,6 +42,9 @@ class ApiContext:
     interval_days: float = INTERVAL_DAYS
     scans: Errands = field(default_factory=Errands)
     jobs: Jobs = field(default_factory=Jobs)
+    centre: CentreSettings = field(default_factory=CentreSettings)
+    enrolling: Attempts = field(default_factory=Attempts)
+    lately: Lately = field(default_factory=Lately)
 
     @property
     def diagnoses(self) -> Diagnoses:

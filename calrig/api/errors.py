@@ -18,7 +18,7 @@ from calrig.api.models import Problem
 from calrig.api.origin_check import HEADERS, NOT_KEPT
 from calrig.invalid_fields import SHOWN, in_words, path_of
 from calrig.processes.pool import WorkError, WorkLost, WorkRefused, WorkTooLarge
-from calrig.store.errors import NotFound, Refused, StoreError, StoreUnavailableError
+from calrig.store.errors import NotFound, NotText, Refused, StoreError, StoreUnavailableError
 
 log = logging.getLogger(__name__)
 
@@ -26,7 +26,12 @@ FIELDS = "Calrig-Fields"
 """The header of a refusal with the places that are wrong, percent-encoded: `plan.elevations_deg[1]`."""
 
 STATUS: dict[type[RunsError], int] = {Unknown: 404, Conflict: 409, Invalid: 422}
-STORE_STATUS: dict[type[StoreError], int] = {NotFound: 404, Refused: 409, StoreUnavailableError: 503}
+STORE_STATUS: dict[type[StoreError], int] = {
+    NotFound: 404,
+    Refused: 409,
+    NotText: 422,
+    StoreUnavailableError: 503,
+}
 
 DEFECT = "calrig failed inside; the service's log says where"
 
@@ -39,7 +44,7 @@ WORDS = {
     409: "The rig is busy, the run's state does not allow this, or the stage was not seen to stand",
     413: "The body is too large",
     422: "Invalid",
-    429: "Too many wrong tokens came from there, or too much heavy work is waiting",
+    429: "Too many wrong tokens or codes came from there, or too much heavy work is waiting",
     503: "The store or the disk is full, the store locked or read-only, too many uploads or event streams "
     "are in hand, or a process was killed",
 }

@@ -29,6 +29,7 @@ LOGIN_BYTES = 10_000
 """Of what strangers send: it is held in memory for as many as there are connections."""
 UPLOAD_BYTES = 50_000_000
 LOGIN_PATH = "/api/login"
+ENROLL_PATH = "/api/benches/enroll"
 UPLOAD_PATHS = frozenset({"/api/imports", "/api/noise", "/api/filters"})
 MOST_UPLOADS = 16
 """In hand at once. Each may lie on the disk, in a temporary file, until its turn has come."""
@@ -145,7 +146,13 @@ class _Body:
 
 def _most(path: str) -> int:
     """Bytes that a path takes, as its route says."""
-    return UPLOAD_BYTES if path in UPLOAD_PATHS else LOGIN_BYTES if path == LOGIN_PATH else JSON_BYTES
+    return (
+        UPLOAD_BYTES
+        if path in UPLOAD_PATHS
+        else LOGIN_BYTES
+        if path in {LOGIN_PATH, ENROLL_PATH}
+        else JSON_BYTES
+    )
 
 
 def name_of(file: UploadFile) -> str:

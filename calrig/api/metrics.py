@@ -14,7 +14,7 @@ import calrig
 from calrig.api.context import ApiContext, Context
 from calrig.store import StoreError
 
-RIG_STATES = ("idle", "busy", "unreachable")
+RIG_STATES = ("idle", "busy", "unreachable", "offline")
 
 router = APIRouter(tags=["service"])
 

@@ -5,7 +5,7 @@
 from datetime import datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from calrig.calibration.over_range import OverRange
 from calrig.calibration.verdict import Verdict
@@ -18,6 +18,14 @@ class Body(BaseModel):
     """What a client sends: a field nobody knows is a mistake, and said to be one."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    @field_validator("*", mode="after")
+    @classmethod
+    def _has_no_nul(cls, value: Any) -> Any:
+        """SQLite would keep one and PostgreSQL would not: no store could be moved that has any."""
+        if isinstance(value, str) and "\0" in value:
+            raise ValueError("has a NUL character in it, which is no text")
+        return value
 
 
 class Answer(BaseModel):
@@ -37,6 +45,10 @@ class StartRun(Body):
     stage_at_deg: Annotated[float, Field(ge=-360, le=360)] | None = Field(
         default=None,
         description="Elevation at which a stage without homing stands, by the word of somebody who looked.",
+    )
+    queue: bool = Field(
+        default=False,
+        description="At a centre, whether it waits its turn where the rig is busy or its bench away.",
     )
 
 
@@ -70,14 +82,20 @@ class Health(Answer):
 
 
 class RigAnswer(Answer):
-    """A rig and what it is doing; `stage` and `imu` are its drivers."""
+    """A rig and what it is doing; `stage` and `imu` are its drivers.
+
+    At a centre with the bench that has it; `offline`, with the state last known, once that says nothing more.
+    """
 
     name: str
     stage: str
     imu: str
     simulated: bool
-    state: Literal["idle", "busy", "unreachable"]
+    state: Literal["idle", "busy", "unreachable", "offline"]
     run_id: str | None
+    bench: str | None
+    hall: str | None
+    last_seen_at: datetime | None
 
 
 class ProgressAnswer(Answer):

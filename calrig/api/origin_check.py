@@ -20,7 +20,7 @@ from calrig.api.authentication import Authentication
 from calrig.api.callers import address_of
 from calrig.api.lingering import CLOSE
 
-OPEN = frozenset({"/", "/api/health", "/api/login"})
+OPEN = frozenset({"/", "/api/health", "/api/login", "/api/benches/enroll"})
 OPEN_FOLDERS = ("/web/",)
 """The page itself holds nothing secret: it must come before anybody can log in on it."""
 HARMLESS = frozenset({"GET", "HEAD", "OPTIONS"})

@@ -100,7 +100,7 @@ async def stop(name: str, context: Context) -> object:
     summary="Start a run",
 )
 def start_run(body: StartRun, context: Context, who: Who) -> Run:
-    """Everything but `unit` is optional. A busy rig is 409; `queued` lasts until the worker takes the run.
+    """Everything but `unit` is optional. A busy rig is 409; `queued` lasts until somebody begins the run.
 
     `operator` is who asks, where that is known by name.
     """
@@ -111,6 +111,7 @@ def start_run(body: StartRun, context: Context, who: Who) -> Run:
         operator=who or body.operator,
         note=body.note,
         stage_at_deg=body.stage_at_deg,
+        queue=body.queue,
     )
 
 

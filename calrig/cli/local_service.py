@@ -4,20 +4,54 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calrig.errors import InputError, WorkError
 
 if TYPE_CHECKING:
+    from calrig.centre.service import CentreService
     from calrig.runs.service import RunService
     from calrig.settings import RigSettings, Settings
 
 
 @contextmanager
+def centre_service(url: str, command: str, settings: Settings) -> Iterator[CentreService]:
+    """The service of a centre over its database; its rigs are its benches'.
+
+    Raises:
+        InputError: rigs are configured here, which no centre carries runs out on.
+    """
+    from calrig.analysis.issuing import Issuer
+    from calrig.analysis.limits import keep_configured
+    from calrig.settings import DEMO_RIG
+    from calrig.store import Store
+
+    if settings.rig != (DEMO_RIG,):
+        rigs = ", ".join(repr(rig.name) for rig in settings.rig)
+        raise InputError(
+            f"{settings.file}: configures rig {rigs}, and a centre has none of its own: move them to the "
+            "calrig.toml of a bench, which `calrig agent` runs on the machine with the ports"
+        )
+    with Store.open(url, writer=command) as store:
+        keep_configured(settings, store)
+        Issuer(store).bring_over()
+        from calrig.centre.service import CentreService
+
+        with closing(CentreService(store, url)) as service:
+            yield service
+
+
+@contextmanager
 def local_service(
-    url: str, command: str, rigs: Sequence[RigSettings], settings: Settings, record: Path | None
+    url: str,
+    command: str,
+    rigs: Sequence[RigSettings],
+    settings: Settings,
+    record: Path | None,
+    *,
+    drafts: bool = True,
 ) -> Iterator[RunService]:
     """The run service over the store; its simulated rigs start beside, for a process takes its time.
 
@@ -29,16 +63,23 @@ def local_service(
         rigs: those that runs may be started on.
         settings: all that is configured.
         record: folder that takes what passes on the wires; None keeps the last minute only.
+        drafts: whether completed calibrations make drafts here; a bench leaves them to its centre.
     """
     with ExitStack() as stack:
         with ThreadPoolExecutor(1) as beside:
             starting = beside.submit(lambda: [stack.enter_context(_with_ports(rig)) for rig in rigs])
-            from calrig.analysis.issuing import Issuer
+            from calrig.analysis.issuing import Issuer, NoDrafts, Releases
             from calrig.analysis.limits import keep_configured
             from calrig.runs.recovery import mark_interrupted, stop_stages
             from calrig.runs.service import RunService
             from calrig.store import Store
+            from calrig.store.engines import is_centre, shown
 
+            if is_centre(url):
+                raise InputError(
+                    f"--db: {shown(url)} is a centre's, whose benches carry runs out: start the run at the "
+                    "centre's page, or at the bench of the rig"
+                )
             configured, troubles = {rig.name: rig for rig in settings.rig}, dict[str, str]()
 
             def stop(rig_names: Sequence[str]) -> None:
@@ -47,9 +88,10 @@ def local_service(
             store = stack.enter_context(Store.open(url, writer=command, left_by_the_dead=stop))
             mark_interrupted(store, troubles)
             keep_configured(settings, store)
-            Issuer(store).bring_over()
+            issuer = Issuer(store, Releases.of(rigs)) if drafts else NoDrafts(store)
+            issuer.bring_over()
             powered = starting.result()
-        service = RunService(store, powered, record)
+        service = RunService(store, powered, record, issuer)
         stack.callback(service.close)
         yield service
 

@@ -10,7 +10,21 @@ from typing import Annotated
 import typer
 
 import calrig
-from calrig.cli import diagnosis, fleet, noise, records, rigs, run, serve, users
+from calrig.cli import (
+    agent,
+    benches,
+    diagnosis,
+    enroll,
+    fleet,
+    move_store,
+    noise,
+    records,
+    rigs,
+    run,
+    serve,
+    solve,
+    users,
+)
 from calrig.cli.exit_status import Commands
 
 app = typer.Typer(
@@ -29,8 +43,10 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "import": records.import_,
     "export": records.export,
     "backup": records.backup,
+    "move-store": move_store.move_store,
     "diagnose": diagnosis.diagnose,
     "gravity": diagnosis.gravity,
+    "solve": solve.solve,
     "noise": noise.noise,
     "filters": noise.filters,
     "fleet": fleet.fleet,
@@ -38,6 +54,9 @@ COMMANDS: dict[str, Callable[..., None]] = {
 for name, command in COMMANDS.items():
     app.command(name)(command)
 app.add_typer(users.app, name="users")
+app.add_typer(benches.app, name="bench")
+agent.app.command("enroll")(enroll.enroll)
+app.add_typer(agent.app, name="agent")
 
 
 def main() -> None:

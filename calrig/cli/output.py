@@ -7,16 +7,15 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import typer
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
+from calrig.cli.printing import number, print_line, print_parameter, print_table, print_warnings
 from calrig.errors import printable
 
 if TYPE_CHECKING:
     from calrig.instruments.scan import Found
     from calrig.settings import RigSettings
     from calrig.store import Run
+    from calrig.store.moving import Moved
 
 
 def print_json(document: dict[str, Any] | list[dict[str, Any]]) -> None:
@@ -28,7 +27,7 @@ def print_result(run: Run) -> None:
     """Prints a run's result, where it has one."""
     if run.result is not None:
         headings = ("", "value", "u, type A (noise)", "u, type B (stage)")
-        _print_table(headings, _rows_of(run.result), title=f"run {run.id}: unit {run.unit} on {run.rig}")
+        print_table(headings, _rows_of(run.result), title=f"run {run.id}: unit {run.unit} on {run.rig}")
     if run.verdict is not None:
         _print_sentences(run.verdict.says)
 
@@ -39,17 +38,17 @@ def _rows_of(result: dict[str, Any]) -> Iterable[tuple[str, ...]]:
     stage = result["reference"] or {"bias_std_deg": None, "scale_std": None}
     bias = result["bias_deg"], result["bias_std_deg"], stage["bias_std_deg"]
     scale = result["scale"], result["scale_std"], stage["scale_std"]
-    yield "bias", *(_number(value, "°") for value in bias)
-    yield "scale", *(_number(value, "", 6) for value in scale)
-    yield "RMS raw", _number(result["rms_raw_deg"], "°")
-    yield "RMS calibrated", _number(result["rms_calibrated_deg"], "°")
-    yield "standard error of a reading", _number(result["noise_deg"], "°")
+    yield "bias", *(number(value, "°") for value in bias)
+    yield "scale", *(number(value, "", 6) for value in scale)
+    yield "RMS raw", number(result["rms_raw_deg"], "°")
+    yield "RMS calibrated", number(result["rms_calibrated_deg"], "°")
+    yield "standard error of a reading", number(result["noise_deg"], "°")
     yield "poses", str(result["n_poses"])
-    lowest, highest = (_number(temperature[end], " °C", 1) for end in ("min", "max"))
+    lowest, highest = (number(temperature[end], " °C", 1) for end in ("min", "max"))
     yield "temperature", f"{lowest} to {highest}"
     for axis, bias, std in zip("xyz", gyro["bias_dps"], gyro["bias_std_dps"], strict=True):
-        yield f"gyro bias {axis}", _number(bias, " °/s"), _number(std, " °/s")
-    yield "gyro scale", _number(gyro["scale"], "", 6), _number(gyro["scale_std"], "", 6)
+        yield f"gyro bias {axis}", number(bias, " °/s"), number(std, " °/s")
+    yield "gyro scale", number(gyro["scale"], "", 6), number(gyro["scale_std"], "", 6)
 
 
 def print_says(sentences: Iterable[str]) -> None:
@@ -71,13 +70,13 @@ def print_rigs(rigs: Iterable[RigSettings]) -> None:
         )
         for rig in rigs
     )
-    _print_table(("rig", "elevation", "stage", "imu"), rows, justify="left")
+    print_table(("rig", "elevation", "stage", "imu"), rows, justify="left")
 
 
 def print_ports(found: Sequence[Found], stanza: str) -> None:
     """Prints who answers on which port, and what can be pasted into the configuration."""
     if not found:
-        _print("there is no serial port: is the USB cable plugged in?")
+        print_line("there is no serial port: is the USB cable plugged in?")
         return
     rows = (
         tuple(
@@ -85,18 +84,18 @@ def print_ports(found: Sequence[Found], stanza: str) -> None:
         )
         for one in found
     )
-    _print_table(("port", "device", "driver", "identity", "USB", "serial number"), rows, justify="left")
+    print_table(("port", "device", "driver", "identity", "USB", "serial number"), rows, justify="left")
     if stanza:
-        _print(f"for calrig.toml:\n\n{stanza.rstrip()}")
+        print_line(f"for calrig.toml:\n\n{stanza.rstrip()}")
 
 
 def print_users(users: Sequence[dict[str, Any]]) -> None:
     """Prints who is known, or was."""
     if not users:
-        _print("nobody is known by name: `calrig users add NAME --role admin` makes the first one known")
+        print_line("nobody is known by name: `calrig users add NAME --role admin` makes the first one known")
         return
     rows = ((user["name"], user["role"], _way_in(user), str(user["created_at"])[:10]) for user in users)
-    _print_table(("name", "role", "comes in", "since"), rows, justify="left")
+    print_table(("name", "role", "comes in", "since"), rows, justify="left")
 
 
 def _way_in(user: dict[str, Any]) -> str:
@@ -105,16 +104,38 @@ def _way_in(user: dict[str, Any]) -> str:
     return "by token, or a trusted proxy" if user["has_token"] else "by a trusted proxy"
 
 
+def print_moved(moved: Moved) -> None:
+    """Prints what a store that was taken over consists of; `--json` has the hashes in full."""
+    rows = ((table.name, str(table.rows), f"{table.sha256[:16]}…") for table in moved.tables)
+    print_table(("table", "rows", "SHA-256, the same at both ends"), rows)
+    print_line(f"moved in {moved.duration_s:.1f} s")
+
+
+def print_benches(benches: Sequence[dict[str, Any]]) -> None:
+    """Prints which benches may join, have joined or have left."""
+    if not benches:
+        print_line("no bench has joined: `calrig bench add NAME` makes a code for the first one")
+        return
+    rows = ((b["name"], b["hall"] or "", _standing(b), (b["last_seen_at"] or "")[:19]) for b in benches)
+    print_table(("bench", "hall", "is", "last seen, UTC"), rows, justify="left")
+
+
+def _standing(bench: dict[str, Any]) -> str:
+    if bench["code_until"] is not None:
+        return f"awaited until {bench['code_until'][:16]} UTC"
+    return "revoked" if bench["revoked_at"] is not None else "joined"
+
+
 def print_diagnosis(found: dict[str, Any]) -> None:
     """Prints a diagnosis: verdict, each effect with parameters and evidence, the error before and after."""
     from calrig.calibration.effects import EFFECTS
 
-    _print(f"{found['verdict']}: {found['final']['model']}", style="bold")
+    print_line(f"{found['verdict']}: {found['final']['model']}", style="bold")
     for effect in found["effects"]:
         _print_effect(effect)
-    _print("")
+    print_line("")
     rows = [
-        (name, _number(found["base"][key], "°"), _number(found["final"][key], "°"))
+        (name, number(found["base"][key], "°"), number(found["final"][key], "°"))
         for name, key in (
             ("fit", "fit_rms_deg"),
             ("held-out poses", "held_out_rms_deg"),
@@ -122,44 +143,44 @@ def print_diagnosis(found: dict[str, Any]) -> None:
         )
     ]
     for name, key in (("noise floor", "floor_deg"), ("pure error", "pure_error_deg")):
-        rows.append((name, "", _number(found["noise"].get(key), "°")))
-    _print_table(("RMS", "before", "after"), rows)
-    _print_warnings(found["warnings"])
+        rows.append((name, "", number(found["noise"].get(key), "°")))
+    print_table(("RMS", "before", "after"), rows)
+    print_warnings(found["warnings"])
     if found["follow_up"] is not None:
         sigmas = f"{found['follow_up']['separation_sigma']:.1f} standard errors"
         names = " from ".join(EFFECTS[name].title for name in found["follow_up"]["separates"])
-        _print(f"a follow-up run would separate {names} by {sigmas}: POST /api/runs/ID/follow-up")
+        print_line(f"a follow-up run would separate {names} by {sigmas}: POST /api/runs/ID/follow-up")
 
 
 def print_fleet(found: dict[str, Any]) -> None:
     """Prints what a fleet's re-analysis changed, and how large each rig's error is."""
     n, changed = found["runs"], found["changed"]
-    _print(f"{n} runs in {found['duration_s']:.1f} s, {len(changed)} with another verdict", style="bold")
+    print_line(f"{n} runs in {found['duration_s']:.1f} s, {len(changed)} with another verdict", style="bold")
     if changed:
         rows = [(c["run_id"], c["verdict_before"] or "", c["verdict_now"] or "") for c in changed]
-        _print_table(("run", "before", "now"), rows, justify="left")
+        print_table(("run", "before", "now"), rows, justify="left")
     maps = [(rig["rig"], rig["units"], rig["map"]["error_deg"]) for rig in found["rigs"]]
     by_rig = [
-        (name, str(units), str(len(errors)), _number(max(map(abs, errors), default=None), "°"))
+        (name, str(units), str(len(errors)), number(max(map(abs, errors), default=None), "°"))
         for name, units, errors in maps
     ]
     if by_rig:
-        _print_table(("rig", "units", "places in common", "largest error"), by_rig)
+        print_table(("rig", "units", "places in common", "largest error"), by_rig)
 
 
 def print_gravity(found: dict[str, Any]) -> None:
     """Prints a calibration against gravity: what was found, and |a| less 1 g before and after."""
     names = [effect["name"] for effect in found["effects"]]
-    _print(f"{found['verdict']}: {', '.join(['bias', 'scale', *names])}", style="bold")
+    print_line(f"{found['verdict']}: {', '.join(['bias', 'scale', *names])}", style="bold")
     for effect in found["effects"]:
         for name, parameter in effect["parameters"].items():
-            _print_parameter(name, parameter)
+            print_parameter(name, parameter)
     rows = (
-        (name, _number(found["base"][key], " mg", 2), _number(found["final"][key], " mg", 2))
+        (name, number(found["base"][key], " mg", 2), number(found["final"][key], " mg", 2))
         for name, key in (("fit", "fit_rms_mg"), ("held-out poses", "held_out_rms_mg"))
     )
-    _print_table((f"RMS of |a| − 1 g, {found['n_poses']} poses", "before", "after"), rows)
-    _print_warnings(found["warnings"])
+    print_table((f"RMS of |a| − 1 g, {found['n_poses']} poses", "before", "after"), rows)
+    print_warnings(found["warnings"])
 
 
 def print_noise(found: dict[str, Any]) -> None:
@@ -179,7 +200,7 @@ def print_noise(found: dict[str, Any]) -> None:
         for name, channel in found["channels"].items()
     )
     headings = ("channel", "ADEV slope", "PSD slope", "std", "white noise", "flicker", "colour")
-    _print_table(headings, rows, caption="white noise alone has slopes of −0.5 and 0")
+    print_table(headings, rows, caption="white noise alone has slopes of −0.5 and 0")
     _print_sentences(found["summary"])
 
 
@@ -188,43 +209,16 @@ def print_filters(found: dict[str, Any]) -> None:
     rows = (
         (
             row["label"],
-            _number(row["jitter_deg"], "°"),
+            number(row["jitter_deg"], "°"),
             _signed(row["lag_ms"], " ms", 1),
-            _number(row["largest_offset_deg"], "°", 3),
+            number(row["largest_offset_deg"], "°", 3),
             "yes" if row["causal"] else "no",
         )
         for row in found["filters"]
     )
     headings = ("filter", "jitter in 100 ms", "lag", "largest offset", "causal")
-    _print_table(headings, rows, caption="Nirmal et al. (2016): jitter 0.330° → 0.143°")
+    print_table(headings, rows, caption="Nirmal et al. (2016): jitter 0.330° → 0.143°")
     _print_sentences(found["summary"])
-
-
-def _print(text: str, style: str = "") -> None:
-    """Prints text as it is: no markup, no escape sequences."""
-    Console(soft_wrap=True, highlight=False).print(Text(printable(text), style))
-
-
-def _print_table(
-    headings: Iterable[str],
-    rows: Iterable[Iterable[str]],
-    *,
-    title: str | None = None,
-    caption: str | None = None,
-    justify: Any = "right",
-) -> None:
-    """Prints a table: names to the left in the first column, the others as told."""
-    table = Table(
-        title=None if title is None else Text(printable(title)),
-        title_justify="left",
-        caption=None if caption is None else Text(caption),
-        caption_justify="left",
-    )
-    for place, heading in enumerate(headings):
-        table.add_column(heading, justify=justify if place else "left", no_wrap=not place)
-    for row in rows:
-        table.add_row(*(Text(printable(cell)) for cell in row))
-    Console(soft_wrap=True, highlight=False).print(table)
 
 
 def _print_effect(effect: dict[str, Any]) -> None:
@@ -237,34 +231,18 @@ def _print_effect(effect: dict[str, Any]) -> None:
     titles = [known.title, *(EFFECTS[rival].title for rival in effect["confusable_with"])]
     against = f"against {covariate.title}" + (f" in {covariate.unit}" if covariate.unit else "")
     heading = f"{', or '.join(titles)}{between_runs(effect)}"
-    _print(f"\n{heading} ({effect['verdict']}; {ORIGINS[known.origin]}; {against})")
+    print_line(f"\n{heading} ({effect['verdict']}; {ORIGINS[known.origin]}; {against})")
     for one in known.parameters:
         if not one.flag:
             unit = covariate.unit if one.unit is None else one.unit
-            _print_parameter(one.title, effect["parameters"].get(one.name), unit)
+            print_parameter(one.title, effect["parameters"].get(one.name), unit)
     for sentence in (*effect["evidence"], effect["remedy"]):
-        _print(f"  · {sentence}")
-
-
-def _print_parameter(title: str, parameter: dict[str, float | None] | None, unit: str = "") -> None:
-    """Prints a parameter with its standard error; one that does not apply is left out."""
-    if parameter is not None:
-        std = "" if parameter["std"] is None else f" ± {parameter['std']:.2g}"
-        _print(f"  {title} = {parameter['value']:.4g}{std}{unit and f' {unit}'}")
+        print_line(f"  · {sentence}")
 
 
 def _print_sentences(sentences: Iterable[str]) -> None:
     for sentence in sentences:
-        _print(f"· {sentence}")
-
-
-def _print_warnings(warnings: Iterable[str]) -> None:
-    for warning in warnings:
-        _print(f"warning: {warning}")
-
-
-def _number(value: float | None, unit: str, decimals: int = 4) -> str:
-    return "not known" if value is None else f"{value:.{decimals}f}{unit}"
+        print_line(f"· {sentence}")
 
 
 def _signed(value: float | None, unit: str = "", decimals: int = 2) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import gc
-from contextlib import closing, suppress
+from contextlib import AbstractContextManager, closing, suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     import socket
 
     from calrig.api.access import Access
+    from calrig.runs.services import Service
     from calrig.settings import Settings
 
 
@@ -33,6 +34,8 @@ def serve(
     config: Config = None,
 ) -> None:
     """Serve the web page and the API, with a simulated rig when none is configured.
+
+    With a PostgreSQL --db it is a centre, whose rigs are those of its benches (`calrig agent`).
 
     CALRIG_TOKEN is the token that clients have to send; without one, only this machine is served.
     """
@@ -53,24 +56,35 @@ def _serve_on(
 ) -> None:
     from calrig.api.app import create_app, what_is_asked
     from calrig.api.server import Server
-    from calrig.cli.local_service import local_service
+    from calrig.cli.local_service import centre_service, local_service
+    from calrig.store.engines import is_centre, shown
 
-    with (
-        local_service(url, "serve", settings.rig, settings, record) as service,
-        suppress(KeyboardInterrupt),
-    ):
+    serving: AbstractContextManager[Service] = (
+        centre_service(url, "serve", settings)
+        if is_centre(url)
+        else local_service(url, "serve", settings.rig, settings, record)
+    )
+    with serving as service, suppress(KeyboardInterrupt):
         if settings.keep_samples_days is not None:
             service.store.prune_samples(datetime.now(UTC) - timedelta(days=settings.keep_samples_days))
 
         kept_in = str(settings.file) if settings.limit else None
-        app = create_app(service, access=access, limits_kept_in=kept_in, interval_days=settings.interval_days)
+        app = create_app(
+            service,
+            access=access,
+            limits_kept_in=kept_in,
+            interval_days=settings.interval_days,
+            centre=settings.centre,
+        )
 
         def say_ready() -> None:
             rigs = ", ".join(f"{r.name} (simulated)" if r.simulated else r.name for r in service.rigs())
             host, port = listener.getsockname()[:2]
             where = f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
             asks = what_is_asked(app)
-            typer.echo(f"calrig {calrig.__version__} at {where}, store {in_utf8(url)}, rigs: {rigs}{asks}")
+            typer.echo(
+                f"calrig {calrig.__version__} at {where}, store {in_utf8(shown(url))}, rigs: {rigs}{asks}"
+            )
 
         gc.freeze()  # what was imported lives to the end: no collection need look at it, the last one neither
         # On SIGINT and SIGTERM uvicorn stops in order, then raises what it was told by.

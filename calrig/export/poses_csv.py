@@ -12,13 +12,14 @@ from dataclasses import dataclass
 from typing import overload
 
 from calrig.calibration.pose import COLUMNS, INTEGER, REQUIRED, Pose
-from calrig.export.cells import Cells, CsvError, for_spreadsheet
+from calrig.export.cells import Cells, CsvError, for_spreadsheet, from_spreadsheet
 from calrig.export.csv_table import read_tables
 
 __all__ = [
     "CsvError",
     "ImportedPoses",
     "PoseColumns",
+    "read_labelled_poses",
     "read_pose_columns",
     "read_poses",
     "write_pose_batches",
@@ -63,15 +64,24 @@ class PoseColumns(Sequence[Pose]):
 
     def in_time(self) -> tuple[PoseColumns, str]:
         """The poses by `time_s` if each has one, and what is to be said where they were not so."""
+        order, said = self.order_in_time()
+        if isinstance(order, range):
+            return self, said
+        ordered = {name: array("d", map(column.__getitem__, order)) for name, column in self._columns.items()}
+        return PoseColumns(ordered), said
+
+    def order_in_time(self) -> tuple[Sequence[int], str]:
+        """The rows by `time_s` if each has one, as a range where they are so, and what is to be said."""
+        as_they_are = range(len(self))
         times = self._columns.get("time_s", array("d"))
         known = [time for time in times if not math.isnan(time)]
         if all(before <= after for before, after in itertools.pairwise(known)):
-            return self, ""
+            return as_they_are, ""
         if len(known) < len(self):
-            return self, "time_s goes backwards and is not known for every row; the rows are left as they are"
-        order = sorted(range(len(self)), key=times.__getitem__)
-        ordered = {name: array("d", map(column.__getitem__, order)) for name, column in self._columns.items()}
-        return PoseColumns(ordered), "the rows were not in order of time_s; they are sorted by it"
+            said = "time_s goes backwards and is not known for every row; the rows are left as they are"
+            return as_they_are, said
+        order = sorted(as_they_are, key=times.__getitem__)
+        return order, "the rows were not in order of time_s; they are sorted by it"
 
 
 def _known(cells: Iterable[float], whole: bool) -> Iterator[float | int | None]:
@@ -93,18 +103,53 @@ def read_poses(data: bytes) -> ImportedPoses:
 
 def read_pose_columns(data: bytes) -> tuple[PoseColumns, list[str]]:
     """The same, of which a hundred thousand poses fit into little memory."""
+    poses, _, warnings = _read(data, ())
+    ordered, of_time = poses.in_time()
+    return ordered, [*warnings, *([of_time] if of_time else [])]
+
+
+def read_labelled_poses(data: bytes, labels: Sequence[str]) -> tuple[list[Pose], list[Labels], list[str]]:
+    """The same with columns of text beside them.
+
+    Args:
+        data: the file.
+        labels: columns to be taken for text.
+
+    Returns:
+        The poses in the order measured, of each its texts by column (of columns that the file has, and cells
+        that are not blank), and warnings.
+    """
+    poses, texts, warnings = _read(data, labels)
+    order, of_time = poses.order_in_time()
+    rows = [{name: cells[k] for name, cells in texts.items() if cells[k]} for k in order]
+    return poses.in_time()[0][:], rows, [*warnings, *([of_time] if of_time else [])]
+
+
+Labels = dict[str, str]
+
+
+def _read(data: bytes, labels: Sequence[str]) -> tuple[PoseColumns, dict[str, list[str]], list[str]]:
+    """Columns of numbers and of text, in the order of the file, and what was left out."""
     columns: list[_Column] = []
+    texts: dict[str, list[str]] = {}
     for table in read_tables(data, REQUIRED):
         columns = columns or [_Column(name) for name in table.header]
         for place, column in enumerate(columns):
-            column.take(table.column(place))
+            if column.name in labels:
+                cells = (from_spreadsheet(text.strip()) for text in table.column(place).texts)
+                texts.setdefault(column.name, []).extend(cells)
+            else:
+                column.take(table.column(place))
     warnings: list[str] = []
+    kept = {}
     for place, column in enumerate(columns):
+        if column.name in texts:
+            continue
         if why := column.why_left_out():
             warnings.append(f"column {column.name or place + 1}: {why}; left out")
-    kept = {column.name: column.cells for column in columns if not column.why_left_out()}
-    poses, of_time = PoseColumns(kept).in_time()
-    return poses, [*warnings, *([of_time] if of_time else [])]
+        else:
+            kept[column.name] = column.cells
+    return PoseColumns(kept), texts, warnings
 
 
 def write_poses(poses: Sequence[Pose]) -> str:

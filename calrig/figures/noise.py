@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from calrig.estimation.angles import FloatArray
-from calrig.figures.parts import PALETTE, Figure, as_text, colour_of, layout_of, line_of
+from calrig.figures.parts import PALETTE, Figure, as_text, band_of, colour_of, layout_of, line_of
 from calrig.noise.allan_theory import KINDS, variance_of
 from calrig.noise.analysis import ChannelNoise, Noise
 
@@ -47,8 +47,9 @@ def allan_deviation(channels: Sequence[ChannelNoise]) -> Figure:
         curve, colour = channel.allan, colour_of(k)
         if len(curve.tau_s) == 0:
             continue
-        data.append(_band(channel.name, curve.tau_s, curve.low, curve.high, colour))
-        line = line_of(channel.name, curve.tau_s.tolist(), curve.deviation.tolist(), colour)
+        tau_s, low, high = curve.tau_s.tolist(), curve.low.tolist(), curve.high.tolist()
+        data.append(band_of(channel.name, tau_s, low, high, colour))
+        line = line_of(channel.name, tau_s, curve.deviation.tolist(), colour)
         hover = f"τ = %{{x:.3g}} s: %{{y:.3g}} {channel.unit}"
         data.append({**line, "legendgroup": channel.name, "hovertemplate": hover})
         data += _fitted(channel, colour, apart=len(channels) == 1)
@@ -109,24 +110,6 @@ def _double_log(x_title: str, y_title: str) -> dict[str, Any]:
 
 def _unit(channels: Sequence[ChannelNoise]) -> str:
     return channels[0].unit if channels else ""
-
-
-def _band(name: str, x: FloatArray, low: FloatArray, high: FloatArray, colour: str) -> dict[str, Any]:
-    """The confidence limits as one closed outline."""
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "name": as_text(name),
-        "legendgroup": name,
-        "showlegend": False,
-        "x": [*x.tolist(), *x[::-1].tolist()],
-        "y": [*high.tolist(), *low[::-1].tolist()],
-        "fill": "toself",
-        "fillcolor": colour,
-        "opacity": 0.25,
-        "line": {"width": 0},
-        "hoverinfo": "skip",
-    }
 
 
 def _fitted(channel: ChannelNoise, colour: str, *, apart: bool) -> list[dict[str, Any]]:

@@ -31,6 +31,26 @@ def line_of(name: str, x: list[Any], y: list[Any], colour: str, hover: str | Non
     return {**trace, "hovertemplate": hover} if hover else trace
 
 
+def band_of(
+    name: str, x: Sequence[float], low: Sequence[float], high: Sequence[float], colour: str
+) -> dict[str, Any]:
+    """What lies between two limits as one closed outline, shown and hidden with the line of its name."""
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "name": as_text(name),
+        "legendgroup": name,
+        "showlegend": False,
+        "x": [*x, *x[::-1]],
+        "y": [*high, *low[::-1]],
+        "fill": "toself",
+        "fillcolor": colour,
+        "opacity": 0.25,
+        "line": {"width": 0},
+        "hoverinfo": "skip",
+    }
+
+
 def error_bars(std: Sequence[float | None], colour: str) -> dict[str, Any]:
     """Standard errors about points; none where one is not known."""
     return {"type": "data", "array": list(std), "color": colour, "thickness": 1.2, "width": 3}

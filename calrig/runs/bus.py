@@ -12,6 +12,12 @@ class Bus:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._watchers: dict[str, list[Callable[[], None]]] = {}
+        self._of_all: list[Callable[[], None]] = []
+
+    def subscribe_to_all(self, wake: Callable[[], None]) -> None:
+        """Has `wake` called after each commit of new events of any run."""
+        with self._lock:
+            self._of_all.append(wake)
 
     def subscribe(self, run_id: str, wake: Callable[[], None]) -> Callable[[], None]:
         """Has `wake` called after each commit of new events of the run; returns the way to end it."""
@@ -31,6 +37,13 @@ class Bus:
     def wake(self, run_id: str) -> None:
         """Calls everybody who watches the run."""
         with self._lock:
-            watchers = list(self._watchers.get(run_id, ()))
+            watchers = [*self._watchers.get(run_id, ()), *self._of_all]
+        for wake in watchers:
+            wake()
+
+    def wake_all(self) -> None:
+        """Calls everybody: what happened meanwhile was not heard."""
+        with self._lock:
+            watchers = [wake for watching in self._watchers.values() for wake in watching]
         for wake in watchers:
             wake()

@@ -16,21 +16,45 @@ class Crew:
         self._workers: dict[str, Worker] = {}
         self._busy: dict[str, str] = {}  # rigs by name, each with its run
         self._unreachable: set[str] = set()
+        self._called_off: set[str] = set()
         self._is_closing = False
 
-    def require_free(self, rig_name: str) -> None:
-        """Raises Conflict where a rig takes no run now, and why."""
+    def require_free(self, rig_name: str, run_id: str | None = None) -> None:
+        """Raises Conflict where a rig takes no run now, or not this one, and why."""
         with self._lock:
             if self._is_closing:
                 raise Conflict("the service is shutting down")
-            if rig_name in self._busy:
+            if self._busy.get(rig_name, run_id) != run_id:
                 raise Conflict(f"rig {rig_name!r} is busy with run {self._busy[rig_name]}")
 
-    def take(self, worker: Worker) -> None:
-        """Puts a worker on its rig."""
+    def keep(self, rig_name: str, run_id: str) -> bool:
+        """Keeps a rig for a run that has no worker yet; False where it is not free."""
+        with self._lock:
+            if self._is_closing or rig_name in self._busy:
+                return False
+            self._busy[rig_name] = run_id
+            return True
+
+    def call_off(self, rig_name: str) -> None:
+        """Whatever a rig is kept for is not to move it any more."""
+        with self._lock:
+            run_id = self._busy.get(rig_name)
+            if run_id is not None and run_id not in self._workers:
+                self._called_off.add(run_id)
+
+    def let_go(self, rig_name: str, run_id: str) -> None:
+        """Keeps a rig no longer, unless the run has got its worker."""
+        with self._lock:
+            self._called_off.discard(run_id)
+            if self._busy.get(rig_name) == run_id and run_id not in self._workers:
+                del self._busy[rig_name]
+
+    def take(self, worker: Worker) -> bool:
+        """Puts a worker on its rig; returns whether the run has been called off meanwhile."""
         with self._lock:
             self._workers[worker.run_id] = worker
             self._busy[worker.rig.name] = worker.run_id
+            return worker.run_id in self._called_off
 
     def left_rig(self, worker: Worker) -> None:
         """The worker has closed its rig's ports."""

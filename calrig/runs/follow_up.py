@@ -15,6 +15,7 @@ from calrig.calibration.pose import DiagnosisError, Pose
 from calrig.calibration.sprt import SequentialTest
 from calrig.plan import Plan, PlannedPose
 from calrig.processes.pool import Apart, WorkError, run_apart
+from calrig.store import Run
 
 
 @dataclass
@@ -44,14 +45,13 @@ class FollowUpRun:
 
     @classmethod
     def designed(
-        cls, earlier: Unresolved, limits_deg: tuple[float, float], apart: Apart = run_apart
+        cls, earlier: Unresolved, last: Run, limits_deg: tuple[float, float], apart: Apart = run_apart
     ) -> FollowUpRun:
-        """The follow-up that best separates the suspects on a rig.
+        """The follow-up that best separates the suspects on a rig; `last` is the latest of the earlier runs.
 
         Raises:
             Conflict: no run within these limits would, and why.
         """
-        last = earlier.runs[-1]
         found = apart(partial(design, earlier.poses, earlier.findings, limits_deg))
         if isinstance(found, str):
             raise Conflict(f"run {last.id}: {found}")
@@ -82,7 +82,7 @@ class FollowUpRun:
         question = partial(
             trace,
             [*self.earlier.poses, measured],
-            [*(run.id for run in self.earlier.runs), run_id],
+            [*self.earlier.run_ids, run_id],
             plan=self.plan.model_dump(mode="json"),
             limits_deg=self.limits_deg,
             deciding=self.decided_on,

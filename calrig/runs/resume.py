@@ -24,6 +24,7 @@ from calrig.estimation.angles import wrap_deg
 from calrig.estimation.gyro import GyroBias, dwell_bias
 from calrig.estimation.reading import Reading
 from calrig.plan import Plan, PlanError
+from calrig.runs import ordered
 from calrig.runs.follow_up import FollowUpRun
 from calrig.runs.rig import Rig
 from calrig.runs.task import Earlier, Task
@@ -62,13 +63,15 @@ def resumed_task(store: Store, run: Run, settings: RigSettings) -> Task:
         planned = plan.poses(settings.limits_deg)
     except PlanError as error:
         raise Conflict(f"run {run.id} cannot be resumed: {error}") from error
+    taken = store.taken_order(run.id)
+    order = {} if taken is None else taken.document  # which knows more than a bench's own spool
     return Task(
         run=run,
         rig=settings,
         plan=plan,
         planned=planned,
-        follow_up=None if run.follows is None else _follow_up(store, run, plan, settings),
-        verifies=_verified(store, run, plan, settings),
+        follow_up=ordered.follow_up_of(order, plan, settings) or _follow_up(store, run, plan, settings),
+        verifies=ordered.verified(order) or _verified(store, run, plan, settings),
         earlier=_earlier(store, run, plan),
         interruption={
             "after_poses": run.progress["poses_done"],
@@ -197,9 +200,10 @@ def _biases(store: Store, run: Run, poses: list[Pose]) -> list[GyroBias]:
     return [dwell_bias(np.asarray(gyro_dps)) for gyro_dps in dwells if len(gyro_dps)]
 
 
-def _follow_up(store: Store, run: Run, plan: Plan, settings: RigSettings) -> FollowUpRun:
+def _follow_up(store: Store, run: Run, plan: Plan, settings: RigSettings) -> FollowUpRun | None:
     """As it began: its decisions rest on poses that are stored, so they come out alike."""
-    assert run.follows is not None  # noqa: S101 (the caller looked)
+    if run.follows is None:
+        return None
     known = run.provenance.get("follow_up") or {}
     if "deciding" not in known:
         raise Conflict(f"run {run.id} follows {run.follows} and was begun by an older calrig: start it anew")

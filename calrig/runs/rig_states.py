@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 
 from calrig.settings import RigSettings
@@ -10,7 +11,7 @@ from calrig.settings import RigSettings
 
 @dataclass(frozen=True, slots=True)
 class RigState:
-    """A rig as `GET /api/rigs` shows it."""
+    """A rig as `GET /api/rigs` shows it; of a centre's, with the bench that has it and when that was seen."""
 
     name: str
     stage: str
@@ -18,6 +19,9 @@ class RigState:
     simulated: bool
     state: str
     run_id: str | None
+    bench: str | None = None
+    hall: str | None = None
+    last_seen_at: datetime | None = None
 
 
 def state_of(rig: RigSettings, run_id: str | None, *, unreachable: bool) -> RigState:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 from calrig.analysis.active_calibration import active_calibration
 from calrig.analysis.errors import Conflict, Unknown
 from calrig.analysis.issuing import Issuer, Releases
-from calrig.analysis.origin import check_serial, provenance
+from calrig.analysis.origin import check_serial
 from calrig.analysis.stored_runs import stored_run
 from calrig.analysis.unresolved import unresolved
 from calrig.plan import Plan
@@ -22,12 +23,13 @@ from calrig.runs.crew import Crew
 from calrig.runs.errands import Errand
 from calrig.runs.follow_up import FollowUpRun
 from calrig.runs.meter import Meter
+from calrig.runs.new_run import NewRun
 from calrig.runs.planned import planned_poses
 from calrig.runs.resume import resumed_task
 from calrig.runs.rig_states import RigState, state_of
 from calrig.runs.stage_place import leave_at
 from calrig.runs.states import check_transition
-from calrig.runs.stopping import Stops
+from calrig.runs.stopping import BY_REQUEST, Stops
 from calrig.runs.task import Task
 from calrig.runs.worker import Worker
 from calrig.settings import RigSettings
@@ -48,11 +50,18 @@ class RunService:
         store: where runs are kept.
         rigs: those there are.
         record: folder for transcripts of every byte on the rigs' wires; None for none.
+        issuer: makes drafts of completed calibrations; without it by what the rigs' `release` says.
     """
 
-    def __init__(self, store: Store, rigs: Sequence[RigSettings], record: Path | None = None) -> None:
+    def __init__(
+        self,
+        store: Store,
+        rigs: Sequence[RigSettings],
+        record: Path | None = None,
+        issuer: Issuer | None = None,
+    ) -> None:
         self.store = store
-        self.issuer = Issuer(store, Releases.of(rigs))
+        self.issuer = issuer or Issuer(store, Releases.of(rigs))
         self.bus = Bus()
         self._rigs = {rig.name: rig for rig in rigs}
         self.meter = Meter(self._rigs)
@@ -78,10 +87,12 @@ class RunService:
         operator: str | None = None,
         note: str | None = None,
         stage_at_deg: float | None = None,
+        queue: bool = False,  # noqa: ARG002 (a rig of this machine has no queue yet: busy is refused)
     ) -> Run:
         """Starts a run on a rig (the first one configured where none is named) and returns it at once.
 
-        `stage_at_deg` is a person's word for the elevation at which a stage without homing stands.
+        `stage_at_deg` is a person's word for the elevation at which a stage without homing stands; `queue`
+        asks to wait for a busy rig, which only a centre does.
 
         Raises:
             Invalid: the serial number or an elevation of the plan is out of bounds; nothing was stored.
@@ -90,9 +101,10 @@ class RunService:
         """
         check_serial(unit)
         settings = self._rig(rig)
-        return self._begin(
-            settings, unit, plan, operator=operator, who=operator, note=note, stage_at_deg=stage_at_deg
+        wanted = NewRun(
+            unit=unit, plan=plan, operator=operator, who=operator, note=note, stage_at_deg=stage_at_deg
         )
+        return self.begin(settings, wanted)
 
     def follow_up(self, run_id: str, apart: Apart = run_apart, who: str | None = None) -> Run:
         """Starts the run that best separates what the diagnosis of a run (and those before it) could not.
@@ -105,64 +117,53 @@ class RunService:
         if run.rig is None:
             raise Conflict(f"run {run_id} was imported: no rig is known to follow it up on")
         settings = self._rig(run.rig)
-        follow_up = FollowUpRun.designed(unresolved(self.store, run_id, apart), settings.limits_deg, apart)
-        operator = who or run.operator
-        return self._begin(
-            settings,
-            run.unit,
-            follow_up.plan,
-            operator=operator,
+        earlier = unresolved(self.store, run_id, apart)
+        follow_up = FollowUpRun.designed(earlier, run, settings.limits_deg, apart)
+        wanted = NewRun(
+            unit=run.unit,
+            plan=follow_up.plan,
+            operator=who or run.operator,
             who=who,
             follows=run_id,
             follow_up=follow_up,
         )
+        return self.begin(settings, wanted)
 
-    def _begin(
-        self,
-        settings: RigSettings,
-        unit: str,
-        plan: Plan,
-        *,
-        operator: str | None = None,
-        who: str | None = None,
-        note: str | None = None,
-        follows: str | None = None,
-        follow_up: FollowUpRun | None = None,
-        stage_at_deg: float | None = None,
-    ) -> Run:
+    def begin(self, settings: RigSettings, wanted: NewRun) -> Run:
+        """Starts a run on a rig of this service, which is free or kept for that run; errors as of `start`."""
+        plan = wanted.plan
         planned = planned_poses(plan, settings)
-        verifies = None
-        if plan.kind == "verification":
-            verifies = active_calibration(self.store, unit, settings.name, plan.revision)
+        if plan.kind == "verification" and wanted.verifies is None:
+            verifies = active_calibration(self.store, wanted.unit, settings.name, plan.revision)
+            wanted = replace(wanted, verifies=verifies)
         with self._beginning:
-            self._crew.require_free(settings.name)
-            if stage_at_deg is not None:
-                leave_at(self.store, settings, stage_at_deg)
-            run = self.store.create_run(
-                unit=unit,
-                rig=settings.name,
-                plan=plan.model_dump(mode="json"),
-                status="queued",
-                operator=operator,
-                who=who,
-                note=note,
-                follows=follows,
-                provenance={
-                    **provenance(operator),
-                    "seed": plan.seed,
-                    **({} if verifies is None else verifies.provenance()),
-                    **({} if follow_up is None else {"follow_up": follow_up.provenance()}),
-                },
-                poses_total=0 if plan.kind == "static" else len(planned),
-            )
-            self._employ(Task(run, settings, plan, planned, follow_up, verifies))
+            self._crew.require_free(settings.name, wanted.run_id)
+            if wanted.stage_at_deg is not None:
+                leave_at(self.store, settings, wanted.stage_at_deg)
+            run = wanted.keep(self.store, settings.name, len(planned))
+            self._employ(Task(run, settings, plan, planned, wanted.follow_up, wanted.verifies))
         return self.run(run.id)
+
+    def is_free(self, rig_name: str) -> bool:
+        """Whether no run is on a rig, and none is about to be."""
+        return rig_name not in self._crew.look()[0]
+
+    @contextmanager
+    def keeping(self, rig_name: str, run_id: str) -> Iterator[bool]:
+        """Keeps a rig for a run that is about to begin, and no longer; gives whether the rig was free."""
+        kept = self._crew.keep(rig_name, run_id)
+        try:
+            yield kept
+        finally:
+            if kept:
+                self._crew.let_go(rig_name, run_id)
 
     def _employ(self, task: Task) -> None:
         """Starts a worker; called while nobody else begins a run."""
         left, ended = self._crew.left_rig, self._crew.ended
         worker = Worker(task, self.store, self.issuer, self.bus, self.meter, left, ended, self._record)
-        self._crew.take(worker)
+        if self._crew.take(worker):
+            worker.control.end(BY_REQUEST)
         worker.start()
 
     def run(self, run_id: str) -> Run:
@@ -217,6 +218,7 @@ class RunService:
     def begin_stop(self, rig_name: str) -> Errand[RigState]:
         """As `stop`, in a thread that is this rig's alone; who asks while it is being told shares that."""
         rig = self._rig(rig_name)
+        self._crew.call_off(rig_name)
         return self._stops.stop(rig, lambda: next(state for state in self.rigs() if state.name == rig.name))
 
     def pause(self, run_id: str) -> Run:
@@ -247,7 +249,7 @@ class RunService:
             raise Conflict(f"run {run.id} was on rig {run.rig!r}, which is not configured any more")
         task = resumed_task(self.store, run, settings)
         with self._beginning:
-            self._crew.require_free(settings.name)
+            self._crew.require_free(settings.name, run.id)
             check_transition(run.id, self.run(run.id).status, "queued")  # somebody else may have been first
             self.store.update_run(run.id, status="queued", error=None)
             self._employ(task)

@@ -80,12 +80,13 @@ class ParcelTable(SQLModel, table=True):
 
 
 class TakenOrderTable(SQLModel, table=True):
-    """On a bench: the newest epoch of a run that it has acted on."""
+    """On a bench: the newest epoch of a run that it has acted on, and the order of it."""
 
     __tablename__ = "taken_order"
 
     run_uid: str = Field(primary_key=True)
     epoch: int
+    document: dict[str, Any] = Field(sa_type=CheckedJson)
 
 
 class DeliveryTable(SQLModel, table=True):

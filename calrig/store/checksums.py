@@ -6,7 +6,7 @@ import json
 import math
 import struct
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -61,21 +61,29 @@ class CheckedJson(TypeDecorator[dict[str, Any]]):
 
     def process_bind_param(self, value: Any | None, dialect: Dialect) -> dict[str, Any] | None:  # noqa: ARG002
         """Python to database."""
-        return None if value is None else {**value, KEY: zlib.crc32(to_json(value).encode())}
+        return None if value is None else sealed(value)
 
     def process_result_value(self, value: Any | None, dialect: Dialect) -> dict[str, Any] | None:  # noqa: ARG002
         """Database to Python."""
-        if value is None:
-            return None
-        stored = value.pop(KEY, None) if isinstance(value, dict) else 0
-        try:
-            text = to_json(value) if stored is not None else json.dumps(value, ensure_ascii=False)
-            found = zlib.crc32(text.encode())
-        except (ValueError, RecursionError) as error:  # no number, no text, or nested too deeply
-            raise Unreadable(f"a document is not what was stored: {error}") from error
-        if stored is not None and stored != found:
-            raise Unreadable("a document is not what was stored")
-        return dict(value)
+        return None if value is None else unsealed(value)
+
+
+def sealed(document: Mapping[str, Any]) -> dict[str, Any]:
+    """A document with the checksum of its text as one more key."""
+    return {**document, KEY: zlib.crc32(to_json(document).encode())}
+
+
+def unsealed(value: Any) -> dict[str, Any]:
+    """The document that was sealed; Unreadable where it is another one. One without a checksum is taken."""
+    stored = value.pop(KEY, None) if isinstance(value, dict) else 0
+    try:
+        text = to_json(value) if stored is not None else json.dumps(value, ensure_ascii=False)
+        found = zlib.crc32(text.encode())
+    except (ValueError, RecursionError) as error:  # no number, no text, or nested too deeply
+        raise Unreadable(f"a document is not what was stored: {error}") from error
+    if stored is not None and stored != found:
+        raise Unreadable("a document is not what was stored")
+    return dict(value)
 
 
 def from_json(text: str) -> Any:

@@ -10,7 +10,7 @@ from sqlalchemy import Connection
 from sqlalchemy.exc import StatementError
 from sqlmodel import Session
 
-from calrig.store.errors import StoreDamagedError, StoreError, Unreadable
+from calrig.store.errors import NotText, StoreDamagedError, StoreError, Unreadable
 from calrig.store.records import Size
 
 BUSY_TIMEOUT_S = 10.0
@@ -39,11 +39,14 @@ class Database(ABC):
         """
 
     @abstractmethod
-    def writing(self, on: Connection | None = None) -> AbstractContextManager[Session]:
+    def writing(
+        self, on: Connection | None = None, *, in_turn: bool = True
+    ) -> AbstractContextManager[Session]:
         """A session whose changes are kept when the block ends, or none of them where it raises.
 
         Args:
             on: what `staging` gave; without it any connection.
+            in_turn: False for what counts nothing on and so waits for no other writer, where the engine can.
 
         Raises:
             StoreError: it cannot be written; of waiting for a turn, what `require_wanted` raises as well.
@@ -86,11 +89,9 @@ class Database(ABC):
                 raise ValueError(f"cannot be stored: {error.orig}") from error
             raise self._error(error.orig) from error
 
-    def _no_text(self, error: UnicodeEncodeError) -> StoreError:
+    def _no_text(self, error: UnicodeEncodeError) -> NotText:
         """The error for a name of another encoding, as a terminal or a folder may have it."""
-        return StoreError(
-            f"{self.name}: keeps UTF-8 text, and {error.object[:60]!a} is none: write it in UTF-8"
-        )
+        return NotText(f"{self.name}: keeps UTF-8 text, and {error.object[:60]!a} is none: write it in UTF-8")
 
 
 class Part:

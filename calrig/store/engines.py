@@ -22,6 +22,11 @@ def is_centre(url: str) -> bool:
         return False  # which the path of a file will say
 
 
+def shown(url: str) -> str:
+    """A store's URL as people may see it."""
+    return make_url(url).render_as_string(hide_password=True) if is_centre(url) else url
+
+
 def open_database(
     url: str,
     writer: str | None,
@@ -34,6 +39,5 @@ def open_database(
     try:
         from calrig.store.postgresql.database import PostgresqlDatabase
     except ModuleNotFoundError as error:
-        shown = make_url(url).render_as_string(hide_password=True)
-        raise StoreError(f"{shown}: needs {error.name}: {EXTRA}") from error
+        raise StoreError(f"{shown(url)}: needs {error.name}: {EXTRA}") from error
     return PostgresqlDatabase(url, writer, busy_timeout_s)

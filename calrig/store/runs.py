@@ -63,27 +63,20 @@ class Runs(Part):
             session = stack.enter_context(self._database.writing(on=staged))
             if run_id is not None and find_run(session, run_id) is not None:
                 raise Refused(f"there is a run {run_id} already")
-            if session.get(UnitTable, unit) is None:
-                session.add(UnitTable(serial=unit, created_at=now))
-                session.flush()
-            row = RunTable(
+            row = new_row(
+                session,
+                now,
                 uid=run_id or new_run_id(),
                 unit=unit,
                 rig=rig,
-                kind=(plan or {}).get("kind", "calibration"),
                 status=status,
                 plan=plan,
-                progress=_progress(len(poses), max(poses_total, len(poses)), status),
-                faults={},
-                follows=None if follows is None else run_row(session, follows).id,
+                progress=first_progress(len(poses), max(poses_total, len(poses)), status),
+                follows=follows,
                 provenance=provenance,
                 operator=operator,
                 note=note,
-                created_at=now,
             )
-            _stamp(row, now)
-            session.add(row)
-            session.flush()
             if staged is not None:
                 staging.take_over(session, row.id)
             replace_result(session, row, result)
@@ -179,6 +172,46 @@ class Runs(Part):
             return {**dict.fromkeys(get_args(Status), 0), **dict(session.exec(wanted).all())}
 
 
+def new_row(
+    session: Session,
+    now: datetime,
+    *,
+    uid: str,
+    unit: str,
+    rig: str | None,
+    status: Status,
+    plan: Document | None,
+    progress: Document,
+    follows: str | None,
+    provenance: Document,
+    operator: str | None,
+    note: str | None,
+) -> RunTable:
+    """The row of a new run and, where it is the first of its unit, the unit's; nobody is told of it yet."""
+    if session.get(UnitTable, unit) is None:
+        session.add(UnitTable(serial=unit, created_at=now))
+        session.flush()
+    row = RunTable(
+        uid=uid,
+        unit=unit,
+        rig=rig,
+        kind=(plan or {}).get("kind", "calibration"),
+        status=status,
+        plan=plan,
+        progress=progress,
+        faults={},
+        follows=None if follows is None else run_row(session, follows).id,
+        provenance=provenance,
+        operator=operator,
+        note=note,
+        created_at=now,
+    )
+    _stamp(row, now)
+    session.add(row)
+    session.flush()
+    return row
+
+
 def change(session: Session, row: RunTable, events: Sequence[Announced], changes: RunChanges) -> list[int]:
     """Makes the changes, announces `events` and then, where a status was given, the new state.
 
@@ -216,7 +249,7 @@ def _stamp(row: RunTable, now: datetime) -> None:
     row.finished_at = now if row.status in TERMINAL else None
 
 
-def _progress(poses_done: int, poses_total: int, status: Status) -> Document:
+def first_progress(poses_done: int, poses_total: int, status: Status) -> Document:
     """How far a run is that has just been made."""
     return {
         "poses_done": poses_done,

@@ -7,9 +7,13 @@ from types import TracebackType
 from typing import Self
 
 from calrig.store.amendments import Amendments
+from calrig.store.bench_backlog import BenchBacklog
+from calrig.store.bench_commands import BenchCommands
+from calrig.store.benches import Benches
 from calrig.store.check_units import CheckUnits
 from calrig.store.database import BUSY_TIMEOUT_S
 from calrig.store.engines import open_database
+from calrig.store.enrolment import Enrolment
 from calrig.store.event_log import EventLog
 from calrig.store.fleet import Fleet
 from calrig.store.fleet_findings import FleetFindings
@@ -18,9 +22,12 @@ from calrig.store.limits import Limits
 from calrig.store.places import Places
 from calrig.store.poses import Poses
 from calrig.store.records import Size
+from calrig.store.rig_standing import RigStandings
 from calrig.store.runs import Runs
+from calrig.store.spool import Spool
 from calrig.store.trail import Trail
 from calrig.store.units import Units
+from calrig.store.unpacking import Unpacking
 from calrig.store.users import Users
 
 
@@ -36,6 +43,13 @@ class Store(
     CheckUnits,
     Trail,
     Users,
+    Benches,
+    BenchCommands,
+    BenchBacklog,
+    RigStandings,
+    Unpacking,
+    Enrolment,
+    Spool,
     Fleet,
     FleetFindings,
 ):

@@ -21,6 +21,7 @@ What = Literal[
     "started", "imported", "excluded", "included", "voided", "unvoided", "noted", "moved",
     "accepted", "taken_back", "drafted", "released", "withdrawn", "limits_changed",
     "check_unit_changed", "user_added", "user_changed", "unit_removed",
+    "bench_added", "bench_enrolled", "bench_revoked",
 ]  # fmt: skip
 
 FIRST = "0" * 64
@@ -68,7 +69,7 @@ def append(session: Session, act: Act, now: datetime | None = None) -> TrailTabl
         sha256="",
     )
     said = [getattr(row, column.key) for column in _SAID]
-    row.sha256 = _chained(FIRST if last is None else last.sha256, said)
+    row.sha256 = chained(FIRST if last is None else last.sha256, said)
     session.add(row)
     session.flush()
     return row
@@ -117,7 +118,7 @@ class Trail(Part):
         with self._database.reading() as session:
             # columns, not objects of the table: twenty thousand take half the time
             for *said, sha256 in session.connection().execute(columns):
-                if said[0] != expected or sha256 != _chained(before, said):
+                if said[0] != expected or sha256 != chained(before, said):
                     return int(said[0])
                 before, expected = sha256, expected + 1
         return None
@@ -138,7 +139,7 @@ _SAID: tuple[Any, ...] = (
 """What an entry says, in the order that it is hashed in."""
 
 
-def _chained(before: str, said: Sequence[Any]) -> str:
+def chained(before: str, said: Sequence[Any]) -> str:
     """SHA-256 over the entry before and all that this one says."""
     seq, at, who, what, unit, rig, run_id, *rest = said
     if run_id is not None and is_number(run_id):

@@ -24,11 +24,12 @@ from calrig.store.tables import (
 )
 from calrig.store.trail import Act, append
 
-_COUNTS = (
+COUNTS = (
     col(RunTable.status) == "completed",
     col(RunTable.kind) == "calibration",
     col(RunTable.voided_reason).is_(None),
 )
+"""Of a run that makes a calibration; a follow-up does not, whose `follows` is set."""
 
 _AT_ONCE = 500
 """Runs asked for by their ids in one question."""
@@ -77,7 +78,7 @@ class Units(Part):
         wanted = (
             sqlalchemy.select(*_COMPARED)
             .join(CalibrationTable, col(CalibrationTable.run_id) == RunTable.id)
-            .where(*_COUNTS, col(RunTable.follows).is_(None))
+            .where(*COUNTS, col(RunTable.follows).is_(None))
             .order_by(col(RunTable.unit), col(RunTable.finished_at), col(RunTable.id))
         )
         if serials is not None:
@@ -106,7 +107,7 @@ class Units(Part):
         wanted = (
             select(RunTable)
             .join(CalibrationTable)
-            .where(RunTable.unit == serial, *_COUNTS, col(CalibrationTable.scale).is_not(None))
+            .where(RunTable.unit == serial, *COUNTS, col(CalibrationTable.scale).is_not(None))
             .order_by(col(RunTable.finished_at).desc(), col(RunTable.id).desc())
             .limit(1)
         )

@@ -61,6 +61,7 @@ def upgrade() -> None:
         "taken_order",
         sa.Column("run_uid", sa.String(), primary_key=True),
         sa.Column("epoch", sa.Integer(), nullable=False),
+        sa.Column("document", sa.JSON(), nullable=False),
     )
     op.create_table(
         "delivery",

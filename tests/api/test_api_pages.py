@@ -50,6 +50,9 @@ def test_a_file_has_its_type_and_is_kept_for_ever_only_under_the_digest(shared_c
 
 
 LATER = {
+    "benches.js",
+    "benchfilters.js",
+    "benchtable.js",
     "calibrations.js",
     "compare.js",
     "history.js",

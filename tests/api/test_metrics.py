@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import httpx
 import pytest
+from postgresql_server import ENGINE
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as open_metrics
 from prometheus_client.parser import text_string_to_metric_families as prometheus_text
 from support import QUICK, ended, running_service, serving, wait_for
@@ -40,7 +41,8 @@ def test_a_run_is_counted(client: httpx.Client):
     assert after[of("calrig_runs", status="completed")] == 1
     assert after[of("calrig_store_up")] == 1
     assert after[of("calrig_store_size_bytes")] >= before[of("calrig_store_size_bytes")] > 0
-    assert after[of("calrig_store_free_bytes")] > 0
+    if ENGINE == "sqlite":  # a server's disk is another machine's
+        assert after[of("calrig_store_free_bytes")] > 0
     assert after[of("calrig_uptime_seconds")] > before[of("calrig_uptime_seconds")]
     assert after[of("calrig_build_info", version=calrig.__version__)] == 1
 
@@ -103,28 +105,32 @@ def test_open_metrics_where_it_is_asked_for(shared_client: httpx.Client):
     assert shared_client.get("/api/metrics").headers["content-type"].startswith("text/plain; version=0.0.4")
 
 
-@pytest.mark.parametrize(
-    ("pragma", "status"),
-    [pytest.param("query_only = ON", 503, id="read-only"), pytest.param(None, 500, id="damaged")],
-)
-def test_a_store_that_fails_is_answered_with_the_sentence(client, service, store_path, pragma, status):
+def read_only_from_now_on(raw, *_):
+    """A connection as the pool gives it out."""
+    if ENGINE == "sqlite":
+        raw.execute("PRAGMA query_only = ON")
+    else:
+        raw.read_only = True
+
+
+@pytest.mark.parametrize(("trouble", "status"), [("read-only", 503), ("damaged", 500)])
+def test_a_store_that_fails_is_answered_with_the_sentence(client, service, trouble, status):
     imported = client.post(
         "/api/imports", data={"unit": "A"}, files={"file": ("p.csv", b"target_deg,reading_deg\n0,1\n10,11\n")}
     ).json()
     engine = service.store._database._engine
-    with engine.connect() as connection:
-        if pragma is None:  # a digit of a reading, as a worn disk changes it
+    if trouble == "damaged":
+        with engine.connect() as connection:  # a digit of a reading, as a worn disk changes it
             connection.exec_driver_sql("UPDATE pose SET reading_deg = 1.5 WHERE pose_index = 0")
             connection.commit()
-    if pragma is not None:
+        answer = client.get(f"/api/runs/{imported['id']}/poses")
+        words = "it is damaged: "
+    else:
         from sqlalchemy import event
 
-        event.listen(engine, "checkout", lambda raw, *_: raw.execute(f"PRAGMA {pragma}"))
+        event.listen(engine, "checkout", read_only_from_now_on)
         answer = client.post(f"/api/runs/{imported['id']}/void", json={"reason": "trial"})
-        words = "read-only: make both writable"
-    else:
-        answer = client.get(f"/api/runs/{imported['id']}/poses")
-        words = "is damaged: keep a copy of it"
+        words = "read-only: make both writable" if ENGINE == "sqlite" else "the server takes no writes"
     assert answer.status_code == status
     assert words in answer.json()["detail"]
     assert values(client)[of("calrig_store_up")] == 1

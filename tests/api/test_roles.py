@@ -44,15 +44,19 @@ NEEDED = {
     "/api/users/{name}/token": "admin",
     "/api/users/{name}/role": "admin",
     "/api/users/{name}/disable": "admin",
+    "/api/benches": "admin",
+    "/api/benches/{name}": "admin",
 }
 """The least role of every path that changes something; what is not listed is open to everybody known."""
 HARMLESS = {"/api/plans/estimate", "/api/noise", "/api/filters", "/api/login", "/api/logout"}
 SAFE = {"/api/rigs/{name}/stop", "/api/runs/{run_id}/abort"}
+BY_CODE = {"/api/benches/enroll"}
+"""Open to whoever has a bench's one-time code."""
 CHANGING = [
     (method, path)
     for path, methods in document()["paths"].items()
     for method in methods
-    if method != "get" and path not in HARMLESS
+    if method != "get" and path not in HARMLESS | BY_CODE
 ]
 
 

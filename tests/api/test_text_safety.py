@@ -76,6 +76,17 @@ def test_a_serial_number_that_is_not_printable_is_refused(shared_client, text):
     assert answer.json()["detail"].isprintable()
 
 
+def test_a_text_that_no_store_could_keep_is_refused(shared_client, run):
+    for path, field in (("note", "note"), ("void", "reason")):
+        for text in (b"a\\u0000b", b"a\\ud800"):
+            body = b'{"%s": "%s"}' % (field.encode(), text)
+            answer = shared_client.post(
+                f"/api/runs/{run['id']}/{path}", content=body, headers={"Content-Type": "application/json"}
+            )
+            assert answer.status_code == 422, answer.text
+            assert answer.json()["detail"].isprintable()
+
+
 def test_a_download_is_named_by_the_service_alone(shared_client, run):
     for path in ("poses?format=csv", "samples", "samples?format=npz"):
         answer = shared_client.get(f"/api/runs/{run['id']}/{path}")

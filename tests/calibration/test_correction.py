@@ -127,7 +127,11 @@ def poses_with_everything():
 SMALL = {"y_mg": 0.1, "z_mg": 0.1, "gain_pct": 0.01, "skew_deg": 0.01}
 
 
-@pytest.mark.parametrize("effect", CATALOGUE, ids=lambda effect: effect.name)
+SEARCHED = [effect for effect in CATALOGUE if effect.name != "axis_nonlinearity"]
+"""All but what the joint solution alone finds."""
+
+
+@pytest.mark.parametrize("effect", SEARCHED, ids=lambda effect: effect.name)
 def test_formulas_agree_with_the_columns_that_the_search_fits(effect):
     """Small effects, so that what the search linearises is exact to 1e-7°."""
     poses = poses_with_everything()

@@ -53,7 +53,13 @@ def shown():
         return {effect["name"]: effect for effect in client.get("/api/effects").json()}
 
 
-WITHIN_A_RUN = [effect for effect in CATALOGUE if effect.covariate is not RUN]
+SOLVED_FOR = {
+    "axis_nonlinearity": {"y_mg_per_g2": 5.0, "y_mg_per_g3": -4.0, "z_mg_per_g2": 3.0, "skew_deg": 0.6}
+}
+"""What no diagnosis looks for, the joint solution alone (tests/joint), and values to apply."""
+WITHIN_A_RUN = [
+    effect for effect in CATALOGUE if effect.covariate is not RUN and effect.name not in SOLVED_FOR
+]
 """What differs between runs alone has its causes in test_run_changes.py."""
 
 
@@ -95,6 +101,12 @@ def test_an_effect_is_found_rebuilt_applied_compiled_and_shown(effect, shown, tm
     assert entry["formula"] == effect.formula
     assert set(stated["parameters"]) <= {parameter["name"] for parameter in entry["parameters"]}
     assert (entry["origin"], entry["covariate"]) == (stated["origin"], stated["covariate"])
+
+
+@pytest.mark.parametrize("name", SOLVED_FOR)
+def test_an_effect_that_is_solved_for_is_never_searched_for_and_is_applied_and_compiled(name, tmp_path):
+    assert name not in {c.name for c in candidates_of(responses_of([measured("accelerometer_offset", 1)]))}
+    applied_in_flight(EFFECTS[name], SOLVED_FOR[name], tmp_path)
 
 
 def traced(effect, poses):

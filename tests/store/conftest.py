@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from empty_store import lay_empty_store
+from rich_store import fill
 
 from calrig.store import Run, Store
 
@@ -67,3 +69,21 @@ def result() -> dict[str, Any]:
         "temperature_c": {"min": 21.5, "max": 24.0},
         "gyro": {"bias_dps": [0.1, -0.2, 0.3], "scale": 1.001},
     }
+
+
+@pytest.fixture(scope="session")
+def rich_and_token(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    path = tmp_path_factory.mktemp("rich") / "calrig.db"
+    return path, fill(path)
+
+
+@pytest.fixture
+def rich(rich_and_token: tuple[Path, str]) -> Path:
+    """A store that is not changed."""
+    return rich_and_token[0]
+
+
+@pytest.fixture
+def source(rich: Path, tmp_path: Path) -> Path:
+    """A store of one's own to spoil."""
+    return Path(shutil.copy(rich, tmp_path / "source.db"))

@@ -63,7 +63,7 @@ class Outcome:
 
 
 @contextmanager
-def _bench(seed: int, *, slow: bool = False) -> Iterator[tuple[SimulatedRig, RigSettings]]:
+def bench_rig(seed: int, *, slow: bool = False) -> Iterator[tuple[SimulatedRig, RigSettings]]:
     options = {**RIG, **(SLOWLY if slow else {}), "seed": seed}
     with SimulatedRig(SimulatorSettings.from_options(options)) as rig:
         yield (
@@ -76,7 +76,7 @@ def _bench(seed: int, *, slow: bool = False) -> Iterator[tuple[SimulatedRig, Rig
         )
 
 
-def _moves(rig: SimulatedRig, for_s: float = 300.0) -> bool:
+def moves(rig: SimulatedRig, for_s: float = 300.0) -> bool:
     """Whether the table moves now or will, without another command, for so long."""
     with rig.bench.lock:
         now_s = rig.clock()
@@ -109,7 +109,7 @@ class _Listener(threading.Thread):
 @functools.cache
 def _undisturbed() -> dict[str, Any]:
     """The result of the same plan on a rig that nobody disturbs."""
-    with tempfile.TemporaryDirectory() as folder, _bench(10_000) as (_, settings):
+    with tempfile.TemporaryDirectory() as folder, bench_rig(10_000) as (_, settings):
         served = Served(configured(Path(folder), [settings]), Path(folder) / "calrig.db")
         try:
             run = _begin(served)
@@ -140,7 +140,7 @@ def kill_one(seed: int) -> Outcome:
     slow = rng.random() < SLOW
     kills = 2 if rng.random() < SECOND_KILL else 1
     out, where = Outcome(), f"seed {seed}"
-    with tempfile.TemporaryDirectory() as name, _bench(seed, slow=slow) as (rig, settings):
+    with tempfile.TemporaryDirectory() as name, bench_rig(seed, slow=slow) as (rig, settings):
         folder = Path(name)
         config, store = configured(folder, [settings]), folder / "calrig.db"
         served = Served(config, store)
@@ -152,11 +152,11 @@ def kill_one(seed: int) -> Outcome:
             threading.Event().wait(rng.uniform(0.0, RUN_S))
             served.kill()
             out.kills += 1
-            out.moved_when_killed += _moves(rig, 0.1)
+            out.moved_when_killed += moves(rig, 0.1)
             listener.join()
             announced |= listener.poses
             served = Served(config, store)
-            if _moves(rig):
+            if moves(rig):
                 out.moving.append(f"{where}: the stage moves when the service is back")
             stored = served.get(f"/api/runs/{run_id}/poses")
             out.lost += [
@@ -174,7 +174,7 @@ def kill_one(seed: int) -> Outcome:
             served.client.post(f"/api/runs/{run_id}/resume").raise_for_status()
         ended = _ended(served, run_id)
         out.wrong += [f"{where}: {line}" for line in _judged(ended, out)]
-        if _moves(rig):
+        if moves(rig):
             out.moving.append(f"{where}: the stage moves after the run's end")
         served.terminate()
     return out

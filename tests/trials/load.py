@@ -96,9 +96,9 @@ async def _listen(host: str, port: int, heard: Heard) -> None:
     writer.close()
 
 
-def _clients(connection: Connection, host: str, port: int, run_ids: list[str]) -> None:
-    """All clients, in this process, until the last run has ended."""
-    heard = [Heard(run_ids[k % len(run_ids)]) for k in range(CLIENTS)]
+def watch(connection: Connection, host: str, port: int, run_ids: list[str], clients: int) -> None:
+    """So many clients, in this process, until the last run has ended."""
+    heard = [Heard(run_ids[k % len(run_ids)]) for k in range(clients)]
 
     async def listen() -> None:
         await asyncio.gather(*(_listen(host, port, one) for one in heard))
@@ -145,7 +145,8 @@ def trial(extent: Extent) -> list[Count]:
         ]
         ours, theirs = spawn.Pipe()
         url = urlsplit(str(served.client.base_url))
-        clients = spawn.Process(target=_clients, args=(theirs, url.hostname, url.port, run_ids), daemon=True)
+        arguments = (theirs, url.hostname, url.port, run_ids, CLIENTS)
+        clients = spawn.Process(target=watch, args=arguments, daemon=True)
         clients.start()
         process = psutil.Process(served.process.pid)
         before_s = sum(process.cpu_times()[:2])

@@ -39,14 +39,14 @@ def configured(folder: Path, rigs: list[RigSettings]) -> Path:
 class Served:
     """A service that answers at `client`; `kill` ends it as a power cut would, `terminate` in order.
 
-    Where there is a token, the client shows it.
+    Where there is a token, the client shows it. A centre's store is `db`, and its log lies beside `store`.
     """
 
-    def __init__(self, config: Path, store: Path, token: str = "") -> None:
+    def __init__(self, config: Path, store: Path, token: str = "", db: str | None = None) -> None:
         command = [sys.executable, "-m", "calrig", "serve", "--port", "0"]
         self._log = store.with_suffix(".log").open("ab")
         self.process = subprocess.Popen(
-            [*command, "--config", str(config), "--db", str(store)],
+            [*command, "--config", str(config), "--db", db or str(store)],
             stdout=subprocess.PIPE,
             stderr=self._log,
             text=True,
@@ -60,7 +60,7 @@ class Served:
         url = re.search(r"http://\S+?:\d+", said)
         if url is None:
             self.kill()
-            raise RuntimeError(f"the service did not start; see {self._log.name}")
+            raise RuntimeError(f"the service did not start: {Path(self._log.name).read_text()[-2000:]}")
         shown = {"Authorization": f"Bearer {token}"} if token else {}
         self.client = httpx.Client(base_url=url[0], timeout=20.0, headers=shown)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import psycopg
 from sqlalchemy import URL, Connection, create_engine, inspect, make_url, text
@@ -16,6 +17,8 @@ from calrig.store.checksums import from_json, to_json
 from calrig.store.database import LOOK_S, Database
 from calrig.store.errors import StoreDamagedError, StoreError
 from calrig.store.postgresql.errors import DAMAGED, store_error
+from calrig.store.postgresql.roles import is_secure, secure
+from calrig.store.postgresql.set_up import is_set_up, set_up
 from calrig.store.records import Size
 from calrig.store.revisions import migrate, revisions
 
@@ -24,7 +27,7 @@ TURN = 0x63616C726967
 are read and written again in one turn, as under SQLite's one writer.
 """
 CONNECT_S = 5
-ALIVE = {
+ALIVE: dict[str, Any] = {
     "connect_timeout": CONNECT_S,
     "keepalives_idle": 10,
     "keepalives_interval": 5,
@@ -80,8 +83,9 @@ class PostgresqlDatabase(Database):
         head = revisions()[-1]
         with self._engine.connect() as connection:
             stored = self._stored_revision(connection)
-        if stored == head:
-            return
+            is_ready = not self._may_write or (is_set_up(connection) and is_secure(connection))
+            if stored == head and is_ready:
+                return
         if stored is not None and stored not in revisions():
             raise StoreError(
                 f"{self.name}: was written by a newer calrig (revision {stored}; this one knows up to "
@@ -109,6 +113,9 @@ class PostgresqlDatabase(Database):
             connection.execute(text("SELECT pg_advisory_xact_lock(:turn)"), {"turn": TURN})
             if self._stored_revision(connection) != head:
                 migrate(connection)
+            if not is_set_up(connection):
+                set_up(connection)
+            secure(connection)
 
     @contextmanager
     def reading(self) -> Iterator[Session]:
@@ -124,12 +131,13 @@ class PostgresqlDatabase(Database):
             yield connection
 
     @contextmanager
-    def writing(self, on: Connection | None = None) -> Iterator[Session]:
+    def writing(self, on: Connection | None = None, *, in_turn: bool = True) -> Iterator[Session]:
         """As `Database.writing`."""
         if not self._may_write:
             raise StoreError(f"{self.name}: was opened for reading only")
         with self._in_words(), Session(self._engine if on is None else on) as session:
-            self._take_turn(session)
+            if in_turn:
+                self._take_turn(session)
             yield session
             session.commit()
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import psycopg
 from psycopg import errors
 
-from calrig.store.errors import StoreDamagedError, StoreError, StoreUnavailableError
+from calrig.store.errors import NotText, StoreDamagedError, StoreError, StoreUnavailableError
 
 DAMAGED = "it is damaged: go back to the newest dump (`pg_dump`) or replica"
 _UNREACHABLE = "cannot be reached: check that the server runs, its address and its firewall"
@@ -32,11 +32,15 @@ _SAID_ON_CONNECTING = (
     ("password supplied", _REFUSED),
 )
 """What a server that lets nobody in says; no code comes with it."""
+_NUL = "cannot contain NUL"
+"""What psycopg says of such text before the server sees it."""
 
 
 def store_error(error: BaseException | None, name: str) -> StoreError:
     """What PostgreSQL reported about the database that messages call `name`."""
     said = " ".join(str(error).split())
+    if isinstance(error, psycopg.DataError) and _NUL in said:
+        return NotText(f"{name}: keeps no text with a NUL character in it")
     for kind, of_store, remedy in _REMEDIES:
         if isinstance(error, kind):
             return of_store(f"{name}: {remedy} ({said})")

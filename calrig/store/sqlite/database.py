@@ -193,7 +193,7 @@ class SqliteDatabase(Database):
             yield connection
 
     @contextmanager
-    def writing(self, on: Connection | None = None) -> Iterator[Session]:
+    def writing(self, on: Connection | None = None, *, in_turn: bool = True) -> Iterator[Session]:  # noqa: ARG002
         """As `Database.writing`: what was written is on the disk when the block ends."""
         if self._lock is None:
             raise StoreError(f"{self.path}: was opened for reading only")

@@ -36,12 +36,12 @@ class WriterLock:
     """
 
     def __init__(self, database: Path, what: str) -> None:
-        self.path = database.with_name(f"{database.name}.lock")
+        self.path = _path(database)
         self._file = self._opened(database)
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            holder = self._holder()
+            holder = _holder(self._file)
             os.close(self._file)
             if not isinstance(error, BlockingIOError):
                 raise file_system.on_a_network_drive(
@@ -102,16 +102,40 @@ class WriterLock:
             "another database with --db"
         )
 
-    def _holder(self) -> str:
-        try:
-            holder = json.loads(os.pread(self._file, 4096, 0))
-            return "`calrig {what}` (process {pid} on {host}, since {since})".format(**holder)
-        except (ValueError, KeyError, TypeError):
-            return "another program"  # it has the lock and has not yet written its name
-
     def close(self) -> None:
         """Lets the lock go. The file stays: removing it could take it from the next holder."""
         try:
             os.ftruncate(self._file, 0)
         finally:
             os.close(self._file)
+
+
+def living_writer(database: Path) -> str | None:
+    """Who writes to a store now, in words; None where nobody does. For who looks, and will not write."""
+    try:
+        file = os.open(
+            _path(database), os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY
+        )
+    except OSError:
+        return None  # nobody has ever written here
+    try:
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return _holder(file)
+    except OSError:
+        return None  # a drive without locks, to which nobody writes
+    finally:
+        os.close(file)
+    return None
+
+
+def _path(database: Path) -> Path:
+    return database.with_name(f"{database.name}.lock")
+
+
+def _holder(file: int) -> str:
+    try:
+        holder = json.loads(os.pread(file, 4096, 0))
+        return "`calrig {what}` (process {pid} on {host}, since {since})".format(**holder)
+    except (ValueError, KeyError, TypeError):
+        return "another program"  # it has the lock and has not yet written its name

@@ -1,0 +1,121 @@
+"""A bench's connection to its centre's database: short statements, made anew after each loss.
+
+The bench's role may touch its own bench's rows alone. Every statement is a transaction of its own.
+"""
+
+from __future__ import annotations
+
+import random
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from typing import Any
+
+import psycopg
+from psycopg.types.json import Json
+
+from calrig.store.checksums import sealed, to_json
+from calrig.store.postgresql.database import ALIVE
+
+FIRST_PAUSE_S = 0.25
+LONGEST_PAUSE_S = 8.0
+CLOSE_S = 1.0
+PATIENCE_MS = 5000
+"""How long the server may take over one statement, or wait for a lock."""
+NOW = """to_char(clock_timestamp() AT TIME ZONE 'UTC', 'YYYY-MM-DD"T"HH24:MI:SS.US"+00:00"')"""
+"""The server's time as the store writes times."""
+_WHOSE = "SELECT name FROM bench WHERE role = session_user AND revoked_at IS NULL"
+
+
+class LinkDown(Exception):  # noqa: N818 (a state, and no defect)
+    """The centre cannot be spoken to now; says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Centre:
+    """The centre's database, while a connection is open, and the bench that speaks to it."""
+
+    connection: psycopg.Connection[Any]
+    bench: str
+
+
+def json_of(document: Mapping[str, Any]) -> Json:
+    """A document as the store's columns have it."""
+    return Json(sealed(document), dumps=to_json)
+
+
+class Link:
+    """One connection, for one statement after the other. Thread-safe.
+
+    Args:
+        url: of the database, as libpq takes it.
+    """
+
+    def __init__(self, url: str) -> None:
+        self._url = url
+        self._lock = threading.Lock()
+        self._centre: Centre | None = None
+        self._pause_s = FIRST_PAUSE_S
+        self._not_before_s = 0.0
+        self._why = ""
+
+    @contextmanager
+    def centre(self) -> Iterator[Centre]:
+        """The centre; connects where that has not been done, and not too often where it fails.
+
+        Raises:
+            LinkDown: there is no connection, or it was lost meanwhile; a statement may have been carried out
+                all the same.
+        """
+        with self._lock:
+            centre = self._centre or self._connect()
+            try:
+                yield centre
+            except psycopg.Error as error:
+                self._close()
+                raise LinkDown(_said(error)) from error
+
+    def close(self) -> None:
+        """Closes the connection, unless somebody still waits for what it says."""
+        if self._lock.acquire(timeout=CLOSE_S):
+            self._close()
+            self._lock.release()
+
+    def _connect(self) -> Centre:
+        if time.monotonic() < self._not_before_s:
+            raise LinkDown(self._why)
+        try:
+            self._centre = _connected(self._url)
+        except (psycopg.Error, LinkDown) as error:
+            self._why = _said(error)
+            self._not_before_s = time.monotonic() + self._pause_s * random.uniform(0.5, 1.0)  # noqa: S311
+            self._pause_s = min(2.0 * self._pause_s, LONGEST_PAUSE_S)
+            raise LinkDown(self._why) from error
+        self._pause_s = FIRST_PAUSE_S
+        return self._centre
+
+    def _close(self) -> None:
+        if self._centre is not None:
+            with suppress(psycopg.Error):
+                self._centre.connection.close()
+        self._centre = None
+
+
+def _connected(url: str) -> Centre:
+    connection = psycopg.connect(url, autocommit=True, **ALIVE)
+    try:
+        connection.execute(f"SET statement_timeout = {PATIENCE_MS}")
+        connection.execute(f"SET lock_timeout = {PATIENCE_MS}")
+        found = connection.execute(_WHOSE).fetchone()
+        if found is None:
+            raise LinkDown("this role is no bench's, or was revoked: join again with `calrig agent enroll`")
+        return Centre(connection, found[0])
+    except BaseException:
+        connection.close()
+        raise
+
+
+def _said(error: BaseException) -> str:
+    return " ".join(str(error).split()) or type(error).__name__

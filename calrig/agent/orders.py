@@ -1,0 +1,173 @@
+"""A rig's orders: each is taken at most once, when the rig is free, and carried out or said to have failed.
+
+The row of an order is the truth; a job of Procrastinate's only says that it is worth a look.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+
+from calrig.agent.lease import Lease
+from calrig.agent.link import Link, LinkDown
+from calrig.agent.order_rows import Pending, epochs_taken, order_of, pending_order, take
+from calrig.analysis.errors import Conflict, RunsError
+from calrig.runs.ordered import ordered_run
+from calrig.runs.service import RunService
+from calrig.settings import RigSettings
+from calrig.store import Status, StoreError
+from calrig.store.records import Document
+
+log = logging.getLogger(__name__)
+
+FREE_S = 0.1
+"""How often it is looked whether the rig has become free, which asks nobody."""
+LOOK_S = 30.0
+"""How often the centre is asked for orders though no job has said that there is one."""
+DOUBT = (
+    "the bench took the order and cannot tell whether it began: nothing is done twice; "
+    "see that the stage stands, then resume the run"
+)
+NOT_HERE = "the bench does not have what this run has measured: start a new run"
+
+
+class RigOrders:
+    """The orders of one rig, in a thread of its own, until `closing` is set.
+
+    Args:
+        rig: of this bench.
+        link: to the centre, shared by all that is short.
+        lease: without it, nothing is taken.
+        service: carries runs out.
+        closing: ends it.
+    """
+
+    def __init__(
+        self, rig: RigSettings, link: Link, lease: Lease, service: RunService, closing: threading.Event
+    ) -> None:
+        self.name = f"orders of {rig.name}"
+        self._rig, self._link, self._lease = rig, link, lease
+        self._service, self._closing = service, closing
+        self._store = service.store
+        self._wake = threading.Event()
+        self._wake.set()
+        self._look_at_s = 0.0
+        self._in_doubt = True  # what became of the last order, before this program began
+
+    def wake(self) -> None:
+        """There may be an order."""
+        self._wake.set()
+
+    def _be_in_doubt(self) -> None:
+        self._in_doubt = True
+        self._wake.set()
+
+    def run(self) -> None:
+        """Carries orders out until the agent is closed."""
+        while not self._closing.is_set():
+            try:
+                self.look()
+            except LinkDown:
+                self._be_in_doubt()
+            except StoreError as error:
+                self._be_in_doubt()
+                log.error("rig %s takes no orders: %s", self._rig.name, error)
+                self._closing.wait(LOOK_S)
+            self._closing.wait(FREE_S)
+
+    def look(self) -> None:
+        """Takes and begins the next order where there is one, the rig is free and the lease held.
+
+        Raises:
+            LinkDown: the centre is away; of an order in hand it is not known whether it was taken.
+        """
+        is_due = self._wake.is_set() or time.monotonic() >= self._look_at_s
+        if not (is_due and self._service.is_free(self._rig.name) and self._lease.is_held()):
+            return
+        if self._in_doubt:
+            self._settle()
+            self._in_doubt = False
+        self._wake.clear()
+        self._look_at_s = time.monotonic() + LOOK_S
+        with self._link.centre() as centre:
+            order = pending_order(centre, self._rig.name)
+        if order is None:
+            return
+        self._wake.set()  # there may be another one after it, or the rig is busy
+        with self._service.keeping(self._rig.name, order.run_id) as is_free:
+            if is_free and self._lease.is_held():
+                self._take(order)
+
+    def _take(self, order: Pending) -> None:
+        with self._link.centre() as centre:
+            took = take(centre, order)
+        if took is None:
+            return  # the centre thought better of it meanwhile
+        wish, document = took
+        log.info("order %d of run %s taken: %s", order.epoch, order.run_id, wish)
+        try:
+            self._begin(order.run_id, wish, document)
+        except (RunsError, ValueError, KeyError, TypeError) as error:
+            self._could_not(order.run_id, document, error)
+        self._store.take_order(order.run_id, order.epoch, document)
+
+    def _begin(self, run_id: str, wish: str, document: Document) -> None:
+        if self._store.run(run_id) is not None:
+            self._service.resume(run_id)
+        elif wish == "resume":
+            raise Conflict(NOT_HERE)
+        else:
+            self._service.begin(self._rig, ordered_run(run_id, document, self._rig))
+
+    def _could_not(self, run_id: str, document: Document, error: Exception) -> None:
+        """The run says why it was not begun; what can be mended at the bench leaves it interrupted."""
+        said = str(error) if isinstance(error, RunsError) else f"the order cannot be read: {error!r}"
+        log.warning("run %s was not begun: %s", run_id, said)
+        status: Status = "interrupted" if isinstance(error, Conflict) else "failed"
+        run = self._store.run(run_id)
+        if run is None:
+            self._keep(run_id, document)
+        elif run.status != "interrupted":
+            return  # somebody at the bench was first
+        else:
+            status = "interrupted"
+        self._end(run_id, status, said)
+
+    def _settle(self) -> None:
+        """Orders that were taken, and of which the spool does not know: what became of them is in doubt."""
+        with self._link.centre() as centre:
+            ordered = epochs_taken(centre, self._rig.name)
+        known = self._store.taken_epochs()
+        for run_id, epoch in ordered.items():
+            if known.get(run_id, 0) < epoch:
+                with self._link.centre() as centre:
+                    document = order_of(centre, run_id)
+                self._leave_interrupted(run_id, epoch, document)
+
+    def _leave_interrupted(self, run_id: str, epoch: int, document: Document) -> None:
+        run = self._store.run(run_id)
+        if run is None:
+            self._keep(run_id, document)
+        if run is None or run.status == "interrupted":
+            log.warning("run %s: %s", run_id, DOUBT)
+            self._end(run_id, "interrupted", DOUBT)
+        self._store.take_order(run_id, epoch, document)
+
+    def _keep(self, run_id: str, document: Document) -> None:
+        """Stores a run that is not carried out, as far as its order can be read."""
+        self._store.create_run(
+            unit=document["unit"],
+            rig=self._rig.name,
+            plan=document["plan"],
+            status="queued",
+            provenance=document["provenance"],
+            operator=document.get("operator"),
+            note=document.get("note"),
+            poses_total=document["poses_total"],
+            run_id=run_id,
+        )
+
+    def _end(self, run_id: str, status: Status, error: str) -> None:
+        self._store.update_run(run_id, status=status, error=error)
+        self._service.bus.wake(run_id)

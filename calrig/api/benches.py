@@ -1,0 +1,123 @@
+"""Benches of a centre, as an admin keeps them; and how an agent joins by its one-time code."""
+
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+
+import logging
+from dataclasses import asdict
+from datetime import datetime
+from typing import Annotated
+
+from fastapi import APIRouter, Request
+from pydantic import Field
+from starlette.exceptions import HTTPException
+
+from calrig.api.access import is_loopback
+from calrig.api.callers import Who, address_of, requires
+from calrig.api.context import Context
+from calrig.api.errors import problems
+from calrig.api.limits import ENROLL_PATH, LOGIN_BYTES
+from calrig.api.models import Answer, Body
+from calrig.store.enrolment import WrongCode
+from calrig.store.rig_queues import BENCH_NAME
+
+router = APIRouter(tags=["benches"])
+log = logging.getLogger(__name__)
+
+
+class NewBench(Body):
+    """A bench that is to join."""
+
+    name: Annotated[str, Field(pattern=rf"^{BENCH_NAME.pattern}$")]
+    hall: Annotated[str, Field(min_length=1, max_length=64)] | None = None
+
+
+class BenchAnswer(Answer):
+    """A bench that may join, has joined or has left."""
+
+    name: str
+    hall: str | None
+    code_until: datetime | None = Field(
+        description="Until when a code waits to be used; null where none does."
+    )
+    enrolled_at: datetime | None
+    revoked_at: datetime | None
+    last_seen_at: datetime | None
+
+
+class BenchWithCode(BenchAnswer):
+    """The same, and the code, which is told here and never again."""
+
+    code: str
+
+
+class Code(Body):
+    """What an agent joins by."""
+
+    code: Annotated[str, Field(max_length=200)]
+
+
+class Joined(Answer):
+    """The bench that joined, and the database's URL with its password, told here and never again."""
+
+    bench: str
+    db: str
+
+
+@router.get("/api/benches", response_model=list[BenchAnswer], summary="Every bench, by name")
+def list_benches(context: Context) -> object:
+    """Those that were revoked as well. What their rigs do is at `/api/rigs`."""
+    return [asdict(bench) for bench in context.store.memberships()]
+
+
+@router.post(
+    "/api/benches",
+    status_code=201,
+    response_model=BenchWithCode,
+    responses=problems(409, 413, 422),
+    dependencies=[requires("admin")],
+    summary="Let a bench join",
+)
+def add_bench(body: NewBench, context: Context, who: Who) -> object:
+    """By a code for `calrig agent enroll` that works once, within a day; the store keeps its hash.
+
+    Who was revoked, or has not joined yet, gets another one.
+    """
+    bench, code = context.store.add_bench(body.name, body.hall, who=who)
+    return {**asdict(bench), "code": code}
+
+
+@router.post(
+    ENROLL_PATH,
+    max_body_size=LOGIN_BYTES,
+    responses=problems(403, 409, 413, 422, 429),
+    summary="Join as a bench",
+)
+def enroll(body: Code, request: Request, context: Context) -> Joined:
+    """Open to whoever has a code. A wrong one is 403, and after five within a minute 429."""
+    attempt = context.enrolling.begin(request)
+    address = address_of(request)
+    try:
+        bench, db = context.store.enroll_bench(
+            body.code,
+            host=context.centre.agent_db_host,
+            port=context.centre.agent_db_port,
+            is_elsewhere=not is_loopback(address),
+        )
+    except WrongCode as error:
+        log.warning("wrong code of a bench from %s", address)
+        raise HTTPException(403, str(error)) from error
+    context.enrolling.right(attempt)
+    log.info("bench %s joined from %s", bench, address)
+    return Joined(bench=bench, db=db)
+
+
+@router.delete(
+    "/api/benches/{name}",
+    response_model=BenchAnswer,
+    responses=problems(404),
+    dependencies=[requires("admin")],
+    summary="Let a bench in no more",
+)
+def revoke_bench(name: str, context: Context, who: Who) -> object:
+    """Its role can log in no more and its connections end; what it measured stays."""
+    return asdict(context.store.revoke_bench(name, who=who))

@@ -1,0 +1,88 @@
+"""What a calibrated elevation is worth, relative to its mean over a range: its level the data cannot tell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calrig.calibration.joint.least_squares import Fit
+from calrig.calibration.joint.unit_model import CURVATURES, NAMES, felt
+from calrig.estimation.angles import FloatArray, wrap_deg
+
+RANGE_DEG = (-60.0, 60.0)
+STEP_DEG = 5.0
+STEP = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Worth:
+    """Standard errors of a unit's calibrated elevation over a range, its mean over it removed.
+
+    Attributes:
+        elevation_deg, std_deg: (m,).
+        by_parameters: (m, p) of all the model's parameters, rad of elevation.
+    """
+
+    elevation_deg: FloatArray
+    std_deg: FloatArray
+    by_parameters: FloatArray
+
+    @property
+    def rms_deg(self) -> float:
+        """Over the range."""
+        return float(np.sqrt(np.mean(self.std_deg**2)))
+
+
+def worth(fit: Fit, unit: int) -> Worth:
+    """By the full covariance of the joint fit."""
+    grid = grid_deg(fit, unit)
+    own = felt(fit.parameters[fit.problem.unit_at(unit)], np.radians(grid))
+    turn = own.turned(own.by_elevation[:, :, None])
+    by_parameters = np.zeros((len(grid), fit.problem.size))
+    by_parameters[:, fit.problem.unit_at(unit)] = -own.turned(own.by_parameters) / turn
+    by_parameters -= by_parameters.mean(axis=0)
+    variance = np.einsum("gi,ij,gj->g", by_parameters, fit.covariance, by_parameters)
+    return Worth(grid, np.degrees(np.sqrt(np.maximum(variance, 0.0))), by_parameters)
+
+
+def range_deg(fit: Fit, unit: int) -> tuple[float, float]:
+    """±60°, or what of it the unit was taken to."""
+    taken = (fit.problem.table.unit == unit) & fit.kept
+    at = wrap_deg(np.degrees(fit.problem.elevations(fit.parameters)[taken]))
+    within = np.clip(at, *RANGE_DEG)
+    return float(np.floor(within.min())), float(np.ceil(within.max()))
+
+
+def grid_deg(fit: Fit, unit: int) -> FloatArray:
+    """(m,) elevations from one end of the range to the other."""
+    low, high = range_deg(fit, unit)
+    return np.linspace(low, high, max(round((high - low) / STEP_DEG) + 1, 3))
+
+
+def polynomial(fit: Fit, unit: int) -> tuple[FloatArray, FloatArray]:
+    """Coefficients of θ² and θ³ in the error of angle that the nonlinearity makes, bias and scale free.
+
+    Returns:
+        (2,) deg/deg² and deg/deg³, and (2, 2) their covariance.
+    """
+    at = fit.problem.unit_at(unit)
+    grid = grid_deg(fit, unit)
+    powers = np.linalg.pinv(np.vander(grid / 90.0, 4, increasing=True))[2:] / 90.0 ** np.array([[2.0], [3.0]])
+    straight = np.ones(len(NAMES))
+    straight[list(CURVATURES)] = 0.0
+
+    def coefficients(own: FloatArray) -> FloatArray:
+        elevation = np.radians(grid)
+        bent, plain = felt(own, elevation).angle(), felt(own * straight, elevation).angle()
+        return np.asarray(powers @ wrap_deg(np.degrees(bent - plain)))
+
+    own = fit.parameters[at]
+    slopes = np.stack(
+        [
+            (coefficients(own + step) - coefficients(own - step)) / (2.0 * STEP)
+            for step in STEP * np.eye(len(own))
+        ],
+        axis=1,
+    )
+    return coefficients(own), slopes @ fit.covariance[at, at] @ slopes.T

@@ -1,0 +1,92 @@
+"""The stage's map over its dial, with what it is worth; and the mounts beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calrig.calibration.joint.least_squares import Fit
+from calrig.calibration.joint.stage_map import TURN_DEG, basis, dial_grid_deg
+from calrig.estimation.angles import FloatArray, wrap_deg
+
+
+@dataclass(frozen=True, slots=True)
+class Harmonic:
+    """amplitude·sin(order·ψ + phase); `separable` where that is known better than one pose is measured."""
+
+    order: float
+    amplitude_deg: float
+    phase_deg: float
+    std_deg: float
+    separable: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mapped:
+    """The map less its mean over the dial's angles, which goes into the mounts; degrees.
+
+    Attributes:
+        stage_deg, error_deg, std_deg: (m,) over the dial where poses stood, as in the middle of the play.
+        coefficients, covariance: (p,) and (p, p) of cosine and sine of each order, then the play.
+        backlash: reading after upward moves less that after downward moves, and its standard error.
+        mounts_deg, mounts_std_deg: of each mount.
+    """
+
+    stage_deg: FloatArray
+    error_deg: FloatArray
+    std_deg: FloatArray
+    coefficients: FloatArray
+    covariance: FloatArray
+    harmonics: tuple[Harmonic, ...]
+    backlash: tuple[float, float] | None
+    mounts_deg: FloatArray
+    mounts_std_deg: FloatArray
+
+
+def mapped(fit: Fit) -> Mapped:
+    """The map and the mounts of a joint fit."""
+    problem, at = fit.problem, fit.problem.map_at
+    dial = dial_grid_deg(problem.table.dial_deg[fit.kept])
+    columns = basis(dial, np.zeros(len(dial)), problem.orders)
+    mean = columns.mean(axis=0)
+    coefficients, covariance = np.degrees(fit.parameters[at]), np.degrees(np.degrees(fit.covariance[at, at]))
+    error, std = _over(columns - mean, coefficients, covariance)
+    mounts = np.zeros((len(problem.table.mounts), problem.size))
+    mounts[:, problem.first_mount : problem.first_order] = np.eye(len(mounts))
+    mounts[:, at] = mean
+    angles, stds = _over(mounts, np.degrees(fit.parameters), np.degrees(np.degrees(fit.covariance)))
+    noise_deg = float(np.degrees(fit.noise))
+    play = float(coefficients[-1]), float(np.sqrt(max(covariance[-1, -1], 0.0)))
+    return Mapped(
+        stage_deg=dial,
+        error_deg=error,
+        std_deg=std,
+        coefficients=coefficients,
+        covariance=covariance,
+        harmonics=tuple(
+            _harmonic(order, coefficients[pair], covariance[pair, pair], noise_deg)
+            for order, pair in _pairs(problem.orders)
+        ),
+        backlash=play if problem.free()[-1] else None,
+        mounts_deg=wrap_deg(angles),
+        mounts_std_deg=stds,
+    )
+
+
+def _over(columns: FloatArray, values: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    variance = np.einsum("gi,ij,gj->g", columns, covariance, columns)
+    return columns @ values, np.sqrt(np.maximum(variance, 0.0))
+
+
+def _pairs(orders: Sequence[float]) -> Iterator[tuple[float, slice]]:
+    """Each order with the places of its cosine and sine."""
+    return ((order, slice(2 * k, 2 * k + 2)) for k, order in enumerate(orders))
+
+
+def _harmonic(order: float, pair: FloatArray, covariance: FloatArray, noise_deg: float) -> Harmonic:
+    """Of cosine and sine; the standard error is that of the wave, root mean square over its phase."""
+    std_deg = float(np.sqrt(0.5 * np.trace(covariance)))
+    phase_deg = float(np.degrees(np.arctan2(pair[0], pair[1]))) % TURN_DEG
+    return Harmonic(float(order), float(np.hypot(*pair)), phase_deg, std_deg, std_deg < noise_deg)

@@ -1,0 +1,116 @@
+"""How far the map's series goes: up to the highest order that a gate on the best of all orders lets in.
+
+Orders up to those of the unit's own error are always in the map. A gate looks at what is left beside the
+unit's terms, would leave those orders to the unit, and be the surer of it the less the mounts part the two:
+ignorance must not shrink an uncertainty. Of the rest the best is let in if noise alone would make the best of
+all as good in less than one case in twenty; a criterion for one order at a time lets in too many.
+
+The series then has all orders up to the highest: beside clampings that part the unit from the stage they cost
+its elevation nothing, and what is too small for the gate would bend it all the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+
+from calrig.calibration.joint.least_squares import Fit
+from calrig.calibration.joint.table import BoolArray, Intp
+from calrig.calibration.joint.unit_model import OF_CUBIC, OF_LINEAR
+from calrig.estimation.angles import FloatArray
+
+LEVEL = 0.05
+"""Family-wise: the chance that noise alone brings any order into the map."""
+DRAWS = 4000
+SEED = 0
+TOLD = 1e-4
+"""Share of an order's columns that the model must leave of them; what is left of less is rounding."""
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What the data carry.
+
+    Attributes:
+        orders: of the map.
+        let_in: those of them that the gate let in.
+        untold: orders that these poses cannot tell from the lowest.
+    """
+
+    orders: tuple[float, ...]
+    let_in: tuple[float, ...]
+    untold: tuple[float, ...]
+
+
+def of_the_unit(linear: bool) -> int:
+    """Highest order that a unit's own error of angle has."""
+    return OF_LINEAR if linear else OF_CUBIC
+
+
+def chosen(rich: Fit, known_orders: Collection[float] = ()) -> Choice:
+    """Forward selection on the normal equations of a fit that has every order in it.
+
+    Args:
+        rich: with all orders free.
+        known_orders: of gears whose periods are known: in the map whatever the gate says.
+    """
+    problem = rich.problem
+    own = of_the_unit(problem.linear)
+    open_yet = {
+        order: problem.order_at(k)
+        for k, order in enumerate(problem.orders)
+        if order > own and order not in known_orders
+    }
+    model = problem.free()
+    for at in open_yet.values():
+        model[at] = False
+    untold = [order for order, at in open_yet.items() if not _is_told(rich, at, _beside(rich, model, at)[1])]
+    rng = np.random.default_rng(SEED)
+    let_in: list[float] = []
+    while open_yet and (best := _best(rich, model, open_yet, rng)) is not None:
+        model[open_yet.pop(best)] = True
+        let_in.append(best)
+    highest = max([own, *let_in])
+    orders = tuple(order for order in problem.orders if order <= highest or order in known_orders)
+    return Choice(orders, tuple(sorted(let_in)), tuple(order for order in untold if order not in orders))
+
+
+def _beside(rich: Fit, model: BoolArray, at: Intp) -> tuple[FloatArray, FloatArray]:
+    """Gradient (k,) and matrix (k, k) of parameters once the model has taken what it can of them."""
+    normal, prior = rich.normal, rich.noise**2 * rich.problem.widths() ** -2.0
+    centre = np.where(rich.problem.free(), rich.problem.start(), 0.0)
+    # the linear problem about the rich fit, whose solution with all parameters is the fit itself
+    response = normal.gradient + normal.matrix @ (rich.parameters - centre)
+    inside = normal.matrix[np.ix_(model, model)] + np.diag(prior[model])
+    across = normal.matrix[np.ix_(model, at)]
+    taken = np.linalg.solve(inside, np.column_stack([across, response[model]]))
+    left = normal.matrix[np.ix_(at, at)] - across.T @ taken[:, :-1]
+    return response[at] - across.T @ taken[:, -1], 0.5 * (left + left.T)
+
+
+def _is_told(rich: Fit, at: Intp, left: FloatArray) -> bool:
+    whole = np.diag(rich.normal.matrix)[at].mean()
+    return bool(np.linalg.eigvalsh(left)[0] > TOLD * whole)
+
+
+def _best(rich: Fit, model: BoolArray, orders: dict[float, Intp], rng: np.random.Generator) -> float | None:
+    """The order that explains most, if that is more than noise would explain by the best of them."""
+    gradient, matrix = _beside(rich, model, np.concatenate(list(orders.values())))
+    size, turn = np.linalg.eigh(matrix)
+    root = turn * np.sqrt(np.maximum(size, 0.0))
+    drawn = rng.standard_normal((DRAWS, len(gradient))) @ root.T
+    best, most, by_chance = None, 0.0, np.zeros(DRAWS)
+    for place, (order, at) in enumerate(orders.items()):
+        own = slice(2 * place, 2 * place + 2)
+        if not _is_told(rich, at, matrix[own, own]):
+            continue
+        inverse = np.linalg.inv(matrix[own, own])
+        by_chance = np.maximum(by_chance, ((drawn[:, own] @ inverse) * drawn[:, own]).sum(axis=1))
+        gain = float(gradient[own] @ inverse @ gradient[own]) / rich.noise**2
+        if gain > most:
+            best, most = order, gain
+    noise = rng.chisquare(rich.freedom, DRAWS) / rich.freedom
+    exceeded = int((by_chance / noise >= most).sum())
+    return best if (exceeded + 1) / (DRAWS + 1) <= LEVEL else None

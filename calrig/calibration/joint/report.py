@@ -1,0 +1,131 @@
+"""The joint solution as CONTRACT section 8's document."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from calrig.calibration.joint.advice import Advice, advised
+from calrig.calibration.joint.elevation import polynomial, range_deg
+from calrig.calibration.joint.held_out import HeldOut, held_out
+from calrig.calibration.joint.mapped import Mapped, mapped
+from calrig.calibration.joint.said import sentences
+from calrig.calibration.joint.solution import Solution
+from calrig.calibration.joint.unit_model import CURVATURES, NAMES, PER_C
+
+Value = dict[str, float | None]
+UNITS = {
+    "y": ("y_mg", 1e3),
+    "z": ("z_mg", 1e3),
+    "gain": ("gain_pct", 1e2),
+    "skew": ("skew_deg", float(np.degrees(1.0))),
+    "y2": ("y_mg_per_g2", 1e3),
+    "y3": ("y_mg_per_g3", 1e3),
+    "z2": ("z_mg_per_g2", 1e3),
+    "z3": ("z_mg_per_g3", 1e3),
+    "y_per_c": ("y_mg_per_c", 1e3),
+    "z_per_c": ("z_mg_per_c", 1e3),
+}
+"""A document's names of the parameters, and their units."""
+
+
+def solution_document(solution: Solution) -> dict[str, Any]:
+    """Everything that was solved for, what it is worth, and what would help."""
+    on_stage, tested, advice = mapped(solution.fit), held_out(solution.fit), advised(solution)
+    units = range(len(solution.table.units))
+    return {
+        "units": [_unit(solution, unit) for unit in units],
+        "stage": _stage(on_stage),
+        "mounts": _mounts(solution, on_stage),
+        "separable": all(solution.is_separable(unit) for unit in units),
+        "advice": None if advice is None else _advice(advice),
+        "held_out": {"how": f"{tested.stretches} stretches of elevation", "n_poses": tested.n_poses},
+        "before": {"held_out_rms_deg": tested.before_deg},
+        "final": {"held_out_rms_deg": tested.final_deg},
+        "noise_deg": solution.noise_deg,
+        "level_known": False,
+        "level_std_deg": None,
+        "warnings": [*solution.warnings, *sentences(solution, on_stage), *_of_held_out(tested)],
+    }
+
+
+def parameters_of(solution: Solution, unit: int) -> dict[str, Value]:
+    """A unit's parameters in the units of documents; those of temperature where the data carry them."""
+    fit, at = solution.fit, solution.fit.problem.unit_at(unit)
+    values, stds = fit.parameters[at], np.sqrt(np.maximum(np.diag(fit.covariance)[at], 0.0))
+    free = fit.problem.free()[at]
+    found: dict[str, Value] = {}
+    for name, (stated_as, factor) in UNITS.items():
+        k = NAMES.index(name)
+        if free[k] or k in CURVATURES:
+            found[stated_as] = _value(factor * values[k], factor * stds[k] if free[k] else None)
+    if free[PER_C[0]]:
+        found["reference_c"] = _value(float(solution.table.reference_c[unit]), None)
+    return found
+
+
+def _unit(solution: Solution, unit: int) -> dict[str, Any]:
+    coefficients, covariance = polynomial(solution.fit, unit)
+    stds = np.sqrt(np.maximum(np.diag(covariance), 0.0)) if not solution.fit.problem.linear else [None, None]
+    worth = solution.worths[unit]
+    names = ("deg_per_deg2", "deg_per_deg3")
+    projected = {n: _value(c, s) for n, c, s in zip(names, coefficients.tolist(), stds, strict=True)}
+    return {
+        "unit": solution.table.units[unit],
+        "parameters": {**parameters_of(solution, unit), **projected},
+        "accelerometer": None,
+        "gyro": None,
+        "range_deg": list(range_deg(solution.fit, unit)),
+        "elevation_std_deg": {
+            "elevation_deg": worth.elevation_deg.tolist(),
+            "std_deg": worth.std_deg.tolist(),
+        },
+    }
+
+
+def _stage(on_stage: Mapped) -> dict[str, Any]:
+    return {
+        "map": {
+            "stage_deg": on_stage.stage_deg.tolist(),
+            "error_deg": on_stage.error_deg.tolist(),
+            "std_deg": on_stage.std_deg.tolist(),
+        },
+        "harmonics": [asdict(harmonic) for harmonic in on_stage.harmonics],
+        "backlash_deg": None if on_stage.backlash is None else _value(*on_stage.backlash),
+    }
+
+
+def _mounts(solution: Solution, on_stage: Mapped) -> list[dict[str, Any]]:
+    return [
+        {
+            "mount": mount.name,
+            "unit": solution.table.units[mount.unit],
+            "mount_deg": mount.nominal_deg or 0.0,
+            "angle_deg": _value(float(angle), float(std)),
+        }
+        for mount, angle, std in zip(
+            solution.table.mounts, on_stage.mounts_deg, on_stage.mounts_std_deg, strict=True
+        )
+    ]
+
+
+def _advice(advice: Advice) -> dict[str, Any]:
+    return {
+        "mounts_deg": list(advice.mounts_deg),
+        "elevation_std_deg_now": advice.now_deg,
+        "elevation_std_deg_then": advice.then_deg,
+        "says": advice.says,
+    }
+
+
+def _of_held_out(tested: HeldOut) -> Sequence[str]:
+    if tested.final_deg < tested.before_deg:
+        return ()
+    return ("stretches that were left out are foretold no better than by believing the stage",)
+
+
+def _value(value: float, std: float | None) -> Value:
+    return {"value": float(value), "std": None if std is None else float(std)}

@@ -1,0 +1,164 @@
+"""What a person should know of a joint solution: what the data did not tell apart, and why."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import chdtrc
+
+from calrig.calibration.joint.least_squares import fitted
+from calrig.calibration.joint.mapped import Mapped
+from calrig.calibration.joint.problem import Problem
+from calrig.calibration.joint.solution import Solution
+from calrig.calibration.joint.stage_map import TURN_DEG, goes_round, widest_gap_deg
+from calrig.calibration.joint.unit_model import NAMES
+from calrig.estimation.angles import wrap_deg
+
+SHARE = 0.3
+"""Of the largest part of a direction: what has less is not named."""
+APART_DEG, APART_NOISES = 0.05, 3.0
+"""From where a reading is said not to be the accelerometer's angle."""
+CONTRADICTS = 1e-3
+"""Chance of quadratic and cubic terms as large in units that have none."""
+OFF_DEG = 5.0
+"""From where a mount was said to be to where gravity has it; a plan is held to the same."""
+MOVED = 5.0
+"""Standard errors of a mean."""
+TITLES = {
+    "common_gain": "common gain",
+    "gain": "gain",
+    "skew": "skew",
+    "y": "y offset",
+    "z": "z offset",
+    "y2": "quadratic term of y",
+    "y3": "cubic term of y",
+    "z2": "quadratic term of z",
+    "z3": "cubic term of z",
+    "y_per_c": "y offset's temperature",
+    "z_per_c": "z offset's temperature",
+}
+
+
+def sentences(solution: Solution, on_stage: Mapped) -> list[str]:
+    """All that is to be said, the weightiest first."""
+    units = range(len(solution.table.units))
+    said = [_not_separable(solution, unit) for unit in units if not solution.is_separable(unit)]
+    said += [*_of_linear(solution), *_of_mounts(solution, on_stage), *_of_sources(solution)]
+    return [*said, *_of_dial(solution), *_of_columns(solution), *_of_readings(solution)]
+
+
+def _not_separable(solution: Solution, unit: int) -> str:
+    worth, problem = solution.worths[unit], solution.fit.problem
+    widths = problem.widths()
+    scaled = worth.by_parameters * widths
+    size, turn = np.linalg.eigh(solution.fit.covariance / np.outer(widths, widths))
+    direction = turn[:, int(np.argmax(size * ((scaled @ turn) ** 2).sum(axis=0)))]
+    weights = np.abs(direction)
+    named = [_title(problem, int(k)) for k in np.argsort(-weights) if weights[k] > SHARE * weights.max()]
+    return (
+        f"unit {solution.table.units[unit]}: its elevation is known to {worth.rms_deg:.2g}° only, where one "
+        f"pose is measured to {solution.noise_deg:.2g}°: these poses do not tell apart "
+        f"{', '.join(dict.fromkeys(named))}"
+    )
+
+
+def _title(problem: Problem, place: int) -> str:
+    if place < problem.first_mount:
+        return TITLES[NAMES[place % len(NAMES)]]
+    if place < problem.first_order:
+        return f"mount {problem.table.mounts[place - problem.first_mount].name}"
+    if place == problem.size - 1:
+        return "the play"
+    return f"order {problem.orders[(place - problem.first_order) // 2]:g} of the stage"
+
+
+def _of_linear(solution: Solution) -> list[str]:
+    """Whether the data contradict that the units are linear: an F test of all quadratic and cubic terms."""
+    fit, n_units = solution.fit, len(solution.table.units)
+    if not fit.problem.linear:
+        return []
+    bent = fitted(replace(fit.problem, linear=False), fit.weights, fit.parameters)
+    told = fit.freedom - bent.freedom
+    gain = (fit.freedom * fit.noise**2 - bent.freedom * bent.noise**2) / bent.noise**2
+    if told < 0.5 or chdtrc(told, max(gain, 0.0)) > CONTRADICTS:
+        return []
+    who = "units are" if n_units > 1 else "unit is"
+    return [f"the {who} stated to be linear, and these poses contradict that"]
+
+
+def _of_mounts(solution: Solution, on_stage: Mapped) -> list[str]:
+    """Mounts that stand elsewhere than somebody said."""
+    said = []
+    for mount, angle_deg in zip(solution.table.mounts, on_stage.mounts_deg, strict=True):
+        if abs(wrap_deg(float(angle_deg) - (mount.nominal_deg or 0.0))) > OFF_DEG:
+            stated = (
+                "no mount_deg was given"
+                if mount.nominal_deg is None
+                else f"mount_deg is {mount.nominal_deg:g}"
+            )
+            unit = solution.table.units[mount.unit]
+            said.append(f"mount {mount.name} of unit {unit}: {stated}, gravity says {angle_deg:.1f}°")
+    return said
+
+
+def _of_sources(solution: Solution) -> list[str]:
+    """Files that share a mount by name, and not to within the noise by angle."""
+    fit, table, said = solution.fit, solution.table, []
+    for k, mount in enumerate(table.mounts):
+        of_mount = (table.mount == k) & fit.kept
+        own, sources = fit.left()[of_mount], table.source[of_mount]
+        means = {int(s): float(own[sources == s].mean()) for s in np.unique(sources)}
+        for source, mean in means.items():
+            error = fit.noise / np.sqrt((sources == source).sum())
+            if len(means) > 1 and abs(mean) > MOVED * error:
+                said.append(
+                    f"mount {mount.name} of unit {table.units[mount.unit]}: in {table.sources[source]} it "
+                    f"stands {np.degrees(mean):+.3f}° from where all its poses have it: was it clamped anew?"
+                )
+    return said
+
+
+def _of_dial(solution: Solution) -> list[str]:
+    dial = solution.table.dial_deg[solution.fit.kept]
+    said = []
+    if not goes_round(dial):
+        arc = TURN_DEG - widest_gap_deg(dial)
+        said.append(
+            f"the poses stand on {arc:.0f}° of the dial: the map is known there and nowhere else, and its "
+            "orders are a way to write it down, not the axis' own"
+        )
+    if solution.choice.untold:
+        orders = ", ".join(f"{order:g}" for order in solution.choice.untold)
+        said.append(
+            f"these angles do not tell orders {orders} of the map from its others: they were left out"
+        )
+    return said
+
+
+def _of_columns(solution: Solution) -> list[str]:
+    table, said = solution.table, []
+    for k, mount in enumerate(table.mounts):
+        if not table.has_vector[table.mount == k].any():
+            said.append(
+                f"mount {mount.name} lacks accel_y_g or accel_z_g: its readings alone count, |a| says nothing"
+            )
+    if not solution.fit.problem.free()[-1]:
+        said.append(
+            "the poses were not approached from both sides, or no column tells: play is not solved for"
+        )
+    return said
+
+
+def _of_readings(solution: Solution) -> list[str]:
+    table = solution.table
+    if not table.has_vector.any():
+        return []
+    apart = wrap_deg(np.degrees(table.reading - table.angle()))[table.has_vector & solution.fit.kept]
+    spread_deg = 1.4826 * float(np.median(np.abs(apart - np.median(apart))))
+    if spread_deg < max(APART_DEG, APART_NOISES * solution.noise_deg):
+        return []
+    return [
+        f"readings and the accelerometer's angles differ by {spread_deg:.2g}° from pose to pose: what was "
+        "solved for is the accelerometer"
+    ]

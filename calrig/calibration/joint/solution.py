@@ -1,0 +1,116 @@
+"""The joint solution: wild poses, the map's orders, the fit, and whether the data part stage and units."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calrig.calibration.joint.elevation import Worth, worth
+from calrig.calibration.joint.least_squares import WILD, Fit, distances, fitted, without_wild_poses
+from calrig.calibration.joint.mounts import table_of
+from calrig.calibration.joint.order_choice import Choice, chosen, of_the_unit
+from calrig.calibration.joint.problem import Problem
+from calrig.calibration.joint.stage_map import TURN_DEG, resolved_orders
+from calrig.calibration.joint.table import Mounted, Table
+from calrig.calibration.pose import DiagnosisError
+
+FEWEST_SPARE = 8
+"""Responses beside the parameters, which the noise is found from."""
+SPARE_AN_ORDER = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """Stage map, mounts and units of some poses.
+
+    Attributes:
+        fit: of the model that the data carry.
+        choice: how that model was chosen.
+        worths: of each unit's calibrated elevation.
+        warnings: what a person should know of the poses.
+    """
+
+    fit: Fit
+    choice: Choice
+    worths: tuple[Worth, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def table(self) -> Table:
+        """The poses."""
+        return self.fit.problem.table
+
+    @property
+    def noise_deg(self) -> float:
+        """Standard deviation of one pose's angle."""
+        return float(np.degrees(self.fit.noise))
+
+    def is_separable(self, unit: int) -> bool:
+        """Whether a unit's elevation is known better than a single pose is measured.
+
+        Where it is not, some hundred poses together say less than one: they do not part unit and stage.
+        """
+        return self.worths[unit].rms_deg < self.noise_deg
+
+
+def solve(lots: Sequence[Mounted], *, linear: bool = False, periods_deg: Sequence[float] = ()) -> Solution:
+    """Solves stage, mounts and units at once.
+
+    Args:
+        lots: poses of each clamping, of one stage.
+        linear: whether the units are stated to have no quadratic and cubic terms.
+        periods_deg: of gears, where somebody knows them.
+
+    Raises:
+        DiagnosisError: the poses are too few, or cannot be what they are said to be.
+    """
+    table, warnings = table_of(lots)
+    return solve_table(table, linear=linear, periods_deg=periods_deg, warnings=warnings)
+
+
+def solve_table(
+    table: Table, *, linear: bool = False, periods_deg: Sequence[float] = (), warnings: Sequence[str] = ()
+) -> Solution:
+    """The same of poses in columns."""
+    known = [TURN_DEG / period for period in periods_deg]
+    orders = _offered(table, linear, known)
+    rich, weights = without_wild_poses(Problem(table, orders, linear))
+    choice = chosen(rich, known)
+    fit = fitted(Problem(table, choice.orders, linear), weights)
+    worths = tuple(worth(fit, unit) for unit in range(len(table.units)))
+    return Solution(fit, choice, worths, (*warnings, *_of_poses(fit)))
+
+
+def _offered(table: Table, linear: bool, known: Sequence[float]) -> tuple[float, ...]:
+    """Orders that the map may have: those that it always has, and as many more as leave the noise to be seen.
+
+    Raises:
+        DiagnosisError: the poses are fewer than the parameters need.
+    """
+    always = {float(order) for order in range(1, of_the_unit(linear) + 1)} | set(known)
+    needed = int(Problem(table, tuple(always), linear).free().sum())
+    spare = int((1 + table.has_vector).sum()) - needed
+    if spare < FEWEST_SPARE:
+        raise DiagnosisError(
+            f"{len(table)} poses are too few for {needed} parameters of stage, mounts and units: take more "
+            "of each mount"
+        )
+    more = [order for order in resolved_orders(table.dial_deg) if order not in always]
+    return tuple(sorted({*always, *more[: spare // SPARE_AN_ORDER]}))
+
+
+def _of_poses(fit: Fit) -> list[str]:
+    """Poses that were left out, each by its place."""
+    table, said = fit.problem.table, []
+    left_out = np.flatnonzero(~fit.kept)
+    if len(left_out):
+        listed = ", ".join(
+            f"{table.mounts[table.mount[k]].name} at {table.dial_deg[k]:g}°" for k in left_out[:5]
+        )
+        said.append(f"{len(left_out)} poses went wrong alone and were left out: {listed}")
+    far = int((distances(fit)[fit.kept] > WILD).sum())
+    if far:
+        said.append(f"{far} poses lie far from the model, too many to be left out: something else moved")
+    return said

@@ -1,0 +1,296 @@
+"""Runs as people and programs ask for them at a centre, whose benches carry them out."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from functools import partial
+
+from calrig.analysis.active_calibration import ActiveCalibration, active_calibration
+from calrig.analysis.errors import Conflict, Unknown
+from calrig.analysis.issuing import Issuer
+from calrig.analysis.origin import check_serial, provenance
+from calrig.analysis.stored_runs import stored_run
+from calrig.analysis.unresolved import unresolved
+from calrig.centre.asking import Asking, seen
+from calrig.centre.bench_counts import BenchCounts
+from calrig.centre.bench_rigs import BenchRig, BenchRigs
+from calrig.centre.conclusions import concluded
+from calrig.centre.unpacker import Unpacker
+from calrig.instruments.clock import WALL, Clock
+from calrig.plan import Plan
+from calrig.processes.pool import Apart, run_apart
+from calrig.runs.bus import Bus
+from calrig.runs.errands import Errand, Errands
+from calrig.runs.follow_up import FollowUpRun
+from calrig.runs.meter import Meter
+from calrig.runs.ordered import order_part
+from calrig.runs.planned import planned_poses
+from calrig.runs.rig_states import RigState
+from calrig.runs.stopping import BY_REQUEST
+from calrig.settings import RigSettings
+from calrig.store import AT_REST, Run, Store, StoreError
+from calrig.store.bench_commands import Kind
+from calrig.store.benches import Bench
+from calrig.store.postgresql.listening import Listening
+from calrig.store.postgresql.set_up import ANSWERS, EVENTS, PARCELS
+from calrig.store.records import TERMINAL, UNFINISHED
+
+log = logging.getLogger(__name__)
+
+ENDS_S = 2.0
+"""How long an abort waits, once the stage stands, for the run's end to be delivered."""
+LOOK_S = 1.0
+
+
+class CentreService:
+    """What `calrig.runs.service.RunService` is on one machine. Thread-safe; any number over one database.
+
+    Args:
+        store: of the centre.
+        url: of that store, for a connection that hears of news.
+        clock: by which answers of benches are waited for.
+    """
+
+    def __init__(self, store: Store, url: str, clock: Clock = WALL) -> None:
+        self.store = store
+        self.bus = Bus()
+        self.meter = Meter()
+        self._rigs = BenchRigs(store)
+        self._clock = clock
+        self._asking = Asking(store, clock)
+        self._errands = Errands()
+        self._unpacker = Unpacker(store, lambda run, poses: concluded(store, self.issuer, run, poses))
+        self.meter.registry.register(BenchCounts(store, lambda: self.stuck))
+        heard: dict[str, Callable[[str], object]] = {
+            EVENTS: self.bus.wake,
+            PARCELS: self._unpacker.wake,
+            ANSWERS: self._asking.heard,
+        }
+        self._listening = Listening(url, heard, self.bus.wake_all)
+        self._unpacker.start()
+        self._listening.start()
+
+    @property
+    def issuer(self) -> Issuer:
+        """Drafts and releases, by what the benches' rigs say of `release` now."""
+        return Issuer(self.store, self._rigs.releases())
+
+    @property
+    def stuck(self) -> Mapping[str, str]:
+        """Runs of which a delivery is kept that this process cannot unpack, and why."""
+        return self._unpacker.stuck
+
+    def rigs(self) -> list[RigState]:
+        """Every rig of every bench, as it last said that it stands."""
+        return self._rigs.states()
+
+    def start(
+        self,
+        *,
+        unit: str,
+        plan: Plan,
+        rig: str | None = None,
+        operator: str | None = None,
+        note: str | None = None,
+        stage_at_deg: float | None = None,
+        queue: bool = False,
+    ) -> Run:
+        """Orders a run of the bench that has a rig (the first there is where none is named).
+
+        With `queue` it waits where the rig is busy or its bench away; other arguments as of `RunService`.
+
+        Raises:
+            Invalid: the serial number or an elevation of the plan is out of bounds; nothing was stored.
+            Unknown: no bench has such a rig.
+            Conflict: its bench is away.
+            Refused: the rig is busy.
+        """
+        check_serial(unit)
+        on = self._rigs.known(rig)
+        return self._begin(on, unit, plan, operator, operator, note, stage_at_deg=stage_at_deg, queue=queue)
+
+    def follow_up(self, run_id: str, apart: Apart = run_apart, who: str | None = None) -> Run:
+        """As `RunService.follow_up`."""
+        run = stored_run(self.store, run_id)
+        if run.rig is None:
+            raise Conflict(f"run {run_id} was imported: no rig is known to follow it up on")
+        on = self._rigs.known(run.rig)
+        earlier = unresolved(self.store, run_id, apart)
+        designed = FollowUpRun.designed(earlier, run, on.settings.limits_deg, apart)
+        operator = who or run.operator
+        return self._begin(on, run.unit, designed.plan, operator, who, follows=run_id, follow_up=designed)
+
+    def _begin(
+        self,
+        on: BenchRig,
+        unit: str,
+        plan: Plan,
+        operator: str | None,
+        who: str | None,
+        note: str | None = None,
+        *,
+        follows: str | None = None,
+        follow_up: FollowUpRun | None = None,
+        stage_at_deg: float | None = None,
+        queue: bool = False,
+    ) -> Run:
+        planned = planned_poses(plan, on.settings)
+        verifies: ActiveCalibration | None = None
+        if plan.kind == "verification":
+            verifies = active_calibration(self.store, unit, on.settings.name, plan.revision)
+        if on.is_offline and not queue:
+            said = f"rig {on.settings.name!r}: bench {on.bench.name} {seen(on.bench)}"
+            raise Conflict(f'{said}: ask with "queue": true to wait until it is there')
+        return self.store.order_run(
+            bench=on.bench.name,
+            rig=on.settings.name,
+            unit=unit,
+            plan=plan.model_dump(mode="json"),
+            operator=operator,
+            who=who,
+            note=note,
+            follows=follows,
+            provenance={
+                **provenance(operator),
+                "seed": plan.seed,
+                **({} if verifies is None else verifies.provenance()),
+                **({} if follow_up is None else {"follow_up": follow_up.provenance()}),
+            },
+            poses_total=0 if plan.kind == "static" else len(planned),
+            more=order_part(stage_at_deg=stage_at_deg, verifies=verifies, follow_up=follow_up),
+            waits=queue,
+        )
+
+    def run(self, run_id: str) -> Run:
+        """The run, or Unknown."""
+        return stored_run(self.store, run_id)
+
+    def abort(self, run_id: str) -> Run:
+        """Ends a run: takes its order back, or has its bench stop the stage and end it.
+
+        Raises:
+            Unknown: there is no such run.
+            Conflict: it has ended; or its bench cannot be told, or its stage is not known to stand.
+        """
+        return self.begin_abort(run_id).result()
+
+    def begin_abort(self, run_id: str) -> Errand[Run]:
+        """As `abort`, in a thread of its own, which all share who ask for it meanwhile."""
+        return self._errands.share(("abort", run_id), self._clock, partial(self._abort, run_id))
+
+    def _abort(self, run_id: str) -> Run:
+        run = self.run(run_id)
+        if run.status in TERMINAL:
+            raise Conflict(f"run {run_id} is {run.status} and cannot be aborted")
+        if self.store.withdraw_order(run_id) and (run := self.run(run_id)).status in TERMINAL:
+            return run  # no bench had begun it
+        order = self.store.order_of(run_id)
+        if order is None:
+            return self._abort_of_nobody(run)
+        if order.is_revoked:
+            return self.store.end_orphan(run_id)
+        self._ask(order.bench, "abort", run_uid=run_id)
+        return self.wait(run_id, ENDS_S)
+
+    def _abort_of_nobody(self, run: Run) -> Run:
+        """Ends a run that no bench of this centre has: it was moved here from another store."""
+        return self.store.update_run(run.id, status="aborted")
+
+    def stop(self, rig_name: str) -> RigState:
+        """Has a rig's bench stop its stage now, whatever runs; what waits to begin there is aborted.
+
+        Raises:
+            Unknown: there is no such rig.
+            Conflict: the bench cannot be told, or the stage is not known to stand.
+        """
+        return self.begin_stop(rig_name).result()
+
+    def begin_stop(self, rig_name: str) -> Errand[RigState]:
+        """As `stop`, in a thread of its own, which all share who ask for it meanwhile."""
+        return self._errands.share(("stop", rig_name), self._clock, partial(self._stop, rig_name))
+
+    def _stop(self, rig_name: str) -> RigState:
+        rig = self._rigs.known(rig_name)
+        try:
+            self._asking.ask(rig.bench, "stop", rig=rig_name)
+        finally:
+            try:
+                self.store.settle_withdrawn(BY_REQUEST.reason)
+            except StoreError as error:  # of a stop that was made, the store's trouble makes no failure
+                log.error("runs that waited for rig %s are not told of as aborted yet: %s", rig_name, error)
+        return next(state for state in self.rigs() if state.name == rig_name)
+
+    def pause(self, run_id: str) -> Run:
+        """Has the run hold after the pose in hand."""
+        return self._ask_of_run(run_id, "pause", "paused")
+
+    def resume(self, run_id: str) -> Run:
+        """Has a paused run go on; orders the bench of an interrupted one to take it up again.
+
+        Raises:
+            Unknown: there is no such run.
+            Conflict: it is neither paused nor interrupted, or its bench is away.
+            Refused: its rig is busy.
+        """
+        run = self.run(run_id)
+        if run.status != "interrupted":
+            return self._ask_of_run(run_id, "resume", "resumed")
+        order = self.store.order_of(run_id)
+        if order is not None and self._rigs.known(order.rig).is_offline:
+            bench = self._bench(order.bench)
+            raise Conflict(f"run {run_id} cannot be resumed: bench {bench.name} {seen(bench)}")
+        return self.store.order_resumption(run_id)
+
+    def _ask_of_run(self, run_id: str, kind: Kind, wish: str) -> Run:
+        run, order = self.run(run_id), self.store.order_of(run_id)
+        if run.status not in UNFINISHED or order is None or order.taken_epoch < order.epoch:
+            raise Conflict(f"run {run_id} is {run.status} and cannot be {wish}")
+        self._ask(order.bench, kind, run_uid=run_id)
+        return self.run(run_id)
+
+    def _ask(self, bench: str, kind: Kind, run_uid: str) -> None:
+        self._asking.ask(self._bench(bench), kind, run_uid=run_uid)
+
+    def _bench(self, name: str) -> Bench:
+        for bench in self.store.benches():
+            if bench.name == name:
+                return bench
+        raise Unknown(f"there is no bench {name!r} any more")
+
+    def wait(self, run_id: str, timeout_s: float | None = None) -> Run:
+        """The run once it has ended, or as it is after timeout_s."""
+        changed = self._clock.condition()
+        news: list[bool] = []
+
+        def wake() -> None:
+            with changed:
+                news.append(True)
+                changed.notify_all()
+
+        give_up_s = None if timeout_s is None else self._clock.now_s() + timeout_s
+        leave = self.bus.subscribe(run_id, wake)
+        try:
+            while True:
+                news.clear()
+                run = self.run(run_id)
+                left_s = LOOK_S if give_up_s is None else give_up_s - self._clock.now_s()
+                if run.status in AT_REST or left_s <= 0:
+                    return run
+                with changed:
+                    changed.wait_for(lambda: news, min(LOOK_S, left_s))
+        finally:
+            leave()
+
+    def close(self) -> None:
+        """Ends what this process does for the centre; benches go on."""
+        self._listening.close()
+        self._unpacker.close()
+
+    def ports(self) -> list[str]:
+        """None: the ports of its rigs are its benches'."""
+        return []
+
+    def known_rig(self, name: str | None) -> RigSettings:
+        """A rig's settings as its bench tells them, those of the first one without a name."""
+        return self._rigs.known(name).settings

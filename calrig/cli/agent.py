@@ -1,0 +1,112 @@
+"""`agent`: carries out the runs of this machine's rigs for a centre, until a signal ends it."""
+
+from __future__ import annotations
+
+import os
+import threading
+from contextlib import closing, nullcontext, suppress
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+import calrig
+from calrig.cli.options import Config, Record
+
+if TYPE_CHECKING:
+    import socket
+
+    from calrig.api.access import Access
+    from calrig.runs.service import RunService
+
+app = typer.Typer(help="Carry out the runs of this machine's rigs for a centre.", invoke_without_command=True)
+
+SPOOL = "spool.db"
+
+
+@app.callback()
+def agent(
+    context: typer.Context,
+    db: Annotated[
+        str | None, typer.Option(metavar="URL", help="The centre's database [CALRIG_DB, or as enrolled].")
+    ] = None,
+    config: Config = None,
+    spool: Annotated[
+        str | None,
+        typer.Option(metavar="FILE", help="Keeps what is not delivered; without it in the data folder."),
+    ] = None,
+    port: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", min=0, max=65535, help="Serves the bench's own page there; 0: any free port."
+        ),
+    ] = None,
+    host: Annotated[str, typer.Option(metavar="H", help="Address that the page listens on.")] = "127.0.0.1",
+    record: Record = None,
+    log_format: Annotated[
+        str | None,
+        typer.Option(metavar="text|json", help="Format of the log on standard error [CALRIG_LOG]."),
+    ] = None,
+) -> None:
+    """Carry out the runs of this machine's rigs for a centre.
+
+    Without the centre it finishes what it has begun, keeps it, and delivers it later; its page starts, stops
+    and shows runs as ever. CALRIG_TOKEN is the token that the page asks for.
+    """
+    if context.invoked_subcommand is not None:
+        return
+    from calrig.agent.address import checked_url
+    from calrig.api.access import access_here
+    from calrig.api.address import address_of, listen
+    from calrig.cli.local_service import local_service
+    from calrig.logs import configure_log
+    from calrig.settings import load_settings
+
+    url, settings = checked_url(_centre_url(db)), load_settings(config)
+    configure_log(log_format)
+    access = None if port is None else access_here(host, address_of(host, port), settings)
+    with (
+        nullcontext() if port is None else closing(listen(host, port)) as listener,
+        local_service(_spool_url(spool), "agent", settings.rig, settings, record, drafts=False) as service,
+        suppress(KeyboardInterrupt),
+    ):
+        _work(service, url, listener, access)
+
+
+def _centre_url(db: str | None) -> str:
+    """The URL of the centre's database: as named, or as `calrig agent enroll` has left it."""
+    from calrig.settings import centre_url_file, store_url
+
+    kept = centre_url_file()
+    if db or os.environ.get("CALRIG_DB") or not kept.is_file():
+        return store_url(db)
+    return kept.read_text().strip()
+
+
+def _spool_url(spool: str | None) -> str:
+    """The spool's URL; CALRIG_DB names the centre's database here."""
+    import platformdirs
+
+    from calrig.settings import store_url
+
+    return store_url(spool or str(platformdirs.user_data_path("calrig", ensure_exists=True) / SPOOL))
+
+
+def _work(service: RunService, url: str, listener: socket.socket | None, access: Access | None) -> None:
+    """Works for the centre, and serves the bench's own page where that was asked for."""
+    from calrig.agent.agent import Agent
+
+    rigs = ", ".join(state.name for state in service.rigs())
+    with closing(Agent(service, url)) as at_work:
+        at_work.start()
+        if listener is None or access is None:
+            typer.echo(f"calrig {calrig.__version__}, rigs: {rigs}")
+            threading.Event().wait()
+            return
+        from calrig.api.app import create_app, what_is_asked
+        from calrig.api.server import Server
+
+        app = create_app(service, access=access, is_bench=True)
+        host, port = listener.getsockname()[:2]
+        where = f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+        said = f"calrig {calrig.__version__} at {where}, rigs: {rigs}{what_is_asked(app)}"
+        Server(app, lambda: typer.echo(said)).run(sockets=[listener])

@@ -1,0 +1,129 @@
+"""`solve`: stage map, mounts and units together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from calrig.cli.input_files import names_a_file, read_bytes
+from calrig.cli.options import COLUMNS, SHORTENED, Db, Json, Plot
+from calrig.cli.typed_ids import whole_id
+from calrig.errors import InputError, WorkError
+
+if TYPE_CHECKING:
+    from calrig.calibration.joint.solution import Solution
+    from calrig.calibration.joint.table import Mounted
+
+Units = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--unit", metavar="SERIAL", help="Of files without a column unit: one for all, or one each."
+    ),
+]
+Periods = Annotated[
+    list[float] | None,
+    typer.Option("--period", metavar="DEG", min=0.5, help="Known period of a gear, degrees of the dial."),
+]
+Out = Annotated[
+    Path | None, typer.Option(metavar="DIR", help="Write each unit's calibration and the stage's map there.")
+]
+Linear = Annotated[
+    bool, typer.Option("--linear", help="State that the units have no quadratic and cubic terms.")
+]
+
+
+def solve(
+    sources: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="FILE.csv|RUN_ID...",
+            help=f"Poses of one rig, units clamped at several angles, or its runs' ids{SHORTENED}. {COLUMNS}",
+        ),
+    ],
+    unit: Units = None,
+    linear: Linear = False,
+    period: Periods = None,
+    out: Out = None,
+    plot: Plot = None,
+    as_json: Json = False,
+    db: Db = None,
+) -> None:
+    """Solve the stage's map, the mounts and the units together, against gravity."""
+    from calrig.calibration.joint.report import solution_document
+    from calrig.calibration.joint.solution import solve as solve_together
+    from calrig.calibration.pose import DiagnosisError
+    from calrig.cli import output
+    from calrig.cli.solve_output import print_solution
+    from calrig.figures.files import writer_of
+
+    draw = None if plot is None else writer_of(plot)
+    lots, said = _lots(sources, unit or [], db)
+    try:
+        solution = solve_together(lots, linear=linear, periods_deg=period or [])
+    except DiagnosisError as error:
+        raise InputError(str(error)) from error
+    document = solution_document(solution)
+    document["warnings"] = [*said, *document["warnings"]]
+    if out is not None:
+        _write(out, solution)
+    if draw is not None:
+        from calrig.figures.joint import joint_figures
+
+        draw("Stage and units solved together", joint_figures(solution))
+    if as_json:
+        output.print_json(document)
+    else:
+        print_solution(document)
+
+
+def _lots(sources: Sequence[str], units: Sequence[str], db: str | None) -> tuple[list[Mounted], list[str]]:
+    """Poses of each clamping, and what is to be said of how they were read."""
+    files = [source for source in sources if names_a_file(source)]
+    if files and len(files) < len(sources):
+        raise InputError("solve: name files or run ids, not both")
+    if not files:
+        if units:
+            raise InputError("solve: runs have their units; --unit is for files")
+        return _of_runs(sources, db), []
+    if len(units) > 1 and len(units) != len(files):
+        raise InputError(
+            f"solve: {len(units)} times --unit for {len(files)} files: give one for all, or one each"
+        )
+    serials: list[str | None] = list(units) or [None]
+    serials = serials * (len(files) // len(serials))
+    read = [_of_file(Path(file), serial) for file, serial in zip(files, serials, strict=True)]
+    return [lot for lots, _ in read for lot in lots], [sentence for _, said in read for sentence in said]
+
+
+def _of_file(file: Path, serial: str | None) -> tuple[list[Mounted], list[str]]:
+    from calrig.export.mounted_csv import read_mounted
+    from calrig.export.poses_csv import CsvError
+
+    try:
+        lots, said = read_mounted(read_bytes(file), str(file), serial)
+    except CsvError as error:
+        raise InputError(f"{file}: {error}") from error
+    return lots, [f"{file}: {sentence}" for sentence in said]
+
+
+def _of_runs(run_ids: Sequence[str], db: str | None) -> list[Mounted]:
+    from calrig.analysis.joint_solutions import mounted_runs
+    from calrig.settings import store_url
+    from calrig.store import Store
+
+    with Store.open(store_url(db), writer=None) as store:
+        return mounted_runs(store, [whole_id(store, typed) for typed in run_ids])
+
+
+def _write(folder: Path, solution: Solution) -> None:
+    from calrig.export.joint_documents import joint_documents
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, text in joint_documents(solution).items():
+            (folder / name).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise WorkError(f"{folder}: cannot be written ({error.strerror})") from error

@@ -1,0 +1,73 @@
+"""What the API asks of whatever carries runs out: the rigs of this machine, or a centre's benches."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from calrig.analysis.issuing import Issuer
+from calrig.plan import Plan
+from calrig.processes.pool import Apart, run_apart
+from calrig.runs.bus import Bus
+from calrig.runs.errands import Errand
+from calrig.runs.meter import Meter
+from calrig.runs.rig_states import RigState
+from calrig.settings import RigSettings
+from calrig.store import Run, Store
+
+
+class Service(Protocol):
+    """`calrig.runs.service.RunService` has the words to each, and `calrig.centre.service.CentreService`."""
+
+    store: Store
+    bus: Bus
+    meter: Meter
+
+    @property
+    def issuer(self) -> Issuer:
+        """Makes drafts, releases and withdraws."""
+
+    def rigs(self) -> list[RigState]:
+        """Every rig and what it is doing."""
+
+    def start(
+        self,
+        *,
+        unit: str,
+        plan: Plan,
+        rig: str | None = None,
+        operator: str | None = None,
+        note: str | None = None,
+        stage_at_deg: float | None = None,
+        queue: bool = False,
+    ) -> Run:
+        """Starts a run."""
+
+    def follow_up(self, run_id: str, apart: Apart = run_apart, who: str | None = None) -> Run:
+        """Starts the run that separates what a diagnosis could not."""
+
+    def run(self, run_id: str) -> Run:
+        """The run, or Unknown."""
+
+    def abort(self, run_id: str) -> Run:
+        """Stops the stage and ends the run."""
+
+    def begin_abort(self, run_id: str) -> Errand[Run] | None:
+        """As `abort`, in a thread of its own; None where there is nobody to ask."""
+
+    def begin_stop(self, rig_name: str) -> Errand[RigState]:
+        """Stops a rig's stage, in a thread of its own."""
+
+    def pause(self, run_id: str) -> Run:
+        """Has a run hold."""
+
+    def resume(self, run_id: str) -> Run:
+        """Has a run go on."""
+
+    def close(self) -> None:
+        """Ends what this process carries out."""
+
+    def ports(self) -> list[str]:
+        """The ports that are in this process's hands."""
+
+    def known_rig(self, name: str | None) -> RigSettings:
+        """A rig's settings; Unknown where there is no such."""

@@ -1,0 +1,281 @@
+"""The benches of a centre, and what each is to do with runs: orders, of which only the newest epoch counts.
+
+A bench takes an order by one statement of its own, outside of the centre's turn to write. So what hangs on
+whether it has is one statement here as well: of two at once the server lets one be the first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+from sqlalchemy import and_, text, update
+from sqlmodel import Session, col, select
+
+from calrig.run_ids import new_run_id
+from calrig.store import event_log, trail
+from calrig.store.bench_tables import BenchTable, RunOrderTable
+from calrig.store.convert import run_of, run_row
+from calrig.store.database import Part
+from calrig.store.errors import Refused
+from calrig.store.records import UNFINISHED, Document, Run
+from calrig.store.runs import change, first_progress, new_row
+from calrig.store.tables import EventTable, RunTable
+from calrig.store.trail import Act
+
+NOT_BEGUN = "taken back before its bench had begun it"
+NOT_TAKEN = and_(col(RunOrderTable.taken_epoch) < col(RunOrderTable.epoch), col(RunOrderTable.wish) != "none")
+"""Of an order that its bench may still take."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """A bench that has not been revoked; `seen_ago_s` by the database's clock, None before it was seen."""
+
+    name: str
+    hall: str | None
+    last_seen_at: datetime | None
+    seen_ago_s: float | None
+    said: Document
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """What a bench is to do with a run; it has begun the run once `taken_epoch` is above 0."""
+
+    run_uid: str
+    bench: str
+    rig: str
+    epoch: int
+    wish: str
+    taken_epoch: int
+    is_revoked: bool
+    """Whether the bench is, which then says nothing more of the run."""
+
+
+class Benches(Part):
+    """Benches and their orders."""
+
+    def benches(self) -> list[Bench]:
+        """Those that are not revoked, by name."""
+        wanted = select(BenchTable).where(col(BenchTable.revoked_at).is_(None)).order_by(BenchTable.name)
+        with self._database.reading() as session:
+            now = now_there(session)
+            return [_bench(row, now) for row in session.exec(wanted)]
+
+    def order_run(
+        self,
+        *,
+        bench: str,
+        rig: str,
+        unit: str,
+        plan: Document,
+        provenance: Document,
+        poses_total: int,
+        operator: str | None = None,
+        who: str | None = None,
+        note: str | None = None,
+        follows: str | None = None,
+        more: Mapping[str, Any] | None = None,
+        waits: bool = False,
+    ) -> Run:
+        """Makes a queued run and orders its bench to begin it, all at once or not at all.
+
+        `more` is what the bench needs to know beside the run itself; with `waits` the run waits its turn
+        where the rig is busy. The other arguments are those of `Store.create_run`.
+
+        Raises:
+            Refused: the rig is busy, and with which run.
+        """
+        now = datetime.now(UTC)
+        with self._database.writing() as session:
+            if not waits:
+                _require_free(session, bench, rig)
+            row = new_row(
+                session,
+                now,
+                uid=new_run_id(),
+                unit=unit,
+                rig=rig,
+                status="queued",
+                plan=plan,
+                progress=first_progress(0, poses_total, "queued"),
+                follows=follows,
+                provenance=provenance,
+                operator=operator,
+                note=note,
+            )
+            event_log.append(session, row, [event_log.state(row)])
+            trail.append(session, Act("started", who=who, unit=unit, rig=rig, run_id=row.uid), now)
+            document = {
+                "unit": unit,
+                "plan": plan,
+                "operator": operator,
+                "note": note,
+                "follows": follows,
+                "poses_total": poses_total,
+                "provenance": provenance,
+                **(more or {}),
+            }
+            order = RunOrderTable(
+                run_uid=row.uid,
+                bench=bench,
+                rig=rig,
+                epoch=1,
+                wish="begin",
+                document=document,
+                ordered_at=now,
+            )
+            session.add(order)
+            session.flush()
+            _wake(session, bench, rig, row.uid, order.epoch)
+            return run_of(row)
+
+    def order_resumption(self, run_id: str) -> Run:
+        """Orders the bench of an interrupted run to take it up again.
+
+        Raises:
+            NotFound: there is no such run.
+            Refused: it is not interrupted, no bench has it, or its rig is busy.
+        """
+        with self._database.writing() as session:
+            row = run_row(session, run_id)
+            order = session.get(RunOrderTable, run_id)
+            if row.status != "interrupted":
+                raise Refused(f"run {run_id} is {row.status} and cannot be resumed")
+            if order is None:
+                raise Refused(f"run {run_id} is of no bench of this centre and cannot be resumed")
+            _require_free(session, order.bench, order.rig)
+            epoch = session.scalar(
+                update(RunOrderTable)
+                .where(col(RunOrderTable.run_uid) == run_id)
+                .values(epoch=RunOrderTable.epoch + 1, wish="resume", ordered_at=datetime.now(UTC))
+                .returning(col(RunOrderTable.epoch))
+            )
+            assert epoch is not None  # noqa: S101 (orders are never deleted)
+            row.status, row.error = "queued", None  # the bench announces it: the numbers are its own
+            _wake(session, order.bench, order.rig, run_id, epoch)
+            return run_of(row)
+
+    def order_of(self, run_id: str) -> Order | None:
+        """The order of a run; None of one that no bench has."""
+        wanted = select(RunOrderTable, BenchTable.revoked_at).join(
+            BenchTable, col(BenchTable.name) == col(RunOrderTable.bench)
+        )
+        with self._database.reading() as session:
+            found = session.exec(wanted.where(RunOrderTable.run_uid == run_id)).first()
+            if found is None:
+                return None
+            row, revoked_at = found
+            return Order(
+                row.run_uid, row.bench, row.rig, row.epoch, row.wish, row.taken_epoch, revoked_at is not None
+            )
+
+    def withdraw_order(self, run_id: str, error: str | None = None) -> bool:
+        """Takes an order back that its bench has not taken; returns whether there was one.
+
+        A run that was never begun is `aborted`, one that was to be resumed `interrupted` as before.
+        """
+        with self._database.writing() as session:
+            if not take_back(session, col(RunOrderTable.run_uid) == run_id):
+                return False
+            _settle(session, error)
+            return True
+
+    def settle_withdrawn(self, error: str | None = NOT_BEGUN) -> None:
+        """Says of the runs whose order was taken back what became of them, where nobody has yet."""
+        with self._database.reading() as session:
+            if session.exec(_withdrawn().limit(1)).first() is None:
+                return  # nobody waits for a turn to write nothing
+        with self._database.writing() as session:
+            _settle(session, error)
+
+    def end_orphan(self, run_id: str) -> Run:
+        """Aborts a run whose bench was revoked: it says nothing more of it."""
+        with self._database.writing() as session:
+            row = run_row(session, run_id)
+            if row.status in (*UNFINISHED, "interrupted"):
+                change(session, row, (), {"status": "aborted", "error": "its bench was revoked"})
+            return run_of(row)
+
+    def busy_rigs(self) -> dict[tuple[str, str], str]:
+        """The unfinished run of each bench's rig that has one; of several the one that goes on."""
+        with self._database.reading() as session:
+            found = session.exec(_unfinished())
+            return {(bench, rig): uid for bench, rig, uid in reversed(found.all())}
+
+
+def now_there(session: Session) -> datetime:
+    """The time by the clock that benches are seen by: the server's, this machine's for a file."""
+    if session.get_bind().dialect.name != "postgresql":
+        return datetime.now(UTC)
+    now: datetime = session.connection().execute(text("SELECT clock_timestamp()")).scalar_one()
+    return now
+
+
+def take_back(session: Session, *which: Any) -> bool:
+    """Takes those orders back that are not taken yet; returns whether there were any."""
+    withdrawn = (
+        update(RunOrderTable)
+        .where(NOT_TAKEN, *which)
+        .values(epoch=RunOrderTable.epoch + 1, wish="none")
+        .returning(col(RunOrderTable.run_uid))
+        .execution_options(synchronize_session=False)
+    )
+    return bool(session.execute(withdrawn).all())
+
+
+def _withdrawn() -> Any:
+    """Queued runs whose order was taken back, each with the epoch that its bench had taken before."""
+    return (
+        select(RunTable, RunOrderTable.taken_epoch)
+        .join(RunOrderTable, col(RunOrderTable.run_uid) == col(RunTable.uid))
+        .where(RunTable.status == "queued", RunOrderTable.wish == "none")
+    )
+
+
+def _settle(session: Session, error: str | None) -> None:
+    for row, taken_epoch in session.exec(_withdrawn()).all():
+        if taken_epoch == 0:
+            change(session, row, (), {"status": "aborted", "error": error})
+        else:
+            row.status, row.error = "interrupted", _last_error(session, row)
+
+
+def _last_error(session: Session, row: RunTable) -> str | None:
+    """The reason that came with the run's last state."""
+    wanted = select(EventTable.data).where(EventTable.run_id == row.id, EventTable.type == "state")
+    last = session.exec(wanted.order_by(col(EventTable.seq).desc()).limit(1)).first()
+    return None if last is None else last.get("error")
+
+
+def _require_free(session: Session, bench: str, rig: str) -> None:
+    of_rig = _unfinished().where(RunOrderTable.bench == bench, RunOrderTable.rig == rig)
+    busy = session.exec(of_rig.limit(1)).first()
+    if busy is not None:
+        raise Refused(f'rig {rig!r} is busy with run {busy[2]}: ask with "queue": true to wait for its turn')
+
+
+def _unfinished() -> Any:
+    """Bench, rig and id of unfinished runs, those that go on first, then as they were made."""
+    return (
+        select(RunOrderTable.bench, RunOrderTable.rig, RunTable.uid)
+        .join(RunTable, col(RunTable.uid) == col(RunOrderTable.run_uid))
+        .where(col(RunTable.status).in_(UNFINISHED))
+        .order_by(col(RunTable.status) == "queued", col(RunTable.created_at), col(RunTable.id))
+    )
+
+
+def _wake(session: Session, bench: str, rig: str, run_uid: str, epoch: int) -> None:
+    from calrig.store.postgresql.queue import defer
+
+    driver = session.connection().connection.driver_connection
+    defer(driver, bench, rig, run_uid, epoch)  # type: ignore[arg-type]  # psycopg's: benches join nothing else
+
+
+def _bench(row: BenchTable, now: datetime) -> Bench:
+    seen = row.last_seen_at
+    ago_s = None if seen is None else (now - seen).total_seconds()
+    return Bench(row.name, row.hall, seen, ago_s, row.said)

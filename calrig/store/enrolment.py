@@ -1,0 +1,182 @@
+"""How a bench joins a centre and leaves it: a code that works once, a role of the database's own."""
+
+from __future__ import annotations
+
+import secrets
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+
+from sqlmodel import Session, select
+
+from calrig.store.bench_tables import BenchTable
+from calrig.store.database import Part
+from calrig.store.errors import NotFound, Refused
+from calrig.store.rig_queues import BENCH_NAME
+from calrig.store.trail import Act, append
+from calrig.store.users import token_digest
+
+CODE_LASTS = timedelta(days=1)
+NO_CENTRE = "benches join a centre, whose store is in PostgreSQL: `calrig serve --db postgresql+psycopg://…`"
+
+
+class WrongCode(Refused):
+    """No bench may join by this code."""
+
+
+@dataclass(frozen=True, slots=True)
+class Membership:
+    """A bench that may join, has joined, or has left; times are null until then."""
+
+    name: str
+    hall: str | None
+    code_until: datetime | None
+    enrolled_at: datetime | None
+    revoked_at: datetime | None
+    last_seen_at: datetime | None
+
+
+class Enrolment(Part):
+    """Which benches there are. Each change goes into the trail in the same transaction."""
+
+    def memberships(self) -> list[Membership]:
+        """Every bench by name, those that were revoked as well."""
+        with self._database.reading() as session:
+            return [_membership(row) for row in session.exec(select(BenchTable).order_by(BenchTable.name))]
+
+    def add_bench(
+        self, name: str, hall: str | None = None, *, who: str | None = None, now: datetime | None = None
+    ) -> tuple[Membership, str]:
+        """Lets a bench join within a day, by a code that is told here and never again.
+
+        Who has not joined yet, or was revoked, gets a new code in place of the one before.
+
+        Raises:
+            Refused: the bench has joined; or a name has characters that no bench's has; or this is a file.
+        """
+        if not BENCH_NAME.fullmatch(name):
+            raise Refused(f"a bench's name has 1 to 20 letters, digits and . _ -, unlike {name[:80]!r}")
+        now, code = now or datetime.now(UTC), secrets.token_hex(16)
+        with self._database.writing() as session:
+            _require_centre(session)
+            row = session.get(BenchTable, name)
+            if row is None:
+                row = BenchTable(name=name, said={})
+                session.add(row)
+            elif row.enrolled_at is not None and row.revoked_at is None:
+                raise Refused(
+                    f"bench {name} has joined already: revoke it first (`calrig bench revoke {name}`)"
+                )
+            row.hall = hall or row.hall
+            row.code_sha256, row.code_until = token_digest(code), now + CODE_LASTS
+            append(session, Act("bench_added", who=who, detail={"bench": name, "hall": row.hall}), now)
+            return _membership(row), code
+
+    def enroll_bench(
+        self,
+        code: str,
+        *,
+        host: str | None = None,
+        port: int | None = None,
+        is_elsewhere: bool = False,
+        now: datetime | None = None,
+    ) -> tuple[str, str]:
+        """Has the bench of a code join: its role is made, or let in again with a new password.
+
+        The code is looked up by its hash: how long that takes says nothing about those that are known.
+
+        Args:
+            code: as `add_bench` told it.
+            host: by which agents reach the database's server; None where the centre's does.
+            port: likewise.
+            is_elsewhere: whether the agent runs on another machine than the centre.
+            now: the time; None takes the clock's.
+
+        Returns:
+            The bench's name, and the database's URL with its role and password, told here and never again.
+
+        Raises:
+            WrongCode: nobody may join by it, or not any more.
+            Refused: the database cannot be reached from where the agent is.
+        """
+        now = now or datetime.now(UTC)
+        with self._database.writing() as session:
+            _require_centre(session)
+            wanted = select(BenchTable).where(BenchTable.code_sha256 == token_digest(code))
+            row = session.exec(wanted).one_or_none()
+            if row is None or row.code_until is None or row.code_until < now:
+                raise WrongCode(
+                    "no bench may join by this code: it is wrong, was used, or is older than a day; an admin "
+                    "makes another one with `calrig bench add NAME`"
+                )
+            url = _let_in(session, row, host, port, is_elsewhere=is_elsewhere)
+            row.code_sha256 = row.code_until = row.revoked_at = None
+            row.enrolled_at = now
+            append(session, Act("bench_enrolled", detail={"bench": row.name}), now)
+            return row.name, url
+
+    def revoke_bench(self, name: str, *, who: str | None = None, now: datetime | None = None) -> Membership:
+        """Lets a bench in no more and ends its connections; what it measured stays.
+
+        It is locked out before anything is written: it may hold the very lock that a write waits for.
+
+        Raises:
+            NotFound: there is no such bench.
+        """
+        with self._database.reading() as session:
+            role = _known(session, name).role
+        if role is not None:
+            from calrig.store.postgresql.roles import shut_out
+
+            with self._database.staging() as connection:
+                shut_out(connection, role)
+        now = now or datetime.now(UTC)
+        with self._database.writing() as session:
+            row = _known(session, name)
+            if row.revoked_at is None:
+                row.revoked_at, row.code_sha256, row.code_until = now, None, None
+                append(session, Act("bench_revoked", who=who, detail={"bench": name}), now)
+            return _membership(row)
+
+
+def _let_in(
+    session: Session, row: BenchTable, host: str | None, port: int | None, *, is_elsewhere: bool
+) -> str:
+    from calrig.store.postgresql.agent_url import agent_url, is_on_this_machine
+    from calrig.store.postgresql.roles import let_in, role_name
+
+    connection = session.connection()
+    row.role = row.role or role_name(connection, row.name)
+    password = let_in(connection, row.role)
+    url = agent_url(connection.engine.url, row.role, password, host, port)
+    if is_elsewhere and is_on_this_machine(url):
+        raise Refused(
+            "the centre reaches its database on its own machine, as no bench can: write the name of the "
+            "database's server as `agent_db_host` under [centre] in the centre's calrig.toml"
+        )
+    return url.render_as_string(hide_password=False)
+
+
+def _require_centre(session: Session) -> None:
+    if session.connection().dialect.name != "postgresql":
+        raise Refused(NO_CENTRE)
+    from calrig.store.postgresql.roles import require_roles
+
+    require_roles(session.connection())
+
+
+def _known(session: Session, name: str) -> BenchTable:
+    row = session.get(BenchTable, name)
+    if row is None:
+        raise NotFound(f"there is no bench {name!r}")
+    return row
+
+
+def _membership(row: BenchTable) -> Membership:
+    return Membership(
+        name=row.name,
+        hall=row.hall,
+        code_until=row.code_until,
+        enrolled_at=row.enrolled_at,
+        revoked_at=row.revoked_at,
+        last_seen_at=row.last_seen_at,
+    )

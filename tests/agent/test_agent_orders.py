@@ -1,0 +1,234 @@
+"""Orders of a centre: each is carried out once, or not at all, and what became of it is always said."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from a_bench import ENDLESS, HandWritten, Rig, agent_at
+from support import QUICK, wait_for
+
+from calrig.agent import orders
+from calrig.agent.lease import LEASE_S
+from calrig.plan import Plan
+from calrig.store import Store
+
+
+def test_an_ordered_run_is_carried_out_once_and_delivered_in_order(
+    centre: HandWritten, rig: Rig, spool: Path
+) -> None:
+    run_id = centre.order()
+    with agent_at(centre.bench_url, spool, rig) as agent:
+        told = centre.ended(run_id)
+        run, store = agent.service.run(run_id), agent.service.store
+        assert (run.status, run.operator, run.unit) == ("completed", "mara", "AS-1")
+        assert [event["seq"] for event in told.events] == list(range(1, len(store.events_after(run_id)) + 1))
+        assert told.states == ["queued", "running", "completed"]
+        assert told.poses == list(range(6))
+        assert told.n_samples == len(store.samples(run_id))
+        assert told.documents[-1]["run"]["result"]["bias_deg"] == pytest.approx(run.result["bias_deg"])
+        assert store.revisions("AS-1") == []  # which only the centre makes
+        wait_for(lambda: store.undelivered() == [], "note that all is delivered")
+        assert (store.outbox().n_parcels, centre.jobs_left()) == (0, 0)
+
+
+def test_a_run_that_has_ended_at_the_centre_is_there_with_all_its_samples(
+    centre: HandWritten, rig: Rig, spool: Path
+) -> None:
+    run_id = centre.order()
+    with agent_at(centre.bench_url, spool, rig):
+        *before, last = centre.ended(run_id).documents
+    assert [event["type"] for event in last["events"]] == ["state"]
+    assert {document["run"]["status"] for document in before} <= {"queued", "running"}
+    assert all(document["run"]["progress"]["poses_done"] <= 6 for document in before)
+
+
+def test_a_job_that_comes_twice_carries_nothing_out_twice(centre: HandWritten, rig: Rig, spool: Path) -> None:
+    run_id = centre.order()
+    centre.job(run_id)
+    with agent_at(centre.bench_url, spool, rig) as agent:
+        first = centre.ended(run_id)
+        centre.job(run_id)
+        wait_for(lambda: centre.jobs_left() == 0, "end of the jobs")
+        centre.order(unit="AS-2", rig="bench-1")
+        wait_for(lambda: len(agent.service.store.runs()[0]) == 2, "next run")
+        assert centre.delivered(run_id).events == first.events
+
+
+@pytest.mark.parametrize(
+    "columns", [{"epoch": 2, "wish": "none"}, {"epoch": 1, "taken_epoch": 1, "wish": "none"}]
+)
+def test_an_order_that_counts_no_more_moves_nothing(
+    centre: HandWritten, rig: Rig, spool: Path, columns: dict[str, object]
+) -> None:
+    run_id = centre.order(job=False, **columns)
+    centre.job(run_id, epoch=1)
+    with agent_at(centre.bench_url, spool, rig) as agent:
+        wait_for(lambda: centre.jobs_left() == 0, "end of the job")
+        centre.order(unit="AS-2")  # what comes after it does
+        wait_for(lambda: agent.service.store.runs()[0], "run")
+        assert [run.unit for run in agent.service.store.runs()[0]] == ["AS-2"]
+    assert centre.taken_epoch(run_id) == columns.get("taken_epoch", 0)
+
+
+def test_an_order_taken_back_before_it_is_taken_moves_nothing(
+    centre: HandWritten, rig: Rig, spool: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    take = orders.take
+
+    def too_late(of, order):
+        with monkeypatch.context() as once:
+            once.setattr(orders, "take", take)
+            centre.connection.execute("UPDATE run_order SET epoch = epoch + 1, wish = 'none'")
+            return take(of, order)
+
+    monkeypatch.setattr(orders, "take", too_late)
+    run_id = centre.order()
+    with agent_at(centre.bench_url, spool, rig) as agent:
+        wait_for(lambda: centre._one("SELECT epoch FROM run_order") > 1, "withdrawal")
+        wait_for(lambda: agent.service.is_free("bench-1"), "rig that is kept no longer")
+        assert agent.service.store.run(run_id) is None
+    assert centre.taken_epoch(run_id) == 0
+    assert not rig.has_moved()
+
+
+def test_runs_of_one_rig_wait_for_one_another(centre: HandWritten, rig: Rig, spool: Path) -> None:
+    ordered = [centre.order(unit=f"AS-{k}") for k in range(3)]
+    with agent_at(centre.bench_url, spool, rig) as agent:
+        for run_id in ordered:
+            assert centre.ended(run_id).status == "completed"
+        runs = [agent.service.run(run_id) for run_id in ordered]
+    for before, after in pairwise(runs):
+        assert before.finished_at <= after.started_at
+
+
+class Killed(BaseException):
+    """The program ends here."""
+
+
+def test_killed_between_taking_and_spool_the_run_is_interrupted_and_moves_nothing(
+    centre: HandWritten, rig: Rig, spool: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run_id = centre.order()
+
+    def killed(*_: object) -> None:
+        raise Killed
+
+    with monkeypatch.context() as at_this_point:
+        at_this_point.setattr(orders.RigOrders, "_begin", killed)
+        at_this_point.setattr("threading.excepthook", lambda _: None)
+        with agent_at(centre.bench_url, spool, rig):
+            wait_for(lambda: centre.taken_epoch(run_id) == 1, "taking")
+    with agent_at(centre.bench_url, spool, rig) as agent:
+        told = centre.ended(run_id)
+        assert told.states == ["queued", "interrupted"]
+        assert "nothing is done twice" in told.events[-1]["data"]["error"]
+        assert not rig.has_moved()
+        centre.connection.execute("UPDATE run_order SET epoch = 2, wish = 'resume'")
+        centre.job(run_id, epoch=2)
+        wait_for(lambda: agent.service.run(run_id).status == "completed", "end of the resumed run")
+        done = wait_for(lambda: (d := centre.delivered(run_id)).status == "completed" and d, "delivery")
+    assert done.states == ["queued", "interrupted", "queued", "running", "completed"]
+    assert done.poses == list(range(6))
+
+
+def test_killed_before_a_resumption_has_begun_the_run_stays_interrupted_and_says_so(
+    centre: HandWritten, rig: Rig, spool: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run_id = centre.order(plan=ENDLESS)
+    with agent_at(centre.bench_url, spool, rig) as agent:
+        wait_for(lambda: centre.delivered(run_id).poses, "poses")
+    assert centre.ended(run_id).status == "interrupted"  # it was told to go in order
+    with monkeypatch.context() as at_this_point:
+        at_this_point.setattr("threading.excepthook", lambda _: None)
+        at_this_point.setattr("calrig.runs.service.RunService.resume", _raise_killed)
+        with agent_at(centre.bench_url, spool, rig):
+            centre.connection.execute("UPDATE run_order SET epoch = 2, wish = 'resume'")
+            centre.job(run_id, epoch=2)
+            wait_for(lambda: centre.taken_epoch(run_id) == 2, "taking")
+    with agent_at(centre.bench_url, spool, rig) as agent:
+        wait_for(lambda: centre.delivered(run_id).states[-2:] == ["interrupted"] * 2, "word of it")
+        assert agent.service.run(run_id).status == "interrupted"
+
+
+def _raise_killed(*_: object) -> None:
+    raise Killed
+
+
+def test_an_order_beyond_the_rigs_limits_fails_and_says_why(
+    centre: HandWritten, rig: Rig, spool: Path
+) -> None:
+    run_id = centre.order(plan={**QUICK, "elevations_deg": [-100, 0]})
+    with agent_at(centre.bench_url, spool, rig):
+        told = centre.ended(run_id)
+    assert told.status == "failed"
+    assert "-100" in told.events[-1]["data"]["error"]
+    assert not rig.has_moved()
+
+
+def test_without_the_lease_nothing_is_taken_and_the_person_at_the_bench_starts_runs(
+    centre: HandWritten, rig: Rig, spool: Path, cable
+) -> None:
+    now_s = [0.0]
+    with agent_at(cable.url, spool, rig, now_s=lambda: now_s[0]) as agent:
+        wait_for(agent.lease.is_held, "lease")
+        cable.cut()
+        now_s[0] += LEASE_S
+        wait_for(lambda: agent.lease.losses == 1, "loss")
+        run_id = centre.order()
+        own = agent.service.start(unit="AS-9", plan=Plan.model_validate(QUICK))
+        assert agent.service.wait(own.id).status == "completed"
+        assert centre.taken_epoch(run_id) == 0
+        cable.mend()
+        assert centre.ended(run_id).status == "completed"
+        told = centre.ended(own.id)
+    assert (told.states, told.documents[0]["epoch"]) == (["queued", "running", "completed"], 1)
+
+
+def test_a_stop_calls_off_what_is_about_to_begin(rig: Rig, spool: Path, centre: HandWritten) -> None:
+    with agent_at(centre.bench_url, spool, rig) as agent:
+        service = agent.service
+        from calrig.runs.ordered import ordered_run
+
+        document = {
+            "unit": "AS-1",
+            "plan": Plan.model_validate(QUICK).model_dump(mode="json"),
+            "operator": None,
+            "note": None,
+            "provenance": {},
+        }
+        run_id = "00000000-0000-4000-8000-000000000001"
+        with service.keeping("bench-1", run_id) as is_free:
+            assert is_free
+            service.stop("bench-1")
+            run = service.begin(rig.settings, ordered_run(run_id, document, rig.settings))
+        assert service.wait(run.id).status == "aborted"
+    assert not rig.has_moved()
+
+
+def test_jobs_of_a_worker_that_died_keep_no_queue_shut(centre: HandWritten, rig: Rig, spool: Path) -> None:
+    run_id = centre.order()
+    centre.connection.execute("UPDATE procrastinate_jobs SET status = 'doing'")
+    with agent_at(centre.bench_url, spool, rig):
+        assert centre.ended(run_id).status == "completed"
+        wait_for(lambda: centre.jobs_left() == 0, "end of the job that was left")
+
+
+def test_a_spool_that_was_lost_leaves_what_the_centre_has(centre: HandWritten, rig: Rig, spool: Path) -> None:
+    run_id = centre.order()
+    with agent_at(centre.bench_url, spool, rig):
+        told = centre.ended(run_id)
+    with agent_at(centre.bench_url, spool.with_name("new.db"), rig):
+        wait_for(lambda: len(centre.delivered(run_id).documents) > len(told.documents), "word of the doubt")
+    again = centre.delivered(run_id).events[len(told.events) :]
+    assert all(event["seq"] <= len(told.events) for event in again)  # the centre has those, and skips them
+
+
+def test_the_spool_is_an_ordinary_store(centre: HandWritten, rig: Rig, spool: Path) -> None:
+    run_id = centre.order()
+    with agent_at(centre.bench_url, spool, rig):
+        centre.ended(run_id)
+    with Store.open(f"sqlite:///{spool}", writer=None) as store:
+        assert store.run(run_id).status == "completed"
+        assert store.taken_epochs() == {run_id: 1}

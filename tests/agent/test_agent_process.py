@@ -1,0 +1,114 @@
+"""`calrig agent` as a process: its orders, its page, its end; and what it refuses to begin with."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+import httpx
+import pytest
+from a_bench import ENDLESS, HandWritten
+from support import wait_for
+from typer.testing import CliRunner
+
+from calrig.cli.main import app
+from calrig.store import Store
+
+SIMULATED = """
+[[rig]]
+name = "bench-1"
+[rig.simulated]
+seed = 1
+time_scale = 20.0
+stage = { velocity_dps = 60.0, acceleration_dps2 = 240.0, homing_velocity_dps = 30.0 }
+"""
+
+
+@contextmanager
+def agent_process(centre: HandWritten, folder: Path, spool: Path, *options: str):
+    """`calrig agent` with a simulated rig of its own; its process, once it says that it is there."""
+    (folder / "calrig.toml").write_text(SIMULATED)
+    named = ("--db", centre.bench_url, "--config", folder / "calrig.toml", "--spool", spool)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "calrig", "agent", *map(str, named), *options],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "CALRIG_TOKEN": "a-token-of-the-bench"},
+    )
+    try:
+        process.said = process.stdout.readline()
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+def test_a_run_outlives_the_death_of_its_program_as_interrupted(
+    centre: HandWritten, tmp_path: Path, spool: Path
+) -> None:
+    run_id = centre.order(plan=ENDLESS)
+    with agent_process(centre, tmp_path, spool) as process:
+        wait_for(lambda: centre.delivered(run_id).poses, "poses")
+        process.kill()
+    with agent_process(centre, tmp_path, spool) as process:
+        told = centre.ended(run_id)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait() == 0
+    assert told.states == ["queued", "running", "interrupted"]
+    assert "ended before the run did" in told.events[-1]["data"]["error"]
+    with Store.open(f"sqlite:///{spool}", writer=None) as store:
+        n_poses = len(store.poses(run_id))
+    assert sorted(set(told.poses)) == list(range(n_poses))
+
+
+def test_its_own_page_starts_runs_and_leaves_the_rest_to_the_centre(
+    centre: HandWritten, tmp_path: Path, spool: Path
+) -> None:
+    with agent_process(centre, tmp_path, spool, "--port", "0") as process:
+        (url,) = re.findall(r"http://[\d.]+:\d+", process.said)
+        with httpx.Client(
+            base_url=url, headers={"Authorization": "Bearer a-token-of-the-bench"}, timeout=60
+        ) as page:
+            run = page.post("/api/runs", json={"unit": "AS-1", "plan": ENDLESS}).raise_for_status().json()
+            wait_for(lambda: centre.delivered(run["id"]).poses, "poses at the centre")
+            assert page.post(f"/api/runs/{run['id']}/void", json={"reason": "why"}).status_code == 409
+            assert "calrig_lease_held 1.0" in page.get("/api/metrics").text
+            assert page.post("/api/rigs/bench-1/stop").status_code == 200
+            assert centre.ended(run["id"]).status == "aborted"
+            assert httpx.get(f"{url}/api/runs").status_code == 401
+
+
+@pytest.mark.parametrize(
+    ("db", "said"),
+    [
+        ("postgresql+psycopg://bench@centre.example/calrig", "sslmode=verify-full"),
+        ("postgresql+psycopg://bench@192.0.2.7/calrig?sslmode=require", "sslmode=verify-full"),
+        ("calrig.db", "centre's database"),
+    ],
+)
+def test_a_way_that_anybody_could_listen_to_is_refused(db: str, said: str) -> None:
+    done = CliRunner().invoke(app, ["agent", "--db", db], catch_exceptions=False)
+    assert done.exit_code == 1
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("calrig: ") and said in line
+
+
+def test_help_tells_of_agent_and_enroll() -> None:
+    told = CliRunner().invoke(app, ["agent", "--help"]).output
+    assert "--spool" in told and "enroll" in told
+
+
+def test_what_it_prints_is_one_line(centre: HandWritten, tmp_path: Path, spool: Path) -> None:
+    with agent_process(centre, tmp_path, spool) as process:
+        assert re.fullmatch(r"calrig \S+, rigs: bench-1\n", process.said)
+        run_id = centre.order(plan={"elevations_deg": [0], "sweeps": 1, "settle_s": 0.1, "dwell_s": 0.5})
+        assert centre.ended(run_id).status == "completed"
+        result = centre.delivered(run_id).documents[-1]["run"]["result"]
+        assert json.dumps(result["bias_deg"]) != "null"

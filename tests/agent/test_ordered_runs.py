@@ -1,0 +1,84 @@
+"""What an order tells a bench of other runs comes through JSON as the centre knows it."""
+
+from __future__ import annotations
+
+import json
+import random
+
+from support import QUICK
+
+from calrig.analysis.active_calibration import ActiveCalibration
+from calrig.analysis.unresolved import Unresolved
+from calrig.calibration.fit import Line
+from calrig.calibration.pose import Filtering, Pose
+from calrig.calibration.result import ReferenceFigures
+from calrig.plan import Plan
+from calrig.runs.follow_up import FollowUpRun
+from calrig.runs.ordered import order_part, ordered_run
+from calrig.settings import BoardSettings, RigSettings, StageSettings
+
+RIG = RigSettings(
+    name="bench-1", stage=StageSettings(driver="smc100", port=""), imu=BoardSettings(driver="calrig", port="")
+)
+RUN_ID = "00000000-0000-4000-8000-000000000001"
+
+
+def ordered(plan: Plan, **part: object):
+    """The run as the bench reads it."""
+    nothing = {"stage_at_deg": None, "verifies": None, "follow_up": None}
+    document = {
+        "unit": "AS-1",
+        "plan": plan.model_dump(mode="json"),
+        "operator": "mara",
+        "note": None,
+        "provenance": {"seed": 0},
+        **order_part(**{**nothing, **part}),
+    }
+    return ordered_run(RUN_ID, json.loads(json.dumps(document)), RIG)
+
+
+def test_a_verification_applies_the_same_line_effects_and_reference() -> None:
+    verifies = ActiveCalibration(
+        revision=3,
+        run_id="17",
+        line=Line(0.8, 1.01, 0.001, 2e-5, ((1e-6, 0.0), (0.0, 4e-10)), None),
+        effects=[("misalignment", {"tilt_deg": 0.1}), ("backlash", {"play_deg": 0.03})],
+        reference=ReferenceFigures(0.29, "harmonic", 0.1, None),
+    )
+    run = ordered(Plan.model_validate({**QUICK, "kind": "verification"}), verifies=verifies)
+    assert run.verifies == verifies
+    assert (run.run_id, run.unit, run.operator, run.follow_up) == (RUN_ID, "AS-1", "mara", None)
+
+
+def test_a_follow_up_rests_on_the_same_poses_and_finds_the_same_in_them() -> None:
+    rng = random.Random(3)
+    poses = []
+    for approach in (1, -1, 1, -1):
+        for elevation_deg in range(-60 * approach, 61 * approach, 10 * approach):
+            reading_deg = elevation_deg - approach * 0.03 + rng.gauss(0.0, 0.025)
+            poses.append(
+                Pose(
+                    float(elevation_deg),
+                    reading_deg,
+                    approach=approach,
+                    time_s=4.0 * len(poses),
+                    filtering=Filtering(),
+                )
+            )
+    earlier = Unresolved.of(["17"], [poses])
+    plan = Plan.model_validate({**QUICK, "sweeps": 1})
+    run = ordered(plan, follow_up=FollowUpRun(earlier, ["backlash", "settling"], 2, plan, RIG.limits_deg))
+    assert run.follow_up is not None
+    again = run.follow_up.earlier
+    assert (again.run_ids, again.poses) == (earlier.run_ids, earlier.poses)
+    assert str(again.findings.found) == str(earlier.findings.found)
+    assert run.follow_up.provenance() == {
+        "separates": ["backlash", "settling"],
+        "deciding": 2,
+        "decided_on": [],
+        "decided_early": False,
+    }
+
+
+def test_a_persons_word_for_where_the_stage_stands_comes_through() -> None:
+    assert ordered(Plan.model_validate(QUICK), stage_at_deg=12.5).stage_at_deg == 12.5

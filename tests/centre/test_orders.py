@@ -1,0 +1,164 @@
+"""Orders: what a bench never took is the centre's to end; what it took is the bench's to tell of."""
+
+from __future__ import annotations
+
+import pytest
+from support import QUICK, wait_for
+from table_bench import Measured, TableBench
+
+from calrig.analysis.errors import Conflict, Invalid, Unknown
+from calrig.centre.service import CentreService
+from calrig.plan import Plan
+from calrig.store.errors import Refused
+
+
+def test_a_run_its_order_and_its_job_are_made_together(centre: CentreService, bench: TableBench, plan: Plan):
+    run = centre.start(unit="A", plan=plan, operator="Ada", note="warm", stage_at_deg=3.0)
+
+    assert (run.status, run.rig, run.operator, run.note) == ("queued", "bench-1", "Ada", "warm")
+    assert run.progress["poses_total"] == 6
+    order = bench.order(run.id)
+    assert (order.bench, order.rig, order.epoch, order.taken_epoch, order.wish) == (
+        "hall-2",
+        "bench-1",
+        1,
+        0,
+        "begin",
+    )
+    assert order.document["plan"] == run.plan
+    assert order.document["stage_at_deg"] == 3.0
+    assert bench.jobs() == [
+        ("rig:hall-2/bench-1", "rig:hall-2/bench-1", {"run_uid": run.id, "epoch": 1}, "todo")
+    ]
+    assert [event.data["status"] for event in centre.store.events_after(run.id)] == ["queued"]
+    assert [entry.act.what for entry in centre.store.trail(unit="A")] == ["started"]
+
+
+def test_an_order_is_taken_once(centre: CentreService, bench: TableBench, plan: Plan):
+    run_id = centre.start(unit="A", plan=plan).id
+
+    assert bench.take(run_id, 1) == "begin"
+    assert bench.take(run_id, 1) is None  # whatever the queue says a second time
+
+
+def test_what_was_aborted_while_it_waited_is_never_taken(
+    centre: CentreService, bench: TableBench, plan: Plan
+):
+    run_id = centre.start(unit="A", plan=plan).id
+
+    run = centre.abort(run_id)
+
+    assert (run.status, run.finished_at is None) == ("aborted", False)
+    assert [event.data["status"] for event in centre.store.events_after(run_id)] == ["queued", "aborted"]
+    assert bench.take(run_id, 1) is None
+    assert bench.take(run_id, 2) is None  # the wish of that epoch is none
+    with pytest.raises(Conflict, match="is aborted and cannot be aborted"):
+        centre.abort(run_id)
+    assert centre.start(unit="A", plan=plan).status == "queued"  # the rig is free again
+
+
+def test_of_what_was_taken_only_the_bench_says_what_becomes(
+    patient_centre: CentreService, bench: TableBench, plan: Plan
+):
+    run_id = patient_centre.start(unit="A", plan=plan).id
+    assert bench.take(run_id, 1) == "begin"
+
+    with pytest.raises(Conflict, match=r"hall-2 was last seen . s ago and cannot be told"):
+        patient_centre.abort(run_id)
+
+    assert patient_centre.run(run_id).status == "queued"
+    assert bench.order(run_id).epoch == 1
+
+
+def test_a_busy_rig_is_refused_unless_the_run_may_wait(centre: CentreService, bench: TableBench, plan: Plan):
+    first = centre.start(unit="A", plan=plan).id
+
+    with pytest.raises(Refused, match=f"'bench-1' is busy with run {first}"):
+        centre.start(unit="B", plan=plan)
+    second = centre.start(unit="B", plan=plan, queue=True).id
+
+    assert [job[2]["run_uid"] for job in bench.jobs()] == [first, second]
+    assert centre.rigs()[0].run_id == first
+    assert [entry.act.unit for entry in centre.store.trail()] == ["A", "B"]
+
+
+def test_what_cannot_be_ordered_is_said_before_anything_is_stored(
+    centre: CentreService, bench: TableBench, plan: Plan
+):
+    beyond = Plan.model_validate({**QUICK, "elevations_deg": [0, 120]})
+    for wanted, why, error in (
+        ({"unit": " A"}, "serial number", Invalid),
+        ({"rig": "bench-9"}, "no bench has a rig 'bench-9'; there are: bench-1", Unknown),
+        ({"plan": beyond}, "120", Invalid),
+        ({"plan": Plan(kind="verification")}, "no calibration in force to verify", Conflict),
+    ):
+        with pytest.raises(error, match=why):
+            centre.start(**{"unit": "A", "plan": plan, **wanted})
+    bench.beat(ago_s=3600)
+    with pytest.raises(Conflict, match="bench hall-2 was last seen 3600 s ago"):
+        centre.start(unit="A", plan=plan)
+
+    assert centre.store.runs() == ([], None)
+    assert bench.jobs() == []
+    assert centre.start(unit="A", plan=plan, queue=True).status == "queued"
+
+
+def _interrupted(centre: CentreService, bench: TableBench, measured: Measured) -> str:
+    """A run of the bench that was interrupted after some poses."""
+    parcels = measured.parcels[:2]
+    document, _ = parcels[-1]
+    reason = "the program that carried it out ended before the run did"
+    last = document["events"][-1]
+    state = {"status": "interrupted", "error": reason}
+    end = {**last, "seq": last["seq"] + 1, "type": "state", "data": state}
+    bench.deliver(measured.run.id, [*parcels, ({**document, "events": [end], "poses": []}, None)])
+    wait_for(
+        lambda: (run := centre.store.run(measured.run.id)) and run.status == "interrupted", "interruption"
+    )
+    return measured.run.id
+
+
+def test_an_interrupted_run_is_taken_up_by_a_new_order(
+    centre: CentreService, bench: TableBench, measured: Measured, plan: Plan
+):
+    run_id = _interrupted(centre, bench, measured)
+    assert centre.run(run_id).error == "the program that carried it out ended before the run did"
+
+    assert centre.resume(run_id).status == "queued"
+
+    order = bench.order(run_id)
+    assert (order.epoch, order.wish, order.taken_epoch) == (2, "resume", 1)
+    assert bench.jobs()[-1][2] == {"run_uid": run_id, "epoch": 2}
+    with pytest.raises(Refused, match="busy"):
+        centre.start(unit="B", plan=plan)
+    assert bench.take(run_id, 1) is None  # an old message
+    assert bench.take(run_id, 2) == "resume"
+
+
+def test_a_resumption_that_was_not_taken_is_taken_back_and_the_bench_ends_the_run(
+    patient_centre: CentreService, bench: TableBench, measured: Measured
+):
+    centre = patient_centre
+    run_id = _interrupted(centre, bench, measured)
+    centre.resume(run_id)
+
+    with pytest.raises(Conflict, match="cannot be told"):
+        centre.abort(run_id)
+
+    run = centre.run(run_id)
+    assert (run.status, run.error) == (
+        "interrupted",
+        "the program that carried it out ended before the run did",
+    )
+    assert bench.take(run_id, 3) is None
+
+
+def test_a_run_of_a_bench_that_was_revoked_can_be_ended(centre: CentreService, bench: TableBench, plan: Plan):
+    run_id = centre.start(unit="A", plan=plan).id
+    bench.take(run_id, 1)
+    bench.is_gone()
+
+    run = centre.abort(run_id)
+
+    assert (run.status, run.error) == ("aborted", "its bench was revoked")
+    assert centre.rigs() == []

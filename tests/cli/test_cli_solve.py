@@ -1,0 +1,134 @@
+"""`calrig solve`: files with their mounts in columns, or runs of the store, solved together."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+from command_line import calrig, reason
+
+from calrig.calibration.correction import calibrated_elevation_deg
+from calrig.simulator.config import ImuOptions
+from calrig.simulator.imu import Imu, Surroundings
+
+IMU = Imu(ImuOptions(accel_bias_mg=(0.0, 50.0, -30.0), accel_gain_error_pct=(0.0, 2.0, 0.0)))
+HEADER = "target_deg,reading_deg,approach,accel_y_g,accel_z_g"
+
+
+def felt_g(elevation_deg):
+    """(n, 2) what the unit makes of gravity."""
+    turn = np.radians(elevation_deg)
+    force = np.stack([np.zeros(len(turn)), np.sin(turn), np.cos(turn)], axis=1)
+    still = np.full(len(turn), 25.0)
+    return IMU.accel_g(force, Surroundings(still, still, 0.0 * still))[:, 1:]
+
+
+def rows_of(mount_deg, seed):
+    """Poses of a unit clamped at an angle of a stage with an eccentricity of 0.3°, as cells."""
+    dial = np.linspace(-60.0, 60.0, 40)
+    approach = np.where(np.arange(40) % 2, 1, -1)
+    table = dial + 0.3 * np.sin(np.radians(dial + 40.0)) - 0.03 * approach
+    vector = felt_g(table + mount_deg) + np.random.default_rng(seed).normal(0.0, 3e-4, (40, 2))
+    reading = np.degrees(np.arctan2(*vector.T))
+    return [
+        f"{d:.4f},{r:.5f},{a},{y:.6f},{z:.6f}"
+        for d, r, a, (y, z) in zip(dial, reading, approach, vector, strict=True)
+    ]
+
+
+@pytest.fixture
+def mounts(folder):
+    """A file for each of three clampings; the fourth has them all, with labels."""
+    together = [f"{HEADER},unit,mount,mount_deg"]
+    for k, angle in enumerate((0, 120, 240)):
+        rows = rows_of(angle, k)
+        (folder / f"at{angle}.csv").write_text(
+            "\n".join([f"{HEADER},mount_deg", *(f"{row},{angle}" for row in rows)])
+        )
+        together += [f"{row},AS-7,clamp {k},{angle}" for row in rows]
+    (folder / "all.csv").write_text("\n".join(together))
+    return [f"at{angle}.csv" for angle in (0, 120, 240)]
+
+
+def test_one_file_with_columns_and_a_file_for_each_mount_are_one_solution(mounts):
+    of_one = json.loads(calrig("solve", "all.csv", "--json").stdout)
+    of_three = json.loads(calrig("solve", *mounts, "--unit", "AS-7", "--json").stdout)
+    assert of_one["separable"]
+    assert [mount["mount"] for mount in of_one["mounts"]] == ["clamp 0", "clamp 1", "clamp 2"]
+    assert [mount["mount_deg"] for mount in of_three["mounts"]] == [0, 120, 240]
+    assert of_one["units"] == of_three["units"]
+    (unit,) = of_one["units"]
+    assert unit["unit"] == "AS-7"
+    for name, true in (("y_mg", 50.0), ("z_mg", -30.0), ("gain_pct", 2.0)):
+        assert unit["parameters"][name]["value"] == pytest.approx(
+            true, abs=4.0 * unit["parameters"][name]["std"]
+        )
+    assert of_one["stage"]["backlash_deg"]["value"] == pytest.approx(-0.06, abs=0.03)
+    shown = calrig("solve", "all.csv").stdout
+    assert shown.startswith("stage and units told apart")
+    assert f"{of_one['final']['held_out_rms_deg']:.4f}° with its map" in shown
+
+
+def test_out_has_what_turns_readings_into_elevations(mounts, folder):
+    calrig("solve", "all.csv", "--out", "solved")
+    document = json.loads((folder / "solved" / "AS-7.json").read_text(encoding="utf-8"))
+    elevation = np.linspace(-60.0, 60.0, 25)
+    reading = np.degrees(np.arctan2(*felt_g(elevation).T))
+    effects = [(effect["name"], effect["parameters"]) for effect in document["effects"]]
+    found = calibrated_elevation_deg(reading, document["bias_deg"], document["scale"], effects)
+    error = found - elevation
+    assert np.abs(error - error.mean()).max() < 5.0 * max(document["elevation_std_deg"]["std_deg"])
+    assert np.abs(reading - elevation - (reading - elevation).mean()).max() > 1.0, "believing the sensor"
+    on_map = json.loads((folder / "solved" / "stage-map.json").read_text(encoding="utf-8"))
+    assert np.ptp(on_map["map"]["error_deg"]) == pytest.approx(
+        0.3 * 2.0 * math.sin(math.radians(60.0)), abs=0.35
+    )
+
+
+def test_the_map_is_drawn(mounts, folder):
+    calrig("solve", "all.csv", "--plot", "map.html")
+    page = (folder / "map.html").read_text(encoding="utf-8")
+    (drawn,) = re.findall(r'<script type="application/json" id="drawn">(.*?)</script>', page, re.DOTALL)
+    figure = json.loads(drawn)
+    go.Figure(figure)  # raises on any property that plotly does not know
+    before, after = ([t["y"] for t in figure["data"] if t["xaxis"] == axis] for axis in ("x2", "x3"))
+    assert max(map(max, after)) < 0.3 * max(map(max, before))
+
+
+def test_runs_of_the_store_are_solved_by_their_ids(mounts):
+    ids = [calrig("import", name, "--unit", "AS-7").stdout.strip() for name in mounts]
+    of_runs = json.loads(calrig("solve", *(run_id[:13] for run_id in ids), "--json").stdout)
+    of_files = json.loads(calrig("solve", *mounts, "--unit", "AS-7", "--json").stdout)
+    assert of_runs["units"] == of_files["units"]
+    assert [mount["mount_deg"] for mount in of_runs["mounts"]] == [0, 120, 240]
+
+
+def test_one_mount_is_not_enough_and_what_would_help_is_said(mounts):
+    found = json.loads(calrig("solve", "at0.csv", "--unit", "AS-7", "--json").stdout)
+    assert found["separable"] is False
+    assert found["advice"]["mounts_deg"] == [0, 120, 240]
+    assert found["advice"]["says"] in calrig("solve", "at0.csv", "--unit", "AS-7").stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["at0.csv"], r"at0\.csv: column unit: it is not said whose poses these are"),
+        (["at0.csv", "at0.csv", "--unit", "A"], "holds the very same poses as"),
+        (["at0.csv", "at120.csv", "at240.csv", "--unit", "A", "--unit", "B"], "2 times --unit for 3 files"),
+        (["at0.csv", "1"], "name files or run ids, not both"),
+        (["absent.csv", "--unit", "A"], "absent.csv: cannot be read"),
+        (["poses.csv", "--unit", "A"], "3 poses are too few"),
+    ],
+)
+def test_what_cannot_be_solved_is_refused_in_one_line(mounts, arguments, words):
+    assert re.search(words, reason("solve", *arguments, status=2))
+
+
+def test_runs_that_are_not_there_fail(folder):
+    calrig("import", "poses.csv", "--unit", "A")
+    assert "there is no run 99" in reason("solve", "99", status=1)

@@ -1,0 +1,92 @@
+"""A store with something in every table that a service fills."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+from empty_store import lay_empty_store
+from filled_store import block
+from sqlalchemy import create_engine
+from support import imported, serving
+
+from calrig.calibration.pose import Pose
+from calrig.store import AcceptedEffect, Store
+from calrig.store.raw_rows import tables
+
+POSES = "target_deg,reading_deg,+5V\n-30,-29.5,5.01\n0,-0.4,4.99\n30,30.6,5.00\n60,60.9,5.02\n"
+LIMIT = {"name": "flight", "units": "A*", "max_error_deg": 0.5, "rule": "guarded"}
+
+
+def fill(path: Path) -> str:
+    """Runs, revisions, limits, users, a check unit, amendments: by the calls that make them.
+
+    Returns:
+        The token of an admin.
+    """
+    from calrig.runs.service import RunService
+
+    lay_empty_store(path)
+    with Store.open(f"sqlite:///{path}", writer="serve") as store:
+        _measure(store)
+        with closing(RunService(store, [])) as service, serving(service) as client:
+            _amend(client)
+        store.name_check_unit("r", "A-3", 7.0, who="ada")
+        store.add_user("proxied", "viewer", with_token=False)
+        _, token = store.add_user("ada", "admin")
+    assert token is not None
+    return token
+
+
+def _measure(store: Store) -> None:
+    """A run with samples, one that failed with transcripts, a static log, and where a stage was left."""
+    run = store.create_run(unit="Ä-1", rig="r", plan={"step_deg": 5}, status="running", provenance={})
+    for k in range(30):
+        pose = Pose(float(k), k + 0.1 * (k % 3), temperature_c=20 + k / 7, covariates={"humidity": k / 3})
+        done = {"poses_done": k + 1, "poses_total": 30, "fraction": (k + 1) / 30, "remaining_s": None}
+        event = ("pose", {"index": k, "reading_deg": -0.0, "large": 2**63 - 1, "text": "a\0b"})
+        store.add_pose(run.id, k, pose, [block(k)], [event], progress=done)
+    store.update_run(run.id, status="completed")
+    failed = store.create_run(unit="Ä-1", rig="r", plan=None, status="running", provenance={})
+    store.keep_transcripts(failed.id, {"/dev/ttyUSB0": "1TP\r\n1TP?", "/dev/ttyACM0": ""})
+    store.update_run(failed.id, status="failed", error="the stage did not answer")
+    static = store.create_run(unit="a-1", rig="r", plan={"kind": "static"}, status="running", provenance={})
+    store.add_samples(static.id, [block(0, 2000), block(0, 1)], faults={"crc": 2})
+    store.update_run(static.id, status="completed")
+    tilt = AcceptedEffect(
+        run.id, "Ä-1", None, "axis_tilt", "mounting", {"amplitude_deg": 0.1, "phase_deg": None}
+    )
+    store.accept_effects(run.id, [tilt], who="ada")
+    store.leave_at("r", -0.0)
+    store.leave_at("other", None)
+
+
+def _amend(client: httpx.Client) -> None:
+    def asked(method: str, path: str, **body: Any) -> None:
+        client.request(method, path, json=body).raise_for_status()
+
+    client.put("/api/limits", json=[LIMIT]).raise_for_status()
+    first, second, third = (imported(client, unit, POSES)["id"] for unit in ("A-2", "A-2", "a-2"))
+    asked("POST", f"/api/runs/{second}/poses/1/exclude", reason="somebody leant on the bench")
+    asked("POST", f"/api/runs/{second}/note", note="wärmer, 温度 ↑ \u2028 'quoted' \\n \t tab")
+    asked("POST", f"/api/runs/{third}/void", reason="clamped askew")
+    asked("POST", f"/api/runs/{first}/unit", unit="A-3", reason="a wrong label")
+
+
+@contextmanager
+def by_hand(file: Path) -> Iterator[sqlite3.Connection]:
+    with closing(sqlite3.connect(file)) as connection, connection:
+        yield connection
+
+
+def rows_in(url: str) -> dict[str, int]:
+    """How many rows each table has that has any."""
+    engine = create_engine(url)
+    with engine.connect() as connection:
+        counted = {t.name: connection.execute(t.select()).all() for t in tables()}
+    engine.dispose()
+    return {name: len(rows) for name, rows in counted.items() if rows}
