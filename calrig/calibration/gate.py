@@ -173,7 +173,10 @@ class _Trial:
         self.labels = list(dict.fromkeys(label for label, _ in by_form))
         self._forms = [np.array(indices) for indices in by_form.values()]
         self._label_of = np.array([self.labels.index(label) for label, _ in by_form])
-        self._drawn = DrawnFits(r, columns_with, candidates, noise)
+
+    @cached_property
+    def _drawn(self) -> DrawnFits:
+        return DrawnFits(self._r, self._columns_with, self._candidates, self._noise)
 
     def are(self, some: Collection[str]) -> BoolArray:
         """(L,) which of the labels are among some."""
