@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -33,6 +33,8 @@ ESTIMABLE = 1e-4
 """Of a column, what the others must leave of it: a slip in the block left out is a bias in all the others."""
 WAVY, FORESEEN = 9, 0.03
 """Columns of a curve that has parts within one block; of the size of a part, what the others must show."""
+KEPT = 16
+"""Models whose errors may be asked for again: with all effects, and without each."""
 Intp = npt.NDArray[np.intp]
 
 
@@ -58,9 +60,7 @@ class Blocked:
 
 def blocked(r: Responses, accepted: Sequence[Candidate]) -> tuple[Blocked, ...]:
     """Predicts every pose once along time, and once along angle where the poses turn."""
-    return tuple(
-        Blocked(along, _errors(r, [], fold), _errors(r, accepted, fold)) for along, fold in _folds(r).items()
-    )
+    return tuple(Blocked(along, _errors(r, [], along), _errors(r, accepted, along)) for along in _folds(r))
 
 
 def worse(several: Sequence[Blocked]) -> Blocked | None:
@@ -86,17 +86,13 @@ def not_predictive(
     accepted = [f.candidate for f in found]
     folds = _folds(r)
 
-    @cache
-    def rms_with_all(along: str) -> float:
-        return rms(_errors(r, accepted, folds[along]))
-
     def judged(place: int, one: Found) -> Found:
         others = [c for c in accepted if c is not one.candidate]
         rival = _nameless(one.candidate, offered) if one.candidate.named else None
         if rival is None:
             return one
         for along, fold in folds.items():
-            helps = rms_with_all(along) < rms(_errors(r, others, fold))
+            helps = rms(_errors(r, accepted, along)) < rms(_errors(r, others, along))
             if not helps and _contradicts(r, accepted, place, whole, fold):
                 return one.against(rival, f"it does not foretell poses of a block of {along} left out")
         return one
@@ -119,8 +115,13 @@ def _folds(r: Responses) -> dict[str, Intp]:
     return folds
 
 
-def _errors(r: Responses, accepted: Sequence[Candidate], fold: Intp) -> FloatArray:
-    errors = np.zeros(len(r))
+def _errors(r: Responses, accepted: Sequence[Candidate], along: str) -> FloatArray:
+    return _errors_along(r, tuple(accepted), along)
+
+
+@lru_cache(maxsize=KEPT)
+def _errors_along(r: Responses, accepted: tuple[Candidate, ...], along: str) -> FloatArray:
+    errors, fold = np.zeros(len(r)), _folds(r)[along]
     for k in range(BLOCKS):
         train, test = np.flatnonzero(fold != k), np.flatnonzero(fold == k)
         shown = _shown(r, accepted, train)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,7 @@ from calrig.calibration.candidates import Candidate, rebuilt
 from calrig.calibration.channels import SCALE_UNIT_DEG
 from calrig.calibration.experiment_design import predicted
 from calrig.calibration.fit import rms
+from calrig.calibration.known_noise import Noises
 from calrig.calibration.model import model_columns
 from calrig.calibration.near_rivals import Rivals
 from calrig.calibration.noise_model import fit
@@ -47,6 +49,7 @@ def cross_validate(
     candidates: Sequence[Candidate],
     rng: np.random.Generator,
     rivals: Rivals | None = None,
+    noises: Noises = MappingProxyType({}),
     progress: Callable[[float], None] | None = None,
 ) -> CrossValidation:
     """Predicts every pose once, by a search and a fit over the other folds; base on the same folds.
@@ -56,6 +59,7 @@ def cross_validate(
         candidates: of these poses.
         rng: of the gate's bootstrap.
         rivals: what a search of all poses found, to be held against again in each fold.
+        noises: what noise gained in that search: likelihood ratios, which know no pose's reading.
         progress: is told the share of folds done after each.
     """
     fold = folds_of(r)
@@ -69,7 +73,9 @@ def cross_validate(
         seen = r.rows(train)
         base[test] = errors_deg(r, (), fit(seen, seen.base).beta, test)
         of_fold = [c.rows(train) for c in candidates]
-        findings = search(seen, of_fold, rng, bootstraps=BOOTSTRAPS, decide_only=True, rivals=rivals)
+        findings = search(
+            seen, of_fold, rng, bootstraps=BOOTSTRAPS, decide_only=True, rivals=rivals, noises=noises
+        )
         if not findings.found:
             final[test] = base[test]
             continue

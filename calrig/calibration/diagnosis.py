@@ -85,7 +85,8 @@ def diagnose(
     if cross_fit:
         of_kept = [c.rows(findings.kept) for c in candidates]
         of_folds = None if progress is None else _after_the_first(progress)
-        held_out = cross_validate(left, of_kept, rng, near_rivals(findings.found), of_folds)
+        rivals = near_rivals(findings.found)
+        held_out = cross_validate(left, of_kept, rng, rivals, findings.noises, of_folds)
         predictive = not_predictive(left, findings.found, findings.fitted, of_kept)
         findings = replace(findings, found=predictive)
         blocks = blocked(left, [f.candidate for f in findings.found])

@@ -54,29 +54,29 @@ class DrawnFits:
         """(b,) criterion of the model alone in responses (b, n, J)."""
         return self._models[""].alone(values)
 
-    def beside(self, values: FloatArray, chosen: Intp) -> tuple[FloatArray, list[FloatArray]]:
-        """(b, k) criterion in responses (b, n, J), each beside its chosen candidates (b, k).
+    def beside(self, values: FloatArray, drawn: Intp, chosen: Intp) -> tuple[FloatArray, list[FloatArray]]:
+        """(m,) criterion in some responses of (b, n, J), each beside a chosen candidate.
 
-        And these candidates' own coefficients, one after the other.
+        And these candidates' own coefficients. The responses' places `drawn` (m,) are in their order.
         """
-        flat, each = chosen.ravel().tolist(), chosen.shape[1]
+        flat = chosen.tolist()
         criterion = np.empty(len(flat))
         own: list[FloatArray] = [np.empty(0)] * len(flat)
         for first in range(0, len(values), BATCH):
             alike: dict[tuple[int, str], list[int]] = {}
-            for pair in range(first * each, min(first + BATCH, len(values)) * each):
+            for pair in range(*np.searchsorted(drawn, [first, first + BATCH]).tolist()):
                 alike.setdefault(self._kind_of[flat[pair]], []).append(pair)
             for (_, replaced), pairs in alike.items():
                 kinds = [flat[pair] for pair in pairs]
                 criterion[pairs], betas = self._models[replaced].beside(
                     values[first : first + BATCH],
-                    np.array(pairs) // each - first,
+                    drawn[pairs] - first,
                     kinds,
                     {k: self._candidates[k] for k in kinds},
                 )
                 for pair, beta in zip(pairs, betas, strict=True):
                     own[pair] = beta
-        return criterion.reshape(chosen.shape), own
+        return criterion, own
 
 
 class _Columns(NamedTuple):

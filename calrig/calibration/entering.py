@@ -9,6 +9,7 @@ import numpy as np
 
 from calrig.calibration.candidates import Candidate
 from calrig.calibration.gate import Verdict
+from calrig.calibration.near_rivals import Rivals
 from calrig.calibration.noise_model import STRONG_RHO
 from calrig.calibration.ranking import COMPANION_MARGIN, Found, named, pair
 from calrig.calibration.responses import Responses
@@ -23,13 +24,16 @@ def entering(
     best: Found,
     verdict: Verdict,
     judged: Callable[[Model], Verdict],
+    rivals: Rivals | None = None,
 ) -> list[Found]:
     """The best candidate's effects, of a series those needed; or two that together explain far more.
 
-    Of these the second has to pass beside the first.
+    Of these the second has to pass beside the first. A fold tries no two but of what all poses show.
     """
     if best.candidate.beside is None:
-        two = pair(r, accepted, verdict.candidates, verdict.ratios, best)
+        shown = [k for k, c in enumerate(verdict.candidates) if rivals is None or c.label in rivals]
+        offered = [verdict.candidates[k] for k in shown]
+        two = pair(r, accepted, offered, verdict.ratios[shown], best)
         of_second = two and judged(fitted_model(r, [*accepted, two[0]]))
         if two and of_second and of_second.passes:
             second = replace(best, candidate=two[1], rivals=(), p_value=of_second.p_value)

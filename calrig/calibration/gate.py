@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -23,8 +24,9 @@ import numpy.typing as npt
 from calrig.calibration.candidates import Candidate
 from calrig.calibration.channels import BoolArray
 from calrig.calibration.drawn_fits import DrawnFits
-from calrig.calibration.effects import UNNAMED
 from calrig.calibration.fits_beside import fits_beside
+from calrig.calibration.judged import Judged
+from calrig.calibration.known_noise import KnownNoise
 from calrig.calibration.noise_model import STRONG_RHO, Fit, NoiseModel, fit, noise_of
 from calrig.calibration.responses import Responses
 from calrig.calibration.screen import Float32Array, Screen
@@ -34,11 +36,6 @@ LEADERS = 16
 """Forms of effects whose full likelihood is taken in a draw of noise, those that lead on the screen: to the
 upper tenth of draws the best gain is the same as of all forms, of 52 poses and of 100.
 """
-QUANTILE, UNNAMED_QUANTILE = 0.98, 0.995
-"""Of what a name gains from noise, where its own bar lies: an effect that has a name is likelier beforehand
-than a shape that has none, and four times as much of the error rate is spent on it. So a scan of a hundred
-instants does not raise the bar for an effect of one parameter.
-"""
 FIRST_DRAWS, MORE_DRAWS = 24, 49
 FEWEST_DRAWS = 99
 FEW_DRAWS, FAR, NEAR = 8, 40.0, 10.0
@@ -46,6 +43,8 @@ FEW_DRAWS, FAR, NEAR = 8, 40.0, 10.0
 draws that follow only those are fitted that the screen takes half as far; and where noise is not strongly
 correlated, those that it takes to within `NEAR`: of 1,000 draws none to two gain 10 more than it says.
 """
+HOPELESS = -2.0
+"""Of −2 log likelihood less penalties: a form that the screen takes less far in noise reaches no bar."""
 CLEAR_SHARE = 5
 CLEAR, CLEAR_AT_FIRST = 10.0, 15.0
 """Of −2 log likelihood, beyond the largest of a fifth of all draws: the rest would not reach it either. Nor
@@ -60,7 +59,8 @@ class Verdict:
     """What the gate says of one search: each candidate's ratio on the screen, and the search's p-value.
 
     `gain` is that of the best candidate in −2 log likelihood with penalties; `passes`, whether the p-value is
-    below the level, or clearly would be with more draws; `least_p_value`, what all draws could tell at best.
+    below the level, or clearly would be with more draws; `least_p_value`, what all draws could tell at best;
+    `drawn`, what was drawn of noise for it, None where that was known.
     """
 
     candidates: Sequence[Candidate]
@@ -69,6 +69,7 @@ class Verdict:
     p_value: float
     passes: bool
     least_p_value: float
+    drawn: KnownNoise | None = None
 
 
 def gate(
@@ -82,6 +83,7 @@ def gate(
     noise: NoiseModel | None = None,
     *,
     companions: Collection[str] = (),
+    known: KnownNoise | None = None,
     decide_only: bool = False,
 ) -> Verdict:
     """Judges the best of all candidates against its distribution under the current model.
@@ -99,6 +101,7 @@ def gate(
         noise: of the null, where a larger model tells it better than what the current one leaves.
         companions: labels that are declared to come together with what is in the model. Set beforehand, they
             are judged by themselves and all others by themselves, each of the two families at the level.
+        known: what noise gained beside the same effects in more poses, asked before any is drawn.
         decide_only: whether the p-value is of no interest where it is clear that it lies below the level.
     """
     least = 1.0 / (bootstraps + 1)
@@ -107,46 +110,43 @@ def gate(
     model = columns_with(())
     if noise is None:
         noise = noise_of(fitted.residuals, r, max(1.0, model.shape[2] / len(r.channels)), unbiased=True)
-    trial = _Trial(r, columns_with, candidates, noise)
-    ratios = trial.screen.ratios(fitted.residuals[None])
-    observed, alternative = trial.observed(ratios)
-    expected = np.array([label in companions for label in trial.labels])
-    families = [family for family in (expected, ~expected) if family.any()]
-    null, draws, least_gain = np.empty((0, len(observed))), 0, -np.inf
+    labels = tuple(dict.fromkeys(c.label for c in candidates))
+    by_known = known and known.of(labels, noise)
+    trial = _Trial(r, columns_with, candidates, noise, fitted.residuals, draws=by_known is None)
+    families = [family for family in (trial.are(companions), ~trial.are(companions)) if family.any()]
+    ratios = trial.ratios[0]
     clear_after = max(FEWEST_DRAWS, round(1.0 / level) - 1, bootstraps // CLEAR_SHARE)
+    if by_known is not None:
+        margin = CLEAR if len(by_known) >= clear_after else CLEAR_AT_FIRST
+        led = trial.leading()
+        judged = Judged(labels, led, by_known, families)
+        if judged.ahead > margin:
+            return Verdict(candidates, ratios, float(led.max()), judged.p_value, True, least)
+        judged = Judged(labels, trial.observed[0], by_known, families)
+        passes = judged.passes(level, margin, bootstraps)
+        if passes is not None:
+            gain = float(trial.observed[0].max())
+            return Verdict(candidates, ratios, gain, judged.p_value, passes, least)
+    observed, alternative = trial.observed
+    null, least_gain = np.empty((0, len(observed))), -np.inf
     steps = {min(step, bootstraps) for step in (FIRST_DRAWS, MORE_DRAWS, clear_after, 2 * clear_after)}
     for values in _drawn(r, alternative, noise, rng, sorted({*steps, bootstraps})):
-        draws += len(values)
         null = np.concatenate([null, trial.gains_of_noise(values, least_gain)])
-        judged = [_above_bars(trial.labels, observed, null, family) for family in families]
-        exceeded = min(int((of_noise >= best).sum()) for best, of_noise in judged)
-        ahead = max(best - of_noise.max() for best, of_noise in judged)
+        draws = len(null)
+        judged = Judged(labels, observed, null, families)
         margin = FAR if draws < FIRST_DRAWS else CLEAR_AT_FIRST if draws == FIRST_DRAWS else CLEAR
-        is_clear = (decide_only or draws >= min(clear_after, bootstraps)) and ahead > margin
-        if is_clear or exceeded >= level * (bootstraps + 1):
+        is_clear = (decide_only or draws >= min(clear_after, bootstraps)) and judged.ahead > margin
+        most = level * (bootstraps + 1)
+        if is_clear or judged.exceeded.min() >= most:
             break
-        lowest = min(best for best, _ in judged)  # of either family the draws have to tell
-        least_gain = lowest / 2.0 if ahead > FAR else -np.inf
+        # of either family that the draws have yet to tell
+        lowest = judged.best[judged.exceeded < most].min()
+        least_gain = lowest / 2.0 if judged.ahead > FAR else -np.inf
         if draws >= FIRST_DRAWS and noise.rho.max() < STRONG_RHO:
             least_gain = max(least_gain, lowest - NEAR)
-    p_value = (1 + exceeded) / (1 + draws)
-    passes = is_clear or p_value <= level
-    return Verdict(candidates, ratios[0], float(observed.max()), p_value, passes, least)
-
-
-def _above_bars(
-    labels: Sequence[str], observed: FloatArray, null: FloatArray, family: BoolArray
-) -> tuple[float, FloatArray]:
-    """By how much the best of a family's names exceeds its own bar, and in (b,) searches of noise.
-
-    The bars are quantiles of noise and observation together: noise that they were set by alone exceeds them
-    less often than noise that they have not seen.
-    """
-    shares = np.array([UNNAMED_QUANTILE if label.startswith(UNNAMED) else QUANTILE for label in labels])
-    every = np.sort(np.concatenate([null, observed[None]]), axis=0)
-    places = np.minimum((shares * len(every)).astype(int), len(null) - 1)
-    bars = np.maximum(every[places, range(len(labels))], 0.0)
-    return float((observed - bars)[family].max()), (null - bars)[:, family].max(axis=1)
+    passes = is_clear or judged.p_value <= level
+    drawn = KnownNoise(labels, null, float(noise.rho.max()))
+    return Verdict(candidates, ratios, float(observed.max()), judged.p_value, passes, least, drawn)
 
 
 class _Trial:
@@ -158,10 +158,14 @@ class _Trial:
         columns_with: Callable[[Sequence[Candidate]], FloatArray],
         candidates: Sequence[Candidate],
         noise: NoiseModel,
+        residuals: FloatArray,
+        *,
+        draws: bool,
     ) -> None:
         self._r, self._columns_with, self._candidates, self._noise = r, columns_with, candidates, noise
         self._model = columns_with(())
         self.screen = Screen(r, self._model, candidates, noise)
+        self.ratios = self.screen.ratios(residuals[None]) if draws else self.screen.once(residuals)[None]
         self._penalties = np.log(len(r)) * np.array([c.parameters for c in candidates])
         by_form: dict[tuple[str, str], list[int]] = {}
         for index, candidate in enumerate(candidates):
@@ -169,56 +173,69 @@ class _Trial:
         self.labels = list(dict.fromkeys(label for label, _ in by_form))
         self._forms = [np.array(indices) for indices in by_form.values()]
         self._label_of = np.array([self.labels.index(label) for label, _ in by_form])
-        self._drawn = DrawnFits(r, columns_with, candidates, noise)
 
-    def observed(self, ratios: Float32Array) -> tuple[FloatArray, Fit]:
+    @cached_property
+    def _drawn(self) -> DrawnFits:
+        return DrawnFits(self._r, self._columns_with, self._candidates, self._noise)
+
+    def are(self, some: Collection[str]) -> BoolArray:
+        """(L,) which of the labels are among some."""
+        return np.array([label in some for label in self.labels])
+
+    def leading(self) -> FloatArray:
+        """(L,) the gain of the one candidate that leads on the screen; minus infinity of all other names."""
+        labels, chosen, _ = self._leaders(self.ratios, 1)
+        null = np.array([fit(self._r, self._model).criterion])
+        with_it = fit(self._r, self._columns_with([self._candidates[chosen[0, 0]]]))
+        own = with_it.beta[-self._candidates[chosen[0, 0]].columns.shape[2] :]
+        gained = self._gained(chosen[0], null, np.array([with_it.criterion]), [own])
+        return np.asarray(self._of_labels(labels, gained[None])[0], dtype=np.float64)
+
+    @cached_property
+    def observed(self) -> tuple[FloatArray, Fit]:
         """(L,) gains of the poses' own responses by the best candidate of each name, and the best fit.
 
         Every form of every effect is fitted: the screen has the null's noise, in which a large effect is half
         hidden, and favours forms that say too little.
         """
-        labels, chosen, _ = self._leaders(ratios, len(self._forms))
+        labels, chosen, _ = self._leaders(self.ratios, len(self._forms))
         candidates = [self._candidates[k] for k in chosen[0]]
         null = np.array([fit(self._r, self._model).criterion])
         fitted = fits_beside(self._r, self._columns_with, candidates)
         own = [beta[-c.columns.shape[2] :] for beta, c in zip(fitted.beta, candidates, strict=True)]
-        gains = self._gains(labels, chosen, null, fitted.criterion, own)
+        gains = self._of_labels(labels, self._gained(chosen[0], null, fitted.criterion, own)[None])
         best = candidates[int(np.argmin(fitted.criterion + self._penalties[chosen[0]]))]
         return gains[0], fit(self._r, self._columns_with([best]))
 
     def gains_of_noise(self, values: FloatArray, least_gain: float) -> FloatArray:
         """(b, L) the same in sets of responses (b, n, J) drawn from the noise.
 
-        There the screen is right: the forms that lead on it reach what all would (`LEADERS`), and where it
-        takes none of them as far as some least gain, what it says will do.
+        There the screen is right: the forms that lead on it reach what all would (`LEADERS`). What it says
+        will do of those that it takes nowhere, and where it takes none as far as some least gain.
         """
         labels, candidates, scores = self._leaders(self.screen.ratios(values), LEADERS)
         gains = self._of_labels(labels, scores)
         may = scores[:, 0] >= least_gain
         if may.any():
-            values, labels, candidates = values[may], labels[may], candidates[may]
-            null = self._drawn.null(values)
-            gains[may] = self._gains(labels, candidates, null, *self._drawn.beside(values, candidates))
+            values, labels, candidates, scores = values[may], labels[may], candidates[may], scores[may]
+            drawn, place = np.nonzero(scores > HOPELESS)
+            chosen, null = candidates[drawn, place], self._drawn.null(values)[drawn]
+            scores[drawn, place] = self._gained(chosen, null, *self._drawn.beside(values, drawn, chosen))
+            gains[may] = self._of_labels(labels, scores)
         return gains
 
-    def _gains(
-        self,
-        labels: Intp,
-        candidates: Intp,
-        null: FloatArray,
-        criterion: FloatArray,
-        own: Sequence[FloatArray],
+    def _gained(
+        self, chosen: Intp, null: FloatArray, criterion: FloatArray, own: Sequence[FloatArray]
     ) -> FloatArray:
-        """(b, L) reductions of −2 log likelihood, less penalties, by the best candidate of each name.
+        """(m,) reductions of −2 log likelihood, less penalties, by some candidates (m,).
 
-        Minus infinity for names that do not lead on the screen, and for gains that physics rules out.
+        Minus infinity where physics rules them out.
         """
-        gained = null[:, None] - criterion.reshape(labels.shape) - self._penalties[candidates]
-        flat = candidates.ravel().tolist()
+        gained = np.asarray(null - criterion - self._penalties[chosen])
         for k in np.flatnonzero(gained > 0.0).tolist():
-            if not self._candidates[flat[k]].is_possible(own[k]):
-                gained.flat[k] = -np.inf
-        return self._of_labels(labels, gained)
+            if not self._candidates[chosen[k]].is_possible(own[k]):
+                gained[k] = -np.inf
+        return gained
 
     def _of_labels(self, labels: Intp, gained: FloatArray) -> FloatArray:
         """(b, L) the largest of each label's gains (b, k); minus infinity where it has none."""

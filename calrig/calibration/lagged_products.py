@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg.lapack import dsygvd
 
 from calrig.calibration.channels import BoolArray
 from calrig.estimation.angles import FloatArray
@@ -46,11 +47,18 @@ class LaggedProducts:
         covariance = self.same / max(self.n - parameters, 1.0)
         diagonal = np.einsum("bjj->bj", covariance)
         diagonal += ALIKE * diagonal + self.floor
-        inverse = np.linalg.inv(np.linalg.cholesky(covariance))
-        root = np.swapaxes(inverse, 1, 2)
-        rho, turn = np.linalg.eigh(inverse @ self.lagged @ root)
-        rho *= 0.5 / max(self.pairs - parameters, 1.0)
-        return root @ turn, np.minimum(np.maximum(rho, SMALLEST_RHO), LARGEST_RHO)
+        if len(covariance) == 1:  # one call in place of three, whose own cost is all there is
+            one, turned, failed = dsygvd(self.lagged[0], covariance[0])
+            if failed:
+                raise np.linalg.LinAlgError("residuals whose covariance is not positive definite")
+            rho, rotation = one[None], turned[None]
+        else:
+            inverse = np.linalg.inv(np.linalg.cholesky(covariance))
+            root = np.swapaxes(inverse, 1, 2)
+            rho, turn = np.linalg.eigh(inverse @ self.lagged @ root)
+            rotation = root @ turn
+        rho = rho * (0.5 / max(self.pairs - parameters, 1.0))
+        return rotation, np.minimum(np.maximum(rho, SMALLEST_RHO), LARGEST_RHO)
 
     def criterion(self, rotation: FloatArray, rho: FloatArray) -> FloatArray:
         """(b,) −2 log likelihood, variances profiled, plus what the correlation counts against a model."""

@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.backward import parted, tenable
 from calrig.calibration.candidates import Candidate, companions_of, goes_round
-from calrig.calibration.channels import READING
-from calrig.calibration.effect import HIDDEN
-from calrig.calibration.entering import brings, entering, hidden, is_on_trial, plain, with_another
+from calrig.calibration.entering import entering, hidden, plain, with_another
 from calrig.calibration.gate import Verdict, gate
+from calrig.calibration.known_noise import KnownNoise, ModelKey, Noises, model_of
 from calrig.calibration.model import model_columns
-from calrig.calibration.near_rivals import Rivals, near_among
+from calrig.calibration.near_rivals import Rivals
 from calrig.calibration.noise_model import Fit, NoiseModel, noise_of
 from calrig.calibration.outliers import most_outliers, outlier
 from calrig.calibration.ranking import Found, named
+from calrig.calibration.reconsidering import offered, reconsidered
 from calrig.calibration.responses import Responses
 from calrig.calibration.revisits import is_of_the_curve, leaves_more, with_free_curve
 from calrig.calibration.run_changes import is_level, with_free_levels
-from calrig.calibration.screen import Screen
 from calrig.calibration.sensor_model import Model, fitted_model
 from calrig.calibration.series import on_their_places
 from calrig.calibration.worth import is_worth_a_name
@@ -33,7 +33,6 @@ LEVEL, AT_FIRST = 0.01, 0.75
 """Nominal rate at which noise alone says something; the share of it spent before a search beside curves."""
 MOST_EFFECTS, MOST_COLUMNS = 5, 0.35
 """A series, such as the orders of a turn, is one effect of several terms; columns to a pose at most."""
-FREEDOM, ROUNDS = 3, 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +51,8 @@ class Findings:
     p_value_left: float
     least_p_value: float
     """What the bootstrap could have told at best."""
+    noises: Noises = field(default_factory=dict)
+    """What noise gained beside each model on the way."""
 
 
 def search(
@@ -63,6 +64,7 @@ def search(
     level: float = LEVEL,
     decide_only: bool = False,
     rivals: Rivals | None = None,
+    noises: Noises = MappingProxyType({}),
 ) -> Findings:
     """Finds the effects in some poses, and leaves outliers among those aside.
 
@@ -77,14 +79,15 @@ def search(
         level: of the gate.
         decide_only: whether no p-value will be told.
         rivals: of each effect that a search of more poses found, the labels it is to be held against again.
+        noises: what noise gained there.
     """
     judge = partial(gate, rng=rng, bootstraps=bootstraps, decide_only=decide_only)
     if len(r.run_ids) < 2:
-        return _beside_curves(r, candidates, judge, level, rivals)
+        return _beside_curves(r, candidates, judge, level, rivals, noises)
     levels = [is_level(r, c.columns) for c in candidates]
     shapes = [c for c, of_level in zip(candidates, levels, strict=True) if not of_level]
     judge = partial(judge, level=level / 2.0)
-    within = _search(with_free_levels(r), shapes, judge, rivals=rivals)
+    within = _search(with_free_levels(r), shapes, judge, rivals=rivals, noises=noises)
     kept = within.kept
     # what a place was scanned for shows within the runs or not at all
     between = [
@@ -93,8 +96,9 @@ def search(
         if of_level or not any(member.shape.scanned for member in c.members)
     ]
     # levels that differ look like noise that wanders: what wanders within the runs is the measure of it
-    whole = _search(r.rows(kept), between, partial(judge, noise=_noise_beside(within)), within.found, rivals)
-    return replace(whole, kept=kept[whole.kept])
+    judge = partial(judge, noise=_noise_beside(within))
+    whole = _search(r.rows(kept), between, judge, within.found, rivals, noises)
+    return replace(whole, kept=kept[whole.kept], noises={**within.noises, **whole.noises})
 
 
 def _beside_curves(
@@ -103,12 +107,13 @@ def _beside_curves(
     judge: Callable[..., Verdict],
     level: float,
     rivals: Rivals | None,
+    noises: Noises,
 ) -> Findings:
     """The search of one run; where it leaves too much, once more beginning with what no curve explains.
 
     The better of the two stands, by likelihood with penalties, in the same poses.
     """
-    first = _search(r, candidates, partial(judge, level=AT_FIRST * level), rivals=rivals)
+    first = _search(r, candidates, partial(judge, level=AT_FIRST * level), rivals=rivals, noises=noises)
     r = r.rows(first.kept)
     free = with_free_curve(r)
     if free is None or not leaves_more(r, first.fitted.residuals[:, 0]):
@@ -116,11 +121,14 @@ def _beside_curves(
     offered = [c.rows(first.kept) for c in candidates]
     others = [c for c in offered if not is_of_the_curve(c)]
     judge = partial(judge, level=(1.0 - AT_FIRST) * level)
-    between = _search(free, others, judge, rivals=rivals)
+    between = _search(free, others, judge, rivals=rivals, noises=noises)
     r, curves = r.rows(between.kept), [c.rows(between.kept) for c in offered if is_of_the_curve(c)]
-    again = _search(r, curves, partial(judge, noise=_noise_beside(between)), between.found, rivals)
+    judge = partial(judge, noise=_noise_beside(between))
+    again = _search(r, curves, judge, between.found, rivals, noises)
     again = _with_curves(again, [c.rows(again.kept) for c in curves], len(between.found))
-    again = replace(again, kept=first.kept[between.kept][again.kept])
+    drawn = {**again.noises, **between.noises, **first.noises}
+    first = replace(first, noises=drawn)
+    again = replace(again, kept=first.kept[between.kept][again.kept], noises=drawn)
     return again if len(again.kept) == len(first.kept) and _criterion(again) < _criterion(first) else first
 
 
@@ -129,7 +137,7 @@ def _with_curves(findings: Findings, candidates: Sequence[Candidate], known: int
     r = findings.responses
     if goes_round(r):
         return findings
-    found = _reconsidered(r, candidates, list(findings.found), known, curves=True)
+    found = reconsidered(r, candidates, list(findings.found), known, curves=True)
     found, _ = parted(r, found, known)
     model = fitted_model(r, [f.candidate for f in found])
     return replace(findings, found=tuple(found), fitted=model.fitted, columns=model.columns)
@@ -152,6 +160,7 @@ def _search(
     judge: Callable[..., Verdict],
     known: Sequence[Found] = (),
     rivals: Rivals | None = None,
+    noises: Noises = MappingProxyType({}),
 ) -> Findings:
     """The search in one base, with effects in the model that are known already; `judge` is the gate.
 
@@ -162,14 +171,19 @@ def _search(
     found = list(known)
     refused: set[str] = set()
     kept, fewest = np.arange(len(r)), len(r) - most_outliers(len(r))
+    drawn: dict[ModelKey, KnownNoise] = {}
 
     def judged(model: Model) -> Verdict:
         def columns_with(more: Sequence[Candidate]) -> FloatArray:
             return model_columns(model.responses, [*model.accepted, *more])
 
         seen, companions = model.responses, companions_of(model.accepted)
-        offered = _offered(seen, candidates, model.accepted, refused)
-        return judge(seen, columns_with, model.fitted, offered, companions=companions)
+        those = offered(seen, candidates, model.accepted, refused)
+        key = model_of(seen, model.accepted)
+        verdict = judge(seen, columns_with, model.fitted, those, companions=companions, known=noises.get(key))
+        if verdict.drawn is not None:
+            drawn[key] = verdict.drawn
+        return verdict
 
     while True:
         accepted = [f.candidate for f in found]
@@ -185,7 +199,8 @@ def _search(
         if verdict.passes and not _is_full(accepted, len(known)):
             best = named(r, accepted, verdict.candidates, verdict.ratios, verdict.p_value)
             if is_worth_a_name(r, accepted, best):
-                steps = entering(r, accepted, plain(r, accepted, best, verdict), verdict, judged)
+                best = plain(r, accepted, best, verdict)
+                steps = entering(r, accepted, best, verdict, judged, rivals)
             elif companions_of([best.candidate]):
                 steps = with_another(r, model, best, judged)
             if not steps:
@@ -195,9 +210,9 @@ def _search(
             steps = hidden(r, model, verdict, judged)
         if not steps:
             p_values = verdict.p_value, verdict.least_p_value
-            return Findings(r, kept, tuple(found), model.fitted, model.columns, *p_values)
+            return Findings(r, kept, tuple(found), model.fitted, model.columns, *p_values, drawn)
         fresh = steps[0] if rivals is not None and len(steps) == 1 else None
-        entered = _reconsidered(r, candidates, [*found, *steps], len(known), rivals, fresh=fresh)
+        entered = reconsidered(r, candidates, [*found, *steps], len(known), rivals, fresh=fresh)
         entered = on_their_places(r, candidates, entered)
         if found and not tenable(r, [f.candidate for f in entered]):
             refused.add(steps[0].candidate.label)
@@ -215,85 +230,3 @@ def _is_full(accepted: Sequence[Candidate], known: int) -> bool:
     alone = sum(not c.shape.series for c in own)
     columns = sum(c.columns.shape[2] for c in accepted)
     return len(series) + alone >= MOST_EFFECTS or columns > MOST_COLUMNS * len(accepted[0].columns)
-
-
-def _offered(
-    r: Responses, candidates: Sequence[Candidate], accepted: Sequence[Candidate], refused: set[str]
-) -> list[Candidate]:
-    """The candidates that may enter now: not those that have, nor those that follow on what has not.
-
-    Nor those that leave the reading hardly a degree of freedom to judge them by.
-    """
-    taken = sum(name.startswith(READING) for name in r.base_names)
-    room = len(r) - taken - sum(c.columns.shape[2] for c in accepted) - FREEDOM
-    present = {c.name for c in accepted}
-    followed = {c.covariate for c in accepted}
-    always = {c.name for c in accepted if c.changed is None}
-    once = {c.label for c in accepted if c.named and _enters_once(c)}
-
-    def may_enter(c: Candidate) -> bool:
-        if c.columns.shape[2] > room:
-            return False
-        if c.beside is not None:
-            return not any(one.label in once or one.name in always for one in c.members)
-        if c.shape.beside and not followed.issuperset(c.shape.beside):
-            return False
-        if c.label in once or not (c.follows is None or c.follows in present):
-            return False
-        return c.effect.distinct is None or all(c.is_distinct(r, other) for other in accepted)
-
-    return [c for c in candidates if c.label not in refused and may_enter(c)]
-
-
-def _enters_once(c: Candidate) -> bool:
-    """Whether a second would say the same: it has no place, or one that its likelihood is smooth in."""
-    return c.shape.at.keys() <= set(HIDDEN) or c.shape.place_cost == 1
-
-
-def _reconsidered(
-    r: Responses,
-    candidates: Sequence[Candidate],
-    found: list[Found],
-    known: int,
-    rivals: Rivals | None = None,
-    *,
-    fresh: Found | None = None,
-    curves: bool = False,
-) -> list[Found]:
-    """Each effect but the first known ones against its rivals once more, with all the others in the model.
-
-    It may bring a companion of its own with it, but none that was looked for at many instants: that would
-    enter unjudged. What another one has given way to may change what explains the rest, hence again until
-    nothing changes. A fresh one has just been held against all of them, with the same others.
-    """
-    if len(found) == known + 1:
-        return found
-    entered = [f.candidate for f in found]
-    for _ in range(ROUNDS):
-        before = [f.candidate.label for f in found]
-        for one in found[known:]:
-            if one is fresh and [f.candidate for f in found] == entered:  # by identity
-                continue
-            found = _against_rivals(r, near_among(candidates, one, rivals), found, one, curves=curves)
-        if [f.candidate.label for f in found] == before:
-            break
-    return found
-
-
-def _against_rivals(
-    r: Responses, candidates: Sequence[Candidate], found: list[Found], one: Found, *, curves: bool
-) -> list[Found]:
-    others = [f.candidate for f in found if f is not one]
-    offered = [
-        c
-        for c in _offered(r, candidates, others, set())
-        if c.beside is None or c.shape.series or (brings(c, one.candidate) and not is_on_trial(c))
-    ]
-    if one.candidate.shape.series and not curves:  # they take a little from every term of a turn
-        offered = [c for c in offered if c.named]
-    model = fitted_model(r, others)
-    ratios = Screen(r, model.columns, offered, model.fitted.noise).once(model.fitted.residuals)
-    again = named(r, others, offered, ratios, one.p_value, one.candidate)
-    place = next(k for k, f in enumerate(found) if f is one)
-    members = [replace(again, candidate=member) for member in again.candidate.members]
-    return [*found[:place], *members, *found[place + 1 :]]

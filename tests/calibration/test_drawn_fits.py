@@ -41,11 +41,11 @@ def test_fits_of_draws_are_those_of_one_after_the_other(rho: float, steps: int) 
     chosen = np.column_stack([rng.integers(0, len(candidates), (5, 2)), np.full(5, of_gyro)])
 
     fits = DrawnFits(r, lambda more: model_columns(r, more), candidates, noise)
-    criterion, own = fits.beside(values, chosen)
+    criterion, own = fits.beside(values, np.repeat(np.arange(5), 3), chosen.ravel())
 
     assert fits.null(values) == pytest.approx([step_by_step(r, y, r.base, noise, steps)[0] for y in values])
     for pair, k in enumerate(chosen.ravel().tolist()):
         columns = model_columns(r, [candidates[k]])
         expected, beta = step_by_step(r, values[pair // 3], columns, noise, steps)
-        assert criterion.flat[pair] == pytest.approx(expected, abs=1e-6)
+        assert criterion[pair] == pytest.approx(expected, abs=1e-6)
         assert own[pair] == pytest.approx(beta[-candidates[k].columns.shape[2] :], rel=1e-5)
