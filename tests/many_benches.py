@@ -20,6 +20,8 @@ from calrig.store.tables import RunTable
 HALLS = {"hall 1": 3, "hall 2": 3, "hall 10": 2}
 """Benches in each."""
 RIGS_EACH = 5
+STAYS_S = 3600.0
+"""For so long nobody takes a bench for silent that has spoken, however slow the machine is that tests it."""
 
 
 class ManyBenches:
@@ -53,8 +55,8 @@ class ManyBenches:
         self._engine.dispose()
         self.store.close()
 
-    def beat(self, bench: str, ago_s: float = 0.0, **more: Any) -> None:
-        """Says how its rigs stand, as if that had been so many seconds ago."""
+    def beat(self, bench: str, ago_s: float = -STAYS_S, **more: Any) -> None:
+        """Says how its rigs stand, as if that had been so many seconds ago; else in an hour from now."""
         usual = {"stage": "smc100", "imu": "calrig", "simulated": False, "limits_deg": [-90, 90]}
         rigs = [
             {"name": rig, "state": "idle", "run_id": None, **usual, **self.states.get(rig, {})}
@@ -174,8 +176,8 @@ def a_day_in_the_halls(benches: ManyBenches) -> None:
     benches.check_units_named(40)
     benches.store.name_check_unit("rig-26", "CHECK-1", 30)
     benches.busy("rig-31", "AS-1031", poses_done=20, remaining_s=240.0)
-    oldest = (datetime.now(UTC) - timedelta(minutes=7)).isoformat()
-    benches.beat("bench-7", ago_s=425, outbox={"parcels": 18, "oldest_at": oldest})
+    oldest = (datetime.now(UTC) - timedelta(hours=2.5)).isoformat()
+    benches.beat("bench-7", ago_s=9000, outbox={"parcels": 18, "oldest_at": oldest})
 
 
 @contextmanager

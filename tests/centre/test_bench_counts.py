@@ -46,19 +46,19 @@ def test_each_bench_says_how_it_stands_and_since_when_it_is_silent(halls: Hall) 
     client, benches = halls
     oldest_at = (datetime.now(UTC) - timedelta(hours=2)).isoformat()
     outbox = {"parcels": 18, "oldest_at": oldest_at}
-    benches.beat("bench-7", ago_s=425, outbox=outbox, lease_losses=4)
+    benches.beat("bench-7", ago_s=9000, outbox=outbox, lease_losses=4)
     found = values(client)
-    assert 425 <= found["calrig_bench_silence_seconds", "bench-7"] < 600
-    assert 0 <= found["calrig_bench_silence_seconds", "bench-1"] < 300
+    assert 9000 <= found["calrig_bench_silence_seconds", "bench-7"] < 9600
+    assert found["calrig_bench_silence_seconds", "bench-1"] == 0
     assert found["calrig_bench_outbox_parcels", "bench-7"] == 18
-    assert 7200 <= found["calrig_bench_outbox_age_seconds", "bench-7"] < 7500
+    assert 7200 <= found["calrig_bench_outbox_age_seconds", "bench-7"] < 7800
     assert found["calrig_bench_outbox_age_seconds", "bench-1"] == 0
     assert found["calrig_bench_lease_losses_total", "bench-7"] == 4
 
 
 def test_commands_that_found_nobody_are_counted_for_an_hour(halls: Hall) -> None:
     client, benches = halls
-    for age_s in (0.0, 40.0, 3000.0, 4000.0):
+    for age_s in (-600.0, 40.0, 2000.0, 4000.0):
         benches.unanswered("stop", "rig-31", age_s)
     found = values(client)
     assert found["calrig_commands_unanswered", "bench-7"] == 2

@@ -49,7 +49,7 @@ def test_each_rig_says_what_it_does_what_waits_what_failed_and_which_check_is_du
     }
     (away,) = [bench for bench in found if bench["state"] == "silent"]
     assert (away["name"], away["hall"], away["undelivered"]["parcels"]) == ("bench-7", "hall 10", 18)
-    assert away["silent_for_s"] == 420
+    assert away["silent_for_s"] == 7200
     assert {rig["state"] for rig in away["rigs"]} == {"offline"}
     assert rigs["rig-31"]["run"]["unit"] == "AS-1031"  # the last that is known of it
 
