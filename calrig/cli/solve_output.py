@@ -10,7 +10,7 @@ from calrig.cli.printing import number, print_line, print_parameter, print_table
 def print_solution(found: dict[str, Any]) -> None:
     """Prints a joint solution: what an elevation is worth, units, mounts, map, the error before and after."""
     verdict = "stage and units told apart" if found["separable"] else "stage and units not told apart"
-    print_line(f"{verdict}; a pose's noise is {number(found['noise_deg'], '°')}", style="bold")
+    print_line(f"{verdict}; a pose's noise is {number(found['noise']['std_deg'], '°')}", style="bold")
     for unit in found["units"]:
         worst = max(unit["elevation_std_deg"]["std_deg"])
         low, high = unit["range_deg"]

@@ -31,6 +31,7 @@ class Case:
     highest: int = 6
     gap_deg: float = 0.0
     warm_c: float = 0.0
+    correlation: float = 0.0
     issue_deg: float | None = None
 
     def bench(self, seed: int) -> Bench:
@@ -38,7 +39,8 @@ class Case:
         rng = np.random.default_rng([seed, 15])
         unit = drawn_unit(rng, cubic=not self.linear, drift=self.warm_c > 0.0)
         stage = drawn_stage(rng, self.highest, gap_deg=self.gap_deg)
-        return Bench((unit,), stage, self.design.visits(rng, warm_c=self.warm_c))
+        visits = self.design.visits(rng, warm_c=self.warm_c)
+        return Bench((unit,), stage, visits, correlation=self.correlation)
 
 
 BOUNDS = {
@@ -48,14 +50,14 @@ BOUNDS = {
     "0/90, ±60°, stated linear": Case(Design((0.0, 90.0)), linear=True, issue_deg=0.0063),
     "{0, 1, 3}·360/7, full turn, cubic": Case(Design(SEVENTHS, TURN)),
 }
+ROUGH = Case(Design((0.0, 120.0, 240.0)), highest=12, gap_deg=0.05, warm_c=4.0)
 COVERAGE = {
-    name: Case(design, highest=12, gap_deg=0.05, warm_c=4.0)
-    for name, design in {
-        "0/120/240, ±60°": Design((0.0, 120.0, 240.0)),
-        "0/120/240, full turn": Design((0.0, 120.0, 240.0), TURN),
-        "{0, 1, 3}·360/7, full turn": Design(SEVENTHS, TURN),
-        "0/90/225, ±90°": Design((0.0, 90.0, 225.0), (-90.0, 90.0)),
-    }.items()
+    "0/120/240, ±60°": ROUGH,
+    "the same, noise correlated by 0.3": replace(ROUGH, correlation=0.3),
+    "the same, noise correlated by 0.6": replace(ROUGH, correlation=0.6),
+    "0/120/240, full turn": replace(ROUGH, design=Design((0.0, 120.0, 240.0), TURN)),
+    "{0, 1, 3}·360/7, full turn": replace(ROUGH, design=Design(SEVENTHS, TURN)),
+    "0/90/225, ±90°": replace(ROUGH, design=Design((0.0, 90.0, 225.0), (-90.0, 90.0))),
 }
 """Twelve harmonics, cubic units, play, offsets that drift as the bench warms by 4 °C from mount to mount."""
 UNTOLD = {

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -81,6 +82,8 @@ class Bench:
     stage: Stage
     visits: tuple[Visit, ...]
     noise_deg: float = 0.03
+    correlation: float = 0.0
+    """Of the noise from one pose to the next."""
 
     def felt_g(self, visit: Visit) -> np.ndarray:
         """(n, 2) a_y and a_z without noise."""
@@ -93,11 +96,18 @@ class Bench:
         """The poses of each clamping."""
         found = []
         for visit in self.visits:
-            noise = rng.normal(0.0, math.radians(self.noise_deg), (len(visit.dial_deg), 2))
-            vector = self.felt_g(visit) + noise
+            vector = self.felt_g(visit) + self._noise_g(rng, len(visit.dial_deg))
             poses = poses_of(visit, vector, accel=accel)
             found.append(Mounted(f"U{visit.unit}", visit.name, visit.nominal_deg, "rig", poses))
         return found
+
+    def _noise_g(self, rng: np.random.Generator, n: int) -> np.ndarray:
+        """(n, 2), as it has become after a long time."""
+        drawn = rng.normal(0.0, math.radians(self.noise_deg), (n, 2))
+        own = math.sqrt(1.0 - self.correlation**2)
+        for before, now in pairwise(drawn):
+            now[:] = self.correlation * before + own * now
+        return drawn
 
 
 def about_x(angle_deg: np.ndarray) -> np.ndarray:

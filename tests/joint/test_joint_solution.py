@@ -132,7 +132,7 @@ def test_without_the_accelerometer_less_is_told_and_that_is_said(bench):
     known, better = (max(found["units"][0]["elevation_std_deg"]["std_deg"]) for found in (document, with_it))
     assert known > 1.3 * better
     assert any("accel_y_g" in sentence for sentence in document["warnings"])
-    assert document["noise_deg"] == pytest.approx(bench.noise_deg, rel=0.2)
+    assert document["noise"]["std_deg"] == pytest.approx(bench.noise_deg, rel=0.2)
 
 
 def test_offsets_that_follow_temperature_are_solved_for():
@@ -141,6 +141,23 @@ def test_offsets_that_follow_temperature_are_solved_for():
     found = told(rig.measured(np.random.default_rng(3)))["units"][0]["parameters"]
     for name, true in (("y_mg_per_c", 0.4), ("z_mg_per_c", -0.7)):
         assert found[name]["value"] == pytest.approx(true, abs=4.0 * found[name]["std"])
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.6])
+def test_noise_that_is_correlated_from_pose_to_pose_makes_an_elevation_worth_less(bench, correlation):
+    document = told(replace(bench, correlation=correlation).measured(np.random.default_rng(8)))
+    assert document["noise"]["lag1_correlation"] == pytest.approx(correlation, abs=0.15)
+    said = max(document["units"][0]["elevation_std_deg"]["std_deg"])
+    best = max(told(bench.measured(np.random.default_rng(8)))["units"][0]["elevation_std_deg"]["std_deg"])
+    assert (said > 1.4 * best) == (correlation > 0.0)
+
+
+def test_a_table_without_an_order_has_no_noise_that_follows_on_itself(bench):
+    lots = [
+        replace(lot, poses=[replace(p, approach=None, time_s=None) for p in lot.poses])
+        for lot in replace(bench, correlation=0.6).measured(np.random.default_rng(8))
+    ]
+    assert told(lots)["noise"]["lag1_correlation"] == 0.0
 
 
 @pytest.mark.parametrize("scale", [0.1, 10.0])

@@ -35,7 +35,7 @@ def mounted_otherwise(fit: Fit, unit: int, rows: Intp, mounts_deg: Sequence[floa
         warmer_c=np.zeros(n * len(rows)),
         reference_c=np.full(1, np.nan),
     )
-    thought_of = Problem(table, problem.orders, problem.linear)
+    thought_of = Problem(table, problem.orders, problem.linear, problem.correlation)
     parameters = np.concatenate(
         [fit.parameters[problem.unit_at(unit)], np.radians(mounts_deg), fit.parameters[problem.map_at]]
     )

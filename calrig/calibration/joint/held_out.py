@@ -12,7 +12,7 @@ import numpy as np
 
 from calrig.calibration.joint.least_squares import Fit, fitted
 from calrig.calibration.joint.problem import Problem
-from calrig.calibration.joint.table import Intp, Table
+from calrig.calibration.joint.table import BoolArray, Intp, Table
 from calrig.estimation.angles import FloatArray
 
 STRETCHES = 6
@@ -31,14 +31,12 @@ class HeldOut:
 
 def held_out(fit: Fit) -> HeldOut:
     """Foretells every pose that was not left out as wild, once."""
-    table = fit.problem.table.rows(fit.kept)
-    folds = stretches(table)
-    solved = replace(fit.problem, table=table)
+    folds = stretches(fit.problem.table, fit.kept)
     return HeldOut(
-        before_deg=_rms_deg(_errors(_without_map(solved), folds, None)),
-        final_deg=_rms_deg(_errors(solved, folds, fit.parameters)),
+        before_deg=_rms_deg(_errors(_without_map(fit.problem), folds, None)),
+        final_deg=_rms_deg(_errors(fit.problem, folds, fit.parameters)),
         stretches=int(folds.max()) + 1,
-        n_poses=len(table),
+        n_poses=int(fit.kept.sum()),
     )
 
 
@@ -52,11 +50,11 @@ def _without_map(problem: Problem) -> Problem:
     return replace(problem, table=replace(table, approach=np.zeros(len(table))), orders=())
 
 
-def stretches(table: Table) -> Intp:
-    """(n,) fold of each pose: stretches of the dial, another one in each mount."""
-    folds = np.zeros(len(table), dtype=np.intp)
+def stretches(table: Table, kept: BoolArray) -> Intp:
+    """(n,) fold of each pose: stretches of the dial, another one in each mount; −1 of those not kept."""
+    folds = np.full(len(table), -1, dtype=np.intp)
     for k in range(len(table.mounts)):
-        rows = np.flatnonzero(table.mount == k)
+        rows = np.flatnonzero((table.mount == k) & kept)
         count = max(min(STRETCHES, len(rows) // FEWEST_OF_A_STRETCH), 1)
         rank = np.argsort(np.argsort(table.dial_deg[rows], kind="stable"), kind="stable")
         folds[rows] = (rank * count // max(len(rows), 1) + k) % STRETCHES
@@ -64,12 +62,13 @@ def stretches(table: Table) -> Intp:
 
 
 def _errors(problem: Problem, folds: Intp, start: FloatArray | None) -> FloatArray:
-    """(n,) rad."""
+    """(kept,) rad."""
     errors = np.zeros(len(folds))
-    for fold in np.unique(folds):
+    for fold in range(int(folds.max()) + 1):
         out = folds == fold
-        errors[out] = fitted(problem, (~out).astype(np.float64), start).left()[out]
-    return errors
+        shown = (~out & (folds >= 0)).astype(np.float64)
+        errors[out] = fitted(problem, shown, start).left()[out]
+    return errors[folds >= 0]
 
 
 def _rms_deg(errors: FloatArray) -> float:

@@ -101,8 +101,7 @@ def fitted(
             break
     normal = problem.normal(parameters, own)
     freedom = _freedom(problem, normal, weights, noise)
-    squares = float((own[:, None] * normal.residuals**2).sum())
-    noise = noise if robust else max(float(np.sqrt(squares / freedom)), LEAST_NOISE)
+    noise = noise if robust else max(float(np.sqrt(normal.squares / freedom)), LEAST_NOISE)
     return Fit(problem, parameters, _covariance(problem, normal, noise), noise, freedom, normal, weights)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from calrig.calibration.joint.least_squares import GROSS_G
 from calrig.calibration.joint.table import Mount, Mounted, Table
-from calrig.calibration.motion import approach_of
+from calrig.calibration.motion import approach_of, has_history
 from calrig.calibration.pose import DiagnosisError, Pose
 from calrig.calibration.pose_columns import complete, refuse_what_is_no_elevation
 from calrig.estimation.angles import FloatArray, wrap_deg
@@ -164,6 +164,7 @@ def _columns(mounts: Sequence[Sequence[Mounted]]) -> Table:
         reference_c=reference_c,
         vector_g=np.concatenate([_vectors(lot.poses) for _, lot in lots]),
         reading=np.radians([pose.reading_deg for pose in poses]),
+        in_order=all(has_history(lot.poses) for _, lot in lots),
     )
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from calrig.calibration.joint.stage_map import LARGEST_BACKLASH_RAD, LARGEST_RAD, basis
 from calrig.calibration.joint.table import BoolArray, Intp, Table
 from calrig.calibration.joint.unit_model import CURVATURES, LARGEST, NAMES, PER_C, felt
+from calrig.calibration.joint.whitening import whitened
 from calrig.estimation.angles import FloatArray
 
 WIDTH = len(NAMES)
@@ -25,13 +26,16 @@ class Normal:
 
     Attributes:
         residuals: (n, 2) measured less expected, g (a reading: rad, and 0).
-        matrix: (p, p) JᵀWJ; `gradient` (p,) JᵀWr.
+        matrix: (p, p) JᵀWJ; `gradient` (p,) JᵀWr; `squares` rᵀWr. W whitens correlated poses.
+        log_variance: log of the determinant of the noise's correlation.
         blocks: of each mount its poses, its parameters and its derivatives (poses, 2, parameters).
     """
 
     residuals: FloatArray
     matrix: FloatArray
     gradient: FloatArray
+    squares: float
+    log_variance: float
     blocks: tuple[tuple[Intp, Intp, FloatArray], ...]
 
 
@@ -42,11 +46,13 @@ class Problem:
     Attributes:
         orders: of the map; whole numbers, or 360° over a gear's period.
         linear: whether somebody states that the units are.
+        correlation: of the noise from one pose of a mount to the next.
     """
 
     table: Table
     orders: tuple[float, ...]
     linear: bool = False
+    correlation: float = 0.0
 
     @property
     def first_mount(self) -> int:
@@ -127,6 +133,7 @@ class Problem:
         columns, elevation = self.basis(), self.elevations(parameters)
         residuals = np.zeros((len(self.table), 2))
         matrix, gradient = np.zeros((self.size, self.size)), np.zeros(self.size)
+        squares = log_variance = 0.0
         blocks = []
         for k, mount in enumerate(self.table.mounts):
             rows = np.flatnonzero(self.table.mount == k)
@@ -135,12 +142,22 @@ class Problem:
             by_turn = np.concatenate([np.ones((len(rows), 1)), columns[rows]], axis=1)
             left, derivatives = self._of_mount(rows, parameters[own], elevation[rows], by_turn)
             residuals[rows] = left
-            root = np.sqrt(weights[rows])[:, None]
-            flat = (root[:, :, None] * derivatives).reshape(-1, len(at))
-            matrix[np.ix_(at, at)] += flat.T @ flat
-            gradient[at] += flat.T @ (root * left).ravel()
+            both = np.concatenate([derivatives, left[:, :, None]], axis=2)
+            flat, more = self._white(rows, both, weights[rows])
+            log_variance += more
+            matrix[np.ix_(at, at)] += flat[:, :-1].T @ flat[:, :-1]
+            gradient[at] += flat[:, :-1].T @ flat[:, -1]
+            squares += float(flat[:, -1] @ flat[:, -1])
             blocks.append((rows, at, derivatives))
-        return Normal(residuals, matrix, gradient, tuple(blocks))
+        return Normal(residuals, matrix, gradient, squares, log_variance, tuple(blocks))
+
+    def _white(self, rows: Intp, both: FloatArray, weights: FloatArray) -> tuple[FloatArray, float]:
+        """Derivatives and residuals (m, 2, k) of a mount's poses that count, as independent rows (2m', k)."""
+        counted = weights > 0.0
+        taken = rows[counted]
+        white, own = whitened(both[counted], taken, self.table.source[taken], self.correlation)
+        flat = np.sqrt(weights[counted])[:, None, None] * white
+        return flat.reshape(-1, both.shape[2]), float((own * (1 + self.table.has_vector[taken])).sum())
 
     def _of_mount(
         self, rows: Intp, own: FloatArray, elevation: FloatArray, by_turn: FloatArray

@@ -45,7 +45,10 @@ def solution_document(solution: Solution) -> dict[str, Any]:
         "held_out": {"how": f"{tested.stretches} stretches of elevation", "n_poses": tested.n_poses},
         "before": {"held_out_rms_deg": tested.before_deg},
         "final": {"held_out_rms_deg": tested.final_deg},
-        "noise_deg": solution.noise_deg,
+        "noise": {
+            "std_deg": solution.noise_deg,
+            "lag1_correlation": solution.fit.problem.correlation,
+        },
         "level_known": False,
         "level_std_deg": None,
         "warnings": [*solution.warnings, *sentences(solution, on_stage), *_of_held_out(tested)],

@@ -25,6 +25,8 @@ OFF_DEG = 5.0
 """From where a mount was said to be to where gravity has it; a plan is held to the same."""
 MOVED = 5.0
 """Standard errors of a mean."""
+MOST_BELIEVED = 0.6
+"""Of a correlation between poses, beside a step: the step itself looks like more."""
 TITLES = {
     "common_gain": "common gain",
     "gain": "gain",
@@ -105,12 +107,13 @@ def _of_mounts(solution: Solution, on_stage: Mapped) -> list[str]:
 def _of_sources(solution: Solution) -> list[str]:
     """Files that share a mount by name, and not to within the noise by angle."""
     fit, table, said = solution.fit, solution.table, []
+    rho = min(fit.problem.correlation, MOST_BELIEVED)
     for k, mount in enumerate(table.mounts):
         of_mount = (table.mount == k) & fit.kept
         own, sources = fit.left()[of_mount], table.source[of_mount]
         means = {int(s): float(own[sources == s].mean()) for s in np.unique(sources)}
         for source, mean in means.items():
-            error = fit.noise / np.sqrt((sources == source).sum())
+            error = fit.noise * np.sqrt((1.0 + rho) / (1.0 - rho) / (sources == source).sum())
             if len(means) > 1 and abs(mean) > MOVED * error:
                 said.append(
                     f"mount {mount.name} of unit {table.units[mount.unit]}: in {table.sources[source]} it "

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calrig.calibration.joint.correlation import correlation_of
 from calrig.calibration.joint.elevation import Worth, worth
 from calrig.calibration.joint.least_squares import WILD, Fit, distances, fitted, without_wild_poses
 from calrig.calibration.joint.mounts import table_of
@@ -77,8 +78,9 @@ def solve_table(
     known = [TURN_DEG / period for period in periods_deg]
     orders = _offered(table, linear, known)
     rich, weights = without_wild_poses(Problem(table, orders, linear))
-    choice = chosen(rich, known)
-    fit = fitted(Problem(table, choice.orders, linear), weights)
+    correlated = replace(rich.problem, correlation=correlation_of(rich))
+    choice = chosen(fitted(correlated, weights, rich.parameters), known)
+    fit = fitted(replace(correlated, orders=choice.orders), weights)
     worths = tuple(worth(fit, unit) for unit in range(len(table.units)))
     return Solution(fit, choice, worths, (*warnings, *_of_poses(fit)))
 

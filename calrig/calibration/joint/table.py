@@ -59,6 +59,7 @@ class Table:
         reference_c: (units,) that reference, NaN where the unit's temperature is not known or never changed.
         vector_g: (n, 2) a_y and a_z; NaN where the pose has the reading alone.
         reading: (n,) the elevation read, rad.
+        in_order: whether the poses of each source and mount come in the order measured.
     """
 
     units: tuple[str, ...]
@@ -72,6 +73,7 @@ class Table:
     reference_c: FloatArray
     vector_g: FloatArray
     reading: FloatArray
+    in_order: bool = False
 
     def __len__(self) -> int:
         return len(self.dial_deg)
