@@ -99,7 +99,8 @@ def store_at(path: Path) -> str:
 def on_a_server(item: pytest.Item) -> bool:
     """Whether a test uses the server."""
     parameters = getattr(getattr(item, "callspec", None), "params", {})
-    return parameters.get("engine") == "postgresql" or "postgresql_server" in getattr(item, "fixturenames", ())
+    fixtures = getattr(item, "fixturenames", ())
+    return parameters.get("engine") == "postgresql" or "postgresql_server" in fixtures
 
 
 @contextmanager

@@ -77,7 +77,7 @@ def due_dates(
         limits: those there are, the first that matches a unit counts; without them the store's.
         now: by which a unit is overdue; without it this moment.
     """
-    found = histories(store) if found is None else found
+    found = histories(store, None if serials is None else list(serials)) if found is None else found
     now = now or datetime.now(UTC)
     latest = {
         row.unit: place for place, row in enumerate(found.rows) if serials is None or row.unit in serials

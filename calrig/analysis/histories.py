@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
@@ -91,9 +92,18 @@ SMALLEST = (1e-6, 1e-8)
 """Below which no figure repeats: where runs are copies of one another, nothing is divided by zero."""
 
 
-def histories(store: Store) -> Histories:
-    """All of them: whether a unit has changed is held against how all others repeat."""
-    rows = store.comparison()
+POOLED = 10_000
+"""Calibrations that tell how units repeat, the latest: to 1 % of a standard deviation, in 0.1 s."""
+
+
+def histories(store: Store, serials: Sequence[str] | None = None) -> Histories:
+    """Of units: whether one has changed is held against how all others repeat.
+
+    Args:
+        store: where they are.
+        serials: those of interest, told whole beside the `POOLED` latest runs of all; None for all of all.
+    """
+    rows = store.comparison(serials, latest=POOLED)
     serials = list(dict.fromkeys(row.unit for row in rows))
     rigs = {name: place for place, name in enumerate(dict.fromkeys(row.rig for row in rows))}
     unit = np.repeat(np.arange(len(serials)), _counts(rows)) if rows else np.empty(0, dtype=np.intp)

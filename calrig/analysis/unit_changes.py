@@ -33,7 +33,7 @@ def unit_changes(store: Store, serial: str) -> list[Document]:
     """
     if store.unit(serial) is None:
         raise Unknown(f"there is no unit {serial!r}")
-    found = histories(store)
+    found = histories(store, [serial])
     places = found.of(serial)
     signals = [chart.signals for chart in charts(found, serial) if chart is not None]
     pairs = found.changes.figures[0].first

@@ -102,9 +102,10 @@ def compare(context: Context, unit: Units = None) -> Response:
     """Calibrations that count only; `spread` sets units apart from repeatability.
 
     Units that changed by more than repeatability come first, the most significant before the others; whether
-    they did is held against all units of the store, whichever are asked for.
+    they did is held against all units of the store, whichever are asked for: of very many runs, the latest.
     """
-    found = histories(context.store)
-    document = comparison(found, compared_runs(context.store, unit, found), context.due_dates(found))
+    found = histories(context.store, unit)
+    due = context.due_dates(found, unit)
+    document = comparison(found, compared_runs(context.store, unit, found), due)
     # Thousands of rows straight from the store: a test holds them to the model, so that no answer has to be.
     return Response(to_json(document, inf_nan_mode="null"), media_type="application/json")

@@ -107,7 +107,7 @@ def rig_error_map(name: str, context: Context) -> figures.Figure:
 )
 def unit_history(unit: KnownUnit, context: Context) -> figures.Figure:
     """Bias, scale and RMS of its runs over time."""
-    found = histories(context.store)
+    found = histories(context.store, [unit.serial])
     return figures.history(compared_runs(context.store, [unit.serial], found)[unit.serial])
 
 
@@ -119,7 +119,7 @@ def unit_history(unit: KnownUnit, context: Context) -> figures.Figure:
 )
 def unit_chart(unit: KnownUnit, context: Context) -> figures.Figure:
     """Moving averages of bias and scale since the unit last changed; empty where repeatability is unknown."""
-    found = histories(context.store)
+    found = histories(context.store, [unit.serial])
     drawn = {
         name: chart
         for name, chart in zip(("bias", "scale"), charts(found, unit.serial), strict=True)
@@ -160,7 +160,7 @@ def compare_figure(
     Where units are more than colours, all but the `chosen` ones are dimmed; without any, all but those that
     changed (or the first eight, where none did).
     """
-    found = histories(context.store)
+    found = histories(context.store, unit)
     units = compared_runs(context.store, unit, found)
     coloured = chosen or found.changed_units()
     if name != "residuals":

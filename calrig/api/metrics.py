@@ -9,9 +9,11 @@ from prometheus_client import CollectorRegistry
 from prometheus_client.core import GaugeMetricFamily, InfoMetricFamily, Metric
 from prometheus_client.exposition import choose_encoder
 from prometheus_client.registry import Collector
+from starlette.concurrency import run_in_threadpool
 
 import calrig
 from calrig.api.context import ApiContext, Context
+from calrig.api.overview import overdue_units
 from calrig.store import StoreError
 
 RIG_STATES = ("idle", "busy", "unreachable", "offline")
@@ -25,21 +27,25 @@ router = APIRouter(tags=["service"])
     responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
     summary="Prometheus text",
 )
-def metrics(context: Context, accept: Annotated[str, Header()] = "") -> Response:
+async def metrics(context: Context, accept: Annotated[str, Header()] = "") -> Response:
     """Counts since the service began, and how things stand; OpenMetrics where `Accept` asks for it."""
+    try:
+        overdue = len(await overdue_units(context))
+    except StoreError:
+        overdue = None  # as `calrig_store_up` tells
     answered = CollectorRegistry(auto_describe=False)
     answered.register(context.service.meter.registry)
-    answered.register(_Standing(context))
+    answered.register(_Standing(context, overdue))
     write, media_type = choose_encoder(accept)
-    return Response(write(answered), media_type=media_type)
+    return Response(await run_in_threadpool(write, answered), media_type=media_type)
 
 
 class _Standing(Collector):
     """How things stand, looked up as it is asked for: nobody could keep gauges of the store up to date."""
 
-    def __init__(self, context: ApiContext) -> None:
+    def __init__(self, context: ApiContext, overdue: int | None) -> None:
         self._service, self._store, self._streams = context.service, context.store, context.streams
-        self._due_dates = context.due_dates
+        self._overdue = overdue
 
     def collect(self) -> Iterator[Metric]:
         """Every family, in the order shown."""
@@ -59,10 +65,11 @@ class _Standing(Collector):
         try:
             for status, number in self._store.count_runs().items():
                 runs.add_metric([status], number)
-            overdue.add_metric([], self._due_dates().overdue)
             up = 1.0
         except StoreError:
             up = 0.0
+        if self._overdue is not None:
+            overdue.add_metric([], self._overdue)
         yield overdue
         yield GaugeMetricFamily("calrig_store_up", "1 where the store can be read.", up)
         yield runs

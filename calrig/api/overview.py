@@ -152,8 +152,12 @@ def _look(context: ApiContext) -> _Seen:
 @router.get("/api/overdue", response_model=list[OverdueAnswer], summary="Units that are due to be calibrated")
 async def show_overdue(context: Context, limit: Annotated[int, Query(ge=1, le=500)] = 100) -> object:
     """Those that are overdue for longest first; a minute old at most, more where there are very many runs."""
-    found = await context.lately.share("overdue", partial(_overdue, context), DUE_FRESH_S)
-    return found[:limit]
+    return (await overdue_units(context))[:limit]
+
+
+async def overdue_units(context: ApiContext) -> list[OverdueAnswer]:
+    """All of them, looked up at most once a minute, less often where that takes long."""
+    return await context.lately.share("overdue", partial(_overdue, context), DUE_FRESH_S)
 
 
 def _overdue(context: ApiContext) -> list[OverdueAnswer]:

@@ -67,24 +67,37 @@ class Units(Part):
         with self._database.reading() as session:
             return next(iter(_units(session, serial)), None)
 
-    def comparison(self, serials: Sequence[str] | None = None) -> list[ComparisonRow]:
+    def comparison(
+        self, serials: Sequence[str] | None = None, *, latest: int | None = None
+    ) -> list[ComparisonRow]:
         """The figures of every calibration that counts, by unit, the oldest of each first.
 
         That is: completed and not voided; no verification, static log or follow-up.
 
         Args:
             serials: the units to compare; None for all.
+            latest: so many of those made last, of whichever units, are told as well.
         """
         wanted = (
             sqlalchemy.select(*_COMPARED)
             .join(CalibrationTable, col(CalibrationTable.run_id) == RunTable.id)
             .where(*COUNTS, col(RunTable.follows).is_(None))
-            .order_by(col(RunTable.unit), col(RunTable.finished_at), col(RunTable.id))
         )
-        if serials is not None:
-            wanted = wanted.where(col(RunTable.unit).in_(serials))
+        in_order = col(RunTable.unit), col(RunTable.finished_at), col(RunTable.id)
         with self._database.reading() as session:
-            return [_compared(row) for row in session.connection().execute(wanted)]
+
+            def found(which: sqlalchemy.Select[Any]) -> list[ComparisonRow]:
+                return [_compared(row) for row in session.connection().execute(which)]
+
+            if serials is None:
+                return found(wanted.order_by(*in_order))
+            rows = found(wanted.where(col(RunTable.unit).in_(serials)).order_by(*in_order))
+            if latest is None:
+                return rows
+            newest = wanted.order_by(col(RunTable.created_at).desc(), col(RunTable.id).desc()).limit(latest)
+            known = {row.run_id for row in rows}
+            rows += [row for row in reversed(found(newest)) if row.run_id not in known]
+        return sorted(rows, key=lambda row: (row.unit, row.finished_at))
 
     def reference_figures(self, run_ids: Sequence[str]) -> dict[str, tuple[float, float | None]]:
         """What the stage is worth in the bias (deg) and scale of runs that know it: type B, by run."""
