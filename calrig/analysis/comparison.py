@@ -40,7 +40,7 @@ def compared_runs(store: Store, serials: Sequence[str] | None, found: Histories)
     Raises:
         Unknown: there is no such unit.
     """
-    known = dict.fromkeys(unit.serial for unit in store.units())
+    known = dict.fromkeys(unit.serial for unit in store.units(serials))
     for serial in serials or ():
         if serial not in known:
             raise Unknown(f"there is no unit {serial!r}")

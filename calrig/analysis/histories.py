@@ -92,7 +92,7 @@ SMALLEST = (1e-6, 1e-8)
 """Below which no figure repeats: where runs are copies of one another, nothing is divided by zero."""
 
 
-POOLED = 10_000
+POOLED = 5_000
 """Calibrations that tell how units repeat, the latest: to 1 % of a standard deviation, in 0.1 s."""
 
 

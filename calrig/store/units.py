@@ -57,15 +57,15 @@ _KEPT_OF_UNITS: dict[Any, str] = {
 class Units(Part):
     """What is known about units over their runs."""
 
-    def units(self) -> list[Unit]:
-        """Every unit by serial number."""
+    def units(self, serials: Sequence[str] | None = None) -> list[Unit]:
+        """Units by serial number, every one or those of some serials."""
         with self._database.reading() as session:
-            return _units(session)
+            return _units(session, serials)
 
     def unit(self, serial: str) -> Unit | None:
         """The unit, or None."""
         with self._database.reading() as session:
-            return next(iter(_units(session, serial)), None)
+            return next(iter(_units(session, [serial])), None)
 
     def comparison(
         self, serials: Sequence[str] | None = None, *, latest: int | None = None
@@ -203,16 +203,16 @@ def _remove_revisions(session: Session, serial: str) -> None:
     session.flush()
 
 
-def _units(session: Session, serial: str | None = None) -> list[Unit]:
-    """All units by serial, or the one."""
+def _units(session: Session, serials: Sequence[str] | None = None) -> list[Unit]:
+    """All units by serial, or some."""
     wanted = (
         select(UnitTable, func.count(col(RunTable.id)), func.max(RunTable.created_at, type_=UtcText()))
         .join(RunTable, isouter=True)
         .group_by(col(UnitTable.serial))
         .order_by(col(UnitTable.serial))
     )
-    if serial is not None:
-        wanted = wanted.where(UnitTable.serial == serial)
+    if serials is not None:
+        wanted = wanted.where(col(UnitTable.serial).in_(serials))
     return [
         Unit(serial=unit.serial, created_at=unit.created_at, n_runs=n_runs, last_run_at=last)
         for unit, n_runs, last in session.exec(wanted)

@@ -158,8 +158,8 @@ def test_a_worker_takes_the_jobs_of_its_own_rigs_and_leaves_others_workers_be(
         owner.execute("UPDATE procrastinate_workers SET last_heartbeat = now() - interval '1 day'")
         ran = asyncio.run(_work(urls["a"], 2))
         assert ran == ["rig:a/r1"]
-        jobs = owner.execute("SELECT queue_name, status, attempts FROM procrastinate_jobs ORDER BY id")
-        assert jobs.fetchall() == [("rig:a/r1", "succeeded", 1), ("rig:ab/r1", "todo", 0)]
+        jobs = owner.execute("SELECT queue_name, status, attempts FROM procrastinate_jobs")
+        assert sorted(jobs.fetchall()) == [("rig:a/r1", "succeeded", 1), ("rig:ab/r1", "todo", 0)]
         events = "SELECT type FROM procrastinate_events ORDER BY id"
         assert [row[0] for row in owner.execute(events)] == ["deferred", "deferred", "started", "succeeded"]
         # stalled for a day, and pruned by nobody but its own bench
