@@ -3,3 +3,8 @@
 import logging
 
 logging.getLogger("calrig").addHandler(logging.NullHandler())  # runs that fail are what is tried here
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent.parent))  # as pytest does for what tests share
