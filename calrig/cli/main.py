@@ -12,6 +12,7 @@ import typer
 import calrig
 from calrig.cli import (
     agent,
+    apply,
     benches,
     diagnosis,
     enroll,
@@ -47,6 +48,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "diagnose": diagnosis.diagnose,
     "gravity": diagnosis.gravity,
     "solve": solve.solve,
+    "apply": apply.apply,
     "noise": noise.noise,
     "filters": noise.filters,
     "fleet": fleet.fleet,
