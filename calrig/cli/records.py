@@ -25,6 +25,12 @@ class Format(StrEnum):
     json = "json"
     csv = "csv"
     c_header = "c-header"
+    px4 = "px4"
+    ardupilot = "ardupilot"
+    kalibr = "kalibr"
+    vins = "vins"
+    imu_tk = "imu-tk"
+    imucal = "imucal"
 
 
 def import_(
@@ -60,18 +66,23 @@ def export(
     ] = None,
     unit: Annotated[str | None, typer.Option(metavar="SERIAL", help="The unit, by its run in force.")] = None,
     format_: Annotated[
-        Format, typer.Option("--format", help="The calibration, or its poses (csv).")
+        Format,
+        typer.Option(
+            "--format",
+            help="The calibration, or its poses (csv); for other programs: calrig/docs/calibrations.md.",
+        ),
     ] = Format.json,
     parquet: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write the poses of all completed runs there.")
     ] = None,
     db: Db = None,
 ) -> None:
-    """Print a calibration as JSON or as a C header, or its poses as CSV; standard error has its verdict.
+    """Print a calibration as JSON or for another program, or its poses as CSV.
 
-    With --parquet: the poses of all completed runs into files.
+    Standard error has its verdict. With --parquet: the poses of all completed runs into files.
     """
-    from calrig.analysis.active_calibration import header_of, newest_of_run, wanted_revision
+    from calrig.analysis.active_calibration import newest_of_run, wanted_revision
+    from calrig.analysis.exports import NOISE_FORMATS, exported, exported_noise
     from calrig.analysis.stored_runs import counted_poses, stored_run
     from calrig.cli.output import print_says
     from calrig.export.poses_csv import write_poses
@@ -91,6 +102,10 @@ def export(
         if run_id is not None and format_ is Format.csv:
             sys.stdout.write(write_poses(counted_poses(store, stored_run(store, run_id).id)))
             return
+        if format_.value in NOISE_FORMATS:
+            of_unit = unit or stored_run(store, run_id or "").unit
+            sys.stdout.write(exported_noise(store, of_unit, format_.value))
+            return
         if unit is not None:
             found = store.in_force(unit) or wanted_revision(store, unit, "latest")
         else:
@@ -101,11 +116,10 @@ def export(
         if format_ is not Format.csv:
             print_says(found.verdict["says"])
         if format_ is Format.csv:
-            sys.stdout.write(write_poses(counted_poses(store, found.run_id)))
-        elif format_ is Format.c_header:
-            sys.stdout.write(header_of(found))
+            text = write_poses(counted_poses(store, found.run_id))
         else:
-            sys.stdout.write(found.text + "\n")
+            text = found.text + "\n" if format_ is Format.json else exported(found, format_.value)
+        sys.stdout.write(text)
 
 
 def _export_all(folder: Path, db: str | None) -> None:
