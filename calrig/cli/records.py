@@ -72,6 +72,7 @@ def export(
     With --parquet: the poses of all completed runs into files.
     """
     from calrig.analysis.active_calibration import header_of, newest_of_run, wanted_revision
+    from calrig.analysis.mounts import labels_of
     from calrig.analysis.stored_runs import counted_poses, stored_run
     from calrig.cli.output import print_says
     from calrig.export.poses_csv import write_poses
@@ -89,7 +90,8 @@ def export(
         if run_id is not None:
             run_id = whole_id(store, run_id)
         if run_id is not None and format_ is Format.csv:
-            sys.stdout.write(write_poses(counted_poses(store, stored_run(store, run_id).id)))
+            run = stored_run(store, run_id)
+            sys.stdout.write(write_poses(counted_poses(store, run.id), labels_of(run)))
             return
         if unit is not None:
             found = store.in_force(unit) or wanted_revision(store, unit, "latest")
