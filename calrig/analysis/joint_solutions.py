@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from calrig.analysis.errors import Conflict
 from calrig.analysis.stored_runs import counted_poses, ended_run
 from calrig.calibration.joint.table import Mounted
-from calrig.calibration.pose import Pose
+from calrig.calibration.pose import MOUNT_DEG, Pose
 from calrig.store import Run, Store
 
 
@@ -34,7 +34,7 @@ def _lots(run: Run, poses: Sequence[Pose]) -> list[Mounted]:
     planned = plan.get("mounts_deg") or [0.0]
     lots: dict[float | None, list[Pose]] = {}
     for pose in poses:
-        own = pose.covariates.get("mount_deg")
+        own = pose.covariates.get(MOUNT_DEG)
         lots.setdefault(float(planned[0]) if own is None and len(planned) == 1 else own, []).append(pose)
     axis = str(plan.get("mount_axis", "x"))
     return [

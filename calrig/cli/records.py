@@ -83,6 +83,7 @@ def export(
     """
     from calrig.analysis.active_calibration import newest_of_run, wanted_revision
     from calrig.analysis.exports import NOISE_FORMATS, exported, exported_noise
+    from calrig.analysis.mounts import labels_of
     from calrig.analysis.stored_runs import counted_poses, stored_run
     from calrig.cli.output import print_says
     from calrig.export.poses_csv import write_poses
@@ -100,7 +101,8 @@ def export(
         if run_id is not None:
             run_id = whole_id(store, run_id)
         if run_id is not None and format_ is Format.csv:
-            sys.stdout.write(write_poses(counted_poses(store, stored_run(store, run_id).id)))
+            run = stored_run(store, run_id)
+            sys.stdout.write(write_poses(counted_poses(store, run.id), labels_of(run)))
             return
         if format_.value in NOISE_FORMATS:
             of_unit = unit or stored_run(store, run_id or "").unit

@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from calrig.calibration.move_check import MoveCheck
-from calrig.calibration.pose import Filtering, Pose
+from calrig.calibration.pose import MOUNT_DEG, Filtering, Pose
 from calrig.calibration.result import GyroFigures
+from calrig.estimation.angles import AXES
 from calrig.estimation.gyro import GyroBias, dwell_bias, felt_move_deg, gyro_scale, run_bias
 from calrig.estimation.kalman import KalmanNoise
 from calrig.estimation.reading import Reading, dwell_reading
@@ -18,6 +19,7 @@ from calrig.instruments.types import FloatArray, Samples
 from calrig.plan import Plan, PlannedPose
 from calrig.runs.felt_moves import KIND, FeltMoves, lost, told
 from calrig.runs.follow_up import FollowUpRun
+from calrig.runs.mounting import Mount
 from calrig.runs.pace import Pace
 from calrig.runs.resume import MOVE_OFF_DEG, Returned, way_back
 from calrig.runs.stream import block_of
@@ -52,7 +54,8 @@ class Execution:
     def __post_init__(self) -> None:
         self.rig, self.recorder = self.pace.rig, self.pace.recorder
         self.poses, self.biases = list(self.earlier.poses), list(self.earlier.biases)
-        self.felt = FeltMoves(self.poses, self.rig.board_identity.gyro_range_dps)
+        self.felt = FeltMoves(self.poses, self.rig.board_identity.gyro_range_dps, self.plan.mount_axis)
+        self._along = AXES.index(self.plan.mount_axis[-1])
         self._noise = KalmanNoise(**self.rig.settings.filter.model_dump())
 
     def carry_out(self, planned: list[PlannedPose]) -> None:
@@ -63,16 +66,19 @@ class Execution:
             InstrumentError: a device failed; the poses so far are stored.
             NotTheSame: after an interruption the last pose reads otherwise by far.
         """
-        self.pace.begin(self.plan, moves=True)
         left = self._left(planned)
         sweep: int | None = None
-        if self.poses:
+        clamped_deg = self._begin(left)
+        if self.poses and clamped_deg is not None:
             self._return(self.poses[-1])
             sweep = self.poses[-1].sweep
-        else:
+        elif clamped_deg is not None:
             self._move_off(planned)
         self.recorder.poses_begin()
         for pose in left:
+            if pose.mount_deg != clamped_deg:
+                clamped_deg = pose.mount_deg
+                self._have_turned(self._mount(clamped_deg))
             if self.follow_up is not None and self.follow_up.skips(pose, self.poses):
                 self.recorder.skip_pose()
                 continue
@@ -81,6 +87,36 @@ class Execution:
                 self._wait_before_sweep()
             self._take(pose)
             self.pace.hold_while_paused()
+
+    def _begin(self, left: list[PlannedPose]) -> float | None:
+        """Makes stage and board ready; the mount that the unit sits at, None where a person is to be asked.
+
+        Nobody is asked for a first mount that gravity agrees with. A run that was interrupted between two
+        mounts goes on waiting: somebody may have turned the unit half-way.
+        """
+        if self.poses:
+            last_deg = self.poses[-1].mount_deg
+            clamped_deg = None if left and left[0].mount_deg != last_deg else last_deg
+            mount = None if clamped_deg is None else self._mount(clamped_deg)
+            self.pace.begin(self.plan, moves=True, mount=mount)
+            return clamped_deg
+        mount = self._mount(left[0].mount_deg)
+        if not self.plan.asks_for_mounts:
+            self.pace.begin(self.plan, moves=True, mount=mount)
+            return mount.deg
+        self.pace.begin(self.plan, moves=True)
+        return mount.deg if self.pace.why_not(mount) is None else None
+
+    def _mount(self, mount_deg: float) -> Mount:
+        return Mount(mount_deg, self.plan.mount_axis)
+
+    def _have_turned(self, mount: Mount) -> None:
+        """Has a person clamp the unit anew, while the stage stands where it is.
+
+        Gravity tells the angle about the stage's axis at any angle of the dial.
+        """
+        self.pace.wait_for_mount(mount)
+        self.felt.touched()
 
     def _left(self, planned: list[PlannedPose]) -> list[PlannedPose]:
         """The poses not measured yet; a follow-up decides once more what it has decided before."""
@@ -167,7 +203,7 @@ class Execution:
         dwell = self.pace.stream.kept().between(start_s, end_s)
         if len(dwell.samples) < max(2, 0.5 * (end_s - start_s) * self.pace.rate_hz):
             return None
-        rate_dps = dwell.samples.gyro_dps[:, 0]
+        rate_dps = dwell.samples.gyro_dps[:, self._along]
         return dwell_reading(
             dwell.samples.time_s,
             dwell.elevation_deg,
@@ -196,11 +232,11 @@ class Execution:
         turned_deg = (
             None if before_deg is None or self.pace.stage_deg is None else self.pace.stage_deg - before_deg
         )
-        neighbours_dps = [b for bias in self.biases[-2:] if (b := bias.bias_dps[0]) is not None]
+        neighbours_dps = [b for bias in self.biases[-2:] if (b := bias.bias_dps[self._along]) is not None]
         gyro_move_deg = (
             felt_move_deg(
                 move.time_s,
-                move.gyro_dps[:, 0],
+                move.gyro_dps[:, self._along],
                 sum(neighbours_dps) / len(neighbours_dps),
                 1.0 / self.pace.rate_hz,
                 self.rig.axis.travel_s(turned_deg or 0.0),
@@ -224,6 +260,7 @@ class Execution:
             accel_z_g=_mean(dwell.accel_g[:, 2]),
             gyro_move_deg=gyro_move_deg,
             settle_s=self.plan.settle_s,
+            covariates={MOUNT_DEG: planned.mount_deg} if self.plan.asks_for_mounts else {},
             filtering=Filtering(self._noise, self.pace.rate_hz, self.plan.dwell_s),
         )
         blocks = [block_of(len(self.poses), "move", before), block_of(len(self.poses), "dwell", dwell)]
@@ -233,7 +270,7 @@ class Execution:
     def _felt(self, pose: Pose, before_deg: float | None, move: Samples, dwell_s: float) -> MoveCheck | None:
         """Holds the move into a pose against what the unit felt of it."""
         turned_deg = None if before_deg is None or pose.stage_deg is None else pose.stage_deg - before_deg
-        return self.felt.take(pose, turned_deg, move, self.biases[-1].bias_std_dps[0], dwell_s)
+        return self.felt.take(pose, turned_deg, move, self.biases[-1].bias_std_dps[self._along], dwell_s)
 
     def _conclude(self, pose: Pose, blocks: list[SampleBlock], check: MoveCheck | None) -> None:
         """Stores a pose, and says where the unit felt another move; StageError where that ends the run."""

@@ -22,6 +22,7 @@ from calrig.runs.bus import Bus
 from calrig.runs.control import Control, End, Ended, Left
 from calrig.runs.execution import Execution
 from calrig.runs.meter import Meter
+from calrig.runs.mounting import Mount
 from calrig.runs.pace import Pace
 from calrig.runs.recorder import Recorder
 from calrig.runs.resume import require_same_devices
@@ -73,6 +74,7 @@ class Worker:
             self.clock,
             len(task.planned),
             len(task.earlier.poses),
+            Mount(0.0, task.plan.mount_axis).sense,
         )
         self._left_rig = left_rig
         self._ended = ended
@@ -250,13 +252,14 @@ class Worker:
     def _note_result(self, execution: Execution) -> None:
         """The result of the poses stored, and the draft that a calibration makes of its unit.
 
-        Neither, where all of the poses were excluded meanwhile.
+        Neither, where all of the poses were excluded meanwhile, or the unit turned about another axis than
+        its x: what it read is no elevation, and for the joint solution alone.
         """
         run, gyro = self._task.run, execution.gyro_figures()
         stored = self._store.poses(self.run_id)
         poses = [one.pose for one in stored if one.excluded is None]
         self._fields["result"] = None
-        if not poses:
+        if not poses or self._task.plan.mount_axis != "x":
             return
         if self._task.verifies is not None:
             self._fields["result"] = self._task.verifies.result(poses, gyro).to_dict()
