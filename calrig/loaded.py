@@ -31,15 +31,15 @@ class Calibration:
 
     def __init__(self, document: dict[str, Any]) -> None:
         """Of a document as `read_document` gives it."""
+        try:
+            self._application = Application.of_document(document)
+        except ApplyError as error:
+            raise InputError(f"the calibration of {document['unit']!r} cannot be applied: {error}") from error
         self.document = document
         self.unit: str = document["unit"]
         self.revision: int | None = document.get("revision")
-        self.range_deg: tuple[float, float] = tuple(document["range_deg"])
+        self.range_deg = self._application.range_deg
         self.effects: list[dict[str, Any]] = document["effects"]
-        try:
-            self._application = Application.of_document(document)
-        except (ApplyError, KeyError, TypeError, ValueError) as error:
-            raise InputError(f"the calibration of {self.unit!r} cannot be applied: {error}") from error
 
     def __repr__(self) -> str:
         return f"<calrig.Calibration of {self.unit!r}, revision {self.revision}>"

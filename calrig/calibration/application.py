@@ -16,6 +16,7 @@ import numpy as np
 from calrig.calibration.correction import elevation_where_known_deg, numbers_of
 from calrig.calibration.effect import TEMPERATURE, ApplyError, Circumstances, NotInFlight
 from calrig.calibration.effects import EFFECTS, UNNAMED, effect_of
+from calrig.calibration.fit import MIN_SCALE
 from calrig.estimation.angles import FloatArray, elevation_deg
 
 AppliedEffects = Sequence[tuple[str, Mapping[str, float]]]
@@ -81,10 +82,21 @@ class Application:
         """What a document says.
 
         Raises:
-            ApplyError: an effect has no formula, or bias or scale are not known.
+            ApplyError: an effect has no formula, bias or scale are not known, or it is no such document.
         """
         if document["bias_deg"] is None or document["scale"] is None:
             raise ApplyError("bias or scale is not known: there is nothing to apply")
+        try:
+            return cls._of(document)
+        except (AttributeError, LookupError, TypeError, ValueError) as error:
+            if isinstance(error, ApplyError):
+                raise
+            raise ApplyError(f"it is no calibration as `calrig export` prints one ({error})") from error
+
+    @classmethod
+    def _of(cls, document: Mapping[str, Any]) -> Application:
+        if not MIN_SCALE <= abs(document["scale"]) <= 1.0 / MIN_SCALE:
+            raise ApplyError(f"the scale is {document['scale']:g}: the reading does not follow the elevation")
         effects, _ = effects_at_rest(document)
         worth, warmth = document.get("uncertainty") or {}, document.get("temperature_c") or {}
         grid, covariance = document.get("elevation_std_deg"), document.get("covariance")
@@ -98,8 +110,8 @@ class Application:
             temperature_c=None if None in ends else (float(ends[0]), float(ends[1])),  # type: ignore[arg-type]
             type_a_deg=_number(worth.get("type_a_deg")),
             type_b_deg=_number(worth.get("type_b_deg")),
-            covariance=np.zeros((2, 2)) if covariance is None else np.array(covariance, dtype=np.float64),
-            map_std=None if grid is None else (_array(grid["elevation_deg"]), _array(grid["std_deg"])),
+            covariance=np.zeros((2, 2)) if covariance is None else _array(covariance, 2, 2),
+            map_std=None if grid is None else _curve(grid["elevation_deg"], grid["std_deg"]),
             level_std_deg=float(document.get("level_std_deg") or 0.0) if document.get("level_known") else 0.0,
         )
 
@@ -168,12 +180,19 @@ def _accelerometer(
     found = document.get("accelerometer")
     by_effects = any(name in HELD_BY_MATRIX for name, _ in effects)
     is_plain = document["bias_deg"] == 0.0 and document["scale"] == 1.0 and not by_effects
-    return (_array(found["bias_g"]), _array(found["matrix"])) if found and is_plain else None
+    return (_array(found["bias_g"], 3), _array(found["matrix"], 3, 3)) if found and is_plain else None
 
 
 def _number(value: float | None) -> float:
     return math.nan if value is None else float(value)
 
 
-def _array(values: Sequence[Any]) -> FloatArray:
-    return np.array(values, dtype=np.float64)
+def _array(values: Sequence[Any], *shape: int) -> FloatArray:
+    array = np.array(values, dtype=np.float64)
+    if array.shape != shape:
+        raise ValueError(f"{array.shape} numbers where there are {shape}")
+    return array
+
+
+def _curve(at: Sequence[float], values: Sequence[float]) -> tuple[FloatArray, FloatArray]:
+    return _array(at, max(len(at), 1)), _array(values, len(at))

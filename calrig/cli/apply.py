@@ -48,7 +48,7 @@ def apply(
                 sys.stdout.write(rows)
     except CsvError as error:
         raise InputError(f"{name}: {error}") from error
-    except (ApplyError, KeyError, TypeError, ValueError) as error:
+    except ApplyError as error:
         raise InputError(f"{calibration}: cannot be applied ({error})") from error
     except OSError as error:
         if isinstance(error, BrokenPipeError):

@@ -10,6 +10,7 @@ import numpy as np
 from calrig.calibration.application import Application
 from calrig.calibration.effect_terms import c_literal
 from calrig.estimation.angles import FloatArray
+from calrig.export.formats.triads import is_curved
 
 N_ELEVATIONS = 7
 DIRECTIONS = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [-0.6, 0, -0.8], [0, -0.8, 0.6], [0.48, 0.64, -0.6]])
@@ -28,7 +29,9 @@ def acceleration_function(document: Mapping[str, Any]) -> list[str]:
         )
         for k, row in enumerate(found["matrix"])
     ]
+    curved = ["/* the document's quadratic and cubic terms of the axes are not taken out here */"]
     return [
+        *(curved if is_curved(found) else []),
         "static inline void calrig_acceleration_g(const float raw_g[3], float true_g[3])",
         "{",
         *(f"    const float {axis} = raw_g[{k}] - {bias[k]};" for k, axis in enumerate("xyz")),

@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import json
+import threading
+from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import numpy as np
 import pytest
@@ -101,6 +103,54 @@ def test_bad_readings_are_2_with_file_line_and_column(folder, document, readings
     assert all(word in said for word in ["r.csv", *says])
 
 
+def test_the_token_does_not_follow_a_redirection_to_another_address(folder, document, monkeypatch):
+    heard = []
+
+    class Service(BaseHTTPRequestHandler):
+        def do_GET(self):
+            heard.append((self.path, self.headers["Authorization"]))
+            self.send_response(302 if self.path == "/here" else 200)
+            self.send_header("Location", f"http://localhost:{self.server.server_port}/elsewhere")
+            self.end_headers()
+            self.wfile.write(json.dumps(document).encode() if self.path == "/elsewhere" else b"")
+
+        def log_message(self, *_words):
+            """Says nothing."""
+
+    monkeypatch.setenv("CALRIG_TOKEN", "secret")
+    with HTTPServer(("127.0.0.1", 0), Service) as server:
+        thread = threading.Thread(target=server.serve_forever, args=(0.01,))
+        thread.start()
+        unit = package.load(f"http://127.0.0.1:{server.server_port}/here").unit
+        server.shutdown()
+        thread.join()
+    assert unit == "AS-0042"
+    assert heard == [("/here", "Bearer secret"), ("/elsewhere", None)]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"scale": 0.0},
+        {"scale": 1e300},
+        {"bias_deg": None},
+        {"range_deg": "wide"},
+        {"covariance": [[1.0]]},
+        {"effects": [{"name": "gremlins", "parameters": {}}]},
+        {"effects": [7]},
+        {"uncertainty": "large"},
+        {"elevation_std_deg": {"elevation_deg": [0.0], "std_deg": []}},
+        {"accelerometer": {"bias_g": [0.0], "matrix": [[1.0]]}, "bias_deg": 0.0, "scale": 1.0},
+    ],
+)
+def test_what_cannot_be_applied_is_said_in_a_line(folder, document, changes):
+    written(folder, document, **changes)
+    (folder / "r.csv").write_text("reading_deg\n1\n")
+    assert "cal.json: cannot be applied" in reason("apply", "cal.json", "r.csv", status=2)
+    with pytest.raises(InputError, match="cannot be applied"):
+        package.load("cal.json")
+
+
 def test_a_document_that_was_changed_or_is_none_is_refused(folder, document):
     (folder / "cal.json").write_text(json.dumps({**document, "bias_deg": 0.0}))
     assert "was changed since it was issued" in reason("apply", "cal.json", "poses.csv", status=2)
@@ -111,5 +161,3 @@ def test_a_document_that_was_changed_or_is_none_is_refused(folder, document):
     (folder / "cal.json").write_text('{"schema": \n oops')
     assert "cal.json, line 2, column 2" in reason("apply", "cal.json", "poses.csv", status=2)
     assert "absent.json" in reason("apply", "absent.json", "poses.csv", status=2)
-    written(folder, document, effects=[{"name": "gremlins", "parameters": {}}])
-    assert "'gremlins' has no formula" in reason("apply", "cal.json", "poses.csv", status=2)

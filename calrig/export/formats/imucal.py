@@ -46,7 +46,7 @@ def imucal(document: Mapping[str, Any]) -> str:
     comment = [
         *origin_of(document),
         "along the chip's own axes",
-        *([] if gyro.is_whole else ["of the gyro's scale that about x alone was measured"]),
+        *([] if gyro.is_whole else ["of the gyro's scale and misalignment not all was measured"]),
         *([f"not in it: {', '.join(accelerometer.left_out)}"] if accelerometer.left_out else []),
         f"test vector: raw {vector(RAW_G)} g, {vector(RAW_DPS)} deg/s -> {vector(acceleration)} m/s^2, "
         f"{vector(rate)} deg/s",

@@ -87,6 +87,9 @@ def accelerometer_of(document: Mapping[str, Any]) -> Accelerometer | None:
     found = document.get("accelerometer")
     if found:
         bias, matrix = np.array(found["bias_g"], dtype=float), np.array(found["matrix"], dtype=float)
+        left_out += (
+            ["quadratic and cubic terms"] if is_curved(found) and "axis_nonlinearity" not in values else []
+        )
     elif values.keys() & HELD:
         offset, mismatch = values.get("accelerometer_offset", {}), values.get("axis_mismatch", {})
         at_rest = MG * np.array([offset.get("y_mg", 0.0), offset.get("z_mg", 0.0)])
@@ -101,16 +104,22 @@ def accelerometer_of(document: Mapping[str, Any]) -> Accelerometer | None:
     return Accelerometer(bias, matrix, per_c, warm.get("reference_c"), bool(found), tuple(left_out))
 
 
+def is_curved(accelerometer: Mapping[str, Any]) -> bool:
+    """Whether it has terms beside its bias and matrix that are not 0."""
+    terms = [accelerometer.get(name) or [] for name in ("quadratic_g_per_g2", "cubic_g_per_g3")]
+    return any(value for values in terms for value in values)
+
+
 def gyro_of(document: Mapping[str, Any]) -> Gyro:
     """What the document has of it; a scale alone is that about x."""
     given = document.get("gyro") or {}
     bias = np.array([np.nan if b is None else b for b in given.get("bias_dps") or [None] * 3], dtype=float)
-    whole = given.get("matrix")
-    matrix = np.eye(3) if whole is None else np.array(whole, dtype=float)
-    if whole is None and given.get("scale") is not None:
+    measured = np.array(given.get("matrix") or [[None] * 3] * 3, dtype=float)
+    matrix = np.where(np.isnan(measured), np.eye(3), measured)
+    if given.get("matrix") is None and given.get("scale") is not None:
         matrix[0, 0] = given["scale"]
-    per_g = np.zeros((3, 3)) if given.get("dps_per_g") is None else np.array(given["dps_per_g"], dtype=float)
-    return Gyro(bias, matrix, per_g, whole is not None)
+    per_g = np.array(given.get("dps_per_g") or np.zeros((3, 3)), dtype=float)
+    return Gyro(bias, matrix, np.nan_to_num(per_g), not np.isnan(measured).any())
 
 
 def require_whole(document: Mapping[str, Any], format_: str) -> Accelerometer:
