@@ -20,6 +20,7 @@ from calrig.store.records import Document
 
 RevisionFormat = Literal["c-header", "px4", "ardupilot", "imu-tk", "imucal"]
 NoiseFormat = Literal["kalibr", "vins"]
+REVISION_FORMATS: tuple[str, ...] = get_args(RevisionFormat)
 NOISE_FORMATS: tuple[str, ...] = get_args(NoiseFormat)
 
 _OF_REVISION: dict[str, Callable[[Mapping[str, Any]], str]] = {
@@ -38,9 +39,15 @@ def exported(revision: Revision, format_: str) -> str:
     Raises:
         Conflict: it cannot hold what the revision says.
     """
-    what = f"revision {revision.revision} of unit {revision.unit!r}"
+    return exported_document(
+        revision.document, format_, f"revision {revision.revision} of unit {revision.unit!r}"
+    )
+
+
+def exported_document(document: Mapping[str, Any], format_: str, what: str) -> str:
+    """A document as such a text; `what` it is called where it cannot be, as `exported`."""
     try:
-        return _OF_REVISION[format_](revision.document)
+        return _OF_REVISION[format_](document)
     except ValueError as error:
         in_ = "C" if format_ == "c-header" else format_
         raise Conflict(f"{what} cannot be put into {in_}: {error}") from error

@@ -20,8 +20,8 @@ from calrig.calibration.fit import MIN_SCALE
 from calrig.estimation.angles import FloatArray, elevation_deg
 
 AppliedEffects = Sequence[tuple[str, Mapping[str, float]]]
-WITHIN_STDS = 2.0
-"""Beyond an end of the range by no more standard uncertainties than these, an elevation is at that end."""
+WITHIN_STDS, WITHIN_SHARE = 2.0, 0.01
+"""Of standard uncertainties, or of the range: beyond its end by no more, an elevation is as good as there."""
 HELD_BY_MATRIX = frozenset({"accelerometer_offset", "axis_mismatch", "axis_nonlinearity"})
 """Effects that say of the axes what an accelerometer's bias and matrix say."""
 
@@ -157,14 +157,17 @@ class Application:
             variance = np.interp(at_deg, *self.map_std) ** 2
         variance = variance + self.type_a_deg**2 + self.level_std_deg**2
         std_deg = np.sqrt(np.maximum(variance, 0.0))
-        beyond = np.abs(elevation_deg - at_deg) > WITHIN_STDS * np.nan_to_num(std_deg)
-        return np.where(beyond, np.nan, std_deg)
+        return np.where(np.abs(elevation_deg - at_deg) > self._tolerated_deg(std_deg), np.nan, std_deg)
 
     def beyond_range(self, elevation_deg: FloatArray) -> FloatArray:
-        """(n,) how far elevations are beyond the range, degrees; 0 where that may be their uncertainty."""
-        within = WITHIN_STDS * np.nan_to_num(self.std_deg(np.clip(elevation_deg, *self.range_deg)))
-        beyond = np.abs(elevation_deg - np.clip(elevation_deg, *self.range_deg))
-        return np.where(beyond > within, beyond, 0.0)
+        """(n,) how far elevations are beyond the range, degrees; 0 where that is hardly so."""
+        at_deg = np.clip(elevation_deg, *self.range_deg)
+        beyond = np.abs(elevation_deg - at_deg)
+        return np.where(beyond > self._tolerated_deg(self.std_deg(at_deg)), beyond, 0.0)
+
+    def _tolerated_deg(self, std_deg: FloatArray) -> FloatArray:
+        width = self.range_deg[1] - self.range_deg[0]
+        return np.maximum(WITHIN_STDS * np.nan_to_num(std_deg), WITHIN_SHARE * width)
 
     def beyond_temperatures(self, temperature_c: FloatArray) -> FloatArray:
         """(n,) how far temperatures are beyond those of the calibration, °C; 0 where these are not known."""

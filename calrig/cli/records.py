@@ -62,7 +62,11 @@ def import_(
 
 def export(
     run_id: Annotated[
-        str | None, typer.Argument(metavar="RUN_ID", help=f"The run to export{SHORTENED}.")
+        str | None,
+        typer.Argument(
+            metavar="RUN_ID|CALIBRATION.json",
+            help=f"The run to export{SHORTENED}, or a calibration of `calrig solve --out`.",
+        ),
     ] = None,
     unit: Annotated[str | None, typer.Option(metavar="SERIAL", help="The unit, by its run in force.")] = None,
     format_: Annotated[
@@ -97,6 +101,9 @@ def export(
         return
     if (run_id is None) == (unit is None):
         raise InputError("export: name either a RUN_ID or --unit SERIAL")
+    if run_id is not None and (run_id.endswith(".json") or Path(run_id).is_file()):
+        sys.stdout.write(_of_file(run_id, format_))
+        return
     with Store.open(store_url(db), writer=None) as store:
         if run_id is not None:
             run_id = whole_id(store, run_id)
@@ -115,13 +122,21 @@ def export(
         if found.status != "in_force":
             words = f"revision {found.revision} of unit {found.unit!r} is {found.status}, not in force"
             typer.echo(f"calrig export: {words}", err=True)
-        if format_ is not Format.csv:
-            print_says(found.verdict["says"])
         if format_ is Format.csv:
             text = write_poses(counted_poses(store, found.run_id))
         else:
+            print_says(found.verdict["says"])
             text = found.text + "\n" if format_ is Format.json else exported(found, format_.value)
         sys.stdout.write(text)
+
+
+def _of_file(file: str, format_: Format) -> str:
+    from calrig.analysis.exports import REVISION_FORMATS, exported_document
+    from calrig.export.calibration_file import read_document
+
+    if format_.value not in REVISION_FORMATS:
+        raise InputError(f"export: {file}: a calibration in a file is given as {', '.join(REVISION_FORMATS)}")
+    return exported_document(read_document(file), format_.value, file)
 
 
 def _export_all(folder: Path, db: str | None) -> None:

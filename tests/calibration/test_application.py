@@ -74,12 +74,12 @@ def test_joint_documents_have_their_own_curve_in_place_of_type_b():
 
 def test_beyond_the_range_the_elevation_is_given_and_its_worth_is_not_known():
     application = applied()
-    elevation = application.elevation_deg(BIAS_DEG + SCALE * np.array([60.05, 61.0, -75.0]), None)
-    np.testing.assert_allclose(elevation, [60.05, 61.0, -75.0])
+    elevation = application.elevation_deg(BIAS_DEG + SCALE * np.array([61.0, 61.5, -75.0]), None)
+    np.testing.assert_allclose(elevation, [61.0, 61.5, -75.0])
     std = application.std_deg(elevation)
-    assert std[0] == pytest.approx(0.05), "by its uncertainty it may be at the end"
+    assert std[0] == pytest.approx(0.05), "as good as at the end"
     assert np.isnan(std[1:]).all()
-    np.testing.assert_allclose(application.beyond_range(elevation), [0.0, 1.0, 15.0])
+    np.testing.assert_allclose(application.beyond_range(elevation), [0.0, 1.5, 15.0])
 
 
 def test_without_a_reference_nothing_is_claimed():
