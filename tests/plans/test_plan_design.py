@@ -31,7 +31,7 @@ def stated_deg(order, dwell_s, reference, runs=200):
     rng, theta = np.random.default_rng(5), np.array(order)
     scatter_deg = trial.PRECISION.scatter_deg(dwell_s)
     lines = (fit_line(theta, theta + scatter_deg * rng.standard_normal(len(theta))) for _ in range(runs))
-    return float(np.sqrt(np.mean([uncertainty(line, theta, reference).expanded_deg**2 for line in lines])))
+    return float(np.sqrt(np.mean([uncertainty(line, theta, reference).expanded_deg ** 2 for line in lines])))
 
 
 @pytest.mark.parametrize("reference", [MAP, STAGE])

@@ -142,7 +142,7 @@ def _noise(r: Responses, scatter_deg: float) -> NoiseModel:
     if ANGLE in r.channels:
         k = r.channels.index(ANGLE)
         covariance[0, k] = covariance[k, 0] = SHARED * scatter_deg**2
-    rotation = np.linalg.inv(np.linalg.cholesky(covariance)).T
+    rotation = np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)).T, dtype=np.float64)
     return NoiseModel(rotation, np.zeros(len(r.channels)))
 
 
