@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from calrig.calibration.pose import COLUMNS, MOUNT_DEG, Pose
+from calrig.calibration.pose import COLUMNS, MOUNT_DEG, OF_MOUNTS, Pose
 from calrig.estimation.angles import FloatArray, wrap_deg
 
 Intp = npt.NDArray[np.intp]
@@ -50,7 +50,7 @@ class PackedPoses:
     @property
     def covariates(self) -> list[str]:
         """Columns that CONTRACT section 4 does not know."""
-        return [name for name in self.columns if name not in (*COLUMNS, MOUNT_DEG)]
+        return [name for name in self.columns if name not in (*COLUMNS, *OF_MOUNTS)]
 
     def runs(self, chosen: Intp) -> PackedPoses:
         """Some of the runs, in the order given."""

@@ -26,8 +26,13 @@ KNOWN = (
     "settle_s",
 )
 COLUMNS = (*REQUIRED, *KNOWN)
+GYRO_MEANS = ("gyro_x_dps", "gyro_y_dps", "gyro_z_dps")
+GYRO_MOVES = ("gyro_move_x_deg", "gyro_move_y_deg", "gyro_move_z_deg")
+"""Among the covariates of poses of a run with mounts: what each axis of the gyro says of dwell and move."""
 MOUNT_DEG = "mount_deg"
-"""Among a pose's covariates: the angle at which the unit was clamped; 0 where it is not said."""
+"""Likewise: the angle at which the unit was clamped; 0 where it is not said."""
+OF_MOUNTS = (MOUNT_DEG, *GYRO_MEANS, *GYRO_MOVES)
+"""What no diagnosis of elevations looks into."""
 
 
 class DiagnosisError(ValueError):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calrig.calibration.pose import COLUMNS, MOUNT_DEG, DiagnosisError, Pose, of_first_mount
+from calrig.calibration.pose import COLUMNS, OF_MOUNTS, DiagnosisError, Pose, of_first_mount
 from calrig.estimation.angles import FloatArray
 
 SAME = 1.0 - 1e-6
@@ -53,7 +53,7 @@ def covariates_of(
 ) -> tuple[dict[str, FloatArray], list[str]]:
     """The unknown columns worth looking at, and what was said of the others."""
     names = dict.fromkeys(
-        name for pose in poses for name in pose.covariates if name not in (*COLUMNS, MOUNT_DEG)
+        name for pose in poses for name in pose.covariates if name not in (*COLUMNS, *OF_MOUNTS)
     )
     taken: dict[str, FloatArray] = {
         "the order of the poses": np.arange(len(poses), dtype=float),

@@ -14,7 +14,7 @@ from calrig.store import Status
 
 log = logging.getLogger(__name__)
 
-ENDED = "it has ended"
+ENDED = "the run has ended"
 
 
 @dataclass(frozen=True, slots=True)

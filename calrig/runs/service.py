@@ -40,8 +40,6 @@ log = logging.getLogger(__name__)
 
 ANSWER_S = 2.0
 """How long a request to end waits, once the stage stands, for the run to say that it has ended."""
-LOOKS_S = 10.0
-"""How long who says Go waits for what gravity says of the unit, s of the rig's clock."""
 CLOSE_S = 4.0
 """How long the service waits for all of its runs together when it is told to go."""
 
@@ -251,14 +249,7 @@ class RunService:
         run = self.run(run_id)
         if run.status == "interrupted":
             return self._resume_interrupted(run)
-        worker = self._worker(run_id, "resumed")
-        if (go := worker.control.say_go()) is not None:
-            if (refusal := go.refusal(LOOKS_S)) is not None:
-                raise Conflict(f"run {run_id}: {refusal}")
-            return self.run(run_id)
-        if not worker.control.holding:
-            raise Conflict(f"run {run_id} is not paused")
-        worker.control.resume()
+        self._worker(run_id, "resumed").go_on()
         return self.run(run_id)
 
     def _resume_interrupted(self, run: Run) -> Run:

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from calrig import logs
-from calrig.analysis.errors import NotTheSame
+from calrig.analysis.errors import Conflict, NotTheSame
 from calrig.analysis.issuing import Fitted, Issuer
 from calrig.analysis.results import fitted
 from calrig.instruments.clock import WALL
@@ -36,6 +36,8 @@ from calrig.store.issued import Draft
 
 log = logging.getLogger(__name__)
 
+LOOKS_S = 10.0
+"""How long who says Go waits for what gravity says of the unit, s of the rig's clock."""
 TRY_AGAIN_S = 1.0
 """How often a store that refuses a run's end is asked again: a disk does not stay full for ever."""
 
@@ -98,6 +100,20 @@ class Worker:
     def join(self, timeout_s: float | None = None) -> None:
         """Waits until it has ended, or for so many seconds of its rig's time."""
         self._thread.join(timeout_s)
+
+    def go_on(self) -> None:
+        """Ends a pause, or what the run waits for a person to do, or takes a wish for a pause back.
+
+        Raises:
+            Conflict: it is not paused; or the unit is not clamped as the run asks, by gravity.
+        """
+        if (go := self.control.say_go()) is not None:
+            if (refusal := go.refusal(LOOKS_S)) is not None:
+                raise Conflict(refusal)
+        elif self.control.holding:
+            self.control.resume()
+        else:
+            raise Conflict(f"run {self.run_id} is not paused")
 
     def _carry_through(self) -> None:
         """Carries the run out; what is logged meanwhile says which run it is about."""
@@ -255,7 +271,7 @@ class Worker:
         Neither, where all of the poses were excluded meanwhile, or the unit turned about another axis than
         its x: what it read is no elevation, and for the joint solution alone.
         """
-        run, gyro = self._task.run, execution.gyro_figures()
+        run, gyro = self._task.run, execution.gyro.figures(execution.felt.moves)
         stored = self._store.poses(self.run_id)
         poses = [one.pose for one in stored if one.excluded is None]
         self._fields["result"] = None

@@ -62,6 +62,7 @@ LATER = {
     "trail.js",
     "units.js",
     "users.js",
+    "waiting.js",
 }
 """Modules of pages that are fetched when somebody goes there."""
 
