@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import uuid
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
 import sqlalchemy
+from sqlmodel import col
 
 from calrig.store.database import Part
 from calrig.store.errors import NotFound
 from calrig.store.records import Document
-from calrig.store.tables import SolutionTable
+from calrig.store.tables import RunTable, SolutionTable
+from calrig.store.units import COUNTS
 
 _COLUMN = sqlalchemy.inspect(SolutionTable).local_table.c
 _NEWEST_FIRST = _COLUMN.created_at.desc(), _COLUMN.id.desc()
@@ -111,6 +114,17 @@ class Solutions(Part):
         with self._database.writing() as session:
             session.add(row)
         return kept
+
+    def counting_runs(self, rig: str | None = None, units: Sequence[str] | None = None) -> list[str]:
+        """Ids of the completed, not voided calibrations of some units on a rig, the oldest first."""
+        in_order = col(RunTable.created_at), col(RunTable.id)
+        query = sqlalchemy.select(col(RunTable.uid)).where(*COUNTS).order_by(*in_order)
+        if rig is not None:
+            query = query.where(col(RunTable.rig) == rig)
+        if units is not None:
+            query = query.where(col(RunTable.unit).in_(units))
+        with self._database.reading() as session:
+            return list(session.connection().execute(query).scalars())
 
     def solution(self, solution_id: str) -> StoredSolution:
         """One by its id.
