@@ -21,11 +21,13 @@ from calrig.cli import (
     noise,
     plan,
     records,
+    resume,
     rigs,
     run,
     serve,
     solve,
     users,
+    watch,
 )
 from calrig.cli.exit_status import Commands
 
@@ -33,7 +35,7 @@ app = typer.Typer(
     cls=Commands,
     name="calrig",
     help="Calibrates IMU attitude sensors on a rotary stage.",
-    add_completion=False,
+    add_completion=True,
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -41,6 +43,8 @@ app = typer.Typer(
 COMMANDS: dict[str, Callable[..., None]] = {
     "serve": serve.serve,
     "run": run.run,
+    "watch": watch.watch,
+    "resume": resume.resume,
     "rigs": rigs.rigs,
     "import": records.import_,
     "export": records.export,

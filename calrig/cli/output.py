@@ -14,7 +14,6 @@ from calrig.errors import printable
 if TYPE_CHECKING:
     from calrig.instruments.scan import Found
     from calrig.settings import RigSettings
-    from calrig.store import Run
     from calrig.store.moving import Moved
 
 
@@ -23,13 +22,14 @@ def print_json(document: dict[str, Any] | list[dict[str, Any]]) -> None:
     typer.echo(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
 
 
-def print_result(run: Run) -> None:
-    """Prints a run's result, where it has one."""
-    if run.result is not None:
+def print_result(run: dict[str, Any]) -> None:
+    """Prints the result of a run as the API gives it, where it has one, and ends with the verdict."""
+    if run["result"] is not None:
         headings = ("", "value", "u, type A (noise)", "u, type B (stage)")
-        print_table(headings, _rows_of(run.result), title=f"run {run.id}: unit {run.unit} on {run.rig}")
-    if run.verdict is not None:
-        _print_sentences(run.verdict.says)
+        title = f"run {run['id']}: unit {run['unit']} on {run['rig']}"
+        print_table(headings, _rows_of(run["result"]), title=title)
+    if run["verdict"] is not None:
+        _print_sentences(run["verdict"]["says"])
 
 
 def _rows_of(result: dict[str, Any]) -> Iterable[tuple[str, ...]]:

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calrig.cli.input_files import in_utf8, read_bytes
-from calrig.cli.options import COLUMNS, SHORTENED, Db, Rig, UnitSerial
+from calrig.cli.options import COLUMNS, SHORTENED, Db, Rig, Server, UnitSerial
+from calrig.cli.running_service import running_service
 from calrig.cli.typed_ids import whole_id
 from calrig.errors import InputError
 
@@ -38,8 +39,19 @@ def import_(
     unit: UnitSerial,
     rig: Rig = None,
     db: Db = None,
+    server: Server = None,
 ) -> None:
     """Import a CSV of poses as a run and print its id; standard error says whether it is good."""
+    there = running_service(server, db)
+    if there is not None:
+        from calrig.cli.output import print_says
+        from calrig.cli.records_there import imported_there
+
+        record = imported_there(there, file, unit, rig).record
+        typer.echo(record.id)
+        print_says(record.verdict.says if record.verdict else ())
+        return
+
     from calrig.analysis.amendments import Records
     from calrig.analysis.issuing import Issuer, Releases
     from calrig.analysis.limits import keep_configured
@@ -80,20 +92,12 @@ def export(
         Path | None, typer.Option(metavar="DIR", help="Write the poses of all completed runs there.")
     ] = None,
     db: Db = None,
+    server: Server = None,
 ) -> None:
     """Print a calibration as JSON or for another program, or its poses as CSV.
 
     Standard error has its verdict. With --parquet: the poses of all completed runs into files.
     """
-    from calrig.analysis.active_calibration import newest_of_run, wanted_revision
-    from calrig.analysis.exports import NOISE_FORMATS, exported, exported_noise
-    from calrig.analysis.mounts import labels_of
-    from calrig.analysis.stored_runs import counted_poses, stored_run
-    from calrig.cli.output import print_says
-    from calrig.export.poses_csv import write_poses
-    from calrig.settings import store_url
-    from calrig.store import Store
-
     if parquet is not None:
         if run_id is not None or unit is not None:
             raise InputError("export: --parquet writes the poses of all runs: name no run or unit beside it")
@@ -104,6 +108,29 @@ def export(
     if run_id is not None and (run_id.endswith(".json") or Path(run_id).is_file()):
         sys.stdout.write(_of_file(run_id, format_))
         return
+    from calrig.cli.output import print_says
+
+    there = running_service(server, db)
+    if there is not None:
+        from calrig.cli.records_there import exported_there
+
+        text, said = exported_there(there, run_id, unit, format_.value)
+        print_says(said)
+        sys.stdout.write(text)
+        return
+    _export_here(run_id, unit, format_, db)
+
+
+def _export_here(run_id: str | None, unit: str | None, format_: Format, db: str | None) -> None:
+    from calrig.analysis.active_calibration import newest_of_run, wanted_revision
+    from calrig.analysis.exports import NOISE_FORMATS, exported, exported_noise
+    from calrig.analysis.mounts import labels_of
+    from calrig.analysis.stored_runs import counted_poses, stored_run
+    from calrig.cli.output import print_says
+    from calrig.export.poses_csv import write_poses
+    from calrig.settings import store_url
+    from calrig.store import Store
+
     with Store.open(store_url(db), writer=None) as store:
         if run_id is not None:
             run_id = whole_id(store, run_id)
