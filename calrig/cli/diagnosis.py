@@ -10,7 +10,6 @@ import typer
 
 from calrig.cli.input_files import names_a_file, read_log_file, read_poses_file
 from calrig.cli.options import COLUMNS, SHORTENED, AccelRange, Db, Json, Server
-from calrig.cli.progress import late_bar
 from calrig.cli.running_service import running_service, whole_id_there
 from calrig.cli.typed_ids import whole_id
 from calrig.errors import InputError
@@ -82,6 +81,7 @@ def gravity(
 
 def _of_files(files: Sequence[str]) -> dict[str, Any]:
     from calrig.calibration.diagnosis import trace
+    from calrig.cli.progress import late_bar
 
     read = [read_poses_file(Path(file)) for file in files]
     with late_bar("diagnosing") as show:
@@ -91,6 +91,8 @@ def _of_files(files: Sequence[str]) -> dict[str, Any]:
 
 
 def _of_runs(run_ids: Sequence[str], db: str | None, server: str | None) -> dict[str, Any]:
+    from calrig.cli.progress import late_bar
+
     there = running_service(server, db)
     if there is not None:
         *more, last = (whole_id_there(there, typed) for typed in run_ids)
