@@ -21,6 +21,8 @@ const ROUTES = [
   [/^\/limits$/, async (shown) => (await import("./limits.js")).limitsView(shown)],
   [/^\/benches$/, async (shown) => (await import("./benches.js")).benchesView(shown)],
   [/^\/rigs\/([^/]+)$/, async (shown) => (await import("./rig.js")).rigView(shown)],
+  [/^\/solve$/, async (shown) => (await import("./solve.js")).solveView(shown)],
+  [/^\/solve\/([^/]+)$/, async (shown) => (await import("./solution.js")).solutionView(shown)],
   [/^\/import$/, importView],
   [/^\/trail$/, async (shown) => (await import("./trail.js")).trailView(shown)],
   [/^\/users$/, async (shown) => (await import("./users.js")).usersView(shown)],

@@ -26,11 +26,12 @@ def poses_left(solution: Solution) -> dict[str, list[Any]]:
     fit, table = solution.fit, solution.table
     before, left = np.degrees(believing_the_stage(fit).left()), np.degrees(fit.left())
     found = mapped(fit)
-    waves = found.coefficients[:-1]
-    level = (
-        basis(found.stage_deg, np.zeros(len(found.stage_deg)), fit.problem.orders)[:, :-1] @ waves
-    ).mean()
-    on_map = fit.problem.basis()[:, :-1] @ waves - level + left
+
+    def waves(dial_deg: FloatArray) -> FloatArray:
+        series = basis(dial_deg, np.zeros(len(dial_deg)), fit.problem.orders)
+        return np.asarray(series @ found.coefficients)
+
+    on_map = waves(table.dial_deg) - waves(found.stage_deg).mean() + left
     columns = {"dial_deg": table.dial_deg, "on_map_deg": on_map, "before_deg": before, "left_deg": left}
     return {
         "mount": table.mount[fit.kept].tolist(),

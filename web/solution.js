@@ -1,0 +1,201 @@
+// A joint solution: the stage's map before and after, mounts, units, what it cannot tell and what would help.
+
+import { get, post } from "./api.js";
+import { askConfirmation } from "./ask.js";
+import { Chart } from "./charts.js";
+import { fill, h, headings, rigHref, runLink, tableBox, unitLink } from "./dom.js";
+import { fixed, isKnown, moment, plural, plusMinus, range, significant } from "./format.js";
+import { may } from "./me.js";
+import { solveHref } from "./solve.js";
+
+const TITLES = {
+  map: "Map of the stage, two standard errors to each side",
+  before: "Left of the angle, believing the stage",
+  after: "Left with its map",
+};
+
+export async function solutionView({ root, parts: [id], signal }) {
+  const path = `/api/solve/${encodeURIComponent(id)}`;
+  const found = await get(path, signal);
+  const charts = Object.entries(TITLES).map(([name, title]) => [name, new Chart(`solve-${name}`, title, { signal })]);
+  const [[, map], ...left] = charts;
+  fill(
+    root,
+    heading(found),
+    h("section", { class: "card" }, verdict(found), advice(found), figures(found), inForce(found), downloads(found, path)),
+    map.element,
+    h("div", { class: "charts" }, left.map(([, chart]) => chart.element)),
+    card("Mounts", tableBox("Mounts", mountTable(found.mounts))),
+    card("Orders of the map", tableBox("Orders of the map", orderTable(found.stage))),
+    found.units.map((unit) => unitCard(unit, found)),
+  );
+  await Promise.all(charts.map(([name, chart]) => chart.load(`${path}/figures/${name}`)));
+}
+
+const cell = (text) => h("td", { class: "number" }, text);
+const card = (title, ...content) => h("section", { class: "card" }, h("h2", {}, title), content);
+const pairs = (rows) =>
+  h("dl", { class: "figures" }, rows.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))));
+
+function heading({ id, created_at: at, by, rig, runs, linear, periods_deg: periods }) {
+  return h(
+    "div",
+    {},
+    h("h1", { title: id }, "Stage and units solved together"),
+    h(
+      "p",
+      { class: "facts" },
+      rig && h("span", {}, "Rig ", h("a", { href: rigHref(rig) }, rig)),
+      h("span", {}, moment(at), by && ` by ${by}`),
+      linear && h("span", {}, "units stated to be linear"),
+      periods.length > 0 && h("span", {}, `known periods: ${periods.map((deg) => `${deg}°`).join(", ")}`),
+      h("a", { href: solveHref({ rig, runs }) }, "Solve again"),
+    ),
+    h("p", { class: "facts" }, `${plural(runs.length, "run")}: `, runs.map((run) => runLink(run))),
+  );
+}
+
+function verdict({ separable, units, noise, warnings }) {
+  const worst = (unit) => Math.max(...unit.elevation_std_deg.std_deg);
+  const known = units.map(
+    (unit) => `unit ${unit.unit}: ± ${significant(worst(unit), 2, "°")} at most, ${range(...unit.range_deg, 0, "°")}`,
+  );
+  return [
+    h(
+      "div",
+      { class: `verdict ${separable ? "good" : "fair"}`, "data-testid": "solve-verdict" },
+      h(
+        "p",
+        { class: "headline" },
+        separable ? "Stage and units are told apart." : "These poses do not tell stage and units apart.",
+      ),
+      h("p", {}, `Standard error of a calibrated elevation: ${known.slice(0, 5).join("; ")}.`),
+      h("p", {}, `One pose is measured to ${significant(noise.std_deg, 2, "°")}.`),
+    ),
+    warnings.length > 0 &&
+      h(
+        "div",
+        { class: "cautions", "data-testid": "solve-warnings" },
+        h("h3", {}, "Warnings"),
+        h("ul", {}, warnings.map((sentence) => h("li", {}, sentence))),
+      ),
+  ];
+}
+
+/** The mounts that would help, and the plan that has them. */
+function advice({ advice: advised, rig, units }) {
+  if (!advised) return null;
+  const plan = new URLSearchParams({ mounts_deg: advised.mounts_deg.map((deg) => Number(deg.toFixed(2))).join(",") });
+  if (rig) plan.set("rig", rig);
+  if (units.length === 1) plan.set("unit", units[0].unit);
+  return h(
+    "div",
+    { class: "follow-up", "data-testid": "solve-advice" },
+    h("h3", {}, "What would help"),
+    h("p", {}, advised.says),
+    h("p", {}, h("a", { href: `#/?${plan}` }, "Start a run with these mounts")),
+  );
+}
+
+function figures({ before, final, noise, stage, held_out: heldOut, level_known: levelKnown, level_std_deg: level }) {
+  const { error_deg: error } = stage.map;
+  return pairs([
+    ["Held-out RMS, believing the stage", significant(before.held_out_rms_deg, 3, "°")],
+    ["Held-out RMS, with its map", significant(final.held_out_rms_deg, 3, "°")],
+    ["Held out", heldOut.how],
+    ["Noise of a pose", significant(noise.std_deg, 2, "°")],
+    ["Map", `${fixed(Math.min(...error), 3)} to ${fixed(Math.max(...error), 3, "°")}`],
+    ["Play", stage.backlash_deg ? plusMinus(stage.backlash_deg.value, stage.backlash_deg.std, "°") : "not solved for"],
+    ["Level", levelKnown ? `known to ${significant(level, 2, "°")}` : "not known: elevations are relative to their mean"],
+  ]);
+}
+
+/** Offered where stage and units are told apart: a map of anything less would bias whatever it is used for. */
+function inForce({ id, separable, rig }) {
+  if (!separable || !rig || !may("releaser")) return null;
+  const state = h("p", { id: "map-state", class: "muted", role: "status", "aria-live": "polite" });
+  const button = h("button", { type: "button", id: "use-map" }, "Use this map for the rig…");
+  const question = {
+    title: `Use this map for rig ${rig}?`,
+    text: "Runs from now on have it as their reference in place of what the stage's maker says. Earlier ones stay.",
+    action: "Use the map",
+  };
+  button.addEventListener("click", async () => {
+    state.textContent = "";
+    if (await askConfirmation(question, () => putInForce(rig, id)))
+      state.textContent = `It is the map of rig ${rig} from now on.`;
+  });
+  return h("div", { class: "buttons" }, button, state);
+}
+
+async function putInForce(rig, id) {
+  try {
+    await post(`/api/rigs/${encodeURIComponent(rig)}/map`, { solve: id });
+  } catch (error) {
+    if (![404, 405].includes(error.status)) throw error;
+    error.message = `This service keeps no maps of rigs, or no rig ${rig}: download the map, and name it in calrig.toml.`;
+    throw error;
+  }
+}
+
+function downloads({ units }, path) {
+  const link = (href, name, text) => h("a", { href, download: name }, text);
+  return h(
+    "p",
+    { class: "downloads" },
+    units.map(({ unit }) =>
+      link(`${path}/units/${encodeURIComponent(unit)}`, `${unit}.json`, `Calibration of ${unit} (JSON)`),
+    ),
+    link(`${path}/map`, "stage-map.json", "Stage map (JSON)"),
+  );
+}
+
+function mountTable(mounts) {
+  const rows = mounts.map(({ mount, unit, mount_deg: stated, angle_deg: found }) =>
+    h(
+      "tr",
+      {},
+      h("th", { scope: "row" }, mount),
+      h("td", {}, unitLink(unit)),
+      cell(significant(stated, 6, "°")),
+      cell(plusMinus(found.value, found.std, "°")),
+      cell(fixed(((((found.value - stated) % 360) + 540) % 360) - 180, 3, "°")),
+    ),
+  );
+  const head = headings("Mount", "Unit", "#Stated", "#Found", "#Difference");
+  return h("table", { id: "mounts" }, head, h("tbody", {}, rows));
+}
+
+function orderTable({ harmonics }) {
+  const rows = harmonics.map(({ order, amplitude_deg: amplitude, phase_deg: phase, std_deg: std, separable }) =>
+    h(
+      "tr",
+      {},
+      h("th", { scope: "row" }, significant(order, 4)),
+      cell(plusMinus(amplitude, std, "°")),
+      cell(fixed(phase, 1, "°")),
+      h("td", {}, separable ? "yes" : "no: from the units, or other orders"),
+    ),
+  );
+  const head = headings("Order", "#Amplitude", "#Phase", "Told apart");
+  return h("table", { id: "orders" }, head, h("tbody", {}, rows));
+}
+
+function unitCard({ unit, parameters, range_deg: bounds, elevation_std_deg: worth, accelerometer }, { level_known: level }) {
+  const rows = Object.entries(parameters).map(([name, { value, std }]) =>
+    h("tr", {}, h("th", { scope: "row" }, name), cell(significant(value, 4)), cell(isKnown(std) ? significant(std, 2) : "–")),
+  );
+  const [least, most] = [Math.min(...worth.std_deg), Math.max(...worth.std_deg)];
+  return h(
+    "section",
+    { class: "card", "data-unit": unit },
+    h("h2", {}, "Unit ", unitLink(unit)),
+    pairs([
+      ["Standard error of an elevation", `${significant(least, 2)} to ${significant(most, 2, "°")}`],
+      ["Over", range(...bounds, 0, "°")],
+      ["Of", level ? "elevation" : "elevation less its mean over the range"],
+      accelerometer && ["Accelerometer", `bias ${accelerometer.bias_g.map((g) => fixed(1000 * g, 2)).join(", ")} mg`],
+    ].filter(Boolean)),
+    tableBox(`Parameters of unit ${unit}`, h("table", {}, headings("Parameter", "#Value", "#Standard error"), h("tbody", {}, rows))),
+  );
+}
