@@ -9,7 +9,6 @@ import { startView } from "./start.js";
 import { runView } from "./run.js";
 import { stopButtons } from "./stop.js";
 import { importView } from "./import.js";
-import { noiseView } from "./noise.js";
 
 const ROUTES = [
   [/^\/$/, startView],
@@ -26,8 +25,8 @@ const ROUTES = [
   [/^\/import$/, importView],
   [/^\/trail$/, async (shown) => (await import("./trail.js")).trailView(shown)],
   [/^\/users$/, async (shown) => (await import("./users.js")).usersView(shown)],
-  [/^\/noise$/, noiseView],
-  [/^\/noise\/([^/]+)$/, noiseView],
+  [/^\/noise$/, async (shown) => (await import("./noise.js")).noiseView(shown)],
+  [/^\/noise\/([^/]+)$/, async (shown) => (await import("./noise.js")).noiseView(shown)],
 ];
 
 const root = document.getElementById("view");

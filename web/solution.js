@@ -3,11 +3,27 @@
 import { get, post } from "./api.js";
 import { askConfirmation } from "./ask.js";
 import { Chart } from "./charts.js";
-import { fill, h, headings, rigHref, runLink, tableBox, unitLink } from "./dom.js";
+import { fill, h, headings, rigHref, runLink, solveHref, tableBox, unitLink } from "./dom.js";
 import { fixed, isKnown, moment, plural, plusMinus, range, significant } from "./format.js";
 import { may } from "./me.js";
-import { solveHref } from "./solve.js";
 
+const NAMED = 12; // of the runs
+/** What parameters of CONTRACT section 8 are called, and their units. */
+const PARAMETERS = {
+  y_mg: ["Offset of y", "mg"],
+  z_mg: ["Offset of z", "mg"],
+  gain_pct: ["Gain of y against z", "%"],
+  skew_deg: ["Skew of y against z", "°"],
+  y_mg_per_g2: ["Quadratic term of y", "mg/g²"],
+  y_mg_per_g3: ["Cubic term of y", "mg/g³"],
+  z_mg_per_g2: ["Quadratic term of z", "mg/g²"],
+  z_mg_per_g3: ["Cubic term of z", "mg/g³"],
+  y_mg_per_c: ["Offset of y, per °C", "mg/°C"],
+  z_mg_per_c: ["Offset of z, per °C", "mg/°C"],
+  reference_c: ["At", "°C"],
+  deg_per_deg2: ["Quadratic term of the angle", "°/°²"],
+  deg_per_deg3: ["Cubic term of the angle", "°/°³"],
+};
 const TITLES = {
   map: "Map of the stage, two standard errors to each side",
   before: "Left of the angle, believing the stage",
@@ -22,18 +38,29 @@ export async function solutionView({ root, parts: [id], signal }) {
   fill(
     root,
     heading(found),
-    h("section", { class: "card" }, verdict(found), advice(found), figures(found), inForce(found), downloads(found, path)),
+    h(
+      "section",
+      { class: "card solution", "aria-labelledby": "told-title" },
+      h("h2", { id: "told-title" }, "What these poses tell"),
+      verdict(found),
+      advice(found),
+      figures(found),
+      inForce(found),
+      h("p", { class: "downloads" }, download(`${path}/map`, "stage-map.json", "Stage map (JSON)")),
+    ),
     map.element,
     h("div", { class: "charts" }, left.map(([, chart]) => chart.element)),
     card("Mounts", tableBox("Mounts", mountTable(found.mounts))),
     card("Orders of the map", tableBox("Orders of the map", orderTable(found.stage))),
-    found.units.map((unit) => unitCard(unit, found)),
+    found.units.map((unit) => unitCard(unit, found, path)),
   );
   await Promise.all(charts.map(([name, chart]) => chart.load(`${path}/figures/${name}`)));
 }
 
+const download = (href, name, text) => h("a", { href, download: name }, text);
 const cell = (text) => h("td", { class: "number" }, text);
 const card = (title, ...content) => h("section", { class: "card" }, h("h2", {}, title), content);
+const short = (value) => fixed(value, 3).replace(/\.?0+$/, "");
 const pairs = (rows) =>
   h("dl", { class: "figures" }, rows.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))));
 
@@ -51,7 +78,13 @@ function heading({ id, created_at: at, by, rig, runs, linear, periods_deg: perio
       periods.length > 0 && h("span", {}, `known periods: ${periods.map((deg) => `${deg}°`).join(", ")}`),
       h("a", { href: solveHref({ rig, runs }) }, "Solve again"),
     ),
-    h("p", { class: "facts" }, `${plural(runs.length, "run")}: `, runs.map((run) => runLink(run))),
+    h(
+      "p",
+      { class: "facts" },
+      `${plural(runs.length, "run")}: `,
+      runs.slice(0, NAMED).map((run) => runLink(run)),
+      runs.length > NAMED && `and ${runs.length - NAMED} more`,
+    ),
   );
 }
 
@@ -138,30 +171,19 @@ async function putInForce(rig, id) {
   }
 }
 
-function downloads({ units }, path) {
-  const link = (href, name, text) => h("a", { href, download: name }, text);
-  return h(
-    "p",
-    { class: "downloads" },
-    units.map(({ unit }) =>
-      link(`${path}/units/${encodeURIComponent(unit)}`, `${unit}.json`, `Calibration of ${unit} (JSON)`),
-    ),
-    link(`${path}/map`, "stage-map.json", "Stage map (JSON)"),
-  );
-}
-
 function mountTable(mounts) {
-  const rows = mounts.map(({ mount, unit, mount_deg: stated, angle_deg: found }) =>
-    h(
+  const rows = mounts.map(({ mount, unit, mount_deg: stated, angle_deg: found }) => {
+    const apart = ((((found.value - stated + 180) % 360) + 360) % 360) - 180;
+    return h(
       "tr",
       {},
       h("th", { scope: "row" }, mount),
       h("td", {}, unitLink(unit)),
-      cell(significant(stated, 6, "°")),
-      cell(plusMinus(found.value, found.std, "°")),
-      cell(fixed(((((found.value - stated) % 360) + 540) % 360) - 180, 3, "°")),
-    ),
-  );
+      cell(`${short(stated)}°`),
+      cell(plusMinus(stated + apart, found.std, "°")),
+      cell(fixed(apart, 3, "°")),
+    );
+  });
   const head = headings("Mount", "Unit", "#Stated", "#Found", "#Difference");
   return h("table", { id: "mounts" }, head, h("tbody", {}, rows));
 }
@@ -171,7 +193,7 @@ function orderTable({ harmonics }) {
     h(
       "tr",
       {},
-      h("th", { scope: "row" }, significant(order, 4)),
+      h("th", { scope: "row" }, short(order)),
       cell(plusMinus(amplitude, std, "°")),
       cell(fixed(phase, 1, "°")),
       h("td", {}, separable ? "yes" : "no: from the units, or other orders"),
@@ -181,21 +203,38 @@ function orderTable({ harmonics }) {
   return h("table", { id: "orders" }, head, h("tbody", {}, rows));
 }
 
-function unitCard({ unit, parameters, range_deg: bounds, elevation_std_deg: worth, accelerometer }, { level_known: level }) {
-  const rows = Object.entries(parameters).map(([name, { value, std }]) =>
-    h("tr", {}, h("th", { scope: "row" }, name), cell(significant(value, 4)), cell(isKnown(std) ? significant(std, 2) : "–")),
-  );
+function unitCard(found, { level_known: level, units }, path) {
+  const { unit, parameters, range_deg: bounds, elevation_std_deg: worth, accelerometer } = found;
   const [least, most] = [Math.min(...worth.std_deg), Math.max(...worth.std_deg)];
+  const said = [
+    ["Standard error of an elevation", `${significant(least, 2)} to ${significant(most, 2, "°")}`],
+    ["Over", range(...bounds, 0, "°")],
+    ["Of", level ? "elevation" : "elevation less its mean over the range"],
+  ];
+  if (accelerometer) said.push(["Bias of x, y, z", `${accelerometer.bias_g.map((g) => fixed(1000 * g, 2)).join(", ")} mg`]);
+  const table = tableBox(`Parameters of unit ${unit}`, parameterTable(parameters));
+  const file = download(`${path}/units/${encodeURIComponent(unit)}`, `${unit}.json`, "Calibration (JSON)");
   return h(
     "section",
-    { class: "card", "data-unit": unit },
+    { class: "card solution", "data-unit": unit },
     h("h2", {}, "Unit ", unitLink(unit)),
-    pairs([
-      ["Standard error of an elevation", `${significant(least, 2)} to ${significant(most, 2, "°")}`],
-      ["Over", range(...bounds, 0, "°")],
-      ["Of", level ? "elevation" : "elevation less its mean over the range"],
-      accelerometer && ["Accelerometer", `bias ${accelerometer.bias_g.map((g) => fixed(1000 * g, 2)).join(", ")} mg`],
-    ].filter(Boolean)),
-    tableBox(`Parameters of unit ${unit}`, h("table", {}, headings("Parameter", "#Value", "#Standard error"), h("tbody", {}, rows))),
+    pairs(said),
+    units.length > 3 ? h("details", {}, h("summary", {}, "Parameters"), table) : table,
+    h("p", { class: "downloads" }, file),
   );
+}
+
+function parameterTable(parameters) {
+  const rows = Object.entries(parameters).map(([name, { value, std }]) => {
+    const [title, unit] = PARAMETERS[name] ?? [name.replaceAll("_", " "), ""];
+    return h(
+      "tr",
+      {},
+      h("th", { scope: "row" }, title),
+      cell(significant(value, 4)),
+      cell(isKnown(std) ? significant(std, 2) : "–"),
+      h("td", {}, unit),
+    );
+  });
+  return h("table", {}, headings("Parameter", "#Value", "#Standard error", "Unit"), h("tbody", {}, rows));
 }

@@ -14,18 +14,12 @@ const WORDS = {
   share: "it is done",
 };
 
-/** The address of this view with a rig, and with runs or a unit ticked. */
-export function solveHref({ rig, runs = [], unit = null }) {
-  const asked = new URLSearchParams([...(rig ? [["rig", rig]] : []), ...runs.map((id) => ["run", id])]);
-  if (unit) asked.set("unit", unit);
-  return `#/solve?${asked}`;
-}
-
 export async function solveView({ root, query, signal }) {
   const rigs = await get("/api/rigs", signal);
   const form = new SolveForm(rigs, query, signal);
+  await form.show();
   fill(root, h("h1", {}, "Solve stage and units together"), intro(), form.element, form.earlier);
-  await form.begin();
+  form.resume();
 }
 
 function intro() {
@@ -54,7 +48,7 @@ class SolveForm {
     this.work = new LongWork("solve", WORDS, signal);
     this.earlier = h("section", { class: "card", "aria-labelledby": "earlier-title" });
     this.element = this.#form();
-    this.rig.addEventListener("change", () => this.#show());
+    this.rig.addEventListener("change", () => this.show().catch((problem) => this.error.say(problem)));
   }
 
   #form() {
@@ -80,11 +74,11 @@ class SolveForm {
   #choices() {
     const tick = (text, isWanted) =>
       h("button", { type: "button", class: "small", on: { click: () => this.#tick(isWanted) } }, text);
-    return h("p", { class: "buttons" }, tick("All", () => true), tick("None", () => false));
+    return h("p", { class: "buttons ticks" }, tick("All", () => true), tick("None", () => false));
   }
 
-  async begin() {
-    await this.#show();
+  /** Goes on with what was asked for before the person went elsewhere. */
+  resume() {
     if (!LongWork.isUnderWay(ADDRESS)) return;
     this.button.disabled = true;
     this.#carryOut(() => this.work.resume(ADDRESS))
@@ -93,7 +87,7 @@ class SolveForm {
   }
 
   /** The runs and the solutions of the rig that is chosen. */
-  async #show() {
+  async show() {
     const rig = this.rig.value;
     const asked = new URLSearchParams({ rig, status: "completed", limit: LISTED });
     const [{ items, next_cursor: more }, solutions] = await Promise.all([
@@ -139,7 +133,7 @@ function runTable(runs) {
       h("td", {}, h("input", { type: "checkbox", value: run.id, "aria-label": `Run ${run.id} of unit ${run.unit}` })),
       h("th", { scope: "row" }, runLink(run.id)),
       h("td", {}, unitLink(run.unit)),
-      h("td", {}, anglesOf(run)?.map((angle) => `${angle}°`).join(", ") ?? "as its poses say"),
+      h("td", {}, anglesOf(run)?.map((angle) => `${angle}°`).join(", ") ?? "as its file says"),
       h("td", { class: "number" }, run.result.n_poses),
       h("td", {}, moment(run.finished_at)),
     ),
@@ -162,6 +156,6 @@ function earlier(solutions) {
       h("td", { class: "number" }, significant(one.final.held_out_rms_deg, 3, "°")),
     ),
   );
-  const head = headings("Solved", "Units", "#Runs", "Told apart", "#Believing the stage", "#With its map");
+  const head = headings("Solved", "Units", "#Runs", "Told apart", "#RMS believing the stage", "#RMS with its map");
   return tableBox("Earlier solutions", h("table", { id: "solutions-table" }, head, h("tbody", {}, rows)));
 }

@@ -18,7 +18,7 @@ export function suggested(runs, { runs: named, unit }) {
   if (unit) return { ids: of(runs, unit), says: `All runs of unit ${unit} on this rig are ticked.` };
   const best = ranked(runs)[0];
   if (best.mounts > 1)
-    return { ids: of(runs, best.unit), says: `Suggested: unit ${best.unit}, clamped at ${best.words}.` };
+    return { ids: of(runs, best.unit), says: `Suggested: unit ${best.unit} (${best.words}).` };
   const says =
     "No unit was clamped at several angles: of one mount, stage and unit come apart only where the unit is stated to " +
     "be linear. Take a run with the unit turned by 120°, and one at 240°.";
@@ -40,9 +40,9 @@ function ranked(runs) {
     units.set(run.unit, one);
   }
   const counted = [...units.values()].map(({ unit, angles, files }) => {
-    const planned = [...angles].map((angle) => `${angle}°`).join(", ");
-    const words = [planned, files && `what its ${plural(files, "file")} say`].filter(Boolean).join(" and ");
-    return { unit, words, mounts: angles.size + files };
+    const planned = angles.size > 0 && `clamped at ${[...angles].map((angle) => `${angle}°`).join(", ")}`;
+    const read = files > 0 && `${plural(files, "file")}, each perhaps clamped at another angle`;
+    return { unit, words: [planned, read].filter(Boolean).join("; "), mounts: angles.size + files };
   });
   return counted.sort((a, b) => b.mounts - a.mounts);
 }

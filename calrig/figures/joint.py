@@ -7,6 +7,7 @@ from typing import Any
 
 from calrig.figures.files import Rows
 from calrig.figures.parts import GREY, PALETTE, Figure, as_text, band_of, colours_of, layout_of, line_of
+from calrig.figures.runs import MAX_POINTS
 
 DIAL = "dial of the stage (°)"
 CAPTIONS = {
@@ -54,11 +55,13 @@ def _map(document: Mapping[str, Any], poses: Mapping[str, Sequence[Any]]) -> Fig
 def _points(
     document: Mapping[str, Any], poses: Mapping[str, Sequence[Any]], values_deg: Sequence[float]
 ) -> list[dict[str, Any]]:
-    """The poses of each mount."""
+    """The poses of each mount, at most `MAX_POINTS` of all; where mounts are many, some are named."""
+    stride = max(1, -(-len(values_deg) // MAX_POINTS))
     names = [f"{mount['unit']}, {mount['mount']}" for mount in document["mounts"]]
     colours = colours_of(names)
     of_mount: list[tuple[list[float], list[float]]] = [([], []) for _ in names]
-    for mount, dial_deg, value_deg in zip(poses["mount"], poses["dial_deg"], values_deg, strict=True):
+    columns = (poses["mount"], poses["dial_deg"], values_deg)
+    for mount, dial_deg, value_deg in zip(*(column[::stride] for column in columns), strict=True):
         of_mount[mount][0].append(dial_deg)
         of_mount[mount][1].append(value_deg)
     return [
@@ -66,9 +69,10 @@ def _points(
             "type": "scatter",
             "mode": "markers",
             "name": as_text(name),
+            "showlegend": colours[name] != GREY,
             "x": x,
             "y": y,
-            "marker": {"color": colours.get(name, GREY), "size": 5},
+            "marker": {"color": colours[name], "size": 5},
         }
         for name, (x, y) in zip(names, of_mount, strict=True)
     ]
