@@ -8,6 +8,7 @@ import { fixed, isKnown, moment, plural, plusMinus, range, significant } from ".
 import { may } from "./me.js";
 
 const NAMED = 12; // of the runs
+const SAID = 5; // of the units
 /** What parameters of CONTRACT section 8 are called, and their units. */
 const PARAMETERS = {
   y_mg: ["Offset of y", "mg"],
@@ -88,21 +89,29 @@ function heading({ id, created_at: at, by, rig, runs, linear, periods_deg: perio
   );
 }
 
-function verdict({ separable, units, noise, warnings }) {
+/** Whether the map foretells held-out poses better than believing the stage does. */
+const isBetter = ({ before, final }) => final.held_out_rms_deg < before.held_out_rms_deg;
+
+function headline(found) {
+  if (!found.separable) return "These poses do not tell stage and units apart.";
+  return isBetter(found)
+    ? "Stage and units are told apart."
+    : "Stage and units are told apart, but the map does not foretell what was held out.";
+}
+
+function verdict(found) {
+  const { separable, units, noise, warnings } = found;
   const worst = (unit) => Math.max(...unit.elevation_std_deg.std_deg);
   const known = units.map(
     (unit) => `unit ${unit.unit}: ± ${significant(worst(unit), 2, "°")} at most, ${range(...unit.range_deg, 0, "°")}`,
   );
+  const more = units.length > SAID ? `; ${plural(units.length - SAID, "more unit")} below` : "";
   return [
     h(
       "div",
-      { class: `verdict ${separable ? "good" : "fair"}`, "data-testid": "solve-verdict" },
-      h(
-        "p",
-        { class: "headline" },
-        separable ? "Stage and units are told apart." : "These poses do not tell stage and units apart.",
-      ),
-      h("p", {}, `Standard error of a calibrated elevation: ${known.slice(0, 5).join("; ")}.`),
+      { class: `verdict ${separable && isBetter(found) ? "good" : "fair"}`, "data-testid": "solve-verdict" },
+      h("p", { class: "headline" }, headline(found)),
+      h("p", {}, `Standard error of a calibrated elevation: ${known.slice(0, SAID).join("; ")}${more}.`),
       h("p", {}, `One pose is measured to ${significant(noise.std_deg, 2, "°")}.`),
     ),
     warnings.length > 0 &&
@@ -118,7 +127,7 @@ function verdict({ separable, units, noise, warnings }) {
 /** The mounts that would help, and the plan that has them. */
 function advice({ advice: advised, rig, units }) {
   if (!advised) return null;
-  const plan = new URLSearchParams({ mounts_deg: advised.mounts_deg.map((deg) => Number(deg.toFixed(2))).join(",") });
+  const plan = new URLSearchParams({ mounts: advised.mounts_deg.map((deg) => Number(deg.toFixed(2))).join(",") });
   if (rig) plan.set("rig", rig);
   if (units.length === 1) plan.set("unit", units[0].unit);
   return h(
@@ -144,13 +153,16 @@ function figures({ before, final, noise, stage, held_out: heldOut, level_known: 
 }
 
 /** Offered where stage and units are told apart: a map of anything less would bias whatever it is used for. */
-function inForce({ id, separable, rig }) {
-  if (!separable || !rig || !may("releaser")) return null;
+function inForce(found) {
+  const { id, separable, rig } = found;
+  if (!separable || !rig || !may("admin")) return null;
   const state = h("p", { id: "map-state", class: "muted", role: "status", "aria-live": "polite" });
   const button = h("button", { type: "button", id: "use-map" }, "Use this map for the rig…");
   const question = {
     title: `Use this map for rig ${rig}?`,
-    text: "Runs from now on have it as their reference in place of what the stage's maker says. Earlier ones stay.",
+    text:
+      "Runs from now on have it as their reference in place of what the stage's maker says. Earlier ones stay." +
+      (isBetter(found) ? "" : " Held-out poses are foretold no better with it: something else moved between these runs."),
     action: "Use the map",
   };
   button.addEventListener("click", async () => {

@@ -10,13 +10,9 @@ import { stagePlace } from "./stageplace.js";
 
 const OPERATOR_KEY = "calrig.operator";
 
-// fields that an address may fill in: a plan that somebody was advised to take
-const ASKED = ["rig", "unit", "mounts_deg"];
-
-export async function startView({ root, query, signal }) {
+export async function startView({ root, signal }) {
   const rigs = await get("/api/rigs", signal);
   const { form, place } = startForm(rigs, signal);
-  fillIn(form, query);
   const rigList = h("ul", { class: "rigs", "data-testid": "rigs" });
   const runs = runList(rigs, signal);
   showRigs(rigList, rigs);
@@ -100,13 +96,6 @@ function startForm(rigs, signal) {
   };
   onSubmit(form, start, error, send);
   return { form, place };
-}
-
-function fillIn(form, query) {
-  for (const name of ASKED) {
-    const input = form.elements.namedItem(name);
-    if (input && query.has(name)) input.value = query.get(name);
-  }
 }
 
 function showRigs(list, rigs) {

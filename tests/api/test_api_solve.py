@@ -8,10 +8,9 @@ import json
 import plotly.graph_objects as go
 import pytest
 from clamped import clamped
-from endless_work import for_ever, working
-from support import POSES, imported, wait_for
+from support import LONG, POSES, imported, wait_for
 
-from calrig.api import heavy, solve
+from calrig.api import heavy
 
 
 @pytest.fixture(scope="module")
@@ -89,10 +88,11 @@ def test_what_cannot_be_solved_is_refused_with_the_reason(shared_client, runs):
     assert shared_client.get("/api/solve/nothing").status_code == 404
 
 
-def test_a_run_that_goes_on_is_not_solved(client):
-    begun = client.post("/api/runs", json={"unit": "A", "plan": {"sweeps": 300}}).json()
-    answer = client.post("/api/solve", json={"runs": [begun["id"]]})
+def test_a_run_that_goes_on_is_not_solved(shared_client):
+    begun = shared_client.post("/api/runs", json={"unit": "A", "plan": LONG}).json()
+    answer = shared_client.post("/api/solve", json={"runs": [begun["id"]]})
     assert (answer.status_code, "end it first" in answer.json()["detail"]) == (409, True)
+    shared_client.post(f"/api/runs/{begun['id']}/abort").raise_for_status()
 
 
 def test_who_does_not_wait_has_a_job_that_says_where_the_solution_is(shared_client, runs, monkeypatch):
@@ -102,11 +102,3 @@ def test_who_does_not_wait_has_a_job_that_says_where_the_solution_is(shared_clie
     wait_for(lambda: shared_client.get(job).json()["state"] == "done", "end")
     found = shared_client.get(shared_client.get(job).json()["result"]).json()
     assert (found["linear"], found["runs"]) == (True, runs)
-    before = shared_client.get("/api/solve").json()
-    monkeypatch.setattr(solve, "answer", for_ever)
-    job = shared_client.post("/api/solve?wait=false", json=body).headers["Location"]
-    wait_for(working, "its beginning")
-    shared_client.delete(job).raise_for_status()
-    assert shared_client.get(job).json()["state"] == "cancelled"
-    assert not working()
-    assert shared_client.get("/api/solve").json() == before

@@ -65,8 +65,8 @@ def test_one_mount_leads_to_a_run_with_those_that_help(page, client, go, expect)
     expect(page.locator("#use-map")).to_have_count(0)
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     page.get_by_role("link", name="Start a run with these mounts").click()
-    expect(page.locator("#unit")).to_have_value("CLAMPED-1")
-    assert "mounts_deg=0%2C120%2C240" in page.url
+    expect(page.get_by_role("heading", name="Calibrate a unit")).to_be_visible()
+    assert "?mounts=0%2C120%2C240&rig=bench-1&unit=CLAMPED-1" in page.url
     go("#/rigs/bench-1")
     page.get_by_role("link", name="Solve its stage and its units together").click()
     expect(page.locator("#solutions-table tbody tr").first).to_contain_text("CLAMPED-1")
