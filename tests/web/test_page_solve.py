@@ -63,7 +63,8 @@ def test_one_mount_leads_to_a_run_with_those_that_help(page, client, go, expect)
     page.click("#solve")
     expect(page.get_by_test_id("solve-verdict")).to_contain_text("do not tell stage and units apart")
     expect(page.locator("#use-map")).to_have_count(0)
-    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    expect(page.locator(".plot .plot-container")).to_have_count(3)
+    page.wait_for_function("document.documentElement.scrollWidth <= 390")
     page.get_by_role("link", name="Start a run with these mounts").click()
     expect(page.get_by_role("heading", name="Calibrate a unit")).to_be_visible()
     assert "?mounts=0%2C120%2C240&rig=bench-1&unit=CLAMPED-1" in page.url
@@ -78,7 +79,7 @@ def test_what_takes_long_is_cancelled_and_keeps_nothing(page, client, go, expect
     before = client.get("/api/solve").json()
     go(f"#/solve?rig=bench-1&run={runs[0]}")
     page.click("#solve")
-    expect(page.locator("#solve-says")).to_contain_text("Solving for the stage's map")
+    page.wait_for_function("sessionStorage.getItem('/api/solve')")  # the service has named it
     page.reload()
     expect(page.locator("#solve-says")).to_contain_text("Solving for the stage's map")
     page.click("#solve-cancel")
