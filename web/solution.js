@@ -184,19 +184,20 @@ async function putInForce(rig, id) {
 }
 
 function mountTable(mounts) {
-  const rows = mounts.map(({ mount, unit, mount_deg: stated, angle_deg: found }) => {
+  const rows = mounts.map(({ mount, unit, mount_axis: axis = "x", mount_deg: stated, angle_deg: found }) => {
     const apart = ((((found.value - stated + 180) % 360) + 360) % 360) - 180;
     return h(
       "tr",
       {},
       h("th", { scope: "row" }, mount),
       h("td", {}, unitLink(unit)),
+      h("td", {}, axis),
       cell(`${short(stated)}°`),
       cell(plusMinus(stated + apart, found.std, "°")),
       cell(fixed(apart, 3, "°")),
     );
   });
-  const head = headings("Mount", "Unit", "#Stated", "#Found", "#Difference");
+  const head = headings("Mount", "Unit", "Axis along the stage's", "#Stated", "#Found", "#Difference");
   return h("table", { id: "mounts" }, head, h("tbody", {}, rows));
 }
 
@@ -216,14 +217,14 @@ function orderTable({ harmonics }) {
 }
 
 function unitCard(found, { level_known: level, units }, path) {
-  const { unit, parameters, range_deg: bounds, elevation_std_deg: worth, accelerometer } = found;
+  const { unit, parameters, range_deg: bounds, elevation_std_deg: worth, accelerometer, gyro } = found;
   const [least, most] = [Math.min(...worth.std_deg), Math.max(...worth.std_deg)];
   const said = [
     ["Standard error of an elevation", `${significant(least, 2)} to ${significant(most, 2, "°")}`],
     ["Over", range(...bounds, 0, "°")],
     ["Of", level ? "elevation" : "elevation less its mean over the range"],
   ];
-  if (accelerometer) said.push(["Bias of x, y, z", `${accelerometer.bias_g.map((g) => fixed(1000 * g, 2)).join(", ")} mg`]);
+  if (found.level) said.push(["Sensor in its case", plusMinus(found.level.deg.value, found.level.deg.std, "°")]);
   const table = tableBox(`Parameters of unit ${unit}`, parameterTable(parameters));
   const file = download(`${path}/units/${encodeURIComponent(unit)}`, `${unit}.json`, "Calibration (JSON)");
   return h(
@@ -232,6 +233,8 @@ function unitCard(found, { level_known: level, units }, path) {
     h("h2", {}, "Unit ", unitLink(unit)),
     pairs(said),
     units.length > 3 ? h("details", {}, h("summary", {}, "Parameters"), table) : table,
+    accelerometer && axes(`Accelerometer of ${unit}`, "Bias, mg", accelerometer.bias_g.map((g) => 1000 * g), accelerometer.matrix),
+    gyro && axes(`Gyro of ${unit}`, "Bias, °/s", gyro.bias_dps, gyro.matrix),
     h("p", { class: "downloads" }, file),
   );
 }
@@ -249,4 +252,19 @@ function parameterTable(parameters) {
     );
   });
   return h("table", {}, headings("Parameter", "#Value", "#Standard error", "Unit"), h("tbody", {}, rows));
+}
+
+/** Bias and matrix of a sensor of three axes: true = matrix·(raw − bias). */
+function axes(title, name, bias, matrix) {
+  const rows = ["x", "y", "z"].map((axis, k) =>
+    h(
+      "tr",
+      {},
+      h("th", { scope: "row" }, axis),
+      cell(significant(bias?.[k], 4)),
+      [0, 1, 2].map((column) => cell(significant(matrix?.[k][column], 6))),
+    ),
+  );
+  const head = headings("Axis", `#${name}`, "#Matrix, x", "#y", "#z");
+  return tableBox(title, h("table", {}, h("caption", {}, title), head, h("tbody", {}, rows)));
 }

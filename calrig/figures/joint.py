@@ -35,7 +35,7 @@ def joint_figure(name: str, document: Mapping[str, Any], poses: Mapping[str, Seq
     """
     if name == "map":
         return _map(document, poses)
-    most = 1.05 * max(map(abs, poses["before_deg"]))
+    most = 1.05 * max(map(abs, poses["before_deg"]), default=1.0)
     layout = layout_of(DIAL, "angle measured less expected (°)")
     layout["yaxis"]["range"] = [-most, most]
     values = poses["before_deg" if name == "before" else "left_deg"]
