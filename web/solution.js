@@ -216,13 +216,13 @@ function orderTable({ harmonics }) {
   return h("table", { id: "orders" }, head, h("tbody", {}, rows));
 }
 
-function unitCard(found, { level_known: level, units }, path) {
+function unitCard(found, { units }, path) {
   const { unit, parameters, range_deg: bounds, elevation_std_deg: worth, accelerometer, gyro } = found;
   const [least, most] = [Math.min(...worth.std_deg), Math.max(...worth.std_deg)];
   const said = [
     ["Standard error of an elevation", `${significant(least, 2)} to ${significant(most, 2, "°")}`],
     ["Over", range(...bounds, 0, "°")],
-    ["Of", level ? "elevation" : "elevation less its mean over the range"],
+    ["Of", isKnown(found.level?.deg.std) ? "elevation" : "elevation less its mean over the range"],
   ];
   if (found.level) said.push(["Sensor in its case", plusMinus(found.level.deg.value, found.level.deg.std, "°")]);
   const table = tableBox(`Parameters of unit ${unit}`, parameterTable(parameters));
