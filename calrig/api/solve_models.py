@@ -125,15 +125,15 @@ class _Kept(Answer):
     runs: list[str]
     linear: bool
     periods_deg: list[float]
-    separable: bool
-    before: HeldOutRms
-    final: HeldOutRms
 
 
 class ListedSolution(_Kept):
     """A solution in a list; `units` are serials."""
 
     units: list[str]
+    separable: bool
+    before: HeldOutRms
+    final: HeldOutRms
 
 
 class SolutionAnswer(_Kept, Joint):
@@ -142,8 +142,11 @@ class SolutionAnswer(_Kept, Joint):
     units: list[SolvedUnit]
     stage: Stage
     mounts: list[SolvedMount]
+    separable: bool
     advice: Advice | None
     held_out: dict[str, Any]
+    before: HeldOutRms
+    final: HeldOutRms
     noise: dict[str, float]
     level_known: bool
     level_std_deg: float | None
