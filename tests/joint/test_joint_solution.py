@@ -172,7 +172,7 @@ def test_the_noise_is_found_and_shrinks_with_the_poses(bench, scale):
 
 def test_a_parameter_that_the_data_tell_is_not_held_back_by_what_was_known_before(bench):
     solution = solved(bench, 0, linear=False)
-    free = solution.fit.problem.free()
+    free = solution.fit.problem.free
     own = np.flatnonzero(free[: solution.fit.problem.first_mount])
     stds = np.sqrt(np.diag(solution.fit.covariance))[own]
     assert (stds < 0.02 * solution.fit.problem.widths()[own]).all()
@@ -252,5 +252,9 @@ def test_too_few_poses_and_other_axes_are_refused(lots):
         solve([replace(lots[0], poses=lots[0].poses[:4])])
     with pytest.raises(DiagnosisError, match="12 poses are too few for 20 parameters"):
         solve([replace(lot, poses=lot.poses[:4]) for lot in lots])
-    with pytest.raises(DiagnosisError, match="mount m0 has its axis -x along the stage's"):
+    with pytest.raises(DiagnosisError, match=r"m0 .*other way round \(mount_axis x\)"):
         solve([replace(lots[0], axis="-x"), *lots[1:]])
+    with pytest.raises(DiagnosisError, match="mount m0 of unit U0 has its axis z along the stage's"):
+        solve([replace(lots[0], axis="z"), *lots[1:]])
+    with pytest.raises(DiagnosisError, match="mount m1 of unit U0: mount_axis is 'left', which is none of"):
+        solve([lots[0], replace(lots[1], axis="left"), lots[2]])

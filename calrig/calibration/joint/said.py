@@ -46,23 +46,43 @@ def sentences(solution: Solution, on_stage: Mapped) -> list[str]:
     """All that is to be said, the weightiest first."""
     units = range(len(solution.table.units))
     said = [_not_separable(solution, unit) for unit in units if not solution.is_separable(unit)]
+    said += _of_levels(solution)
     said += [*_of_linear(solution), *_of_mounts(solution, on_stage), *_of_sources(solution)]
     return [*said, *_of_dial(solution), *_of_columns(solution), *_of_readings(solution)]
 
 
 def _not_separable(solution: Solution, unit: int) -> str:
     worth, problem = solution.worths[unit], solution.fit.problem
-    widths = problem.widths()
-    scaled = worth.by_parameters * widths
-    size, turn = np.linalg.eigh(solution.fit.covariance / np.outer(widths, widths))
+    at = np.concatenate([problem.blocks[unit], problem.border])
+    widths = problem.widths()[at]
+    scaled = worth.by_parameters[:, at] * widths
+    size, turn = np.linalg.eigh(solution.fit.covariance_at(at) / np.outer(widths, widths))
     direction = turn[:, int(np.argmax(size * ((scaled @ turn) ** 2).sum(axis=0)))]
     weights = np.abs(direction)
-    named = [_title(problem, int(k)) for k in np.argsort(-weights) if weights[k] > SHARE * weights.max()]
+    named = [_title(problem, int(at[k])) for k in np.argsort(-weights) if weights[k] > SHARE * weights.max()]
     return (
         f"unit {solution.table.units[unit]}: its elevation is known to {worth.rms_deg:.2g}° only, where one "
         f"pose is measured to {solution.noise_deg:.2g}°: these poses do not tell apart "
         f"{', '.join(dict.fromkeys(named))}"
     )
+
+
+def _of_levels(solution: Solution) -> list[str]:
+    """What is missing of the level of a unit that was reversed, and what the clampings contradict."""
+    said = []
+    for serial, level in zip(solution.table.units, solution.levels, strict=True):
+        if level is not None and not level.is_known:
+            said.append(
+                f"unit {serial} was reversed, which has its level at {level.value_deg:+.3f}°, but nothing "
+                "says how well face and seat repeat: state it (--seat-std), or clamp it anew both ways; "
+                "until then its level is not known"
+            )
+        elif level is not None and level.contradicted:
+            said.append(
+                f"unit {serial}: its clampings scatter more widely than {level.seat_std_deg:g}° as stated of "
+                "face and seat: the level is known less well than is said"
+            )
+    return said
 
 
 def _title(problem: Problem, place: int) -> str:
@@ -107,10 +127,11 @@ def _of_mounts(solution: Solution, on_stage: Mapped) -> list[str]:
 def _of_sources(solution: Solution) -> list[str]:
     """Files that share a mount by name, and not to within the noise by angle."""
     fit, table, said = solution.fit, solution.table, []
+    angles = fit.left()
     rho = min(fit.problem.correlation, MOST_BELIEVED)
     for k, mount in enumerate(table.mounts):
         of_mount = (table.mount == k) & fit.kept
-        own, sources = fit.left()[of_mount], table.source[of_mount]
+        own, sources = angles[of_mount], table.source[of_mount]
         means = {int(s): float(own[sources == s].mean()) for s in np.unique(sources)}
         for source, mean in means.items():
             error = fit.noise * np.sqrt((1.0 + rho) / (1.0 - rho) / (sources == source).sum())
@@ -146,7 +167,7 @@ def _of_columns(solution: Solution) -> list[str]:
             said.append(
                 f"mount {mount.name} lacks accel_y_g or accel_z_g: its readings alone count, |a| says nothing"
             )
-    if not solution.fit.problem.free()[-1]:
+    if not solution.fit.problem.free[-1]:
         said.append(
             "the poses were not approached from both sides, or no column tells: play is not solved for"
         )
