@@ -43,6 +43,12 @@ SeatStd = Annotated[
         "unit that was reversed (mount_axis -x) rests on it.",
     ),
 ]
+Limits = Annotated[
+    tuple[float, float] | None,
+    typer.Option(
+        "--limits", metavar="LOW HIGH", help="Of the stage, degrees: what is advised may use all of it."
+    ),
+]
 
 
 def solve(
@@ -57,6 +63,7 @@ def solve(
     linear: Linear = False,
     period: Periods = None,
     seat_std: SeatStd = None,
+    limits: Limits = None,
     out: Out = None,
     plot: Plot = None,
     as_json: Json = False,
@@ -76,7 +83,7 @@ def solve(
         solution = solve_together(lots, linear=linear, periods_deg=period or [], seat_std_deg=seat_std)
     except DiagnosisError as error:
         raise InputError(str(error)) from error
-    document = solution_document(solution)
+    document = solution_document(solution, limits)
     document["warnings"] = [*said, *document["warnings"]]
     if out is not None:
         _write(out, solution)

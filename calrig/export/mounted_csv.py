@@ -40,9 +40,12 @@ def lots_of(
     for pose, texts in zip(poses, labels, strict=True):
         serial, angle = texts.get("unit", unit), pose.covariates.get(MOUNT_DEG)
         if serial is None:
-            raise CsvError(
-                "it is not said whose poses these are: give it a column unit, or --unit", column="unit"
+            whose = (
+                f"the pose at target_deg {pose.target_deg:g} has no unit"
+                if lots
+                else "it is not said whose poses these are"
             )
+            raise CsvError(f"{whose}: give it a column unit, or --unit", column="unit")
         axis = texts.get("mount_axis", "x")
         name = texts.get("mount") or _name(source, angle, axis)
         bare = replace(pose, covariates={k: v for k, v in pose.covariates.items() if k != MOUNT_DEG})

@@ -221,6 +221,26 @@ def test_poses_that_were_given_twice_are_refused(lots):
         solve([*lots, replace(lots[1], source="b.csv", mount="b", unit="other")])
 
 
+def test_most_poses_of_a_file_in_another_are_refused_whatever_it_is_called(lots):
+    part = [replace(p, accel_y_g=None, accel_z_g=None) for p in lots[1].poses[:30]]
+    own = [replace(p, reading_deg=p.reading_deg + 0.02) for p in lots[1].poses[30:40]]
+    with pytest.raises(
+        DiagnosisError, match=r"b\.csv .* holds 30 of the same poses as rig \(unit U0, mount m1\)"
+    ):
+        solve([*lots, replace(lots[1], source="b.csv", mount="b", unit="other", poses=[*part, *own])])
+
+
+def test_two_units_of_one_name_are_told_of(lots, bench):
+    other = replace(bench, units=(Unit((-40.0, 30.0)),)).measured(np.random.default_rng(9))
+    two = [
+        replace(lot, poses=[*lot.poses, *(replace(p, time_s=p.time_s + 30.0) for p in more.poses)])
+        for lot, more in zip(lots, other, strict=True)
+    ]
+    said = told(two)["warnings"]
+    assert any("mount m0 of unit U0: at 30 s its stage stands at -49" in sentence for sentence in said)
+    assert any("as no unit at rest does" in sentence for sentence in said)
+
+
 def test_a_mount_of_one_pose_is_left_out_and_said(lots):
     found = told([*lots, replace(lots[0], mount="lone", poses=[replace(lots[0].poses[0], reading_deg=9.0)])])
     assert any("mount lone of unit U0 has 1 pose" in sentence for sentence in found["warnings"])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from itertools import combinations
 
@@ -20,6 +20,8 @@ FEWEST_OF_A_MOUNT = 2
 SAME_DEG = 12.0
 """Two lots of poses of one mount differ by no more: errors of 150 mg turn a vector by 9°."""
 LEAST_TEMPERATURE_RANGE_C = 0.05
+APART_DEG = 1.0
+"""Of two angles of a stage at one time, what is more than how it is read."""
 TOLD = 3
 """Of the warnings, in an error."""
 TOGETHER = 0.7
@@ -60,6 +62,7 @@ def _checked(lot: Mounted, warnings: list[str]) -> Mounted:
     runs, said = complete([lot.poses])
     run = runs[0] if runs else []
     warnings += [f"{lot.source}, mount {lot.mount}: {sentence}" for sentence in said]
+    warnings += _at_two_places(lot)
     found = Mounted(lot.unit, lot.mount, lot.nominal_deg, lot.source, run, lot.axis)
     if not run:
         return found
@@ -105,21 +108,42 @@ def _refuse_no_gravity(lot: Mounted) -> None:
 
 
 def _refuse_twice(lots: Sequence[Mounted]) -> None:
-    seen: dict[tuple[Figures, ...], Mounted] = {}
-    for lot in lots:
-        one = seen.setdefault(tuple(map(_figures, lot.poses)), lot)
-        if one is not lot and len(lot.poses) > 1:
-            raise DiagnosisError(
-                f"{lot.source} (unit {lot.unit}, mount {lot.mount}) holds the very same poses as "
-                f"{one.source} (unit {one.unit}, mount {one.mount}): it was given twice"
-            )
+    """Most poses of one lot in another, whatever it is called: a few may be alike by chance."""
+    first: dict[Figures, int] = {}
+    for k, lot in enumerate(lots):
+        own = {_figures(pose) for pose in lot.poses}
+        for other, same in Counter(first[figures] for figures in own if figures in first).items():
+            one = lots[other]
+            if 1 < same > 0.5 * min(len(own), len(one.poses)):
+                how_many = "the very same" if same == len(own) else f"{same} of the same"
+                raise DiagnosisError(
+                    f"{lot.source} (unit {lot.unit}, mount {lot.mount}) holds {how_many} poses as "
+                    f"{one.source} (unit {one.unit}, mount {one.mount}): it was given twice"
+                )
+        first |= dict.fromkeys(own, k)
 
 
-Figures = tuple[float | None, ...]
+Figures = tuple[float, float]
 
 
 def _figures(pose: Pose) -> Figures:
-    return pose.target_deg, pose.stage_deg, pose.reading_deg, pose.accel_y_g, pose.accel_z_g
+    """What is the same of a pose in a file that was written anew, with fewer digits or columns."""
+    return round(pose.theta_deg, 3), round(pose.reading_deg % 360.0, 3)
+
+
+def _at_two_places(lot: Mounted) -> list[str]:
+    """A stage stands at one angle at a time."""
+    at_time: dict[float, float] = {}
+    for pose in lot.poses:
+        if pose.time_s is None:
+            continue
+        one, other = at_time.setdefault(pose.time_s, pose.theta_deg), pose.theta_deg
+        if abs(one - other) > APART_DEG:
+            return [
+                f"{lot.source}, mount {lot.mount} of unit {lot.unit}: at {pose.time_s:g} s its stage stands "
+                f"at {one:g}° and at {other:g}°: two units of one name, or two runs under one mount?"
+            ]
+    return []
 
 
 def _refuse_overlap(same: Sequence[Mounted]) -> None:

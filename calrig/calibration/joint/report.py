@@ -33,9 +33,9 @@ UNITS = {
 """A document's names of the parameters, and their units."""
 
 
-def solution_document(solution: Solution) -> dict[str, Any]:
-    """Everything that was solved for, what it is worth, and what would help."""
-    on_stage, tested, advice = mapped(solution.fit), held_out(solution.fit), advised(solution)
+def solution_document(solution: Solution, limits_deg: tuple[float, float] | None = None) -> dict[str, Any]:
+    """Everything that was solved for, what it is worth, and what would help within limits of the dial."""
+    on_stage, tested, advice = mapped(solution.fit), held_out(solution.fit), advised(solution, limits_deg)
     units = range(len(solution.table.units))
     return {
         "units": [_unit(solution, unit) for unit in units],
@@ -121,6 +121,7 @@ def _stage(on_stage: Mapped) -> dict[str, Any]:
 
 
 def _mounts(solution: Solution, on_stage: Mapped) -> list[dict[str, Any]]:
+    fits = {test.mount: test.p_value for test in solution.mount_tests}
     return [
         {
             "mount": mount.name,
@@ -128,9 +129,10 @@ def _mounts(solution: Solution, on_stage: Mapped) -> list[dict[str, Any]]:
             "mount_deg": mount.nominal_deg or 0.0,
             "mount_axis": mount.axis,
             "angle_deg": _value(float(angle), float(std)),
+            "fits_p_value": fits.get(k),
         }
-        for mount, angle, std in zip(
-            solution.table.mounts, on_stage.mounts_deg, on_stage.mounts_std_deg, strict=True
+        for k, (mount, angle, std) in enumerate(
+            zip(solution.table.mounts, on_stage.mounts_deg, on_stage.mounts_std_deg, strict=True)
         )
     ]
 

@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtrc
 
+from calrig.calibration.joint.gear import unstated_gear
+from calrig.calibration.joint.lack_of_fit import misfits
 from calrig.calibration.joint.least_squares import fitted
 from calrig.calibration.joint.mapped import Mapped
 from calrig.calibration.joint.problem import Problem
@@ -19,10 +21,17 @@ SHARE = 0.3
 """Of the largest part of a direction: what has less is not named."""
 APART_DEG, APART_NOISES = 0.05, 3.0
 """From where a reading is said not to be the accelerometer's angle."""
+LOUD_DEG = 0.3
+"""Noise of a dwell of a second is a tenth of that or less in any part on sale."""
 CONTRADICTS = 1e-3
 """Chance of quadratic and cubic terms as large in units that have none."""
 OFF_DEG = 5.0
 """From where a mount was said to be to where gravity has it; a plan is held to the same."""
+CAUSES = {
+    "map": "the stage had another map there",
+    "time": "its angle moved while it was measured, as in a clamp that gives",
+    "unit": "it were of another unit, or the unit had changed",
+}
 MOVED = 5.0
 """Standard errors of a mean."""
 MOST_BELIEVED = 0.6
@@ -46,7 +55,12 @@ def sentences(solution: Solution, on_stage: Mapped) -> list[str]:
     """All that is to be said, the weightiest first."""
     units = range(len(solution.table.units))
     said = [_not_separable(solution, unit) for unit in units if not solution.is_separable(unit)]
-    said += _of_levels(solution)
+    if solution.noise_deg > LOUD_DEG:
+        said.append(
+            f"the poses lie {solution.noise_deg:.2g}° from the model, as no unit at rest does: are they of "
+            "one stage, each of the unit that is named, and were its mounts not touched?"
+        )
+    said += [*_of_misfits(solution), *_of_gear(solution), *_of_levels(solution)]
     said += [*_of_linear(solution), *_of_mounts(solution, on_stage), *_of_sources(solution)]
     return [*said, *_of_dial(solution), *_of_columns(solution), *_of_readings(solution)]
 
@@ -65,6 +79,32 @@ def _not_separable(solution: Solution, unit: int) -> str:
         f"pose is measured to {solution.noise_deg:.2g}°: these poses do not tell apart "
         f"{', '.join(dict.fromkeys(named))}"
     )
+
+
+def _of_misfits(solution: Solution) -> list[str]:
+    """Mounts that the others do not foretell as well as noise allows."""
+    found = misfits(solution.mount_tests)
+    if not found:
+        return []
+    table = solution.table
+    mounts = [table.mounts[test.mount] for test in found]
+    named = " or ".join(f"mount {mount.name} of unit {table.units[mount.unit]}" for mount in mounts)
+    causes = " or ".join(dict.fromkeys(CAUSES[test.cause] for test in found))
+    p_value = min(test.p_value for test in found)
+    return [
+        f"{named} does not fit the others (by noise alone in {p_value:.1g} of cases), most as if {causes}: "
+        "no standard error here allows for that"
+    ]
+
+
+def _of_gear(solution: Solution) -> list[str]:
+    gear = unstated_gear(solution.fit)
+    if gear is None:
+        return []
+    return [
+        f"what the poses leave repeats every {gear.period_deg:.2g}° of the dial, by {gear.amplitude_deg:.2g}°"
+        f" (by noise alone in {gear.p_value:.1g} of cases): if that is a gear, state its period (--period)"
+    ]
 
 
 def _of_levels(solution: Solution) -> list[str]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from calrig.calibration.joint.correlation import correlation_of
 from calrig.calibration.joint.elevation import Worth, worth
+from calrig.calibration.joint.lack_of_fit import MountTest, mount_tests
 from calrig.calibration.joint.least_squares import WILD, Fit, distances, fitted, without_wild_poses
 from calrig.calibration.joint.level import Level, level_of
 from calrig.calibration.joint.mounts import table_of
@@ -32,6 +33,7 @@ class Solution:
         choice: how that model was chosen.
         worths: of each unit's calibrated elevation less its mean over the range.
         levels: of each unit that was reversed.
+        mount_tests: each mount against the others.
         warnings: what a person should know of the poses.
     """
 
@@ -39,6 +41,7 @@ class Solution:
     choice: Choice
     worths: tuple[Worth, ...]
     levels: tuple[Level | None, ...]
+    mount_tests: tuple[MountTest, ...]
     warnings: tuple[str, ...]
 
     @property
@@ -109,11 +112,15 @@ def solve_table(
     choice = chosen(fitted(correlated, weights, rich.parameters), known)
     fit = fitted(replace(correlated, orders=choice.orders), weights)
     units = range(len(table.units))
+    levels = tuple(level_of(fit, unit, seat_std_deg) for unit in units)
+    if seat_std_deg is not None and not any(levels):
+        warnings = [*warnings, "a seat-std was stated, and no unit was clamped both ways round on one seat"]
     return Solution(
         fit=fit,
         choice=choice,
         worths=tuple(worth(fit, unit) for unit in units),
-        levels=tuple(level_of(fit, unit, seat_std_deg) for unit in units),
+        levels=levels,
+        mount_tests=tuple(mount_tests(fit)),
         warnings=(*warnings, *_of_poses(fit)),
     )
 
