@@ -174,7 +174,7 @@ def test_a_parameter_that_the_data_tell_is_not_held_back_by_what_was_known_befor
     solution = solved(bench, 0, linear=False)
     free = solution.fit.problem.free
     own = np.flatnonzero(free[: solution.fit.problem.first_mount])
-    stds = np.sqrt(np.diag(solution.fit.covariance))[own]
+    stds = np.sqrt(np.diag(solution.fit.covariance_at(own)))
     assert (stds < 0.02 * solution.fit.problem.widths()[own]).all()
 
 

@@ -54,11 +54,6 @@ class Fit:
     normal: Normal
     weights: FloatArray
 
-    @property
-    def covariance(self) -> FloatArray:
-        """(p, p); 0 of what is not free."""
-        return self.noise**2 * self.inverse.whole()
-
     def covariance_of(self, rows: FloatArray) -> FloatArray:
         """(m, m) of what is linear (m, p) in the parameters."""
         return self.noise**2 * self.inverse.between(rows)

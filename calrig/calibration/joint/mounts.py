@@ -205,10 +205,6 @@ def _columns(mounts: Sequence[Sequence[Mounted]]) -> Table:
     )
 
 
-def _known(sense: FloatArray | None, n: int) -> FloatArray:
-    return np.zeros(n) if sense is None else sense
-
-
 def _vectors(poses: Sequence[Pose]) -> FloatArray:
     """(n, 2) a_y and a_z; NaN where any pose of the lot lacks them."""
     vectors = [(pose.accel_y_g, pose.accel_z_g) for pose in poses]

@@ -103,10 +103,6 @@ class Problem:
         """Places of what is free of the map."""
         return self.first_order + np.flatnonzero(self.free[self.first_order :])
 
-    def order_at(self, place: int) -> Intp:
-        """Places of the cosine and sine of one of the orders."""
-        return self.first_order + 2 * place + np.arange(2)
-
     def _free(self) -> BoolArray:
         table, free = self.table, np.ones(self.size, dtype=np.bool_)
         with_vector = np.bincount(table.unit, table.has_vector, minlength=len(table.units)) > 0

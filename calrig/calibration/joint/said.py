@@ -23,6 +23,8 @@ APART_DEG, APART_NOISES = 0.05, 3.0
 """From where a reading is said not to be the accelerometer's angle."""
 LOUD_DEG = 0.3
 """Noise of a dwell of a second is a tenth of that or less in any part on sale."""
+HARDLY_NOISE = 0.85
+"""Correlation from pose to pose, seconds apart, beyond which something moved."""
 CONTRADICTS = 1e-3
 """Chance of quadratic and cubic terms as large in units that have none."""
 OFF_DEG = 5.0
@@ -59,6 +61,11 @@ def sentences(solution: Solution, on_stage: Mapped) -> list[str]:
         said.append(
             f"the poses lie {solution.noise_deg:.2g}° from the model, as no unit at rest does: are they of "
             "one stage, each of the unit that is named, and were its mounts not touched?"
+        )
+    if solution.fit.problem.correlation > HARDLY_NOISE:
+        said.append(
+            f"what the poses leave is correlated by {solution.fit.problem.correlation:.2f} from one to "
+            "the next: less as noise is than as something that the model lacks"
         )
     said += [*_of_misfits(solution), *_of_gear(solution), *_of_levels(solution)]
     said += [*_of_linear(solution), *_of_mounts(solution, on_stage), *_of_sources(solution)]
