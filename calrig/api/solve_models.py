@@ -27,6 +27,13 @@ class Solve(Body):
         default=[], max_length=24, description="Known periods of gears, degrees of the dial."
     )
 
+    seat_std_deg: float | None = Field(
+        default=None, ge=0, le=90, description="How far one clamping of a face scatters from the next."
+    )
+    limits_deg: tuple[float, float] | None = Field(
+        default=None, description="What is advised keeps to them; without, to those of the last run."
+    )
+
     @model_validator(mode="after")
     def _names_something(self) -> "Solve":
         if not (self.runs or self.units or self.rig):
@@ -125,6 +132,7 @@ class _Kept(Answer):
     runs: list[str]
     linear: bool
     periods_deg: list[float]
+    seat_std_deg: float | None
 
 
 class ListedSolution(_Kept):

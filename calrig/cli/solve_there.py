@@ -12,13 +12,13 @@ from calrig.cli.typed_ids import LISTED, the_one
 from calrig.client import Client
 from calrig.errors import WorkError
 from calrig.run_ids import begins_uuid, is_uuid
-from calrig.store.solutions import Basis, Solved
+from calrig.store.solutions import Solved
 
 if TYPE_CHECKING:
     from calrig.analysis.joint_solutions import Wanted
 
 LOOK_S = 0.5
-KEPT_BESIDE = ("id", "created_at", "by", "rig", "runs", "linear", "periods_deg")
+KEPT_BESIDE = ("id", "created_at", "by", "rig", "runs", "linear", "periods_deg", "seat_std_deg")
 """What an answer has beside the document of CONTRACT section 8."""
 
 
@@ -37,7 +37,13 @@ def solved_there(server: str, wanted: Wanted, *, with_files: bool, with_poses: b
     """
     client = Client(server)
     runs = [_whole_id(client, typed) for typed in wanted.runs]
-    body = {"runs": runs, "linear": wanted.linear, "periods_deg": list(wanted.periods_deg)}
+    body = {
+        "runs": runs,
+        "linear": wanted.linear,
+        "periods_deg": list(wanted.periods_deg),
+        "seat_std_deg": wanted.seat_std_deg,
+        "limits_deg": wanted.limits_deg,
+    }
     document = _asked(client, body)
     beside = {name: document.pop(name) for name in KEPT_BESIDE}
     path = f"/api/solve/{beside['id']}"
@@ -45,7 +51,7 @@ def solved_there(server: str, wanted: Wanted, *, with_files: bool, with_poses: b
     typer.echo(f"calrig solve: kept as solution {beside['id']} at {server}", err=True)
     return Solved(
         rig=beside["rig"],
-        basis=Basis(tuple(beside["runs"]), tuple(serials), wanted.linear, tuple(wanted.periods_deg)),
+        basis=wanted.basis(beside["runs"], serials),
         document=document,
         calibrations={
             serial: client.get(f"{path}/units/{quote(serial, safe='')}") for serial in serials if with_files

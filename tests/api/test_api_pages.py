@@ -55,6 +55,7 @@ LATER = {
     "benchtable.js",
     "calibrations.js",
     "compare.js",
+    "formats.js",
     "history.js",
     "limits.js",
     "noise.js",
@@ -65,6 +66,7 @@ LATER = {
     "trail.js",
     "units.js",
     "users.js",
+    "waiting.js",
 }
 """Modules of pages that are fetched when somebody goes there."""
 
