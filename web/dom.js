@@ -61,8 +61,8 @@ export function rigHref(name) {
 
 /** Where runs of a rig are solved together, with some of them or those of a unit ticked. */
 export function solveHref({ rig, runs = [], unit }) {
-  const named = [["rig", rig], ["unit", unit]].filter(([, value]) => value);
-  return `#/solve?${new URLSearchParams([...named, ...runs.map((id) => ["run", id])])}`;
+  const named = [["rig", rig ?? ""], ...(unit ? [["unit", unit]] : []), ...runs.map((id) => ["run", id])];
+  return `#/solve?${new URLSearchParams(named)}`;
 }
 
 export function unitLink(serial) {

@@ -49,7 +49,7 @@ export function downloads(run, path) {
     run.plan && link(`${path}/samples`, "Raw samples (CSV)"),
     run.plan && link(`${path}/samples?format=npz`, "Raw samples (NPZ)"),
     h("a", { href: unitHref(run.unit) }, "Unit's history and calibration"),
-    run.rig && h("a", { href: solveHref({ rig: run.rig, unit: run.unit }) }, "Solve together with its stage"),
+    h("a", { href: solveHref({ rig: run.rig, unit: run.unit }) }, "Solve together with its stage"),
   );
 }
 

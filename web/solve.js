@@ -38,7 +38,8 @@ class SolveForm {
     const named = query.get("rig") ?? rigs[0]?.name;
     const names = rigs.map(({ name }) => name);
     if (named && !names.includes(named)) names.push(named); // of runs that are here, on a rig that is not
-    this.rig = h("select", { id: "solve-rig" }, names.map((name) => h("option", { value: name, selected: name === named }, name)));
+    const choice = (name, text) => h("option", { value: name, selected: name === named }, text);
+    this.rig = h("select", { id: "solve-rig" }, names.map((name) => choice(name, name)), choice("", "none: files without a rig"));
     this.linear = h("input", { type: "checkbox", id: "solve-linear" });
     this.periods = h("input", { id: "solve-periods", name: "periods_deg", type: "text", autocomplete: "off", placeholder: "none known" });
     this.says = h("p", { id: "solve-suggestion", class: "muted", "aria-live": "polite" });
@@ -89,19 +90,20 @@ class SolveForm {
   /** The runs and the solutions of the rig that is chosen. */
   async show() {
     const rig = this.rig.value;
-    const asked = new URLSearchParams({ rig, status: "completed", limit: LISTED });
+    const isHere = (one) => (one.rig ?? "") === rig;
+    const ofRig = rig ? { rig } : {};
     const [{ items, next_cursor: more }, solutions] = await Promise.all([
-      get(`/api/runs?${asked}`, this.signal),
-      get(`${ADDRESS}?${new URLSearchParams({ rig })}`, this.signal),
+      get(`/api/runs?${new URLSearchParams({ ...ofRig, status: "completed", limit: LISTED })}`, this.signal),
+      get(`${ADDRESS}?${new URLSearchParams(ofRig)}`, this.signal),
     ]);
     if (rig !== this.rig.value) return;
-    const runs = items.filter((run) => run.result && !run.voided);
+    const runs = items.filter((run) => run.result && !run.voided && isHere(run));
     const { ids, says } = suggested(runs, this.wanted);
     fill(this.says, says, more && ` These are among the ${LISTED} newest completed runs.`);
     fill(this.rows, runs.length > 0 && tableBox("Runs to solve", runTable(runs)));
     this.#tick((id) => ids.includes(id));
     this.wanted = { runs: [], unit: null }; // of the rig that the address named
-    fill(this.earlier, h("h2", { id: "earlier-title" }, `Solutions of rig ${rig}`), earlier(solutions));
+    fill(this.earlier, h("h2", { id: "earlier-title" }, rig ? `Solutions of rig ${rig}` : "Solutions"), earlier(solutions.filter(isHere)));
   }
 
   get #boxes() {
@@ -116,7 +118,7 @@ class SolveForm {
     const runs = this.#boxes.filter(({ checked }) => checked).map(({ value }) => value);
     if (!runs.length) throw new Error("Tick the runs that are to be solved.");
     const periods = this.periods.value.split(/[\s,;]+/).filter(Boolean).map(Number);
-    return { rig: this.rig.value, runs, linear: this.linear.checked, periods_deg: periods };
+    return { rig: this.rig.value || null, runs, linear: this.linear.checked, periods_deg: periods };
   }
 
   async #carryOut(work) {

@@ -9,13 +9,13 @@ export function anglesOf({ plan }) {
 
 /** Ids to be ticked, and why: those that the address names, else those of the unit with the most mounts. */
 export function suggested(runs, { runs: named, unit }) {
-  if (!runs.length) return { ids: [], says: "No completed run on this rig counts yet." };
+  if (!runs.length) return { ids: [], says: "No completed run counts here yet." };
   if (named.length) {
     const ids = named.filter((id) => runs.some((run) => run.id === id));
     const missing = named.length - ids.length;
     return { ids, says: missing ? `${plural(missing, "run")} of those asked for cannot be taken.` : "" };
   }
-  if (unit) return { ids: of(runs, unit), says: `All runs of unit ${unit} on this rig are ticked.` };
+  if (unit) return { ids: of(runs, unit), says: `All of unit ${unit} are ticked.` };
   const best = ranked(runs)[0];
   if (best.mounts > 1)
     return { ids: of(runs, best.unit), says: `Suggested: unit ${best.unit} (${best.words}).` };

@@ -42,7 +42,7 @@ export async function unitsView({ root, signal }) {
 export async function unitView({ root, parts: [serial], signal }) {
   const path = `/api/units/${encodeURIComponent(serial)}`;
   const unit = await get(path, signal);
-  const rig = unit.runs.find((run) => run.result && run.rig)?.rig;
+  const solvable = unit.runs.find((run) => run.result);
   const calibrations = new Calibrations(serial, signal);
   const chart = new Chart("history", "Bias, scale and RMS error over time", { tall: true, signal });
   const body = h(
@@ -70,7 +70,7 @@ export async function unitView({ root, parts: [serial], signal }) {
         "p",
         { class: "downloads" },
         h("a", { href: `#/compare?unit=${encodeURIComponent(serial)}` }, "Compare with other units"),
-        rig && h("a", { href: solveHref({ rig, unit: serial }) }, "Solve together with its stage"),
+        solvable && h("a", { href: solveHref({ rig: solvable.rig, unit: serial }) }, "Solve together with its stage"),
         h("a", { href: `#/trail?unit=${encodeURIComponent(serial)}` }, "Trail: who did what"),
       ),
     ),

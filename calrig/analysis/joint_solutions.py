@@ -27,6 +27,8 @@ class Wanted:
         rig: the one rig of the runs; alone, all calibrations that count on it.
         linear: whether the units are stated to have no quadratic and cubic terms.
         periods_deg: of gears, where somebody knows them.
+        seat_std_deg: how far one clamping of a face scatters from the next, where somebody knows it.
+        limits_deg: of the stage, which advice keeps to; without them those that the last run was made under.
     """
 
     runs: Sequence[str] = ()
@@ -34,15 +36,22 @@ class Wanted:
     rig: str | None = None
     linear: bool = False
     periods_deg: Sequence[float] = ()
+    seat_std_deg: float | None = None
+    limits_deg: tuple[float, float] | None = None
+
+    def basis(self, runs: Sequence[str], units: Sequence[str]) -> Basis:
+        """What the solution of these runs rests on."""
+        return Basis(tuple(runs), tuple(units), self.linear, tuple(self.periods_deg), self.seat_std_deg)
 
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """Poses to be solved, here or in another process."""
+    """Poses to be solved, here or in another process; advice keeps to the limits."""
 
     rig: str | None
     basis: Basis
     lots: Sequence[Mounted]
+    limits_deg: tuple[float, float] | None = None
 
 
 def question(store: Store, wanted: Wanted) -> Question:
@@ -63,9 +72,9 @@ def question(store: Store, wanted: Wanted) -> Question:
             "some of them",
             ["runs"],
         )
-    units = tuple(sorted({run.unit for run in runs}))
-    basis = Basis(tuple(run.id for run in runs), units, wanted.linear, tuple(wanted.periods_deg))
-    return Question(runs[0].rig, basis, _mounted(store, runs))
+    basis = wanted.basis([run.id for run in runs], sorted({run.unit for run in runs}))
+    limits_deg = wanted.limits_deg or _limits_of(max(runs, key=lambda run: run.created_at))
+    return Question(runs[0].rig, basis, _mounted(store, runs), limits_deg)
 
 
 def answer(asked: Question) -> Solved:
@@ -80,12 +89,18 @@ def answer(asked: Question) -> Solved:
     from calrig.calibration.joint.solution import solve
     from calrig.export.joint_documents import map_document, unit_document
 
-    solution = solve(asked.lots, linear=asked.basis.linear, periods_deg=asked.basis.periods_deg)
+    basis = asked.basis
+    solution = solve(
+        asked.lots,
+        linear=basis.linear,
+        periods_deg=basis.periods_deg,
+        seat_std_deg=basis.seat_std_deg,
+    )
     units = enumerate(solution.table.units)
     return Solved(
         rig=asked.rig,
-        basis=asked.basis,
-        document=solution_document(solution),
+        basis=basis,
+        document=solution_document(solution, asked.limits_deg),
         calibrations={serial: unit_document(solution, k, asked.rig) for k, serial in units},
         stage_map=map_document(solution, asked.rig),
         poses=poses_left(solution),
@@ -113,6 +128,12 @@ def _runs(store: Store, wanted: Wanted) -> list[Run]:
                 "has a map of its own, solve them one by one"
             )
     return runs
+
+
+def _limits_of(run: Run) -> tuple[float, float] | None:
+    """The soft limits that a run was made under; None of an imported one."""
+    limits = (run.provenance.get("rig") or {}).get("limits_deg")
+    return None if limits is None else (float(limits[0]), float(limits[1]))
 
 
 def _named(wanted: Wanted) -> str:

@@ -159,6 +159,7 @@ def _beside(kept: StoredSolution | Listed, found: Any) -> dict[str, Any]:
         "runs": list(found.basis.runs),
         "linear": found.basis.linear,
         "periods_deg": list(found.basis.periods_deg),
+        "seat_std_deg": found.basis.seat_std_deg,
     }
 
 

@@ -27,6 +27,13 @@ class Solve(Body):
         default=[], max_length=24, description="Known periods of gears, degrees of the dial."
     )
 
+    seat_std_deg: float | None = Field(
+        default=None, ge=0, le=90, description="How far one clamping of a face scatters from the next."
+    )
+    limits_deg: tuple[float, float] | None = Field(
+        default=None, description="What is advised keeps to them; without, to those of the last run."
+    )
+
     @model_validator(mode="after")
     def _names_something(self) -> "Solve":
         if not (self.runs or self.units or self.rig):
@@ -125,15 +132,16 @@ class _Kept(Answer):
     runs: list[str]
     linear: bool
     periods_deg: list[float]
-    separable: bool
-    before: HeldOutRms
-    final: HeldOutRms
+    seat_std_deg: float | None
 
 
 class ListedSolution(_Kept):
     """A solution in a list; `units` are serials."""
 
     units: list[str]
+    separable: bool
+    before: HeldOutRms
+    final: HeldOutRms
 
 
 class SolutionAnswer(_Kept, Joint):
@@ -142,8 +150,11 @@ class SolutionAnswer(_Kept, Joint):
     units: list[SolvedUnit]
     stage: Stage
     mounts: list[SolvedMount]
+    separable: bool
     advice: Advice | None
     held_out: dict[str, Any]
+    before: HeldOutRms
+    final: HeldOutRms
     noise: dict[str, float]
     level_known: bool
     level_std_deg: float | None

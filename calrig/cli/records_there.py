@@ -25,7 +25,9 @@ def imported_there(client: Client, file: Path, unit: str, rig: str | None) -> Ru
         return client.import_poses(file, unit, rig=rig, sent=sent, told=told)
 
 
-def exported_there(client: Client, run_id: str | None, unit: str | None, format_: str) -> tuple[str, list[str]]:
+def exported_there(
+    client: Client, run_id: str | None, unit: str | None, format_: str
+) -> tuple[str, list[str]]:
     """The text that `export` prints, and what is to be said of it on standard error.
 
     Args:

@@ -35,6 +35,22 @@ Out = Annotated[
 Linear = Annotated[
     bool, typer.Option("--linear", help="State that the units have no quadratic and cubic terms.")
 ]
+SeatStd = Annotated[
+    float | None,
+    typer.Option(
+        "--seat-std",
+        metavar="DEG",
+        min=0.0,
+        help="How far one clamping of the same face on the same seat scatters from the next: the level of a "
+        "unit that was reversed (mount_axis -x) rests on it.",
+    ),
+]
+Limits = Annotated[
+    tuple[float, float] | None,
+    typer.Option(
+        "--limits", metavar="LOW HIGH", help="Of the stage, degrees: what is advised may use all of it."
+    ),
+]
 
 
 def solve(
@@ -48,6 +64,8 @@ def solve(
     unit: Units = None,
     linear: Linear = False,
     period: Periods = None,
+    seat_std: SeatStd = None,
+    limits: Limits = None,
     out: Out = None,
     plot: Plot = None,
     as_json: Json = False,
@@ -69,7 +87,13 @@ def solve(
         raise InputError("solve: name files or run ids, not both")
     if unit and not files:
         raise InputError("solve: runs have their units; --unit is for files")
-    wanted = Wanted(sources, linear=linear, periods_deg=tuple(period or ()))
+    wanted = Wanted(
+        sources,
+        linear=linear,
+        periods_deg=tuple(period or ()),
+        seat_std_deg=seat_std,
+        limits_deg=limits,
+    )
     said: list[str] = []
     if files:
         lots, said = _of_files(files, unit or [])
@@ -105,10 +129,9 @@ def _answer(asked: Question) -> Solved:
 
 def _of_lots(lots: Sequence[Mounted], wanted: Wanted) -> Question:
     from calrig.analysis.joint_solutions import Question
-    from calrig.store.solutions import Basis
 
-    units = tuple(dict.fromkeys(lot.unit for lot in lots))
-    return Question(None, Basis((), units, wanted.linear, tuple(wanted.periods_deg)), lots)
+    units = list(dict.fromkeys(lot.unit for lot in lots))
+    return Question(None, wanted.basis([], units), lots, wanted.limits_deg)
 
 
 def _of_runs(wanted: Wanted, db: str | None) -> Question:

@@ -9,13 +9,13 @@ import typer
 
 from calrig.cli.progress import late_bar
 from calrig.cli.running_service import whole_id_there
-from calrig.store.solutions import Basis, Solved
+from calrig.store.solutions import Solved
 
 if TYPE_CHECKING:
     from calrig.analysis.joint_solutions import Wanted
     from calrig.client import Client
 
-KEPT_BESIDE = ("id", "created_at", "by", "rig", "runs", "linear", "periods_deg")
+KEPT_BESIDE = ("id", "created_at", "by", "rig", "runs", "linear", "periods_deg", "seat_std_deg")
 """What an answer has beside the document of CONTRACT section 8."""
 
 
@@ -34,7 +34,14 @@ def solved_there(client: Client, wanted: Wanted, *, with_files: bool, with_poses
     """
     runs = [whole_id_there(client, typed) for typed in wanted.runs]
     with late_bar("solving") as show:
-        found = client.solve(*runs, linear=wanted.linear, periods_deg=wanted.periods_deg, told=show)
+        found = client.solve(
+            *runs,
+            linear=wanted.linear,
+            periods_deg=wanted.periods_deg,
+            seat_std_deg=wanted.seat_std_deg,
+            limits_deg=wanted.limits_deg,
+            told=show,
+        )
     path = f"/api/solve/{found.id}"
     document = client.get(path)
     beside = {name: document.pop(name) for name in KEPT_BESIDE}
@@ -42,7 +49,7 @@ def solved_there(client: Client, wanted: Wanted, *, with_files: bool, with_poses
     typer.echo(f"calrig solve: kept as solution {found.id} at {client.server}", err=True)
     return Solved(
         rig=beside["rig"],
-        basis=Basis(tuple(beside["runs"]), tuple(serials), wanted.linear, tuple(wanted.periods_deg)),
+        basis=wanted.basis(beside["runs"], serials),
         document=document,
         calibrations={
             serial: client.get(f"{path}/units/{quote(serial, safe='')}") for serial in serials if with_files

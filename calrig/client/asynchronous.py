@@ -40,7 +40,9 @@ async def _in_thread(work: Callable[[], T]) -> T:
         raise
 
 
-def _threaded(method: Callable[Concatenate[S, P], T]) -> Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]:
+def _threaded(
+    method: Callable[Concatenate[S, P], T],
+) -> Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]:
     @wraps(method)
     async def call(self: _Asynchronous, /, *args: P.args, **kwargs: P.kwargs) -> T:
         return await _in_thread(lambda: method(self._twin, *args, **kwargs))

@@ -146,6 +146,8 @@ class Client(Transport):
         rig: str | None = None,
         linear: bool = False,
         periods_deg: Sequence[float] = (),
+        seat_std_deg: float | None = None,
+        limits_deg: tuple[float, float] | None = None,
         told: Told = unheard,
     ) -> Solution:
         """Solves the stage's map, the mounts and the units of runs together; the service keeps it.
@@ -156,6 +158,8 @@ class Client(Transport):
             rig: alone, all calibrations that count on it.
             linear: whether the units have no quadratic and cubic terms.
             periods_deg: of gears, where somebody knows them.
+            seat_std_deg: how far one clamping of a face scatters from the next, likewise.
+            limits_deg: of the stage, which advice keeps to; without them those of the last run.
             told: is told the share that is done, where the service can say.
         """
         body = {
@@ -164,6 +168,8 @@ class Client(Transport):
             "rig": rig,
             "linear": linear,
             "periods_deg": list(periods_deg),
+            "seat_std_deg": seat_std_deg,
+            "limits_deg": limits_deg,
         }
         return Solution.of(outcome(self, self.post("/api/solve?wait=false", body), told))
 

@@ -34,7 +34,9 @@ class Document(BaseModel):
         except ValidationError as error:
             first = error.errors(include_url=False, include_input=False)[0]
             place = ".".join(map(str, first["loc"]))
-            raise Unreachable(f"the service answers, and not as calrig does ({place}: {first['msg']})") from error
+            raise Unreachable(
+                f"the service answers, and not as calrig does ({place}: {first['msg']})"
+            ) from error
 
 
 class Mount(Document):

@@ -34,7 +34,10 @@ class Upload:
             raise InputError(f"{file}: cannot be read ({error.strerror})") from error
         boundary = secrets.token_hex(16)
         self.content_type = f"multipart/form-data; boundary={boundary}"
-        head = [f'--{boundary}\r\nContent-Disposition: form-data; name="{k}"\r\n\r\n{v}\r\n' for k, v in fields.items()]
+        head = [
+            f'--{boundary}\r\nContent-Disposition: form-data; name="{k}"\r\n\r\n{v}\r\n'
+            for k, v in fields.items()
+        ]
         name = os.fsencode(file.name).decode("utf-8", "backslashreplace")
         for plain, escaped in (('"', "%22"), ("\r", "%0D"), ("\n", "%0A")):  # as the HTML standard has it
             name = name.replace(plain, escaped)

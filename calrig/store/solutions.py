@@ -29,12 +29,14 @@ class Basis:
         units: serials of their units.
         linear: whether the units were stated to have no quadratic and cubic terms.
         periods_deg: of gears that somebody knew.
+        seat_std_deg: how far one clamping was said to scatter from the next; None where nobody did.
     """
 
     runs: tuple[str, ...]
     units: tuple[str, ...]
     linear: bool = False
     periods_deg: tuple[float, ...] = ()
+    seat_std_deg: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,6 +161,7 @@ def _as_document(basis: Basis) -> Document:
         "units": list(basis.units),
         "linear": basis.linear,
         "periods_deg": list(basis.periods_deg),
+        "seat_std_deg": basis.seat_std_deg,
     }
 
 
@@ -168,4 +171,5 @@ def _basis(document: Document) -> Basis:
         tuple(document["units"]),
         document["linear"],
         tuple(document["periods_deg"]),
+        document["seat_std_deg"],
     )

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import pytest
 from command_line import reason
 
@@ -20,9 +18,8 @@ def test_a_files_name_says_nothing_to_the_terminal(folder, name):
 
 def test_what_devices_say_is_shown_as_it_is(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "400")
-    found = SimpleNamespace(
-        port=EVIL, kind="stage", driver="smc100", identity=EVIL, usb_id="1:2", usb_serial=EVIL
-    )
+    found = {"port": EVIL, "kind": "stage", "driver": "smc100", "identity": EVIL}
+    found |= {"usb_id": "1:2", "usb_serial": EVIL}
     output.print_ports([found], f"# {EVIL}\n")
     shown = capsys.readouterr().out
     assert shown.count("[red]a[/red]") == 4
@@ -36,10 +33,17 @@ def test_a_serial_number_is_no_markup_and_what_is_not_known_is_said(capsys):
     )
     result |= {"gyro": number, "temperature_c": None, "reference": None, "n_poses": 3}
     output.print_result(
-        {"id": "1", "unit": "[red]AS-1[/red]", "rig": "bench-1", "result": result, "verdict": None}
+        {
+            "id": "1",
+            "unit": "[red]AS-1[/red]",
+            "rig": "bench-1",
+            "plan": {},
+            "result": result,
+            "verdict": None,
+        }
     )
     shown = capsys.readouterr().out
-    assert "unit [red]AS-1[/red] on bench-1" in shown
+    assert "unit [red]AS-1[/red], on bench-1" in shown
     assert "not known" in shown
 
 
