@@ -69,6 +69,7 @@ class StopRequest:
         self.is_made = False
 
     def __call__(self, number: int, _frame: object) -> None:
+        """Takes the signal."""
         self.is_made = True
         signal.signal(number, signal.default_int_handler)  # the second one is not asked but told
 

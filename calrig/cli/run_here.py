@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from calrig.cli.followed import LOOK_S, Refusal
 
@@ -58,12 +58,12 @@ class RunHere:
         except Conflict as error:
             raise Refusal(str(error)) from error
 
-    def turn(self, mount_deg: float, mount_axis: MountAxis) -> None:
+    def turn(self, mount_deg: float, mount_axis: str) -> None:
         """Has the rig's clamp turn the unit."""
         from calrig.analysis.errors import Conflict
 
         try:
-            self._service.begin_clamp(self._rig, mount_deg, mount_axis).result()
+            self._service.begin_clamp(self._rig, mount_deg, cast("MountAxis", mount_axis)).result()
         except Conflict as error:
             raise Refusal(str(error)) from error
 

@@ -62,8 +62,11 @@ class Client(Transport):
             Refused: the rig is busy or does not exist.
             Invalid: the plan or the serial number is wrong.
         """
-        said = {"rig": rig, "operator": operator, "note": note, "stage_at_deg": stage_at_deg}
-        body = {"unit": unit, **{key: value for key, value in said.items() if value is not None}}
+        said: dict[str, Any] = {"rig": rig, "operator": operator, "note": note, "stage_at_deg": stage_at_deg}
+        body: dict[str, Any] = {
+            "unit": unit,
+            **{key: value for key, value in said.items() if value is not None},
+        }
         if plan is not None:
             body["plan"] = _plain(plan)
         if queue:
@@ -198,8 +201,17 @@ class Client(Transport):
         Raises:
             Invalid: no plan reaches it; says what would.
         """
-        wanted = {"rig": rig, "target_u_deg": target_u_deg, "time_s": time_s, "until": until and dict(until)}
-        body = {"unit": unit, "trace": trace, **{k: v for k, v in wanted.items() if v is not None}}
+        wanted: dict[str, Any] = {
+            "rig": rig,
+            "target_u_deg": target_u_deg,
+            "time_s": time_s,
+            "until": until and dict(until),
+        }
+        body: dict[str, Any] = {
+            "unit": unit,
+            "trace": trace,
+            **{k: v for k, v in wanted.items() if v is not None},
+        }
         if keep is not None:
             body["plan"] = _plain(keep)
         return PlanDesign.of(outcome(self, self.post("/api/plans/design", body)))
