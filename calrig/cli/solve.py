@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
@@ -14,8 +14,8 @@ from calrig.cli.typed_ids import whole_id
 from calrig.errors import InputError, WorkError
 
 if TYPE_CHECKING:
-    from calrig.calibration.joint.solution import Solution
     from calrig.calibration.joint.table import Mounted
+    from calrig.calibration.joint.three_axis_frame import Frame as WholeFrame
 
 Units = Annotated[
     list[str] | None,
@@ -29,6 +29,15 @@ Periods = Annotated[
 ]
 Out = Annotated[
     Path | None, typer.Option(metavar="DIR", help="Write each unit's calibration and the stage's map there.")
+]
+Frame = Annotated[
+    str,
+    typer.Option(
+        "--frame",
+        metavar="sensor|faces",
+        help="Of units clamped by several faces: the matrix in the sensor's own frame, upper triangular, or "
+        "in that of the faces.",
+    ),
 ]
 Linear = Annotated[
     bool, typer.Option("--linear", help="State that the units have no quadratic and cubic terms.")
@@ -46,6 +55,7 @@ def solve(
     unit: Units = None,
     linear: Linear = False,
     period: Periods = None,
+    frame: Frame = "sensor",
     out: Out = None,
     plot: Plot = None,
     as_json: Json = False,
@@ -54,21 +64,31 @@ def solve(
     """Solve the stage's map, the mounts and the units together, against gravity."""
     from calrig.calibration.joint.report import solution_document
     from calrig.calibration.joint.solution import solve as solve_together
+    from calrig.calibration.joint.three_axis_table import whole_units
     from calrig.calibration.pose import DiagnosisError
     from calrig.cli import output
     from calrig.cli.solve_output import print_solution
     from calrig.figures.files import writer_of
 
     draw = None if plot is None else writer_of(plot)
+    if frame not in {"sensor", "faces"}:
+        raise InputError(f"solve: --frame is {frame!r}: it is sensor or faces")
     lots, said = _lots(sources, unit or [], db)
     try:
+        if whole_units(lots):
+            if draw is not None:
+                raise InputError("solve: --plot is of units clamped by one face")
+            _solve_whole(lots, said, linear, period or [], cast("WholeFrame", frame), out, as_json)
+            return
         solution = solve_together(lots, linear=linear, periods_deg=period or [])
     except DiagnosisError as error:
         raise InputError(str(error)) from error
     document = solution_document(solution)
     document["warnings"] = [*said, *document["warnings"]]
     if out is not None:
-        _write(out, solution)
+        from calrig.export.joint_documents import joint_documents
+
+        _write(out, joint_documents(solution))
     if draw is not None:
         from calrig.figures.joint import joint_figures
 
@@ -77,6 +97,35 @@ def solve(
         output.print_json(document)
     else:
         print_solution(document)
+
+
+def _solve_whole(
+    lots: list[Mounted],
+    said: list[str],
+    linear: bool,
+    periods_deg: list[float],
+    frame: WholeFrame,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Units clamped by several faces."""
+    from calrig.calibration.joint.three_axis_report import three_axis_document
+    from calrig.calibration.joint.three_axis_solution import solve_whole
+    from calrig.cli import output
+    from calrig.cli.three_axis_output import print_whole
+    from calrig.export.three_axis_documents import three_axis_documents
+
+    solution = solve_whole(lots, linear=linear, periods_deg=periods_deg)
+    document = three_axis_document(solution, frame)
+    document["warnings"] = [*said, *document["warnings"]]
+    if out is not None:
+        from calrig.export.joint_documents import files_of
+
+        _write(out, files_of(*three_axis_documents(solution, frame)))
+    if as_json:
+        output.print_json(document)
+    else:
+        print_whole(document)
 
 
 def _lots(sources: Sequence[str], units: Sequence[str], db: str | None) -> tuple[list[Mounted], list[str]]:
@@ -118,12 +167,10 @@ def _of_runs(run_ids: Sequence[str], db: str | None) -> list[Mounted]:
         return mounted_runs(store, [whole_id(store, typed) for typed in run_ids])
 
 
-def _write(folder: Path, solution: Solution) -> None:
-    from calrig.export.joint_documents import joint_documents
-
+def _write(folder: Path, files: dict[str, str]) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for name, text in joint_documents(solution).items():
+        for name, text in files.items():
             (folder / name).write_text(text, encoding="utf-8")
     except OSError as error:
         raise WorkError(f"{folder}: cannot be written ({error.strerror})") from error

@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 import re
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -35,10 +36,14 @@ ADDED = {"y_mg", "z_mg", "y_mg_per_c", "z_mg_per_c", *_CURVATURES}
 
 def joint_documents(solution: Solution) -> dict[str, str]:
     """The files' texts by their names; those of a unit's serial, with what no file is called by replaced."""
-    documents = {
-        _file_name(serial): unit_document(solution, k) for k, serial in enumerate(solution.table.units)
-    }
-    documents["stage-map.json"] = map_document(solution)
+    calibrations = {serial: unit_document(solution, k) for k, serial in enumerate(solution.table.units)}
+    return files_of(calibrations, map_document(solution))
+
+
+def files_of(calibrations: Mapping[str, dict[str, Any]], stage_map: dict[str, Any]) -> dict[str, str]:
+    """The same of calibrations by serial, and a map."""
+    documents = {_file_name(serial): document for serial, document in calibrations.items()}
+    documents["stage-map.json"] = stage_map
     return {
         name: json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
         for name, document in documents.items()

@@ -67,7 +67,13 @@ def polynomial(fit: Fit, unit: int) -> tuple[FloatArray, FloatArray]:
         (2,) deg/deg² and deg/deg³, and (2, 2) their covariance.
     """
     at = fit.problem.unit_at(unit)
-    grid = grid_deg(fit, unit)
+    return polynomial_of(fit.parameters[at], fit.covariance[at, at], grid_deg(fit, unit))
+
+
+def polynomial_of(
+    parameters: FloatArray, covariance: FloatArray, grid: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The same of one unit's parameters (11,) and their covariance, over elevations (m,) in degrees."""
     powers = np.linalg.pinv(np.vander(grid / 90.0, 4, increasing=True))[2:] / 90.0 ** np.array([[2.0], [3.0]])
     straight = np.ones(len(NAMES))
     straight[list(CURVATURES)] = 0.0
@@ -77,12 +83,11 @@ def polynomial(fit: Fit, unit: int) -> tuple[FloatArray, FloatArray]:
         bent, plain = felt(own, elevation).angle(), felt(own * straight, elevation).angle()
         return np.asarray(powers @ wrap_deg(np.degrees(bent - plain)))
 
-    own = fit.parameters[at]
     slopes = np.stack(
         [
-            (coefficients(own + step) - coefficients(own - step)) / (2.0 * STEP)
-            for step in STEP * np.eye(len(own))
+            (coefficients(parameters + step) - coefficients(parameters - step)) / (2.0 * STEP)
+            for step in STEP * np.eye(len(parameters))
         ],
         axis=1,
     )
-    return coefficients(own), slopes @ fit.covariance[at, at] @ slopes.T
+    return coefficients(parameters), slopes @ covariance @ slopes.T

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calrig.calibration.joint.least_squares import Fit
+from calrig.calibration.joint.linearised import Linearised
 from calrig.calibration.joint.table import BoolArray, Intp
 from calrig.calibration.joint.unit_model import OF_CUBIC, OF_LINEAR
 from calrig.estimation.angles import FloatArray
@@ -49,7 +49,7 @@ def of_the_unit(linear: bool) -> int:
     return OF_LINEAR if linear else OF_CUBIC
 
 
-def chosen(rich: Fit, known_orders: Collection[float] = ()) -> Choice:
+def chosen(rich: Linearised, known_orders: Collection[float] = ()) -> Choice:
     """Forward selection on the normal equations of a fit that has every order in it.
 
     Args:
@@ -77,7 +77,7 @@ def chosen(rich: Fit, known_orders: Collection[float] = ()) -> Choice:
     return Choice(orders, tuple(sorted(let_in)), tuple(order for order in untold if order not in orders))
 
 
-def _beside(rich: Fit, model: BoolArray, at: Intp) -> tuple[FloatArray, FloatArray]:
+def _beside(rich: Linearised, model: BoolArray, at: Intp) -> tuple[FloatArray, FloatArray]:
     """Gradient (k,) and matrix (k, k) of parameters once the model has taken what it can of them."""
     normal, prior = rich.normal, rich.noise**2 * rich.problem.widths() ** -2.0
     centre = np.where(rich.problem.free(), rich.problem.start(), 0.0)
@@ -90,12 +90,14 @@ def _beside(rich: Fit, model: BoolArray, at: Intp) -> tuple[FloatArray, FloatArr
     return response[at] - across.T @ taken[:, -1], 0.5 * (left + left.T)
 
 
-def _is_told(rich: Fit, at: Intp, left: FloatArray) -> bool:
+def _is_told(rich: Linearised, at: Intp, left: FloatArray) -> bool:
     whole = np.diag(rich.normal.matrix)[at].mean()
     return bool(np.linalg.eigvalsh(left)[0] > TOLD * whole)
 
 
-def _best(rich: Fit, model: BoolArray, orders: dict[float, Intp], rng: np.random.Generator) -> float | None:
+def _best(
+    rich: Linearised, model: BoolArray, orders: dict[float, Intp], rng: np.random.Generator
+) -> float | None:
     """The order that explains most, if that is more than noise would explain by the best of them."""
     gradient, matrix = _beside(rich, model, np.concatenate(list(orders.values())))
     size, turn = np.linalg.eigh(matrix)

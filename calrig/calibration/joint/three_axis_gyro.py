@@ -1,0 +1,52 @@
+"""A unit's gyro as `true = matrix·(raw − bias − dps_per_g·a)`, in the frame of its accelerometer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calrig.calibration.joint.gyro_dwells import Dwells, dwells_of
+from calrig.calibration.joint.gyro_turns import Turns, turns_of
+from calrig.calibration.joint.three_axis_fit import ThreeAxisFit
+from calrig.calibration.joint.three_axis_frame import Accelerometer
+from calrig.estimation.angles import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WholeGyro:
+    """What dwells and turns say; None of what they do not tell.
+
+    Attributes:
+        dwells, turns: in the sensor's frame.
+        matrix: (3, 3) and `matrix_std`, in the accelerometer's frame.
+        dps_per_g: (3, 3) and `dps_per_g_std`, likewise.
+    """
+
+    dwells: Dwells | None
+    turns: Turns | None
+    matrix: FloatArray | None
+    matrix_std: FloatArray | None
+    dps_per_g: FloatArray | None
+    dps_per_g_std: FloatArray | None
+
+
+def whole_gyro(fit: ThreeAxisFit, unit: int, accelerometer: Accelerometer | None) -> WholeGyro | None:
+    """One unit's gyro; None where it has no columns of one."""
+    dwells = dwells_of(fit, unit)
+    turns = turns_of(fit, unit, dwells)
+    if dwells is None and turns is None:
+        return None
+    turn = np.eye(3) if accelerometer is None else accelerometer.turn
+    matrix = matrix_std = per_g = per_g_std = None
+    if turns is not None and accelerometer is not None:
+        inverse = np.linalg.inv(turns.response)
+        matrix = turn @ inverse
+        slopes = -np.kron(matrix, inverse.T)  # d(G⁻¹) = −G⁻¹·dG·G⁻¹, row by row
+        variance = np.diag(slopes @ turns.covariance @ slopes.T).reshape(3, 3)
+        across = np.sqrt((matrix**2).sum(axis=0) - matrix**2) * accelerometer.turn_std_rad
+        matrix_std = np.sqrt(variance + across**2)
+    if dwells is not None and dwells.told:
+        per_g = dwells.dps_per_g @ turn.T
+        per_g_std = np.sqrt(dwells.dps_per_g_std**2 @ (turn.T) ** 2)
+    return WholeGyro(dwells, turns, matrix, matrix_std, per_g, per_g_std)

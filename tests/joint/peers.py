@@ -1,0 +1,168 @@
+"""Other ways to a whole unit, from what the same cube gives on the same stage.
+
+- `calrig gravity`: |a| = 1 g of the same poses, whatever the stage.
+- imucal's Ferraris (Ferraris, Grimaldi & Parvis, Sensors and Materials 7, 1995): six positions that are
+  believed, and a full turn about each axis that is; both are taken from the poses and turns of the stage.
+- imu_tk's method (Tedaldi, Pretto & Menegatti, A robust and easy to implement method for IMU calibration
+  without external equipments, ICRA 2014), its two cost functions written from the paper: |a| again, then the
+  gyro that carries gravity from one rest to the next.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from concurrent.futures import Executor
+from functools import partial
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from calrig.calibration.gravity_model import EFFECTS, Problem, fit_gravity
+from calrig.calibration.joint.table import Mounted
+from calrig.calibration.joint.three_axis_frame import accelerometer
+from calrig.calibration.joint.three_axis_gyro import whole_gyro
+from calrig.calibration.joint.three_axis_solution import solve_whole
+from calrig.calibration.pose import Pose
+from calrig.calibration.static_detector import StaticPoses
+
+from .cube import ACCEL, MEANS, MOVES, CubeBench, Seat, drawn_cube_bench
+from .cube_oracle import figures_of, sensor_figures
+from .three_axes import FIVE_TURNS
+
+Found = tuple[np.ndarray, np.ndarray, np.ndarray | None]
+"""Offsets (3,) in g, matrix (3, 3) of true = matrix·(raw − offset), response (3, 3) of the gyro or None."""
+RATE_HZ = 200.0
+COLUMNS = ("offset, mg", "scale, ppm", "angles between axes, mrad", "gyro scale, ppm")
+
+
+def tables(workers: Executor, seeds: Iterable[int]) -> str:
+    """Root mean square errors over benches, of units stated linear and of units that are not."""
+    seeds, text = list(seeds), ""
+    for title, cubic in (("linear units", False), ("units with square and cube of 5 mg", True)):
+        judged = list(workers.map(partial(judge, cubic=cubic), seeds))
+        text += (
+            f"\n| {title}, {len(seeds)} benches | {' | '.join(COLUMNS)} |\n| --- |{' --- |' * len(COLUMNS)}\n"
+        )
+        for name in judged[0]:
+            rms = np.sqrt(np.mean([one[name] for one in judged], axis=0))
+            text += f"| {name} | {' | '.join('' if math.isnan(x) else f'{x:.3g}' for x in rms)} |\n"
+    return text
+
+
+def judge(seed: int, *, cubic: bool) -> dict[str, np.ndarray]:
+    """Mean squares (4,) of each way's errors on one bench."""
+    bench = drawn_cube_bench(seed, cubic=cubic, turns=FIVE_TURNS)
+    rng = np.random.default_rng([seed, 1551])
+    lots = bench.measured(rng)
+    ways = {
+        "calrig solve": _solved(lots, linear=not cubic),
+        "calrig gravity": _by_gravity(lots),
+        "imucal, Ferraris": _by_ferraris(bench, lots, rng),
+        "Tedaldi 2014 (imu_tk)": _by_tedaldi(lots),
+    }
+    return {name: _squares(bench, found) for name, found in ways.items()}
+
+
+def _squares(bench: CubeBench, found: Found) -> np.ndarray:
+    bias, matrix, gyro = found
+    _, upper = np.linalg.qr(matrix)
+    error = np.concatenate([1e3 * bias, figures_of(upper * np.sign(np.diag(upper))[:, None])])
+    error -= sensor_figures(bench.unit)
+    scale = np.nan if gyro is None else np.mean((_sizes(gyro) - _sizes(bench.unit.gyro_response)) ** 2) * 1e12
+    return np.array([np.mean(error[:3] ** 2), np.mean(error[3:6] ** 2), np.mean(error[6:] ** 2), scale])
+
+
+def _sizes(response: np.ndarray) -> np.ndarray:
+    """(3,) what a turn about each axis of the cube is felt as, whatever direction."""
+    return np.linalg.norm(response, axis=0)
+
+
+def _solved(lots: list[Mounted], *, linear: bool) -> Found:
+    fit = solve_whole(lots, linear=linear).fit
+    whole = accelerometer(fit, 0, "faces")
+    assert whole is not None
+    gyro = whole_gyro(fit, 0, whole)
+    assert gyro is not None and gyro.matrix is not None
+    return whole.bias_g, whole.matrix, np.linalg.inv(gyro.matrix)
+
+
+def _by_gravity(lots: list[Mounted]) -> Found:
+    raw = _vectors(lots)
+    poses = StaticPoses(raw, None, None, np.zeros((len(raw), 2), dtype=np.intp))
+    fit = fit_gravity(Problem.of(poses), [effect for effect in EFFECTS if effect.name == "misalignment"])
+    return fit.bias_g, fit.matrix, None
+
+
+def _by_ferraris(bench: CubeBench, lots: list[Mounted], rng: np.random.Generator) -> Found:
+    """Each of six positions as the dial has it: of the two mounts that come by it, both."""
+    from imucal import FerrarisCalibration, FerrarisSignalRegions
+
+    regions: dict[str, list[np.ndarray]] = {}
+    for lot in lots:
+        first = "xyz".index(lot.axis)
+        for angle, place, sense in ((0, 2, "p"), (90, 1, "p"), (180, 2, "a"), (-90, 1, "a")):
+            axis = "xyz"[(first + place) % 3]
+            pose = min(lot.poses[:24], key=lambda pose: abs((pose.stage_deg - angle + 180) % 360 - 180))
+            regions.setdefault(f"acc_{axis}_{sense}", []).append(_of(pose, ACCEL))
+            regions.setdefault(f"gyr_{axis}_{sense}", []).append(_of(pose, MEANS))
+    for lot, seat in zip(lots, bench.seats, strict=True):
+        accel, gyro = _turn_samples(bench, lot, seat, rng)
+        regions[f"acc_{lot.axis}_rot"], regions[f"gyr_{lot.axis}_rot"] = list(accel), list(gyro)
+    signals = FerrarisSignalRegions(**{name: np.array(rows) for name, rows in regions.items()})
+    found = FerrarisCalibration(grav=1.0, expected_angle=360).compute(
+        signals, RATE_HZ, from_acc_unit="g", from_gyr_unit="deg/s"
+    )
+    return found.b_a, np.linalg.inv(found.K_a @ found.R_a), found.K_g @ found.R_g
+
+
+def _turn_samples(
+    bench: CubeBench, lot: Mounted, seat: Seat, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Samples of one upward turn, the mean of all that were made."""
+    lasts_s = 360.0 / bench.velocity_dps
+    n = round(lasts_s * RATE_HZ)
+    dial = lot.poses[-1].stage_deg + 360.0 * (np.arange(n) + 0.5) / n
+    accel = bench.unit.felt_g(bench.up(seat, dial, np.ones(n)))
+    dwells = np.mean([_of(pose, MEANS) for pose in lot.poses[-len(FIVE_TURNS) :]], axis=0)
+    turns = zip(FIVE_TURNS, lot.poses[-len(FIVE_TURNS) :], strict=True)
+    upward = np.mean([_of(pose, MOVES) for sense, pose in turns if sense > 0], axis=0)
+    return accel + rng.normal(0.0, 0.005, (n, 3)), np.tile(upward / lasts_s + dwells, (n, 1))
+
+
+def _by_tedaldi(lots: list[Mounted]) -> Found:
+    """Accelerometer: Σ(1 − |T·K·(a − b)|²)²; gyro: Σ|u_a − u_g|², from one rest to the next."""
+    raw = _vectors(lots)
+
+    def matrix_of(p: np.ndarray) -> np.ndarray:
+        return np.array([[1.0, -p[0], p[1]], [0.0, 1.0, -p[2]], [0.0, 0.0, 1.0]]) @ np.diag(p[3:6])
+
+    def of_lengths(p: np.ndarray) -> np.ndarray:
+        return 1.0 - (((raw - p[6:9]) @ matrix_of(p).T) ** 2).sum(axis=1)
+
+    start = np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+    p = least_squares(of_lengths, start, method="lm").x
+    before, after, turns = [], [], []
+    for lot in lots:
+        up = (_vectors([lot]) - p[6:9]) @ matrix_of(p).T
+        up /= np.linalg.norm(up, axis=1)[:, None]
+        before.append(up[:-1])
+        after.append(up[1:])
+        turns.append([_of(pose, MOVES) for pose in lot.poses[1:]])
+    at_first, at_last, felt = np.concatenate(before), np.concatenate(after), np.concatenate(turns)
+
+    def of_turns(q: np.ndarray) -> np.ndarray:
+        carried = Rotation.from_rotvec(-felt @ q.reshape(3, 3).T, degrees=True).apply(at_first)
+        return (carried - at_last).ravel()
+
+    gyro = least_squares(of_turns, np.eye(3).ravel(), method="lm").x.reshape(3, 3)
+    return p[6:9], matrix_of(p), np.linalg.inv(gyro)
+
+
+def _vectors(lots: list[Mounted]) -> np.ndarray:
+    return np.array([_of(pose, ACCEL) for lot in lots for pose in lot.poses])
+
+
+def _of(pose: Pose, names: tuple[str, ...]) -> np.ndarray:
+    return np.array([pose.covariates[n] if n in pose.covariates else getattr(pose, n) for n in names])
