@@ -158,7 +158,7 @@ class CubeBench:
         for k in range(1, len(dial)):
             start, end = self.stage.table_deg(dial[k - 1 : k + 1], approach[k - 1 : k + 1])
             lasts = max(abs(end - start) / self.velocity_dps, 0.5)
-            way = np.linspace(dial[k - 1], dial[k], 721)
+            way = np.linspace(dial[k - 1], dial[k], 73)[:-1]
             drift = self._rate_dps(seat, way, np.full(len(way), approach[k])).mean(axis=0)
             axis = seat.rotation().apply([1.0, 0.0, 0.0])
             turned = self.unit.gyro_response @ axis * (end - start) + drift * lasts

@@ -22,17 +22,17 @@ from scipy.spatial.transform import Rotation
 from calrig.calibration.gravity_model import EFFECTS, Problem, fit_gravity
 from calrig.calibration.joint.table import Mounted
 from calrig.calibration.joint.three_axis_frame import accelerometer
-from calrig.calibration.joint.three_axis_gyro import whole_gyro
 from calrig.calibration.joint.three_axis_solution import solve_whole
 from calrig.calibration.pose import Pose
 from calrig.calibration.static_detector import StaticPoses
 
 from .cube import ACCEL, MEANS, MOVES, CubeBench, Seat, drawn_cube_bench
 from .cube_oracle import figures_of, sensor_figures
-from .three_axes import FIVE_TURNS
+from .three_axes import FIVE_TURNS, felt_turns, felt_turns_found
 
 Found = tuple[np.ndarray, np.ndarray, np.ndarray | None]
-"""Offsets (3,) in g, matrix (3, 3) of true = matrix·(raw − offset), response (3, 3) of the gyro or None."""
+"""Offsets (3,) in g, matrix (3, 3) of true = matrix·(raw − offset), and (3,) as how much of a turn about each
+mount's axis the gyro feels one, in whatever direction, or None."""
 RATE_HZ = 200.0
 COLUMNS = ("offset, mg", "scale, ppm", "angles between axes, mrad", "gyro scale, ppm")
 
@@ -70,22 +70,15 @@ def _squares(bench: CubeBench, found: Found) -> np.ndarray:
     _, upper = np.linalg.qr(matrix)
     error = np.concatenate([1e3 * bias, figures_of(upper * np.sign(np.diag(upper))[:, None])])
     error -= sensor_figures(bench.unit)
-    scale = np.nan if gyro is None else np.mean((_sizes(gyro) - _sizes(bench.unit.gyro_response)) ** 2) * 1e12
+    scale = np.nan if gyro is None else np.mean((1e6 * (gyro - felt_turns(bench))) ** 2)
     return np.array([np.mean(error[:3] ** 2), np.mean(error[3:6] ** 2), np.mean(error[6:] ** 2), scale])
-
-
-def _sizes(response: np.ndarray) -> np.ndarray:
-    """(3,) what a turn about each axis of the cube is felt as, whatever direction."""
-    return np.linalg.norm(response, axis=0)
 
 
 def _solved(lots: list[Mounted], *, linear: bool) -> Found:
     fit = solve_whole(lots, linear=linear).fit
-    whole = accelerometer(fit, 0, "faces")
+    whole = accelerometer(fit, 0)
     assert whole is not None
-    gyro = whole_gyro(fit, 0, whole)
-    assert gyro is not None and gyro.matrix is not None
-    return whole.bias_g, whole.matrix, np.linalg.inv(gyro.matrix)
+    return whole.bias_g, whole.matrix, felt_turns_found(fit)
 
 
 def _by_gravity(lots: list[Mounted]) -> Found:
@@ -114,7 +107,7 @@ def _by_ferraris(bench: CubeBench, lots: list[Mounted], rng: np.random.Generator
     found = FerrarisCalibration(grav=1.0, expected_angle=360).compute(
         signals, RATE_HZ, from_acc_unit="g", from_gyr_unit="deg/s"
     )
-    return found.b_a, np.linalg.inv(found.K_a @ found.R_a), found.K_g @ found.R_g
+    return found.b_a, np.linalg.inv(found.K_a @ found.R_a), np.linalg.norm(found.K_g @ found.R_g, axis=0)
 
 
 def _turn_samples(
@@ -126,8 +119,7 @@ def _turn_samples(
     dial = lot.poses[-1].stage_deg + 360.0 * (np.arange(n) + 0.5) / n
     accel = bench.unit.felt_g(bench.up(seat, dial, np.ones(n)))
     dwells = np.mean([_of(pose, MEANS) for pose in lot.poses[-len(FIVE_TURNS) :]], axis=0)
-    turns = zip(FIVE_TURNS, lot.poses[-len(FIVE_TURNS) :], strict=True)
-    upward = np.mean([_of(pose, MOVES) for sense, pose in turns if sense > 0], axis=0)
+    upward = np.mean([_of(pose, MOVES) for sense, pose in _turns(lot) if sense > 0], axis=0)
     return accel + rng.normal(0.0, 0.005, (n, 3)), np.tile(upward / lasts_s + dwells, (n, 1))
 
 
@@ -157,11 +149,17 @@ def _by_tedaldi(lots: list[Mounted]) -> Found:
         return (carried - at_last).ravel()
 
     gyro = least_squares(of_turns, np.eye(3).ravel(), method="lm").x.reshape(3, 3)
-    return p[6:9], matrix_of(p), np.linalg.inv(gyro)
+    felt_along = [np.mean([s * _of(pose, MOVES) for s, pose in _turns(lot)], axis=0) for lot in lots]
+    sizes = [np.linalg.norm(felt) / np.linalg.norm(gyro @ felt) for felt in felt_along]
+    return p[6:9], matrix_of(p), np.array(sizes)
 
 
 def _vectors(lots: list[Mounted]) -> np.ndarray:
     return np.array([_of(pose, ACCEL) for lot in lots for pose in lot.poses])
+
+
+def _turns(lot: Mounted) -> Iterable[tuple[int, Pose]]:
+    return zip(FIVE_TURNS, lot.poses[-len(FIVE_TURNS) :], strict=True)
 
 
 def _of(pose: Pose, names: tuple[str, ...]) -> np.ndarray:

@@ -7,7 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calrig.calibration.joint.gyro_dwells import dwells_of
+from calrig.calibration.joint.gyro_turns import turns_of
 from calrig.calibration.joint.mapped import mapped
+from calrig.calibration.joint.three_axis_fit import ThreeAxisFit
 from calrig.calibration.joint.three_axis_frame import accelerometer
 from calrig.calibration.joint.three_axis_gyro import whole_gyro
 from calrig.calibration.joint.three_axis_solution import ThreeAxisSolution, solve_whole
@@ -87,8 +90,22 @@ def _of_map(bench: CubeBench, solution: ThreeAxisSolution) -> tuple[np.ndarray, 
     return error - error.mean() - map_error_deg(bench), std
 
 
-FIVE_TURNS = (1, -1, 1, -1, 1)
-"""At 60 °/s about each axis, after the poses of its mount."""
+FIVE_TURNS = (1, 1, 1, -1, -1)
+"""At 60 °/s about each axis, after the poses of its mount. Play is in a turn that reverses the sense: one."""
+
+
+def felt_turns(bench: CubeBench) -> np.ndarray:
+    """(3,) as how much of a turn the gyro feels one about each mount's axis."""
+    axes = [seat.rotation().apply([1.0, 0.0, 0.0]) for seat in bench.seats]
+    return np.linalg.norm(bench.unit.gyro_response @ np.transpose(axes), axis=0)
+
+
+def felt_turns_found(fit: ThreeAxisFit) -> np.ndarray:
+    """(3,) the same by a solution of one unit."""
+    turns = turns_of(fit, 0, dwells_of(fit, 0))
+    assert turns is not None
+    axes = [fit.problem.clamped(fit.parameters, mount)[:, 0] for mount in range(len(fit.problem.of.faces))]
+    return np.linalg.norm(turns.response @ np.transpose(axes), axis=0)
 
 
 @dataclass(frozen=True)
@@ -110,8 +127,10 @@ def judge_gyro(seed: int) -> JudgedGyro:
     error = found.matrix - turn @ np.linalg.inv(response)
     per_g = bench.unit.gyro_dps_per_g + bench.earth_dps[2] * response
     of_g = found.dps_per_g - per_g @ turn.T
+    along = felt_turns_found(fit) - felt_turns(bench)
     off = ~np.eye(3, dtype=bool)
     parts = [
+        (along, np.full(3, np.nan)),
         (np.diag(error), np.diag(found.matrix_std)),
         (error[off], found.matrix_std[off]),
         (of_g.ravel(), found.dps_per_g_std.ravel()),
@@ -127,8 +146,14 @@ def judge_gyro(seed: int) -> JudgedGyro:
 def gyro_table(judged: Iterable[JudgedGyro]) -> str:
     """What is achieved against what is stated."""
     judged = list(judged)
-    names = ("scale, ppm", "misalignment, µrad", "per g, mdps/g", "bias, mdps")
-    units = np.array([1e6, 1e6, 1e3, 1e3])
+    names = (
+        "a turn about a mount's axis, ppm",
+        "matrix, its diagonal, ppm",
+        "matrix, beside it, µrad",
+        "per g, mdps/g",
+        "bias, mdps",
+    )
+    units = np.array([1e6, 1e6, 1e6, 1e3, 1e3])
     got = units * np.sqrt(np.mean([one.squares for one in judged], axis=0))
     said = units * np.sqrt(np.mean([one.variances for one in judged], axis=0))
     within = np.mean([one.within for one in judged], axis=0)
@@ -137,7 +162,7 @@ def gyro_table(judged: Iterable[JudgedGyro]) -> str:
         "| --- | --- | --- | --- | --- |",
     ]
     lines += [
-        f"| {name} | {len(judged)} | {a:.3g} | {b:.3g} | {w:.1%} |"
+        f"| {name} | {len(judged)} | {a:.3g} | " + ("| |" if np.isnan(b) else f"{b:.3g} | {w:.1%} |")
         for name, a, b, w in zip(names, got, said, within, strict=True)
     ]
     return "\n".join(lines) + "\n"

@@ -36,6 +36,7 @@ class Dwells:
         dps_per_g, dps_per_g_std: (3, 3) of the gyro's axes (rows) by directions of acceleration.
         told: whether the poses tell `dps_per_g` and so the bias.
         noise_dps: of a dwell's mean.
+        left_dps: (poses, 3) what each dwell's mean differs by; 0 of those that have none.
     """
 
     bias_dps: FloatArray
@@ -44,6 +45,7 @@ class Dwells:
     dps_per_g_std: FloatArray
     told: bool
     noise_dps: float
+    left_dps: FloatArray
 
 
 def dwells_of(fit: ThreeAxisFit, unit: int) -> Dwells | None:
@@ -72,7 +74,8 @@ def dwells_of(fit: ThreeAxisFit, unit: int) -> Dwells | None:
         values = inverse @ (flat.T @ response) / variance
         left = response - flat @ values
         variance = max(float(left @ left) / max(len(left) - len(WIDTHS), 1), LEAST_DPS**2)
-    stds = np.sqrt(np.diag(inverse))
+    stds, left_dps = np.sqrt(np.diag(inverse)), np.zeros((len(problem.table), 3))
+    left_dps[rows] = left.reshape(-1, 3)
     return Dwells(
         values[BIAS],
         stds[BIAS],
@@ -80,4 +83,5 @@ def dwells_of(fit: ThreeAxisFit, unit: int) -> Dwells | None:
         stds[PER_G].reshape(3, 3),
         bool((stds[PER_G] < UNTOLD * LARGEST_DPS_PER_G).all()),
         float(np.sqrt(variance)),
+        left_dps,
     )
