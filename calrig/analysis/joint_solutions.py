@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from calrig.analysis.errors import Conflict
+from calrig.analysis.gyro_columns import poses_with_gyro
 from calrig.analysis.stored_runs import counted_poses, ended_run
 from calrig.calibration.joint.table import Mounted
 from calrig.calibration.pose import Pose
@@ -25,7 +26,9 @@ def mounted_runs(store: Store, run_ids: Sequence[str]) -> list[Mounted]:
                 f"run {run.id} is of rig {run.rig!r}, run {runs[0].id} of rig {runs[0].rig!r}: each stage "
                 "has a map of its own, solve them one by one"
             )
-    return [lot for run in runs for lot in _lots(run, counted_poses(store, run.id))]
+    whole = any(str((run.plan or {}).get("mount_axis", "x"))[-1] != "x" for run in runs)
+    poses_of = poses_with_gyro if whole else counted_poses
+    return [lot for run in runs for lot in _lots(run, poses_of(store, run.id))]
 
 
 def _lots(run: Run, poses: Sequence[Pose]) -> list[Mounted]:

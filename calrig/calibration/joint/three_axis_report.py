@@ -119,6 +119,9 @@ def gyro_document(found: WholeGyro | None) -> dict[str, Any] | None:
             "noise_deg": turns.noise_deg,
         },
         "clock": "board",
+        "clock_error_ppm": None
+        if found.clock is None
+        else value(1e6 * found.clock.error, 1e6 * found.clock.std),
     }
 
 

@@ -19,6 +19,8 @@ from calrig.calibration.joint.three_axis_solution import ThreeAxisSolution
 from calrig.estimation.angles import wrap_deg
 
 LEAST_TOLD = 0.5
+CLOCK_ERRORS = 3.0
+"""Standard errors from which a clock is said to be off."""
 
 
 def three_axis_sentences(
@@ -73,6 +75,12 @@ def _of_gyro(serial: str, gyro: WholeGyro | None) -> list[str]:
                 f"unit {serial}: turned one way only: Earth's rate and gravity's influence stay in the "
                 "gyro's matrix and its uncertainty; turn both ways"
             )
+    if gyro.clock is not None and abs(gyro.clock.error) > CLOCK_ERRORS * gyro.clock.std:
+        way = "fast" if gyro.clock.error > 0.0 else "slow"
+        said.append(
+            f"unit {serial}: the board's clock is {way} by {1e6 * abs(gyro.clock.error):.0f} ppm ± "
+            f"{1e6 * gyro.clock.std:.0f} ppm of the host's; the gyro's matrix is for the board's seconds"
+        )
     if gyro.dwells is not None and not gyro.dwells.told:
         said.append(f"unit {serial}: these attitudes do not tell what gravity does to the gyro")
     return said
