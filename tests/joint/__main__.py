@@ -80,7 +80,7 @@ def _of_whole_units(wanted: argparse.Namespace) -> None:
         if wanted.peers:
             from . import peers
 
-            sys.stdout.write(peers.tables(workers, seeds))
+            sys.stdout.write(peers.tables(workers, seeds) + peers.of_measured_logs())
 
 
 def example() -> str:

@@ -11,9 +11,11 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable
 from concurrent.futures import Executor
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -24,7 +26,8 @@ from calrig.calibration.joint.table import Mounted
 from calrig.calibration.joint.three_axis_frame import accelerometer
 from calrig.calibration.joint.three_axis_solution import solve_whole
 from calrig.calibration.pose import Pose
-from calrig.calibration.static_detector import StaticPoses
+from calrig.calibration.static_detector import StaticPoses, static_poses
+from calrig.export.static_csv import accel_g_of, read_static
 
 from .cube import ACCEL, MEANS, MOVES, CubeBench, Seat, drawn_cube_bench
 from .cube_oracle import figures_of, sensor_figures
@@ -34,6 +37,8 @@ Found = tuple[np.ndarray, np.ndarray, np.ndarray | None]
 """Offsets (3,) in g, matrix (3, 3) of true = matrix·(raw − offset), and (3,) as how much of a turn about each
 mount's axis the gyro feels one, in whatever direction, or None."""
 RATE_HZ = 200.0
+MISALIGNED = [effect for effect in EFFECTS if effect.name == "misalignment"]
+DATA = Path(os.environ.get("CALRIG_DATA", Path(__file__).parents[3] / "shared" / "data"))
 COLUMNS = ("offset, mg", "scale, ppm", "angles between axes, mrad", "gyro scale, ppm")
 
 
@@ -48,6 +53,21 @@ def tables(workers: Executor, seeds: Iterable[int]) -> str:
         for name in judged[0]:
             rms = np.sqrt(np.mean([one[name] for one in judged], axis=0))
             text += f"| {name} | {' | '.join('' if math.isnan(x) else f'{x:.3g}' for x in rms)} |\n"
+    return text
+
+
+def of_measured_logs() -> str:
+    """|a| less 1 g of measured logs in many positions; `calrig solve` needs a stage, and they have none."""
+    text = "\n| measured log, no stage | poses | calrig gravity, mg | Tedaldi 2014, mg | calrig solve |\n"
+    text += "| --- | --- | --- | --- | --- |\n"
+    for file in sorted(DATA.glob("*_multiposition.csv")):
+        log = read_static(file.read_bytes())
+        poses = static_poses(accel_g_of(log), time_s=log.time_s, gyro_dps=log.axes("gyro", "dps"))
+        fit = fit_gravity(Problem.of(poses), MISALIGNED)
+        bias, matrix = tedaldi_accelerometer(poses.accel_g)
+        left = np.linalg.norm((poses.accel_g - bias) @ matrix.T, axis=1) - 1.0
+        rms_mg = [1e3 * math.sqrt(np.mean(np.square(one))) for one in (fit.residual_g, left)]
+        text += f"| {file.stem} | {len(poses)} | {rms_mg[0]:.3f} | {rms_mg[1]:.3f} | not applicable |\n"
     return text
 
 
@@ -84,7 +104,7 @@ def _solved(lots: list[Mounted], *, linear: bool) -> Found:
 def _by_gravity(lots: list[Mounted]) -> Found:
     raw = _vectors(lots)
     poses = StaticPoses(raw, None, None, np.zeros((len(raw), 2), dtype=np.intp))
-    fit = fit_gravity(Problem.of(poses), [effect for effect in EFFECTS if effect.name == "misalignment"])
+    fit = fit_gravity(Problem.of(poses), MISALIGNED)
     return fit.bias_g, fit.matrix, None
 
 
@@ -123,21 +143,25 @@ def _turn_samples(
     return accel + rng.normal(0.0, 0.005, (n, 3)), np.tile(upward / lasts_s + dwells, (n, 1))
 
 
-def _by_tedaldi(lots: list[Mounted]) -> Found:
-    """Accelerometer: Σ(1 − |T·K·(a − b)|²)²; gyro: Σ|u_a − u_g|², from one rest to the next."""
-    raw = _vectors(lots)
+def tedaldi_accelerometer(raw_g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Offset (3,) and matrix (3, 3) of vectors (n, 3) at rest: the least of Σ(1 − |T·K·(a − b)|²)²."""
 
     def matrix_of(p: np.ndarray) -> np.ndarray:
         return np.array([[1.0, -p[0], p[1]], [0.0, 1.0, -p[2]], [0.0, 0.0, 1.0]]) @ np.diag(p[3:6])
 
     def of_lengths(p: np.ndarray) -> np.ndarray:
-        return 1.0 - (((raw - p[6:9]) @ matrix_of(p).T) ** 2).sum(axis=1)
+        return 1.0 - (((raw_g - p[6:9]) @ matrix_of(p).T) ** 2).sum(axis=1)
 
-    start = np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
-    p = least_squares(of_lengths, start, method="lm").x
+    p = least_squares(of_lengths, [0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0], method="lm").x
+    return p[6:9], matrix_of(p)
+
+
+def _by_tedaldi(lots: list[Mounted]) -> Found:
+    """Accelerometer by lengths; gyro: the least of Σ|u_a − u_g|², from one rest to the next."""
+    bias, matrix = tedaldi_accelerometer(_vectors(lots))
     before, after, turns = [], [], []
     for lot in lots:
-        up = (_vectors([lot]) - p[6:9]) @ matrix_of(p).T
+        up = (_vectors([lot]) - bias) @ matrix.T
         up /= np.linalg.norm(up, axis=1)[:, None]
         before.append(up[:-1])
         after.append(up[1:])
@@ -151,7 +175,7 @@ def _by_tedaldi(lots: list[Mounted]) -> Found:
     gyro = least_squares(of_turns, np.eye(3).ravel(), method="lm").x.reshape(3, 3)
     felt_along = [np.mean([s * _of(pose, MOVES) for s, pose in _turns(lot)], axis=0) for lot in lots]
     sizes = [np.linalg.norm(felt) / np.linalg.norm(gyro @ felt) for felt in felt_along]
-    return p[6:9], matrix_of(p), np.array(sizes)
+    return bias, matrix, np.array(sizes)
 
 
 def _vectors(lots: list[Mounted]) -> np.ndarray:
