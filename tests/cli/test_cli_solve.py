@@ -11,6 +11,7 @@ import plotly.graph_objects as go
 import pytest
 from command_line import calrig, reason
 
+from calrig import load
 from calrig.calibration.correction import calibrated_elevation_deg
 from calrig.simulator.config import ImuOptions
 from calrig.simulator.imu import Imu, Surroundings
@@ -83,6 +84,9 @@ def test_out_has_what_turns_readings_into_elevations(mounts, folder):
     error = found - elevation
     assert np.abs(error - error.mean()).max() < 5.0 * max(document["elevation_std_deg"]["std_deg"])
     assert np.abs(reading - elevation - (reading - elevation).mean()).max() > 1.0, "believing the sensor"
+    np.testing.assert_allclose(load("solved/AS-7.json").elevation_deg(reading), found, atol=1e-9)
+    assert "CAL_ACC0_YOFF" in calrig("export", "solved/AS-7.json", "--format", "px4").stdout
+    assert "c-header, px4" in reason("export", "solved/AS-7.json", "--format", "csv", status=2)
     on_map = json.loads((folder / "solved" / "stage-map.json").read_text(encoding="utf-8"))
     assert np.ptp(on_map["map"]["error_deg"]) == pytest.approx(
         0.3 * 2.0 * math.sin(math.radians(60.0)), abs=0.35
