@@ -97,7 +97,7 @@ def _moves(fit: ThreeAxisFit, unit: int, dwells: Dwells | None) -> _Moves:
         turned = _felt(now)
         if before is None or turned is None:
             continue
-        way = now.theta_deg - before.theta_deg
+        way = now.dial_deg - before.dial_deg
         if abs(way) < SHORTEST_DEG or abs(np.linalg.norm(turned) / abs(way) - 1.0) > LARGEST_OFF:
             continue
         rows.append(row)
@@ -106,7 +106,7 @@ def _moves(fit: ThreeAxisFit, unit: int, dwells: Dwells | None) -> _Moves:
         lasts.append(_lasts_s(before, now, way))
         came_from = left_dps[places[id(before)]] if id(before) in places else np.zeros(3)
         noise.append(0.5 * (left_dps[row] + came_from))
-        angles = np.array([before.theta_deg, now.theta_deg])
+        angles = np.array([before.dial_deg, now.dial_deg])
         approach = np.array([before.approach or 0, now.approach or 0], dtype=np.float64)
         columns.append(np.diff(basis(angles, approach, fit.problem.orders), axis=0)[0])
     closed = np.array([abs(way / TURN_DEG - round(way / TURN_DEG)) * TURN_DEG < CLOSES_DEG for way in dial])

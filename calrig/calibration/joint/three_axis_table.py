@@ -123,7 +123,7 @@ def _about_x(lot: Mounted) -> Mounted:
     poses = [
         replace(
             pose,
-            reading_deg=pose.theta_deg + float(wrap_deg(angle[k] - pose.theta_deg)),
+            reading_deg=pose.dial_deg + float(wrap_deg(angle[k] - pose.dial_deg)),
             accel_x_g=float(vectors[k, 0]),
             accel_y_g=float(vectors[k, 1]),
             accel_z_g=float(vectors[k, 2]),
