@@ -42,6 +42,22 @@ Frame = Annotated[
 Linear = Annotated[
     bool, typer.Option("--linear", help="State that the units have no quadratic and cubic terms.")
 ]
+SeatStd = Annotated[
+    float | None,
+    typer.Option(
+        "--seat-std",
+        metavar="DEG",
+        min=0.0,
+        help="How far one clamping of the same face on the same seat scatters from the next: the level of a "
+        "unit that was reversed (mount_axis -x) rests on it.",
+    ),
+]
+Limits = Annotated[
+    tuple[float, float] | None,
+    typer.Option(
+        "--limits", metavar="LOW HIGH", help="Of the stage, degrees: what is advised may use all of it."
+    ),
+]
 
 
 def solve(
@@ -56,6 +72,8 @@ def solve(
     linear: Linear = False,
     period: Periods = None,
     frame: Frame = "sensor",
+    seat_std: SeatStd = None,
+    limits: Limits = None,
     out: Out = None,
     plot: Plot = None,
     as_json: Json = False,
@@ -80,10 +98,10 @@ def solve(
                 raise InputError("solve: --plot is of units clamped by one face")
             _solve_whole(lots, said, linear, period or [], cast("WholeFrame", frame), out, as_json)
             return
-        solution = solve_together(lots, linear=linear, periods_deg=period or [])
+        solution = solve_together(lots, linear=linear, periods_deg=period or [], seat_std_deg=seat_std)
     except DiagnosisError as error:
         raise InputError(str(error)) from error
-    document = solution_document(solution)
+    document = solution_document(solution, limits)
     document["warnings"] = [*said, *document["warnings"]]
     if out is not None:
         from calrig.export.joint_documents import joint_documents

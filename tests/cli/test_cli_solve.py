@@ -136,3 +136,21 @@ def test_what_cannot_be_solved_is_refused_in_one_line(mounts, arguments, words):
 def test_runs_that_are_not_there_fail(folder):
     calrig("import", "poses.csv", "--unit", "A")
     assert "there is no run 99" in reason("solve", "99", status=1)
+
+
+def test_a_unit_that_was_reversed_has_its_level_in_its_calibration(mounts, folder):
+    dial = np.linspace(-60.0, 60.0, 40)
+    table = dial + 0.3 * np.sin(np.radians(dial + 40.0))
+    rows = [f"{HEADER},mount_deg,mount_axis"]
+    for d, (y, z) in zip(dial, felt_g(-table + 0.8), strict=True):  # 0 and 0.8: 0.4° of level, and of seat
+        rows.append(f"{d:.4f},{math.degrees(math.atan2(y, z)):.5f},0,{y:.6f},{z:.6f},0,-x")
+    (folder / "reversed.csv").write_text("\n".join(rows))
+    given = ("solve", *mounts, "reversed.csv", "--unit", "AS-7")
+    unstated = json.loads(calrig(*given, "--json").stdout)
+    assert (unstated["level_known"], unstated["units"][0]["level"]["reversals"]) == (False, 1)
+    shown = calrig(*given, "--seat-std", "0.01", "--out", "solved").stdout
+    assert "its level +0.4" in shown
+    document = json.loads((folder / "solved" / "AS-7.json").read_text(encoding="utf-8"))
+    assert document["level_known"]
+    assert document["bias_deg"] == pytest.approx(0.4, abs=4.0 * document["level_std_deg"])
+    assert 0.01 / math.sqrt(2.0) < document["level_std_deg"] < 0.03

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from calrig.calibration.joint.three_axis_fit import UNTOLD, ThreeAxisFit
+from calrig.calibration.pose import GYRO_MEANS
 from calrig.estimation.angles import FloatArray
 
-MEANS = ("gyro_x_dps", "gyro_y_dps", "gyro_z_dps")
 EARTH_DPS = 15.041 / 3600.0
 """IERS Conventions 2010, chapter 1: 7.292115e−5 rad/s."""
 LARGEST_BIAS_DPS, LARGEST_DPS_PER_G, LARGEST_DPS_PER_C = 100.0, 1.0, 1.0
@@ -51,7 +51,7 @@ class Dwells:
 def dwells_of(fit: ThreeAxisFit, unit: int) -> Dwells | None:
     """What a unit's dwells say; None where too few of them have all three means."""
     problem = fit.problem
-    means = [[pose.covariates.get(name) for name in MEANS] for pose in problem.of.poses]
+    means = [[pose.covariates.get(name) for name in GYRO_MEANS] for pose in problem.of.poses]
     known = np.array([None not in mean for mean in means]) & fit.kept & (problem.table.unit == unit)
     rows = np.flatnonzero(known)
     if len(rows) < FEWEST:

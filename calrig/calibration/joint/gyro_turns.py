@@ -21,11 +21,9 @@ from calrig.calibration.joint.stage_map import basis
 from calrig.calibration.joint.table import Intp
 from calrig.calibration.joint.three_axis_fit import ThreeAxisFit
 from calrig.calibration.joint.three_axis_frame import slopes_of
-from calrig.calibration.pose import Pose
+from calrig.calibration.pose import GYRO_MOVES, Pose
 from calrig.estimation.angles import FloatArray
 
-MOVES = ("gyro_move_x_deg", "gyro_move_y_deg", "gyro_move_z_deg")
-"""Columns: the rate about each axis, less its bias, integrated over the move into the pose."""
 TURN_DEG, CLOSES_DEG = 360.0, 1.0
 SHORTEST_DEG = 10.0
 FEWEST = 3
@@ -129,7 +127,7 @@ def _solved(
     """G, its covariance, and the scatter of a full turn, with mounts and map as the fit has them."""
     problem, n_own = fit.problem, RESPONSE + 1 + 3 * len(mounts)
     nuisance = np.concatenate([*(np.r_[problem.tilts_at(int(k))] for k in mounts), np.r_[problem.map_at]])
-    free = nuisance[problem.free()[nuisance]]
+    free = nuisance[problem.free[nuisance]]
     at = np.searchsorted(mounts, problem.table.mount[moves.rows])
     weight = np.sqrt(TURN_DEG / np.maximum(np.abs(moves.dial_deg), SHORTEST_DEG))[:, None]
 
@@ -163,7 +161,7 @@ def _solved(
 
 def _felt(pose: Pose) -> FloatArray | None:
     """(3,) degrees about x, y, z over the move into a pose; None where not all are known."""
-    values = [pose.covariates.get(name) for name in MOVES]
+    values = [pose.covariates.get(name) for name in GYRO_MOVES]
     return None if None in values else np.array(values, dtype=np.float64)
 
 

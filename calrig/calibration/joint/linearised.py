@@ -34,8 +34,10 @@ class Parameters(Protocol):
     def size(self) -> int: ...  # noqa: D102
     @property
     def map_at(self) -> slice: ...  # noqa: D102
-    def order_at(self, place: int) -> Intp: ...  # noqa: D102
+    @property
     def free(self) -> BoolArray: ...  # noqa: D102
+    @property
+    def blocks(self) -> tuple[Intp, ...]: ...  # noqa: D102
     def widths(self) -> FloatArray: ...  # noqa: D102
     def start(self) -> FloatArray: ...  # noqa: D102
 
@@ -47,8 +49,8 @@ class Linearised(Protocol):
     def problem(self) -> Parameters: ...  # noqa: D102
     @property
     def parameters(self) -> FloatArray: ...  # noqa: D102
-    @property
-    def covariance(self) -> FloatArray: ...  # noqa: D102
+    def covariance_of(self, rows: FloatArray) -> FloatArray: ...  # noqa: D102
+    def covariance_at(self, places: Intp) -> FloatArray: ...  # noqa: D102
     @property
     def noise(self) -> float: ...  # noqa: D102
     @property

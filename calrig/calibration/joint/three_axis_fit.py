@@ -57,6 +57,14 @@ class ThreeAxisFit:
         """(n,) the poses it rests on."""
         return np.asarray(self.weights > 0.0)
 
+    def covariance_of(self, rows: FloatArray) -> FloatArray:
+        """(m, m) of what is linear (m, p) in the parameters."""
+        return np.asarray(rows @ self.covariance @ rows.T)
+
+    def covariance_at(self, places: Intp) -> FloatArray:
+        """(m, m) of some parameters."""
+        return self.covariance[np.ix_(places, places)]
+
     @property
     def stds(self) -> FloatArray:
         """(p,) standard errors."""
@@ -78,7 +86,7 @@ class ThreeAxisFit:
 
         A direction is told where it is known better than to a third of how large it may be.
         """
-        free = self.problem.free()
+        free = self.problem.free
         scale = self.problem.widths()[free] / self.noise
         size = np.linalg.eigvalsh(self.normal.matrix[np.ix_(free, free)] * np.outer(scale, scale))
         return int((size > 1.0 / UNTOLD**2).sum()), int(free.sum())
@@ -88,7 +96,7 @@ def fitted_whole(
     problem: ThreeAxisProblem, weights: FloatArray, start: FloatArray | None = None, *, robust: bool = False
 ) -> ThreeAxisFit:
     """The least squares solution; arguments as `least_squares.fitted` has them."""
-    free, prior = problem.free(), problem.widths() ** -2.0
+    free, prior = problem.free, problem.widths() ** -2.0
     centre = np.where(free, problem.start(), 0.0)
     parameters = centre if start is None else np.where(free, start, 0.0)
     noise, own = np.inf, weights
@@ -163,7 +171,7 @@ def vector_correlation(fit: ThreeAxisFit) -> float:
     """Lag-1 correlation of the poses' noise by restricted likelihood (`correlation`), 0 without an order."""
     if not fit.problem.table.in_order:
         return 0.0
-    free, prior = fit.problem.free(), np.diag(fit.noise**2 * fit.problem.widths() ** -2.0)
+    free, prior = fit.problem.free, np.diag(fit.noise**2 * fit.problem.widths() ** -2.0)
 
     def criterion(rho: float) -> float:
         normal = replace(fit.problem, correlation=float(rho)).normal(fit.parameters, fit.weights)
@@ -185,7 +193,7 @@ def _leverage(inverse: FloatArray, at: Intp, derivatives: FloatArray) -> FloatAr
 def _share(problem: ThreeAxisProblem, normal: Normal, noise: float) -> float:
     """Parameters that the responses tell: the trace of the matrix that predicts them."""
     known = np.diag(noise**2 * problem.widths() ** -2.0)
-    return float((_inverse(normal.matrix + known, problem.free()) * normal.matrix).sum())
+    return float((_inverse(normal.matrix + known, problem.free) * normal.matrix).sum())
 
 
 def _huber(normal: Normal, noise: float) -> FloatArray:

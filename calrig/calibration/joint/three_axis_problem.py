@@ -109,10 +109,7 @@ class ThreeAxisProblem:
         first = WIDTH * len(self.table.units) + TILTS * mount
         return slice(first, first + TILTS)
 
-    def order_at(self, place: int) -> Intp:
-        """Places of the cosine and sine of one of the orders."""
-        return self.first_order + 2 * place + np.arange(2)
-
+    @property
     def free(self) -> BoolArray:
         """(p,) which parameters are to be found; the others are 0."""
         free = np.ones(self.size, dtype=np.bool_)
@@ -122,6 +119,11 @@ class ThreeAxisProblem:
             own[PER_C] = bool(np.isfinite(self.table.reference_c[unit]))
         free[-1] = len(np.unique(self.table.approach[self.table.approach != 0.0])) > 1
         return free
+
+    @property
+    def blocks(self) -> tuple[Intp, ...]:
+        """Places of what is free beside the map, all together: the stage's dip is common to all units."""
+        return (np.flatnonzero(self.free[: self.first_order]),)
 
     def widths(self) -> FloatArray:
         """(p,) how large each may be: what is known of it before the data, as a standard deviation."""

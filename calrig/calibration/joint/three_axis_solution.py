@@ -89,7 +89,7 @@ def _offered(problem: ThreeAxisProblem, known: Sequence[float]) -> tuple[float, 
         DiagnosisError: the poses are fewer than the parameters need.
     """
     always = {float(order) for order in range(1, of_the_unit(problem.linear) + 1)} | set(known)
-    needed = int(replace(problem, orders=tuple(always)).free().sum())
+    needed = int(replace(problem, orders=tuple(always)).free.sum())
     spare = 3 * len(problem.table) - needed
     if spare < FEWEST_SPARE:
         raise DiagnosisError(
