@@ -259,6 +259,9 @@ def test_units_that_are_stated_to_be_linear_and_are_not_are_told_of(lots):
 def test_too_few_poses_are_refused(lots):
     with pytest.raises(DiagnosisError, match="9 poses are too few for"):
         solve_whole([replace(lot, poses=lot.poses[:3]) for lot in lots])
+    blind = [replace(lot, poses=[replace(p, accel_x_g=None) for p in lot.poses]) for lot in lots]
+    with pytest.raises(DiagnosisError, match="mount m0: 29 poses lack accel_x_g, accel_y_g or accel_z_g"):
+        solve_whole(blind)
 
 
 def test_a_unit_turned_about_the_vertical_is_another_face_of_the_same(bench):

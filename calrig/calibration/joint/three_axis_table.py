@@ -15,7 +15,7 @@ import numpy as np
 
 from calrig.calibration.joint.clamping import FACES, face_matrix
 from calrig.calibration.joint.least_squares import GROSS_G
-from calrig.calibration.joint.mounts import table_of
+from calrig.calibration.joint.mounts import TOLD, table_of
 from calrig.calibration.joint.table import Mounted, Table
 from calrig.calibration.pose import DiagnosisError, Pose
 from calrig.calibration.pose_columns import complete
@@ -58,6 +58,8 @@ def three_axis_table(lots: Sequence[Mounted]) -> tuple[ThreeAxisTable, list[str]
     """
     warnings: list[str] = []
     checked = [found for lot in lots if (found := _checked(lot, warnings)) is not None]
+    if not checked:
+        raise DiagnosisError(f"no pose has all of gravity's components: {'; '.join(warnings[:TOLD])}")
     own = _named_by_face(checked)
     seen, said = table_of([_about_x(lot) for lot in own])
     of_mount: dict[tuple[str, str], list[Mounted]] = defaultdict(list)
