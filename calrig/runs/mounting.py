@@ -81,7 +81,7 @@ class Mount:
         return self.sense * (stage_deg + self.deg)
 
     def clamped_at(self, stage_deg: float, angle_deg: float) -> float:
-        """The angle at which a unit is clamped that stands so about its axis; the turn next to the mount's."""
+        """The angle at which a unit is clamped that stands so about its axis, on the mount's turn."""
         return self.deg + wrap_deg(self.sense * angle_deg - stage_deg - self.deg)
 
     def refusal(self, stage_deg: float, angle_deg: float, accel_g: FloatArray) -> str | None:
