@@ -55,6 +55,7 @@ LATER = {
     "benchtable.js",
     "calibrations.js",
     "compare.js",
+    "formats.js",
     "history.js",
     "import.js",
     "limits.js",
