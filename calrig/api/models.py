@@ -238,7 +238,7 @@ class PoseAnswer(BaseModel):
     accel_z_g: float | None
     gyro_move_deg: float | None
     settle_s: float | None
-    mount: str | None = Field(description="Poses that share it were taken without the unit being touched.")
+    mount: str = Field(description="Poses that share it were taken without the unit being touched.")
     mount_deg: float = Field(description="The angle at which the unit was clamped, nominally.")
     mount_axis: str = Field(description="Which of the unit's axes lay along the stage's.")
     raw_error_deg: float = Field(description="Reading less the elevation it was taken at.")
