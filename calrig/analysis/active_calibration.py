@@ -15,10 +15,10 @@ from calrig.calibration.correction import numbers_of
 from calrig.calibration.effect import ApplyError
 from calrig.calibration.fit import Line
 from calrig.calibration.pose import Pose
+from calrig.calibration.reference_figures import ReferenceFigures
 from calrig.calibration.result import (
     AppliedEffect,
     GyroFigures,
-    ReferenceFigures,
     Result,
     apply_calibration,
     corrected_residuals_deg,
@@ -132,12 +132,20 @@ def active_calibration(store: Store, unit: str, rig: str | None, number: int | N
     document = found.document
     of_unit = [(e["name"], numbers_of(e["parameters"])) for e in document["effects"]]
     of_rig = as_applied([e for e in store.effects_in_force(unit, rig) if e.unit is None])
-    worth, stage = document["uncertainty"], reference_of(document["provenance"])
-    reference = None
-    if stage is not None and worth["reference_bias_deg"] is not None:
-        parts = worth["reference_bias_deg"], worth["reference_scale"]
-        reference = ReferenceFigures(stage.std_deg, stage.kind, *parts, stage.distribution)
+    reference = _reference(document)
     return ActiveCalibration(found.revision, found.run_id, line_of(document), [*of_unit, *of_rig], reference)
+
+
+def _reference(document: Document) -> ReferenceFigures | None:
+    """What the stage is worth in a document: its map where that was in force, else its certificate."""
+    worth, stage = document["uncertainty"], reference_of(document["provenance"])
+    by_map = worth.get("reference")
+    if by_map is not None:
+        return ReferenceFigures.from_dict(by_map)
+    if stage is None or worth["reference_bias_deg"] is None:
+        return None
+    parts = worth["reference_bias_deg"], worth["reference_scale"]
+    return ReferenceFigures(stage.std_deg, stage.kind, *parts, stage.distribution)
 
 
 def left_of_poses_deg(store: Store, run: Run, poses: Sequence[Pose]) -> list[float | None]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import re
@@ -17,10 +16,10 @@ from calrig.calibration.joint.mapped import mapped
 from calrig.calibration.joint.report import parameters_of
 from calrig.calibration.joint.solution import Solution
 from calrig.calibration.joint.unit_model import NAMES
+from calrig.calibration.stage_reference import MAP_SCHEMA, sha256_of
 from calrig.estimation.angles import wrap_deg
 from calrig.export.calibration_json import MODEL, SCHEMA
 
-MAP_SCHEMA = "calrig.stage-map/1"
 _CURVATURES = ("y_mg_per_g2", "y_mg_per_g3", "z_mg_per_g2", "z_mg_per_g3")
 EFFECTS: dict[str, tuple[str, ...]] = {
     "accelerometer_offset": ("y_mg", "z_mg"),
@@ -99,7 +98,7 @@ def unit_document(solution: Solution, unit: int) -> dict[str, Any]:
             "separable": solution.is_separable(unit),
         },
     }
-    return {**document, "sha256": _sha256(document)}
+    return {**document, "sha256": sha256_of(document)}
 
 
 def effects_of(solution: Solution, unit: int) -> list[dict[str, Any]]:
@@ -142,7 +141,7 @@ def map_document(solution: Solution) -> dict[str, Any]:
         "solved_from": list(solution.table.sources),
         "separable": all(solution.is_separable(unit) for unit in range(len(solution.table.units))),
     }
-    return {**document, "sha256": _sha256(document)}
+    return {**document, "sha256": sha256_of(document)}
 
 
 def _temperatures(solution: Solution, unit: int) -> dict[str, float] | None:
@@ -159,8 +158,3 @@ def _rms(values: Any) -> float:
 
 def _file_name(serial: str) -> str:
     return re.sub(r"[^\w.\-]", "_", serial).lstrip(".") + ".json"
-
-
-def _sha256(document: dict[str, Any]) -> str:
-    text = json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()

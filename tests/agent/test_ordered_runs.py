@@ -11,7 +11,7 @@ from calrig.analysis.active_calibration import ActiveCalibration
 from calrig.analysis.unresolved import Unresolved
 from calrig.calibration.fit import Line
 from calrig.calibration.pose import Filtering, Pose
-from calrig.calibration.result import ReferenceFigures
+from calrig.calibration.reference_figures import ReferenceFigures
 from calrig.plan import Plan
 from calrig.runs.follow_up import FollowUpRun
 from calrig.runs.ordered import order_part, ordered_run

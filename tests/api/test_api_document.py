@@ -39,6 +39,7 @@ def test_every_answer_is_what_the_document_says(shared_client, monkeypatch):
     names = {
         "/api/rigs/{name}/error-map": "bench-1",
         "/api/rigs/{name}/check-unit": "bench-1",
+        "/api/rigs/{name}/map": "bench-1",
         "/api/rigs/{name}/figures/check-unit": "bench-1",
         "/api/rigs/{name}/figures/error-map": "bench-1",
         "/api/runs/{run_id}/figures/{name}": "residual",
