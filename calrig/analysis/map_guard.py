@@ -87,5 +87,5 @@ def _document(now: Run, before: Run, found: MapCheck) -> Document:
         "run_id": now.id,
         "baseline_run_id": before.id,
         **asdict(found),
-        "at_deg": list(found.at_deg),
+        "at_deg": list(found.at_deg) if found.has_moved else [],
     }

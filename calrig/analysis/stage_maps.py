@@ -105,6 +105,19 @@ def put_in_force(store: Store, rig: str, solution_id: str, *, who: str | None) -
     return store.put_stage_map(rig, solution_id, solution.found.stage_map, who=who)
 
 
+def listed_maps(store: Store, configured: Mapping[str, Document]) -> list[Document]:
+    """Which maps are in force, by name of the rig."""
+    put = {
+        one.rig: {"rig": one.rig, "sha256": one.sha256, "solve": one.solution_id, "file": None}
+        for one in store.stage_maps()
+    }
+    of_files = {
+        rig: {"rig": rig, "sha256": kept["sha256"], "solve": None, "file": kept["file"]}
+        for rig, kept in configured.items()
+    }
+    return [one for _, one in sorted({**of_files, **put}.items())]
+
+
 def shown_map(store: Store, rig: RigSettings, configured: Mapping[str, Document]) -> Document:
     """The map in force for a rig, as people and programs look at it.
 
@@ -129,7 +142,7 @@ def shown_map(store: Store, rig: RigSettings, configured: Mapping[str, Document]
         "map": {
             "stage_deg": dial_deg.tolist(),
             "error_deg": stage_map.correction_deg(dial_deg, middle).tolist(),
-            "std_deg": stage_map.stds_deg(dial_deg).tolist(),
+            "std_deg": stage_map.stds_deg(dial_deg, middle).tolist(),
         },
         "units": list(stage_map.units),
         "runs": list(stage_map.sources),

@@ -8,7 +8,7 @@ from typing import Literal
 from fastapi import APIRouter
 from pydantic import Field
 
-from calrig.analysis.stage_maps import put_in_force, shown_map
+from calrig.analysis.stage_maps import listed_maps, put_in_force, shown_map
 from calrig.api.callers import Who, requires
 from calrig.api.context import Context
 from calrig.api.errors import problems
@@ -66,6 +66,23 @@ class StageMapAnswer(Answer):
     runs: list[str] = Field(description="Runs, or files, that it was solved from.")
     holds: HoldsAnswer
     says: str
+
+
+class NamedMap(Answer):
+    """Which map is in force for a rig: of a solution, or of a file."""
+
+    rig: str
+    sha256: str
+    solve: str | None
+    file: str | None
+
+
+@router.get(
+    "/api/stage-maps", response_model=list[NamedMap], summary="The maps in force, of all rigs that have one"
+)
+def list_maps(context: Context) -> object:
+    """By name of the rig."""
+    return listed_maps(context.store, context.service.maps)
 
 
 @router.get(

@@ -128,11 +128,12 @@ class StageMap:
     @property
     def std_deg(self) -> float:
         """Standard uncertainty over the dial's range, root mean square."""
-        return float(np.sqrt(np.mean(self.stds_deg(self.dial_deg) ** 2)))
+        middle = np.zeros(len(self.dial_deg))
+        return float(np.sqrt(np.mean(self.stds_deg(self.dial_deg, middle) ** 2)))
 
-    def stds_deg(self, dial_deg: FloatArray) -> FloatArray:
-        """(n,) standard uncertainty at angles of the dial, in the middle of the play."""
-        columns = self.columns(dial_deg, np.zeros(len(dial_deg)))
+    def stds_deg(self, dial_deg: FloatArray, approach: FloatArray) -> FloatArray:
+        """(n,) standard uncertainty at angles of the dial; approach 0 is the middle of the play."""
+        columns = self.columns(dial_deg, approach)
         variance = np.einsum("ij,jk,ik->i", columns, self.covariance_deg2, columns)
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 

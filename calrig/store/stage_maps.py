@@ -35,6 +35,16 @@ class StageMaps(Part):
             row = _in_force(session, rig)
             return None if row is None else _of(row)
 
+    def stage_maps(self) -> list[MapInForce]:
+        """Every rig's that has one, by name of the rig."""
+        wanted = (
+            select(StageMapTable)
+            .where(col(StageMapTable.withdrawn_at).is_(None))
+            .order_by(col(StageMapTable.rig))
+        )
+        with self._database.reading() as session:
+            return [_of(row) for row in session.exec(wanted)]
+
     def put_stage_map(
         self, rig: str, solution_id: str, document: Document, *, who: str | None = None
     ) -> MapInForce:

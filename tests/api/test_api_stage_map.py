@@ -6,8 +6,10 @@ import json
 
 import numpy as np
 import pytest
+from pydantic import TypeAdapter
 from support import ended
 
+from calrig.api.stage_maps import StageMapAnswer
 from calrig.calibration.stage_reference import sha256_of
 from calrig.store.solutions import Basis, Solved
 
@@ -53,7 +55,11 @@ def test_a_map_in_force_is_what_runs_rest_on_and_keep(client, store, quick_plan)
     before = calibrated(client, quick_plan)
     assert client.get("/api/rigs/bench-1/map").status_code == 404
     shown = put(client, kept.id).raise_for_status().json()
-    assert shown == client.get("/api/rigs/bench-1/map").json()
+    answer = client.get("/api/rigs/bench-1/map")
+    assert answer.json() == shown
+    (named,) = client.get("/api/stage-maps").json()
+    assert (named["rig"], named["sha256"], named["solve"]) == ("bench-1", shown["sha256"], kept.id)
+    TypeAdapter(StageMapAnswer).validate_json(answer.content, strict=True)
     assert (shown["solve"], shown["units"], shown["runs"]) == (kept.id, ["M-1"], ["a", "b", "c"])
     assert shown["covariance_deg2"][0][0] == STD_DEG**2
     assert shown["holds"]["state"] == "not_known"
