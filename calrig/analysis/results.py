@@ -34,8 +34,17 @@ def fitted(
         provenance: of the run; says what the stage was worth when it was made.
         gyro: what the run's samples say of the gyro.
     """
-    reference = reference_over(poses, provenance, bent=bool(accepted))
-    return build_result(poses, gyro, as_applied(accepted), reference, unused_map_says(poses, provenance))
+    effects = as_applied(accepted if not rest_on_map(poses) else [e for e in accepted if e.unit is not None])
+    reference = reference_over(poses, provenance, bent=bool(effects))
+    return build_result(poses, gyro, effects, reference, unused_map_says(poses, provenance))
+
+
+def rest_on_map(poses: Sequence[Pose]) -> bool:
+    """Whether elevations rest on the stage's map, which has all of the stage's errors in it.
+
+    What was accepted of the rig (its play, its eccentricity) would be taken out twice.
+    """
+    return all(pose.map_deg is not None for pose in poses)
 
 
 def reference_over(poses: Sequence[Pose], provenance: Document, *, bent: bool) -> Reference | None:
@@ -47,7 +56,7 @@ def reference_over(poses: Sequence[Pose], provenance: Document, *, bent: bool) -
         bent: whether effects are taken out beside bias and scale.
     """
     certificate, in_force = reference_of(provenance), map_of(provenance)
-    if in_force is None or any(pose.map_deg is None for pose in poses):
+    if in_force is None or not rest_on_map(poses):
         return certificate
     theta_deg = np.array([pose.theta_deg for pose in poses])
     return map_reference(in_force, theta_deg, *dial_of(poses), level=certificate, bent=bent)
@@ -56,7 +65,7 @@ def reference_over(poses: Sequence[Pose], provenance: Document, *, bent: bool) -
 def unused_map_says(poses: Sequence[Pose], provenance: Document) -> str | None:
     """Why the map in force was not used for a run, and what it rests on instead; None where it was."""
     in_force = map_of(provenance)
-    if in_force is None or all(pose.map_deg is not None for pose in poses):
+    if in_force is None or rest_on_map(poses):
         return None
     instead = (
         "The uncertainty is that of the stage's certificate."
