@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calrig.calibration.stage_reference import sha256_of
+from calrig.canonical_json import sha256_of
 from calrig.store.solutions import Basis, Solved
 
 ORDERS = [1.0, 2.0, 3.0]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calrig.calibration.correction import numbers_of
-from calrig.calibration.pose import Pose
+from calrig.calibration.pose import Pose, of_first_mount
 from calrig.calibration.result import AppliedEffect, GyroFigures, Result, build_result, residuals
 from calrig.calibration.stage_reference import beyond_in_words, dial_of, map_reference
 from calrig.calibration.uncertainty import Reference
@@ -58,6 +58,7 @@ def reference_over(poses: Sequence[Pose], provenance: Document, *, bent: bool) -
     certificate, in_force = reference_of(provenance), map_of(provenance)
     if in_force is None or not rest_on_map(poses):
         return certificate
+    poses = of_first_mount(poses)
     theta_deg = np.array([pose.theta_deg for pose in poses])
     return map_reference(in_force, theta_deg, *dial_of(poses), level=certificate, bent=bent)
 

@@ -11,8 +11,6 @@ with every clamping (level_known false). It is taken off here, out of values and
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -24,6 +22,7 @@ from calrig.calibration.joint.stage_map import TURN_DEG, basis
 from calrig.calibration.pose import Pose
 from calrig.calibration.uncertainty import Reference
 from calrig.calibration.wording import deg
+from calrig.canonical_json import sha256_of
 from calrig.estimation.angles import FloatArray
 
 MAP_SCHEMA = "calrig.stage-map/1"
@@ -70,8 +69,7 @@ class StageMap:
         if not isinstance(document, dict) or document.get("schema") != MAP_SCHEMA:
             raise MapError(f"is no stage's map (its schema is not {MAP_SCHEMA!r})")
         try:
-            content = {key: value for key, value in document.items() if key != "sha256"}
-            if document["sha256"] != sha256_of(content):
+            if document["sha256"] != sha256_of(document):
                 raise MapError("was changed since it was made: its sha256 is another one")
             if document["separable"] is not True:
                 raise MapError("is of poses that do not part the stage from its units (`separable` is false)")
@@ -248,9 +246,3 @@ def map_reference(
         distribution="normal",
         line_covariance=((first[0], first[1]), (second[0], second[1])),
     )
-
-
-def sha256_of(content: Mapping[str, Any]) -> str:
-    """Of a document without its own hash, as CONTRACT section 6 has it."""
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()

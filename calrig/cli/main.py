@@ -12,12 +12,14 @@ import typer
 import calrig
 from calrig.cli import (
     agent,
+    apply,
     benches,
     diagnosis,
     enroll,
     fleet,
     move_store,
     noise,
+    plan,
     records,
     rigs,
     run,
@@ -47,6 +49,8 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "diagnose": diagnosis.diagnose,
     "gravity": diagnosis.gravity,
     "solve": solve.solve,
+    "apply": apply.apply,
+    "plan": plan.plan,
     "noise": noise.noise,
     "filters": noise.filters,
     "fleet": fleet.fleet,

@@ -28,8 +28,8 @@ class PlanEstimate:
     Attributes:
         n_poses: poses to be measured; none of a static log.
         elevations_deg: of one sweep, neither ordered nor jittered.
-        duration_s: about how long it takes by the board's clock, without a wait for a temperature; the most,
-            where dwells end as soon as their standard error is reached.
+        duration_s: about how long it takes by the board's clock, without a wait for a temperature or for a
+            person who turns the unit; the most, where dwells end as soon as their standard error is reached.
     """
 
     n_poses: int
@@ -67,13 +67,13 @@ def estimate(plan: Plan, rig: RigSettings, store: Store) -> PlanEstimate:
     """
     planned = planned_poses(plan, rig)
     static = plan.kind == "static"
-    velocity_dps, acceleration_dps2 = _speed(rig, store)
+    velocity_dps, acceleration_dps2 = speed(rig, store)
     targets_deg = [0.0, *(pose.target_deg for pose in planned)]  # from about its home
     duration_s = (
         (HOMING_AND_START_S if planned else 0.0)
         + _travel_s(targets_deg, plan.velocity_dps or velocity_dps, acceleration_dps2)
         + (1 if static else len(planned)) * (plan.settle_s + plan.dwell_s + QUESTIONS_S)
-        + (0 if static else plan.sweeps) * plan.wait_s
+        + (0 if static else plan.sweeps * len(plan.mounts_deg)) * plan.wait_s
     )
     elevations_deg = [pose.target_deg for pose in planned] if static else plan.elevations()
     return PlanEstimate(0 if static else len(planned), elevations_deg, duration_s)
@@ -84,9 +84,9 @@ def _travel_s(targets_deg: Sequence[float], velocity_dps: float, acceleration_dp
     return sum(travel_time_s(way_deg, velocity_dps, acceleration_dps2) for way_deg in ways_deg)
 
 
-def _speed(rig: RigSettings, store: Store) -> tuple[float, float]:
-    """Velocity and acceleration of elevation, deg/s and deg/s²."""
-    latest, _ = store.runs(rig=rig.name, status="completed", limit=1)
+def speed(rig: RigSettings, store: Store | None) -> tuple[float, float]:
+    """Velocity and acceleration of elevation, deg/s and deg/s²; assumed where there is no store yet."""
+    latest = [] if store is None else store.runs(rig=rig.name, status="completed", limit=1)[0]
     said = latest[0].provenance.get("stage", {}) if latest else {}
     ratio = rig.stage.ratio if rig.stage else 1.0
     velocity_dps, acceleration_dps2 = said.get("velocity_dps"), said.get("acceleration_dps2")

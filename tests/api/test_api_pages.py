@@ -55,12 +55,14 @@ LATER = {
     "benchtable.js",
     "calibrations.js",
     "compare.js",
+    "formats.js",
     "history.js",
     "limits.js",
     "rig.js",
     "trail.js",
     "units.js",
     "users.js",
+    "waiting.js",
 }
 """Modules of pages that are fetched when somebody goes there."""
 

@@ -7,7 +7,7 @@ import json
 import pytest
 
 from calrig.analysis.stage_maps import configured_maps
-from calrig.calibration.stage_reference import sha256_of
+from calrig.canonical_json import sha256_of
 from calrig.settings import SettingsError, load_settings
 
 CONTENT = {
