@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calrig.analysis.joint_solutions import mounted_runs
+from calrig.analysis.joint_solutions import mounted
+from calrig.analysis.stored_runs import ended_run
 from calrig.calibration.joint.advice import advised
 from calrig.calibration.joint.solution import Solution, solve
 from calrig.calibration.joint.table import Mounted
@@ -72,7 +73,7 @@ def error_map(store: Store, rig: str) -> ErrorMap:
 
 def lots_of(store: Store, basis: Basis) -> list[Mounted]:
     """The poses that a map rests on."""
-    return mounted_runs(store, [run_id for run_id, _ in basis.runs])
+    return mounted(store, [ended_run(store, run_id) for run_id, _ in basis.runs])
 
 
 def solved_map(lots: Sequence[Mounted], basis: Basis) -> ErrorMap:

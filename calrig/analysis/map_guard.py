@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 
-from calrig.analysis.joint_solutions import mounted_runs
+from calrig.analysis.joint_solutions import mounted
 from calrig.calibration.map_check import MapCheck, checked
 from calrig.calibration.stage_reference import StageMap
 from calrig.calibration.wording import deg, percent
@@ -60,8 +60,8 @@ def _is_by(run: Run, stage_map: StageMap) -> bool:
 
 def _held(store: Store, now: Run, before: Run, stage_map: StageMap) -> MapCheck | None:
     """By the first clamping angle that both runs have and that tells."""
-    then = {(lot.nominal_deg or 0.0, lot.axis): lot.poses for lot in mounted_runs(store, [before.id])}
-    for lot in mounted_runs(store, [now.id]):
+    then = {(lot.nominal_deg or 0.0, lot.axis): lot.poses for lot in mounted(store, [before])}
+    for lot in mounted(store, [now]):
         same = then.get((lot.nominal_deg or 0.0, lot.axis))
         found = None if same is None else checked(lot.poses, same, stage_map)
         if found is not None:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import uuid
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
 import sqlalchemy
+from sqlmodel import col
 
 from calrig.store.database import Part
 from calrig.store.errors import NotFound
 from calrig.store.records import Document
-from calrig.store.tables import SolutionTable
+from calrig.store.tables import RunTable, SolutionTable
+from calrig.store.units import COUNTS
 
 _COLUMN = sqlalchemy.inspect(SolutionTable).local_table.c
 _NEWEST_FIRST = _COLUMN.created_at.desc(), _COLUMN.id.desc()
@@ -26,12 +29,14 @@ class Basis:
         units: serials of their units.
         linear: whether the units were stated to have no quadratic and cubic terms.
         periods_deg: of gears that somebody knew.
+        seat_std_deg: how far one clamping was said to scatter from the next; None where nobody did.
     """
 
     runs: tuple[str, ...]
     units: tuple[str, ...]
     linear: bool = False
     periods_deg: tuple[float, ...] = ()
+    seat_std_deg: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +117,17 @@ class Solutions(Part):
             session.add(row)
         return kept
 
+    def counting_runs(self, rig: str | None = None, units: Sequence[str] | None = None) -> list[str]:
+        """Ids of the completed, not voided calibrations of some units on a rig, the oldest first."""
+        in_order = col(RunTable.created_at), col(RunTable.id)
+        query = sqlalchemy.select(col(RunTable.uid)).where(*COUNTS).order_by(*in_order)
+        if rig is not None:
+            query = query.where(col(RunTable.rig) == rig)
+        if units is not None:
+            query = query.where(col(RunTable.unit).in_(units))
+        with self._database.reading() as session:
+            return list(session.connection().execute(query).scalars())
+
     def solution(self, solution_id: str) -> StoredSolution:
         """One by its id.
 
@@ -145,6 +161,7 @@ def _as_document(basis: Basis) -> Document:
         "units": list(basis.units),
         "linear": basis.linear,
         "periods_deg": list(basis.periods_deg),
+        "seat_std_deg": basis.seat_std_deg,
     }
 
 
@@ -154,4 +171,5 @@ def _basis(document: Document) -> Basis:
         tuple(document["units"]),
         document["linear"],
         tuple(document["periods_deg"]),
+        document["seat_std_deg"],
     )
