@@ -78,7 +78,7 @@ def question(store: Store, wanted: Wanted) -> Question:
         )
     basis = wanted.basis([run.id for run in runs], sorted({run.unit for run in runs}))
     limits_deg = wanted.limits_deg or _limits_of(max(runs, key=lambda run: run.created_at))
-    return Question(runs[0].rig, basis, _mounted(store, runs), limits_deg)
+    return Question(runs[0].rig, basis, mounted(store, runs), limits_deg)
 
 
 def answer(asked: Question) -> Solved:
@@ -167,7 +167,7 @@ def _named(wanted: Wanted) -> str:
     return units if wanted.rig is None else f"on rig {wanted.rig!r} {units}"
 
 
-def _mounted(store: Store, runs: Sequence[Run]) -> list[Mounted]:
+def mounted(store: Store, runs: Sequence[Run]) -> list[Mounted]:
     """The poses of runs that count, a lot for each clamping."""
     names = {run.id: short_name(run.id) for run in runs}
     if len(set(names.values())) < len(names):

@@ -14,12 +14,12 @@ from calrig.calibration.joint.mapped import mapped
 from calrig.calibration.joint.report import level_document, parameters_of
 from calrig.calibration.joint.solution import Solution
 from calrig.calibration.joint.unit_model import NAMES
+from calrig.calibration.stage_reference import MAP_SCHEMA
 from calrig.canonical_json import with_sha256
 from calrig.estimation.angles import wrap_deg
 from calrig.export.calibration_json import MODEL, SCHEMA
 from calrig.export.joint_files import joint_files
 
-MAP_SCHEMA = "calrig.stage-map/1"
 _CURVATURES = ("y_mg_per_g2", "y_mg_per_g3", "z_mg_per_g2", "z_mg_per_g3")
 EFFECTS: dict[str, tuple[str, ...]] = {
     "accelerometer_offset": ("y_mg", "z_mg"),

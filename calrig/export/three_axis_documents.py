@@ -24,10 +24,11 @@ from calrig.calibration.joint.three_axis_report import (
     units_of,
 )
 from calrig.calibration.joint.three_axis_solution import ThreeAxisSolution
+from calrig.calibration.stage_reference import MAP_SCHEMA
 from calrig.canonical_json import with_sha256
 from calrig.estimation.angles import wrap_deg
 from calrig.export.calibration_json import MODEL, SCHEMA
-from calrig.export.joint_documents import ADDED, EFFECTS, MAP_SCHEMA
+from calrig.export.joint_documents import ADDED, EFFECTS
 
 CURVED = "axis_nonlinearity"
 
