@@ -21,6 +21,8 @@ const WORDS = {
   withdrawn: "withdrew a calibration",
   limits_changed: "changed limits",
   check_unit_changed: "changed a check unit",
+  map_put_in_force: "put a stage's map in force",
+  map_withdrawn: "withdrew a stage's map",
   user_added: "added a user",
   user_changed: "changed a user",
   unit_removed: "removed an empty unit",

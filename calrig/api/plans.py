@@ -54,7 +54,7 @@ def estimate_plan(body: PlanOnRig, context: Context) -> EstimateAnswer:
     """
     rig = context.service.known_rig(body.rig)
     said = estimate(body.plan, rig, context.store)
-    warnings = cannot_pass_on(rig, body.unit, body.plan, context.store)
+    warnings = cannot_pass_on(rig, body.unit, body.plan, context.store, context.service.maps)
     return EstimateAnswer(**asdict(said), warnings=warnings)
 
 

@@ -73,13 +73,15 @@ def _as_list(
     headings: Sequence[str], rows: Sequence[Sequence[str]], title: str | None, caption: str | None
 ) -> Iterator[str]:
     """The same, a line each; what is empty is left out."""
-    yield from [title] * (title is not None)
+    if title is not None:
+        yield title
     for row in rows:
         yield " ".join(part for part in (headings[0], row[0]) if part)
         for heading, cell in zip(headings[1:], row[1:], strict=False):
             if cell:
                 yield f"  {heading}: {cell}"
-    yield from [caption] * (caption is not None)
+    if caption is not None:
+        yield caption
 
 
 def print_parameter(title: str, parameter: dict[str, float | None] | None, unit: str = "") -> None:

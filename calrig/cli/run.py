@@ -67,7 +67,7 @@ def run(
     settings = load_settings(config)
     chosen = rig_named(settings, rig)
     with local_service(store_url(db), "run", (chosen,), settings, record) as service:
-        _warn(cannot_pass_on(chosen, unit, the_plan, service.store))
+        _warn(cannot_pass_on(chosen, unit, the_plan, service.store, service.maps))
         started = service.start(
             unit=unit, rig=chosen.name, plan=the_plan, operator=operator, note=note, stage_at_deg=stage_at
         )

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from calrig.analysis.joint_solutions import Wanted
     from calrig.client import Client
 
-KEPT_BESIDE = ("id", "created_at", "by", "rig", "runs", "linear", "periods_deg", "seat_std_deg")
+KEPT_BESIDE = ("id", "created_at", "by", "rig", "runs", "linear", "periods_deg", "seat_std_deg", "frame")
 """What an answer has beside the document of CONTRACT section 8."""
 
 
@@ -39,6 +39,7 @@ def solved_there(client: Client, wanted: Wanted, *, with_files: bool, with_poses
             linear=wanted.linear,
             periods_deg=wanted.periods_deg,
             seat_std_deg=wanted.seat_std_deg,
+            frame=wanted.frame,
             limits_deg=wanted.limits_deg,
             told=show,
         )

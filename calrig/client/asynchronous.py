@@ -86,6 +86,7 @@ class AsyncRun(_Asynchronous):
     resume = _threaded(Run.resume)
     diagnose = _threaded(Run.diagnose)
     poses = _threaded(Run.poses)
+    figure = _threaded(Run.figure)
 
     async def wait(self) -> RunRecord:
         """The run once it has ended, however."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 from urllib.parse import quote, urlencode
 
 from calrig.client.documents import (
@@ -150,6 +150,7 @@ class Client(Transport):
         linear: bool = False,
         periods_deg: Sequence[float] = (),
         seat_std_deg: float | None = None,
+        frame: Literal["sensor", "faces"] = "sensor",
         limits_deg: tuple[float, float] | None = None,
         told: Told = unheard,
     ) -> Solution:
@@ -162,6 +163,7 @@ class Client(Transport):
             linear: whether the units have no quadratic and cubic terms.
             periods_deg: of gears, where somebody knows them.
             seat_std_deg: how far one clamping of a face scatters from the next, likewise.
+            frame: of units clamped by several faces, whose their matrix is.
             limits_deg: of the stage, which advice keeps to; without them those of the last run.
             told: is told the share that is done, where the service can say.
         """
@@ -172,6 +174,7 @@ class Client(Transport):
             "linear": linear,
             "periods_deg": list(periods_deg),
             "seat_std_deg": seat_std_deg,
+            "frame": frame,
             "limits_deg": limits_deg,
         }
         return Solution.of(outcome(self, self.post("/api/solve?wait=false", body), told))

@@ -95,6 +95,11 @@ class Run:
         poses: list[dict[str, Any]] = self._link.get(f"{self._path}/poses")
         return poses
 
+    def figure(self, name: str) -> dict[str, Any]:
+        """A picture for `plotly.graph_objects.Figure`: `timeline`, `residual`, `diagnosis`, `effect-0`, …"""
+        figure: dict[str, Any] = self._link.get(f"{self._path}/figures/{name}")
+        return figure
+
     def _ask(self, what: str) -> RunRecord:
         self._record = RunRecord.of(self._link.post(f"{self._path}/{what}", {}))
         return self._record

@@ -57,6 +57,7 @@ LATER = {
     "compare.js",
     "formats.js",
     "history.js",
+    "import.js",
     "limits.js",
     "noise.js",
     "rig.js",

@@ -1,11 +1,8 @@
-"""Who no longer waits for long work, at a terminal or in a program, ends it at the service too."""
+"""Who no longer waits for long work ends it at the service too."""
 
 from __future__ import annotations
 
 import asyncio
-import os
-import signal
-import threading
 
 import pytest
 from endless_work import for_ever, working
@@ -24,7 +21,7 @@ def run_id(shared_client, monkeypatch):
     return imported(shared_client, "AS-1", POSES)["id"]
 
 
-def test_a_task_that_is_cancelled(shared_client, run_id):
+def test_a_task_that_is_cancelled_cancels_the_work_that_it_waits_for(shared_client, run_id):
     async def work():
         asked = asyncio.create_task(calrig.AsyncClient(str(shared_client.base_url)).diagnose(run_id))
         await asyncio.to_thread(wait_for, working, "work")
@@ -33,15 +30,4 @@ def test_a_task_that_is_cancelled(shared_client, run_id):
             await asked
 
     asyncio.run(work())
-    wait_for(lambda: not working(), "end of the work")
-
-
-def test_ctrl_c(shared_client, run_id):
-    def press():
-        wait_for(working, "work")
-        os.kill(os.getpid(), signal.SIGINT)
-
-    threading.Thread(target=press).start()
-    with pytest.raises(KeyboardInterrupt):
-        calrig.Client(str(shared_client.base_url)).diagnose(run_id)
     wait_for(lambda: not working(), "end of the work")

@@ -6,6 +6,7 @@ import pytest
 from command_line import reason
 
 from calrig.cli import output
+from calrig.cli.printing import print_table
 from calrig.errors import printable
 
 EVIL = "[red]a[/red][link=http://x]b[/link]\x1b]0;owned\x07\x1b[2J\u202e"
@@ -50,3 +51,20 @@ def test_a_serial_number_is_no_markup_and_what_is_not_known_is_said(capsys):
 def test_printable_text_stays_as_it_is():
     assert printable("Ünit № 7 [a] 'b'\n") == "Ünit № 7 [a] 'b'\n"
     assert printable("\x1b[31m\r\udcff") == r"\x1b[31m\r\udcff"
+
+
+@pytest.mark.parametrize("n_columns", [60, 80, 100])
+def test_a_table_cuts_no_name_and_keeps_to_the_terminal(capsys, monkeypatch, n_columns):
+    monkeypatch.setenv("COLUMNS", str(n_columns))
+    port = "/dev/serial/by-id/usb-FTDI_FT232R_USB_UART_A6008isP-if00-port0"
+    rows = [
+        [("bench-in-the-cellar-left", "joined", "Hall 7, north wing, cellar", "2026-11-22T17:34:55")],
+        [("AS-1", "", "named", "1.0"), ("AS-2", "x")],
+        [(port, "stage", "smc100", "SMC100CC version 2.0")],
+    ]
+    for table in rows:
+        print_table(("name", "is", "found where it stands", "last seen, UTC"), table, justify="left")
+        shown = capsys.readouterr().out
+        for word in " ".join(cell for row in table for cell in row).split():
+            assert word in shown
+        assert port in shown or max(map(len, shown.splitlines())) <= n_columns

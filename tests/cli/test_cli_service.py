@@ -1,0 +1,204 @@
+"""Commands beside a running service: they find it by the store's lock, and do there what they do here."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import threading
+from pathlib import Path
+
+import pytest
+from command_line import POSES, calrig, reason
+from support import LONG, QUICK, running_service, serving, wait_for
+from typer.testing import CliRunner
+
+import calrig as package
+from calrig.cli.main import app
+from calrig.plan import Plan
+from calrig.settings import store_url
+from calrig.store import Store, back_up
+from calrig.store.sqlite.lock import answering_at
+
+DOCS = Path(package.__file__).parent / "docs"
+TURNED = {**QUICK, "sweeps": 1, "mounts_deg": [0, 90]}
+
+
+@pytest.fixture(scope="module")
+def served(rig, launch_rig, tmp_path_factory):
+    """A service that has said in its store's lock where it answers; a client of it, and the store's path."""
+    clamped = launch_rig("clamped", clamp={})
+    path = tmp_path_factory.mktemp("served") / "calrig.db"
+    with running_service(path, rig, clamped) as service, serving(service) as client:
+        service.store.answers_at(str(client.base_url))
+        yield client, path
+
+
+@pytest.fixture
+def there(served, folder, monkeypatch):
+    """The client, where commands find the service without being told."""
+    client, path = served
+    monkeypatch.setenv("CALRIG_DB", str(path))
+    for name, plan in (("quick", QUICK), ("long", LONG), ("turned", TURNED)):
+        (folder / f"{name}.json").write_text(json.dumps(plan))
+    return client
+
+
+def pressed_when(look):
+    """Ctrl-C, once there is something to be seen."""
+
+    def press():
+        wait_for(look, "a moment for Ctrl-C")
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=press).start()
+
+
+def newest(client):
+    return client.get("/api/runs?limit=1").json()["items"][0]
+
+
+def test_a_run_is_the_services_and_ends_with_its_verdict(there):
+    printed = calrig("run", "--unit", "AS-1", "--plan", "quick.json", "--operator", "Ada").stdout
+    run = newest(there)
+    assert (run["unit"], run["operator"], run["status"]) == ("AS-1", "Ada", "completed")
+    assert f"run {run['id']}: unit AS-1, on bench-1" in printed
+    assert printed.splitlines()[-1] == f"· {run['verdict']['says'][-1]}"
+    as_json = calrig("run", "--unit", "AS-1", "--plan", "quick.json", "--json").stdout
+    assert json.loads(as_json) == newest(there)
+    watched = calrig("watch", run["id"][:8])
+    assert watched.stdout == printed
+
+
+def test_what_was_imported_is_exported_and_diagnosed_as_without_the_service(there, folder):
+    imported = calrig("import", "poses.csv", "--unit", "A/1")
+    run_id = imported.stdout.strip()
+    assert newest(there)["id"] == run_id
+    back_up(store_url(), folder / "copy.db")
+    for arguments in (
+        ("export", run_id),
+        ("export", "--unit", "A/1"),
+        ("export", run_id[:8], "--format", "csv"),
+        ("export", "--unit", "A/1", "--format", "csv"),
+        ("export", "--unit", "A/1", "--format", "c-header"),
+    ):
+        asked, here = calrig(*arguments), calrig(*arguments, "--db", "copy.db")
+        assert (asked.stdout, asked.stderr) == (here.stdout, here.stderr), arguments
+    for arguments, status in (
+        (("export", "nope"), 1),
+        (("export", "--unit", "nope"), 1),
+        (("export", "--unit", "A/1", "--format", "vins"), 1),
+        (("diagnose", run_id), 2),
+        (("import", "absent.csv", "--unit", "A"), 2),
+    ):
+        said, here = reason(*arguments, status=status), reason(*arguments, "--db", "copy.db", status=status)
+        assert said.replace(f"{there.base_url}: ", "").split()[-4:] == here.split()[-4:]
+    (folder / "poses.csv").write_text(POSES.replace("30.6", "thirty"))
+    assert "poses.csv: line 4" in reason("import", "poses.csv", "--unit", "A", status=2)
+
+
+def test_the_example_notebook_runs_and_a_diagnosis_is_kept_with_its_run(there, monkeypatch, capsys):
+    monkeypatch.setenv("CALRIG_SERVER", str(there.base_url))
+    notebook = json.loads((DOCS / "example.ipynb").read_text())
+    cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in cells)
+    space: dict = {}
+    for cell in cells:
+        exec("".join(cell["source"]), space)
+    run, printed = space["run"], capsys.readouterr().out
+    assert printed.count("° reads ") == run.result.n_poses == 10
+    assert f"bias {run.result.bias_deg:.4f} ±" in printed
+    assert space["diagnosis"].says[0] in printed
+    assert "AS-0043 ['" in printed
+
+    shown = calrig("diagnose", run.id[:8], "--json")
+    assert json.loads(shown.stdout) == there.get(f"/api/runs/{run.id}/diagnosis").json()
+
+
+def test_ctrl_c_aborts_the_run_at_the_service_and_watching_leaves_it(there):
+    before = there.get("/api/runs").json()["items"]
+    pressed_when(lambda: newest(there)["progress"]["poses_done"] >= 1 and newest(there) not in before)
+    done = calrig("run", "--unit", "C", "--plan", "long.json", "--json", status=1)
+    run = json.loads(done.stdout)
+    assert (run["status"], run["id"]) == ("aborted", newest(there)["id"])
+    assert f"run {run['id']} aborted" in done.stderr
+
+    run_id = there.post("/api/runs", json={"unit": "C", "plan": LONG}).json()["id"]
+    pressed_when(lambda: there.get(f"/api/runs/{run_id}").json()["progress"]["poses_done"] >= 1)
+    assert reason("watch", run_id, status=1) == "calrig: interrupted"
+    assert "is busy" in reason("run", "--unit", "D", status=1)
+    there.post(f"/api/runs/{run_id}/pause").raise_for_status()
+    wait_for(lambda: there.get(f"/api/runs/{run_id}").json()["status"] == "paused", "pause")
+    pressed_when(lambda: there.get(f"/api/runs/{run_id}").json()["status"] == "running")
+    assert f"run {run_id} aborted" in calrig("resume", run_id, status=1).stderr
+    assert f"run {run_id} aborted" in calrig("watch", run_id, status=1).stderr
+
+
+def test_a_unit_to_be_turned_is_asked_for_on_the_terminal(there):
+    arguments = ["run", "--unit", "E", "--rig", "clamped", "--plan", "turned.json", "--json"]
+    done = CliRunner().invoke(app, arguments, input="\nc\n", catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    assert "Turn the unit to 90°, its x along the stage's axis, then press Enter (c and Enter" in done.stderr
+    assert "turn it on by 90" in done.stderr.replace("89.", "90.").replace("91.", "90.")
+    assert json.loads(done.stdout)["progress"]["poses_done"] == 6
+    done = CliRunner().invoke(app, arguments, input="", catch_exceptions=False)
+    assert done.exit_code == 1
+    assert "standard input has ended" in done.stderr
+    assert newest(there)["status"] == "aborted"
+
+
+def test_what_a_service_cannot_be_told_is_2_and_rigs_are_its(there, folder):
+    for option in (("--record", "wires"), ("--config", "calrig.toml")):
+        assert "holds the store" in reason("run", "--unit", "A", *option, status=2)
+    shown = calrig("rigs").stdout
+    assert "clamped" in shown
+    assert "idle" in shown
+    assert "ABSENT" in calrig("rigs", "--config", "calrig.toml").stdout
+    design = json.loads(calrig("plan", "--time", "60", "--no-trace", "--json").stdout)
+    assert design["expected"]["duration_s"] <= 60
+    assert "certificate" in reason("plan", "--target-u", "0.0001", status=1)
+
+
+def test_a_token_goes_to_nobody_but_this_users_own_service(served, tmp_path):
+    client, path = served
+    lock = path.with_name("calrig.db.lock")
+    address = str(client.base_url)
+    assert answering_at(path) == address
+    mode = lock.stat().st_mode
+    lock.chmod(0o664)
+    assert answering_at(path) is None, "others could have written the address"
+    lock.chmod(mode)
+    said = json.loads(lock.read_text())
+    assert said["what"] == "tests"
+    for change in ({"pid": 2**22 + 1}, {"host": "elsewhere"}, {"at": None}, {"pid": "1"}):
+        lock.write_text(json.dumps({**said, **change}))
+        assert answering_at(path) is None, change
+    lock.write_text(json.dumps(said))
+    assert answering_at(path) == address
+    assert answering_at(tmp_path / "absent.db") is None
+    with Store.open(store_url(str(tmp_path / "other.db")), writer="serve") as store:
+        store.answers_at("http://127.0.0.1:9")
+        assert answering_at(tmp_path / "other.db") == "http://127.0.0.1:9"
+    assert answering_at(tmp_path / "other.db") is None, "nobody holds it any more"
+
+
+def test_a_named_store_goes_before_the_variable_and_a_named_server_before_the_lock(there, monkeypatch):
+    monkeypatch.setenv("CALRIG_SERVER", "http://127.0.0.1:1")
+    assert "does not answer" in reason("export", "--unit", "A", status=1)
+    assert "own.db" in reason("export", "--unit", "A", "--db", "own.db", status=1)
+    assert "there is no run 99" in reason("export", "99", "--server", there.base_url, status=1)
+
+
+def test_an_interrupted_run_goes_on_from_the_terminal(rig, folder, store_path, monkeypatch):
+    with running_service(store_path, rig) as service:
+        run = service.start(unit="AS-1", plan=Plan.model_validate({**QUICK, "sweeps": 4}))
+        wait_for(lambda: len(service.store.poses(run.id)) >= 2, "two poses")
+        watched = []
+        follower = threading.Thread(target=lambda: watched.append(reason("watch", run.id, status=1)))
+        follower.start()
+    follower.join()
+    assert "interrupted" in watched[0], "the file told it: nobody answered"
+    with running_service(store_path, rig) as service, serving(service) as client:
+        service.store.answers_at(str(client.base_url))
+        done = json.loads(calrig("resume", run.id[:8], "--json").stdout)
+    assert (done["id"], done["status"], done["progress"]["poses_done"]) == (run.id, "completed", 12)
