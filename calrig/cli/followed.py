@@ -112,8 +112,13 @@ def follow(
             look(run)
 
 
-def show_to_the_end(run: Followed, unit: str, *, as_json: bool) -> None:
+def carry_out(begin: Callable[[], Followed], unit: str, *, as_json: bool) -> None:
     """Follows a run on the terminal, asks for what it waits for, and prints how it ended.
+
+    Args:
+        begin: begins it; a Ctrl-C meanwhile is not lost, but aborts it then.
+        unit: its serial number.
+        as_json: whether its document is printed.
 
     Raises:
         WorkError: it was not completed.
@@ -121,9 +126,10 @@ def show_to_the_end(run: Followed, unit: str, *, as_json: bool) -> None:
     from calrig.cli.mount_prompt import MountPrompt
     from calrig.cli.progress import run_bar
 
-    prompt = MountPrompt()
-    with run_bar(unit, run.progress["poses_total"]) as show, stop_request() as asked:
-        follow(run, asked, show, prompt.look)
+    with stop_request() as asked:
+        run = begin()
+        with run_bar(unit, run.progress["poses_total"]) as show:
+            follow(run, asked, show, MountPrompt().look)
     print_end(run.document(), as_json=as_json)
 
 

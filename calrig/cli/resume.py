@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from calrig.cli.options import Config, Db, Json, Record, Server
 from calrig.cli.running_service import running_service, whole_id_there
 from calrig.cli.typed_ids import whole_id
 from calrig.cli.watch import RunId
+
+if TYPE_CHECKING:
+    from calrig.client import Run
 
 
 def resume(
@@ -20,7 +25,7 @@ def resume(
 
     Rig, board and stage have to be the same, and the unit untouched: the last pose is measured once more.
     """
-    from calrig.cli.followed import show_to_the_end
+    from calrig.cli.followed import carry_out
 
     there = running_service(server, db)
     if there is not None:
@@ -28,9 +33,13 @@ def resume(
         from calrig.cli.run_there import RunThere
 
         refuse_own_rigs("resume", there, config, record)
+
+        def resumed(found: Run) -> Run:
+            found.resume()
+            return found
+
         found = there.run(whole_id_there(there, run_id))
-        found.resume()
-        show_to_the_end(RunThere(there, found), found.unit, as_json=as_json)
+        carry_out(lambda: RunThere(there, resumed(found)), found.unit, as_json=as_json)
         return
 
     from calrig.analysis.stored_runs import stored_run
@@ -45,4 +54,4 @@ def resume(
         run = stored_run(store, whole_id(store, run_id))
     rigs = () if run.rig is None else (rig_named(settings, run.rig),)  # an imported one is refused in words
     with local_service(url, "resume", rigs, settings, record) as service:
-        show_to_the_end(RunHere(service, service.resume(run.id)), run.unit, as_json=as_json)
+        carry_out(lambda: RunHere(service, service.resume(run.id)), run.unit, as_json=as_json)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -42,7 +43,7 @@ def run(
 
     Where `calrig serve` holds the store the run is its, on its rigs, and is followed here.
     """
-    from calrig.cli.followed import show_to_the_end
+    from calrig.cli.followed import carry_out
     from calrig.plan import Plan
 
     the_plan = read_plan_file(plan) if plan else Plan()
@@ -53,10 +54,8 @@ def run(
         _warn(warnings)
         from calrig.cli.run_there import RunThere
 
-        begun = there.calibrate(
-            unit, rig=rig, plan=the_plan, operator=operator, note=note, stage_at_deg=stage_at
-        )
-        show_to_the_end(RunThere(there, begun), unit, as_json=as_json)
+        started = partial(there.calibrate, unit, rig=rig, plan=the_plan, operator=operator, note=note)
+        carry_out(lambda: RunThere(there, started(stage_at_deg=stage_at)), unit, as_json=as_json)
         return
 
     from calrig.analysis.limits import cannot_pass_on
@@ -68,10 +67,10 @@ def run(
     chosen = rig_named(settings, rig)
     with local_service(store_url(db), "run", (chosen,), settings, record) as service:
         _warn(cannot_pass_on(chosen, unit, the_plan, service.store, service.maps))
-        started = service.start(
-            unit=unit, rig=chosen.name, plan=the_plan, operator=operator, note=note, stage_at_deg=stage_at
+        start = partial(
+            service.start, unit=unit, rig=chosen.name, plan=the_plan, operator=operator, note=note
         )
-        show_to_the_end(RunHere(service, started), unit, as_json=as_json)
+        carry_out(lambda: RunHere(service, start(stage_at_deg=stage_at)), unit, as_json=as_json)
 
 
 def rig_named(settings: Settings, name: str | None) -> RigSettings:

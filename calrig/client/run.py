@@ -96,7 +96,11 @@ class Run:
         return poses
 
     def figure(self, name: str) -> dict[str, Any]:
-        """A picture for `plotly.graph_objects.Figure`: `timeline`, `residual`, `diagnosis`, `effect-0`, …"""
+        """A picture for `plotly.graph_objects.Figure`.
+
+        Args:
+            name: `timeline`, `residual`, `diagnosis`, or `effect-0` and on.
+        """
         figure: dict[str, Any] = self._link.get(f"{self._path}/figures/{name}")
         return figure
 
