@@ -284,6 +284,7 @@ class Certificate:
     Attributes:
         number: unique: it has in it a hash of everything else.
         kind: `demonstration` of a rig that is a simulation.
+        traceable: to what the angles are traceable, a sentence.
         authorised_by: who is responsible for what it says, and how it came into force.
         deviations: from the plan or the method, and what else to know of the measurement; a sentence each.
         software: what shows that the program does what it should.
@@ -305,6 +306,7 @@ class Certificate:
     residuals: Residuals
     budget: Budget
     standards: tuple[Standard, ...]
+    traceable: str
     equipment: tuple[Row, ...]
     conformity: Conformity | None
     judged: tuple[str, ...]

@@ -31,7 +31,7 @@ from calrig.export.certificate.content import (
 )
 from calrig.export.certificate.content import Item as ItemSaid
 from calrig.export.certificate.measured import Measured, effects_found
-from calrig.export.certificate.standards import equipment_of, standards_of
+from calrig.export.certificate.standards import equipment_of, standards_of, traceable
 from calrig.settings import LaboratorySettings
 from calrig.store.issued import Revision
 from calrig.store.items import Item
@@ -113,6 +113,7 @@ def certificate_of(sources: Sources) -> Certificate:
         residuals=measured.residuals(),
         budget=budget,
         standards=standards_of(provenance, run.started_at),
+        traceable=traceable(provenance),
         equipment=equipment_of(provenance),
         conformity=_conformity(revision, sources.limit),
         judged=tuple(revision.verdict["says"]),

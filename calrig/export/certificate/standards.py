@@ -34,6 +34,17 @@ def standards_of(provenance: Document, measured_at: datetime | None) -> tuple[St
     return tuple(_standard(key, role, rig, provenance, measured_at) for key, role in ROLES)
 
 
+def traceable(provenance: Document) -> str:
+    """To what the angles of a run are traceable, a sentence."""
+    stated = (provenance.get("rig") or {}).get("reference") or {}
+    if stated.get("certificate") is None:
+        return "No certificate of the stage is stated: angles are traceable no further than the stage's own."
+    by = f" of {stated['issued_by']}" if stated.get("issued_by") else ""
+    return (
+        f"Angles are traceable to the certificate {stated['certificate']}{by}, kept with the run as it was."
+    )
+
+
 def overdue(stated: Document, measured_at: datetime | None) -> bool | None:
     """Whether a standard's due date had passed when it was used; None where no date is stated."""
     due = _day(stated.get("due"))
