@@ -5,11 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import datetime
 
+from calrig.analysis.errors import Conflict
 from calrig.analysis.stored_runs import stored_run
 from calrig.calibration.conformity import Limit
 from calrig.export.certificate.content import Certificate
 from calrig.export.certificate.making import Sources, certificate_of
-from calrig.settings import LaboratorySettings
+from calrig.export.certificate.pdf import Attached, CannotPrintError, pdf_of
+from calrig.figures.residual_steps import residual_steps
+from calrig.figures.svg import svg_of
+from calrig.laboratory import LaboratorySettings
 from calrig.store import AcceptedEffect, Run, Store
 from calrig.store.issued import Revision
 from calrig.store.trail import Entry, What
@@ -31,6 +35,7 @@ def certificate(store: Store, revision: Revision, laboratory: LaboratorySettings
             of_stage=_of_stage(store, revision, run),
             limit=_limit(store, revision),
             entries=entries,
+            item=store.item(revision.unit, (run.finished_at or run.created_at).date()),
         )
     )
 
@@ -75,3 +80,23 @@ def _limits_at(store: Store, when: datetime) -> list[Limit]:
     if before:
         return [Limit.from_dict(one) for one in before[-1].act.detail["now"]]
     return [Limit.from_dict(one) for one in changes[0].act.detail["before"]] if changes else store.limits()
+
+
+def certificate_pdf(store: Store, revision: Revision, laboratory: LaboratorySettings) -> bytes:
+    """A revision's certificate as PDF/A-3, the calibration document inside.
+
+    Raises:
+        RendererMissingError: what makes PDFs is not installed.
+        Conflict: something that it says cannot be printed, and what.
+    """
+    said = certificate(store, revision, laboratory)
+    found = said.residuals
+    steps = [(step.title, step.left_deg) for step in found.steps]
+    picture = svg_of(residual_steps(found.elevation_deg, found.approach, steps))
+    document = Attached(
+        "calibration.json", revision.text.encode(), "application/json", "The calibration document as issued"
+    )
+    try:
+        return pdf_of(said, picture, [document], laboratory)
+    except CannotPrintError as error:
+        raise Conflict(f"revision {revision.revision} of unit {revision.unit!r}: {error}") from error

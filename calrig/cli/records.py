@@ -17,6 +17,8 @@ from calrig.errors import InputError
 
 if TYPE_CHECKING:
     from calrig.calibration.packed_poses import PackedPoses
+    from calrig.store import Store
+    from calrig.store.issued import Revision
 
 
 class Format(StrEnum):
@@ -25,6 +27,7 @@ class Format(StrEnum):
     json = "json"
     csv = "csv"
     c_header = "c-header"
+    pdf = "pdf"
 
 
 def import_(
@@ -65,14 +68,20 @@ def export(
     parquet: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write the poses of all completed runs there.")
     ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="FILE", help="Where a certificate (pdf) goes.")
+    ] = None,
     db: Db = None,
 ) -> None:
     """Print a calibration as JSON or as a C header, or its poses as CSV; standard error has its verdict.
 
+    `--format pdf` is its certificate, into a file or a pipe.
+
     With --parquet: the poses of all completed runs into files.
     """
-    from calrig.analysis.active_calibration import header_of, newest_of_run, wanted_revision
+    from calrig.analysis.active_calibration import header_of
     from calrig.analysis.stored_runs import counted_poses, stored_run
+    from calrig.cli.certificate import write_certificate
     from calrig.cli.output import print_says
     from calrig.export.poses_csv import write_poses
     from calrig.settings import store_url
@@ -91,21 +100,30 @@ def export(
         if run_id is not None and format_ is Format.csv:
             sys.stdout.write(write_poses(counted_poses(store, stored_run(store, run_id).id)))
             return
-        if unit is not None:
-            found = store.in_force(unit) or wanted_revision(store, unit, "latest")
-        else:
-            found = newest_of_run(store, run_id or "")
-        if found.status != "in_force":
-            words = f"revision {found.revision} of unit {found.unit!r} is {found.status}, not in force"
-            typer.echo(f"calrig export: {words}", err=True)
+        found = _revision_asked_for(store, run_id, unit)
         if format_ is not Format.csv:
             print_says(found.verdict["says"])
         if format_ is Format.csv:
             sys.stdout.write(write_poses(counted_poses(store, found.run_id)))
+        elif format_ is Format.pdf:
+            write_certificate(store, found, out)
         elif format_ is Format.c_header:
             sys.stdout.write(header_of(found))
         else:
             sys.stdout.write(found.text + "\n")
+
+
+def _revision_asked_for(store: Store, run_id: str | None, unit: str | None) -> Revision:
+    from calrig.analysis.active_calibration import newest_of_run, wanted_revision
+
+    if unit is not None:
+        found = store.in_force(unit) or wanted_revision(store, unit, "latest")
+    else:
+        found = newest_of_run(store, run_id or "")
+    if found.status != "in_force":
+        words = f"revision {found.revision} of unit {found.unit!r} is {found.status}, not in force"
+        typer.echo(f"calrig export: {words}", err=True)
+    return found
 
 
 def _export_all(folder: Path, db: str | None) -> None:
