@@ -162,16 +162,19 @@ class Units(Part):
         latest: dict[tuple[str | None, str], AcceptedEffect] = {}
         with self._database.reading() as session:
             for row, run_id in session.exec(wanted):
-                latest[row.unit, row.name] = AcceptedEffect(
-                    run_id=run_id,
-                    unit=row.unit,
-                    rig=row.rig,
-                    name=row.name,
-                    origin=row.origin,
-                    parameters=row.parameters,
-                    id=row.id,
-                )
+                latest[row.unit, row.name] = _accepted(row, run_id)
         return list(latest.values())
+
+    def accepted_effects(self, ids: Sequence[int]) -> list[AcceptedEffect]:
+        """Effects by their ids, in the order that they were accepted in, also those taken back since."""
+        wanted = (
+            select(AcceptedEffectTable, RunTable.uid)
+            .join(RunTable)
+            .where(col(AcceptedEffectTable.id).in_(ids))
+            .order_by(col(AcceptedEffectTable.id))
+        )
+        with self._database.reading() as session:
+            return [_accepted(row, run_id) for row, run_id in session.exec(wanted)]
 
     def effect_names(self) -> dict[str, list[str]]:
         """Names of the effects in force for each unit that has any."""
@@ -186,6 +189,18 @@ class Units(Part):
             for unit, name in session.exec(wanted):
                 found.setdefault(str(unit), []).append(name)
         return found
+
+
+def _accepted(row: AcceptedEffectTable, run_id: str) -> AcceptedEffect:
+    return AcceptedEffect(
+        run_id=run_id,
+        unit=row.unit,
+        rig=row.rig,
+        name=row.name,
+        origin=row.origin,
+        parameters=row.parameters,
+        id=row.id,
+    )
 
 
 def _remove_revisions(session: Session, serial: str) -> None:
