@@ -2,6 +2,7 @@
 
 import { get, post } from "./api.js";
 import { askReason } from "./ask.js";
+import { certificateButtons } from "./certificate.js";
 import { fill, h, headings, runLink, runName, statusPill, tableBox } from "./dom.js";
 import { moment, plusMinus, range, significant } from "./format.js";
 import { may } from "./me.js";
@@ -67,6 +68,7 @@ export class Calibrations {
         h("a", { href: file, download: "calibration.json", id: "calibration-json" }, "Calibration (JSON)"),
         h("a", { href: `${file}&format=c-header`, download: "calibration.h" }, "C header"),
       ),
+      certificateButtons(this.path, document.revision),
     ];
   }
 
