@@ -80,7 +80,7 @@ export function field(id, label, input) {
 
 /** A table in a box of its own that scrolls sideways on a narrow screen, also by keyboard. */
 export function tableBox(label, table) {
-  return h("div", { class: "table-box", role: "region", "aria-label": label, tabindex: "0" }, table);
+  return h("div", { class: "table-box", role: "region", "aria-label": `Table: ${label}`, tabindex: "0" }, table);
 }
 
 /** A table's head; a name that begins with "#" stands over numbers, and none at all over buttons. */

@@ -120,7 +120,7 @@ export function runList(rigs, signal) {
       filter("filter-status", "Status", status),
     ),
     error.element,
-    tableBox("Table of runs", h("table", { id: "runs-table" }, runHeadings(), body)),
+    tableBox("Runs", h("table", { id: "runs-table" }, runHeadings(), body)),
     empty,
     more,
   );
