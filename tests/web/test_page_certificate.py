@@ -9,12 +9,6 @@ from .page_help import ambiguous_poses, imported, imported_lines
 pytestmark = pytest.mark.browser
 
 
-@pytest.fixture(scope="module")
-def client(shared_client):
-    """One service for all of this file."""
-    return shared_client
-
-
 def test_how_a_unit_came_is_said_and_its_certificate_handed_out(page, client, go, expect):
     imported(client, "CERT-1")
     go("#/units/CERT-1")
