@@ -31,6 +31,7 @@ class Quantity:
         unit: as it is printed; empty of a ratio.
         std: standard uncertainty.
         expanded: the standard uncertainty times `coverage_factor`, for the probability `coverage`.
+        digits: that are shown where no uncertainty is known.
     """
 
     name: str
@@ -41,11 +42,15 @@ class Quantity:
     expanded: float | None = None
     coverage_factor: float | None = None
     coverage: float | None = None
+    digits: int = 4
 
     @property
     def text(self) -> str:
         """The value, to the place of its uncertainty."""
-        return with_uncertainty(self.value, self.expanded or self.std)[0]
+        uncertainty = self.expanded or self.std
+        if not uncertainty:
+            return by_itself(self.value, self.digits)
+        return with_uncertainty(self.value, uncertainty)[0]
 
     @property
     def expanded_text(self) -> str | None:

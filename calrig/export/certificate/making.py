@@ -31,6 +31,7 @@ from calrig.export.certificate.content import (
 )
 from calrig.export.certificate.content import Item as ItemSaid
 from calrig.export.certificate.measured import Measured, effects_found
+from calrig.export.certificate.rounding import DIGITS
 from calrig.export.certificate.standards import equipment_of, standards_of, traceable
 from calrig.laboratory import LaboratorySettings
 from calrig.store.issued import Revision
@@ -87,7 +88,8 @@ def certificate_of(sources: Sources) -> Certificate:
     document, provenance = revision.document, revision.document["provenance"]
     out = set(revision.basis["excluded"])
     counted = [one.pose for one in sources.poses if one.index not in out]
-    freedom = len(counted) - 2 if counted else None
+    solved_jointly = "elevation_std_deg" in document  # its scatter is of all units together
+    freedom = None if solved_jointly or not counted else len(counted) - 2
     reference = _reference(provenance)
     came_with = None if sources.came_with is None else sources.came_with.document
     measured = Measured(counted, document, came_with, sources.of_stage)
@@ -227,7 +229,9 @@ def _results(
         effects=effects_found(document["effects"], _stds(sources.run)),
         of_stage=effects_found([asdict(one) for one in sources.of_stage], _stds(sources.run)),
         figures=tuple(
-            Quantity(key, title, document[key], "°") for key, title in FIGURES if document[key] is not None
+            Quantity(key, title, document[key], "°", digits=DIGITS)
+            for key, title in FIGURES
+            if document[key] is not None
         ),
         found_by=by,
         points=measured.points(budget.expanded_deg),
@@ -237,6 +241,8 @@ def _results(
 
 def _points_say(document: Document, of_stage: Sequence[AcceptedEffect], earlier: bool) -> tuple[str, ...]:
     said = ["Errors are the elevation that the unit gives less that of the stage: mean, lowest and highest."]
+    if "elevation_std_deg" in document:
+        said.append("The stage is taken at its word here: its map, solved for beside, is not taken out.")
     if of_stage:
         said.append("The stage's own accepted errors are taken out of both where the poses allow it.")
     if earlier and not document["level_known"]:
