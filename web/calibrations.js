@@ -47,6 +47,7 @@ export class Calibrations {
 
   #document(document, { stale, verdict }) {
     const file = `${this.path}/calibration?revision=${document.revision}`;
+    const certificate = certificateButtons(this.path, document.revision);
     return [
       stale.length > 0 &&
         h(
@@ -67,8 +68,9 @@ export class Calibrations {
         { class: "downloads" },
         h("a", { href: file, download: "calibration.json", id: "calibration-json" }, "Calibration (JSON)"),
         h("a", { href: `${file}&format=c-header`, download: "calibration.h" }, "C header"),
+        certificate.buttons,
       ),
-      certificateButtons(this.path, document.revision),
+      certificate.error,
     ];
   }
 

@@ -58,6 +58,7 @@ LATER = {
     "compare.js",
     "history.js",
     "limits.js",
+    "paper.js",
     "rig.js",
     "trail.js",
     "units.js",

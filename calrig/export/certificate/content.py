@@ -12,6 +12,7 @@ from typing import Literal
 
 from calrig.calibration.conformity import Answer, Limit
 from calrig.export.certificate.budget import Budget
+from calrig.export.certificate.pose_errors import Point, Residuals
 from calrig.export.certificate.rounding import by_itself, with_uncertainty
 from calrig.store.issued import RevisionStatus
 
@@ -153,27 +154,6 @@ class EffectFound:
 
 
 @dataclass(frozen=True, slots=True)
-class Point:
-    """The errors about one elevation, degrees: mean over its poses, and from lowest to highest.
-
-    Attributes:
-        found_deg: before: by the calibration that was in force, or as the unit read.
-        left_deg: with this calibration.
-        expanded_deg: expanded uncertainty of the calibrated elevation; None where it is not known.
-    """
-
-    elevation_deg: float
-    n_poses: int
-    found_deg: float
-    found_low_deg: float
-    found_high_deg: float
-    left_deg: float
-    left_low_deg: float
-    left_high_deg: float
-    expanded_deg: float | None
-
-
-@dataclass(frozen=True, slots=True)
 class Results:
     """What came out.
 
@@ -196,24 +176,6 @@ class Results:
     found_by: str
     points: tuple[Point, ...]
     points_say: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """What is left of each pose after something was taken out, degrees, in the order of the poses."""
-
-    title: str
-    left_deg: tuple[float, ...]
-    rms_deg: float
-
-
-@dataclass(frozen=True, slots=True)
-class Residuals:
-    """What is left of each pose, step by step: as it came, by bias and scale, then effect by effect."""
-
-    elevation_deg: tuple[float, ...]
-    approach: tuple[int, ...]
-    steps: tuple[Step, ...]
 
 
 @dataclass(frozen=True, slots=True)
