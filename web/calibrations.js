@@ -4,6 +4,7 @@ import { get, post } from "./api.js";
 import { askReason } from "./ask.js";
 import { certificateButtons } from "./certificate.js";
 import { fill, h, headings, runLink, runName, statusPill, tableBox } from "./dom.js";
+import { formats } from "./formats.js";
 import { moment, plusMinus, range, significant } from "./format.js";
 import { may } from "./me.js";
 
@@ -71,6 +72,7 @@ export class Calibrations {
         certificate.buttons,
       ),
       certificate.error,
+      formats(file),
     ];
   }
 

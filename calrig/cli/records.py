@@ -28,6 +28,12 @@ class Format(StrEnum):
     csv = "csv"
     c_header = "c-header"
     pdf = "pdf"
+    px4 = "px4"
+    ardupilot = "ardupilot"
+    kalibr = "kalibr"
+    vins = "vins"
+    imu_tk = "imu-tk"
+    imucal = "imucal"
 
 
 def import_(
@@ -59,11 +65,19 @@ def import_(
 
 def export(
     run_id: Annotated[
-        str | None, typer.Argument(metavar="RUN_ID", help=f"The run to export{SHORTENED}.")
+        str | None,
+        typer.Argument(
+            metavar="RUN_ID|CALIBRATION.json",
+            help=f"The run to export{SHORTENED}, or a calibration of `calrig solve --out`.",
+        ),
     ] = None,
     unit: Annotated[str | None, typer.Option(metavar="SERIAL", help="The unit, by its run in force.")] = None,
     format_: Annotated[
-        Format, typer.Option("--format", help="The calibration, or its poses (csv).")
+        Format,
+        typer.Option(
+            "--format",
+            help="The calibration, or its poses (csv); for other programs: calrig/docs/calibrations.md.",
+        ),
     ] = Format.json,
     parquet: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write the poses of all completed runs there.")
@@ -73,13 +87,13 @@ def export(
     ] = None,
     db: Db = None,
 ) -> None:
-    """Print a calibration as JSON or as a C header, or its poses as CSV; standard error has its verdict.
+    """Print a calibration as JSON or for another program, or its poses as CSV.
 
-    `--format pdf` is its certificate, into a file or a pipe.
-
-    With --parquet: the poses of all completed runs into files.
+    Standard error has its verdict. `--format pdf` is its certificate, into a file or a pipe. With --parquet:
+    the poses of all completed runs into files.
     """
-    from calrig.analysis.active_calibration import header_of
+    from calrig.analysis.exports import NOISE_FORMATS, exported, exported_noise
+    from calrig.analysis.mounts import labels_of
     from calrig.analysis.stored_runs import counted_poses, stored_run
     from calrig.cli.certificate import write_certificate
     from calrig.cli.output import print_says
@@ -94,23 +108,40 @@ def export(
         return
     if (run_id is None) == (unit is None):
         raise InputError("export: name either a RUN_ID or --unit SERIAL")
+    if run_id is not None and (run_id.endswith(".json") or Path(run_id).is_file()):
+        sys.stdout.write(_of_file(run_id, format_))
+        return
     with Store.open(store_url(db), writer=None) as store:
         if run_id is not None:
             run_id = whole_id(store, run_id)
         if run_id is not None and format_ is Format.csv:
-            sys.stdout.write(write_poses(counted_poses(store, stored_run(store, run_id).id)))
+            run = stored_run(store, run_id)
+            sys.stdout.write(write_poses(counted_poses(store, run.id), labels_of(run)))
+            return
+        if format_.value in NOISE_FORMATS:
+            of_unit = unit or stored_run(store, run_id or "").unit
+            sys.stdout.write(exported_noise(store, of_unit, format_.value))
             return
         found = _revision_asked_for(store, run_id, unit)
-        if format_ is not Format.csv:
+        if format_ is Format.pdf:
             print_says(found.verdict["says"])
-        if format_ is Format.csv:
-            sys.stdout.write(write_poses(counted_poses(store, found.run_id)))
-        elif format_ is Format.pdf:
             write_certificate(store, found, out)
-        elif format_ is Format.c_header:
-            sys.stdout.write(header_of(found))
+            return
+        if format_ is Format.csv:
+            text = write_poses(counted_poses(store, found.run_id))
         else:
-            sys.stdout.write(found.text + "\n")
+            print_says(found.verdict["says"])
+            text = found.text + "\n" if format_ is Format.json else exported(found, format_.value)
+        sys.stdout.write(text)
+
+
+def _of_file(file: str, format_: Format) -> str:
+    from calrig.analysis.exports import REVISION_FORMATS, exported_document
+    from calrig.export.calibration_file import read_document
+
+    if format_.value not in REVISION_FORMATS:
+        raise InputError(f"export: {file}: a calibration in a file is given as {', '.join(REVISION_FORMATS)}")
+    return exported_document(read_document(file), format_.value, file)
 
 
 def _revision_asked_for(store: Store, run_id: str | None, unit: str | None) -> Revision:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from typing import Literal, cast, get_args
 from sqlalchemy import func
 from sqlmodel import Session, col, select
 
+from calrig.canonical_json import canonical, sha256_of
 from calrig.store import trail
 from calrig.store.convert import iso_utc, run_row
 from calrig.store.database import Part
@@ -64,11 +64,6 @@ class Revision:
         return cast(Document, json.loads(self.text))
 
 
-def canonical(document: Document) -> str:
-    """The text that a document's hash is of: keys in order, no blanks, every character as it is."""
-    return json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
-
-
 def issue(session: Session, run: RunTable, draft: Draft) -> IssuedCalibrationTable:
     """Numbers and freezes a draft of a finished run, in a transaction that somebody else has begun."""
     now = datetime.now(UTC)
@@ -82,7 +77,7 @@ def issue(session: Session, run: RunTable, draft: Draft) -> IssuedCalibrationTab
         "issued_at": iso_utc(now),
         "provenance": run.provenance,
     }
-    sha256 = hashlib.sha256(canonical(document).encode()).hexdigest()
+    sha256 = sha256_of(document)
     row = IssuedCalibrationTable(
         unit=run.unit,
         revision=revision,
@@ -221,10 +216,10 @@ def _revision(row: IssuedCalibrationTable) -> Revision:
     what = f"revision {row.revision} of unit {row.unit!r}"
     try:
         document = json.loads(row.document)
-        sha256 = hashlib.sha256(canonical({k: v for k, v in document.items() if k != "sha256"}).encode())
+        sha256 = sha256_of(document)
     except (TypeError, ValueError, AttributeError) as error:
         raise Unreadable(f"{what} is no document any more: {error}") from error
-    if sha256.hexdigest() != row.sha256 or row.status not in get_args(RevisionStatus):
+    if sha256 != row.sha256 or row.status not in get_args(RevisionStatus):
         raise Unreadable(f"{what} is not what was issued")
     return Revision(
         unit=row.unit,

@@ -56,6 +56,7 @@ LATER = {
     "calibrations.js",
     "certificate.js",
     "compare.js",
+    "formats.js",
     "history.js",
     "limits.js",
     "paper.js",
@@ -63,6 +64,7 @@ LATER = {
     "trail.js",
     "units.js",
     "users.js",
+    "waiting.js",
 }
 """Modules of pages that are fetched when somebody goes there."""
 
