@@ -195,7 +195,7 @@ def test_what_a_unit_came_with_on_a_later_day_is_not_of_an_earlier_calibration(
     ("wrong", "says"),
     [
         ({"customer": "a\u202eb"}, "cannot be printed"),
-        ({"interval_agreed_months": 0}, "interval_agreed_months"),
+        ({"interval_agreed_months": 0}, "Months until the next calibration"),
         ({"supplied": ["colour"]}, "supplied"),
         ({"price": "1"}, "price"),
     ],
