@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from datetime import datetime
 
 from calrig.analysis.errors import Conflict
+from calrig.analysis.results import rest_on_map
 from calrig.analysis.stored_runs import stored_run
 from calrig.calibration.conformity import Limit
 from calrig.export.certificate.content import Certificate
@@ -24,17 +25,17 @@ EVERY_ENTRY = 1_000_000
 def certificate(store: Store, revision: Revision, laboratory: LaboratorySettings) -> Certificate:
     """The content of a revision's certificate."""
     run = stored_run(store, revision.run_id)
-    entries = _entries(store, revision)
+    entries, poses = _entries(store, revision), store.poses(run.id)
     before = _before(store, revision, entries)
     return certificate_of(
         Sources(
             revision=revision,
             run=run,
-            poses=store.poses(run.id),
+            poses=poses,
             laboratory=laboratory,
             before=before,
             came_with=_came_with(store, revision, before),
-            of_stage=_of_stage(store, revision),
+            of_stage=[] if rest_on_map([one.pose for one in poses]) else _of_stage(store, revision),
             limit=_limit(store, revision),
             entries=entries,
             item=store.item(revision.unit, (run.finished_at or run.created_at).date()),

@@ -20,6 +20,7 @@ KINDS = {
     "setting": "made anew with every setting",
     "harmonic": "a smooth error of the turn, common to all poses",
     "common": "one error common to all poses",
+    "map": "by its map, whose error is one smooth curve common to all poses",
 }
 _INFINITE = 1e6
 """Degrees of freedom that count as infinitely many."""

@@ -82,7 +82,7 @@ def certificate_of(sources: Sources) -> Certificate:
     counted = of_first_mount(kept)
     solved_jointly = "elevation_std_deg" in document  # its scatter is of all units together
     freedom = None if solved_jointly or not counted else len(counted) - 2
-    reference = stated_reference(provenance)
+    reference = stated_reference(document)
     came_with = None if sources.came_with is None else sources.came_with.document
     measured = Measured(counted, document, came_with, sources.of_stage)
     budget = budget_of(document, reference, freedom)
@@ -108,8 +108,8 @@ def certificate_of(sources: Sources) -> Certificate:
         results=results_of(document, run, measured, budget, freedom, sources.of_stage, sources.came_with),
         residuals=measured.residuals(),
         budget=budget,
-        standards=standards_of(provenance, run.started_at),
-        traceable=traceable(provenance),
+        standards=standards_of(document, run.started_at),
+        traceable=traceable(document),
         equipment=equipment_of(provenance),
         conformity=_conformity(revision, sources.limit),
         judged=tuple(revision.verdict["says"]),

@@ -43,7 +43,7 @@ def results_of(
         of_stage: effects of the rig's that it rests on.
         came_with: the revision that the unit came with; None where it is found as it reads.
     """
-    reference = stated_reference(document["provenance"])
+    reference = stated_reference(document)
     elevation = None
     if budget.expanded_deg is not None:
         elevation = Quantity(

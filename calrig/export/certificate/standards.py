@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from datetime import date, datetime
 from typing import Any
 
+from calrig.calibration.reference_figures import ReferenceFigures
 from calrig.calibration.uncertainty import Reference
 from calrig.export.certificate.content import Row, Standard
 from calrig.export.certificate.rounding import by_itself
@@ -25,30 +26,54 @@ WITHOUT = {
 """What measures where nothing else is stated."""
 
 
-def standards_of(provenance: Document, measured_at: datetime | None) -> tuple[Standard, ...]:
-    """The standards of a run; what was not stated of them is None.
+def standards_of(document: Document, measured_at: datetime | None) -> tuple[Standard, ...]:
+    """The standards that a calibration document rests on; what was not stated of them is None.
 
     Args:
-        provenance: of the run.
+        document: CONTRACT section 6.
         measured_at: when it was measured, which a due date is held against.
     """
+    provenance = document["provenance"]
     rig = provenance.get("rig") or {}
-    return tuple(_standard(key, role, rig, provenance, measured_at) for key, role in ROLES)
+    stated = tuple(_standard(key, role, rig, provenance, measured_at) for key, role in ROLES)
+    by_map = document["uncertainty"].get("reference")
+    return stated if by_map is None else (_map(by_map), *stated)
 
 
-def traceable(provenance: Document) -> str:
-    """To what the angles of a run are traceable, a sentence."""
-    stated = (provenance.get("rig") or {}).get("reference") or {}
+def _map(by_map: Document) -> Standard:
+    """The stage's map that elevations rest on, which has no certificate but what it was solved from."""
+    return Standard(
+        role="Error of the stage",
+        what=by_map["says"],
+        uncertainty=f"standard uncertainty {by_itself(by_map['std_deg'])}°, {by_map['distribution']}",
+        certificate=None,
+        file="the map",
+        sha256=by_map["sha256"],
+        issued_by=None,
+        issued_on=None,
+        due=None,
+        overdue=None,
+    )
+
+
+def traceable(document: Document) -> str:
+    """To what the angles of a calibration document are traceable, a sentence."""
+    by_map = document["uncertainty"].get("reference")
+    if by_map is not None:
+        return f"Angles rest on {by_map['says']}: on gravity and the full turn, by several mounts."
+    stated = (document["provenance"].get("rig") or {}).get("reference") or {}
     if stated.get("certificate") is None:
         return "No certificate of the stage is stated: angles are traceable no further than the stage's own."
     by = f" of {stated['issued_by']}" if stated.get("issued_by") else ""
     return f"Angles are traceable to the certificate {stated['certificate']}{by}."
 
 
-def stated_reference(provenance: dict[str, Any]) -> Reference | None:
-    """What the stage was worth, where its rig states a figure; a map states its own."""
-    stated = (provenance.get("rig") or {}).get("reference") or {}
-    return None if stated.get("std_deg") is None else reference_of(provenance)
+def stated_reference(document: Document) -> Reference | None:
+    """What the stage was worth to a calibration document; None where nobody said, or it is solved jointly."""
+    by_map = document["uncertainty"].get("reference")
+    if by_map is not None:
+        return ReferenceFigures.from_dict(by_map).reference
+    return reference_of(document["provenance"])
 
 
 def overdue(stated: Document, measured_at: datetime | None) -> bool | None:
