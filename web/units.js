@@ -70,6 +70,7 @@ export async function unitView({ root, parts: [serial], signal }) {
         { class: "downloads" },
         h("a", { href: `#/compare?unit=${encodeURIComponent(serial)}` }, "Compare with other units"),
         h("a", { href: `#/trail?unit=${encodeURIComponent(serial)}` }, "Trail: who did what"),
+        h("a", { href: `${path}/archive`, download: "", id: "archive" }, "Archive of all this (zip)"),
       ),
     ),
   );

@@ -16,6 +16,7 @@ import calrig
 from calrig.analysis.due_dates import INTERVAL_DAYS
 from calrig.api import (
     amendments,
+    archive,
     benches,
     calibrations,
     changes,
@@ -65,6 +66,7 @@ PARTS = (
     figures,
     calibrations,
     changes,
+    archive,
     units,
     compare,
     check_unit,

@@ -25,6 +25,7 @@ class Format(StrEnum):
     json = "json"
     csv = "csv"
     c_header = "c-header"
+    archive = "archive"
 
 
 def import_(
@@ -60,8 +61,12 @@ def export(
     ] = None,
     unit: Annotated[str | None, typer.Option(metavar="SERIAL", help="The unit, by its run in force.")] = None,
     format_: Annotated[
-        Format, typer.Option("--format", help="The calibration, or its poses (csv).")
+        Format,
+        typer.Option("--format", help="The calibration, its poses (csv), or all of a unit (archive)."),
     ] = Format.json,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The archive to make; never overwritten.")
+    ] = None,
     parquet: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write the poses of all completed runs there.")
     ] = None,
@@ -78,10 +83,8 @@ def export(
     from calrig.settings import store_url
     from calrig.store import Store
 
-    if parquet is not None:
-        if run_id is not None or unit is not None:
-            raise InputError("export: --parquet writes the poses of all runs: name no run or unit beside it")
-        _export_all(parquet, db)
+    if parquet is not None or out is not None or format_ is Format.archive:
+        _into_files(run_id, unit, format_, out, parquet, db)
         return
     if (run_id is None) == (unit is None):
         raise InputError("export: name either a RUN_ID or --unit SERIAL")
@@ -106,6 +109,26 @@ def export(
             sys.stdout.write(header_of(found))
         else:
             sys.stdout.write(found.text + "\n")
+
+
+def _into_files(
+    run_id: str | None,
+    unit: str | None,
+    format_: Format,
+    out: Path | None,
+    parquet: Path | None,
+    db: str | None,
+) -> None:
+    if parquet is not None:
+        if run_id is not None or unit is not None:
+            raise InputError("export: --parquet writes the poses of all runs: name no run or unit beside it")
+        _export_all(parquet, db)
+    elif format_ is Format.archive:
+        from calrig.cli.verify import export_archive
+
+        export_archive(unit, out, db)
+    else:
+        raise InputError("export: --out is for --format archive: the others go to standard output")
 
 
 def _export_all(folder: Path, db: str | None) -> None:

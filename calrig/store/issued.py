@@ -69,6 +69,12 @@ def canonical(document: Document) -> str:
     return json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 
 
+def sha256_of(document: Document) -> str:
+    """SHA-256 of a document, its own `sha256` left out: CONTRACT section 6."""
+    bare = {key: value for key, value in document.items() if key != "sha256"}
+    return hashlib.sha256(canonical(bare).encode()).hexdigest()
+
+
 def issue(session: Session, run: RunTable, draft: Draft) -> IssuedCalibrationTable:
     """Numbers and freezes a draft of a finished run, in a transaction that somebody else has begun."""
     now = datetime.now(UTC)
@@ -82,7 +88,7 @@ def issue(session: Session, run: RunTable, draft: Draft) -> IssuedCalibrationTab
         "issued_at": iso_utc(now),
         "provenance": run.provenance,
     }
-    sha256 = hashlib.sha256(canonical(document).encode()).hexdigest()
+    sha256 = sha256_of(document)
     row = IssuedCalibrationTable(
         unit=run.unit,
         revision=revision,
@@ -221,10 +227,10 @@ def _revision(row: IssuedCalibrationTable) -> Revision:
     what = f"revision {row.revision} of unit {row.unit!r}"
     try:
         document = json.loads(row.document)
-        sha256 = hashlib.sha256(canonical({k: v for k, v in document.items() if k != "sha256"}).encode())
+        sha256 = sha256_of(document)
     except (TypeError, ValueError, AttributeError) as error:
         raise Unreadable(f"{what} is no document any more: {error}") from error
-    if sha256.hexdigest() != row.sha256 or row.status not in get_args(RevisionStatus):
+    if sha256 != row.sha256 or row.status not in get_args(RevisionStatus):
         raise Unreadable(f"{what} is not what was issued")
     return Revision(
         unit=row.unit,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import zlib
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -13,7 +12,7 @@ from sqlalchemy.engine.interfaces import Dialect
 from calrig.store import checksums
 from calrig.store.convert import FIGURES, POSE_NUMBERS, unpacked_block
 from calrig.store.errors import Unreadable
-from calrig.store.issued import canonical
+from calrig.store.issued import sha256_of
 from calrig.store.raw_rows import Row, row_name
 from calrig.store.tables import UtcText
 from calrig.store.trail import FIRST, chained
@@ -141,8 +140,8 @@ def _check_transcript(transcript: _Checked) -> None:
 def _check_issued(issued: _Checked) -> None:
     document = checksums.from_json(issued["document"])
     try:
-        content = canonical({key: value for key, value in document.items() if key != "sha256"})
+        sha256 = sha256_of(document)
     except (ValueError, AttributeError) as error:
         raise Unreadable(f"it is no document any more: {error}") from error
-    if {hashlib.sha256(content.encode()).hexdigest(), document.get("sha256")} != {issued["sha256"]}:
+    if {sha256, document.get("sha256")} != {issued["sha256"]}:
         raise Unreadable("it is not what was issued")

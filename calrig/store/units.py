@@ -157,19 +157,20 @@ class Units(Part):
             .where(_STANDS)
             .order_by(col(AcceptedEffectTable.id))
         )
-        latest: dict[tuple[str | None, str], AcceptedEffect] = {}
         with self._database.reading() as session:
-            for row, run_id in session.exec(wanted):
-                latest[row.unit, row.name] = AcceptedEffect(
-                    run_id=run_id,
-                    unit=row.unit,
-                    rig=row.rig,
-                    name=row.name,
-                    origin=row.origin,
-                    parameters=row.parameters,
-                    id=row.id,
-                )
+            latest = {(row.unit, row.name): _effect(row, run_id) for row, run_id in session.exec(wanted)}
         return list(latest.values())
+
+    def accepted_effects(self, ids: Sequence[int]) -> list[AcceptedEffect]:
+        """Effects that were accepted, by their ids, those that were taken back since among them."""
+        found = []
+        with self._database.reading() as session:
+            for first in range(0, len(ids), _AT_ONCE):
+                some = col(AcceptedEffectTable.id).in_(ids[first : first + _AT_ONCE])
+                wanted = select(AcceptedEffectTable, RunTable.uid).join(RunTable).where(some)
+                in_order = wanted.order_by(col(AcceptedEffectTable.id))
+                found += [_effect(row, run_id) for row, run_id in session.exec(in_order)]
+        return found
 
     def effect_names(self) -> dict[str, list[str]]:
         """Names of the effects in force for each unit that has any."""
@@ -217,6 +218,18 @@ def _units(session: Session, serials: Sequence[str] | None = None) -> list[Unit]
         Unit(serial=unit.serial, created_at=unit.created_at, n_runs=n_runs, last_run_at=last)
         for unit, n_runs, last in session.exec(wanted)
     ]
+
+
+def _effect(row: AcceptedEffectTable, run_id: str) -> AcceptedEffect:
+    return AcceptedEffect(
+        run_id=run_id,
+        unit=row.unit,
+        rig=row.rig,
+        name=row.name,
+        origin=row.origin,
+        parameters=row.parameters,
+        id=row.id,
+    )
 
 
 def _compared(row: Sequence[Any]) -> ComparisonRow:

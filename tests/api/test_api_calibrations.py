@@ -8,6 +8,8 @@ import json
 import pytest
 from support import imported, running_service, serving
 
+from calrig.export.archive.check import check_archive
+
 POSES = "target_deg,reading_deg\n-30,-29.5\n0,0.4\n30,30.6\n"
 
 
@@ -71,6 +73,18 @@ def test_a_draft_of_a_run_is_made_by_request(client, unit):
     made = client.post(f"{unit}/calibrations", json=body)
     assert (made.status_code, made.json()["revision"], made.json()["run_id"]) == (201, 3, run_id)
     assert (made.json()["status"], made.json()["reason"]) == ("draft", "once more")
+
+
+def test_a_downloaded_archive_is_whole_and_the_same_again(client, unit, tmp_path):
+    answer = client.get(f"{unit}/archive").raise_for_status()
+    assert answer.headers["content-type"] == "application/zip"
+    assert answer.headers["content-disposition"].startswith('attachment; filename="archive-test_a_down')
+    file = tmp_path / "unit.zip"
+    file.write_bytes(answer.content)
+    found = check_archive(file)
+    assert (found.problems, found.unit, found.runs, found.refitted) == ([], unit.split("/")[-1], 2, [1, 2])
+    assert client.get(f"{unit}/archive").content == answer.content
+    assert client.get("/api/units/nobody/archive").status_code == 404
 
 
 @pytest.mark.parametrize(
