@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import tomllib
+from datetime import date
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -61,7 +62,25 @@ class BoardSettings(_Strict):
     baudrate: int | None = Field(default=None, gt=0)
 
 
-class ReferenceSettings(_Strict):
+Words = Annotated[str, Field(min_length=1, max_length=500)]
+
+
+class StandardSettings(_Strict):
+    """What shows that a standard is traceable: its certificate, kept with each run as it was then.
+
+    `file` is the certificate itself, of which the hash is kept; a path is as seen from the configuration.
+    """
+
+    name: Words | None = None
+    certificate: Words | None = None
+    issued_by: Words | None = None
+    issued_at: date | None = None
+    due: date | None = None
+    file: Words | None = None
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")] | None = None
+
+
+class ReferenceSettings(StandardSettings):
     """What the stage's own angle is worth: its standard uncertainty and how it is shared among poses.
 
     `distribution`: a maker's limit of ±a is rectangular, with std_deg = a/√3; a certificate's U/k normal.
@@ -70,7 +89,6 @@ class ReferenceSettings(_Strict):
     std_deg: float = Field(gt=0)
     kind: Literal["setting", "harmonic", "common"] = "harmonic"
     distribution: Literal["rectangular", "normal"] = "rectangular"
-    certificate: str | None = None
 
 
 class FilterSettings(_Strict):
@@ -90,6 +108,8 @@ class RigSettings(_Strict):
     stage: StageSettings | None = None
     imu: BoardSettings | None = None
     reference: ReferenceSettings | None = None
+    thermometer: StandardSettings | None = None
+    time_base: StandardSettings | None = None
     filter: FilterSettings = FilterSettings()
     simulated: dict[str, Any] | None = None
 
@@ -135,6 +155,26 @@ class LimitSettings(_Strict):
         return self
 
 
+class LaboratorySettings(_Strict):
+    """Who issues certificates, a `[laboratory]`; what is not stated here, a certificate does not state."""
+
+    name: Words | None = None
+    address: Words | None = None
+    place: Words | None = None
+    """Where calibrations are made, if not at the address."""
+    accreditation: Words | None = None
+    """Text of the accreditation; without it no certificate has any mark of one."""
+    decision_rule: Words | None = None
+    """What was agreed on decision rules, beside the rule of the limit itself."""
+    authorised_by: Words | None = None
+    logo: Words | None = None
+    """A picture (SVG, PNG or JPEG) for the head of certificates; a path as seen from the configuration."""
+
+    def as_stated(self) -> dict[str, str | None]:
+        """What a certificate says of it, by name."""
+        return self.model_dump(exclude={"logo"})
+
+
 class CentreSettings(_Strict):
     """How agents reach a centre's database, where that is not as the centre itself does."""
 
@@ -159,6 +199,7 @@ class Settings(_Strict):
     keep_samples_days: float | None = Field(default=None, gt=0)
     """Raw samples of runs older than this are deleted when the service starts; null keeps them for ever."""
 
+    laboratory: LaboratorySettings = LaboratorySettings()
     centre: CentreSettings = CentreSettings()
 
     _file: Path | None = PrivateAttr(default=None)

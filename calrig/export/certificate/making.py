@@ -1,0 +1,320 @@
+"""Makes the content of a certificate from what the store keeps of a revision; pure."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from datetime import date
+from typing import Any
+
+import calrig
+from calrig.calibration.conformity import Limit
+from calrig.calibration.coverage import coverage_factor
+from calrig.calibration.limit_verdict import IN_WORDS
+from calrig.calibration.uncertainty import Reference
+from calrig.export.certificate import wording
+from calrig.export.certificate.budget import Budget, budget_of
+from calrig.export.certificate.content import (
+    Certificate,
+    Conditions,
+    Conformity,
+    Dates,
+    Laboratory,
+    Method,
+    Quantity,
+    Replaced,
+    Results,
+    TrailMark,
+)
+from calrig.export.certificate.content import Item as ItemSaid
+from calrig.export.certificate.measured import Measured, effects_found
+from calrig.export.certificate.standards import equipment_of, standards_of, traceable
+from calrig.settings import LaboratorySettings
+from calrig.store.issued import Revision
+from calrig.store.items import Item
+from calrig.store.records import AcceptedEffect, Document, Run, StoredPose, reference_of
+from calrig.store.trail import Entry
+
+FIGURES = (
+    ("rms_raw_deg", "RMS error as the unit reads"),
+    ("rms_calibrated_deg", "RMS error with bias and scale"),
+    ("rms_with_effects_deg", "RMS error with the accepted effects too"),
+)
+SUPPLIED = {
+    "customer": "customer",
+    "address": "address",
+    "order": "order number",
+    "received_at": "date of receipt",
+    "condition": "condition",
+    "description": "description",
+    "interval_agreed_months": "interval",
+}
+"""Fields of an item, and what they are called where the customer supplied them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """All that a certificate is made of.
+
+    Attributes:
+        poses: of the run, excluded ones too.
+        before: the revision in force until this one was; None where there was none.
+        of_stage: effects of the rig's that this revision rests on.
+        limit: that the verdict names, as it was when the revision was made; None where nobody knows.
+        entries: of the audit trail, about this revision, oldest first.
+        item: what was said of the unit; None where nobody did.
+    """
+
+    revision: Revision
+    run: Run
+    poses: Sequence[StoredPose]
+    laboratory: LaboratorySettings
+    before: Revision | None = None
+    of_stage: Sequence[AcceptedEffect] = ()
+    limit: Limit | None = None
+    entries: Sequence[Entry] = ()
+    item: Item | None = None
+
+
+def certificate_of(sources: Sources) -> Certificate:
+    """The content of a revision's certificate: the same sources always give the same one."""
+    revision, run = sources.revision, sources.run
+    document, provenance = revision.document, revision.document["provenance"]
+    out = set(revision.basis["excluded"])
+    counted = [one.pose for one in sources.poses if one.index not in out]
+    freedom = len(counted) - 2 if counted else None
+    reference = _reference(provenance)
+    before = None if sources.before is None else sources.before.document
+    measured = Measured(counted, document, before, sources.of_stage)
+    budget = budget_of(document, reference, freedom)
+    released = next((one for one in reversed(sources.entries) if one.act.what == "released"), None)
+    made = Certificate(
+        number="",
+        kind="demonstration" if provenance.get("simulated") else "certificate",
+        revision=revision.revision,
+        status=revision.status,
+        document_sha256=revision.sha256,
+        laboratory=Laboratory(**sources.laboratory.as_stated()),
+        item=_item(revision.unit, provenance, sources.item),
+        dates=_dates(sources, released),
+        method=Method(
+            program=f"calrig {provenance.get('calrig') or 'of a version not known'}",
+            measurand=wording.measurand(document),
+            model=document["model"],
+            procedure=wording.procedure(run.plan, document, len(counted)),
+            plan=wording.plan_rows(run.plan),
+            literature=(wording.PAPER, *wording.GUIDES),
+        ),
+        conditions=_conditions(document),
+        results=_results(sources, measured, budget, reference, freedom),
+        residuals=measured.residuals(),
+        budget=budget,
+        standards=standards_of(provenance, run.started_at),
+        traceable=traceable(provenance),
+        equipment=equipment_of(provenance),
+        conformity=_conformity(revision, sources.limit),
+        judged=tuple(revision.verdict["says"]),
+        authorised_by=_authorised(sources.laboratory, released),
+        in_force_by=_in_force(revision, released),
+        replaces=_replaced(revision, sources.before),
+        deviations=wording.deviations(
+            plan=run.plan,
+            provenance=provenance,
+            faults=run.faults,
+            excluded=[one for one in sources.poses if one.index in out],
+        ),
+        software=wording.software(calrig.__version__),
+        trail=_mark(sources.entries[-1]) if sources.entries else None,
+        statements=wording.STATEMENTS,
+        document=wording.flattened(document),
+    )
+    return replace(made, number=_number(made))
+
+
+def _number(certificate: Certificate) -> str:
+    """The revision, and a hash of everything that is said: other words, another number."""
+    text = json.dumps(asdict(certificate), sort_keys=True, ensure_ascii=False, default=str)
+    return f"{certificate.revision:04d}-{hashlib.sha256(text.encode()).hexdigest()[:12].upper()}"
+
+
+def _reference(provenance: Document) -> Reference | None:
+    """What the stage was worth, where its rig states a figure; a map states its own."""
+    stated = (provenance.get("rig") or {}).get("reference") or {}
+    return None if stated.get("std_deg") is None else reference_of(provenance)
+
+
+def _item(serial: str, provenance: Document, item: Item | None) -> ItemSaid:
+    said, board = item or Item(), provenance.get("board") or {}
+    return ItemSaid(
+        serial=serial,
+        chip=board.get("chip"),
+        firmware=board.get("firmware"),
+        description=said.description,
+        condition=said.condition,
+        customer=said.customer,
+        address=said.address,
+        order=said.order,
+        received_on=said.received_at,
+        interval_months=said.interval_agreed_months,
+        supplied=tuple(SUPPLIED[name] for name in SUPPLIED if name in said.supplied),
+    )
+
+
+def _dates(sources: Sources, released: Entry | None) -> Dates:
+    run, months = sources.run, None if sources.item is None else sources.item.interval_agreed_months
+    ended = run.finished_at
+    again = None if months is None or ended is None else months_after(ended.date(), months)
+    return Dates(
+        calibration_began=None if run.plan is None else run.started_at,
+        calibration_ended=None if run.plan is None else ended,
+        issued=sources.revision.issued_at,
+        released=None if released is None else released.at,
+        calibrate_again=again,
+    )
+
+
+def months_after(day: date, months: int) -> date:
+    """The same day so many months later, or the last one of a shorter month."""
+    year, month = divmod(day.year * 12 + day.month - 1 + months, 12)
+    for last in (day.day, 30, 29, 28):
+        try:
+            return date(year, month + 1, min(day.day, last))
+        except ValueError:
+            continue
+    raise AssertionError("every month has 28 days")
+
+
+def _conditions(document: Document) -> Conditions:
+    low, high = document["range_deg"]
+    temperature = document["temperature_c"] or {}
+    return Conditions(
+        range_deg=(low, high),
+        temperature_min_c=temperature.get("min"),
+        temperature_max_c=temperature.get("max"),
+        level_known=document["level_known"],
+        level_std_deg=document["level_std_deg"],
+        other=(),
+    )
+
+
+def _results(
+    sources: Sources, measured: Measured, budget: Budget, reference: Reference | None, freedom: int | None
+) -> Results:
+    document, before = sources.revision.document, sources.before
+    elevation = None
+    if budget.expanded_deg is not None:
+        elevation = Quantity(
+            "expanded_uncertainty_deg",
+            "Calibrated elevation",
+            0.0,
+            "°",
+            budget.combined_deg,
+            budget.expanded_deg,
+            budget.coverage_factor,
+            budget.coverage,
+        )
+    by = "the unit as it reads, without any calibration"
+    if before is not None:
+        by = f"revision {before.revision} of {before.issued_at:%Y-%m-%d}, in force until then"
+    return Results(
+        elevation=elevation,
+        line=tuple(_line(document, reference, freedom)),
+        effects=effects_found(document["effects"], _stds(sources.run)),
+        of_stage=effects_found([asdict(one) for one in sources.of_stage]),
+        figures=tuple(
+            Quantity(key, title, document[key], "°") for key, title in FIGURES if document[key] is not None
+        ),
+        found_by=by,
+        points=measured.points(budget.expanded_deg),
+        points_say=_points_say(document, sources.of_stage, before is not None),
+    )
+
+
+def _points_say(document: Document, of_stage: Sequence[AcceptedEffect], earlier: bool) -> tuple[str, ...]:
+    said = ["Errors are the elevation that the unit gives less that of the stage: mean, lowest and highest."]
+    if of_stage:
+        said.append("The stage's own accepted errors are taken out of both where the poses allow it.")
+    if earlier and not document["level_known"]:
+        said.append(
+            "The unit was clamped anew since: what is common to all errors as found may be the clamping's."
+        )
+    return tuple(said)
+
+
+def _line(document: Document, reference: Reference | None, freedom: int | None) -> list[Quantity]:
+    """Bias and scale with their expanded uncertainties, type A and the stage's part together."""
+    worth, covariance, coverage = document["uncertainty"], document["covariance"], document["coverage"]
+    figures = (("bias_deg", "Bias", "°", "reference_bias_deg"), ("scale", "Scale", "", "reference_scale"))
+    found = []
+    for k, (key, title, unit, part) in enumerate(figures):
+        if covariance is None or worth.get(part) is None or reference is None or not freedom or freedom < 1:
+            own = None if covariance is None else math.sqrt(covariance[k][k])
+            found.append(Quantity(key, title, document[key], unit, std=own))
+            continue
+        own, of_stage = math.sqrt(covariance[k][k]), worth[part]
+        distribution = "normal" if reference.kind == "setting" else reference.distribution
+        factor, std = coverage_factor(own, freedom, of_stage, distribution), math.hypot(own, of_stage)
+        found.append(Quantity(key, title, document[key], unit, std, factor * std, factor, coverage))
+    return found
+
+
+def _stds(run: Run) -> dict[tuple[str, str], float]:
+    """Standard errors of effects' parameters, of those that the run's own diagnosis found."""
+    return {
+        (effect["name"], name): given["std"]
+        for effect in (run.diagnosis or {}).get("effects", ())
+        if effect.get("accepted_at") is not None
+        for name, given in effect["parameters"].items()
+        if isinstance(given, Mapping) and given.get("std") is not None
+    }
+
+
+def _conformity(revision: Revision, limit: Limit | None) -> Conformity | None:
+    judged: Mapping[str, Any] = revision.verdict
+    if judged["answer"] == "no_limits":
+        return None
+    return Conformity(
+        answer=judged["answer"],
+        answer_in_words=IN_WORDS[judged["answer"]],
+        limit_name=judged["limit"],
+        limit=limit,
+        rule="not stated" if limit is None else limit.rule_in_words,
+        asks=wording.asks(limit),
+        says=tuple(judged["says"]),
+        probability_of_conformity=judged.get("probability_of_conformity"),
+        probability_of_false_accept=judged.get("probability_of_false_accept"),
+    )
+
+
+def _authorised(laboratory: LaboratorySettings, released: Entry | None) -> str | None:
+    return laboratory.authorised_by or (None if released is None else released.act.who)
+
+
+def _in_force(revision: Revision, released: Entry | None) -> str:
+    if revision.status == "draft":
+        return "This revision is a draft: nobody has put it in force."
+    if revision.status == "withdrawn":
+        return "This revision has been withdrawn and is not to be used."
+    said = "The calibration was put in force"
+    if released is not None:
+        said += f" on {released.at:%Y-%m-%d}"
+        said += (
+            f" by {released.act.who}"
+            if released.act.who
+            else ", by the rule of its rig or nobody known by name"
+        )
+    return f"{said}; it has been superseded since." if revision.status == "superseded" else f"{said}."
+
+
+def _replaced(revision: Revision, before: Revision | None) -> Replaced | None:
+    if before is None:
+        return None
+    amends = before.run_id == revision.run_id
+    return Replaced(before.revision, before.sha256, before.issued_at, amends, revision.reason)
+
+
+def _mark(entry: Entry) -> TrailMark:
+    return TrailMark(entry.seq, entry.at, entry.act.what, entry.act.who, entry.sha256)

@@ -1,0 +1,102 @@
+"""What a run was measured by, and what shows that it is traceable, as its provenance kept it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import date, datetime
+from typing import Any
+
+from calrig.export.certificate.content import Row, Standard
+from calrig.export.certificate.rounding import by_itself
+
+Document = Mapping[str, Any]
+ROLES = (
+    ("reference", "Angle of the stage"),
+    ("thermometer", "Temperature"),
+    ("time_base", "Time"),
+)
+"""Keys of a rig's settings, and what each is the standard of."""
+WITHOUT = {
+    "thermometer": "the sensor's own die thermometer",
+    "time_base": "the board's own clock",
+}
+"""What measures where nothing else is stated."""
+
+
+def standards_of(provenance: Document, measured_at: datetime | None) -> tuple[Standard, ...]:
+    """The standards of a run; what was not stated of them is None.
+
+    Args:
+        provenance: of the run.
+        measured_at: when it was measured, which a due date is held against.
+    """
+    rig = provenance.get("rig") or {}
+    return tuple(_standard(key, role, rig, provenance, measured_at) for key, role in ROLES)
+
+
+def traceable(provenance: Document) -> str:
+    """To what the angles of a run are traceable, a sentence."""
+    stated = (provenance.get("rig") or {}).get("reference") or {}
+    if stated.get("certificate") is None:
+        return "No certificate of the stage is stated: angles are traceable no further than the stage's own."
+    by = f" of {stated['issued_by']}" if stated.get("issued_by") else ""
+    return (
+        f"Angles are traceable to the certificate {stated['certificate']}{by}, kept with the run as it was."
+    )
+
+
+def overdue(stated: Document, measured_at: datetime | None) -> bool | None:
+    """Whether a standard's due date had passed when it was used; None where no date is stated."""
+    due = _day(stated.get("due"))
+    return None if due is None or measured_at is None else measured_at.date() > due
+
+
+def _standard(
+    key: str, role: str, rig: Document, provenance: Document, measured_at: datetime | None
+) -> Standard:
+    stated = rig.get(key) or {}
+    return Standard(
+        role=role,
+        what=stated.get("name") or WITHOUT.get(key) or _stage(provenance),
+        uncertainty=_uncertainty(stated),
+        certificate=stated.get("certificate"),
+        file=stated.get("file"),
+        sha256=stated.get("sha256"),
+        issued_by=stated.get("issued_by"),
+        issued_on=_day(stated.get("issued_at")),
+        due=_day(stated.get("due")),
+        overdue=overdue(stated, measured_at),
+    )
+
+
+def _stage(provenance: Document) -> str:
+    stage = provenance.get("stage")
+    if stage is None:
+        return "the stage that the imported poses were taken on"
+    return " ".join(str(part) for part in (stage["driver"], stage.get("firmware")) if part)
+
+
+def _uncertainty(stated: Document) -> str | None:
+    if stated.get("std_deg") is None:
+        return None
+    distribution = stated.get("distribution", "rectangular")
+    return f"standard uncertainty {by_itself(stated['std_deg'])}°, {distribution}"
+
+
+def _day(value: str | date | None) -> date | None:
+    return date.fromisoformat(value) if isinstance(value, str) else value
+
+
+def equipment_of(provenance: Document) -> tuple[Row, ...]:
+    """The devices that measured, as they said who they are."""
+    rig, stage, board = (provenance.get(key) or {} for key in ("rig", "stage", "board"))
+    rows = [("Rig", rig.get("name"))]
+    rows += [(f"Stage, {key.replace('_', ' ')}", stage.get(key)) for key in ("driver", "firmware")]
+    rows += [(f"Board, {key.replace('_', ' ')}", board.get(key)) for key in ("driver", "firmware", "chip")]
+    rows += [
+        ("Accelerometer range (g)", board.get("accel_range_g")),
+        ("Gyro range (°/s)", board.get("gyro_range_dps")),
+        ("Computer", provenance.get("host")),
+        ("Imported from", provenance.get("imported_from")),
+    ]
+    return tuple((name, str(value)) for name, value in rows if value not in (None, ""))
