@@ -5,14 +5,11 @@ from __future__ import annotations
 import os
 import re
 import tomllib
-from datetime import date
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import platformdirs
 from pydantic import (
-    BaseModel,
-    ConfigDict,
     Field,
     IPvAnyNetwork,
     PrivateAttr,
@@ -20,6 +17,8 @@ from pydantic import (
     field_validator,
     model_validator,
 )
+
+from calrig.laboratory import STANDARDS, LaboratorySettings, Overdue, StandardSettings, Strict
 
 CONFIG_NAME = "calrig.toml"
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+_.-]*://")
@@ -33,11 +32,7 @@ ReleasePolicy = Literal["auto", "pass", "manual"]
 """Who puts a draft of a calibration in force: nobody need to, its limits, a person (CONTRACT section 6)."""
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class StageSettings(_Strict):
+class StageSettings(Strict):
     """A rig's stage: elevation = sign · (stage − zero_deg) / ratio.
 
     `port`, of a board as well, is anything `serial.serial_for_url` opens, or `usb:` and the serial number of
@@ -54,30 +49,12 @@ class StageSettings(_Strict):
     tolerance_deg: float = Field(default=0.3, gt=0)
 
 
-class BoardSettings(_Strict):
+class BoardSettings(Strict):
     """A rig's sensor board."""
 
     driver: str
     port: str
     baudrate: int | None = Field(default=None, gt=0)
-
-
-Words = Annotated[str, Field(min_length=1, max_length=500)]
-
-
-class StandardSettings(_Strict):
-    """What shows that a standard is traceable: its certificate, kept with each run as it was then.
-
-    `file` is the certificate itself, of which the hash is kept; a path is as seen from the configuration.
-    """
-
-    name: Words | None = None
-    certificate: Words | None = None
-    issued_by: Words | None = None
-    issued_at: date | None = None
-    due: date | None = None
-    file: Words | None = None
-    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")] | None = None
 
 
 class ReferenceSettings(StandardSettings):
@@ -91,7 +68,7 @@ class ReferenceSettings(StandardSettings):
     distribution: Literal["rectangular", "normal"] = "rectangular"
 
 
-class FilterSettings(_Strict):
+class FilterSettings(Strict):
     """Noise of the Kalman filter (Nirmal et al. 2016): Q in deg² and (deg/s)² per second, R in deg²."""
 
     q_angle: float = Field(default=0.001, gt=0)
@@ -99,7 +76,7 @@ class FilterSettings(_Strict):
     r_deg2: float = Field(default=0.03, gt=0)
 
 
-class RigSettings(_Strict):
+class RigSettings(Strict):
     """One stage and one board. `simulated` holds the simulator's own options and takes the place of ports."""
 
     name: Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[\w.-]+$")]
@@ -110,6 +87,7 @@ class RigSettings(_Strict):
     reference: ReferenceSettings | None = None
     thermometer: StandardSettings | None = None
     time_base: StandardSettings | None = None
+    overdue: Overdue = "flag"
     filter: FilterSettings = FilterSettings()
     simulated: dict[str, Any] | None = None
 
@@ -126,7 +104,7 @@ Positive = Annotated[float, Field(gt=0)]
 Range = tuple[float, float]
 
 
-class LimitSettings(_Strict):
+class LimitSettings(Strict):
     """What units are held against, a `[[limit]]` or an entry of `/api/limits`; null asks nothing of that."""
 
     name: Annotated[str, Field(min_length=1, max_length=100)]
@@ -155,34 +133,14 @@ class LimitSettings(_Strict):
         return self
 
 
-class LaboratorySettings(_Strict):
-    """Who issues certificates, a `[laboratory]`; what is not stated here, a certificate does not state."""
-
-    name: Words | None = None
-    address: Words | None = None
-    place: Words | None = None
-    """Where calibrations are made, if not at the address."""
-    accreditation: Words | None = None
-    """Text of the accreditation; without it no certificate has any mark of one."""
-    decision_rule: Words | None = None
-    """What was agreed on decision rules, beside the rule of the limit itself."""
-    authorised_by: Words | None = None
-    logo: Words | None = None
-    """A picture (SVG, PNG or JPEG) for the head of certificates; a path as seen from the configuration."""
-
-    def as_stated(self) -> dict[str, str | None]:
-        """What a certificate says of it, by name."""
-        return self.model_dump(exclude={"logo"})
-
-
-class CentreSettings(_Strict):
+class CentreSettings(Strict):
     """How agents reach a centre's database, where that is not as the centre itself does."""
 
     agent_db_host: Annotated[str, Field(pattern=r"^[\w.:-]+$", max_length=253)] | None = None
     agent_db_port: int | None = Field(default=None, ge=1, le=65535)
 
 
-class Settings(_Strict):
+class Settings(Strict):
     """Everything configured."""
 
     rig: tuple[RigSettings, ...] = ()
@@ -261,8 +219,27 @@ def load_settings(path: str | None = None) -> Settings:
         settings = Settings.model_validate(document)
     except ValidationError as error:
         raise SettingsError(f"{file}: {_first_problem(error, document)}") from error
+    settings = _with_files(settings, file)
     settings._file = file
     return settings if settings.rig else settings.model_copy(update={"rig": (DEMO_RIG,)})
+
+
+def _with_files(settings: Settings, file: Path) -> Settings:
+    """The settings with what lies beside them: certificates' hashes, and whole paths of the laboratory's."""
+    place = "laboratory"
+    try:
+        laboratory = settings.laboratory.read_beside(file.parent)
+        rigs = []
+        for rig in settings.rig:
+            found: dict[str, StandardSettings] = {}
+            for key in STANDARDS:
+                place = f"rig {rig.name!r}, {key}"
+                if (standard := getattr(rig, key)) is not None:
+                    found[key] = standard.read_beside(file.parent)
+            rigs.append(rig.model_copy(update=found))
+    except ValueError as error:
+        raise SettingsError(f"{file}: {place}: {error}") from error
+    return settings.model_copy(update={"laboratory": laboratory, "rig": tuple(rigs)})
 
 
 def _find(path: str | None) -> Path | None:

@@ -21,6 +21,7 @@ const WORDS = {
   withdrawn: "withdrew a calibration",
   limits_changed: "changed limits",
   check_unit_changed: "changed a check unit",
+  item_changed: "said how a unit came",
   user_added: "added a user",
   user_changed: "changed a user",
   unit_removed: "removed an empty unit",

@@ -4,12 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import datetime
+from pathlib import Path
 
+from calrig.analysis.errors import Conflict
 from calrig.analysis.stored_runs import stored_run
 from calrig.calibration.conformity import Limit
 from calrig.export.certificate.content import Certificate
 from calrig.export.certificate.making import Sources, certificate_of
-from calrig.settings import LaboratorySettings
+from calrig.export.certificate.pdf import Attached, CannotPrintError, pdf_of
+from calrig.export.dcc.document import dcc_of
+from calrig.export.dcc.signing import signed
+from calrig.figures.residual_steps import residual_steps
+from calrig.figures.svg import svg_of
+from calrig.laboratory import LaboratorySettings
 from calrig.store import AcceptedEffect, Run, Store
 from calrig.store.issued import Revision
 from calrig.store.trail import Entry, What
@@ -31,6 +38,7 @@ def certificate(store: Store, revision: Revision, laboratory: LaboratorySettings
             of_stage=_of_stage(store, revision, run),
             limit=_limit(store, revision),
             entries=entries,
+            item=store.item(revision.unit, (run.finished_at or run.created_at).date()),
         )
     )
 
@@ -75,3 +83,43 @@ def _limits_at(store: Store, when: datetime) -> list[Limit]:
     if before:
         return [Limit.from_dict(one) for one in before[-1].act.detail["now"]]
     return [Limit.from_dict(one) for one in changes[0].act.detail["before"]] if changes else store.limits()
+
+
+def certificate_dcc(store: Store, revision: Revision, laboratory: LaboratorySettings) -> bytes:
+    """A revision's certificate as a DCC, signed where the laboratory has a key.
+
+    Raises:
+        SignerMissingError: what signs is not installed.
+        WorkError: key and certificate cannot be signed with.
+    """
+    made = dcc_of(certificate(store, revision, laboratory), revision.text.encode(), laboratory.country)
+    if laboratory.signing_key is None or laboratory.signing_certificate is None:
+        return made
+    return signed(made, Path(laboratory.signing_key), Path(laboratory.signing_certificate))
+
+
+def certificate_pdf(store: Store, revision: Revision, laboratory: LaboratorySettings) -> bytes:
+    """A revision's certificate as PDF/A-3, the calibration document inside.
+
+    Raises:
+        RendererMissingError: what makes PDFs is not installed.
+        Conflict: something that it says cannot be printed, and what.
+    """
+    said = certificate(store, revision, laboratory)
+    found = said.residuals
+    steps = [(step.title, step.left_deg) for step in found.steps]
+    picture = svg_of(residual_steps(found.elevation_deg, found.approach, steps))
+    document = revision.text.encode()
+    attached = [
+        Attached("calibration.json", document, "application/json", "The calibration document as issued"),
+        Attached(
+            "certificate.xml",
+            dcc_of(said, document, laboratory.country),
+            "application/xml",
+            "This certificate as a DCC",
+        ),
+    ]
+    try:
+        return pdf_of(said, picture, attached, laboratory)
+    except CannotPrintError as error:
+        raise Conflict(f"revision {revision.revision} of unit {revision.unit!r}: {error}") from error

@@ -32,4 +32,6 @@ def show_archive(unit: KnownUnit, context: Context) -> Response:
         "Content-Disposition": f'attachment; filename="archive-{name}.zip"',
         "Content-Encoding": "identity",  # it is packed
     }
-    return StreamingResponse(archive_of(context.store, unit.serial), media_type=ZIP, headers=headers)
+    return StreamingResponse(
+        archive_of(context.store, unit.serial, context.laboratory), media_type=ZIP, headers=headers
+    )

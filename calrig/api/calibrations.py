@@ -5,7 +5,7 @@
 from datetime import datetime
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Path, Query
+from fastapi import APIRouter, HTTPException, Path, Query
 from fastapi.responses import PlainTextResponse, Response
 from pydantic import Field
 
@@ -13,13 +13,13 @@ from calrig.analysis.active_calibration import header_of, wanted_revision
 from calrig.analysis.errors import Invalid
 from calrig.analysis.issuing import issued_since
 from calrig.api.callers import Who, requires
-from calrig.api.context import Context, KnownUnit
+from calrig.api.context import ApiContext, Context, KnownUnit
 from calrig.api.errors import problems
 from calrig.api.models import Answer, Body, Extremes, Reason
 from calrig.calibration.verdict import Verdict
-from calrig.store.issued import RevisionStatus
+from calrig.store.issued import Revision, RevisionStatus
 
-CalibrationFormat = Literal["json", "c-header"]
+CalibrationFormat = Literal["json", "c-header", "pdf", "dcc"]
 Number = Annotated[int, Path(ge=1, lt=2**31)]
 
 router = APIRouter(tags=["calibrations"])
@@ -129,7 +129,16 @@ class NewDraft(Body):
 @router.get(
     "/api/units/{serial:path}/calibration",
     response_model=CalibrationAnswer,
-    responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}, **problems(404, 409, 422)},
+    responses={
+        200: {
+            "content": {
+                "text/plain": {"schema": {"type": "string"}},
+                "application/pdf": {"schema": {"type": "string", "format": "binary"}},
+                "application/xml": {"schema": {"type": "string"}},
+            }
+        },
+        **problems(404, 409, 422, 501),
+    },
     summary="The calibration in force",
 )
 def show_calibration(
@@ -138,11 +147,17 @@ def show_calibration(
     revision: Annotated[str | None, Query(description="A number, or `latest`.")] = None,
     format_: Annotated[CalibrationFormat, Query(alias="format")] = "json",
 ) -> Response:
-    """Byte for byte as it was issued, its hash as `ETag`; `c-header` for flight code. 404 while none is."""
+    """Byte for byte as it was issued, its hash as `ETag`; `c-header` for flight code. 404 while none is.
+
+    `pdf` is its certificate, `dcc` the same for programs (PTB's XML, signed where the laboratory has a key);
+    501 where what makes it is not installed.
+    """
     found = wanted_revision(context.store, serial, _wanted(revision))
     headers = {"ETag": f'"{found.sha256}"'}
     if format_ == "c-header":
         return PlainTextResponse(header_of(found), headers=headers)
+    if format_ in ("pdf", "dcc"):
+        return _certificate(context, found, format_)
     return Response(found.text.encode(), media_type="application/json", headers=headers)
 
 
@@ -206,6 +221,26 @@ def draft(unit: KnownUnit, body: NewDraft, context: Context, who: Who) -> object
 def list_issued(context: Context, since: datetime | None = None) -> object:
     """Over all units; `since` a time (without a zone, UTC)."""
     return issued_since(context.store, since)
+
+
+def _certificate(context: ApiContext, found: Revision, form: Literal["pdf", "dcc"]) -> Response:
+    from calrig.analysis.certificates import certificate_dcc, certificate_pdf
+    from calrig.export.certificate.pdf import RendererMissingError
+    from calrig.export.dcc.signing import SignerMissingError
+
+    name = f"certificate-{found.sha256[:12]}-{found.revision}"
+    try:
+        if form == "dcc":
+            xml = certificate_dcc(context.store, found, context.laboratory)
+            named = {"Content-Disposition": f'attachment; filename="{name}.xml"'}
+            return Response(xml, media_type="application/xml", headers=named)
+        pdf = certificate_pdf(context.store, found, context.laboratory)
+    except SignerMissingError as error:
+        raise HTTPException(501, str(error)) from error
+    except RendererMissingError as error:
+        raise HTTPException(501, f"{error}; the unit's page prints well from a browser") from error
+    named = {"Content-Disposition": f'inline; filename="{name}.pdf"'}
+    return Response(pdf, media_type="application/pdf", headers=named)
 
 
 def _wanted(revision: str | None) -> int | Literal["latest"] | None:

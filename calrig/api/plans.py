@@ -13,6 +13,7 @@ from calrig.api.errors import problems
 from calrig.api.models import Answer, Body
 from calrig.plan import Plan
 from calrig.runs.planned import estimate
+from calrig.runs.references import overdue_says
 
 router = APIRouter(tags=["runs"])
 
@@ -51,5 +52,5 @@ def estimate_plan(body: PlanOnRig, context: Context) -> EstimateAnswer:
     """
     rig = context.service.known_rig(body.rig)
     said = estimate(body.plan, rig, context.store)
-    warnings = cannot_pass_on(rig, body.unit, body.plan, context.store)
+    warnings = [*overdue_says(rig), *cannot_pass_on(rig, body.unit, body.plan, context.store)]
     return EstimateAnswer(**asdict(said), warnings=warnings)

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -17,6 +17,8 @@ from calrig.errors import InputError
 
 if TYPE_CHECKING:
     from calrig.calibration.packed_poses import PackedPoses
+    from calrig.store import Store
+    from calrig.store.issued import Revision
 
 
 class Format(StrEnum):
@@ -25,6 +27,8 @@ class Format(StrEnum):
     json = "json"
     csv = "csv"
     c_header = "c-header"
+    pdf = "pdf"
+    dcc = "dcc"
     archive = "archive"
 
 
@@ -62,73 +66,85 @@ def export(
     unit: Annotated[str | None, typer.Option(metavar="SERIAL", help="The unit, by its run in force.")] = None,
     format_: Annotated[
         Format,
-        typer.Option("--format", help="The calibration, its poses (csv), or all of a unit (archive)."),
+        typer.Option(
+            "--format",
+            help="The calibration, its poses (csv), its certificate (pdf, dcc), all of a unit (archive).",
+        ),
     ] = Format.json,
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The archive to make; never overwritten.")
-    ] = None,
     parquet: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write the poses of all completed runs there.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="FILE", help="Where a certificate or an archive goes."),
+    ] = None,
+    sign: Annotated[
+        Path | None, typer.Option(metavar="KEY.pem", help="Sign the DCC with this key, and --cert.")
+    ] = None,
+    cert: Annotated[
+        Path | None, typer.Option(metavar="CERT.pem", help="The certificate of the key that signs.")
     ] = None,
     db: Db = None,
 ) -> None:
     """Print a calibration as JSON or as a C header, or its poses as CSV; standard error has its verdict.
 
+    `--format pdf` is its certificate, into a file or a pipe; `dcc` the same for programs, in PTB's XML.
+    `--format archive --out FILE.zip` is everything that stands behind a unit: `calrig verify` checks it.
+
     With --parquet: the poses of all completed runs into files.
     """
-    from calrig.analysis.active_calibration import header_of, newest_of_run, wanted_revision
+    from calrig.analysis.active_calibration import header_of
     from calrig.analysis.stored_runs import counted_poses, stored_run
+    from calrig.cli.certificate import write_certificate
     from calrig.cli.output import print_says
+    from calrig.cli.verify import export_archive
     from calrig.export.poses_csv import write_poses
     from calrig.settings import store_url
     from calrig.store import Store
 
-    if parquet is not None or out is not None or format_ is Format.archive:
-        _into_files(run_id, unit, format_, out, parquet, db)
+    if parquet is not None:
+        if run_id is not None or unit is not None:
+            raise InputError("export: --parquet writes the poses of all runs: name no run or unit beside it")
+        _export_all(parquet, db)
+        return
+    if format_ is Format.archive:
+        export_archive(unit, out, db)
         return
     if (run_id is None) == (unit is None):
         raise InputError("export: name either a RUN_ID or --unit SERIAL")
+    if out is not None and format_ not in {Format.pdf, Format.dcc}:
+        raise InputError(f"export: --format {format_.value} goes to standard output, not to --out")
     with Store.open(store_url(db), writer=None) as store:
         if run_id is not None:
             run_id = whole_id(store, run_id)
         if run_id is not None and format_ is Format.csv:
             sys.stdout.write(write_poses(counted_poses(store, stored_run(store, run_id).id)))
             return
-        if unit is not None:
-            found = store.in_force(unit) or wanted_revision(store, unit, "latest")
-        else:
-            found = newest_of_run(store, run_id or "")
-        if found.status != "in_force":
-            words = f"revision {found.revision} of unit {found.unit!r} is {found.status}, not in force"
-            typer.echo(f"calrig export: {words}", err=True)
+        found = _revision_asked_for(store, run_id, unit)
         if format_ is not Format.csv:
             print_says(found.verdict["says"])
         if format_ is Format.csv:
             sys.stdout.write(write_poses(counted_poses(store, found.run_id)))
+        elif format_ is Format.pdf or format_ is Format.dcc:
+            form: Literal["pdf", "dcc"] = "pdf" if format_ is Format.pdf else "dcc"
+            write_certificate(store, found, form, out, sign, cert)
         elif format_ is Format.c_header:
             sys.stdout.write(header_of(found))
         else:
             sys.stdout.write(found.text + "\n")
 
 
-def _into_files(
-    run_id: str | None,
-    unit: str | None,
-    format_: Format,
-    out: Path | None,
-    parquet: Path | None,
-    db: str | None,
-) -> None:
-    if parquet is not None:
-        if run_id is not None or unit is not None:
-            raise InputError("export: --parquet writes the poses of all runs: name no run or unit beside it")
-        _export_all(parquet, db)
-    elif format_ is Format.archive:
-        from calrig.cli.verify import export_archive
+def _revision_asked_for(store: Store, run_id: str | None, unit: str | None) -> Revision:
+    from calrig.analysis.active_calibration import newest_of_run, wanted_revision
 
-        export_archive(unit, out, db)
+    if unit is not None:
+        found = store.in_force(unit) or wanted_revision(store, unit, "latest")
     else:
-        raise InputError("export: --out is for --format archive: the others go to standard output")
+        found = newest_of_run(store, run_id or "")
+    if found.status != "in_force":
+        words = f"revision {found.revision} of unit {found.unit!r} is {found.status}, not in force"
+        typer.echo(f"calrig export: {words}", err=True)
+    return found
 
 
 def _export_all(folder: Path, db: str | None) -> None:

@@ -62,13 +62,13 @@ def export_archive(unit: str | None, out: Path | None, db: str | None) -> None:
         WorkError: the disk took only a part of it, which is removed.
     """
     from calrig.analysis.archives import archive_of
-    from calrig.settings import store_url
+    from calrig.settings import load_settings, store_url
     from calrig.store import Store
 
     if unit is None or out is None:
         raise InputError("export: an archive is of a unit and goes to a file: --unit SERIAL --out FILE.zip")
     with Store.open(store_url(db), writer=None) as store:
-        pieces = archive_of(store, unit)
+        pieces = archive_of(store, unit, load_settings().laboratory)
         try:
             file = out.open("xb")
         except FileExistsError as error:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from calrig.figures.parts import APPROACHES, Figure, as_text, axis_of, layout_of
 
-GAP = 0.25
+GAP = 0.35
 """Between bands, as a share of a band: room for the title of the one below."""
 
 
@@ -27,10 +27,11 @@ def residual_steps(
     layout["legend"]["title"] = {"text": "approach"}
     layout["annotations"] = []
     data = []
+    band = 1.0 / (len(steps) + GAP * (len(steps) - 1))
     for k, (title, left_deg) in enumerate(steps):
         axis = "y" if k == 0 else f"y{k + 1}"
-        high = 1.0 - k / len(steps)
-        low = high - (1.0 - GAP) / len(steps)
+        high = 1.0 - k * (1.0 + GAP) * band
+        low = high - band
         layout[f"yaxis{'' if k == 0 else k + 1}"] = {
             **axis_of("residual (°)"),
             "domain": [max(low, 0.0), high],

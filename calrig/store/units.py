@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import sqlalchemy
-from sqlmodel import Session, col, func, or_, select
+from sqlmodel import Session, col, delete, func, or_, select
 
 from calrig.store.checksums import check_numbers
 from calrig.store.convert import FIGURES, result_part, run_of
@@ -18,6 +18,7 @@ from calrig.store.tables import (
     CalibrationTable,
     CheckUnitTable,
     IssuedCalibrationTable,
+    ItemTable,
     RunTable,
     UnitTable,
     UtcText,
@@ -145,6 +146,7 @@ class Units(Part):
                 if session.exec(select(table).where(table.unit == serial).limit(1)).first() is not None:
                     raise Refused(f"unit {serial!r} has {kept} and is not removed")
             _remove_revisions(session, serial)
+            session.exec(delete(ItemTable).where(col(ItemTable.unit) == serial))
             session.delete(row)
             append(session, Act("unit_removed", who=who, unit=serial))
 

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from calrig.analysis.amendments import Records
-from calrig.analysis.archives import archive_of
+from calrig.analysis.certificates import certificate_dcc
 from calrig.analysis.issuing import Issuer
 from calrig.calibration.pose import Pose
+from calrig.export.archive.contents import unit_archive
+from calrig.laboratory import LaboratorySettings
 from calrig.store import AcceptedEffect, SampleBlock, Store
+from calrig.store.issued import Revision
 
 UNIT = "AS/42 ä"
 
@@ -65,4 +70,9 @@ def measured(store: Store, status: str) -> None:
 
 
 def archive(store: Store, unit: str = UNIT) -> bytes:
-    return b"".join(archive_of(store, unit))
+    """Of a unit, with its certificates as XML: those on paper take a while."""
+
+    def certificates(revision: Revision) -> Iterator[tuple[str, bytes]]:
+        yield "xml", certificate_dcc(store, revision, LaboratorySettings(name="A laboratory"))
+
+    return b"".join(unit_archive(store, unit, Issuer(store).listed, certificates))

@@ -10,10 +10,10 @@ from command_line import calrig, reason
 def test_an_archive_is_made_once_and_checked_without_the_store(folder):
     calrig("import", "poses.csv", "--unit", "A/1")
     said = calrig("export", "--unit", "A/1", "--format", "archive", "--out", "a.zip").stdout
-    assert said == "a.zip: 0.0 MB\n"
+    assert said == "a.zip: 0.1 MB\n"
     (folder / "calrig.db").unlink()
     lines = calrig("verify", "a.zip").stdout.splitlines()
-    assert lines[0].startswith("a.zip: intact, 9 files of unit A/1 as of 20")
+    assert lines[0].startswith("a.zip: intact, 11 files of unit A/1 as of 20")
     assert lines[1:3] == ["1 revisions, 1 runs", "the poses give the numbers of revision 1"]
     assert lines[3].startswith("3 entries of the trail, whose head is 3: ")
     found = json.loads(calrig("verify", "a.zip", "--json").stdout)
@@ -42,4 +42,4 @@ def test_what_is_no_archive_or_cannot_be_made_is_2(folder):
     assert "cannot be made" in reason(*export, "--unit", "A", "--out", "nowhere/a.zip", status=2)
     assert "there is no unit 'B'" in reason(*export, "--unit", "B", "--out", "b.zip", status=1)
     assert not (folder / "b.zip").exists()
-    assert "--out is for" in reason("export", "--unit", "A", "--out", "b.json", status=2)
+    assert "not to --out" in reason("export", "--unit", "A", "--out", "b.json", status=2)

@@ -16,6 +16,7 @@ from support import imported, serving
 
 from calrig.calibration.pose import Pose
 from calrig.store import AcceptedEffect, Store
+from calrig.store.items import Item
 from calrig.store.raw_rows import tables
 
 POSES = "target_deg,reading_deg,+5V\n-30,-29.5,5.01\n0,-0.4,4.99\n30,30.6,5.00\n60,60.9,5.02\n"
@@ -36,6 +37,7 @@ def fill(path: Path) -> str:
         with closing(RunService(store, [])) as service, serving(service) as client:
             _amend(client)
         store.name_check_unit("r", "A-3", 7.0, who="ada")
+        store.say_item("A-3", Item(customer="山田 & Søn", condition="neu", supplied=("customer",)), who="ada")
         store.add_user("proxied", "viewer", with_token=False)
         _, token = store.add_user("ada", "admin")
     assert token is not None

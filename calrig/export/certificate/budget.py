@@ -184,13 +184,9 @@ def _method(
         "the range, the mean of u² over it (F.2.4.5). Everything of type A comes from one scatter."
     )
     probability = f"{100 * document['coverage']:g} %"
-    nu = (
-        "not stated"
-        if effective is None
-        else "infinite"
-        if math.isinf(effective)
-        else f"{math.floor(effective)}"
-    )
+    nu = "not stated"
+    if effective is not None:
+        nu = "infinite" if math.isinf(effective) else str(math.floor(effective))
     if reference is None or reference.kind == "setting" or reference.distribution == "normal":
         yield (
             f"k for {probability} is that of Student's t for the effective degrees of freedom by Welch and "

@@ -32,7 +32,7 @@ from calrig.export.certificate.content import (
 from calrig.export.certificate.content import Item as ItemSaid
 from calrig.export.certificate.measured import Measured, effects_found
 from calrig.export.certificate.standards import equipment_of, standards_of, traceable
-from calrig.settings import LaboratorySettings
+from calrig.laboratory import LaboratorySettings
 from calrig.store.issued import Revision
 from calrig.store.items import Item
 from calrig.store.records import AcceptedEffect, Document, Run, StoredPose, reference_of

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import date, datetime
-from typing import Any
 
 from calrig.export.certificate import sheet_results
 from calrig.export.certificate.blocks import Block, Section, pairs, paragraphs, picture, stated, table
@@ -221,10 +220,3 @@ def _authorised(said: Certificate) -> str:
 def _annex(said: Certificate) -> tuple[Block, ...]:
     note = "What software reads, key by key and number for number; the file itself is attached."
     return paragraphs([note]), Block("listing", rows=said.document)
-
-
-def as_json(sheet: Sheet) -> dict[str, Any]:
-    """The sheet as a renderer in another language takes it."""
-    from dataclasses import asdict
-
-    return asdict(sheet)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 
 from calrig.calibration.wording import percent
 from calrig.export.certificate.blocks import Block, figure, pairs, paragraphs, table
@@ -162,12 +161,3 @@ def _angle(value: float | None) -> str:
 def _minus(text: str) -> str:
     """A minus sign as one reads it."""
     return text.replace("-", "−")
-
-
-def texts(blocks: Iterable[Block]) -> str:
-    """All that is said in some blocks, for whoever looks for something in it."""
-    return " ".join(
-        text
-        for block in blocks
-        for text in (*block.columns, *block.lines, *(cell for row in block.rows for cell in row))
-    )

@@ -40,9 +40,7 @@ def traceable(provenance: Document) -> str:
     if stated.get("certificate") is None:
         return "No certificate of the stage is stated: angles are traceable no further than the stage's own."
     by = f" of {stated['issued_by']}" if stated.get("issued_by") else ""
-    return (
-        f"Angles are traceable to the certificate {stated['certificate']}{by}, kept with the run as it was."
-    )
+    return f"Angles are traceable to the certificate {stated['certificate']}{by}."
 
 
 def overdue(stated: Document, measured_at: datetime | None) -> bool | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Sequence
+from math import isfinite
 from xml.etree import ElementTree as ET
 
 from calrig.export.certificate.content import Certificate, EffectFound, Quantity, Standard
@@ -167,7 +168,7 @@ def _effect(effect: EffectFound, ref_type: str) -> ET.Element:
 
 
 def _points(said: Certificate) -> ET.Element | None:
-    points = said.results.points
+    points = [one for one in said.results.points if isfinite(one.found_deg) and isfinite(one.left_deg)]
     if not points:
         return None
     elevation, worth = said.results.elevation, None
@@ -209,10 +210,14 @@ def _budget(said: Certificate) -> ET.Element | None:
     if not lines:
         return None
     name = words("name", "Uncertainty budget")
-    about = words(
-        "description", "Standard uncertainty of a calibrated elevation from each contribution alone."
+    said_of_it = "Standard uncertainty of a calibrated elevation from each contribution alone."
+    return dcc(
+        "result",
+        name,
+        words("description", said_of_it),
+        dcc("data", dcc("list", *lines)),
+        refType="calrig_uncertaintyBudget",
     )
-    return dcc("result", name, about, dcc("data", dcc("list", *lines)), refType="calrig_uncertaintyBudget")
 
 
 def _document(content: bytes) -> ET.Element:
