@@ -31,6 +31,21 @@ def test_an_archive_is_made_once_and_checked_without_the_store(folder):
     assert len(json.loads(told.stdout)["problems"]) == len(told.stderr.splitlines()) == 2
 
 
+def test_a_certificate_for_programs_goes_where_it_is_asked_to(folder):
+    calrig("import", "poses.csv", "--unit", "A")
+    export = ("export", "--unit", "A", "--format", "dcc")
+    printed = calrig(*export).stdout
+    assert printed.startswith("<?xml")
+    calrig(*export, "--out", "a.xml")
+    assert (folder / "a.xml").read_text() == printed
+    assert "go together" in calrig(*export, "--sign", "key.pem", status=2).stderr
+    failed = calrig(*export, "--sign", "key.pem", "--cert", "cert.pem", "--out", "b.xml", status=1)
+    assert "key.pem: cannot be read" in failed.stderr
+    assert not (folder / "b.xml").exists()
+    (folder / "calrig.toml").write_text('[laboratory]\nsigning_key = "key.pem"\n')
+    assert "signing_key and signing_certificate go together" in calrig(*export, status=2).stderr
+
+
 def test_what_is_no_archive_or_cannot_be_made_is_2(folder):
     calrig("import", "poses.csv", "--unit", "A")
     assert "is no zip file" in reason("verify", "poses.csv", status=2)
