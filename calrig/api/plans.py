@@ -7,11 +7,14 @@ from dataclasses import asdict
 from fastapi import APIRouter
 from pydantic import Field
 
+from calrig.analysis.errors import Invalid
 from calrig.analysis.limits import cannot_pass_on
 from calrig.api.context import Context
 from calrig.api.errors import problems
 from calrig.api.models import Answer, Body
+from calrig.calibration.plan_design.goals import Goals
 from calrig.plan import Plan
+from calrig.runs.plan_designs import Wanted, designed
 from calrig.runs.planned import estimate
 from calrig.runs.references import overdue_says
 
@@ -54,3 +57,86 @@ def estimate_plan(body: PlanOnRig, context: Context) -> EstimateAnswer:
     said = estimate(body.plan, rig, context.store)
     warnings = [*overdue_says(rig), *cannot_pass_on(rig, body.unit, body.plan, context.store)]
     return EstimateAnswer(**asdict(said), warnings=warnings)
+
+
+class Goal(Body):
+    """What a run is to reach; null where it does not matter."""
+
+    bias_std_deg: float | None = Field(default=None, gt=0, le=90)
+    scale_std: float | None = Field(default=None, gt=0, le=10)
+    expanded_uncertainty_deg: float | None = Field(default=None, gt=0, le=90)
+
+
+class WantedPlan(Body):
+    """What a plan is to reach: `target_u_deg`, an expanded uncertainty, and `until`; or `time_s`.
+
+    `plan` is what it keeps: range, settling, rate, velocity. With `trace` effects are to be found in it.
+    """
+
+    rig: str | None = None
+    unit: str = ""
+    target_u_deg: float | None = Field(default=None, gt=0, le=90)
+    until: Goal | None = None
+    time_s: float | None = Field(default=None, gt=0, le=86_400)
+    trace: bool = True
+    plan: Plan = Plan()
+
+
+class ExpectedAnswer(Answer):
+    """Of the plan, by the noise and the pace of the rig."""
+
+    duration_s: float
+    expanded_uncertainty_deg: float | None
+    bias_std_deg: float
+    scale_std: float
+
+
+class LimitAnswer(Answer):
+    """A time that no plan of dwells is under."""
+
+    duration_s: float
+    why: str
+
+
+class SuspectAnswer(Answer):
+    """The least of an effect that would be found four times in five; null where nothing of it would be.
+
+    `rms_deg` is what it leaves in calibrated readings; `value` its parameter, where it has one alone.
+    """
+
+    name: str
+    title: str
+    rms_deg: float | None
+    parameter: str | None
+    unit: str | None
+    value: float | None
+
+
+class DesignAnswer(Answer):
+    """`limit` is null where a time was given."""
+
+    plan: Plan
+    expected: ExpectedAnswer
+    limit: LimitAnswer | None
+    suspects: list[SuspectAnswer]
+    says: list[str]
+
+
+@router.post(
+    "/api/plans/design",
+    response_model=DesignAnswer,
+    responses=problems(404, 413, 422),
+    summary="The plan that gets there soonest",
+)
+def design_plan(body: WantedPlan, context: Context) -> object:
+    """Nothing moves. 422 says why no plan reaches what is wanted, and what would."""
+    rig = context.service.known_rig(body.rig)
+    until = body.until or Goal()
+    target_deg = body.target_u_deg or until.expanded_uncertainty_deg
+    goals = Goals(target_deg, until.bias_std_deg, until.scale_std)
+    if (goals == Goals()) == (body.time_s is None):
+        raise Invalid(
+            "Give either what is to be reached (target_u_deg, until) or a time (time_s)", ["time_s"]
+        )
+    wanted = Wanted(goals, body.time_s, body.trace)
+    return designed(wanted, body.plan, rig, body.unit, context.store).document()

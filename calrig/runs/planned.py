@@ -67,7 +67,7 @@ def estimate(plan: Plan, rig: RigSettings, store: Store) -> PlanEstimate:
     """
     planned = planned_poses(plan, rig)
     static = plan.kind == "static"
-    velocity_dps, acceleration_dps2 = _speed(rig, store)
+    velocity_dps, acceleration_dps2 = speed(rig, store)
     targets_deg = [0.0, *(pose.target_deg for pose in planned)]  # from about its home
     duration_s = (
         (HOMING_AND_START_S if planned else 0.0)
@@ -84,9 +84,9 @@ def _travel_s(targets_deg: Sequence[float], velocity_dps: float, acceleration_dp
     return sum(travel_time_s(way_deg, velocity_dps, acceleration_dps2) for way_deg in ways_deg)
 
 
-def _speed(rig: RigSettings, store: Store) -> tuple[float, float]:
-    """Velocity and acceleration of elevation, deg/s and deg/s²."""
-    latest, _ = store.runs(rig=rig.name, status="completed", limit=1)
+def speed(rig: RigSettings, store: Store | None) -> tuple[float, float]:
+    """Velocity and acceleration of elevation, deg/s and deg/s²; assumed where there is no store yet."""
+    latest = [] if store is None else store.runs(rig=rig.name, status="completed", limit=1)[0]
     said = latest[0].provenance.get("stage", {}) if latest else {}
     ratio = rig.stage.ratio if rig.stage else 1.0
     velocity_dps, acceleration_dps2 = said.get("velocity_dps"), said.get("acceleration_dps2")

@@ -15,6 +15,10 @@ class Refused(StoreError):  # noqa: N818 (an answer, not a fault)
     """What is stored does not allow this; the message says why and what to do."""
 
 
+class NoStore(StoreError):  # noqa: N818 (an answer, not a fault)
+    """There is no store yet at the place that is to be read."""
+
+
 class NotText(StoreError):  # noqa: N818 (likewise)
     """What was to be stored or looked for is no text that a store keeps: no UTF-8, or with a NUL in it."""
 

@@ -42,3 +42,32 @@ def test_a_plan_that_a_run_would_be_refused_for_is_refused_alike(shared_client, 
 def test_a_refusal_names_the_places_for_whoever_marks_them(shared_client, plan, places):
     answer = shared_client.post("/api/plans/estimate", json={"plan": plan})
     assert (answer.status_code, answer.headers["Calrig-Fields"]) == (422, places)
+
+
+def test_a_plan_is_designed_for_an_uncertainty_and_a_run_takes_it(shared_client):
+    wanted = {"target_u_deg": 0.5, "plan": {"start_deg": -40, "stop_deg": 40}}
+    told = shared_client.post("/api/plans/design", json=wanted).raise_for_status().json()
+    assert told["expected"]["expanded_uncertainty_deg"] <= 0.5
+    assert told["limit"]["duration_s"] <= told["expected"]["duration_s"]
+    assert {one["name"] for one in told["suspects"]} >= {"backlash", "settling", "mount_slip"}
+    estimated = (
+        shared_client.post("/api/plans/estimate", json={"plan": told["plan"]}).raise_for_status().json()
+    )
+    assert estimated["duration_s"] == pytest.approx(told["expected"]["duration_s"], abs=0.5)
+    assert (min(estimated["elevations_deg"]), max(estimated["elevations_deg"])) == (-40, 40)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "words"),
+    [
+        ({"target_u_deg": 0.1}, "below what the stage's angle is worth"),
+        ({"time_s": 3}, "3 s are too few"),
+        ({}, "what is to be reached (target_u_deg, until) or a time"),
+        ({"target_u_deg": 0.5, "time_s": 60}, "what is to be reached (target_u_deg, until) or a time"),
+        ({"target_u_deg": 0.5, "plan": {"elevations_deg": [0]}}, "has no scale"),
+    ],
+)
+def test_what_no_plan_reaches_is_refused_with_the_reason(shared_client, wanted, words):
+    answer = shared_client.post("/api/plans/design", json=wanted)
+    assert answer.status_code == 422
+    assert words in answer.json()["detail"]

@@ -49,7 +49,14 @@ NEEDED = {
     "/api/benches/{name}": "admin",
 }
 """The least role of every path that changes something; what is not listed is open to everybody known."""
-HARMLESS = {"/api/plans/estimate", "/api/noise", "/api/filters", "/api/login", "/api/logout"}
+HARMLESS = {
+    "/api/plans/estimate",
+    "/api/plans/design",
+    "/api/noise",
+    "/api/filters",
+    "/api/login",
+    "/api/logout",
+}
 SAFE = {"/api/rigs/{name}/stop", "/api/runs/{run_id}/abort"}
 BY_CODE = {"/api/benches/enroll"}
 """Open to whoever has a bench's one-time code."""

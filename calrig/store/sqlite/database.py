@@ -19,7 +19,7 @@ from sqlmodel import Session
 from calrig.instruments.wanted import require_wanted
 from calrig.store.checksums import from_json, to_json
 from calrig.store.database import LOOK_S, Database
-from calrig.store.errors import StoreDamagedError, StoreError, StoreUnavailableError
+from calrig.store.errors import NoStore, StoreDamagedError, StoreError, StoreUnavailableError
 from calrig.store.records import UNFINISHED, Size
 from calrig.store.revisions import revisions
 from calrig.store.sqlite import file_system, migrating
@@ -153,7 +153,7 @@ class SqliteDatabase(Database):
             self._uri = file_system.reading_uri(self.path, self._timeout_s)
             stored = migrating.stored_revision(self.path, self._uri)
         if stored is None:
-            raise StoreError(
+            raise NoStore(
                 f"{self.path}: there is no calrig database: name one with --db, "
                 "or make one with `calrig serve`, `calrig run` or `calrig import`"
             )

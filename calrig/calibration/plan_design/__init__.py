@@ -1,0 +1,1 @@
+"""The plan that reaches an uncertainty soonest on a rig: CONTRACT section 9."""

@@ -1,0 +1,86 @@
+"""What a design is to reach, as the scatter that its readings may have."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from calrig.calibration.coverage import coverage_factor
+from calrig.calibration.uncertainty import Reference
+
+_HALVINGS = 40
+
+
+@dataclass(frozen=True, slots=True)
+class Goals:
+    """Standard errors and expanded uncertainty that are wanted; None where it does not matter."""
+
+    expanded_deg: float | None = None
+    bias_std_deg: float | None = None
+    scale_std: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class TypeB:
+    """What the reference makes of an elevation: standard uncertainty, degrees, and its distribution.
+
+    `reference` is of a stage's certificate; a stage's map has its own covariance.
+    """
+
+    std_deg: float
+    reference: Reference | None
+
+    @property
+    def distribution(self) -> str:
+        """Of the error of an elevation."""
+        if self.reference is None or self.reference.kind == "setting":
+            return "normal"
+        return self.reference.distribution
+
+    def expanded_deg(self, type_a_deg: float, freedom: float) -> float:
+        """The expanded uncertainty beside one of type A, as a result states it."""
+        distribution = "rectangular" if self.distribution == "rectangular" else "normal"
+        k = coverage_factor(type_a_deg, freedom, self.std_deg, distribution)
+        return k * math.hypot(type_a_deg, self.std_deg)
+
+    def type_a_deg(self, expanded_deg: float, freedom: float) -> float:
+        """The largest standard uncertainty of type A beside it; 0 where none is small enough."""
+        low, high = 0.0, expanded_deg
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            if middle > 0.0 and self.expanded_deg(middle, freedom) <= expanded_deg:
+                low = middle
+            else:
+                high = middle
+        return low if low > 1e-6 * expanded_deg else 0.0
+
+    @property
+    def least_deg(self) -> float:
+        """The expanded uncertainty that no number of poses gets below."""
+        return self.expanded_deg(1e-12 * max(self.std_deg, 1e-6), 1e9) if self.std_deg else 0.0
+
+
+NO_REFERENCE = TypeB(0.0, None)
+
+
+def scatter_wanted_deg(
+    goals: Goals, type_b: TypeB, n_poses: int, leverages: tuple[float, float, float]
+) -> float:
+    """The largest scatter of a reading with which so many poses reach all goals; 0 where none does.
+
+    Args:
+        goals: what is wanted.
+        type_b: the reference's part.
+        n_poses: how many; the line takes two degrees of freedom.
+        leverages: of the layout, for scatter 1 (`layout.leverage`).
+    """
+    over_range, bias, scale = leverages
+    allowed = [math.inf]
+    if goals.expanded_deg is not None:
+        type_a_deg = type_b.type_a_deg(goals.expanded_deg, n_poses - 2.0)
+        allowed.append(type_a_deg / math.sqrt(1.0 + over_range))
+    if goals.bias_std_deg is not None:
+        allowed.append(goals.bias_std_deg / math.sqrt(bias))
+    if goals.scale_std is not None:
+        allowed.append(goals.scale_std / math.sqrt(scale))
+    return min(allowed)

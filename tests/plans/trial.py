@@ -1,0 +1,104 @@
+"""Designed plans carried out on the simulator's physics, and what becomes of what was promised for them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from calrig.calibration.coverage import COVERAGE
+from calrig.calibration.diagnosis import diagnose, document
+from calrig.calibration.plan_design.design import Design, Task
+from calrig.calibration.plan_design.goals import TypeB
+from calrig.calibration.plan_design.rig_figures import DATA_SHEET_WHITE, Pace, Precision
+from calrig.calibration.result import build_result
+from calrig.calibration.uncertainty import Reference, uncertainty
+from calrig.instruments.axis_goal import travel_time_s
+from calrig.plan import Plan
+from calrig.runs.planned import HOMING_AND_START_S, QUESTIONS_S
+from tests.blind.causes import Draw
+from tests.blind.layout import ACCELERATION_DPS2, Layout, timeline
+from tests.blind.physics import Noise, measure
+
+VELOCITY_DPS, SETTLE_S = 20.0, 1.0
+AROUND = {"mount": {"offset_deg": 0.8}, "mechanics": {"scale_error_pct": 0.2}}
+PRECISION = Precision(DATA_SHEET_WHITE, 0.0, "a data sheet's noise")
+
+
+def travel_s(distance_deg: float) -> float:
+    return travel_time_s(distance_deg, VELOCITY_DPS, ACCELERATION_DPS2)
+
+
+PACE = Pace(travel_s, SETTLE_S, QUESTIONS_S, HOMING_AND_START_S)
+
+
+def task(reference: Reference, *, trace: bool, seed: int = 0) -> Task:
+    """Of ±60° on an ordinary stage."""
+    return Task((-60.0, 60.0), PRECISION, PACE, TypeB(reference.std_deg, reference), trace, seed)
+
+
+def fixed() -> Layout:
+    """The default plan: 52 poses of 2 s."""
+    return Layout.of(Plan())
+
+
+def laid_out(design: Design) -> Layout:
+    order = np.array(design.elevations_deg)
+    return Layout(order, np.zeros(len(order), dtype=int), SETTLE_S, design.dwell_s)
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Over many runs: mean of the expanded uncertainty stated, and how often a later reading kept to it."""
+
+    stated_deg: float
+    covered: float
+
+
+def kept(layout: Layout, reference: Reference, runs: int, seed: int = 0) -> Kept:
+    """Runs of noise alone, each judged by one later reading of a known elevation.
+
+    The reference is a perfect one beside its statement: of type A this is the coverage.
+    """
+    stated, within = [], 0
+    scatter_deg = PRECISION.scatter_deg(layout.dwell_s)
+    clean = measure(layout, [], Noise(reading_deg=0.0, norm_mg=0.3), np.random.default_rng(0), AROUND).poses
+    theta = np.array([pose.theta_deg for pose in clean])
+    true = np.array([pose.reading_deg for pose in clean])
+    scale, bias = np.polyfit(theta, true, 1)
+    rng = np.random.default_rng(seed)
+    for _ in range(runs):
+        readings = bias + scale * theta + scatter_deg * rng.standard_normal(len(theta))
+        poses = [
+            type(clean[0])(target_deg=float(t), reading_deg=float(r))
+            for t, r in zip(theta, readings, strict=True)
+        ]
+        line = build_result(poses).line
+        worth = uncertainty(line, theta, reference)
+        assert worth.expanded_deg is not None
+        assert line.scale is not None
+        stated.append(worth.expanded_deg)
+        alone = uncertainty(line, theta, Reference(1e-12, "setting", "normal"))
+        at = rng.uniform(theta.min(), theta.max())
+        read = bias + scale * at + scatter_deg * rng.standard_normal()
+        assert alone.expanded_deg is not None
+        within += abs((read - line.bias_deg) / line.scale - at) <= alone.expanded_deg
+    return Kept(float(np.mean(stated)), within / runs)
+
+
+def found(layout: Layout, cause: Draw, name: str, runs: int, seed: int = 0) -> int:
+    """In how many runs with a cause the diagnosis lists its effect, by itself or among its suspects."""
+    when = timeline(layout)
+    scatter_deg = PRECISION.scatter_deg(layout.dwell_s)
+    noise = Noise(reading_deg=scatter_deg, norm_mg=1e3 * math.radians(scatter_deg))
+    times = 0
+    for k in range(runs):
+        rng = np.random.default_rng([seed, k])
+        run = measure(layout, [cause(rng, when)], noise, rng, AROUND)
+        effects = document(diagnose([run.poses]), ["0"])["effects"]
+        times += any(name in (one["name"], *one["confusable_with"]) for one in effects)
+    return times
+
+
+PROMISED = COVERAGE
