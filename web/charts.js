@@ -26,6 +26,16 @@ function plotly() {
   return library;
 }
 
+// On paper a chart shrinks as a whole, and takes its own size again afterwards.
+window.addEventListener("beforeprint", () => {
+  for (const svg of document.querySelectorAll(".plot .main-svg")) {
+    svg.setAttribute("viewBox", `0 0 ${svg.getAttribute("width")} ${svg.getAttribute("height")}`);
+  }
+});
+window.addEventListener("afterprint", () => {
+  for (const svg of document.querySelectorAll(".plot .main-svg")) svg.removeAttribute("viewBox");
+});
+
 /** A chart with its caption. `draw(figure)` shows a figure, `load(path)` fetches one and shows it. */
 export class Chart {
   constructor(testid, title, { tall = false, low = false, signal } = {}) {

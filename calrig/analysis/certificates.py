@@ -17,7 +17,7 @@ from calrig.export.dcc.signing import signed
 from calrig.figures.residual_steps import residual_steps
 from calrig.figures.svg import svg_of
 from calrig.laboratory import LaboratorySettings
-from calrig.store import AcceptedEffect, Run, Store
+from calrig.store import AcceptedEffect, Store
 from calrig.store.issued import Revision
 from calrig.store.trail import Entry, What
 
@@ -28,14 +28,16 @@ def certificate(store: Store, revision: Revision, laboratory: LaboratorySettings
     """The content of a revision's certificate."""
     run = stored_run(store, revision.run_id)
     entries = _entries(store, revision)
+    before = _before(store, revision, entries)
     return certificate_of(
         Sources(
             revision=revision,
             run=run,
             poses=store.poses(run.id),
             laboratory=laboratory,
-            before=_before(store, revision, entries),
-            of_stage=_of_stage(store, revision, run),
+            before=before,
+            came_with=_came_with(store, revision, before),
+            of_stage=_of_stage(store, revision),
             limit=_limit(store, revision),
             entries=entries,
             item=store.item(revision.unit, (run.finished_at or run.created_at).date()),
@@ -60,11 +62,19 @@ def _before(store: Store, revision: Revision, entries: Sequence[Entry]) -> Revis
     return None if number is None else store.revision(revision.unit, number)
 
 
-def _of_stage(store: Store, revision: Revision, run: Run) -> list[AcceptedEffect]:
-    """The rig's effects that it rests on, as far as nobody has taken them back since."""
-    used = revision.basis["effects"]
-    accepted = store.effects_in_force(revision.unit, run.rig)
-    return [effect for effect in accepted if effect.unit is None and str(effect.id) in used]
+def _came_with(store: Store, revision: Revision, before: Revision | None) -> Revision | None:
+    """The last one in force before it that is of another run: what the unit was calibrated by as it came."""
+    seen = {revision.revision}
+    while before is not None and before.run_id == revision.run_id and before.revision not in seen:
+        seen.add(before.revision)
+        before = _before(store, before, _entries(store, before))
+    return None if before is None or before.run_id == revision.run_id else before
+
+
+def _of_stage(store: Store, revision: Revision) -> list[AcceptedEffect]:
+    """The rig's effects that it rests on, also those that were taken back since."""
+    used = store.accepted_effects([int(number) for number in revision.basis["effects"]])
+    return [effect for effect in used if effect.unit is None]
 
 
 def _limit(store: Store, revision: Revision) -> Limit | None:

@@ -160,7 +160,7 @@ class Units(Part):
             .order_by(col(AcceptedEffectTable.id))
         )
         with self._database.reading() as session:
-            latest = {(row.unit, row.name): _effect(row, run_id) for row, run_id in session.exec(wanted)}
+            latest = {(row.unit, row.name): _accepted(row, run_id) for row, run_id in session.exec(wanted)}
         return list(latest.values())
 
     def accepted_effects(self, ids: Sequence[int]) -> list[AcceptedEffect]:
@@ -171,7 +171,7 @@ class Units(Part):
                 some = col(AcceptedEffectTable.id).in_(ids[first : first + _AT_ONCE])
                 wanted = select(AcceptedEffectTable, RunTable.uid).join(RunTable).where(some)
                 in_order = wanted.order_by(col(AcceptedEffectTable.id))
-                found += [_effect(row, run_id) for row, run_id in session.exec(in_order)]
+                found += [_accepted(row, run_id) for row, run_id in session.exec(in_order)]
         return found
 
     def effect_names(self) -> dict[str, list[str]]:
@@ -187,6 +187,18 @@ class Units(Part):
             for unit, name in session.exec(wanted):
                 found.setdefault(str(unit), []).append(name)
         return found
+
+
+def _accepted(row: AcceptedEffectTable, run_id: str) -> AcceptedEffect:
+    return AcceptedEffect(
+        run_id=run_id,
+        unit=row.unit,
+        rig=row.rig,
+        name=row.name,
+        origin=row.origin,
+        parameters=row.parameters,
+        id=row.id,
+    )
 
 
 def _remove_revisions(session: Session, serial: str) -> None:
@@ -220,18 +232,6 @@ def _units(session: Session, serials: Sequence[str] | None = None) -> list[Unit]
         Unit(serial=unit.serial, created_at=unit.created_at, n_runs=n_runs, last_run_at=last)
         for unit, n_runs, last in session.exec(wanted)
     ]
-
-
-def _effect(row: AcceptedEffectTable, run_id: str) -> AcceptedEffect:
-    return AcceptedEffect(
-        run_id=run_id,
-        unit=row.unit,
-        rig=row.rig,
-        name=row.name,
-        origin=row.origin,
-        parameters=row.parameters,
-        id=row.id,
-    )
 
 
 def _compared(row: Sequence[Any]) -> ComparisonRow:

@@ -54,6 +54,7 @@ LATER = {
     "benchfilters.js",
     "benchtable.js",
     "calibrations.js",
+    "certificate.js",
     "compare.js",
     "history.js",
     "limits.js",

@@ -41,7 +41,7 @@ from calrig.store.trail import Entry
 FIGURES = (
     ("rms_raw_deg", "RMS error as the unit reads"),
     ("rms_calibrated_deg", "RMS error with bias and scale"),
-    ("rms_with_effects_deg", "RMS error with the accepted effects too"),
+    ("rms_with_effects_deg", "RMS error with accepted effects"),
 )
 SUPPLIED = {
     "customer": "customer",
@@ -62,6 +62,7 @@ class Sources:
     Attributes:
         poses: of the run, excluded ones too.
         before: the revision in force until this one was; None where there was none.
+        came_with: the last one before of another run, with which the unit came in; None likewise.
         of_stage: effects of the rig's that this revision rests on.
         limit: that the verdict names, as it was when the revision was made; None where nobody knows.
         entries: of the audit trail, about this revision, oldest first.
@@ -73,6 +74,7 @@ class Sources:
     poses: Sequence[StoredPose]
     laboratory: LaboratorySettings
     before: Revision | None = None
+    came_with: Revision | None = None
     of_stage: Sequence[AcceptedEffect] = ()
     limit: Limit | None = None
     entries: Sequence[Entry] = ()
@@ -87,8 +89,8 @@ def certificate_of(sources: Sources) -> Certificate:
     counted = [one.pose for one in sources.poses if one.index not in out]
     freedom = len(counted) - 2 if counted else None
     reference = _reference(provenance)
-    before = None if sources.before is None else sources.before.document
-    measured = Measured(counted, document, before, sources.of_stage)
+    came_with = None if sources.came_with is None else sources.came_with.document
+    measured = Measured(counted, document, came_with, sources.of_stage)
     budget = budget_of(document, reference, freedom)
     released = next((one for one in reversed(sources.entries) if one.act.what == "released"), None)
     made = Certificate(
@@ -117,7 +119,7 @@ def certificate_of(sources: Sources) -> Certificate:
         equipment=equipment_of(provenance),
         conformity=_conformity(revision, sources.limit),
         judged=tuple(revision.verdict["says"]),
-        authorised_by=_authorised(sources.laboratory, released),
+        authorised_by=_authorised(sources.laboratory, revision, released),
         in_force_by=_in_force(revision, released),
         replaces=_replaced(revision, sources.before),
         deviations=wording.deviations(
@@ -203,7 +205,7 @@ def _conditions(document: Document) -> Conditions:
 def _results(
     sources: Sources, measured: Measured, budget: Budget, reference: Reference | None, freedom: int | None
 ) -> Results:
-    document, before = sources.revision.document, sources.before
+    document, before = sources.revision.document, sources.came_with
     elevation = None
     if budget.expanded_deg is not None:
         elevation = Quantity(
@@ -218,12 +220,12 @@ def _results(
         )
     by = "the unit as it reads, without any calibration"
     if before is not None:
-        by = f"revision {before.revision} of {before.issued_at:%Y-%m-%d}, in force until then"
+        by = f"revision {before.revision} of {before.issued_at:%Y-%m-%d}, with which the unit came"
     return Results(
         elevation=elevation,
         line=tuple(_line(document, reference, freedom)),
         effects=effects_found(document["effects"], _stds(sources.run)),
-        of_stage=effects_found([asdict(one) for one in sources.of_stage]),
+        of_stage=effects_found([asdict(one) for one in sources.of_stage], _stds(sources.run)),
         figures=tuple(
             Quantity(key, title, document[key], "°") for key, title in FIGURES if document[key] is not None
         ),
@@ -289,8 +291,15 @@ def _conformity(revision: Revision, limit: Limit | None) -> Conformity | None:
     )
 
 
-def _authorised(laboratory: LaboratorySettings, released: Entry | None) -> str | None:
-    return laboratory.authorised_by or (None if released is None else released.act.who)
+def _authorised(laboratory: LaboratorySettings, revision: Revision, released: Entry | None) -> str | None:
+    if laboratory.authorised_by is not None or released is None or released.at == revision.issued_at:
+        return laboratory.authorised_by
+    return released.act.who
+
+
+def _releaser(revision: Revision, released: Entry) -> str | None:
+    """Who put it in force; what came into force as it was made did so by its rig's `release`."""
+    return "the release rule of its rig" if released.at == revision.issued_at else released.act.who
 
 
 def _in_force(revision: Revision, released: Entry | None) -> str:
@@ -301,11 +310,7 @@ def _in_force(revision: Revision, released: Entry | None) -> str:
     said = "The calibration was put in force"
     if released is not None:
         said += f" on {released.at:%Y-%m-%d}"
-        said += (
-            f" by {released.act.who}"
-            if released.act.who
-            else ", by the rule of its rig or nobody known by name"
-        )
+        said += f" by {_releaser(revision, released) or 'nobody known by name'}"
     return f"{said}; it has been superseded since." if revision.status == "superseded" else f"{said}."
 
 

@@ -30,19 +30,19 @@ class Measured:
 
     Attributes:
         document: CONTRACT section 6.
-        before: of the revision that was in force until then; None where the unit is found as it reads.
+        came_with: the document of the revision that the unit came with; None where it is found as it reads.
         of_stage: effects of the rig's that were taken out beside the unit's own.
     """
 
     poses: Sequence[Pose]
     document: Document
-    before: Document | None
+    came_with: Document | None
     of_stage: Sequence[AcceptedEffect]
 
     def found_deg(self) -> FloatArray:
         """(n,) errors as the unit came: by the calibration that it had, or of its readings."""
-        if self.before is not None:
-            return self._left_deg(self.before, _own(self.before))
+        if self.came_with is not None:
+            return self._left_deg(self.came_with, _own(self.came_with))
         return np.array([raw_error_deg(pose) for pose in self.poses])
 
     def left_deg(self) -> FloatArray:
@@ -126,7 +126,7 @@ def _effect_found(
         unit = (
             "" if parameter is None else (effect.covariate.unit if parameter.unit is None else parameter.unit)
         )
-        title = key if parameter is None else parameter.title
+        title = key if parameter is None else f"{parameter.title} ({key})"
         figures.append(Quantity(key, title, value, unit, std=stds.get((name, key))))
     return EffectFound(name, effect.title, effect.formula, ORIGINS[effect.origin], tuple(figures))
 

@@ -30,7 +30,7 @@ def results(said: Certificate) -> tuple[Block, ...]:
     blocks += [_effect(one, "of the stage; taken out, no part of the calibration") for one in found.of_stage]
     if not found.effects and not found.of_stage:
         blocks.append(paragraphs(["Beside bias and scale no effect was accepted."]))
-    blocks.append(pairs((one.title, degrees(one.value)) for one in found.figures))
+    blocks.append(pairs((one.title, f"{_minus(one.text)}{one.unit}") for one in found.figures))
     return tuple(blocks)
 
 
