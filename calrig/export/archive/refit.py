@@ -14,7 +14,7 @@ from calrig.calibration.effects import effect_of
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import build_result
 from calrig.export.calibration_json import SCHEMA, calibration_content
-from calrig.store.records import AcceptedEffect, Document, filtering_of, reference_of
+from calrig.store.records import AcceptedEffect, Document, filtering_of
 
 FIGURES = (
     "range_deg",
@@ -58,6 +58,10 @@ def differences(
     """
     if document["schema"] != SCHEMA:
         raise NotRefitted(f"this program makes {SCHEMA}, and it is {document['schema']}")
+    if "elevation_std_deg" in document:
+        raise NotRefitted("it is of a joint solution of several runs")
+    if run["provenance"].get("stage_map") is not None:
+        raise NotRefitted("its elevations rest on a map of the stage")
     filtering = filtering_of(run["provenance"], run["plan"])
     excluded = set(basis["excluded"])
     counted = [
@@ -66,12 +70,11 @@ def differences(
         if index not in excluded
     ]
     accepted = _accepted(basis, effects)
-    reference = reference_of(run["provenance"])
     applied = [(effect.name, numbers_of(effect.parameters)) for effect in accepted]
     if not counted:
         raise NotRefitted("its run has no poses here")
     with np.errstate(all="ignore"):
-        result = build_result(counted, None, applied, reference)
+        result = build_result(counted, None, applied)
         if result.scale is None:
             yield "its poses give no scale"
             return
@@ -81,7 +84,6 @@ def differences(
             poses=counted,
             result=result,
             accepted=accepted,
-            reference=reference,
         )
     for name in FIGURES:
         if not _same(document[name], again[name]):
