@@ -44,7 +44,8 @@ class Client:
     def _ask(self, request: Request) -> Any:
         token = os.environ.get("CALRIG_TOKEN")
         if token:
-            request.add_header("Authorization", f"Bearer {token}")
+            # not where a redirection leads: the token is for the address that was given
+            request.add_unredirected_header("Authorization", f"Bearer {token}")
         try:
             with self._open(request, timeout=PATIENCE_S) as answer:
                 return json.load(answer)

@@ -5,14 +5,21 @@ from __future__ import annotations
 import math
 import random
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 MAX_POSES = 10_000
 """More than a day of dwells: beyond it a plan is a slip of the keyboard."""
 
+MOST_MOUNTS = 36
+"""As often does nobody turn a unit by hand in one run."""
+SAME_MOUNT_DEG = 1e-6
+
 ElevationDeg = Annotated[float, Field(ge=-360, le=360)]
+MountAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
+"""Which of the unit's axes lies along the stage's."""
 
 
 class PlanError(ValueError):
@@ -21,11 +28,15 @@ class PlanError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class PlannedPose:
-    """One pose to visit: its index in the run from 0, its sweep from 0, its commanded elevation."""
+    """One pose to visit: its index in the run from 0, its sweep from 0, its commanded angle of the dial.
+
+    `mount_deg` is the angle at which the unit is clamped for it.
+    """
 
     index: int
     sweep: int
     target_deg: float
+    mount_deg: float = 0.0
 
 
 class Plan(BaseModel):
@@ -48,12 +59,22 @@ class Plan(BaseModel):
     velocity_dps: float | None = Field(default=None, gt=0, le=1000)
     wait_s: float = Field(default=0.0, ge=0, le=86_400)
     wait_temperature_c: float | None = Field(default=None, ge=-40, le=125)
+    mounts_deg: list[ElevationDeg] = Field(default=[0.0], min_length=1, max_length=MOST_MOUNTS)
+    mount_axis: MountAxis = "x"
     revision: int | None = Field(default=None, ge=1, le=2**31 - 1)
     seed: int = Field(default=0, ge=0, le=2**63 - 1)
 
+    @field_validator("mounts_deg")
+    @classmethod
+    def _mounts_are_apart(cls, mounts_deg: list[float]) -> list[float]:
+        for one, other in combinations(mounts_deg, 2):
+            if abs(math.remainder(other - one, 360.0)) < SAME_MOUNT_DEG:
+                raise ValueError(f"{one:g}° and {other:g}° are one mount: a whole turn is none")
+        return mounts_deg
+
     @model_validator(mode="after")
     def _is_of_a_size_one_can_run(self) -> Self:
-        count = self.sweeps * self._n_elevations()
+        count = len(self.mounts_deg) * self.sweeps * self._n_elevations()
         if count > MAX_POSES:
             raise ValueError(f"the plan has {count} poses; the most a run takes is {MAX_POSES}")
         if self.revision is not None and self.kind != "verification":
@@ -62,12 +83,21 @@ class Plan(BaseModel):
             raise ValueError(
                 "a static plan stands at one elevation, or where the stage stands if it names none"
             )
+        if self.kind == "static" and len(self.mounts_deg) > 1:
+            raise ValueError("a static plan stands still: it has one mount")
+        if self.kind == "verification" and self.mount_axis != "x":
+            raise ValueError("a verification is of elevations about x: its mount_axis is x")
         if self.dwell_s * self.rate_hz < 2:
             raise ValueError(
                 f"a dwell of {self.dwell_s:g} s at {self.rate_hz} Hz holds fewer than two samples: "
                 "dwell longer or sample faster"
             )
         return self
+
+    @property
+    def asks_for_mounts(self) -> bool:
+        """Whether gravity is to show how the unit is clamped; a plan that says nothing asks nothing."""
+        return self.mounts_deg != [0.0] or self.mount_axis != "x"
 
     def _n_elevations(self) -> int:
         if self.elevations_deg is not None:
@@ -88,9 +118,10 @@ class Plan(BaseModel):
         return [*(self.start_deg + k * step_deg for k in range(self._n_steps())), self.stop_deg]
 
     def poses(self, limits_deg: tuple[float, float]) -> list[PlannedPose]:
-        """Every pose in the order measured, jittered by the plan's own seed.
+        """Every pose in the order measured, mount by mount, jittered by the plan's own seed.
 
-        Of a static plan, the one elevation it names to stand at, or none.
+        Sweeps are counted through; each mount begins with one upward. Of a static plan, the one elevation it
+        names to stand at, or none.
 
         Args:
             limits_deg: the rig's soft limits of elevation, lower then upper.
@@ -108,11 +139,13 @@ class Plan(BaseModel):
                 )
         rng = random.Random(self.seed)  # noqa: S311 (an experiment's order, not a secret)
         poses: list[PlannedPose] = []
-        for sweep in range(self.sweeps if self.kind != "static" else 1):
-            for elevation in self._ordered(elevations, sweep, rng):
-                jittered = round(elevation + rng.uniform(-self.jitter_deg, self.jitter_deg), 6)
-                target = min(max(jittered, low), high) if self.jitter_deg else elevation
-                poses.append(PlannedPose(len(poses), sweep, target))
+        sweeps = self.sweeps if self.kind != "static" else 1
+        for place, mount_deg in enumerate(self.mounts_deg):
+            for sweep in range(sweeps):
+                for elevation in self._ordered(elevations, sweep, rng):
+                    jittered = round(elevation + rng.uniform(-self.jitter_deg, self.jitter_deg), 6)
+                    target = min(max(jittered, low), high) if self.jitter_deg else elevation
+                    poses.append(PlannedPose(len(poses), place * sweeps + sweep, target, mount_deg))
         return poses
 
     def _ordered(self, elevations: list[float], sweep: int, rng: random.Random) -> list[float]:

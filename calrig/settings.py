@@ -57,6 +57,14 @@ class BoardSettings(Strict):
     baudrate: int | None = Field(default=None, gt=0)
 
 
+class ClampSettings(Strict):
+    """What turns the unit in its clamp, where a rig has that: a motorised dividing head."""
+
+    driver: Literal["index"]
+    port: str
+    baudrate: int | None = Field(default=None, gt=0)
+
+
 class ReferenceSettings(StandardSettings):
     """What the stage's own angle is worth: its standard uncertainty and how it is shared among poses.
 
@@ -77,19 +85,25 @@ class FilterSettings(Strict):
 
 
 class RigSettings(Strict):
-    """One stage and one board. `simulated` holds the simulator's own options and takes the place of ports."""
+    """One stage and one board; a clamp where there is one. `simulated` takes the place of ports."""
 
     name: Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[\w.-]+$")]
     limits_deg: tuple[float, float] = (-90.0, 90.0)
     release: ReleasePolicy = "auto"
     stage: StageSettings | None = None
     imu: BoardSettings | None = None
+    clamp: ClampSettings | None = None
     reference: ReferenceSettings | None = None
     thermometer: StandardSettings | None = None
     time_base: StandardSettings | None = None
     overdue: Overdue = "flag"
     filter: FilterSettings = FilterSettings()
     simulated: dict[str, Any] | None = None
+
+    @property
+    def devices(self) -> list[StageSettings | BoardSettings | ClampSettings]:
+        """What of it hangs on a port."""
+        return [part for part in (self.stage, self.imu, self.clamp) if part is not None]
 
     @model_validator(mode="after")
     def _has_ports_and_ordered_limits(self) -> Self:
@@ -170,7 +184,7 @@ class Settings(Strict):
     def ports(self) -> list[str]:
         """The ports that are configured, without those of simulated rigs, which are not running."""
         real = [rig for rig in self.rig if rig.simulated is None]
-        return [part.port for rig in real for part in (rig.stage, rig.imu) if part is not None]
+        return [part.port for rig in real for part in rig.devices]
 
     @model_validator(mode="after")
     def _names_are_unique(self) -> Self:

@@ -8,6 +8,7 @@ import subprocess
 import numpy as np
 
 COMPILER = shutil.which("gcc") or shutil.which("clang")
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wdouble-promotion")
 
 PROGRAM = """\
 #include "calibration.h"
@@ -26,8 +27,7 @@ def compiled(header, folder):
     """The program of a header, its path."""
     (folder / "calibration.h").write_text(header, encoding="ascii")
     (folder / "main.c").write_text(PROGRAM, encoding="ascii")
-    strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wdouble-promotion"]
-    subprocess.run([COMPILER, *strict, "main.c", "-o", "apply", "-lm"], cwd=folder, check=True)
+    subprocess.run([COMPILER, *STRICT, "main.c", "-o", "apply", "-lm"], cwd=folder, check=True)
     return folder / "apply"
 
 
@@ -55,3 +55,41 @@ def document(effects=(), **changes):
         "temperature_c": {"min": 21.5, "max": 29.0},
         **changes,
     }
+
+
+TEST_VECTORS = """\
+#define CALRIG_TEST_VECTORS
+#include "calibration.h"
+#include <stdio.h>
+#define ROWS(array) (int)(sizeof(array) / sizeof(array[0]))
+int main(void)
+{
+    for (int k = 0; k < ROWS(calrig_test_elevations); k++) {
+        const float *const row = calrig_test_elevations[k];
+        printf("%.9g %.9g\\n", (double)calrig_elevation_deg(row[0], row[1]), (double)row[2]);
+    }
+#ifdef WITH_MATRIX
+    for (int k = 0; k < ROWS(calrig_test_accelerations); k++) {
+        const float *const row = calrig_test_accelerations[k];
+        float true_g[3];
+        calrig_acceleration_g(row, true_g);
+        for (int axis = 0; axis < 3; axis++)
+            printf("%.9g %.9g\\n", (double)true_g[axis], (double)row[3 + axis]);
+    }
+#endif
+    return 0;
+}
+"""
+
+
+def test_vectors(header, folder, with_matrix):
+    """(n, 2) what a program makes of the header's own test vectors, and what it must."""
+    (folder / "calibration.h").write_text(header, encoding="ascii")
+    (folder / "vectors.c").write_text(TEST_VECTORS, encoding="ascii")
+    more = ["-DWITH_MATRIX"] if with_matrix else []
+    subprocess.run([COMPILER, *STRICT, *more, "vectors.c", "-o", "vectors", "-lm"], cwd=folder, check=True)
+    done = subprocess.run([folder / "vectors"], capture_output=True, text=True, check=True)
+    return np.array([line.split() for line in done.stdout.splitlines()], dtype=np.float64)
+
+
+test_vectors.__test__ = False

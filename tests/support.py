@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 import httpx
 from postgresql_server import store_at
 
-from calrig.settings import BoardSettings, ReferenceSettings, RigSettings, StageSettings
+from calrig.settings import BoardSettings, ClampSettings, ReferenceSettings, RigSettings, StageSettings
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.rig import SimulatedRig
 
@@ -59,6 +59,7 @@ def known_as(name: str, rig: SimulatedRig) -> RigSettings:
         name=name,
         stage=StageSettings(driver=rig.stage_driver, port=rig.stage_port),
         imu=BoardSettings(driver=rig.imu_driver, port=rig.imu_port),
+        clamp=ClampSettings(driver="index", port=rig.clamp_port) if rig.clamp_port else None,
         reference=ReferenceSettings(std_deg=0.29),
     )
 

@@ -22,6 +22,10 @@ export async function get(path, signal) {
   return request(path, { signal });
 }
 
+export async function getText(path) {
+  return (await sent(path, {})).text();
+}
+
 /** What is new since the answer of `tag`: `{ tag, answer }`, or null where nothing is. */
 export async function getNews(path, tag, signal) {
   const response = await sent(path, { signal, headers: tag ? { "If-None-Match": tag } : {} });

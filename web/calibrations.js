@@ -4,6 +4,7 @@ import { get, post } from "./api.js";
 import { askReason } from "./ask.js";
 import { certificateButtons } from "./certificate.js";
 import { fill, h, headings, runLink, runName, statusPill, tableBox } from "./dom.js";
+import { formats } from "./formats.js";
 import { moment, plusMinus, range, significant } from "./format.js";
 import { may } from "./me.js";
 
@@ -69,6 +70,7 @@ export class Calibrations {
         h("a", { href: `${file}&format=c-header`, download: "calibration.h" }, "C header"),
         h("a", { href: `${file}&format=dcc`, download: "", id: "certificate-dcc" }, "Certificate (DCC)"),
       ),
+      formats(file),
       certificateButtons(this.path, document.revision),
     ];
   }

@@ -50,6 +50,12 @@ export class LivePanel {
     this.progress(run.progress);
   }
 
+  /** The run waits for a person: what there is to press is beside the instruction. */
+  waits(waiting) {
+    this.waiting = waiting;
+    this.#buttons();
+  }
+
   /** A pause was asked for, or taken back, that the run heeds after the pose in hand. */
   hold(holding) {
     this.holding = holding && !this.paused;
@@ -73,7 +79,8 @@ export class LivePanel {
 
   #buttons() {
     this.pause.hidden = this.paused || this.holding;
-    this.resume.hidden = !this.pause.hidden;
+    this.resume.hidden = !this.pause.hidden || this.waiting;
+    this.abort.hidden = this.waiting;
   }
 
   #left() {

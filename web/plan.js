@@ -3,6 +3,7 @@
 import { ApiError, post } from "./api.js";
 import { fill, h, markWrong } from "./dom.js";
 import { duration, plural } from "./format.js";
+import { mountFields, numbers } from "./mounts.js";
 
 const TYPING_MS = 250; // the service is not asked for what is half typed
 
@@ -70,6 +71,7 @@ export function planForm(of, signal) {
     h("summary", {}, "More settings"),
     h("div", { class: "fields two" }, ADVANCED.map(make)),
   );
+  const mounts = mountFields();
   const element = h(
     "fieldset",
     { id: "plan" },
@@ -88,17 +90,18 @@ export function planForm(of, signal) {
       h("div", { class: "field" }, h("label", { for: "order" }, "Order"), order),
       USUAL.map(make),
     ),
+    mounts.element,
     advanced,
     summary,
     cautions,
   );
 
   function value() {
-    const plan = { order: order.value };
+    const plan = { order: order.value, ...mounts.value() };
     for (const spec of [...(asList.input.checked ? [] : RANGE), ...USUAL, ...ADVANCED]) {
       plan[spec.name] = number(inputs.get(spec.name));
     }
-    if (asList.input.checked) plan.elevations_deg = parseList(list.value);
+    if (asList.input.checked) plan.elevations_deg = numbers(list.value);
     return plan;
   }
 
@@ -152,7 +155,13 @@ export function planForm(of, signal) {
   element.addEventListener("input", refresh);
   signal.addEventListener("abort", forget);
   refresh();
-  return { element, value, estimate };
+  /** What the address of the form says of the plan. */
+  function prefill(query) {
+    mounts.set(query);
+    refresh();
+  }
+
+  return { element, value, estimate, prefill };
 }
 
 function labelled({ name, label, unit, value, whole, hint }, inputs) {
@@ -177,19 +186,14 @@ function number(input) {
   return input.value === "" ? null : Number(input.value);
 }
 
-/** "−60, 0; 60.5" as numbers; a word that is none stays a word, for the service to name. */
-function parseList(text) {
-  const words = text
-    .replaceAll("−", "-")
-    .split(/[\s,;]+/)
-    .filter(Boolean);
-  return words.map((word) => (Number.isFinite(Number(word)) ? Number(word) : word));
-}
-
 /** How much a plan is, in words, as the service has computed it. */
 function estimateText(plan, { n_poses: poses, duration_s: seconds }) {
   const upTo = plan.target_std_deg ? "at most about" : "about";
-  const more = plan.wait_temperature_c === null ? "" : ", and the wait for temperature";
+  const turns = plan.mounts_deg.length - 1;
+  const more = [
+    plan.wait_temperature_c === null ? "" : ", and the wait for temperature",
+    turns ? `; ${plural(poses / plan.mounts_deg.length, "pose")} a mount, and the unit turned ${["", "once", "twice"][turns] ?? `${turns} times`} in between` : "",
+  ].join("");
   return [
     h("strong", {}, plural(poses, "pose")),
     `, ${upTo} ${duration(seconds)} by the board's clock${more}`,

@@ -28,7 +28,7 @@ export function resultCard(run) {
       h(
         "dl",
         { class: "figures" },
-        figures(run.result).map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))),
+        figures(run.result, run.plan?.mounts_deg).map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))),
       ),
       h(
         "div",
@@ -47,7 +47,12 @@ function reservation(run) {
   return run.status === "completed" ? [] : ["Not finished: figures of the poses so far."];
 }
 
-function figures(result) {
+function posesOf({ n_poses: poses }, mounts) {
+  if (!(mounts?.length > 1)) return poses.toLocaleString();
+  return `${poses.toLocaleString()}, of the first mount (${mounts[0]}°)`;
+}
+
+function figures(result, mounts) {
   const gyro = result.gyro;
   const temperature = result.temperature_c;
   const rows = [
@@ -56,7 +61,7 @@ function figures(result) {
     ["RMS error, raw", significant(result.rms_raw_deg, 3, "°")],
     ["RMS error, calibrated", significant(result.rms_calibrated_deg, 3, "°")],
     ["Standard error of a reading", significant(result.noise_deg, 2, "°")],
-    ["Poses", result.n_poses.toLocaleString()],
+    ["Poses", posesOf(result, mounts)],
     ["Temperature", range(temperature?.min, temperature?.max, 1, "°C")],
   ];
   if (isKnown(result.rms_with_effects_deg))

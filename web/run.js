@@ -91,7 +91,11 @@ class RunPage {
           if (status !== "interrupted") stream.stop(); // an interrupted run may have been resumed
           await this.#caughtUp(stream, timeline);
         },
-        progress: (progress) => this.live.progress(progress),
+        progress: (progress) => {
+          this.run = { ...this.run, progress };
+          this.live.progress(progress);
+          return this.#wait(progress.waiting_for);
+        },
         pose: (pose) => {
           this.poses.show([pose], false);
           this.#countPoses();
@@ -105,6 +109,7 @@ class RunPage {
         reading: (reading) => {
           timeline.add(reading);
           this.live.reading(reading);
+          this.waiting?.reading(reading);
         },
       },
       this.signal,
@@ -142,12 +147,31 @@ class RunPage {
       amendments(run, this.path, this.ended),
     );
     this.live.show(run);
+    this.#wait(this.ended ? null : run.progress.waiting_for);
     this.result.hidden = !run.result;
     if (run.result) fill(this.result, resultCard(run), downloads(run, this.path));
     if (this.ended) this.diagnosis.show(run);
     fill(this.faults, faultLine(run.faults));
     fill(this.study, this.ended && run.plan && studyLink(run));
     fill(this.more, provenanceDetails(run));
+  }
+
+  /** What the run waits for a person to do; the card comes when it is needed first. */
+  async #wait(asked) {
+    this.live.waits(Boolean(asked));
+    try {
+      if (asked) await (this.asking ??= this.#waitingCard());
+    } catch (error) {
+      this.#say(error);
+    }
+    this.waiting?.show(this.ended ? null : this.run.progress.waiting_for);
+  }
+
+  async #waitingCard() {
+    const [{ WaitingCard }, rigs] = await Promise.all([import("./waiting.js"), get("/api/rigs", this.signal)]);
+    const clamp = rigs.some(({ name, clamp }) => name === this.run.rig && clamp);
+    this.waiting = new WaitingCard(this.run.rig, (verb) => post(`${this.path}/${verb}`), clamp && may("operator"));
+    this.live.element.before(this.waiting.element);
   }
 
   async #showMeasured() {

@@ -10,9 +10,10 @@ import { stagePlace } from "./stageplace.js";
 
 const OPERATOR_KEY = "calrig.operator";
 
-export async function startView({ root, signal }) {
+/** An address may fill the form in: `#/?unit=AS-1&rig=bench-1&mounts=0,120,240&axis=x`. */
+export async function startView({ root, query, signal }) {
   const rigs = await get("/api/rigs", signal);
-  const { form, place } = startForm(rigs, signal);
+  const { form, place } = startForm(rigs, query, signal);
   const rigList = h("ul", { class: "rigs", "data-testid": "rigs" });
   const runs = runList(rigs, signal);
   showRigs(rigList, rigs);
@@ -37,11 +38,11 @@ export async function startView({ root, signal }) {
   keepFresh(rigList, runs, rigs, signal);
 }
 
-function startForm(rigs, signal) {
+function startForm(rigs, query, signal) {
   const rig = h(
     "select",
     { id: "rig" },
-    rigs.map(({ name }) => h("option", { value: name }, name)),
+    rigs.map(({ name }) => h("option", { value: name, selected: name === query.get("rig") }, name)),
   );
   const unit = h("input", {
     id: "unit",
@@ -49,6 +50,7 @@ function startForm(rigs, signal) {
     required: true,
     autocomplete: "off",
     spellcheck: "false",
+    value: query.get("unit"),
   });
   const operator = h("input", {
     id: "operator",
@@ -58,6 +60,7 @@ function startForm(rigs, signal) {
   });
   const note = h("input", { id: "note", type: "text", autocomplete: "off" });
   const plan = planForm(() => ({ rig: rig.value || null, unit: unit.value }), signal);
+  plan.prefill(query);
   const place = stagePlace(() => rig.value, signal);
   const error = errorLine("start-error");
   unit.addEventListener("change", () => plan.estimate());

@@ -1,4 +1,4 @@
-"""A unit's calibration in force: the revision, as C for flight code, and as a verification applies it."""
+"""A unit's calibration in force: the revision, and as a verification applies it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ from calrig.calibration.result import (
     apply_calibration,
     corrected_residuals_deg,
 )
-from calrig.export.c_header import c_header
 from calrig.export.calibration_json import line_of
 from calrig.store import Run, Store
 from calrig.store.issued import Revision
@@ -66,19 +65,6 @@ def newest_of_run(store: Store, run_id: str) -> Revision:
             return one
     why = why_none(run) or why_not_now(run) or "has no revision yet"
     raise Conflict(f"run {run_id} {why}: it gives no calibration")
-
-
-def header_of(revision: Revision) -> str:
-    """A revision as `calibration.h`.
-
-    Raises:
-        Conflict: an effect of it cannot be taken out in flight.
-    """
-    try:
-        return c_header(revision.document)
-    except ValueError as error:
-        what = f"revision {revision.revision} of unit {revision.unit!r}"
-        raise Conflict(f"{what} cannot be put into C: {error}") from error
 
 
 @dataclass(frozen=True, slots=True)

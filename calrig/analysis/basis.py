@@ -13,11 +13,14 @@ from calrig.store.records import Document
 def why_none(run: Run) -> str | None:
     """Why a run makes no calibration whatever it measures; None where it does.
 
-    A verification applies one, a static log stands still, a follow-up has the poses that tell suspects apart.
+    A verification applies one, a static log stands still, a follow-up has the poses that tell suspects apart,
+    and about another axis than the unit's x there is no elevation.
     """
     kind = (run.plan or {}).get("kind", "calibration")
     if kind != "calibration":
         return f"is a {'static log' if kind == 'static' else kind}"
+    if (axis := (run.plan or {}).get("mount_axis", "x")) != "x":
+        return f"had the unit's {axis} along the stage's axis: its poses are for the joint solution"
     return None if run.follows is None else f"is a follow-up of run {run.follows}"
 
 

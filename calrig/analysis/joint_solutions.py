@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from calrig.analysis.errors import Conflict
 from calrig.analysis.stored_runs import counted_poses, ended_run
 from calrig.calibration.joint.table import Mounted
-from calrig.calibration.pose import Pose
+from calrig.calibration.pose import MOUNT_DEG, Pose
 from calrig.store import Run, Store
 
 
@@ -34,8 +35,9 @@ def _lots(run: Run, poses: Sequence[Pose]) -> list[Mounted]:
     planned = plan.get("mounts_deg") or [0.0]
     lots: dict[float | None, list[Pose]] = {}
     for pose in poses:
-        own = pose.covariates.get("mount_deg")
-        lots.setdefault(float(planned[0]) if own is None and len(planned) == 1 else own, []).append(pose)
+        own = pose.covariates.get(MOUNT_DEG)
+        bare = replace(pose, covariates={k: v for k, v in pose.covariates.items() if k != MOUNT_DEG})
+        lots.setdefault(float(planned[0]) if own is None and len(planned) == 1 else own, []).append(bare)
     axis = str(plan.get("mount_axis", "x"))
     return [
         Mounted(run.unit, f"{run.id} {angle or 0.0:g}°", angle, run.id, own, axis)

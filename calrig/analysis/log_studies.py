@@ -53,11 +53,22 @@ def study_samples(study: Study, path: Path, names: Sequence[str], gyro_scale: fl
     Raises:
         ValueError: they cannot be studied, and why.
     """
+    known, time_s = _columns(path, names)
+    return _noise(known, time_s) if study == "noise" else _filters(known, time_s, gyro_scale=gyro_scale)
+
+
+def noise_of_samples(path: Path, names: Sequence[str]) -> Answer:
+    """The noise document of such a file, without pictures; as `study_samples`."""
+    from calrig.noise.report import report
+
+    return report(*_columns(path, names))
+
+
+def _columns(path: Path, names: Sequence[str]) -> tuple[dict[str, FloatArray], FloatArray]:
     rows = np.fromfile(path).reshape(-1, len(names))
     columns: dict[str, FloatArray] = dict(zip(names, rows.T, strict=True))
     time_s = columns.pop("time_s")
-    known = {name: column for name, column in columns.items() if not np.isnan(column).all()}
-    return _noise(known, time_s) if study == "noise" else _filters(known, time_s, gyro_scale=gyro_scale)
+    return {name: column for name, column in columns.items() if not np.isnan(column).all()}, time_s
 
 
 def _noise(

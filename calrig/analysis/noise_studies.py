@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from tempfile import NamedTemporaryFile
 from typing import IO, TYPE_CHECKING
 
 import numpy as np
 
-from calrig.analysis.errors import Conflict, Invalid
-from calrig.analysis.log_studies import MOST_SAMPLES
+from calrig.analysis.errors import Conflict, Invalid, Unknown
+from calrig.analysis.log_studies import MOST_SAMPLES, noise_of_samples
 from calrig.analysis.stored_runs import stored_run
 from calrig.export.samples_csv import COLUMNS, sample_columns
 from calrig.store import Run, Store
+from calrig.store.records import Document
 
 if TYPE_CHECKING:
     from calrig.noise.filters import FilterStudy
@@ -46,6 +51,46 @@ def lay_samples(store: Store, run_id: str, file: IO[bytes]) -> None:
         file.write(np.column_stack([columns.get(name, unknown) for name in NAMES]).tobytes())
     if not n_samples:
         raise _no_samples(run_id)
+
+
+def noise_of_unit(
+    store: Store, unit: str, carried_out: Callable[[Callable[[], Document]], Document]
+) -> tuple[Document, Run]:
+    """CONTRACT section 7's document of the unit's latest static log, and the run that kept it.
+
+    Args:
+        store: where it is.
+        unit: serial number.
+        carried_out: calls a function, in another process where this one has others to serve.
+
+    Raises:
+        Unknown: the unit is not known.
+        Conflict: it has no such log, or its samples are gone.
+        Invalid: the log cannot be studied.
+    """
+    if store.unit(unit) is None:
+        raise Unknown(f"there is no unit {unit!r}")
+    run = _latest_static_run(store, unit)
+    with NamedTemporaryFile() as file:
+        lay_samples(store, run.id, file)
+        file.flush()
+        try:
+            return carried_out(partial(noise_of_samples, Path(file.name), NAMES)), run
+        except ValueError as error:
+            raise Invalid(f"run {run.id}: {error}") from error
+
+
+def _latest_static_run(store: Store, unit: str) -> Run:
+    cursor = None
+    while True:
+        runs, cursor = store.runs(unit=unit, status="completed", limit=200, cursor=cursor)
+        for run in runs:
+            if run.voided is None and (run.plan or {}).get("kind") == "static":
+                return run
+        if cursor is None:
+            raise Conflict(
+                f"of unit {unit!r} no noise was measured: start a run with a static plan of some minutes"
+            )
 
 
 def gyro_scale_of(run: Run) -> float:

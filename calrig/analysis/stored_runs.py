@@ -91,4 +91,9 @@ def runs_together(store: Store, run_id: str, more: Sequence[str] = ()) -> list[R
     for one in runs:
         if one.status not in AT_REST:
             raise Conflict(f"run {one.id} is {one.status}: wait until it has ended")
+        if (axis := (one.plan or {}).get("mount_axis", "x")) != "x":
+            raise Conflict(
+                f"run {one.id} had the unit's {axis} along the stage's axis: a diagnosis is of elevations "
+                "about x; `solve` takes it"
+            )
     return runs

@@ -9,17 +9,19 @@ from fastapi import APIRouter, HTTPException, Path, Query
 from fastapi.responses import PlainTextResponse, Response
 from pydantic import Field
 
-from calrig.analysis.active_calibration import header_of, wanted_revision
+from calrig.analysis.active_calibration import wanted_revision
 from calrig.analysis.errors import Invalid
+from calrig.analysis.exports import NOISE_FORMATS, NoiseFormat, RevisionFormat, exported, exported_noise
 from calrig.analysis.issuing import issued_since
 from calrig.api.callers import Who, requires
 from calrig.api.context import ApiContext, Context, KnownUnit
 from calrig.api.errors import problems
+from calrig.api.heavy import Heavy
 from calrig.api.models import Answer, Body, Extremes, Reason
 from calrig.calibration.verdict import Verdict
 from calrig.store.issued import Revision, RevisionStatus
 
-CalibrationFormat = Literal["json", "c-header", "pdf", "dcc"]
+CalibrationFormat = Literal["json", "pdf", "dcc"] | RevisionFormat | NoiseFormat
 Number = Annotated[int, Path(ge=1, lt=2**31)]
 
 router = APIRouter(tags=["calibrations"])
@@ -144,21 +146,29 @@ class NewDraft(Body):
 def show_calibration(
     serial: str,
     context: Context,
+    heavy: Heavy,
     revision: Annotated[str | None, Query(description="A number, or `latest`.")] = None,
     format_: Annotated[CalibrationFormat, Query(alias="format")] = "json",
 ) -> Response:
-    """Byte for byte as it was issued, its hash as `ETag`; `c-header` for flight code. 404 while none is.
+    """Byte for byte as it was issued, its hash as `ETag`; 404 while none is.
+
+    The other formats are texts made of it for other programs: `c-header` for flight code, `px4`, `ardupilot`,
+    `imu-tk`, `imucal`; 409 with the reason where one cannot hold it. `kalibr` and `vins` are of the noise
+    that the unit's latest static run shows, whatever the revision.
 
     `pdf` is its certificate, `dcc` the same for programs (PTB's XML, signed where the laboratory has a key);
     501 where what makes it is not installed.
     """
+    if format_ in NOISE_FORMATS:
+        return PlainTextResponse(exported_noise(context.store, serial, format_, heavy.from_thread))
     found = wanted_revision(context.store, serial, _wanted(revision))
     headers = {"ETag": f'"{found.sha256}"'}
-    if format_ == "c-header":
-        return PlainTextResponse(header_of(found), headers=headers)
+    if format_ == "json":
+        return Response(found.text.encode(), media_type="application/json", headers=headers)
     if format_ in ("pdf", "dcc"):
         return _certificate(context, found, format_)
-    return Response(found.text.encode(), media_type="application/json", headers=headers)
+    media_type = "application/json" if format_ == "imucal" else None
+    return PlainTextResponse(exported(found, format_), headers=headers, media_type=media_type)
 
 
 @router.get(

@@ -10,10 +10,11 @@ from fastapi.responses import PlainTextResponse, Response, StreamingResponse
 from pydantic_core import to_json
 
 from calrig.analysis.active_calibration import left_of_poses_deg
+from calrig.analysis.mounts import axis_of, labels_of, mount_name
 from calrig.api.context import ApiContext, Context, KnownRun
 from calrig.api.errors import problems, problems_in_json
 from calrig.api.models import PoseAnswer
-from calrig.calibration.pose import Pose
+from calrig.calibration.pose import MOUNT_DEG, Pose
 from calrig.calibration.result import raw_error_deg
 from calrig.export.poses_csv import write_pose_batches
 from calrig.export.samples_csv import write_samples_csv, write_samples_npz
@@ -41,7 +42,11 @@ def poses(
     """JSON has all; CSV (`format=csv` or `Accept: text/csv`) is the import format, without excluded poses."""
     # Tens of thousands of them, straight from the store: a test holds them to the model.
     if format == "csv" or (format is None and _prefers_csv(accept)):
-        return _streamed(write_pose_batches(partial(_counted, context, run)), CSV, f"run-{run.id}-poses.csv")
+        return _streamed(
+            write_pose_batches(partial(_counted, context, run), labels_of(run)),
+            CSV,
+            f"run-{run.id}-poses.csv",
+        )
     return _streamed(_json(run, context.store), "application/json")
 
 
@@ -55,7 +60,7 @@ def _json(run: Run, store: Store) -> Iterator[bytes]:
     begin = b"["
     for batch in store.pose_batches(run.id):
         left_deg = left_of_poses_deg(store, run, [p.pose for p in batch])
-        poses = [_pose(p, left) for p, left in zip(batch, left_deg, strict=True)]
+        poses = [_pose(p, left, run) for p, left in zip(batch, left_deg, strict=True)]
         yield begin + to_json(poses, inf_nan_mode="null")[1:-1]
         begin = b","
     yield b"[]" if begin == b"[" else b"]"
@@ -68,12 +73,16 @@ def _streamed(pieces: Iterator[AnyStr], media_type: str, name: str = "") -> Resp
     return StreamingResponse(content, media_type=media_type, headers=_named(name) if name else None)
 
 
-def _pose(stored: StoredPose, residual_deg: float | None) -> dict[str, Any]:
+def _pose(stored: StoredPose, residual_deg: float | None, run: Run) -> dict[str, Any]:
+    axis = axis_of(run)
     return {
         **stored.pose.row(),
+        MOUNT_DEG: stored.pose.mount_deg,
+        "mount": mount_name(run, stored.pose),
+        "mount_axis": axis,
         "index": stored.index,
         "excluded": stored.excluded,
-        "raw_error_deg": raw_error_deg(stored.pose),
+        "raw_error_deg": raw_error_deg(stored.pose, -1 if axis.startswith("-") else 1),
         "residual_deg": residual_deg,
     }
 

@@ -82,7 +82,7 @@ class Health(Answer):
 
 
 class RigAnswer(Answer):
-    """A rig and what it is doing; `stage` and `imu` are its drivers.
+    """A rig and what it is doing; `stage`, `imu` and `clamp` are its drivers, null where hands turn the unit.
 
     At a centre with the bench that has it; `offline`, with the state last known, once that says nothing more.
     """
@@ -96,15 +96,26 @@ class RigAnswer(Answer):
     bench: str | None
     hall: str | None
     last_seen_at: datetime | None
+    clamp: str | None
+
+
+class MountAnswer(Answer):
+    """How a person is to clamp the unit before `resume`."""
+
+    mount_deg: float
+    mount_axis: str = Field(description="Which of the unit's axes lies along the stage's.")
 
 
 class ProgressAnswer(Answer):
-    """How far a run is."""
+    """How far a run is, and what a paused one waits for."""
+
+    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
 
     poses_done: int
     poses_total: int
     fraction: float
     remaining_s: float | None
+    waiting_for: MountAnswer | None = None  # of runs stored before there was any: null
 
 
 class Extremes(Answer):
@@ -227,6 +238,9 @@ class PoseAnswer(BaseModel):
     accel_z_g: float | None
     gyro_move_deg: float | None
     settle_s: float | None
+    mount: str | None = Field(description="Poses that share it were taken without the unit being touched.")
+    mount_deg: float = Field(description="The angle at which the unit was clamped, nominally.")
+    mount_axis: str = Field(description="Which of the unit's axes lay along the stage's.")
     raw_error_deg: float = Field(description="Reading less the elevation it was taken at.")
     residual_deg: float | None = Field(description="What the run's bias and scale leave of it.")
 

@@ -13,7 +13,7 @@ from fastapi.responses import Response
 from pydantic import Field, TypeAdapter
 
 from calrig.api.context import ApiContext, Context
-from calrig.api.models import Answer, ProgressAnswer, Status
+from calrig.api.models import Answer, MountAnswer, ProgressAnswer, Status
 from calrig.centre.overview import overview
 
 FRESH_S = 1.0
@@ -22,13 +22,6 @@ DUE_FRESH_S = 60.0
 """Units come due by the day, and whether they have takes a look at all histories."""
 
 router = APIRouter(tags=["benches"])
-
-
-class MountAnswer(Answer):
-    """How the unit is to be clamped before the run goes on."""
-
-    mount_deg: float
-    mount_axis: str
 
 
 class BriefRunAnswer(Answer):

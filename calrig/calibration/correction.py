@@ -10,12 +10,15 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from calrig.calibration.effect import Applied, ApplyError, Circumstances, Effect, Parameters
 from calrig.calibration.effects import effect_of
 from calrig.calibration.fit import MIN_SCALE, Line, fit_line
 from calrig.calibration.sensor_vector import TURNS_THE_SENSOR, turned_vector
 from calrig.estimation.angles import FloatArray, wrap_deg
+
+BoolArray = npt.NDArray[np.bool_]
 
 ITERATIONS = 60
 CONVERGED_DEG = 1e-10
@@ -108,16 +111,50 @@ def calibrated_elevation_deg(
 ) -> FloatArray:
     """(n,) the θ with reading = bias + scale·θ + effects(θ), to 1e-9°, on the turn about 0.
 
-    Newton's iteration from the θ without effects. Effects that depend on the elevation are read at θ itself.
-
     Raises:
         ApplyError: the scale is 0, or the effects are so large that one reading stands for many elevations.
+    """
+    theta, stands_for_many = _inverted(reading_deg, bias_deg, scale, effects, given)
+    if stands_for_many.any():
+        raise ApplyError(
+            "the effects are too large for the scale: one reading would stand for many elevations"
+        )
+    return theta
+
+
+def elevation_where_known_deg(
+    reading_deg: FloatArray,
+    bias_deg: float,
+    scale: float | None,
+    effects: Sequence[tuple[str, Parameters]],
+    given: Circumstances | None = None,
+) -> FloatArray:
+    """The same, NaN for each reading that stands for many elevations.
+
+    Raises:
+        ApplyError: the scale is 0.
+    """
+    theta, stands_for_many = _inverted(reading_deg, bias_deg, scale, effects, given)
+    return np.where(stands_for_many, np.nan, theta)
+
+
+def _inverted(
+    reading_deg: FloatArray,
+    bias_deg: float,
+    scale: float | None,
+    effects: Sequence[tuple[str, Parameters]],
+    given: Circumstances | None,
+) -> tuple[FloatArray, BoolArray]:
+    """(n,) elevations, and (n,) which readings stand for many.
+
+    Newton's iteration from the θ without effects. Effects that depend on the elevation are read at θ itself.
     """
     factor = 1.0 if scale is None else scale
     if abs(factor) < MIN_SCALE:
         raise ApplyError(f"the scale is {factor:g}: the reading does not follow the elevation")
     aim = np.asarray(wrap_deg(reading_deg - bias_deg), dtype=np.float64)
     theta = aim / factor
+    stands_for_many = np.zeros(len(aim), dtype=np.bool_)
 
     def added_deg(at_deg: FloatArray) -> FloatArray:
         felt_deg = felt_elevation_deg(at_deg, bias_deg, scale)
@@ -127,10 +164,10 @@ def calibrated_elevation_deg(
         here = factor * theta + added_deg(theta)
         ahead, behind = (added_deg(theta + step) for step in (DERIVATIVE_STEP_DEG, -DERIVATIVE_STEP_DEG))
         slope = factor + (ahead - behind) / (2.0 * DERIVATIVE_STEP_DEG)
-        if (slope / factor <= 0.0).any():
-            break
-        step = np.asarray((aim - here) / slope, dtype=np.float64)
+        stands_for_many |= slope / factor <= 0.0
+        step = np.where(stands_for_many, 0.0, (aim - here) / np.where(stands_for_many, 1.0, slope))
         theta = theta + step
-        if not (np.abs(step) > CONVERGED_DEG).any():
-            return theta
-    raise ApplyError("the effects are too large for the scale: one reading would stand for many elevations")
+        moving = np.abs(step) > CONVERGED_DEG
+        if not moving.any():
+            return theta, stands_for_many
+    return theta, stands_for_many | moving

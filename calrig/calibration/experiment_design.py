@@ -101,6 +101,8 @@ def design(
     found = ambiguous_of(findings)
     if found is None:
         return "nothing is left to separate: the diagnosis names no suspects that look alike"
+    if any(pose.mount_deg for run in runs for pose in run):
+        return "a run that separates suspects is designed for a unit clamped at 0° alone"
     suspects = [found.candidate, *found.rivals]
     others = [f.candidate for f in findings.found if f is not found]
     trial = _Trial(runs, findings, others, suspects)

@@ -224,7 +224,7 @@ class MoveWatch:
     def _common_row(self, last: Pose | None, now: Pose, turned_deg: float) -> FloatArray:
         row = np.zeros(len(PRIOR_STD))
         row[GAIN] = turned_deg
-        row[STAGE] = _stage_shape(now.theta_deg) - _stage_shape(now.theta_deg - turned_deg)
+        row[STAGE] = _stage_shape(now.dial_deg) - _stage_shape(now.dial_deg - turned_deg)
         if last is not None:
             row[PLAY] = ((now.approach or 0) - (last.approach or 0)) / 2
         return row

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from calrig.calibration.pose import COLUMNS, Pose
-from calrig.estimation.angles import FloatArray
+from calrig.calibration.pose import COLUMNS, MOUNT_DEG, OF_MOUNTS, Pose
+from calrig.estimation.angles import FloatArray, wrap_deg
 
 Intp = npt.NDArray[np.intp]
 
@@ -43,12 +43,14 @@ class PackedPoses:
     def theta_deg(self) -> FloatArray:
         """(N,) the elevation that each pose stands for, as `Pose.theta_deg`."""
         target, stage = self.columns["target_deg"], self.columns.get("stage_deg")
-        return target if stage is None else np.where(np.isnan(stage), target, stage)
+        dial = target if stage is None else np.where(np.isnan(stage), target, stage)
+        mount = self.columns.get(MOUNT_DEG)
+        return dial if mount is None else dial + wrap_deg(np.nan_to_num(mount))
 
     @property
     def covariates(self) -> list[str]:
         """Columns that CONTRACT section 4 does not know."""
-        return [name for name in self.columns if name not in COLUMNS]
+        return [name for name in self.columns if name not in (*COLUMNS, *OF_MOUNTS)]
 
     def runs(self, chosen: Intp) -> PackedPoses:
         """Some of the runs, in the order given."""

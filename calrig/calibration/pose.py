@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from calrig.estimation.angles import wrap_deg
 from calrig.estimation.kalman import KalmanNoise
 
 REQUIRED = ("target_deg", "reading_deg")
@@ -24,6 +26,13 @@ KNOWN = (
     "settle_s",
 )
 COLUMNS = (*REQUIRED, *KNOWN)
+GYRO_MEANS = ("gyro_x_dps", "gyro_y_dps", "gyro_z_dps")
+GYRO_MOVES = ("gyro_move_x_deg", "gyro_move_y_deg", "gyro_move_z_deg")
+"""Among the covariates of poses of a run with mounts: what each axis of the gyro says of dwell and move."""
+MOUNT_DEG = "mount_deg"
+"""Likewise: the angle at which the unit was clamped; 0 where it is not said."""
+OF_MOUNTS = (MOUNT_DEG, *GYRO_MEANS, *GYRO_MOVES)
+"""What no diagnosis of elevations looks into."""
 
 
 class DiagnosisError(ValueError):
@@ -74,9 +83,19 @@ class Pose:
     filtering: Filtering | None = field(default=None, compare=False, repr=False)
 
     @property
-    def theta_deg(self) -> float:
-        """The elevation the pose stands for: what the stage reported, else what was commanded."""
+    def dial_deg(self) -> float:
+        """The stage's own angle: what it reported, else what was commanded."""
         return self.target_deg if self.stage_deg is None else self.stage_deg
+
+    @property
+    def mount_deg(self) -> float:
+        """The angle at which the unit was clamped, nominally."""
+        return self.covariates.get(MOUNT_DEG) or 0.0
+
+    @property
+    def theta_deg(self) -> float:
+        """The elevation the pose stands for: the stage's angle and, on the half turn about 0, the mount's."""
+        return self.dial_deg + wrap_deg(self.mount_deg)
 
     def row(self) -> dict[str, float | int | None]:
         """The pose as CONTRACT section 4's columns, covariates after them."""
@@ -89,6 +108,17 @@ class Pose:
         known = {_attribute(name): row[name] for name in COLUMNS if name in row}
         extra = {name: value for name, value in row.items() if name not in COLUMNS}
         return cls(**known, covariates=extra)  # type: ignore[arg-type]
+
+
+def of_first_mount(poses: Sequence[Pose]) -> Sequence[Pose]:
+    """The poses taken at the mount of the first one.
+
+    Each mount's own angle is not known better than a hand clamps, and the stage's errors turn with the dial
+    and not with the elevation: only a joint solution makes something of several mounts.
+    """
+    if not poses or all(pose.mount_deg == poses[0].mount_deg for pose in poses):
+        return poses
+    return [pose for pose in poses if pose.mount_deg == poses[0].mount_deg]
 
 
 def _attribute(column: str) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calrig.calibration.pose import COLUMNS, DiagnosisError, Pose
+from calrig.calibration.pose import COLUMNS, OF_MOUNTS, DiagnosisError, Pose, of_first_mount
 from calrig.estimation.angles import FloatArray
 
 SAME = 1.0 - 1e-6
@@ -14,8 +14,18 @@ SAME = 1.0 - 1e-6
 
 
 def complete(runs: Sequence[Sequence[Pose]]) -> tuple[list[list[Pose]], list[str]]:
-    """The runs that have poses; a column that a few poses lack costs those poses, not the column."""
+    """The runs that have poses; a column that a few poses lack costs those poses, not the column.
+
+    Of a run with several mounts, its first one's poses.
+    """
     warnings = []
+    given, runs = runs, [of_first_mount(run) for run in runs]
+    left_out = sum(map(len, given)) - sum(map(len, runs))
+    if left_out:
+        warnings.append(
+            f"{left_out} poses were taken with the unit clamped at another angle and were left out: a "
+            "diagnosis is of one mount; `solve` takes all of them together"
+        )
     poses = [pose for run in runs for pose in run]
     lacking: set[int] = set()
     for name in ("temperature_c", "time_s", "approach", "accel_y_g", "accel_z_g", "stage_deg"):
@@ -42,7 +52,9 @@ def covariates_of(
     poses: Sequence[Pose], theta: FloatArray, reading: FloatArray
 ) -> tuple[dict[str, FloatArray], list[str]]:
     """The unknown columns worth looking at, and what was said of the others."""
-    names = dict.fromkeys(name for pose in poses for name in pose.covariates if name not in COLUMNS)
+    names = dict.fromkeys(
+        name for pose in poses for name in pose.covariates if name not in (*COLUMNS, *OF_MOUNTS)
+    )
     taken: dict[str, FloatArray] = {
         "the order of the poses": np.arange(len(poses), dtype=float),
         "the elevation": theta,

@@ -21,7 +21,7 @@ from calrig.calibration.fit import Line, fit_line, residuals_deg, rms
 from calrig.calibration.motion import approach_of, motion_of, moves_deg
 from calrig.calibration.over_range import OverRange, over_range
 from calrig.calibration.play import travel_deg
-from calrig.calibration.pose import Pose
+from calrig.calibration.pose import Pose, of_first_mount
 from calrig.calibration.uncertainty import Reference, ReferenceKind, reference_part
 from calrig.estimation.angles import FloatArray, wrap_deg
 
@@ -114,7 +114,7 @@ def build_result(
     effects: Sequence[AppliedEffect] = (),
     reference: Reference | None = None,
 ) -> Result:
-    """Fits a run's poses and gathers what they say.
+    """Fits a run's poses and gathers what they say; of several mounts, the first one's.
 
     Args:
         poses: those that count (none excluded), at least one.
@@ -126,6 +126,7 @@ def build_result(
     Raises:
         ValueError: no pose, or one whose angle or reading is not finite.
     """
+    poses = of_first_mount(poses)
     theta, reading = _angles(poses)
     one_angle = len({pose.target_deg for pose in poses}) == 1
     line = fit_line(theta, reading, one_angle=one_angle)
@@ -171,6 +172,7 @@ def apply_calibration(
     Raises:
         ApplyError: the poses lack what an effect is a function of.
     """
+    poses = of_first_mount(poses)
     theta, reading = _angles(poses)
     without = _without_effects_deg(poses, line, effects)
     left_deg = residuals_deg(theta, without, line.bias_deg, line.scale)
@@ -250,9 +252,12 @@ def _line_with_effects(
     return line, residuals_deg(theta, without, line.bias_deg, line.scale)
 
 
-def raw_error_deg(pose: Pose) -> float:
-    """Reading less the elevation that it was taken at, degrees, on the turn about 0."""
-    return float(wrap_deg(pose.reading_deg - pose.theta_deg))
+def raw_error_deg(pose: Pose, sense: int = 1) -> float:
+    """Reading less the elevation that it was taken at, degrees, on the turn about 0.
+
+    `sense` is −1 of a unit whose face was turned about the vertical: it reads the elevation's negative.
+    """
+    return float(wrap_deg(pose.reading_deg - sense * pose.theta_deg))
 
 
 def residuals(poses: Sequence[Pose], bias_deg: float, scale: float | None) -> list[float | None]:

@@ -89,4 +89,4 @@ def _run(run: BriefRun) -> Document:
     told: dict[str, Any] = asdict(run)
     del told["is_voided"]
     progress = dict(told.pop("progress"))
-    return {**told, "progress": progress, "waiting_for": progress.pop("waiting_for", None)}
+    return {**told, "progress": progress, "waiting_for": progress.get("waiting_for")}

@@ -18,7 +18,7 @@ from calrig.centre.bench_rigs import BenchRig, BenchRigs
 from calrig.centre.conclusions import concluded
 from calrig.centre.unpacker import Unpacker
 from calrig.instruments.clock import WALL, Clock
-from calrig.plan import Plan
+from calrig.plan import MountAxis, Plan
 from calrig.processes.pool import Apart, run_apart
 from calrig.runs.bus import Bus
 from calrig.runs.errands import Errand, Errands
@@ -220,6 +220,13 @@ class CentreService:
             except StoreError as error:  # of a stop that was made, the store's trouble makes no failure
                 log.error("runs that waited for rig %s are not told of as aborted yet: %s", rig_name, error)
         return next(state for state in self.rigs() if state.name == rig_name)
+
+    def begin_clamp(self, rig_name: str, mount_deg: float, axis: MountAxis) -> Errand[RigState]:  # noqa: ARG002
+        """Turns nothing: whoever does that stands at the bench, and has its page there."""
+        bench = self._rigs.known(rig_name).bench
+        raise Conflict(
+            f"rig {rig_name!r} is on bench {bench.name}: turn its unit there, by hand or at its page"
+        )
 
     def pause(self, run_id: str) -> Run:
         """Has the run hold after the pose in hand."""

@@ -102,7 +102,7 @@ def _with_ports(rig: RigSettings) -> Iterator[RigSettings]:
     if rig.simulated is None:
         yield rig
         return
-    from calrig.settings import BoardSettings, StageSettings
+    from calrig.settings import BoardSettings, ClampSettings, StageSettings
     from calrig.simulator.launch import LaunchError, launch
 
     try:
@@ -117,5 +117,6 @@ def _with_ports(rig: RigSettings) -> Iterator[RigSettings]:
         ports = {
             "stage": stage.model_copy(update={"port": process.stage_port}),
             "imu": imu.model_copy(update={"port": process.imu_port}),
+            "clamp": process.clamp and ClampSettings.model_validate(process.clamp),
         }
         yield rig.model_copy(update=ports)

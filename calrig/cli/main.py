@@ -12,6 +12,7 @@ import typer
 import calrig
 from calrig.cli import (
     agent,
+    apply,
     benches,
     diagnosis,
     enroll,
@@ -50,6 +51,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "diagnose": diagnosis.diagnose,
     "gravity": diagnosis.gravity,
     "solve": solve.solve,
+    "apply": apply.apply,
     "plan": plan.plan,
     "noise": noise.noise,
     "filters": noise.filters,

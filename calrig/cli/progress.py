@@ -50,6 +50,10 @@ def run_bar(run: Run) -> Iterator[Callable[[Event], None]]:
                 left = "" if left_s is None else f"{int(left_s) // 60}:{int(left_s) % 60:02d} left"
                 completed = data["poses_done"] if data["poses_total"] else PERCENT * data["fraction"]
                 progress.update(bar, completed=completed, left=left)
+                if data.get("waiting_for"):
+                    progress.stop()  # a person is asked, and types below it
+                elif console.is_terminal:
+                    progress.start()
             elif event.type == "reading" and data["stage_deg"] is not None:
                 progress.update(bar, elevation=f"{data['stage_deg']:+.1f}°")
 

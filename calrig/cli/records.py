@@ -27,6 +27,12 @@ class Format(StrEnum):
     json = "json"
     csv = "csv"
     c_header = "c-header"
+    px4 = "px4"
+    ardupilot = "ardupilot"
+    kalibr = "kalibr"
+    vins = "vins"
+    imu_tk = "imu-tk"
+    imucal = "imucal"
     pdf = "pdf"
     dcc = "dcc"
     archive = "archive"
@@ -61,14 +67,19 @@ def import_(
 
 def export(
     run_id: Annotated[
-        str | None, typer.Argument(metavar="RUN_ID", help=f"The run to export{SHORTENED}.")
+        str | None,
+        typer.Argument(
+            metavar="RUN_ID|CALIBRATION.json",
+            help=f"The run to export{SHORTENED}, or a calibration of `calrig solve --out`.",
+        ),
     ] = None,
     unit: Annotated[str | None, typer.Option(metavar="SERIAL", help="The unit, by its run in force.")] = None,
     format_: Annotated[
         Format,
         typer.Option(
             "--format",
-            help="The calibration, its poses (csv), its certificate (pdf, dcc), all of a unit (archive).",
+            help="The calibration, its poses (csv), its certificate (pdf, dcc), all of a unit (archive); "
+            "for other programs: calrig/docs/calibrations.md.",
         ),
     ] = Format.json,
     parquet: Annotated[
@@ -86,19 +97,15 @@ def export(
     ] = None,
     db: Db = None,
 ) -> None:
-    """Print a calibration as JSON or as a C header, or its poses as CSV; standard error has its verdict.
+    """Print a calibration as JSON or for another program, or its poses as CSV.
 
-    `--format pdf` is its certificate, into a file or a pipe; `dcc` the same for programs, in PTB's XML.
-    `--format archive --out FILE.zip` is everything that stands behind a unit: `calrig verify` checks it.
-
-    With --parquet: the poses of all completed runs into files.
+    Standard error has its verdict. `--format pdf` is its certificate, into a file or a pipe; `dcc` the same
+    for programs, in PTB's XML. `--format archive --out FILE.zip` is everything that stands behind a unit:
+    `calrig verify` checks it. With --parquet: the poses of all completed runs into files.
     """
-    from calrig.analysis.active_calibration import header_of
-    from calrig.analysis.stored_runs import counted_poses, stored_run
     from calrig.cli.certificate import write_certificate
     from calrig.cli.output import print_says
     from calrig.cli.verify import export_archive
-    from calrig.export.poses_csv import write_poses
     from calrig.settings import store_url
     from calrig.store import Store
 
@@ -114,24 +121,49 @@ def export(
         raise InputError("export: name either a RUN_ID or --unit SERIAL")
     if out is not None and format_ not in {Format.pdf, Format.dcc}:
         raise InputError(f"export: --format {format_.value} goes to standard output, not to --out")
+    if run_id is not None and (run_id.endswith(".json") or Path(run_id).is_file()):
+        sys.stdout.write(_of_file(run_id, format_))
+        return
     with Store.open(store_url(db), writer=None) as store:
         if run_id is not None:
             run_id = whole_id(store, run_id)
-        if run_id is not None and format_ is Format.csv:
-            sys.stdout.write(write_poses(counted_poses(store, stored_run(store, run_id).id)))
-            return
-        found = _revision_asked_for(store, run_id, unit)
-        if format_ is not Format.csv:
-            print_says(found.verdict["says"])
-        if format_ is Format.csv:
-            sys.stdout.write(write_poses(counted_poses(store, found.run_id)))
-        elif format_ is Format.pdf or format_ is Format.dcc:
+        if format_ is Format.pdf or format_ is Format.dcc:
             form: Literal["pdf", "dcc"] = "pdf" if format_ is Format.pdf else "dcc"
+            found = _revision_asked_for(store, run_id, unit)
+            print_says(found.verdict["says"])
             write_certificate(store, found, form, out, sign, cert)
-        elif format_ is Format.c_header:
-            sys.stdout.write(header_of(found))
         else:
-            sys.stdout.write(found.text + "\n")
+            sys.stdout.write(_text(store, run_id, unit, format_))
+
+
+def _text(store: Store, run_id: str | None, unit: str | None, format_: Format) -> str:
+    """What is printed; standard error has the verdict of a calibration."""
+    from calrig.analysis.exports import NOISE_FORMATS, exported, exported_noise
+    from calrig.analysis.mounts import labels_of
+    from calrig.analysis.stored_runs import counted_poses, stored_run
+    from calrig.cli.output import print_says
+    from calrig.export.poses_csv import write_poses
+
+    if run_id is not None and format_ is Format.csv:
+        run = stored_run(store, run_id)
+        return write_poses(counted_poses(store, run.id), labels_of(run))
+    if format_.value in NOISE_FORMATS:
+        of_unit = unit or stored_run(store, run_id or "").unit
+        return exported_noise(store, of_unit, format_.value)
+    found = _revision_asked_for(store, run_id, unit)
+    if format_ is Format.csv:
+        return write_poses(counted_poses(store, found.run_id))
+    print_says(found.verdict["says"])
+    return found.text + "\n" if format_ is Format.json else exported(found, format_.value)
+
+
+def _of_file(file: str, format_: Format) -> str:
+    from calrig.analysis.exports import REVISION_FORMATS, exported_document
+    from calrig.export.calibration_file import read_document
+
+    if format_.value not in REVISION_FORMATS:
+        raise InputError(f"export: {file}: a calibration in a file is given as {', '.join(REVISION_FORMATS)}")
+    return exported_document(read_document(file), format_.value, file)
 
 
 def _revision_asked_for(store: Store, run_id: str | None, unit: str | None) -> Revision:

@@ -47,6 +47,7 @@ def run(
     from calrig.analysis.limits import cannot_pass_on
     from calrig.cli import output
     from calrig.cli.local_service import local_service
+    from calrig.cli.mount_prompt import MountPrompt
     from calrig.cli.progress import run_bar
     from calrig.plan import Plan
     from calrig.settings import load_settings, store_url
@@ -60,8 +61,9 @@ def run(
         begun = service.start(
             unit=unit, rig=chosen.name, plan=the_plan, operator=operator, note=note, stage_at_deg=stage_at
         )
+        prompt = MountPrompt(service, chosen.name, has_clamp=_has_clamp(service, chosen.name))
         with run_bar(begun) as show, _stop_request() as asked:
-            ended = _until_ended(service, begun.id, asked, show)
+            ended = _until_ended(service, begun.id, asked, show, prompt.look)
     if as_json:
         from calrig.api.models import RunAnswer
 
@@ -81,6 +83,10 @@ def _rig_named(settings: Settings, name: str | None) -> RigSettings:
     raise InputError(
         f"--rig: there is no rig {name!r}; configured: {', '.join(r.name for r in settings.rig)}"
     )
+
+
+def _has_clamp(service: RunService, rig: str) -> bool:
+    return any(state.clamp for state in service.rigs() if state.name == rig)
 
 
 class _StopRequest:
@@ -106,8 +112,17 @@ def _stop_request() -> Iterator[_StopRequest]:
             signal.signal(number, handler)
 
 
-def _until_ended(service: RunService, run_id: str, asked: _StopRequest, show: Callable[[Event], None]) -> Run:
-    """Shows the run's events until it has ended, aborting it once that is asked for; the run as it ended."""
+def _until_ended(
+    service: RunService,
+    run_id: str,
+    asked: _StopRequest,
+    show: Callable[[Event], None],
+    look: Callable[[Run], None],
+) -> Run:
+    """Shows the run's events until it has ended, aborting it once that is asked for; the run as it ended.
+
+    `look` is given the run again and again, for what it may wait for.
+    """
     from calrig.analysis.errors import Conflict
     from calrig.store import AT_REST
 
@@ -129,6 +144,7 @@ def _until_ended(service: RunService, run_id: str, asked: _StopRequest, show: Ca
                 with suppress(Conflict):  # it has just ended, or its error says what became of the stage
                     service.abort(run_id)
                 continue
+            look(run)
             news.wait(LOOK_S)
     finally:
         unsubscribe()

@@ -33,6 +33,22 @@ Out = Annotated[
 Linear = Annotated[
     bool, typer.Option("--linear", help="State that the units have no quadratic and cubic terms.")
 ]
+SeatStd = Annotated[
+    float | None,
+    typer.Option(
+        "--seat-std",
+        metavar="DEG",
+        min=0.0,
+        help="How far one clamping of the same face on the same seat scatters from the next: the level of a "
+        "unit that was reversed (mount_axis -x) rests on it.",
+    ),
+]
+Limits = Annotated[
+    tuple[float, float] | None,
+    typer.Option(
+        "--limits", metavar="LOW HIGH", help="Of the stage, degrees: what is advised may use all of it."
+    ),
+]
 
 
 def solve(
@@ -46,6 +62,8 @@ def solve(
     unit: Units = None,
     linear: Linear = False,
     period: Periods = None,
+    seat_std: SeatStd = None,
+    limits: Limits = None,
     out: Out = None,
     plot: Plot = None,
     as_json: Json = False,
@@ -62,10 +80,10 @@ def solve(
     draw = None if plot is None else writer_of(plot)
     lots, said = _lots(sources, unit or [], db)
     try:
-        solution = solve_together(lots, linear=linear, periods_deg=period or [])
+        solution = solve_together(lots, linear=linear, periods_deg=period or [], seat_std_deg=seat_std)
     except DiagnosisError as error:
         raise InputError(str(error)) from error
-    document = solution_document(solution)
+    document = solution_document(solution, limits)
     document["warnings"] = [*said, *document["warnings"]]
     if out is not None:
         _write(out, solution)

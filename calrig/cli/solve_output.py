@@ -14,9 +14,8 @@ def print_solution(found: dict[str, Any]) -> None:
     for unit in found["units"]:
         worst = max(unit["elevation_std_deg"]["std_deg"])
         low, high = unit["range_deg"]
-        print_line(
-            f"\nunit {unit['unit']}: elevation ± {worst:.2g}° at most, {low:g}° to {high:g}°, less its mean"
-        )
+        of_what = _measurand(unit)
+        print_line(f"\nunit {unit['unit']}: elevation ± {worst:.2g}° at most, {low:g}° to {high:g}°{of_what}")
         for name, parameter in unit["parameters"].items():
             print_parameter(name, parameter)
     print_line("")
@@ -34,6 +33,13 @@ def print_solution(found: dict[str, Any]) -> None:
     print_warnings(found["warnings"])
     if found["advice"] is not None:
         print_line(f"what would help: {found['advice']['says']}")
+
+
+def _measurand(unit: dict[str, Any]) -> str:
+    level = (unit["level"] or {"deg": {"std": None}})["deg"]
+    if level["std"] is None:
+        return ", less its mean"
+    return f"; its level {level['value']:+.3f}° ± {level['std']:.2g}° is in it"
 
 
 def _with_std(parameter: dict[str, float], unit: str) -> tuple[str, str]:

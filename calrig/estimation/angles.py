@@ -23,6 +23,17 @@ def wrap_deg(angle_deg: float | FloatArray) -> float | FloatArray:
     return angle_deg - 360.0 * math.ceil((angle_deg - 180.0) / 360.0)
 
 
+AXES = "xyz"
+
+
+def along_axis(vectors: FloatArray, axis: str) -> FloatArray:
+    """(n, 3) the same vectors with the named axis first and the others following in turn.
+
+    So that `elevation_deg` is the angle about that axis: 0° is z up about x, x up about y, y up about z.
+    """
+    return np.roll(vectors, -AXES.index(axis[-1]), axis=1)
+
+
 def elevation_deg(accel_g: FloatArray) -> FloatArray:
     """Elevation about the sensor's x axis, atan2(accel_y, accel_z); 0° is z up (CONTRACT section 4).
 

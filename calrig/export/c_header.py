@@ -10,12 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.correction import effects_on_reading_deg, felt_elevation_deg, numbers_of
+from calrig.calibration.application import effects_at_rest
+from calrig.calibration.correction import effects_on_reading_deg, felt_elevation_deg
 from calrig.calibration.effect import TEMPERATURE, ApplyError, Circumstances, NotInFlight, Parameters
 from calrig.calibration.effect_terms import c_literal
-from calrig.calibration.effects import EFFECTS, UNNAMED, effect_of
+from calrig.calibration.effects import effect_of
 from calrig.calibration.sensor_vector import VectorInC
 from calrig.estimation.angles import FloatArray
+from calrig.export.c_vectors import acceleration_function, test_vectors
 
 CLOSE_DEG = 1e-6
 MOST_ROUNDS = 12
@@ -34,13 +36,15 @@ def c_header(document: Mapping[str, Any]) -> str:
 
     It defines `static inline float calrig_elevation_deg(float reading_deg, float temperature_c)`. Where an
     effect depends on the elevation, that solves reading = bias + scale·θ + effects(θ) by Newton's iteration,
-    in a number of rounds that is fixed here. Effects that are not applied in flight are left out.
+    in a number of rounds that is fixed here. Effects that are not applied in flight are left out. Where the
+    document has the whole accelerometer, `calrig_acceleration_g` takes its errors out; what both must give is
+    in the header itself, for programs that define CALRIG_TEST_VECTORS.
 
     Raises:
         ApplyError: an effect has no formula or lacks a parameter, or they are too large to be taken out.
         ValueError: a number of the document is not known, or not one that a `float` holds.
     """
-    effects, left_out = _sorted_out(document)
+    effects, left_out = effects_at_rest(document)
     rounds, temperatures_c = _rounds(document, effects)
     guard = _guard(str(document["unit"]))
     bias_deg, scale = _finite(document, "bias_deg"), _finite(document, "scale")
@@ -70,25 +74,12 @@ def c_header(document: Mapping[str, Any]) -> str:
             *body,
             "}",
             "",
+            *acceleration_function(document),
+            *test_vectors(document),
             f"#endif /* {guard} */",
             "",
         ]
     )
-
-
-def _sorted_out(document: Mapping[str, Any]) -> tuple[Effects, list[str]]:
-    """The effects to be taken out, and the names of those that are not for a unit at rest."""
-    taken: Effects = []
-    left_out: list[str] = []
-    for effect in document["effects"]:
-        name = str(effect["name"])
-        if name not in EFFECTS or name == UNNAMED:
-            raise ApplyError(f"the effect {name!r} has no formula of its own that a header could hold")
-        if isinstance(effect_of(name).in_c, NotInFlight):
-            left_out.append(name)
-        else:
-            taken.append((name, numbers_of(effect["parameters"])))
-    return taken, left_out
 
 
 def _term(name: str, parameters: Parameters) -> str | VectorInC:

@@ -9,7 +9,7 @@ import numpy as np
 
 from calrig.calibration.effects import effect_of
 from calrig.calibration.fit import Line
-from calrig.calibration.pose import Pose
+from calrig.calibration.pose import Pose, of_first_mount
 from calrig.calibration.result import Result
 from calrig.calibration.uncertainty import Reference, uncertainty
 from calrig.store.records import AcceptedEffect, Document
@@ -32,7 +32,7 @@ def calibration_content(
     Args:
         unit: serial number.
         rig: that the poses were taken on; None where none is known.
-        poses: those the result rests on (none excluded): range and uncertainty follow from them.
+        poses: those that count: range and uncertainty follow from those that the result rests on.
         result: of these poses, with the accepted effects taken out where the poses allow it.
         accepted: effects of the unit and its rig: bias and scale are those beside all of them, and the unit's
             own are applied in flight.
@@ -43,7 +43,7 @@ def calibration_content(
     """
     if not poses or result.scale is None:
         raise ValueError(f"unit {unit!r}: the poses do not give a calibration with a known scale")
-    elevations = np.array([pose.theta_deg for pose in poses], dtype=np.float64)
+    elevations = np.array([pose.theta_deg for pose in of_first_mount(poses)], dtype=np.float64)
     line = result.line_with_effects or result.line
     worth = uncertainty(line, elevations, reference)
     figures = result.to_dict()

@@ -14,7 +14,7 @@ from calrig.calibration.coverage import COVERAGE, coverage_factor
 from calrig.calibration.effects import effect_of
 from calrig.calibration.joint.elevation import range_deg
 from calrig.calibration.joint.mapped import mapped
-from calrig.calibration.joint.report import parameters_of
+from calrig.calibration.joint.report import level_document, parameters_of
 from calrig.calibration.joint.solution import Solution
 from calrig.calibration.joint.unit_model import NAMES
 from calrig.estimation.angles import wrap_deg
@@ -48,16 +48,20 @@ def joint_documents(solution: Solution) -> dict[str, str]:
 def unit_document(solution: Solution, unit: int) -> dict[str, Any]:
     """A unit's calibration with the uncertainty of this solution: nothing in it rests on the stage's word.
 
-    All that the unit does to a vector is in its effects, beside no bias and a scale of 1. `elevation_std_deg`
+    All that the unit does to a vector is in its effects, beside a scale of 1; the bias is its level, where a
+    reversal tells it, and 0 where none does: the sensor's axes err at their own elevation, which is bias + θ.
+    `elevation_std_deg`
     is as in the solution's document; `covariance` is what of it a line over the range has.
     """
-    fit, table, worth = solution.fit, solution.table, solution.worths[unit]
+    fit, table, worth = solution.fit, solution.table, solution.measurand(unit)
+    level = solution.known_level(unit)
     line = np.linalg.pinv(np.stack([np.ones(len(worth.elevation_deg)), worth.elevation_deg], axis=1))
-    by_line = np.degrees(line @ worth.by_parameters)
+    covariance = np.degrees(np.degrees(fit.covariance_of(line @ worth.by_parameters)))
+    covariance[0, 0] += np.degrees(np.degrees(worth.common_variance))
     factor = coverage_factor(solution.noise_deg, fit.freedom, worth.rms_deg, "normal")
     own = (table.unit == unit) & fit.kept
     stated = np.array([mount.nominal_deg or 0.0 for mount in table.mounts])[table.mount]
-    raw = wrap_deg(np.degrees(table.reading) - table.dial_deg - stated)[own]
+    raw = wrap_deg(np.degrees(table.reading) - table.sense * table.dial_deg - stated)[own]
     document = {
         "schema": SCHEMA,
         "unit": table.units[unit],
@@ -68,9 +72,9 @@ def unit_document(solution: Solution, unit: int) -> dict[str, Any]:
         "rig": None,
         "range_deg": list(range_deg(fit, unit)),
         "model": MODEL,
-        "bias_deg": 0.0,
+        "bias_deg": 0.0 if level is None else level.value_deg,
         "scale": 1.0,
-        "covariance": (by_line @ fit.covariance @ by_line.T).tolist(),
+        "covariance": covariance.tolist(),
         "effects": effects_of(solution, unit),
         "gyro": {"bias_dps": [None, None, None], "scale": None},
         "rms_raw_deg": _rms(raw),
@@ -79,8 +83,8 @@ def unit_document(solution: Solution, unit: int) -> dict[str, Any]:
         "expanded_uncertainty_deg": factor * math.hypot(solution.noise_deg, worth.rms_deg),
         "coverage_factor": factor,
         "coverage": COVERAGE,
-        "level_known": False,
-        "level_std_deg": None,
+        "level_known": level is not None,
+        "level_std_deg": None if level is None else level.std_deg,
         "accelerometer": None,
         "uncertainty": {
             "type_a_deg": solution.noise_deg,
@@ -97,6 +101,7 @@ def unit_document(solution: Solution, unit: int) -> dict[str, Any]:
             "units": list(table.units),
             "linear": fit.problem.linear,
             "separable": solution.is_separable(unit),
+            "level": None if level is None else level_document(level),
         },
     }
     return {**document, "sha256": _sha256(document)}

@@ -70,7 +70,7 @@ def read_log_table(
     """
     if len(data) > max_bytes:
         raise CsvError(f"the file has {len(data)} bytes; at most {max_bytes} are read")
-    header, header_line, body, dialect = _header_of(data, wanted)
+    header, header_line, body, dialect = header_of(data, wanted)
     places = [place for place, name in enumerate(header) if wanted(name)]
     most = data.count(b"\n", body) + data.count(b"\r", body) + 1
     most = min(most, max_rows, (len(data) - body) // len(header) + 1)  # a cell takes a byte with its comma
@@ -91,8 +91,16 @@ def read_log_table(
     return LogTable(header, header_line, columns, first_rows, lines)
 
 
-def _header_of(data: bytes, wanted: Callable[[str], bool]) -> tuple[list[str], int, int, Dialect]:
-    """The names, the line they stand in, where the rows begin, and how cells are written."""
+def header_of(data: bytes, wanted: Callable[[str], bool]) -> tuple[list[str], int, int, Dialect]:
+    """The names, the line they stand in, where the rows begin, and how cells are written.
+
+    Args:
+        data: from the file's beginning, a megabyte of rows or all of them.
+        wanted: whether a column's name is one of those looked for.
+
+    Raises:
+        CsvError: it is empty, or no header.
+    """
     first = len(_BOM) if data.startswith(_BOM) else 0
     line = 1
     while data[first : first + 1] in (b"\n", b"\r"):

@@ -40,12 +40,22 @@ def lots_of(
     for pose, texts in zip(poses, labels, strict=True):
         serial, angle = texts.get("unit", unit), pose.covariates.get(MOUNT_DEG)
         if serial is None:
-            raise CsvError(
-                "it is not said whose poses these are: give it a column unit, or --unit", column="unit"
+            whose = (
+                f"the pose at target_deg {pose.target_deg:g} has no unit"
+                if lots
+                else "it is not said whose poses these are"
             )
-        name = texts.get("mount") or (source if angle is None else f"{source} {angle:g}°")
+            raise CsvError(f"{whose}: give it a column unit, or --unit", column="unit")
+        axis = texts.get("mount_axis", "x")
+        name = texts.get("mount") or _name(source, angle, axis)
         bare = replace(pose, covariates={k: v for k, v in pose.covariates.items() if k != MOUNT_DEG})
-        lots.setdefault((serial, name, angle, texts.get("mount_axis", "x")), []).append(bare)
+        lots.setdefault((serial, name, angle, axis), []).append(bare)
     return [
         Mounted(serial, name, angle, source, own, axis) for (serial, name, angle, axis), own in lots.items()
     ]
+
+
+def _name(source: str, angle: float | None, axis: str) -> str:
+    """Of a mount without a label."""
+    words = [source, "" if angle is None else f"{angle:g}°", "" if axis.lstrip("+") == "x" else axis]
+    return " ".join(word for word in words if word)

@@ -152,25 +152,36 @@ def _read(data: bytes, labels: Sequence[str]) -> tuple[PoseColumns, dict[str, li
     return PoseColumns(kept), texts, warnings
 
 
-def write_poses(poses: Sequence[Pose]) -> str:
+def write_poses(poses: Sequence[Pose], labels: Callable[[Pose], Labels] | None = None) -> str:
     """The poses as CSV that `read_poses` reads back exactly; a column known in no pose is left out."""
-    return "".join(write_pose_batches(lambda: [poses]))
+    return "".join(write_pose_batches(lambda: [poses], labels))
 
 
-def write_pose_batches(batches: Callable[[], Iterable[Iterable[Pose]]]) -> Iterator[str]:
+def write_pose_batches(
+    batches: Callable[[], Iterable[Iterable[Pose]]], labels: Callable[[Pose], Labels] | None = None
+) -> Iterator[str]:
     """The same, piece by piece, the header first.
 
     Args:
         batches: the poses, some at a time; asked twice, since the header tells what all of them know.
+        labels: the texts of a pose by column, the same columns of each.
     """
     names, known = dict.fromkeys(COLUMNS), set(REQUIRED)
     for pose in itertools.chain.from_iterable(batches()):
         names.update(dict.fromkeys(pose.covariates))
         known.update(name for name, value in pose.row().items() if value is not None)
     kept = [name for name in names if name in known]
-    yield _rows([[for_spreadsheet(name) for name in kept]])
+    first = next((pose for batch in batches() for pose in batch), None)
+    texts = [] if labels is None or first is None else list(labels(first))
+    yield _rows([[for_spreadsheet(name) for name in (*kept, *texts)]])
+
+    def cells(pose: Pose) -> Iterator[str]:
+        row, said = pose.row(), {} if labels is None else labels(pose)
+        yield from (_text(row.get(name)) for name in kept)
+        yield from (said[name] for name in texts)
+
     for batch in batches():
-        yield _rows([_text(row.get(name)) for name in kept] for row in map(Pose.row, batch))
+        yield _rows(map(cells, batch))
 
 
 def _rows(cells: Iterable[Iterable[str]]) -> str:

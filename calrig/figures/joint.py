@@ -37,7 +37,7 @@ def _map(fit: Fit, left_deg: FloatArray) -> Figure:
     found, orders = mapped(fit), fit.problem.orders
     at, waves = found.stage_deg.tolist(), found.coefficients[:-1]
     level = (basis(found.stage_deg, np.zeros(len(at)), orders)[:, :-1] @ waves).mean()
-    points = _points(fit, fit.problem.basis()[:, :-1] @ waves - level + left_deg)
+    points = _points(fit, fit.problem.columns[:, :-1] @ waves - level + left_deg)
     low, high = (found.error_deg + side * found.std_deg for side in (-2.0, 2.0))
     band = band_of("map", at, low.tolist(), high.tolist(), PALETTE[-1])
     curve = {**line_of("map", at, found.error_deg.tolist(), PALETTE[-1]), "legendgroup": "map"}

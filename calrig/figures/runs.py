@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from calrig.calibration.pose import Pose
+from calrig.estimation.angles import wrap_deg
 from calrig.figures.parts import (
     APPROACHES,
     GREY,
@@ -124,7 +125,7 @@ def residuals_overlaid(curves: Sequence[Curve], chosen: Collection[str] = ()) ->
 
 
 def _residual_deg(pose: Pose, bias_deg: float, scale: float) -> float:
-    return (pose.reading_deg - bias_deg) / scale - pose.theta_deg
+    return wrap_deg(pose.reading_deg - bias_deg - scale * pose.theta_deg) / scale
 
 
 def _residual_traces(

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
-from calrig.instruments.clock import WALL, Clock
+from calrig.instruments.clock import WALL, Clock, Event
 from calrig.instruments.errors import InstrumentError
 from calrig.store import Status
 
 log = logging.getLogger(__name__)
+
+ENDED = "the run has ended"
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +47,26 @@ class Left:
     trouble: str | None = None
 
 
+class Go:
+    """A person's word that what a run waits for is done; the run looks, and answers."""
+
+    def __init__(self, answered: Event) -> None:
+        self._answered = answered
+        self._refusal: str | None = None
+
+    def answer(self, refusal: str | None) -> None:
+        """Says why the run cannot go on, or None: it does."""
+        if not self._answered.is_set():
+            self._refusal = refusal
+            self._answered.set()
+
+    def refusal(self, timeout_s: float) -> str | None:
+        """The answer, waiting for it so many seconds of the run's clock."""
+        if not self._answered.wait(timeout_s):
+            return "the unit's board has not said how it is clamped: look at its cable, and ask again"
+        return self._refusal
+
+
 class Control:
     """The requests made of one run. A request to end halts the stage from the asking thread, at once.
 
@@ -57,6 +80,9 @@ class Control:
         self._halt: Callable[[], None] | None = None
         self._hold = threading.Event()
         self._left: Left | None = None
+        self._clock = clock
+        self._go: Go | None = None
+        self._waits = False
         self._has_left = clock.event()
         self._reached = clock.event()
 
@@ -110,6 +136,37 @@ class Control:
     def resume(self) -> None:
         """Takes the wish for a pause back, or ends the pause."""
         self._hold.clear()
+
+    @contextmanager
+    def waiting(self) -> Iterator[None]:
+        """While it lasts the run stands until a person says Go."""
+        self._waits = True
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._waits, left = False, self._go
+            if left is not None:
+                left.answer(ENDED)
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether the run stands until a person says Go."""
+        return self._waits
+
+    def say_go(self) -> Go | None:
+        """Says so, and gives what will be answered; who asks meanwhile shares it. None where none waits."""
+        with self._lock:
+            if not self._waits:
+                return None
+            self._go = self._go or Go(self._clock.event())
+            return self._go
+
+    def take_go(self) -> Go | None:
+        """What was said since it was last taken."""
+        with self._lock:
+            said, self._go = self._go, None
+            return said
 
     @property
     def holding(self) -> bool:

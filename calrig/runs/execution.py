@@ -8,26 +8,27 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from calrig.calibration.move_check import MoveCheck
-from calrig.calibration.pose import Filtering, Pose
-from calrig.calibration.result import GyroFigures
-from calrig.estimation.gyro import GyroBias, dwell_bias, felt_move_deg, gyro_scale, run_bias
+from calrig.calibration.pose import MOUNT_DEG, Filtering, Pose
+from calrig.estimation.angles import AXES
 from calrig.estimation.kalman import KalmanNoise
 from calrig.estimation.reading import Reading, dwell_reading
 from calrig.instruments.errors import BoardError
-from calrig.instruments.types import FloatArray, Samples
+from calrig.instruments.types import FloatArray
 from calrig.plan import Plan, PlannedPose
 from calrig.runs.felt_moves import KIND, FeltMoves, lost, told
 from calrig.runs.follow_up import FollowUpRun
+from calrig.runs.mounting import Mount
+from calrig.runs.own_gyro import OwnGyro
 from calrig.runs.pace import Pace
 from calrig.runs.resume import MOVE_OFF_DEG, Returned, way_back
 from calrig.runs.stream import block_of
+from calrig.runs.sweep_waits import wait_before_sweep
 from calrig.runs.task import Earlier
 from calrig.store import SampleBlock
 
 FEWEST_FOR_TARGET_S = 0.5
 """A dwell with `target_std_deg` is at least this long: a standard error from less is itself a guess."""
 DWELL_TRIES = 3
-TEMPERATURE_WAIT_S = 4 * 3600.0
 MOVED_DEG = 1e-4
 """A change of reported angle below this is no move."""
 
@@ -44,15 +45,16 @@ class Execution:
     follow_up: FollowUpRun | None = None
     earlier: Earlier = field(default_factory=Earlier)
     returned: Returned | None = None
-    biases: list[GyroBias] = field(init=False)
+    gyro: OwnGyro = field(init=False)
     felt: FeltMoves = field(init=False)
     poses: list[Pose] = field(init=False)
     _approach: int = 0
 
     def __post_init__(self) -> None:
         self.rig, self.recorder = self.pace.rig, self.pace.recorder
-        self.poses, self.biases = list(self.earlier.poses), list(self.earlier.biases)
-        self.felt = FeltMoves(self.poses, self.rig.board_identity.gyro_range_dps)
+        self.poses = list(self.earlier.poses)
+        self.gyro = OwnGyro(AXES.index(self.plan.mount_axis[-1]), list(self.earlier.biases))
+        self.felt = FeltMoves(self.poses, self.rig.board_identity.gyro_range_dps, self.plan.mount_axis)
         self._noise = KalmanNoise(**self.rig.settings.filter.model_dump())
 
     def carry_out(self, planned: list[PlannedPose]) -> None:
@@ -63,24 +65,59 @@ class Execution:
             InstrumentError: a device failed; the poses so far are stored.
             NotTheSame: after an interruption the last pose reads otherwise by far.
         """
-        self.pace.begin(self.plan, moves=True)
         left = self._left(planned)
         sweep: int | None = None
-        if self.poses:
+        clamped_deg = self._begin(left)
+        if self.poses and clamped_deg is not None:
             self._return(self.poses[-1])
             sweep = self.poses[-1].sweep
-        else:
+        elif clamped_deg is not None:
             self._move_off(planned)
         self.recorder.poses_begin()
         for pose in left:
+            if pose.mount_deg != clamped_deg:
+                clamped_deg = pose.mount_deg
+                self._have_turned(self._mount(clamped_deg), left)
             if self.follow_up is not None and self.follow_up.skips(pose, self.poses):
                 self.recorder.skip_pose()
                 continue
             if pose.sweep != sweep:
                 sweep = pose.sweep
-                self._wait_before_sweep()
+                wait_before_sweep(self.plan, self.pace)
             self._take(pose)
             self.pace.hold_while_paused()
+
+    def _begin(self, left: list[PlannedPose]) -> float | None:
+        """Makes stage and board ready; the mount that the unit sits at, None where a person is to be asked.
+
+        Nobody is asked for a first mount that gravity agrees with. A run that was interrupted between two
+        mounts goes on waiting: somebody may have turned the unit half-way.
+        """
+        if self.poses:
+            last_deg = self.poses[-1].mount_deg
+            clamped_deg = None if left and left[0].mount_deg != last_deg else last_deg
+            mount = None if clamped_deg is None else self._mount(clamped_deg)
+            self.pace.begin(self.plan, moves=True, mount=mount)
+            return clamped_deg
+        mount = self._mount(left[0].mount_deg)
+        if not self.plan.asks_for_mounts:
+            self.pace.begin(self.plan, moves=True, mount=mount)
+            return mount.deg
+        self.pace.begin(self.plan, moves=True)
+        return mount.deg if self.pace.why_not(mount) is None else None
+
+    def _mount(self, mount_deg: float) -> Mount:
+        return Mount(mount_deg, self.plan.mount_axis)
+
+    def _have_turned(self, mount: Mount, left: list[PlannedPose]) -> None:
+        """Has a person clamp the unit anew, while the stage stands where it is.
+
+        Gravity tells the angle about the stage's axis at any angle of the dial. Hands may have pushed the
+        table through its play meanwhile.
+        """
+        self.pace.wait_for_mount(mount)
+        self.felt.touched()
+        self._move_off([pose for pose in left if pose.mount_deg == mount.deg])
 
     def _left(self, planned: list[PlannedPose]) -> list[PlannedPose]:
         """The poses not measured yet; a follow-up decides once more what it has decided before."""
@@ -167,7 +204,7 @@ class Execution:
         dwell = self.pace.stream.kept().between(start_s, end_s)
         if len(dwell.samples) < max(2, 0.5 * (end_s - start_s) * self.pace.rate_hz):
             return None
-        rate_dps = dwell.samples.gyro_dps[:, 0]
+        rate_dps = dwell.samples.gyro_dps[:, self.gyro.along]
         return dwell_reading(
             dwell.samples.time_s,
             dwell.elevation_deg,
@@ -192,22 +229,14 @@ class Execution:
         before = stretch.between(-np.inf, start_s).samples
         move = before.between(self.pace.stood_at_s, start_s)
         dwell = stretch.between(start_s, end_s).samples
-        self.biases.append(dwell_bias(dwell.gyro_dps))
+        bias_std_dps = self.gyro.dwelt(dwell)
         turned_deg = (
             None if before_deg is None or self.pace.stage_deg is None else self.pace.stage_deg - before_deg
         )
-        neighbours_dps = [b for bias in self.biases[-2:] if (b := bias.bias_dps[0]) is not None]
-        gyro_move_deg = (
-            felt_move_deg(
-                move.time_s,
-                move.gyro_dps[:, 0],
-                sum(neighbours_dps) / len(neighbours_dps),
-                1.0 / self.pace.rate_hz,
-                self.rig.axis.travel_s(turned_deg or 0.0),
-            )
-            if neighbours_dps
-            else None
-        )
+        times_s = 1.0 / self.pace.rate_hz, self.rig.axis.travel_s(turned_deg or 0.0)
+        of_mounts: dict[str, float | None] = {}
+        if self.plan.asks_for_mounts:
+            of_mounts = {MOUNT_DEG: planned.mount_deg, **self.gyro.of_all_axes(dwell, move, *times_s)}
         pose = Pose(
             target_deg=planned.target_deg,
             reading_deg=reading.reading_deg,
@@ -222,18 +251,15 @@ class Execution:
             accel_x_g=_mean(dwell.accel_g[:, 0]),
             accel_y_g=_mean(dwell.accel_g[:, 1]),
             accel_z_g=_mean(dwell.accel_g[:, 2]),
-            gyro_move_deg=gyro_move_deg,
+            gyro_move_deg=self.gyro.felt_deg(move, *times_s),
             settle_s=self.plan.settle_s,
+            covariates=of_mounts,
             filtering=Filtering(self._noise, self.pace.rate_hz, self.plan.dwell_s),
         )
         blocks = [block_of(len(self.poses), "move", before), block_of(len(self.poses), "dwell", dwell)]
-        self._conclude(pose, blocks, self._felt(pose, before_deg, move, end_s - start_s))
+        check = self.felt.take(pose, turned_deg, move, bias_std_dps, end_s - start_s)
+        self._conclude(pose, blocks, check)
         self.pace.forget(end_s)
-
-    def _felt(self, pose: Pose, before_deg: float | None, move: Samples, dwell_s: float) -> MoveCheck | None:
-        """Holds the move into a pose against what the unit felt of it."""
-        turned_deg = None if before_deg is None or pose.stage_deg is None else pose.stage_deg - before_deg
-        return self.felt.take(pose, turned_deg, move, self.biases[-1].bias_std_dps[0], dwell_s)
 
     def _conclude(self, pose: Pose, blocks: list[SampleBlock], check: MoveCheck | None) -> None:
         """Stores a pose, and says where the unit felt another move; StageError where that ends the run."""
@@ -247,43 +273,6 @@ class Execution:
         if check is not None and check.verdict == "lost":
             self.rig.place.is_lost()
             raise lost(index, pose, check)
-
-    def gyro_figures(self) -> GyroFigures:
-        """What dwells and moves together say of the gyro."""
-        if not self.biases:
-            return GyroFigures()
-        bias = run_bias(self.biases)
-        turned_deg, felt_deg = zip(*self.felt.moves, strict=True) if self.felt.moves else ((), ())
-        scale = gyro_scale(turned_deg, felt_deg)
-        return GyroFigures(
-            bias.bias_dps,
-            bias.bias_std_dps,
-            None if scale is None else scale.scale,
-            None if scale is None else scale.scale_std,
-        )
-
-    def _wait_before_sweep(self) -> None:
-        """The plan's waits before each sweep: a time, then a die temperature, from whichever side."""
-        end_s = self.pace.stream.clock_s + self.plan.wait_s
-        while self.pace.stream.clock_s < end_s:
-            self.pace.stand_by()
-        wanted_c = self.plan.wait_temperature_c
-        if wanted_c is not None:
-            self._wait_for_temperature(wanted_c)
-
-    def _wait_for_temperature(self, wanted_c: float) -> None:
-        self.pace.synchronise()
-        began_s, began_c = self.pace.stream.clock_s, self.pace.stream.temperature_c
-        while (now_c := self.pace.stream.temperature_c) is not None and began_c is not None:
-            if (now_c >= wanted_c) if began_c < wanted_c else (now_c <= wanted_c):
-                return
-            if self.pace.stream.clock_s - began_s > TEMPERATURE_WAIT_S:
-                raise BoardError(
-                    f"the board has come from {began_c:.1f} °C to {now_c:.1f} °C and not to {wanted_c:g} °C "
-                    f"within {TEMPERATURE_WAIT_S / 3600:g} h; choose a temperature that it reaches"
-                )
-            self.pace.stand_by()
-        raise BoardError("the plan waits for a temperature, and this board does not send one")
 
 
 def _mean(values: FloatArray) -> float | None:

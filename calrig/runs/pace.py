@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calrig.estimation.angles import elevation_deg
 from calrig.estimation.kalman import KalmanFilter, KalmanNoise
-from calrig.instruments.types import GAP_PERIODS
+from calrig.instruments.types import GAP_PERIODS, FloatArray
 from calrig.plan import Plan
-from calrig.runs.control import Control
+from calrig.runs.control import ENDED, Control, Go
+from calrig.runs.mounting import Mount, angle_about_deg
 from calrig.runs.recorder import Recorder
 from calrig.runs.rig import Rig
 from calrig.runs.stream import Stream
@@ -18,7 +18,7 @@ from calrig.runs.stream import Stream
 LOOK_S = 0.02
 """How long one look waits for samples before it turns to stage and requests again."""
 GRAVITY_S = 0.5
-"""How long gravity is averaged, where it is held against a stage that cannot home."""
+"""How long gravity is averaged, where it is held against a stage that cannot home or a mount."""
 WATCH_S = 0.5
 """How often a stage that is to stand is asked whether it does."""
 
@@ -45,29 +45,70 @@ class Pace:
     _stood_deg: float | None = None
     _watched_s: float = 0.0
 
-    def begin(self, plan: Plan, *, moves: bool) -> None:
-        """Starts the board, and makes the stage ready where it is to move: homed, at the plan's velocity."""
+    def begin(self, plan: Plan, *, moves: bool, mount: Mount | None = None) -> None:
+        """Starts the board, and makes the stage ready where it is to move: homed, at the plan's velocity.
+
+        `mount` is how the unit is clamped; None where a person is asked for that next.
+        """
         self.rate_hz = self.rig.board_identity.rate_hz or plan.rate_hz
         kalman = KalmanFilter(KalmanNoise(**self.rig.settings.filter.model_dump()), self.gap_s)
-        self.stream = Stream(self.rig.board, kalman, self.clock_s, self.recorder.meter.samples)
+        count = self.recorder.meter.samples
+        self.stream = Stream(self.rig.board, kalman, self.clock_s, count, plan.mount_axis)
         self.rig.board.start(plan.rate_hz)
         if moves and self.rig.axis.needs_home():
             self.rig.axis.begin_home()
             self.until_it_stands()
-        if moves and not self.rig.stage_identity.homes:
-            self._check_gravity()
+        if moves and mount is not None and not self.rig.stage_identity.homes:
+            self._check_gravity(mount)
         if moves and plan.velocity_dps is not None:  # refused by some controllers before they are referenced
             self.rig.axis.set_velocity(plan.velocity_dps)
         self._stands(self.rig.axis.elevation_deg())
         self.stood_at_s = self.synchronise()  # what the gyro felt before is homing's, and no pose's move
 
-    def _check_gravity(self) -> None:
+    def _check_gravity(self, mount: Mount) -> None:
         """Before anything moves: a stage that cannot home may stand elsewhere than it says."""
+        angle_deg, accel_g = self._gravity(mount)
+        if not np.isnan(accel_g).any():
+            self.rig.place.check_gravity(self.rig.axis.elevation_deg(), angle_deg, mount)
+
+    def why_not(self, mount: Mount) -> str | None:
+        """Why the unit is not clamped so, by what gravity says from now on; None where it is."""
+        angle_deg, accel_g = self._gravity(mount)
+        return mount.refusal(self.rig.axis.elevation_deg(), angle_deg, accel_g)
+
+    def _gravity(self, mount: Mount) -> tuple[float, FloatArray]:
+        """The angle about the unit's axis, and (3,) the mean specific force, NaN where the board has none."""
         self.forget(self.synchronise())
         self.wait_until(self.stood_at_s + GRAVITY_S)
-        mean_g = self.stream.kept().samples.accel_g.mean(axis=0, keepdims=True)
-        if not np.isnan(mean_g).any():
-            self.rig.place.check_gravity(self.rig.axis.elevation_deg(), float(elevation_deg(mean_g)[0]))
+        seen = self.stream.kept()
+        accel_g = seen.samples.accel_g.mean(axis=0)
+        if not np.isnan(accel_g).any():
+            return angle_about_deg(mount.axis, accel_g), accel_g
+        turns = np.exp(1j * np.radians(seen.elevation_deg))
+        return float(np.degrees(np.angle(turns.mean()))), accel_g
+
+    def wait_for_mount(self, mount: Mount) -> None:
+        """Stands until a person has clamped the unit so and says Go, and gravity agrees."""
+        self.recorder.waits_for(mount.asked)
+        with self.control.waiting():
+            refusal: str | None = "nobody said Go"
+            while refusal is not None:
+                self.stand_by()
+                if (go := self.control.take_go()) is not None:
+                    refusal = self._answered(go, mount)
+
+    def _answered(self, go: Go, mount: Mount) -> str | None:
+        """Why the unit is not clamped as it should be; whoever asked is told once the run goes on, or not."""
+        refusal: str | None = ENDED
+        try:
+            refusal = self.why_not(mount)
+            if refusal is None:
+                self.control.resume()  # whoever wished for a pause meanwhile has had it
+                self.recorder.state("running")
+        finally:
+            go.answer(refusal)
+        self.forget(self.synchronise())
+        return refusal
 
     @property
     def gap_s(self) -> float:

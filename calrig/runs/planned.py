@@ -28,8 +28,8 @@ class PlanEstimate:
     Attributes:
         n_poses: poses to be measured; none of a static log.
         elevations_deg: of one sweep, neither ordered nor jittered.
-        duration_s: about how long it takes by the board's clock, without a wait for a temperature; the most,
-            where dwells end as soon as their standard error is reached.
+        duration_s: about how long it takes by the board's clock, without a wait for a temperature or for a
+            person who turns the unit; the most, where dwells end as soon as their standard error is reached.
     """
 
     n_poses: int
@@ -73,7 +73,7 @@ def estimate(plan: Plan, rig: RigSettings, store: Store) -> PlanEstimate:
         (HOMING_AND_START_S if planned else 0.0)
         + _travel_s(targets_deg, plan.velocity_dps or velocity_dps, acceleration_dps2)
         + (1 if static else len(planned)) * (plan.settle_s + plan.dwell_s + QUESTIONS_S)
-        + (0 if static else plan.sweeps) * plan.wait_s
+        + (0 if static else plan.sweeps * len(plan.mounts_deg)) * plan.wait_s
     )
     elevations_deg = [pose.target_deg for pose in planned] if static else plan.elevations()
     return PlanEstimate(0 if static else len(planned), elevations_deg, duration_s)

@@ -15,6 +15,7 @@ from calrig.runs.meter import RunMeter
 from calrig.runs.states import check_transition
 from calrig.store import AT_REST, Announced, Progress, RunChanges, SampleBlock, Status, Store
 from calrig.store.issued import Draft
+from calrig.store.records import WaitingFor
 
 log = logging.getLogger(__name__)
 
@@ -25,7 +26,10 @@ FLUSH_INTERVAL_S = 0.25
 
 
 class Recorder:
-    """One run's way into the store and out to those who watch. Used by the run's own thread only."""
+    """One run's way into the store and out to those who watch. Used by the run's own thread only.
+
+    `sense` is that in which its unit turns with the stage.
+    """
 
     def __init__(
         self,
@@ -36,17 +40,20 @@ class Recorder:
         clock: Clock,
         poses_total: int,
         poses_before: int = 0,
+        sense: int = 1,
     ) -> None:
         self._now_s = clock.now_s
         self._store = store
         self._bus = bus
         self.run_id = run_id
         self.meter = meter
+        self._sense = sense
         self._status: Status = "queued"
         self._poses_total = poses_total
         self._poses_done = self._poses_before = poses_before
         self._first_pose_began_s = self._now_s()
         self._paused_s = 0.0
+        self._waiting_for: WaitingFor | None = None
         self._readings: list[tuple[str, dict[str, Any]]] = []
         self._last_reading_s = self._last_flush_s = -math.inf
 
@@ -60,7 +67,24 @@ class Recorder:
         check_transition(self.run_id, self._status, status)
         self.flush()
         told: RunChanges = {**(changes or {}), "status": status}
-        self._store.update_run(self.run_id, draft=draft, **told)
+        events: list[Announced] = []
+        if self._waiting_for is not None:
+            self._waiting_for = None
+            told["progress"] = self._progress()
+            events = [("progress", told["progress"])]
+        self._store.update_run(self.run_id, events=events, draft=draft, **told)
+        self._became(status, told)
+
+    def waits_for(self, asked: WaitingFor) -> None:
+        """The run is paused until a person has done what is asked; any other state ends that."""
+        check_transition(self.run_id, self._status, "paused")
+        self.flush()
+        self._waiting_for = asked
+        told: RunChanges = {"status": "paused", "progress": self._progress()}
+        self._store.update_run(self.run_id, events=[("progress", told["progress"])], **told)
+        self._became("paused", told)
+
+    def _became(self, status: Status, told: RunChanges) -> None:
         self._tell_watchers(status, told)
         if status == "paused":
             self._paused_s = self._now_s()
@@ -96,7 +120,7 @@ class Recorder:
         self.flush()
         self._poses_done += 1
         progress = self._progress()
-        told = {"index": index, **pose.row(), "raw_error_deg": raw_error_deg(pose)}
+        told = {"index": index, **pose.row(), "raw_error_deg": raw_error_deg(pose, self._sense)}
         events: list[Announced] = [("pose", told), ("progress", progress), *also]
         self._store.add_pose(self.run_id, index, pose, blocks, events, progress=progress, faults=dict(faults))
         self.meter.pose()
@@ -111,6 +135,7 @@ class Recorder:
             "poses_total": 0,
             "fraction": done_s / (done_s + left_s),
             "remaining_s": round(left_s, 1),
+            "waiting_for": None,
         }
         self._store.add_samples(
             self.run_id, [block], [("progress", progress)], progress=progress, faults=dict(faults)
@@ -145,10 +170,14 @@ class Recorder:
             self._bus.wake(self.run_id)
 
     def _progress(self) -> Progress:
-        a_pose_s = (self._now_s() - self._first_pose_began_s) / (self._poses_done - self._poses_before)
+        measured, remaining_s = self._poses_done - self._poses_before, None
+        if measured:
+            a_pose_s = (self._now_s() - self._first_pose_began_s) / measured
+            remaining_s = round(a_pose_s * (self._poses_total - self._poses_done), 1)
         return {
             "poses_done": self._poses_done,
             "poses_total": self._poses_total,
             "fraction": self._poses_done / self._poses_total,
-            "remaining_s": round(a_pose_s * (self._poses_total - self._poses_done), 1),
+            "remaining_s": remaining_s,
+            "waiting_for": self._waiting_for,
         }

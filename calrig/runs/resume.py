@@ -152,7 +152,7 @@ class Returned:
 
 
 def _described(settings: RigSettings) -> dict[str, Any]:
-    return settings.model_dump(mode="json", exclude={"filter", "simulated"})
+    return settings.model_dump(mode="json", exclude={"filter", "simulated", "clamp"})
 
 
 def _require_same(run_id: str, what: str, known: Mapping[str, Any], now: Mapping[str, Any]) -> None:

@@ -22,6 +22,7 @@ class RigState:
     bench: str | None = None
     hall: str | None = None
     last_seen_at: datetime | None = None
+    clamp: str | None = None
 
 
 def state_of(rig: RigSettings, run_id: str | None, *, unreachable: bool) -> RigState:
@@ -45,6 +46,7 @@ def state_of(rig: RigSettings, run_id: str | None, *, unreachable: bool) -> RigS
         simulated=rig.simulated is not None,
         state=state,
         run_id=run_id,
+        clamp=None if rig.clamp is None else rig.clamp.driver,
     )
 
 

@@ -15,9 +15,10 @@ from calrig.analysis.issuing import Issuer, Releases
 from calrig.analysis.origin import check_serial
 from calrig.analysis.stored_runs import stored_run
 from calrig.analysis.unresolved import unresolved
-from calrig.plan import Plan
+from calrig.plan import MountAxis, Plan
 from calrig.processes.pool import Apart, run_apart
 from calrig.runs.bus import Bus
+from calrig.runs.clamps import Clamps
 from calrig.runs.control import End
 from calrig.runs.crew import Crew
 from calrig.runs.errands import Errand
@@ -69,6 +70,7 @@ class RunService:
         self._beginning = threading.Lock()  # held while the store is told of a run that takes a rig
         self._crew = Crew()
         self._stops = Stops(self._crew)
+        self._clamps = Clamps(self._crew)
         self._record = record
 
     def rigs(self) -> list[RigState]:
@@ -140,6 +142,7 @@ class RunService:
             wanted = replace(wanted, verifies=verifies)
         with self._beginning:
             self._crew.require_free(settings.name, wanted.run_id)
+            self._clamps.require_still(settings.name)
             if wanted.stage_at_deg is not None:
                 leave_at(self.store, settings, wanted.stage_at_deg)
             run = wanted.keep(self.store, settings.name, len(planned))
@@ -221,7 +224,16 @@ class RunService:
         """As `stop`, in a thread that is this rig's alone; who asks while it is being told shares that."""
         rig = self._rig(rig_name)
         self._crew.call_off(rig_name)
-        return self._stops.stop(rig, lambda: next(state for state in self.rigs() if state.name == rig.name))
+        return self._stops.stop(rig, lambda: self._state_of(rig))
+
+    def begin_clamp(self, rig_name: str, mount_deg: float, axis: MountAxis) -> Errand[RigState]:
+        """Has a rig's clamp turn the unit, in a thread of its own; errors as of `Clamps.turn`, or Unknown."""
+        rig = self._rig(rig_name)
+        with self._beginning:
+            return self._clamps.turn(rig, mount_deg, axis, lambda: self._state_of(rig))
+
+    def _state_of(self, rig: RigSettings) -> RigState:
+        return next(state for state in self.rigs() if state.name == rig.name)
 
     def pause(self, run_id: str) -> Run:
         """Has the run hold after the pose in hand."""
@@ -234,15 +246,12 @@ class RunService:
         Raises:
             Unknown: there is no such run.
             Conflict: it is neither paused nor interrupted; its rig is busy, not configured any more, or
-                configured otherwise, and how.
+                configured otherwise, and how; the unit that it waits for is not clamped as asked, by gravity.
         """
         run = self.run(run_id)
         if run.status == "interrupted":
             return self._resume_interrupted(run)
-        worker = self._worker(run_id, "resumed")
-        if not worker.control.holding:
-            raise Conflict(f"run {run_id} is not paused")
-        worker.control.resume()
+        self._worker(run_id, "resumed").go_on()
         return self.run(run_id)
 
     def _resume_interrupted(self, run: Run) -> Run:
@@ -285,8 +294,7 @@ class RunService:
 
     def ports(self) -> list[str]:
         """The ports of all rigs."""
-        parts = [part for rig in self._rigs.values() for part in (rig.stage, rig.imu)]
-        return [part.port for part in parts if part is not None]
+        return [part.port for rig in self._rigs.values() for part in rig.devices]
 
     def known_rig(self, name: str | None) -> RigSettings:
         """A rig's settings, those of the first one without a name; Unknown where no such is configured."""

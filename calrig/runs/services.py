@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from calrig.analysis.issuing import Issuer
-from calrig.plan import Plan
+from calrig.plan import MountAxis, Plan
 from calrig.processes.pool import Apart, run_apart
 from calrig.runs.bus import Bus
 from calrig.runs.errands import Errand
@@ -56,6 +56,9 @@ class Service(Protocol):
 
     def begin_stop(self, rig_name: str) -> Errand[RigState]:
         """Stops a rig's stage, in a thread of its own."""
+
+    def begin_clamp(self, rig_name: str, mount_deg: float, axis: MountAxis) -> Errand[RigState]:
+        """Has a rig's clamp turn the unit, in a thread of its own."""
 
     def pause(self, run_id: str) -> Run:
         """Has a run hold."""

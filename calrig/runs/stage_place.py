@@ -12,6 +12,7 @@ from calrig.analysis.errors import NotTheSame
 from calrig.estimation.angles import wrap_deg
 from calrig.instruments.axis import Axis
 from calrig.instruments.errors import InstrumentError, StageError
+from calrig.runs.mounting import Mount
 from calrig.settings import RigSettings
 from calrig.store import Store
 
@@ -58,12 +59,13 @@ class StagePlace:
         zero_deg, gain = _of(self._rig)
         axis.stands_at((left.stage_deg - zero_deg) / gain)
 
-    def check_gravity(self, stage_deg: float, felt_deg: float) -> None:
+    def check_gravity(self, stage_deg: float, felt_deg: float, mount: Mount) -> None:
         """Holds where a stage without homing is said to stand against the gravity that the unit feels there.
 
         Args:
             stage_deg: elevation, as the stage says.
             felt_deg: elevation, by the unit's accelerometer.
+            mount: how the unit is clamped.
 
         Raises:
             StageError: they differ by more than the unit's known bias and `MOST_OFF_DEG`.
@@ -71,7 +73,7 @@ class StagePlace:
         """
         if not self._remembers:
             return
-        expected_deg = self._expected_deg(stage_deg)
+        expected_deg = self._expected_deg(stage_deg, mount)
         if abs(wrap_deg(felt_deg - expected_deg)) <= MOST_OFF_DEG:
             return
         raise self._refusal(
@@ -105,12 +107,13 @@ class StagePlace:
             log.warning("where the stage of rig %r was left is not known: %s", self._rig.name, error)
             self.leaves()
 
-    def _expected_deg(self, stage_deg: float) -> float:
+    def _expected_deg(self, stage_deg: float, mount: Mount) -> float:
         """What the unit reads there by its last calibration on this rig; the elevation, where it has none."""
+        theta_deg = wrap_deg(mount.felt_at(stage_deg))
         run = self._store.latest_calibration_run(self._unit)
-        if run is None or run.result is None or run.rig != self._rig.name:
-            return stage_deg
-        return float(run.result["bias_deg"] + run.result["scale"] * stage_deg)
+        if run is None or run.result is None or run.rig != self._rig.name or mount.axis != "x":
+            return theta_deg
+        return float(run.result["bias_deg"] + run.result["scale"] * theta_deg)
 
 
 def leave_at(store: Store, rig: RigSettings, elevation_deg: float) -> None:

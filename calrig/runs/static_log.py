@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from calrig.plan import Plan, PlannedPose
+from calrig.runs.mounting import Mount
 from calrig.runs.pace import Pace
 from calrig.runs.stream import block_of
 
@@ -25,7 +26,8 @@ def keep_log(plan: Plan, planned: list[PlannedPose], pace: Pace, logged_s: float
         Ended: the run was asked to end; the log so far is stored.
         InstrumentError: a device failed; likewise.
     """
-    pace.begin(plan, moves=bool(planned))
+    mount = Mount(plan.mounts_deg[0], plan.mount_axis)
+    pace.begin(plan, moves=bool(planned), mount=mount)
     for pose in planned:
         pace.move(pose.target_deg)
     between_samples_s = 0.5 / pace.rate_hz  # so that no rounding decides to which block one belongs

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from calrig.estimation.angles import elevation_deg, wrap_deg
+from calrig.estimation.angles import AXES, along_axis, elevation_deg, wrap_deg
 from calrig.estimation.kalman import KalmanFilter
 from calrig.instruments.types import Board, FloatArray, Samples
 from calrig.store import SampleBlock
@@ -20,7 +20,8 @@ class Stretch:
 
     Attributes:
         samples: as the board sent them.
-        elevation_deg: atan2(accel_y, accel_z) of each, or the angle that the board sends instead.
+        elevation_deg: atan2(accel_y, accel_z) of each, or the angle that the board sends instead; about
+            another axis likewise (`along_axis`).
         filtered_deg: the filter's angle after each, continuous; where the board sends no rate to filter with,
             the elevation, which it has filtered itself.
     """
@@ -49,7 +50,8 @@ class Stretch:
 class Stream:
     """Takes samples from a started board, runs the filter over them, keeps them since the last cut.
 
-    `begins_s` is the run's time when the board's clock stands at 0.
+    `begins_s` is the run's time when the board's clock stands at 0; `axis` is the unit's that lies along the
+    stage's.
     """
 
     def __init__(
@@ -58,8 +60,10 @@ class Stream:
         kalman: KalmanFilter,
         begins_s: float = 0.0,
         count: Callable[[int], None] = lambda _taken: None,
+        axis: str = "x",
     ) -> None:
         self._board = board
+        self._axis = axis
         self._count = count
         self._begins_s = begins_s
         self._kalman = kalman
@@ -76,7 +80,9 @@ class Stream:
             return 0
         samples = replace(samples, time_s=samples.time_s + self._begins_s)
         computed = samples.angle_deg
-        elevation = np.where(np.isnan(computed), elevation_deg(samples.accel_g), computed)
+        elevation = np.where(
+            np.isnan(computed), elevation_deg(along_axis(samples.accel_g, self._axis)), computed
+        )
         filtered = self._filtered(samples, elevation)
         self._kept.append(Stretch(samples, elevation, filtered))
         self.clock_s = float(samples.time_s[-1])
@@ -88,7 +94,7 @@ class Stream:
         return len(samples)
 
     def _filtered(self, samples: Samples, elevation: FloatArray) -> FloatArray:
-        rate_dps = samples.gyro_dps[:, 0]
+        rate_dps = samples.gyro_dps[:, AXES.index(self._axis[-1])]
         if not np.isnan(rate_dps).any():
             return self._kalman.run(samples.time_s, elevation, rate_dps)
         before = elevation[0] if self._filtered_deg is None else self._filtered_deg

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from calrig import logs
-from calrig.analysis.errors import NotTheSame
+from calrig.analysis.errors import Conflict, NotTheSame
 from calrig.analysis.issuing import Fitted, Issuer
 from calrig.analysis.results import fitted
 from calrig.instruments.clock import WALL
@@ -22,6 +22,7 @@ from calrig.runs.bus import Bus
 from calrig.runs.control import Control, End, Ended, Left
 from calrig.runs.execution import Execution
 from calrig.runs.meter import Meter
+from calrig.runs.mounting import Mount
 from calrig.runs.pace import Pace
 from calrig.runs.recorder import Recorder
 from calrig.runs.resume import require_same_devices
@@ -35,6 +36,8 @@ from calrig.store.issued import Draft
 
 log = logging.getLogger(__name__)
 
+LOOKS_S = 10.0
+"""How long who says Go waits for what gravity says of the unit, s of the rig's clock."""
 TRY_AGAIN_S = 1.0
 """How often a store that refuses a run's end is asked again: a disk does not stay full for ever."""
 
@@ -73,6 +76,7 @@ class Worker:
             self.clock,
             len(task.planned),
             len(task.earlier.poses),
+            Mount(0.0, task.plan.mount_axis).sense,
         )
         self._left_rig = left_rig
         self._ended = ended
@@ -96,6 +100,20 @@ class Worker:
     def join(self, timeout_s: float | None = None) -> None:
         """Waits until it has ended, or for so many seconds of its rig's time."""
         self._thread.join(timeout_s)
+
+    def go_on(self) -> None:
+        """Ends a pause, or what the run waits for a person to do, or takes a wish for a pause back.
+
+        Raises:
+            Conflict: it is not paused; or the unit is not clamped as the run asks, by gravity.
+        """
+        if (go := self.control.say_go()) is not None:
+            if (refusal := go.refusal(LOOKS_S)) is not None:
+                raise Conflict(refusal)
+        elif self.control.holding:
+            self.control.resume()
+        else:
+            raise Conflict(f"run {self.run_id} is not paused")
 
     def _carry_through(self) -> None:
         """Carries the run out; what is logged meanwhile says which run it is about."""
@@ -250,13 +268,14 @@ class Worker:
     def _note_result(self, execution: Execution) -> None:
         """The result of the poses stored, and the draft that a calibration makes of its unit.
 
-        Neither, where all of the poses were excluded meanwhile.
+        Neither, where all of the poses were excluded meanwhile, or the unit turned about another axis than
+        its x: what it read is no elevation, and for the joint solution alone.
         """
-        run, gyro = self._task.run, execution.gyro_figures()
+        run, gyro = self._task.run, execution.gyro.figures(execution.felt.moves)
         stored = self._store.poses(self.run_id)
         poses = [one.pose for one in stored if one.excluded is None]
         self._fields["result"] = None
-        if not poses:
+        if not poses or self._task.plan.mount_axis != "x":
             return
         if self._task.verifies is not None:
             self._fields["result"] = self._task.verifies.result(poses, gyro).to_dict()

@@ -11,6 +11,7 @@ import signal
 import sys
 from typing import NoReturn
 
+from calrig.simulator.clamp import IndexClamp
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.rig import SimulatedRig
 
@@ -32,7 +33,8 @@ def main(arguments: list[str]) -> int:
     with SimulatedRig(settings) as rig:
         stage = {"driver": rig.stage_driver, "port": rig.stage_port}
         imu = {"driver": rig.imu_driver, "port": rig.imu_port}
-        sys.stdout.write(json.dumps({"stage": stage, "imu": imu}) + "\n")
+        clamp = rig.clamp_port and {"driver": IndexClamp.driver, "port": rig.clamp_port}
+        sys.stdout.write(json.dumps({"stage": stage, "imu": imu, "clamp": clamp}) + "\n")
         sys.stdout.flush()
         sys.stdin.buffer.read()
     return 0

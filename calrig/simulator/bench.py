@@ -29,18 +29,25 @@ class Bench:
     """
 
     def __init__(self, settings: SimulatorSettings) -> None:
-        mechanics_seed, noise_seed = np.random.SeedSequence(settings.seed).spawn(2)
+        mechanics_seed, noise_seed, seat_seed = np.random.SeedSequence(settings.seed).spawn(3)
         self.lock = threading.RLock()
         self.mechanics = Mechanics(settings.mechanics, np.random.default_rng(mechanics_seed))
-        self._mount = Mount(settings.mount)
+        self._mount = Mount(settings.mount, np.random.default_rng(seat_seed))
         self._environment = Environment(settings.environment)
         self._nominal_v = settings.environment.supply_v
         self._imu = Imu(settings.imu)
         self._turns_with_temperature = settings.imu.package_turn_deg_per_c != 0
         self._noise = NoiseSource(settings.imu, noise_seed)
 
+    def clamp(self, at_s: float, mount_deg: float, axis: str = "x") -> float:
+        """Turns the unit in its clamp, from now on; returns the instant at which it sits."""
+        return self._mount.clamp(at_s, mount_deg, axis)
+
     def sensor(self, times_s: FloatArray) -> Turn:
-        """The sensor's true turn about the stage's axis: its elevation, and its rate."""
+        """The sensor's true turn about the stage's axis (with x along it: its elevation), and its rate.
+
+        How it is turned in its case, and how well the clamping is seated, is in `specific_force_g` alone.
+        """
         package = self._mount.package(self.mechanics.table(times_s), times_s)
         if not self._turns_with_temperature:
             return package
@@ -56,11 +63,13 @@ class Bench:
 
     def specific_force_g(self, times_s: FloatArray) -> FloatArray:
         """The true specific force along the sensor's axes, (n, 3)."""
-        return self._mount.specific_force_g(self.sensor(np.asarray(times_s, dtype=float)).angle_deg)
+        times_s = np.asarray(times_s, dtype=float)
+        return self._mount.specific_force_g(self.sensor(times_s).angle_deg, times_s)
 
     def angular_rate_dps(self, times_s: FloatArray) -> FloatArray:
         """The true angular rate along the sensor's axes, (n, 3)."""
-        return self._mount.angular_rate_dps(self.sensor(np.asarray(times_s, dtype=float)).rate_dps)
+        times_s = np.asarray(times_s, dtype=float)
+        return self._mount.angular_rate_dps(self.sensor(times_s).rate_dps, times_s)
 
     def temperature_c(self, times_s: FloatArray) -> FloatArray:
         """The die's true temperature (n,)."""
@@ -80,8 +89,9 @@ class Bench:
             self._environment.supply_v(times_s) - self._nominal_v,
         )
         noise = self._noise.draw(times_s, rate_hz)
-        accel_g = self._imu.accel_g(self._mount.specific_force_g(turn.angle_deg), around)
-        gyro_dps = self._imu.gyro_dps(self._mount.angular_rate_dps(turn.rate_dps), around)
+        force_g = self._mount.specific_force_g(turn.angle_deg, times_s)
+        accel_g = self._imu.accel_g(force_g, around)
+        gyro_dps = self._imu.gyro_dps(self._mount.angular_rate_dps(turn.rate_dps, times_s), force_g, around)
         return self._imu.registers(
             accel_g + noise.accel_g, gyro_dps + noise.gyro_dps, around.die_c + noise.temperature_c
         )

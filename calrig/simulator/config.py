@@ -14,6 +14,7 @@ from calrig.simulator.presets import PRESETS
 Vector = tuple[float, float, float]
 NotNegative = Annotated[float, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
+MountAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
 StageFault = Literal["hang", "garbage", "echo"]
 BoardFault = Literal[
     "silent", "garbage", "corrupt", "gaps", "frozen", "zeros", "clone", "half_lines", "reset"
@@ -21,6 +22,7 @@ BoardFault = Literal[
 NOT_OF_PACKETS = {"zeros", "clone", "half_lines", "reset"}
 NOT_OF_TEXT = {"corrupt", "gaps"}
 
+Pair = Literal["xy", "xz", "yx", "yz", "zx", "zy"]
 ZERO: Vector = (0.0, 0.0, 0.0)
 
 
@@ -55,6 +57,14 @@ class StageOptions(_Options):
     fault: StageFault | None = None
 
 
+class StageHarmonic(_Options):
+    """amplitude·sin(order·φ + phase) at the table's angle φ."""
+
+    order: int = Field(ge=1, le=1000)
+    amplitude_deg: float = Field(ge=-5, le=5)
+    phase_deg: float = 0.0
+
+
 class MechanicsOptions(_Options):
     """From the motor to the table. Angles are the stage's own, zero at its home.
 
@@ -71,6 +81,8 @@ class MechanicsOptions(_Options):
     worm_deg: float = 0.0
     worm_period_deg: Positive = 7.2
     worm_phase_deg: float = 0.0
+    harmonics: tuple[StageHarmonic, ...] = ()
+    """Further errors of the table that close on a turn."""
     motor_step_deg: Positive = 1.8
     """Full step of the motor, at the table: step angle over the gear's ratio."""
     detent_share: float = Field(default=0.0, ge=0, le=0.2)
@@ -90,6 +102,12 @@ class MechanicsOptions(_Options):
             raise ValueError("worm_deg is so large for its worm_period_deg that the table would turn back")
         return self
 
+    @model_validator(mode="after")
+    def _table_never_runs_backwards(self) -> Self:
+        if sum(abs(wave.amplitude_deg) * wave.order for wave in self.harmonics) * 3.1416 / 180 > 0.5:
+            raise ValueError("the harmonics are so large that the table would turn back")
+        return self
+
 
 class MountOptions(_Options):
     """From the table to the sensor's package: how it sits, slips and sags, and how level the axis is.
@@ -101,9 +119,18 @@ class MountOptions(_Options):
     """
 
     offset_deg: float = 0.0
+    """The base is turned about the stage's axis, whichever face is clamped."""
+    roll_deg: float = Field(default=0.0, ge=-45, le=45)
+    """The sensor is turned about x in its case, and comes along into every clamping, as yaw and pitch do."""
     yaw_deg: float = Field(default=0.0, ge=-45, le=45)
     pitch_deg: float = Field(default=0.0, ge=-45, le=45)
     axis_tilt_deg: float = Field(default=0.0, ge=-45, le=45)
+    clamped_deg: float = Field(default=0.0, ge=-360, le=360)
+    """The angle at which the unit sits in its clamp when the rig is switched on."""
+    clamped_axis: MountAxis = "x"
+    """Which of the unit's axes lies along the stage's then."""
+    seat_std_deg: NotNegative = 0.0
+    """How far each clamping is off, about each of three axes, drawn anew every time."""
     slip_deg: float = 0.0
     slip_at_s: NotNegative = 0.0
     slip_s: Positive = 0.05
@@ -144,7 +171,7 @@ class ImuOptions(_Options):
     temperature_noise_c: NotNegative = 0.0
     accel_bias_mg: Vector = ZERO
     accel_gain_error_pct: Vector = ZERO
-    accel_cross_axis_deg: dict[Literal["xy", "xz", "yx", "yz", "zx", "zy"], float] = {}
+    accel_cross_axis_deg: dict[Pair, float] = {}
     """`{"yz": 0.2}`: y measures a_y + a_z·sin 0.2°, and so on for each pair."""
     accel_quadratic_mg_per_g2: Vector = ZERO
     accel_cubic_mg_per_g3: Vector = ZERO
@@ -154,6 +181,10 @@ class ImuOptions(_Options):
     accel_walk_mg_per_rts: NotNegative = 0.0
     gyro_bias_dps: Vector = ZERO
     gyro_scale_error_pct: Vector = ZERO
+    gyro_cross_axis_deg: dict[Pair, float] = {}
+    """As the accelerometer's."""
+    gyro_dps_per_g: tuple[Vector, Vector, Vector] = (ZERO, ZERO, ZERO)
+    """Of each axis, what specific force along x, y, z adds."""
     gyro_bias_dps_per_c: Vector = ZERO
     gyro_walk_dps_per_rts: NotNegative = 0.0
     package_turn_deg_per_c: float = 0.0
@@ -172,6 +203,8 @@ class BoardOptions(_Options):
     firmware: str = "calrig simulated"
     max_rate_hz: int = Field(default=1000, ge=1, le=8000)
     default_rate_hz: int = Field(default=200, ge=1, le=8000)
+    clock_error_ppm: float = Field(default=0.0, ge=-50_000, le=50_000)
+    """How much too fast its resonator runs: its seconds are as much too short."""
     fault: BoardFault | None = None
 
     @model_validator(mode="after")
@@ -187,6 +220,13 @@ class BoardOptions(_Options):
         return self
 
 
+class ClampOptions(_Options):
+    """A motorised dividing head that the unit is clamped in. `fault` makes it answer nothing."""
+
+    firmware: str = "INDEX calrig simulated"
+    fault: Literal["hang"] | None = None
+
+
 class SimulatorSettings(_Options):
     """One simulated rig. Without options: an MPU-6050 with its data sheet's noise on a perfect stage."""
 
@@ -200,6 +240,8 @@ class SimulatorSettings(_Options):
     environment: EnvironmentOptions = EnvironmentOptions()
     imu: ImuOptions = ImuOptions()
     board: BoardOptions = BoardOptions()
+    clamp: ClampOptions | None = None
+    """Without, the unit is turned in its clamp by hand."""
 
     @model_validator(mode="after")
     def _time_is_real_without_a_clock(self) -> Self:
@@ -235,15 +277,24 @@ def _merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     return merged
 
 
+def _model_at(path: Sequence[str | int]) -> type[BaseModel]:
+    """The options that are at a place of the settings."""
+    if not path:
+        return SimulatorSettings
+    if path[0] == "clamp":
+        return ClampOptions
+    return (
+        StageHarmonic if "harmonics" in path else type(SimulatorSettings.model_fields[str(path[0])].default)
+    )
+
+
 def _first_problem(error: ValidationError) -> str:
     problem = error.errors()[0]
     path = [str(part) for part in problem["loc"]]
     where = ".".join(path) or "options"
     if problem["type"] != "extra_forbidden":
         return f"{where}: {problem['msg'].removeprefix('Value error, ')}"
-    model: type[BaseModel] = SimulatorSettings
-    for part in path[:-1]:
-        model = type(model.model_fields[part].default)
+    model = _model_at(problem["loc"][:-1])
     near = difflib.get_close_matches(path[-1], model.model_fields, n=1)
     hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(model.model_fields)}"
     return f"{where}: no such option; {hint}"

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from calrig.simulator.config import ImuOptions
+from calrig.simulator.config import ImuOptions, Pair
 from calrig.simulator.trajectory import FloatArray
 
 Counts = npt.NDArray[np.int16]
@@ -80,9 +81,9 @@ class Imu:
 
     def __init__(self, options: ImuOptions) -> None:
         self._options = options
-        self._cross_axis = np.eye(3)
-        for pair, angle_deg in options.accel_cross_axis_deg.items():
-            self._cross_axis[AXES.index(pair[0]), AXES.index(pair[1])] = math.sin(math.radians(angle_deg))
+        self._cross_axis = _cross_axis(options.accel_cross_axis_deg)
+        self._gyro_cross_axis = _cross_axis(options.gyro_cross_axis_deg)
+        self._gyro_dps_per_g = np.array(options.gyro_dps_per_g)
 
     def package_turn_deg(self, stress_c: FloatArray) -> FloatArray:
         """How far temperature has turned the die in its package about x."""
@@ -109,12 +110,14 @@ class Imu:
         measured: FloatArray = gain * felt + 1e-3 * bias_mg
         return measured
 
-    def gyro_dps(self, rate_dps: FloatArray, around: Surroundings) -> FloatArray:
-        """What the gyro makes of an angular rate (n, 3)."""
+    def gyro_dps(self, rate_dps: FloatArray, force_g: FloatArray, around: Surroundings) -> FloatArray:
+        """What the gyro makes of an angular rate (n, 3) under a specific force (n, 3)."""
         options = self._options
         drift_c = (around.stress_c - options.reference_c)[:, None]
         bias = np.asarray(options.gyro_bias_dps) + drift_c * np.asarray(options.gyro_bias_dps_per_c)
-        measured: FloatArray = (1 + 0.01 * np.asarray(options.gyro_scale_error_pct)) * rate_dps + bias
+        scale = 1 + 0.01 * np.asarray(options.gyro_scale_error_pct)
+        felt_dps = rate_dps @ self._gyro_cross_axis.T
+        measured: FloatArray = scale * felt_dps + bias + force_g @ self._gyro_dps_per_g.T
         return measured
 
     def registers(self, accel_g: FloatArray, gyro_dps: FloatArray, die_c: FloatArray) -> Counts:
@@ -126,3 +129,11 @@ class Imu:
         ]
         rounded = np.rint(np.concatenate(columns, axis=1))
         return np.clip(rounded, -FULL_SCALE_COUNTS, FULL_SCALE_COUNTS - 1).astype(np.int16)
+
+
+def _cross_axis(angles_deg: Mapping[Pair, float]) -> FloatArray:
+    """(3, 3) what each axis measures of the others, on top of itself."""
+    mixed = np.eye(3)
+    for pair, angle_deg in angles_deg.items():
+        mixed[AXES.index(pair[0]), AXES.index(pair[1])] = math.sin(math.radians(angle_deg))
+    return mixed

@@ -1,4 +1,4 @@
-"""Starts a simulated rig as a separate process, so that the service knows it by its two ports alone."""
+"""Starts a simulated rig as a separate process, so that the service knows it by its ports alone."""
 
 from __future__ import annotations
 
@@ -26,13 +26,19 @@ class SimulatedProcess:
     Attributes:
         stage_port, imu_port: what `serial.serial_for_url` opens.
         stage_driver, imu_driver: of calrig, that understand them.
+        clamp: `driver` and `port` of what turns the unit in its clamp; None where hands do that.
     """
 
     def __init__(
-        self, process: subprocess.Popen[str], stage: Mapping[str, str], imu: Mapping[str, str]
+        self,
+        process: subprocess.Popen[str],
+        stage: Mapping[str, str],
+        imu: Mapping[str, str],
+        clamp: Mapping[str, str] | None,
     ) -> None:
         self.stage_port, self.stage_driver = stage["port"], stage["driver"]
         self.imu_port, self.imu_driver = imu["port"], imu["driver"]
+        self.clamp = clamp
         self._process = process
 
     @property
@@ -80,7 +86,7 @@ def launch(options: Mapping[str, Any]) -> SimulatedProcess:
     too_late.cancel()
     try:
         said = json.loads(line)
-        return SimulatedProcess(process, said["stage"], said["imu"])
+        return SimulatedProcess(process, said["stage"], said["imu"], said["clamp"])
     except (ValueError, KeyError) as error:
         _end(process)
         raise LaunchError(

@@ -94,15 +94,18 @@ class Mechanics:
         """Where the table truly is, and how fast it turns.
 
         The gear ends in a table that turns about a centre beside its bearing's: an angle φ becomes
-        φ + A·sin(φ + phase).
+        φ + A·sin(φ + phase), and its divisions and its bearing add waves of further orders.
         """
         geared = self._geared(times_s)
         eccentricity = self._options.eccentricity_deg
         phase = np.radians(geared.angle_deg + self._options.eccentricity_phase_deg)
-        return Turn(
-            geared.angle_deg + eccentricity * np.sin(phase),
-            geared.rate_dps * (1 + np.radians(eccentricity) * np.cos(phase)),
-        )
+        angle_deg = geared.angle_deg + eccentricity * np.sin(phase)
+        ratio = 1 + np.radians(eccentricity) * np.cos(phase)
+        for wave in self._options.harmonics:
+            phase = np.radians(wave.order * geared.angle_deg + wave.phase_deg)
+            angle_deg = angle_deg + wave.amplitude_deg * np.sin(phase)
+            ratio = ratio + np.radians(wave.amplitude_deg) * wave.order * np.cos(phase)
+        return Turn(angle_deg, geared.rate_dps * ratio)
 
     def _drive(self, way: list[Segment]) -> Arrival:
         way, stalled = self._obstructed(way)

@@ -3,44 +3,99 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from calrig.simulator.config import MountOptions
-from calrig.simulator.trajectory import FloatArray, Turn
+from calrig.simulator.trajectory import FloatArray, Trajectory, Turn, trapezoid
 
 STANDARD_GRAVITY_MPS2 = 9.80665
 RELAXATIONS_S = np.logspace(-2.0, 8.0, 21)
 """Retardation times of a joint's springs and dampers, two a decade: it creeps from 10 ms to years."""
 
 
-class Mount:
-    """A package on a table that may sit askew, slip, and bend under a cable."""
+CLAMP_VELOCITY_DPS, CLAMP_ACCELERATION_DPS2 = 60.0, 120.0
+"""Of whoever turns the package in its clamp, a person or a dividing head."""
+FACES = {
+    "x": np.eye(3),
+    "y": np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]),
+    "z": np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]),
+}
+"""From the clamp's axes to the package's, the named one of which lies along the stage's axis.
 
-    def __init__(self, options: MountOptions) -> None:
+At 0° z is up, then x, then y. Reversed faces are turned by half a turn about that vertical.
+"""
+REVERSED = np.diag([-1.0, -1.0, 1.0])
+
+
+class Clamping(NamedTuple):
+    """From an instant on: the matrix (3, 3) from the clamp's axes to the sensor's."""
+
+    from_s: float
+    to_sensor: FloatArray
+
+
+class Mount:
+    """A package in a clamp on a table: it may sit askew, slip, bend under a cable, and be clamped anew.
+
+    Args:
+        options: of it.
+        rng: draws how well each clamping is seated.
+    """
+
+    def __init__(self, options: MountOptions, rng: np.random.Generator | None = None) -> None:
         self._options = options
-        yaw, pitch = math.radians(options.yaw_deg), math.radians(options.pitch_deg)
-        about_z = [[math.cos(yaw), math.sin(yaw), 0], [-math.sin(yaw), math.cos(yaw), 0], [0, 0, 1]]
-        about_y = [[math.cos(pitch), 0, -math.sin(pitch)], [0, 1, 0], [math.sin(pitch), 0, math.cos(pitch)]]
-        self._from_table = np.array(about_y) @ np.array(about_z)
+        self._rng = rng or np.random.default_rng(0)
+        self._in_case = _about("x", options.roll_deg) @ _about("y", options.pitch_deg)
+        self._in_case = self._in_case @ _about("z", options.yaw_deg)
+        self._clamp = Trajectory(options.clamped_deg)
+        self._clampings = [self._seated(-math.inf, options.clamped_axis)]
+
+    def clamp(self, at_s: float, mount_deg: float, axis: str) -> float:
+        """Turns the package in its clamp, or puts it in by another face; returns when that is done."""
+        from_deg = self._clamp.state(at_s)[0]
+        way = trapezoid(at_s, from_deg, mount_deg, CLAMP_VELOCITY_DPS, CLAMP_ACCELERATION_DPS2)
+        self._clamp.replace_from(at_s, way)
+        self._clampings.append(self._seated(way[-1].start_s, axis))
+        return way[-1].start_s
+
+    def _seated(self, from_s: float, axis: str) -> Clamping:
+        """A clamping by a face, each seated as well as it happens."""
+        seat = self._rng.normal(0.0, self._options.seat_std_deg, 3)
+        askew = _about("x", seat[0]) @ _about("y", seat[1]) @ _about("z", seat[2])
+        face = FACES[axis[-1]] @ (REVERSED if axis.startswith("-") else np.eye(3))
+        return Clamping(from_s, self._in_case @ face @ askew)
+
+    def _to_sensor(self, times_s: FloatArray | None) -> FloatArray:
+        """(3, 3), or (n, 3, 3) where the package was clamped anew meanwhile."""
+        if len(self._clampings) == 1 or times_s is None:
+            return self._clampings[0].to_sensor
+        begins = [clamping.from_s for clamping in self._clampings]
+        chosen = np.searchsorted(begins, times_s, side="right") - 1
+        return np.array([clamping.to_sensor for clamping in self._clampings])[chosen]
 
     def package(self, table: Turn, times_s: FloatArray) -> Turn:
-        """The package's turn about the stage's axis."""
-        parts = table, self._sag(table), self._slip(times_s), self._creep(times_s)
+        """The clamp's turn about the stage's axis, the angle at which the package is clamped included."""
+        clamp = self._clamp.at(times_s)
+        parts = table, clamp, self._sag(table), self._slip(times_s), self._creep(times_s)
         angle_deg = sum((part.angle_deg for part in parts), np.full_like(times_s, self._options.offset_deg))
         return Turn(angle_deg, sum((part.rate_dps for part in parts), np.zeros_like(times_s)))
 
-    def specific_force_g(self, angle_deg: FloatArray) -> FloatArray:
-        """Gravity's reaction along the package's axes, (n, 3): the vertical turned, its length always 1 g."""
+    def specific_force_g(self, angle_deg: FloatArray, times_s: FloatArray | None = None) -> FloatArray:
+        """Gravity's reaction along the sensor's axes, (n, 3): the vertical turned, its length always 1 g.
+
+        `times_s` (n,) tells which clamping it was; without, the first.
+        """
         tilt, angle = math.radians(self._options.axis_tilt_deg), np.radians(angle_deg)
         along_axis = np.full_like(angle, math.sin(tilt))
         up = np.stack([along_axis, math.cos(tilt) * np.sin(angle), math.cos(tilt) * np.cos(angle)], axis=-1)
-        felt: FloatArray = up @ self._from_table.T
+        felt: FloatArray = np.einsum("...ij,...j->...i", self._to_sensor(times_s), up)
         return felt
 
-    def angular_rate_dps(self, rate_dps: FloatArray) -> FloatArray:
-        """The turn about the stage's axis along the package's axes, (n, 3)."""
-        rates: FloatArray = rate_dps[..., None] * self._from_table[:, 0]
+    def angular_rate_dps(self, rate_dps: FloatArray, times_s: FloatArray | None = None) -> FloatArray:
+        """The turn about the stage's axis along the sensor's axes, (n, 3)."""
+        rates: FloatArray = rate_dps[..., None] * self._to_sensor(times_s)[..., 0]
         return rates
 
     def _sag(self, table: Turn) -> Turn:
@@ -76,3 +131,16 @@ class Mount:
             (gives_deg * (1.0 - left)).sum(axis=-1),
             (gives_deg * loaded * left / RELAXATIONS_S).sum(axis=-1),
         )
+
+
+def _about(axis: str, angle_deg: float) -> FloatArray:
+    """A vector's components along axes that were turned by this angle about one of themselves.
+
+    Turned about x the elevation rises by it.
+    """
+    s, c = math.sin(math.radians(angle_deg)), math.cos(math.radians(angle_deg))
+    k = "xyz".index(axis)
+    turned = np.eye(3)
+    i, j = (k + 1) % 3, (k + 2) % 3
+    turned[i, i], turned[i, j], turned[j, i], turned[j, j] = c, s, -s, c
+    return turned

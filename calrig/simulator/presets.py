@@ -19,6 +19,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "encoder_resolution_deg": 0.001,
         },
         "mount": {"offset_deg": 0.8},
+        "clamp": {},
         "environment": {
             "start_c": 24.0,
             "end_c": 38.0,

@@ -1,4 +1,4 @@
-"""A whole simulated rig in this process: a bench, its two devices, and the ports they answer on."""
+"""A whole simulated rig in this process: a bench, its devices, and the ports they answer on."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from types import TracebackType
 from typing import Self
 
 from calrig.simulator.bench import Bench
+from calrig.simulator.clamp import IndexClamp
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.dialects import board_of, stage_of
 from calrig.simulator.ports import open_port
@@ -33,14 +34,16 @@ class ScaledClock:
 
 
 class SimulatedRig:
-    """A stage and a board behind two serial ports, from `start` (or `with`) until `stop`.
+    """A stage and a board behind two serial ports, and a clamp behind a third where there is one.
+
+    From `start` (or `with`) until `stop`.
 
     Attributes:
         settings: what it was made of.
         clock: simulated time in seconds since it was made, when called.
         bench: its physics; take `bench.lock` while the rig is running.
         stage, board: its devices; their `fault` may be set at any time.
-        stage_wire, board_wire: each can be pulled out by its `stop`.
+        stage_wire, board_wire, clamp_wire: each can be pulled out by its `stop`.
         stage_port, imu_port: what `serial.serial_for_url` opens.
         stage_driver, imu_driver: of calrig, that understand them.
 
@@ -60,15 +63,28 @@ class SimulatedRig:
         self.stage_wire = _plugged(self.stage, "stage", settings, virtual)
         self.board_wire = _plugged(self.board, "board", settings, virtual, self.board.most_waiting_bytes)
         self.stage_port, self.imu_port = self.stage_wire.url, self.board_wire.url
+        self.clamp_wire: Wire | SimWire | None = None
+        if settings.clamp is not None:
+            clamp = IndexClamp(settings.clamp, self.bench, self.clock)
+            self.clamp_wire = _plugged(clamp, "clamp", settings, virtual)
+
+    @property
+    def clamp_port(self) -> str | None:
+        """What `serial.serial_for_url` opens to have the unit turned; None where hands do that."""
+        return None if self.clamp_wire is None else self.clamp_wire.url
+
+    def _wires(self) -> list[Wire | SimWire]:
+        clamp = [] if self.clamp_wire is None else [self.clamp_wire]
+        return [self.stage_wire, self.board_wire, *clamp]
 
     def start(self) -> None:
-        """Switches both devices on."""
-        for wire in (self.stage_wire, self.board_wire):
+        """Switches its devices on."""
+        for wire in self._wires():
             wire.start()
 
     def stop(self) -> None:
         """Switches them off and closes the ports."""
-        for wire in (self.stage_wire, self.board_wire):
+        for wire in self._wires():
             wire.stop()
 
     def __enter__(self) -> Self:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from typing import Literal, cast, get_args
 from sqlalchemy import func
 from sqlmodel import Session, col, select
 
+from calrig.canonical_json import canonical, sha256_of
 from calrig.store import trail
 from calrig.store.convert import iso_utc, run_row
 from calrig.store.database import Part
@@ -62,17 +62,6 @@ class Revision:
     def document(self) -> Document:
         """CONTRACT section 6."""
         return cast(Document, json.loads(self.text))
-
-
-def canonical(document: Document) -> str:
-    """The text that a document's hash is of: keys in order, no blanks, every character as it is."""
-    return json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
-
-
-def sha256_of(document: Document) -> str:
-    """SHA-256 of a document, its own `sha256` left out: CONTRACT section 6."""
-    bare = {key: value for key, value in document.items() if key != "sha256"}
-    return hashlib.sha256(canonical(bare).encode()).hexdigest()
 
 
 def issue(session: Session, run: RunTable, draft: Draft) -> IssuedCalibrationTable:

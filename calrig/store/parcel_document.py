@@ -16,6 +16,13 @@ class _Delivered(BaseModel):
     model_config = ConfigDict(allow_inf_nan=False)  # what a newer bench says more is left unread
 
 
+class DeliveredWait(_Delivered):
+    """How the unit is to be clamped before it goes on."""
+
+    mount_deg: float
+    mount_axis: Annotated[str, Field(max_length=2)]
+
+
 class DeliveredProgress(_Delivered):
     """How far it was, as CONTRACT section 2 has it."""
 
@@ -23,6 +30,7 @@ class DeliveredProgress(_Delivered):
     poses_total: Annotated[int, Field(ge=0)]
     fraction: float
     remaining_s: float | None
+    waiting_for: DeliveredWait | None = None
 
 
 class DeliveredRun(_Delivered):

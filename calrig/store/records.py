@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from typing import Any, Literal, NamedTuple, TypedDict
+from typing import Any, Literal, NamedTuple, NotRequired, TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -31,13 +31,24 @@ AT_REST: tuple[Status, ...] = (*TERMINAL, "interrupted")
 """Nobody carries the run out: it has ended for good, or was interrupted and can be resumed."""
 
 
+class WaitingFor(TypedDict):
+    """How the unit is to be clamped before a run goes on: the angle, and which axis along the stage's."""
+
+    mount_deg: float
+    mount_axis: str
+
+
 class Progress(TypedDict):
-    """How far a run is; `remaining_s` is null where it is not known."""
+    """How far a run is; `remaining_s` is null where it is not known.
+
+    `waiting_for` is there while the run waits for a person; older runs have none.
+    """
 
     poses_done: int
     poses_total: int
     fraction: float
     remaining_s: float | None
+    waiting_for: NotRequired[WaitingFor | None]
 
 
 class Voided(TypedDict):

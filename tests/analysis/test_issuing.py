@@ -17,9 +17,9 @@ from calrig.analysis.errors import Conflict, Invalid
 from calrig.analysis.issuing import BROUGHT_OVER, Issuer, Releases
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import build_result
+from calrig.canonical_json import canonical
 from calrig.store import Run, Store, StoreDamagedError
 from calrig.store.errors import Refused
-from calrig.store.issued import canonical
 
 POSES = "\n".join(
     f"{x},{0.8 + 1.001 * x + 0.01 * (-1) ** k},{20 + k}" for k, x in enumerate(range(-60, 61, 10))

@@ -9,7 +9,11 @@ from xml.etree import ElementTree
 
 import pytest
 from support import imported, running_service, serving
+from typer.testing import CliRunner
 
+import calrig
+from calrig.cli.main import app
+from calrig.errors import WorkError
 from calrig.export.archive.check import check_archive
 
 POSES = "target_deg,reading_deg\n-30,-29.5\n0,0.4\n30,30.6\n"
@@ -147,3 +151,31 @@ def test_a_verification_applies_the_revision_it_names_and_409_without_one(client
     assert (refused.status_code, "no revision 7" in refused.json()["detail"]) == (409, True)
     wrong = client.post("/api/runs", json={"unit": serial, "plan": {"revision": 1}})
     assert (wrong.status_code, "only a verification" in wrong.json()["detail"]) == (422, True)
+
+
+def test_a_program_applies_the_calibration_at_its_address(client, unit):
+    act(client, unit, 2, "release")
+    address = f"{client.base_url}{unit}/calibration"
+    loaded = calrig.load(address)
+    document = client.get(f"{unit}/calibration").json()
+    assert (loaded.revision, loaded.document) == (2, document)
+    done = CliRunner().invoke(app, ["apply", address], input=POSES)
+    expected = (30.6 - document["bias_deg"]) / document["scale"]
+    assert float(done.stdout.splitlines()[-1].split(",")[2]) == pytest.approx(expected, abs=1e-6)
+    assert loaded.elevation_deg(30.6) == pytest.approx(expected)
+    with pytest.raises(WorkError, match="has no revision 9"):
+        calrig.load(f"{address}?revision=9")
+
+
+def test_a_format_that_cannot_hold_the_calibration_says_why(client, unit):
+    def refused(format_):
+        answer = client.get(f"{unit}/calibration", params={"revision": "latest", "format": format_})
+        return answer.status_code, answer.json()["detail"]
+
+    status, why = refused("px4")
+    assert (status, "revision 2" in why, "bias and scale of an angle" in why) == (409, True, True)
+    status, why = refused("imucal")
+    assert (status, "mount_axis" in why) == (409, True)
+    status, why = refused("kalibr")
+    assert (status, "no noise was measured" in why) == (409, True)
+    assert refused("gazebo")[0] == 422

@@ -42,6 +42,13 @@ def test_a_static_run_tells_the_noise_of_every_channel(shared_client, static_run
     assert {"Distribution"} < {one["caption"] for one in found["figures"]}
 
 
+def test_the_units_noise_is_in_kalibrs_file(shared_client, static_run):
+    answer = shared_client.get("/api/units/N-1/calibration?format=kalibr").raise_for_status()
+    assert f"unit N-1, static run {static_run['id']}" in answer.text
+    density = float(answer.text.split("gyroscope_noise_density: ")[1].split()[0])
+    assert np.degrees(density) == pytest.approx(0.005 / np.sqrt(2), rel=0.2)
+
+
 def test_a_run_with_moves_has_no_static_log_but_its_filters_are_compared(shared_client):
     begun = shared_client.post("/api/runs", json={"unit": "N-2", "plan": QUICK}).json()
     run = ended(shared_client, begun["id"])

@@ -56,12 +56,14 @@ LATER = {
     "calibrations.js",
     "certificate.js",
     "compare.js",
+    "formats.js",
     "history.js",
     "limits.js",
     "rig.js",
     "trail.js",
     "units.js",
     "users.js",
+    "waiting.js",
 }
 """Modules of pages that are fetched when somebody goes there."""
 

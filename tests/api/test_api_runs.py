@@ -41,7 +41,8 @@ def test_a_run_goes_from_start_to_result(shared_client):
     assert (run["operator"], run["note"], run["rig"]) == ("Ada", "first light", "bench-1")
     run = ended(shared_client, run["id"])
     assert (run["status"], run["error"]) == ("completed", None)
-    assert run["progress"] == {"poses_done": 6, "poses_total": 6, "fraction": 1.0, "remaining_s": 0.0}
+    done = {"poses_done": 6, "poses_total": 6, "fraction": 1.0, "remaining_s": 0.0, "waiting_for": None}
+    assert run["progress"] == done
     assert run["result"]["bias_deg"] == pytest.approx(0.8, abs=0.2)  # the simulated mount's offset
     assert run["result"]["gyro"]["bias_dps"] == pytest.approx([1.4, -0.6, 0.3], abs=0.1)
     assert run["created_at"].endswith("Z")

@@ -20,6 +20,7 @@ TOKEN = "the-benches-of-building-4"
 NEEDED = {
     "/api/rigs/{name}/check-unit": "releaser",
     "/api/rigs/scan": "operator",
+    "/api/rigs/{name}/clamp": "operator",
     "/api/runs": "operator",
     "/api/runs/{run_id}/pause": "operator",
     "/api/runs/{run_id}/resume": "operator",

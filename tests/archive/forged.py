@@ -9,9 +9,9 @@ import zipfile
 from collections.abc import Mapping
 from typing import Any
 
+from calrig.canonical_json import sha256_of
 from calrig.export.archive import layout
 from calrig.export.archive.container import Member, Packed, packed
-from calrig.store.issued import sha256_of
 
 
 def members(archive: bytes) -> dict[str, bytes]:

@@ -16,10 +16,10 @@ from forged import container, members, resealed, resigned
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from calrig.canonical_json import sha256_of
 from calrig.export.archive import layout
 from calrig.export.poses_csv import read_poses
 from calrig.store import Store
-from calrig.store.issued import sha256_of
 
 DOCUMENTS = (layout.REVISIONS, layout.EFFECTS, layout.RUNS, layout.MANIFEST)
 

@@ -27,6 +27,9 @@ def test_import_prints_the_run_id_and_export_gives_the_calibration_and_its_poses
     assert by_run == json.loads(calrig("export", "--unit", "A/1").stdout)
     assert (by_run["schema"], by_run["unit"], by_run["run_id"]) == ("calrig.calibration/2", "A/1", run_id)
     assert "A/1" in calrig("export", run_id, "--format", "c-header").stdout
+    why = calrig("export", run_id, "--format", "ardupilot", status=1).stderr
+    assert "bias and scale of an angle" in why
+    assert "no noise was measured" in reason("export", "--unit", "A/1", "--format", "vins", status=1)
     text = calrig("export", "--unit", "A/1", "--format", "csv").stdout
     assert text == calrig("export", run_id, "--format", "csv").stdout
     (folder / "again.csv").write_text(text)

@@ -11,6 +11,7 @@ import plotly.graph_objects as go
 import pytest
 from command_line import calrig, reason
 
+from calrig import load
 from calrig.calibration.correction import calibrated_elevation_deg
 from calrig.simulator.config import ImuOptions
 from calrig.simulator.imu import Imu, Surroundings
@@ -83,6 +84,9 @@ def test_out_has_what_turns_readings_into_elevations(mounts, folder):
     error = found - elevation
     assert np.abs(error - error.mean()).max() < 5.0 * max(document["elevation_std_deg"]["std_deg"])
     assert np.abs(reading - elevation - (reading - elevation).mean()).max() > 1.0, "believing the sensor"
+    np.testing.assert_allclose(load("solved/AS-7.json").elevation_deg(reading), found, atol=1e-9)
+    assert "CAL_ACC0_YOFF" in calrig("export", "solved/AS-7.json", "--format", "px4").stdout
+    assert "c-header, px4" in reason("export", "solved/AS-7.json", "--format", "csv", status=2)
     on_map = json.loads((folder / "solved" / "stage-map.json").read_text(encoding="utf-8"))
     assert np.ptp(on_map["map"]["error_deg"]) == pytest.approx(
         0.3 * 2.0 * math.sin(math.radians(60.0)), abs=0.35
@@ -132,3 +136,21 @@ def test_what_cannot_be_solved_is_refused_in_one_line(mounts, arguments, words):
 def test_runs_that_are_not_there_fail(folder):
     calrig("import", "poses.csv", "--unit", "A")
     assert "there is no run 99" in reason("solve", "99", status=1)
+
+
+def test_a_unit_that_was_reversed_has_its_level_in_its_calibration(mounts, folder):
+    dial = np.linspace(-60.0, 60.0, 40)
+    table = dial + 0.3 * np.sin(np.radians(dial + 40.0))
+    rows = [f"{HEADER},mount_deg,mount_axis"]
+    for d, (y, z) in zip(dial, felt_g(-table + 0.8), strict=True):  # 0 and 0.8: 0.4° of level, and of seat
+        rows.append(f"{d:.4f},{math.degrees(math.atan2(y, z)):.5f},0,{y:.6f},{z:.6f},0,-x")
+    (folder / "reversed.csv").write_text("\n".join(rows))
+    given = ("solve", *mounts, "reversed.csv", "--unit", "AS-7")
+    unstated = json.loads(calrig(*given, "--json").stdout)
+    assert (unstated["level_known"], unstated["units"][0]["level"]["reversals"]) == (False, 1)
+    shown = calrig(*given, "--seat-std", "0.01", "--out", "solved").stdout
+    assert "its level +0.4" in shown
+    document = json.loads((folder / "solved" / "AS-7.json").read_text(encoding="utf-8"))
+    assert document["level_known"]
+    assert document["bias_deg"] == pytest.approx(0.4, abs=4.0 * document["level_std_deg"])
+    assert 0.01 / math.sqrt(2.0) < document["level_std_deg"] < 0.03

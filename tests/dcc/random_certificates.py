@@ -14,13 +14,14 @@ from calrig.calibration.effects import CATALOGUE
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import build_result
 from calrig.calibration.uncertainty import Reference
+from calrig.canonical_json import canonical, sha256_of
 from calrig.export.calibration_json import calibration_content
 from calrig.export.certificate.content import Certificate
 from calrig.export.certificate.making import Sources, certificate_of
 from calrig.laboratory import LaboratorySettings
 from calrig.plan import Plan
 from calrig.store import Run, StoredPose
-from calrig.store.issued import Revision, canonical, sha256_of
+from calrig.store.issued import Revision
 from calrig.store.items import Item
 from calrig.store.records import AcceptedEffect
 from calrig.store.trail import Act, Entry

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from compiled_header import COMPILER, applied, compiled, document
+from compiled_header import COMPILER, applied, compiled, document, test_vectors
+from issued_documents import BIAS_G, MATRIX
 
 from calrig.calibration.correction import (
     calibrated_elevation_deg,
@@ -82,6 +83,19 @@ def test_the_compiled_header_gives_pythons_elevation_to_a_ten_thousandth_of_a_de
 def test_no_serial_number_breaks_the_header(unit, tmp_path):
     program = compiled(c_header(document(unit=unit, run_id=unit)), tmp_path)
     assert applied(program, np.array([0.2537]), np.array([20.0])) == pytest.approx([0.0], abs=1e-6)
+
+
+@needs_a_compiler
+@pytest.mark.parametrize("matrix", [None, MATRIX.tolist()])
+def test_a_program_gives_what_the_headers_own_test_vectors_say(matrix, tmp_path):
+    accelerometer = matrix and {"bias_g": BIAS_G.tolist(), "matrix": matrix}
+    calibration = document([OFFSET, MISMATCH, WARM], accelerometer=accelerometer)
+    found, expected = test_vectors(c_header(calibration), tmp_path, with_matrix=bool(matrix)).T
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+    assert len(found) == (32 if matrix else 14)
+    if matrix:
+        np.testing.assert_allclose(expected[-3:], [0.48, 0.64, -0.6], atol=1e-7)
+        np.testing.assert_allclose(found[14:], expected[14:], atol=1e-6)
 
 
 def test_each_serial_number_has_a_guard_of_its_own():

@@ -247,3 +247,9 @@ def test_the_measured_warm_up_is_144_poses_at_one_elevation():
         angle_deg = math.degrees(math.atan2(pose.accel_y_g, pose.accel_z_g))
         stderr_deg = pose.reading_std_deg / math.sqrt(pose.n_samples)
         assert pose.reading_deg == pytest.approx(angle_deg, abs=stderr_deg)
+
+
+def test_the_angle_of_the_mount_turns_the_elevation_modulo_a_turn():
+    text = "target_deg,stage_deg,reading_deg,mount_deg\n10,10.5,1,350\n20,,2,120\n30,30.1,3,\n"
+    poses = read_poses(text.encode()).poses
+    assert [pose.theta_deg for pose in poses] == pytest.approx([0.5, 140.0, 30.1])

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +14,7 @@ from calrig.calibration.effect import Circumstances
 from calrig.calibration.joint.solution import Solution, solve
 from calrig.export.joint_documents import effects_of
 
-from .oracle import bound_deg, calibrated_error_deg
+from .oracle import angle_deg, bound_deg, calibrated_error_deg
 from .rig import REFERENCE_C, Bench, Design, drawn_stage, drawn_unit
 
 TURN = (-180.0, 180.0)
@@ -114,6 +116,13 @@ def error_deg(bench: Bench, solution: Solution, unit: int = 0) -> np.ndarray:
         return calibrated_elevation_deg(angle_deg, 0.0, 1.0, effects, given)
 
     return calibrated_error_deg(bench, unit, die_c, apply)
+
+
+def absolute_error_deg(bench: Bench, document: Mapping[str, Any]) -> np.ndarray:
+    """(121,) error of a calibration of unit 0 over ±60°, against its case's elevation; nothing removed."""
+    effects = [(effect["name"], effect["parameters"]) for effect in document["effects"]]
+    angle = angle_deg(bench.units[0], GRID + bench.units[0].in_case_deg)
+    return calibrated_elevation_deg(angle, document["bias_deg"], document["scale"], effects) - GRID
 
 
 def _still(bench: Bench):

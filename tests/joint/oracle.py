@@ -30,10 +30,10 @@ def bound_deg(bench: Bench, *, linear: bool = False) -> float:
         return np.concatenate([changed.felt_g(visit).ravel() for visit in changed.visits])
 
     def elevation(numbers: np.ndarray) -> np.ndarray:
-        return _angle_deg(_bench(bench, numbers).units[0], GRID_DEG)
+        return angle_deg(_bench(bench, numbers).units[0], GRID_DEG)
 
     columns = _slopes(response, start)[:, free]
-    slope = (_angle_deg(bench.units[0], GRID_DEG + STEP) - _angle_deg(bench.units[0], GRID_DEG - STEP)) / (
+    slope = (angle_deg(bench.units[0], GRID_DEG + STEP) - angle_deg(bench.units[0], GRID_DEG - STEP)) / (
         2 * STEP
     )
     wrong = -_slopes(elevation, start)[:, free] / slope[:, None]
@@ -48,11 +48,11 @@ def bound_deg(bench: Bench, *, linear: bool = False) -> float:
 
 def calibrated_error_deg(bench: Bench, unit: int, die_c: float, apply) -> np.ndarray:
     """(121,) what `apply` makes of the unit's angle over ±60°, less the truth and its own mean."""
-    error = apply(_angle_deg(bench.units[unit], GRID_DEG, die_c)) - GRID_DEG
+    error = apply(angle_deg(bench.units[unit], GRID_DEG, die_c)) - GRID_DEG
     return error - error.mean()
 
 
-def _angle_deg(unit: Unit, elevation_deg: np.ndarray, die_c: float = 25.0) -> np.ndarray:
+def angle_deg(unit: Unit, elevation_deg: np.ndarray, die_c: float = 25.0) -> np.ndarray:
     force = about_x(elevation_deg) @ np.array([0.0, 0.0, 1.0])
     felt = unit.felt_g(force, np.full(len(elevation_deg), die_c))
     return np.degrees(np.arctan2(felt[:, 1], felt[:, 2]))

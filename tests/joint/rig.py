@@ -31,6 +31,8 @@ class Unit:
     quadratic_mg: tuple[float, float] = (0.0, 0.0)
     cubic_mg: tuple[float, float] = (0.0, 0.0)
     mg_per_c: tuple[float, float] = (0.0, 0.0)
+    in_case_deg: float = 0.0
+    """By how much the sensor is turned about x in its case: the level."""
 
     def felt_g(self, force_g: np.ndarray, die_c: np.ndarray) -> np.ndarray:
         """(n, 3) what it makes of a specific force (n, 3)."""
@@ -63,7 +65,10 @@ class Stage:
 
 @dataclass(frozen=True)
 class Visit:
-    """One clamping of a unit: the angle in truth, and the dial's angles that it was taken to."""
+    """One clamping of a unit: the angle of its seat in truth, and the dial's angles that it was taken to.
+
+    `reversed` is with the same face, turned by 180° about the vertical; `askew_deg` by so much more.
+    """
 
     unit: int
     clamp_deg: float
@@ -72,6 +77,8 @@ class Visit:
     die_c: np.ndarray
     nominal_deg: float = 0.0
     name: str = "a"
+    reversed: bool = False
+    askew_deg: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -84,13 +91,22 @@ class Bench:
     noise_deg: float = 0.03
     correlation: float = 0.0
     """Of the noise from one pose to the next."""
+    base_deg: float = 0.0
+    """By how much the base is out of level about the stage's axis."""
+    axis_out_deg: float = 0.0
+    """By how much the axis itself is."""
 
     def felt_g(self, visit: Visit) -> np.ndarray:
         """(n, 2) a_y and a_z without noise."""
         table = self.stage.table_deg(visit.dial_deg, visit.approach)
-        turn = about_x(table) @ about_x(np.full(len(table), visit.clamp_deg))
-        force = turn @ np.array([0.0, 0.0, 1.0])
-        return self.units[visit.unit].felt_g(force, visit.die_c)[:, 1:]
+        unit, n = self.units[visit.unit], len(table)
+        on_seat = about_x(np.full(n, visit.clamp_deg)) @ about_x(table) @ about_x(np.full(n, self.base_deg))
+        in_case = about_z(180.0 * visit.reversed + visit.askew_deg) @ on_seat
+        out = math.radians(self.axis_out_deg)
+        force = (
+            about_x(np.full(n, unit.in_case_deg)) @ in_case @ np.array([math.sin(out), 0.0, math.cos(out)])
+        )
+        return unit.felt_g(force, visit.die_c)[:, 1:]
 
     def measured(self, rng: np.random.Generator, *, accel: bool = True) -> list[Mounted]:
         """The poses of each clamping."""
@@ -98,7 +114,8 @@ class Bench:
         for visit in self.visits:
             vector = self.felt_g(visit) + self._noise_g(rng, len(visit.dial_deg))
             poses = poses_of(visit, vector, accel=accel)
-            found.append(Mounted(f"U{visit.unit}", visit.name, visit.nominal_deg, "rig", poses))
+            axis = "-x" if visit.reversed else "x"
+            found.append(Mounted(f"U{visit.unit}", visit.name, visit.nominal_deg, "rig", poses, axis))
         return found
 
     def _noise_g(self, rng: np.random.Generator, n: int) -> np.ndarray:
@@ -115,6 +132,12 @@ def about_x(angle_deg: np.ndarray) -> np.ndarray:
     s, c = np.sin(np.radians(angle_deg)), np.cos(np.radians(angle_deg))
     one, nil = np.ones_like(s), np.zeros_like(s)
     return np.stack([one, nil, nil, nil, c, s, nil, -s, c], axis=1).reshape(-1, 3, 3)
+
+
+def about_z(angle_deg: float) -> np.ndarray:
+    """(3, 3) a rotation about the vertical of the case."""
+    s, c = math.sin(math.radians(angle_deg)), math.cos(math.radians(angle_deg))
+    return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def poses_of(visit: Visit, vector_g: np.ndarray, *, accel: bool = True) -> list[Pose]:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calrig.calibration.joint.advice import advised
 from calrig.calibration.joint.report import solution_document
 
 from .cases import BOUNDS, COVERAGE, UNTOLD, Case, error_deg, judge, solved
@@ -55,6 +56,30 @@ def test_what_the_poses_cannot_tell_is_said_with_what_would_help(name):
     assert then_deg == pytest.approx(bound_deg(helped), rel=0.25), "by the bound, at the noise that was found"
     wrong = math.sqrt(float(np.mean(error_deg(bench, solution) ** 2)))
     assert wrong < 3.0 * document["advice"]["elevation_std_deg_now"]
+
+
+def test_what_is_advised_keeps_to_the_limits_of_the_stage():
+    solution = solved(UNTOLD["one mount, ±60°"].bench(1), 1, linear=False)
+    here, wider, turn = (advised(solution, limits) for limits in (None, (-90.0, 90.0), (-200.0, 200.0)))
+    assert "from -60° to" in here.says
+    assert "from -90° to 90° of the dial" in wider.says
+    assert "from -180° to 180° of the dial" in turn.says
+    assert here.then_deg > wider.then_deg
+    assert advised(solved(BOUNDS["0/120/240, ±60°, cubic"].bench(1), 1, linear=False)) is None
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize("name", UNTOLD)
+def test_who_follows_the_advice_gets_what_it_says(name):
+    said, reached = [], []
+    for seed in range(20):
+        bench = UNTOLD[name].bench(seed)
+        advice = advised(solved(bench, seed, linear=False))
+        plan = Design(tuple(advice.mounts_deg), UNTOLD[name].design.arc_deg)
+        followed = replace(bench, visits=plan.visits(np.random.default_rng(seed)))
+        reached.append(np.mean(error_deg(followed, solved(followed, seed, linear=False)) ** 2))
+        said.append(advice.then_deg**2)
+    assert np.mean(reached) < 1.5 * np.mean(said), "as much as twenty seeds of a mean of squares scatter by"
 
 
 def test_units_that_are_stated_to_be_linear_and_are_not_are_told_of():

@@ -8,6 +8,7 @@ import json
 import numpy as np
 import pytest
 
+from calrig.calibration.application import Application
 from calrig.calibration.correction import calibrated_elevation_deg, numbers_of
 from calrig.calibration.joint.report import solution_document
 from calrig.calibration.joint.stage_map import basis
@@ -69,6 +70,17 @@ def test_the_files_are_hashed_and_make_a_header(solution):
         plain = json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
         assert stated == hashlib.sha256(plain.encode()).hexdigest()
     assert "axis_nonlinearity" in c_header({"revision": 1, **json.loads(files["U0.json"])})
+
+
+def test_applied_its_elevations_are_worth_what_it_says(solution):
+    application = Application.of_document(unit_document(solution, 0))
+    left = calibrated_error_deg(
+        THREE.bench(6), 0, 25.0, lambda angle_deg: application.elevation_deg(angle_deg, None)
+    )
+    np.testing.assert_allclose(left, error_deg(THREE.bench(6), solution), atol=1e-9)
+    worth = solution.worths[0]
+    std = application.std_deg(worth.elevation_deg)
+    np.testing.assert_allclose(std, np.hypot(solution.noise_deg, worth.std_deg), rtol=1e-9)
 
 
 def test_the_maps_series_is_the_map(solution):

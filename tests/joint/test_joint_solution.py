@@ -172,9 +172,9 @@ def test_the_noise_is_found_and_shrinks_with_the_poses(bench, scale):
 
 def test_a_parameter_that_the_data_tell_is_not_held_back_by_what_was_known_before(bench):
     solution = solved(bench, 0, linear=False)
-    free = solution.fit.problem.free()
+    free = solution.fit.problem.free
     own = np.flatnonzero(free[: solution.fit.problem.first_mount])
-    stds = np.sqrt(np.diag(solution.fit.covariance))[own]
+    stds = np.sqrt(np.diag(solution.fit.covariance_at(own)))
     assert (stds < 0.02 * solution.fit.problem.widths()[own]).all()
 
 
@@ -221,6 +221,26 @@ def test_poses_that_were_given_twice_are_refused(lots):
         solve([*lots, replace(lots[1], source="b.csv", mount="b", unit="other")])
 
 
+def test_most_poses_of_a_file_in_another_are_refused_whatever_it_is_called(lots):
+    part = [replace(p, accel_y_g=None, accel_z_g=None) for p in lots[1].poses[:30]]
+    own = [replace(p, reading_deg=p.reading_deg + 0.02) for p in lots[1].poses[30:40]]
+    with pytest.raises(
+        DiagnosisError, match=r"b\.csv .* holds 30 of the same poses as rig \(unit U0, mount m1\)"
+    ):
+        solve([*lots, replace(lots[1], source="b.csv", mount="b", unit="other", poses=[*part, *own])])
+
+
+def test_two_units_of_one_name_are_told_of(lots, bench):
+    other = replace(bench, units=(Unit((-40.0, 30.0)),)).measured(np.random.default_rng(9))
+    two = [
+        replace(lot, poses=[*lot.poses, *(replace(p, time_s=p.time_s + 30.0) for p in more.poses)])
+        for lot, more in zip(lots, other, strict=True)
+    ]
+    said = told(two)["warnings"]
+    assert any("mount m0 of unit U0: at 30 s its stage stands at -49" in sentence for sentence in said)
+    assert any("as no unit at rest does" in sentence for sentence in said)
+
+
 def test_a_mount_of_one_pose_is_left_out_and_said(lots):
     found = told([*lots, replace(lots[0], mount="lone", poses=[replace(lots[0].poses[0], reading_deg=9.0)])])
     assert any("mount lone of unit U0 has 1 pose" in sentence for sentence in found["warnings"])
@@ -252,5 +272,9 @@ def test_too_few_poses_and_other_axes_are_refused(lots):
         solve([replace(lots[0], poses=lots[0].poses[:4])])
     with pytest.raises(DiagnosisError, match="12 poses are too few for 20 parameters"):
         solve([replace(lot, poses=lot.poses[:4]) for lot in lots])
-    with pytest.raises(DiagnosisError, match="mount m0 has its axis -x along the stage's"):
+    with pytest.raises(DiagnosisError, match=r"m0 .*other way round \(mount_axis x\)"):
         solve([replace(lots[0], axis="-x"), *lots[1:]])
+    with pytest.raises(DiagnosisError, match="mount m0 of unit U0 has its axis z along the stage's"):
+        solve([replace(lots[0], axis="z"), *lots[1:]])
+    with pytest.raises(DiagnosisError, match="mount m1 of unit U0: mount_axis is 'left', which is none of"):
+        solve([lots[0], replace(lots[1], axis="left"), lots[2]])

@@ -25,7 +25,8 @@ def test_a_log_is_kept_whole_and_even_and_nothing_moves(
     assert np.diff(log.time_s) == pytest.approx(1 / LOG.rate_hz, abs=2e-6)
     assert not bench.table_dps(before_s, bench.now_s).any()
     assert store.poses(run.id) == []
-    assert run.progress == {"poses_done": 0, "poses_total": 0, "fraction": 1.0, "remaining_s": 0.0}
+    done = {"poses_done": 0, "poses_total": 0, "fraction": 1.0, "remaining_s": 0.0, "waiting_for": None}
+    assert run.progress == done
     assert len(store.samples(run.id, 0)) == len(log)
     with pytest.raises(NotFound, match="has no pose 1"):
         store.samples(run.id, 1)

@@ -26,7 +26,9 @@ def confirm(page, reason):
     page.get_by_test_id("confirm").click()
 
 
-def test_page_and_file_show_the_same_revision_after_effects_and_exclusions(page, client, go, expect):
+def test_page_and_file_show_the_same_revision_after_effects_and_exclusions(
+    page, client, go, expect, forgiven
+):
     run = imported(client, "ONE-1")
     client.post(f"/api/runs/{run['id']}/poses/2/exclude", json={"reason": "knocked"}).raise_for_status()
     go("#/units/ONE-1")
@@ -39,6 +41,9 @@ def test_page_and_file_show_the_same_revision_after_effects_and_exclusions(page,
     with page.expect_download() as download:
         page.locator("#calibration-json").click()
     assert json.loads(download.value.path().read_text()) == document
+    forgiven.append(r"409 \(Conflict\)")
+    page.locator("[data-format='px4']").click()
+    expect(page.locator("#format-refused")).to_contain_text("bias and scale of an angle")
     row = page.locator("#revisions-table [data-revision='2']")
     expect(row).to_contain_text("pose 2 of run")
     expect(page.locator("#revisions-table [data-revision='1']")).to_contain_text("superseded")

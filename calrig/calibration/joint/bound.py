@@ -15,9 +15,12 @@ from calrig.calibration.joint.elevation import Worth, worth
 from calrig.calibration.joint.least_squares import Fit, at_parameters
 from calrig.calibration.joint.problem import Problem
 from calrig.calibration.joint.table import Intp, Mount
+from calrig.estimation.angles import FloatArray
 
 
-def mounted_otherwise(fit: Fit, unit: int, rows: Intp, mounts_deg: Sequence[float]) -> Worth:
+def mounted_otherwise(
+    fit: Fit, unit: int, rows: Intp, mounts_deg: Sequence[float], dial_deg: FloatArray | None = None
+) -> Worth:
     """What one unit's elevation would be worth, clamped at other angles.
 
     Args:
@@ -25,10 +28,13 @@ def mounted_otherwise(fit: Fit, unit: int, rows: Intp, mounts_deg: Sequence[floa
         unit: by index.
         rows: poses whose dial angles each mount is taken to.
         mounts_deg: angles of the clampings.
+        dial_deg: of these poses, in place of their own.
     """
     problem, n = fit.problem, len(mounts_deg)
+    poses = problem.table.rows(np.tile(rows, n))
     table = replace(
-        problem.table.rows(np.tile(rows, n)),
+        poses,
+        dial_deg=poses.dial_deg if dial_deg is None else np.tile(dial_deg, n),
         units=(problem.table.units[unit],),
         mounts=tuple(Mount(f"{angle:g}°", 0, angle) for angle in mounts_deg),
         mount=np.repeat(np.arange(n), len(rows)),

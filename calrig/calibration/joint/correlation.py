@@ -38,9 +38,7 @@ def correlation_of(fit: Fit) -> float:
 def _criterion(fit: Fit, rho: float) -> float:
     """−2 log of the restricted likelihood, the noise profiled out; linear about the fit."""
     problem = replace(fit.problem, correlation=rho)
-    normal, free = problem.normal(fit.parameters, fit.weights), problem.free()
-    matrix = (normal.matrix + np.diag(fit.noise**2 * problem.widths() ** -2.0))[np.ix_(free, free)]
-    ahead = normal.gradient[free]
-    squares = max(normal.squares - float(ahead @ np.linalg.solve(matrix, ahead)), LEAST_SQUARES)
-    determinant = float(np.linalg.slogdet(matrix)[1])
-    return fit.freedom * float(np.log(squares)) + normal.log_variance + determinant
+    normal = problem.normal(fit.parameters, fit.weights)
+    inverse = problem.inverse(normal.matrix + np.diag(fit.noise**2 * problem.widths() ** -2.0))
+    squares = max(normal.squares - float(normal.gradient @ inverse.solve(normal.gradient)), LEAST_SQUARES)
+    return fit.freedom * float(np.log(squares)) + normal.log_variance + inverse.log_determinant

@@ -1,4 +1,4 @@
-"""What a calibrated elevation is worth, relative to its mean over a range: its level the data cannot tell."""
+"""What a calibrated elevation is worth: less its mean over a range, or whole where its level is known."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calrig.calibration.joint.least_squares import Fit
+from calrig.calibration.joint.level import Level
 from calrig.calibration.joint.unit_model import CURVATURES, NAMES, felt
 from calrig.estimation.angles import FloatArray, wrap_deg
 
@@ -17,16 +18,18 @@ STEP = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Worth:
-    """Standard errors of a unit's calibrated elevation over a range, its mean over it removed.
+    """Standard errors of a unit's calibrated elevation over a range.
 
     Attributes:
         elevation_deg, std_deg: (m,).
         by_parameters: (m, p) of all the model's parameters, rad of elevation.
+        common_variance: of all elevations together, rad², beside what comes by the parameters.
     """
 
     elevation_deg: FloatArray
     std_deg: FloatArray
     by_parameters: FloatArray
+    common_variance: float = 0.0
 
     @property
     def rms_deg(self) -> float:
@@ -34,16 +37,17 @@ class Worth:
         return float(np.sqrt(np.mean(self.std_deg**2)))
 
 
-def worth(fit: Fit, unit: int) -> Worth:
-    """By the full covariance of the joint fit."""
+def worth(fit: Fit, unit: int, level: Level | None = None) -> Worth:
+    """By the full covariance of the joint fit; without a level of the elevation less its mean."""
     grid = grid_deg(fit, unit)
     own = felt(fit.parameters[fit.problem.unit_at(unit)], np.radians(grid))
     turn = own.turned(own.by_elevation[:, :, None])
     by_parameters = np.zeros((len(grid), fit.problem.size))
     by_parameters[:, fit.problem.unit_at(unit)] = -own.turned(own.by_parameters) / turn
-    by_parameters -= by_parameters.mean(axis=0)
-    variance = np.einsum("gi,ij,gj->g", by_parameters, fit.covariance, by_parameters)
-    return Worth(grid, np.degrees(np.sqrt(np.maximum(variance, 0.0))), by_parameters)
+    by_parameters -= by_parameters.mean(axis=0) if level is None else level.by_parameters
+    common = 0.0 if level is None else level.own_variance
+    variance = np.diag(fit.covariance_of(by_parameters)) + common
+    return Worth(grid, np.degrees(np.sqrt(np.maximum(variance, 0.0))), by_parameters, common)
 
 
 def range_deg(fit: Fit, unit: int) -> tuple[float, float]:
@@ -85,4 +89,6 @@ def polynomial(fit: Fit, unit: int) -> tuple[FloatArray, FloatArray]:
         ],
         axis=1,
     )
-    return coefficients(own), slopes @ fit.covariance[at, at] @ slopes.T
+    by_parameters = np.zeros((2, fit.problem.size))
+    by_parameters[:, at] = slopes
+    return coefficients(own), fit.covariance_of(by_parameters)

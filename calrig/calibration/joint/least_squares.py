@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calrig.calibration.joint.arrow import Inverse
 from calrig.calibration.joint.problem import Normal, Problem
-from calrig.calibration.joint.table import BoolArray
-from calrig.calibration.joint.unit_model import felt
+from calrig.calibration.joint.table import BoolArray, Intp
 from calrig.calibration.outliers import most_outliers
 from calrig.estimation.angles import FloatArray
 
@@ -39,7 +39,7 @@ class Fit:
 
     Attributes:
         parameters: (p,) radians and g.
-        covariance: (p, p); 0 of what is not free.
+        inverse: the covariance over the noise's square; 0 of what is not free.
         noise: standard deviation of one component of a pose, g, which is its angle's in rad.
         freedom: its degrees of freedom.
         normal: about the parameters, unweighted poses left out.
@@ -48,11 +48,19 @@ class Fit:
 
     problem: Problem
     parameters: FloatArray
-    covariance: FloatArray
+    inverse: Inverse
     noise: float
     freedom: float
     normal: Normal
     weights: FloatArray
+
+    def covariance_of(self, rows: FloatArray) -> FloatArray:
+        """(m, m) of what is linear (m, p) in the parameters."""
+        return self.noise**2 * self.inverse.between(rows)
+
+    def covariance_at(self, places: Intp) -> FloatArray:
+        """(m, m) of some parameters."""
+        return self.covariance_of(np.eye(len(self.parameters))[places])
 
     @property
     def kept(self) -> BoolArray:
@@ -61,12 +69,7 @@ class Fit:
 
     def left(self) -> FloatArray:
         """(n,) angle measured less angle expected, rad."""
-        table, found = self.problem.table, np.zeros(len(self.weights))
-        elevation = self.problem.elevations(self.parameters)
-        for unit in range(len(table.units)):
-            rows = np.flatnonzero(table.unit == unit)
-            own = self.parameters[self.problem.unit_at(unit)]
-            found[rows] = table.angle()[rows] - felt(own, elevation[rows], table.warmer_c[rows]).angle()
+        found = self.problem.table.angle() - self.problem.expected(self.parameters).angle()
         return np.asarray(np.angle(np.exp(1j * found)))
 
 
@@ -81,7 +84,7 @@ def fitted(
         start: (p,) where to begin; from faultless units without it.
         robust: poses far off count less, after Huber; the noise is then that of the most.
     """
-    free, prior = problem.free(), problem.widths() ** -2.0
+    free, prior = problem.free, problem.widths() ** -2.0
     centre = problem.start()
     parameters = np.where(free, centre if start is None else start, 0.0)
     centre = np.where(free, centre, 0.0)
@@ -92,38 +95,38 @@ def fitted(
         if robust and step > 1:
             own = weights * _huber(normal, noise)
             normal = problem.normal(parameters, own)
-        matrix = normal.matrix + np.diag(noise**2 * prior)
-        ahead = normal.gradient - noise**2 * prior * (parameters - centre)
-        inverse = _inverse(matrix, free)
-        change = inverse @ ahead
+        inverse = _inverse(problem, normal, noise)
+        change = inverse.solve(normal.gradient - noise**2 * prior * (parameters - centre))
         parameters = parameters + change
         if np.abs(change).max(initial=0.0) == 0.0 or _is_small(change, inverse, noise):
             break
     normal = problem.normal(parameters, own)
-    freedom = _freedom(problem, normal, weights, noise)
+    freedom = _freedom(problem, normal, weights, _inverse(problem, normal, noise))
     noise = noise if robust else max(float(np.sqrt(normal.squares / freedom)), LEAST_NOISE)
-    return Fit(problem, parameters, _covariance(problem, normal, noise), noise, freedom, normal, weights)
+    inverse = _inverse(problem, normal, noise)
+    return Fit(problem, parameters, inverse, noise, freedom, normal, weights)
 
 
 def at_parameters(problem: Problem, parameters: FloatArray, noise: float) -> Fit:
     """What a fit of such poses would find, were these the parameters and this the noise."""
     weights = np.ones(len(problem.table))
     normal = problem.normal(parameters, weights)
-    freedom = _freedom(problem, normal, weights, noise)
-    return Fit(problem, parameters, _covariance(problem, normal, noise), noise, freedom, normal, weights)
+    inverse = _inverse(problem, normal, noise)
+    freedom = _freedom(problem, normal, weights, inverse)
+    return Fit(problem, parameters, inverse, noise, freedom, normal, weights)
 
 
-def _covariance(problem: Problem, normal: Normal, noise: float) -> FloatArray:
-    """(p, p) by the data and what is known before them."""
-    known = np.diag(noise**2 * problem.widths() ** -2.0)
-    return noise**2 * _inverse(normal.matrix + known, problem.free())
+def _inverse(problem: Problem, normal: Normal, noise: float) -> Inverse:
+    """The covariance over the noise's, by the data and what is known before them."""
+    matrix = normal.matrix.copy()
+    matrix[np.diag_indices_from(matrix)] += noise**2 * problem.widths() ** -2.0
+    return problem.inverse(matrix)
 
 
-def _freedom(problem: Problem, normal: Normal, weights: FloatArray, noise: float) -> float:
+def _freedom(problem: Problem, normal: Normal, weights: FloatArray, inverse: Inverse) -> float:
     """Responses less the parameters that they tell: the trace of the matrix that predicts them."""
     responses = float(((1 + problem.table.has_vector) * weights).sum())
-    told = _covariance(problem, normal, noise) / noise**2 * normal.matrix
-    return max(responses - float(told.sum()), 1.0)
+    return max(responses - inverse.times_trace(normal.matrix), 1.0)
 
 
 def without_wild_poses(problem: Problem) -> tuple[Fit, FloatArray]:
@@ -149,10 +152,14 @@ def without_wild_poses(problem: Problem) -> tuple[Fit, FloatArray]:
 
 def distances(fit: Fit) -> FloatArray:
     """(n,) how far each pose lies from what the others say of it, in standard deviations."""
-    inverse = fit.covariance / fit.noise**2
+    problem, inverse = fit.problem, fit.inverse.whole()
     far = np.linalg.norm(fit.normal.residuals, axis=1) / fit.noise
-    for rows, at, derivatives in fit.normal.blocks:
-        share = np.einsum("nri,ij,nrj->nr", derivatives, inverse[np.ix_(at, at)], derivatives).max(axis=1)
+    of_map = np.arange(problem.first_order, problem.size)
+    for k in range(len(problem.table.mounts)):
+        rows = np.flatnonzero(problem.table.mount == k)
+        at = np.concatenate([problem.own_at(k), of_map])
+        derivatives = fit.normal.derivatives[rows]
+        share = ((derivatives @ inverse[np.ix_(at, at)]) * derivatives).sum(axis=2).max(axis=1)
         room = 1.0 - np.where(fit.kept[rows], share, -share)
         far[rows] /= np.sqrt(np.clip(room, 0.05, None))
     return np.asarray(far)
@@ -171,16 +178,7 @@ def _noise(problem: Problem, normal: Normal, weights: FloatArray) -> float:
     return max(float(np.sqrt(np.median(scaled[weights > 0.0]))), LEAST_NOISE)
 
 
-def _is_small(change: FloatArray, inverse: FloatArray, noise: float) -> bool:
-    errors = noise * np.sqrt(np.maximum(np.diag(inverse), 0.0))
+def _is_small(change: FloatArray, inverse: Inverse, noise: float) -> bool:
+    errors = noise * np.sqrt(np.maximum(inverse.diagonal(), 0.0))
     moved = np.abs(change) > CONVERGED * errors
     return not bool(moved.any())
-
-
-def _inverse(matrix: FloatArray, free: BoolArray) -> FloatArray:
-    """(p, p) of the free parameters' part, 0 elsewhere; scaled, so that units of measure do not matter."""
-    scale = 1.0 / np.sqrt(np.diag(matrix)[free])
-    part = matrix[np.ix_(free, free)] * np.outer(scale, scale)
-    whole = np.zeros_like(matrix)
-    whole[np.ix_(free, free)] = np.linalg.inv(part) * np.outer(scale, scale)
-    return whole

@@ -51,33 +51,29 @@ def mapped(fit: Fit) -> Mapped:
     dial = dial_grid_deg(problem.table.dial_deg[fit.kept])
     columns = basis(dial, np.zeros(len(dial)), problem.orders)
     mean = columns.mean(axis=0)
-    coefficients, covariance = np.degrees(fit.parameters[at]), np.degrees(np.degrees(fit.covariance[at, at]))
-    error, std = _over(columns - mean, coefficients, covariance)
+    coefficients = np.degrees(fit.parameters[at])
+    covariance = np.degrees(np.degrees(fit.covariance_at(np.arange(fit.problem.size)[at])))
+    variance = np.einsum("gi,ij,gj->g", columns - mean, covariance, columns - mean)
     mounts = np.zeros((len(problem.table.mounts), problem.size))
     mounts[:, problem.first_mount : problem.first_order] = np.eye(len(mounts))
-    mounts[:, at] = mean
-    angles, stds = _over(mounts, np.degrees(fit.parameters), np.degrees(np.degrees(fit.covariance)))
+    mounts[:, at] = np.outer([mount.sense for mount in problem.table.mounts], mean)
+    of_mounts = np.diag(fit.covariance_of(mounts))
     noise_deg = float(np.degrees(fit.noise))
     play = float(coefficients[-1]), float(np.sqrt(max(covariance[-1, -1], 0.0)))
     return Mapped(
         stage_deg=dial,
-        error_deg=error,
-        std_deg=std,
+        error_deg=(columns - mean) @ coefficients,
+        std_deg=np.sqrt(np.maximum(variance, 0.0)),
         coefficients=coefficients,
         covariance=covariance,
         harmonics=tuple(
             _harmonic(order, coefficients[pair], covariance[pair, pair], noise_deg)
             for order, pair in _pairs(problem.orders)
         ),
-        backlash=play if problem.free()[-1] else None,
-        mounts_deg=wrap_deg(angles),
-        mounts_std_deg=stds,
+        backlash=play if problem.free[-1] else None,
+        mounts_deg=wrap_deg(np.degrees(mounts @ fit.parameters)),
+        mounts_std_deg=np.degrees(np.sqrt(np.maximum(of_mounts, 0.0))),
     )
-
-
-def _over(columns: FloatArray, values: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    variance = np.einsum("gi,ij,gj->g", columns, covariance, columns)
-    return columns @ values, np.sqrt(np.maximum(variance, 0.0))
 
 
 def _pairs(orders: Sequence[float]) -> Iterator[tuple[float, slice]]:

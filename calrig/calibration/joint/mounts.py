@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
 
 from calrig.calibration.joint.least_squares import GROSS_G
-from calrig.calibration.joint.table import Mount, Mounted, Table
+from calrig.calibration.joint.table import SENSES, Mount, Mounted, Table
 from calrig.calibration.motion import approach_of, has_history
 from calrig.calibration.pose import DiagnosisError, Pose
 from calrig.calibration.pose_columns import complete, refuse_what_is_no_elevation
@@ -20,6 +20,8 @@ FEWEST_OF_A_MOUNT = 2
 SAME_DEG = 12.0
 """Two lots of poses of one mount differ by no more: errors of 150 mg turn a vector by 9°."""
 LEAST_TEMPERATURE_RANGE_C = 0.05
+APART_DEG = 1.0
+"""Of two angles of a stage at one time, what is more than how it is read."""
 TOLD = 3
 """Of the warnings, in an error."""
 TOGETHER = 0.7
@@ -56,34 +58,42 @@ def table_of(lots: Sequence[Mounted]) -> tuple[Table, list[str]]:
 
 def _checked(lot: Mounted, warnings: list[str]) -> Mounted:
     """The lot with the poses that can be used."""
-    if lot.axis.removeprefix("+") != "x":
-        raise DiagnosisError(
-            f"{lot.source}: mount {lot.mount} has its axis {lot.axis} along the stage's; "
-            "only x is solved for so far"
-        )
+    _refuse_axis(lot)
     runs, said = complete([lot.poses])
     run = runs[0] if runs else []
     warnings += [f"{lot.source}, mount {lot.mount}: {sentence}" for sentence in said]
+    warnings += _at_two_places(lot)
     found = Mounted(lot.unit, lot.mount, lot.nominal_deg, lot.source, run, lot.axis)
     if not run:
         return found
     _refuse_no_gravity(found)
     dial, reading = _dial_deg(run), np.array([pose.reading_deg for pose in run])
-    on_the_dials_turn = dial + wrap_deg(reading - dial - _angle_deg(run))
+    table_at = found.sense * dial
+    on_the_dials_turn = table_at + wrap_deg(reading - table_at - _angle_deg(found))
     try:
-        refuse_what_is_no_elevation(dial, on_the_dials_turn)
+        refuse_what_is_no_elevation(table_at, on_the_dials_turn)
     except DiagnosisError as error:
         raise DiagnosisError(f"{lot.source}, mount {lot.mount}: {error}") from error
-    along, against = (abs(np.exp(1j * np.radians(reading - sign * dial)).mean()) for sign in (1.0, -1.0))
+    along, against = (abs(np.exp(1j * np.radians(reading - sign * table_at)).mean()) for sign in (1.0, -1.0))
     if along < TOGETHER:
-        turns = (
-            "the readings turn against the stage" if against > TOGETHER else "no single angle fits its poses"
+        axis = "x" if found.sense < 0 else "-x"
+        why = (
+            f"the readings turn against the stage: did it lie the other way round (mount_axis {axis})?"
+            if against > TOGETHER
+            else "no single angle fits its poses: is it several mounts under one name?"
         )
-        raise DiagnosisError(
-            f"{lot.source}: mount {lot.mount} of unit {lot.unit}: {turns}: is it several mounts under one "
-            "name, or the unit the other way round on its stage?"
-        )
+        raise DiagnosisError(f"{lot.source}: mount {lot.mount} of unit {lot.unit}: {why}")
     return found
+
+
+def _refuse_axis(lot: Mounted) -> None:
+    who = f"{lot.source}: mount {lot.mount} of unit {lot.unit}"
+    if lot.axis.lstrip("+-") not in ("x", "y", "z") or len(lot.axis) > len("-x"):
+        raise DiagnosisError(f"{who}: mount_axis is {lot.axis!r}, which is none of x, y, z, -x, -y, -z")
+    if lot.axis not in SENSES:
+        raise DiagnosisError(
+            f"{who} has its axis {lot.axis} along the stage's; only x and -x are solved for so far"
+        )
 
 
 def _refuse_no_gravity(lot: Mounted) -> None:
@@ -98,21 +108,42 @@ def _refuse_no_gravity(lot: Mounted) -> None:
 
 
 def _refuse_twice(lots: Sequence[Mounted]) -> None:
-    seen: dict[tuple[Figures, ...], Mounted] = {}
-    for lot in lots:
-        one = seen.setdefault(tuple(map(_figures, lot.poses)), lot)
-        if one is not lot and len(lot.poses) > 1:
-            raise DiagnosisError(
-                f"{lot.source} (unit {lot.unit}, mount {lot.mount}) holds the very same poses as "
-                f"{one.source} (unit {one.unit}, mount {one.mount}): it was given twice"
-            )
+    """Most poses of one lot in another, whatever it is called: a few may be alike by chance."""
+    first: dict[Figures, int] = {}
+    for k, lot in enumerate(lots):
+        own = {_figures(pose) for pose in lot.poses}
+        for other, same in Counter(first[figures] for figures in own if figures in first).items():
+            one = lots[other]
+            if 1 < same > 0.5 * min(len(own), len(one.poses)):
+                how_many = "the very same" if same == len(own) else f"{same} of the same"
+                raise DiagnosisError(
+                    f"{lot.source} (unit {lot.unit}, mount {lot.mount}) holds {how_many} poses as "
+                    f"{one.source} (unit {one.unit}, mount {one.mount}): it was given twice"
+                )
+        first |= dict.fromkeys(own, k)
 
 
-Figures = tuple[float | None, ...]
+Figures = tuple[float, float]
 
 
 def _figures(pose: Pose) -> Figures:
-    return pose.target_deg, pose.stage_deg, pose.reading_deg, pose.accel_y_g, pose.accel_z_g
+    """What is the same of a pose in a file that was written anew, with fewer digits or columns."""
+    return round(pose.theta_deg, 3), round(pose.reading_deg % 360.0, 3)
+
+
+def _at_two_places(lot: Mounted) -> list[str]:
+    """A stage stands at one angle at a time."""
+    at_time: dict[float, float] = {}
+    for pose in lot.poses:
+        if pose.time_s is None:
+            continue
+        one, other = at_time.setdefault(pose.time_s, pose.theta_deg), pose.theta_deg
+        if abs(one - other) > APART_DEG:
+            return [
+                f"{lot.source}, mount {lot.mount} of unit {lot.unit}: at {pose.time_s:g} s its stage stands "
+                f"at {one:g}° and at {other:g}°: two units of one name, or two runs under one mount?"
+            ]
+    return []
 
 
 def _refuse_overlap(same: Sequence[Mounted]) -> None:
@@ -121,8 +152,10 @@ def _refuse_overlap(same: Sequence[Mounted]) -> None:
         named = one.nominal_deg, other.nominal_deg
         if None not in named and abs(wrap_deg(float(named[0]) - float(named[1]))) > 1e-6:  # type: ignore[arg-type]
             apart = f"was clamped at {named[0]:g}° and at {named[1]:g}°"
-        elif abs(wrap_deg(_angle_deg(one.poses) - _angle_deg(other.poses))) > SAME_DEG:
-            apart = f"stands at {_angle_deg(one.poses):.0f}° and at {_angle_deg(other.poses):.0f}° by gravity"
+        elif one.sense != other.sense:
+            apart = f"has its axis {one.axis} and its axis {other.axis} along the stage's"
+        elif abs(wrap_deg(_angle_deg(one) - _angle_deg(other))) > SAME_DEG:
+            apart = f"stands at {_angle_deg(one):.0f}° and at {_angle_deg(other):.0f}° by gravity"
         else:
             continue
         raise DiagnosisError(
@@ -131,10 +164,11 @@ def _refuse_overlap(same: Sequence[Mounted]) -> None:
         )
 
 
-def _angle_deg(poses: Sequence[Pose]) -> float:
-    """Reading less dial, as the mean over the poses."""
-    reading = np.array([pose.reading_deg for pose in poses])
-    return float(np.degrees(np.angle(np.exp(1j * np.radians(reading - _dial_deg(poses))).sum())))
+def _angle_deg(lot: Mounted) -> float:
+    """Reading less what the dial makes of it, as the mean over the poses."""
+    reading = np.array([pose.reading_deg for pose in lot.poses])
+    apart = reading - lot.sense * _dial_deg(lot.poses)
+    return float(np.degrees(np.angle(np.exp(1j * np.radians(apart)).sum())))
 
 
 def _dial_deg(poses: Sequence[Pose]) -> FloatArray:
@@ -152,7 +186,10 @@ def _columns(mounts: Sequence[Sequence[Mounted]]) -> Table:
     senses = [approach_of(lot.poses) for _, lot in lots]
     return Table(
         units=units,
-        mounts=tuple(Mount(same[0].mount, units.index(same[0].unit), same[0].nominal_deg) for same in mounts),
+        mounts=tuple(
+            Mount(same[0].mount, units.index(same[0].unit), same[0].nominal_deg, same[0].sense)
+            for same in mounts
+        ),
         sources=sources,
         source=np.repeat([sources.index(lot.source) for _, lot in lots], length),
         mount=np.repeat([k for k, _ in lots], length),
@@ -166,10 +203,6 @@ def _columns(mounts: Sequence[Sequence[Mounted]]) -> Table:
         reading=np.radians([pose.reading_deg for pose in poses]),
         in_order=all(has_history(lot.poses) for _, lot in lots),
     )
-
-
-def _known(sense: FloatArray | None, n: int) -> FloatArray:
-    return np.zeros(n) if sense is None else sense
 
 
 def _vectors(poses: Sequence[Pose]) -> FloatArray:

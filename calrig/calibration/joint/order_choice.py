@@ -56,20 +56,20 @@ def chosen(rich: Fit, known_orders: Collection[float] = ()) -> Choice:
         rich: with all orders free.
         known_orders: of gears whose periods are known: in the map whatever the gate says.
     """
-    problem = rich.problem
+    problem, beside = rich.problem, _beside_units(rich)
     own = of_the_unit(problem.linear)
     open_yet = {
-        order: problem.order_at(k)
+        order: 2 * k + np.arange(2)
         for k, order in enumerate(problem.orders)
         if order > own and order not in known_orders
     }
-    model = problem.free()
+    model = problem.free[problem.map_at].copy()
     for at in open_yet.values():
         model[at] = False
-    untold = [order for order, at in open_yet.items() if not _is_told(rich, at, _beside(rich, model, at)[1])]
+    untold = [order for order, at in open_yet.items() if not beside.tells(at, beside.taken(model, at)[1])]
     rng = np.random.default_rng(SEED)
     let_in: list[float] = []
-    while open_yet and (best := _best(rich, model, open_yet, rng)) is not None:
+    while open_yet and (best := _best(rich, beside, model, open_yet, rng)) is not None:
         model[open_yet.pop(best)] = True
         let_in.append(best)
     highest = max([own, *let_in])
@@ -77,34 +77,63 @@ def chosen(rich: Fit, known_orders: Collection[float] = ()) -> Choice:
     return Choice(orders, tuple(sorted(let_in)), tuple(order for order in untold if order not in orders))
 
 
-def _beside(rich: Fit, model: BoolArray, at: Intp) -> tuple[FloatArray, FloatArray]:
-    """Gradient (k,) and matrix (k, k) of parameters once the model has taken what it can of them."""
-    normal, prior = rich.normal, rich.noise**2 * rich.problem.widths() ** -2.0
-    centre = np.where(rich.problem.free(), rich.problem.start(), 0.0)
-    # the linear problem about the rich fit, whose solution with all parameters is the fit itself
+@dataclass(frozen=True, slots=True, eq=False)
+class _OfMap:
+    """The normal equations of the map, once units and mounts have taken what they can.
+
+    Attributes:
+        gradient, matrix: (q,) and (q, q); `prior` (q,) what is known of each before the data.
+        whole: (q,) the diagonal with units and mounts held fast.
+    """
+
+    gradient: FloatArray
+    matrix: FloatArray
+    prior: FloatArray
+    whole: FloatArray
+
+    def taken(self, model: BoolArray, at: Intp) -> tuple[FloatArray, FloatArray]:
+        """Gradient (k,) and matrix (k, k) of some of the map once the model's others have taken theirs."""
+        inside = self.matrix[np.ix_(model, model)] + np.diag(self.prior[model])
+        across = self.matrix[np.ix_(model, at)]
+        taken = np.linalg.solve(inside, np.column_stack([across, self.gradient[model]]))
+        left = self.matrix[np.ix_(at, at)] - across.T @ taken[:, :-1]
+        return self.gradient[at] - across.T @ taken[:, -1], 0.5 * (left + left.T)
+
+    def tells(self, at: Intp, left: FloatArray) -> bool:
+        """Whether the model leaves enough (k, k) of an order's columns."""
+        return bool(np.linalg.eigvalsh(left)[0] > TOLD * self.whole[at].mean())
+
+
+def _beside_units(rich: Fit) -> _OfMap:
+    """The linear problem about the rich fit, whose solution with all parameters is the fit itself."""
+    problem, normal = rich.problem, rich.normal
+    centre = np.where(problem.free, problem.start(), 0.0)
     response = normal.gradient + normal.matrix @ (rich.parameters - centre)
-    inside = normal.matrix[np.ix_(model, model)] + np.diag(prior[model])
-    across = normal.matrix[np.ix_(model, at)]
-    taken = np.linalg.solve(inside, np.column_stack([across, response[model]]))
-    left = normal.matrix[np.ix_(at, at)] - across.T @ taken[:, :-1]
-    return response[at] - across.T @ taken[:, -1], 0.5 * (left + left.T)
+    prior = rich.noise**2 * problem.widths() ** -2.0
+    border = np.arange(problem.first_order, problem.size)
+    gradient, matrix = response[border], normal.matrix[np.ix_(border, border)].copy()
+    whole = np.diag(matrix).copy()
+    for at in problem.blocks:
+        across = normal.matrix[np.ix_(at, border)]
+        inside = normal.matrix[np.ix_(at, at)] + np.diag(prior[at])
+        taken = np.linalg.solve(inside, np.column_stack([across, response[at]]))
+        matrix -= across.T @ taken[:, :-1]
+        gradient -= across.T @ taken[:, -1]
+    return _OfMap(gradient, matrix, prior[border], whole)
 
 
-def _is_told(rich: Fit, at: Intp, left: FloatArray) -> bool:
-    whole = np.diag(rich.normal.matrix)[at].mean()
-    return bool(np.linalg.eigvalsh(left)[0] > TOLD * whole)
-
-
-def _best(rich: Fit, model: BoolArray, orders: dict[float, Intp], rng: np.random.Generator) -> float | None:
+def _best(
+    rich: Fit, beside: _OfMap, model: BoolArray, orders: dict[float, Intp], rng: np.random.Generator
+) -> float | None:
     """The order that explains most, if that is more than noise would explain by the best of them."""
-    gradient, matrix = _beside(rich, model, np.concatenate(list(orders.values())))
+    gradient, matrix = beside.taken(model, np.concatenate(list(orders.values())))
     size, turn = np.linalg.eigh(matrix)
     root = turn * np.sqrt(np.maximum(size, 0.0))
     drawn = rng.standard_normal((DRAWS, len(gradient))) @ root.T
     best, most, by_chance = None, 0.0, np.zeros(DRAWS)
     for place, (order, at) in enumerate(orders.items()):
         own = slice(2 * place, 2 * place + 2)
-        if not _is_told(rich, at, matrix[own, own]):
+        if not beside.tells(at, matrix[own, own]):
             continue
         inverse = np.linalg.inv(matrix[own, own])
         by_chance = np.maximum(by_chance, ((drawn[:, own] @ inverse) * drawn[:, own]).sum(axis=1))

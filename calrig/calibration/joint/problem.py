@@ -7,17 +7,20 @@ units cost no more than their poses.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from calrig.calibration.joint.arrow import Inverse, inverse_of
 from calrig.calibration.joint.stage_map import LARGEST_BACKLASH_RAD, LARGEST_RAD, basis
 from calrig.calibration.joint.table import BoolArray, Intp, Table
-from calrig.calibration.joint.unit_model import CURVATURES, LARGEST, NAMES, PER_C, felt
+from calrig.calibration.joint.unit_model import CURVATURES, LARGEST, NAMES, PER_C, Felt, felt
 from calrig.calibration.joint.whitening import whitened
 from calrig.estimation.angles import FloatArray
 
 WIDTH = len(NAMES)
+OWN = WIDTH + 1
+"""Parameters of a pose's unit and mount."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,7 +31,7 @@ class Normal:
         residuals: (n, 2) measured less expected, g (a reading: rad, and 0).
         matrix: (p, p) JᵀWJ; `gradient` (p,) JᵀWr; `squares` rᵀWr. W whitens correlated poses.
         log_variance: log of the determinant of the noise's correlation.
-        blocks: of each mount its poses, its parameters and its derivatives (poses, 2, parameters).
+        derivatives: (n, 2, 12 + map) of each pose by its unit, its mount (`Problem.own_at`) and the map.
     """
 
     residuals: FloatArray
@@ -36,7 +39,7 @@ class Normal:
     gradient: FloatArray
     squares: float
     log_variance: float
-    blocks: tuple[tuple[Intp, Intp, FloatArray], ...]
+    derivatives: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,12 +50,24 @@ class Problem:
         orders: of the map; whole numbers, or 360° over a gear's period.
         linear: whether somebody states that the units are.
         correlation: of the noise from one pose of a mount to the next.
+        columns: (n, 2m + 1) of the map.
+        free: (p,) which parameters are to be found; the others are 0.
+        blocks: of each unit the places of what is free of its own and of its mounts.
     """
 
     table: Table
     orders: tuple[float, ...]
     linear: bool = False
     correlation: float = 0.0
+    columns: FloatArray = field(init=False, repr=False)
+    free: BoolArray = field(init=False, repr=False)
+    blocks: tuple[Intp, ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        columns = basis(self.table.dial_deg, self.table.approach, self.orders)
+        object.__setattr__(self, "columns", columns)
+        object.__setattr__(self, "free", self._free())
+        object.__setattr__(self, "blocks", self._blocks())
 
     @property
     def first_mount(self) -> int:
@@ -78,20 +93,38 @@ class Problem:
         """Places of one unit."""
         return slice(WIDTH * unit, WIDTH * (unit + 1))
 
-    def order_at(self, place: int) -> Intp:
-        """Places of the cosine and sine of one of the orders."""
-        return self.first_order + 2 * place + np.arange(2)
+    def own_at(self, mount: int) -> Intp:
+        """(12,) places of a mount's unit and its angle."""
+        own = self.unit_at(self.table.mounts[mount].unit)
+        return np.append(np.arange(own.start, own.stop), self.first_mount + mount)
 
-    def free(self) -> BoolArray:
-        """(p,) which parameters are to be found; the others are 0."""
-        free = np.ones(self.size, dtype=np.bool_)
-        for unit in range(len(self.table.units)):
-            at = WIDTH * unit
-            free[at] = bool(self.table.has_vector[self.table.unit == unit].any())
-            free[at + np.array(CURVATURES)] = not self.linear
-            free[at + np.array(PER_C)] = bool(np.isfinite(self.table.reference_c[unit]))
-        free[-1] = len(np.unique(self.table.approach[self.table.approach != 0.0])) > 1
+    @property
+    def border(self) -> Intp:
+        """Places of what is free of the map."""
+        return self.first_order + np.flatnonzero(self.free[self.first_order :])
+
+    def _free(self) -> BoolArray:
+        table, free = self.table, np.ones(self.size, dtype=np.bool_)
+        with_vector = np.bincount(table.unit, table.has_vector, minlength=len(table.units)) > 0
+        own = free[: self.first_mount].reshape(-1, WIDTH)
+        own[:, 0] = with_vector
+        own[:, CURVATURES] = not self.linear
+        own[:, PER_C] = np.isfinite(table.reference_c)[:, None]
+        free[-1] = len(np.unique(table.approach[table.approach != 0.0])) > 1
         return free
+
+    def _blocks(self) -> tuple[Intp, ...]:
+        units = np.array([mount.unit for mount in self.table.mounts], dtype=np.intp)
+        by_unit = np.split(np.argsort(units, kind="stable"), np.cumsum(np.bincount(units))[:-1])
+        places = (
+            np.concatenate([np.arange(WIDTH * unit, WIDTH * (unit + 1)), self.first_mount + mounts])
+            for unit, mounts in enumerate(by_unit)
+        )
+        return tuple(at[self.free[at]] for at in places)
+
+    def inverse(self, matrix: FloatArray) -> Inverse:
+        """Of normal equations (p, p), 0 of parameters that are not free."""
+        return inverse_of(matrix, self.blocks, self.border)
 
     def widths(self) -> FloatArray:
         """(p,) how large each may be: what is known of it before the data, as a standard deviation."""
@@ -104,24 +137,27 @@ class Problem:
     def start(self) -> FloatArray:
         """(p,) where to begin: faultless units, mounts as the mean of their readings says."""
         start = np.zeros(self.size)
-        turned = np.exp(1j * (self.table.angle() - np.radians(self.table.dial_deg)))
-        for mount in range(len(self.table.mounts)):
-            start[self.first_mount + mount] = np.angle(turned[self.table.mount == mount].sum())
+        table = self.table
+        apart, n = table.angle() - table.sense * np.radians(table.dial_deg), len(table.mounts)
+        s, c = (np.bincount(table.mount, of(apart), minlength=n) for of in (np.sin, np.cos))
+        start[self.first_mount : self.first_order] = np.arctan2(s, c)
         size = np.hypot(self.table.vector_g[:, 0], self.table.vector_g[:, 1])
         for unit in range(len(self.table.units)):
             own = size[(self.table.unit == unit) & self.table.has_vector]
             start[WIDTH * unit] = np.median(own) - 1.0 if len(own) else 0.0
         return start
 
-    def basis(self) -> FloatArray:
-        """(n, 2m + 1) columns of the map."""
-        return basis(self.table.dial_deg, self.table.approach, self.orders)
-
     def elevations(self, parameters: FloatArray) -> FloatArray:
         """(n,) of the unit at each pose, rad."""
         mounts = parameters[self.first_mount : self.first_order]
-        on_map = self.basis() @ parameters[self.map_at]
-        return np.asarray(np.radians(self.table.dial_deg) + on_map + mounts[self.table.mount])
+        on_map = self.columns @ parameters[self.map_at]
+        table_at = np.radians(self.table.dial_deg) + on_map
+        return np.asarray(self.table.sense * table_at + mounts[self.table.mount])
+
+    def expected(self, parameters: FloatArray) -> Felt:
+        """The vector of each pose."""
+        own = parameters[: self.first_mount].reshape(-1, WIDTH)[self.table.unit].T
+        return felt(own, self.elevations(parameters), self.table.warmer_c)
 
     def normal(self, parameters: FloatArray, weights: FloatArray) -> Normal:
         """The normal equations about some parameters.
@@ -130,46 +166,47 @@ class Problem:
             parameters: (p,).
             weights: (n,) of the poses; 0 of one that is left out.
         """
-        columns, elevation = self.basis(), self.elevations(parameters)
-        residuals = np.zeros((len(self.table), 2))
+        left, derivatives = self._responses(parameters)
+        kept = np.flatnonzero(weights > 0.0)
+        white, log_variance = self._white(left, derivatives, weights, kept)
         matrix, gradient = np.zeros((self.size, self.size)), np.zeros(self.size)
-        squares = log_variance = 0.0
-        blocks = []
-        for k, mount in enumerate(self.table.mounts):
-            rows = np.flatnonzero(self.table.mount == k)
-            own = self.unit_at(mount.unit)
-            at = np.r_[own, self.first_mount + k, self.map_at]
-            by_turn = np.concatenate([np.ones((len(rows), 1)), columns[rows]], axis=1)
-            left, derivatives = self._of_mount(rows, parameters[own], elevation[rows], by_turn)
-            residuals[rows] = left
-            both = np.concatenate([derivatives, left[:, :, None]], axis=2)
-            flat, more = self._white(rows, both, weights[rows])
-            log_variance += more
-            matrix[np.ix_(at, at)] += flat[:, :-1].T @ flat[:, :-1]
-            gradient[at] += flat[:, :-1].T @ flat[:, -1]
-            squares += float(flat[:, -1] @ flat[:, -1])
-            blocks.append((rows, at, derivatives))
-        return Normal(residuals, matrix, gradient, squares, log_variance, tuple(blocks))
+        of_map = white[:, OWN:].T @ white[:, OWN:]
+        matrix[self.map_at, self.map_at] = of_map[:-1, :-1]
+        gradient[self.map_at] = of_map[:-1, -1]
+        ends = 2 * np.searchsorted(self.table.mount[kept], np.arange(len(self.table.mounts) + 1))
+        for k in range(len(self.table.mounts)):
+            rows, at = white[ends[k] : ends[k + 1]], self.own_at(k)
+            products = rows[:, :OWN].T @ rows
+            matrix[np.ix_(at, at)] += products[:, :OWN]
+            matrix[at, self.map_at] += products[:, OWN:-1]
+            gradient[at] += products[:, -1]
+        matrix[self.map_at, : self.first_order] = matrix[: self.first_order, self.map_at].T
+        return Normal(left, matrix, gradient, float(of_map[-1, -1]), log_variance, derivatives)
 
-    def _white(self, rows: Intp, both: FloatArray, weights: FloatArray) -> tuple[FloatArray, float]:
-        """Derivatives and residuals (m, 2, k) of a mount's poses that count, as independent rows (2m', k)."""
-        counted = weights > 0.0
-        taken = rows[counted]
-        white, own = whitened(both[counted], taken, self.table.source[taken], self.correlation)
-        flat = np.sqrt(weights[counted])[:, None, None] * white
-        return flat.reshape(-1, both.shape[2]), float((own * (1 + self.table.has_vector[taken])).sum())
+    def _white(
+        self, left: FloatArray, derivatives: FloatArray, weights: FloatArray, kept: Intp
+    ) -> tuple[FloatArray, float]:
+        """Derivatives and, last, residuals of the poses that count as independent rows (2m, 12 + map + 1)."""
+        both = np.concatenate([derivatives, left[:, :, None]], axis=2)
+        taken = both if len(kept) == len(both) else both[kept]
+        chain = self.table.mount[kept] * len(self.table.sources) + self.table.source[kept]
+        white, own = whitened(taken, kept, chain, self.correlation)
+        if (weights[kept] != 1.0).any():
+            white = np.sqrt(weights[kept])[:, None, None] * white
+        return white.reshape(-1, both.shape[2]), float((own * (1 + self.table.has_vector[kept])).sum())
 
-    def _of_mount(
-        self, rows: Intp, own: FloatArray, elevation: FloatArray, by_turn: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Residuals (m, 2) of a mount's poses, and their derivatives (m, 2, 11 + 1 + map)."""
-        expected = felt(own, elevation, self.table.warmer_c[rows])
-        turned = expected.by_elevation[:, :, None] * by_turn[:, None, :]
-        derivatives = np.concatenate([expected.by_parameters, turned], axis=2)
-        left = self.table.vector_g[rows] - expected.vector_g
-        bare = np.flatnonzero(~self.table.has_vector[rows])
+    def _responses(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Residuals (n, 2), and derivatives (n, 2, 11 + 1 + map) by unit, mount and map of each pose."""
+        table = self.table
+        expected = self.expected(parameters)
+        turned = expected.by_elevation[:, :, None] * (table.sense[:, None] * self.columns)[:, None, :]
+        derivatives = np.concatenate(
+            [expected.by_parameters, expected.by_elevation[:, :, None], turned], axis=2
+        )
+        left = table.vector_g - expected.vector_g
+        bare = np.flatnonzero(~table.has_vector)
         if len(bare):  # the reading alone: one response, an angle
-            error = self.table.reading[rows[bare]] - expected.angle()[bare]
+            error = table.reading[bare] - expected.angle()[bare]
             left[bare] = np.stack([np.angle(np.exp(1j * error)), np.zeros(len(bare))], axis=1)
             by_angle = expected.turned(derivatives)[bare]
             derivatives[bare] = np.stack([by_angle, np.zeros_like(by_angle)], axis=1)

@@ -11,6 +11,7 @@ import numpy as np
 from calrig.calibration.joint.advice import Advice, advised
 from calrig.calibration.joint.elevation import polynomial, range_deg
 from calrig.calibration.joint.held_out import HeldOut, held_out
+from calrig.calibration.joint.level import Level
 from calrig.calibration.joint.mapped import Mapped, mapped
 from calrig.calibration.joint.said import sentences
 from calrig.calibration.joint.solution import Solution
@@ -32,9 +33,9 @@ UNITS = {
 """A document's names of the parameters, and their units."""
 
 
-def solution_document(solution: Solution) -> dict[str, Any]:
-    """Everything that was solved for, what it is worth, and what would help."""
-    on_stage, tested, advice = mapped(solution.fit), held_out(solution.fit), advised(solution)
+def solution_document(solution: Solution, limits_deg: tuple[float, float] | None = None) -> dict[str, Any]:
+    """Everything that was solved for, what it is worth, and what would help within limits of the dial."""
+    on_stage, tested, advice = mapped(solution.fit), held_out(solution.fit), advised(solution, limits_deg)
     units = range(len(solution.table.units))
     return {
         "units": [_unit(solution, unit) for unit in units],
@@ -49,8 +50,7 @@ def solution_document(solution: Solution) -> dict[str, Any]:
             "std_deg": solution.noise_deg,
             "lag1_correlation": solution.fit.problem.correlation,
         },
-        "level_known": False,
-        "level_std_deg": None,
+        **_levels(solution),
         "warnings": [*solution.warnings, *sentences(solution, on_stage), *_of_held_out(tested)],
     }
 
@@ -58,8 +58,8 @@ def solution_document(solution: Solution) -> dict[str, Any]:
 def parameters_of(solution: Solution, unit: int) -> dict[str, Value]:
     """A unit's parameters in the units of documents; those of temperature where the data carry them."""
     fit, at = solution.fit, solution.fit.problem.unit_at(unit)
-    values, stds = fit.parameters[at], np.sqrt(np.maximum(np.diag(fit.covariance)[at], 0.0))
-    free = fit.problem.free()[at]
+    values, stds = fit.parameters[at], fit.noise * np.sqrt(np.maximum(fit.inverse.diagonal()[at], 0.0))
+    free = fit.problem.free[at]
     found: dict[str, Value] = {}
     for name, (stated_as, factor) in UNITS.items():
         k = NAMES.index(name)
@@ -73,7 +73,7 @@ def parameters_of(solution: Solution, unit: int) -> dict[str, Value]:
 def _unit(solution: Solution, unit: int) -> dict[str, Any]:
     coefficients, covariance = polynomial(solution.fit, unit)
     stds = np.sqrt(np.maximum(np.diag(covariance), 0.0)) if not solution.fit.problem.linear else [None, None]
-    worth = solution.worths[unit]
+    worth, level = solution.measurand(unit), solution.levels[unit]
     names = ("deg_per_deg2", "deg_per_deg3")
     projected = {n: _value(c, s) for n, c, s in zip(names, coefficients.tolist(), stds, strict=True)}
     return {
@@ -82,11 +82,30 @@ def _unit(solution: Solution, unit: int) -> dict[str, Any]:
         "accelerometer": None,
         "gyro": None,
         "range_deg": list(range_deg(solution.fit, unit)),
+        "level": None if level is None else level_document(level),
         "elevation_std_deg": {
             "elevation_deg": worth.elevation_deg.tolist(),
             "std_deg": worth.std_deg.tolist(),
         },
     }
+
+
+def level_document(level: Level) -> dict[str, Any]:
+    """The angle of the sensor in its case, and what its standard error rests on."""
+    return {
+        "deg": _value(level.value_deg, level.std_deg),
+        "reversals": level.reversals,
+        "seat_std_deg": level.seat_std_deg,
+        "seat_from": level.seat_from,
+    }
+
+
+def _levels(solution: Solution) -> dict[str, Any]:
+    """Whether the level of every unit is known, and of all of them the worst."""
+    levels = [solution.known_level(unit) for unit in range(len(solution.table.units))]
+    stds = [level.std_deg for level in levels if level is not None and level.std_deg is not None]
+    known = len(stds) == len(levels)
+    return {"level_known": known, "level_std_deg": max(stds) if known else None}
 
 
 def _stage(on_stage: Mapped) -> dict[str, Any]:
@@ -102,15 +121,18 @@ def _stage(on_stage: Mapped) -> dict[str, Any]:
 
 
 def _mounts(solution: Solution, on_stage: Mapped) -> list[dict[str, Any]]:
+    fits = {test.mount: test.p_value for test in solution.mount_tests}
     return [
         {
             "mount": mount.name,
             "unit": solution.table.units[mount.unit],
             "mount_deg": mount.nominal_deg or 0.0,
+            "mount_axis": mount.axis,
             "angle_deg": _value(float(angle), float(std)),
+            "fits_p_value": fits.get(k),
         }
-        for mount, angle, std in zip(
-            solution.table.mounts, on_stage.mounts_deg, on_stage.mounts_std_deg, strict=True
+        for k, (mount, angle, std) in enumerate(
+            zip(solution.table.mounts, on_stage.mounts_deg, on_stage.mounts_std_deg, strict=True)
         )
     ]
 

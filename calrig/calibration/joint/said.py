@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtrc
 
+from calrig.calibration.joint.gear import unstated_gear
+from calrig.calibration.joint.lack_of_fit import misfits
 from calrig.calibration.joint.least_squares import fitted
 from calrig.calibration.joint.mapped import Mapped
 from calrig.calibration.joint.problem import Problem
@@ -19,10 +21,19 @@ SHARE = 0.3
 """Of the largest part of a direction: what has less is not named."""
 APART_DEG, APART_NOISES = 0.05, 3.0
 """From where a reading is said not to be the accelerometer's angle."""
+LOUD_DEG = 0.3
+"""Noise of a dwell of a second is a tenth of that or less in any part on sale."""
+HARDLY_NOISE = 0.85
+"""Correlation from pose to pose, seconds apart, beyond which something moved."""
 CONTRADICTS = 1e-3
 """Chance of quadratic and cubic terms as large in units that have none."""
 OFF_DEG = 5.0
 """From where a mount was said to be to where gravity has it; a plan is held to the same."""
+CAUSES = {
+    "map": "the stage had another map there",
+    "time": "its angle moved while it was measured, as in a clamp that gives",
+    "unit": "it were of another unit, or the unit had changed",
+}
 MOVED = 5.0
 """Standard errors of a mean."""
 MOST_BELIEVED = 0.6
@@ -46,23 +57,79 @@ def sentences(solution: Solution, on_stage: Mapped) -> list[str]:
     """All that is to be said, the weightiest first."""
     units = range(len(solution.table.units))
     said = [_not_separable(solution, unit) for unit in units if not solution.is_separable(unit)]
+    if solution.noise_deg > LOUD_DEG:
+        said.append(
+            f"the poses lie {solution.noise_deg:.2g}° from the model, as no unit at rest does: are they of "
+            "one stage, each of the unit that is named, and were its mounts not touched?"
+        )
+    if solution.fit.problem.correlation > HARDLY_NOISE:
+        said.append(
+            f"what the poses leave is correlated by {solution.fit.problem.correlation:.2f} from one to "
+            "the next: less as noise is than as something that the model lacks"
+        )
+    said += [*_of_misfits(solution), *_of_gear(solution), *_of_levels(solution)]
     said += [*_of_linear(solution), *_of_mounts(solution, on_stage), *_of_sources(solution)]
     return [*said, *_of_dial(solution), *_of_columns(solution), *_of_readings(solution)]
 
 
 def _not_separable(solution: Solution, unit: int) -> str:
     worth, problem = solution.worths[unit], solution.fit.problem
-    widths = problem.widths()
-    scaled = worth.by_parameters * widths
-    size, turn = np.linalg.eigh(solution.fit.covariance / np.outer(widths, widths))
+    at = np.concatenate([problem.blocks[unit], problem.border])
+    widths = problem.widths()[at]
+    scaled = worth.by_parameters[:, at] * widths
+    size, turn = np.linalg.eigh(solution.fit.covariance_at(at) / np.outer(widths, widths))
     direction = turn[:, int(np.argmax(size * ((scaled @ turn) ** 2).sum(axis=0)))]
     weights = np.abs(direction)
-    named = [_title(problem, int(k)) for k in np.argsort(-weights) if weights[k] > SHARE * weights.max()]
+    named = [_title(problem, int(at[k])) for k in np.argsort(-weights) if weights[k] > SHARE * weights.max()]
     return (
         f"unit {solution.table.units[unit]}: its elevation is known to {worth.rms_deg:.2g}° only, where one "
         f"pose is measured to {solution.noise_deg:.2g}°: these poses do not tell apart "
         f"{', '.join(dict.fromkeys(named))}"
     )
+
+
+def _of_misfits(solution: Solution) -> list[str]:
+    """Mounts that the others do not foretell as well as noise allows."""
+    found = misfits(solution.mount_tests)
+    if not found:
+        return []
+    table = solution.table
+    mounts = [table.mounts[test.mount] for test in found]
+    named = " or ".join(f"mount {mount.name} of unit {table.units[mount.unit]}" for mount in mounts)
+    causes = " or ".join(dict.fromkeys(CAUSES[test.cause] for test in found))
+    p_value = min(test.p_value for test in found)
+    return [
+        f"{named} does not fit the others (by noise alone in {p_value:.1g} of cases), most as if {causes}: "
+        "no standard error here allows for that"
+    ]
+
+
+def _of_gear(solution: Solution) -> list[str]:
+    gear = unstated_gear(solution.fit)
+    if gear is None:
+        return []
+    return [
+        f"what the poses leave repeats every {gear.period_deg:.2g}° of the dial, by {gear.amplitude_deg:.2g}°"
+        f" (by noise alone in {gear.p_value:.1g} of cases): if that is a gear, state its period (--period)"
+    ]
+
+
+def _of_levels(solution: Solution) -> list[str]:
+    """What is missing of the level of a unit that was reversed, and what the clampings contradict."""
+    said = []
+    for serial, level in zip(solution.table.units, solution.levels, strict=True):
+        if level is not None and not level.is_known:
+            said.append(
+                f"unit {serial} was reversed, which has its level at {level.value_deg:+.3f}°, but nothing "
+                "says how well face and seat repeat: state it (--seat-std), or clamp it anew both ways; "
+                "until then its level is not known"
+            )
+        elif level is not None and level.contradicted:
+            said.append(
+                f"unit {serial}: its clampings scatter more widely than {level.seat_std_deg:g}° as stated of "
+                "face and seat: the level is known less well than is said"
+            )
+    return said
 
 
 def _title(problem: Problem, place: int) -> str:
@@ -107,10 +174,11 @@ def _of_mounts(solution: Solution, on_stage: Mapped) -> list[str]:
 def _of_sources(solution: Solution) -> list[str]:
     """Files that share a mount by name, and not to within the noise by angle."""
     fit, table, said = solution.fit, solution.table, []
+    angles = fit.left()
     rho = min(fit.problem.correlation, MOST_BELIEVED)
     for k, mount in enumerate(table.mounts):
         of_mount = (table.mount == k) & fit.kept
-        own, sources = fit.left()[of_mount], table.source[of_mount]
+        own, sources = angles[of_mount], table.source[of_mount]
         means = {int(s): float(own[sources == s].mean()) for s in np.unique(sources)}
         for source, mean in means.items():
             error = fit.noise * np.sqrt((1.0 + rho) / (1.0 - rho) / (sources == source).sum())
@@ -146,7 +214,7 @@ def _of_columns(solution: Solution) -> list[str]:
             said.append(
                 f"mount {mount.name} lacks accel_y_g or accel_z_g: its readings alone count, |a| says nothing"
             )
-    if not solution.fit.problem.free()[-1]:
+    if not solution.fit.problem.free[-1]:
         said.append(
             "the poses were not approached from both sides, or no column tells: play is not solved for"
         )

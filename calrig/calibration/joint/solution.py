@@ -9,7 +9,9 @@ import numpy as np
 
 from calrig.calibration.joint.correlation import correlation_of
 from calrig.calibration.joint.elevation import Worth, worth
+from calrig.calibration.joint.lack_of_fit import MountTest, mount_tests
 from calrig.calibration.joint.least_squares import WILD, Fit, distances, fitted, without_wild_poses
+from calrig.calibration.joint.level import Level, level_of
 from calrig.calibration.joint.mounts import table_of
 from calrig.calibration.joint.order_choice import Choice, chosen, of_the_unit
 from calrig.calibration.joint.problem import Problem
@@ -29,13 +31,17 @@ class Solution:
     Attributes:
         fit: of the model that the data carry.
         choice: how that model was chosen.
-        worths: of each unit's calibrated elevation.
+        worths: of each unit's calibrated elevation less its mean over the range.
+        levels: of each unit that was reversed.
+        mount_tests: each mount against the others.
         warnings: what a person should know of the poses.
     """
 
     fit: Fit
     choice: Choice
     worths: tuple[Worth, ...]
+    levels: tuple[Level | None, ...]
+    mount_tests: tuple[MountTest, ...]
     warnings: tuple[str, ...]
 
     @property
@@ -48,6 +54,16 @@ class Solution:
         """Standard deviation of one pose's angle."""
         return float(np.degrees(self.fit.noise))
 
+    def known_level(self, unit: int) -> Level | None:
+        """The level of a unit, where it is known how well."""
+        level = self.levels[unit]
+        return level if level is not None and level.is_known else None
+
+    def measurand(self, unit: int) -> Worth:
+        """What documents say of an elevation: of the whole where the level is known, else less its mean."""
+        level = self.known_level(unit)
+        return self.worths[unit] if level is None else worth(self.fit, unit, level)
+
     def is_separable(self, unit: int) -> bool:
         """Whether a unit's elevation is known better than a single pose is measured.
 
@@ -56,23 +72,37 @@ class Solution:
         return self.worths[unit].rms_deg < self.noise_deg
 
 
-def solve(lots: Sequence[Mounted], *, linear: bool = False, periods_deg: Sequence[float] = ()) -> Solution:
+def solve(
+    lots: Sequence[Mounted],
+    *,
+    linear: bool = False,
+    periods_deg: Sequence[float] = (),
+    seat_std_deg: float | None = None,
+) -> Solution:
     """Solves stage, mounts and units at once.
 
     Args:
         lots: poses of each clamping, of one stage.
         linear: whether the units are stated to have no quadratic and cubic terms.
         periods_deg: of gears, where somebody knows them.
+        seat_std_deg: how far one clamping scatters from the next on the same seat, where somebody knows it.
 
     Raises:
         DiagnosisError: the poses are too few, or cannot be what they are said to be.
     """
     table, warnings = table_of(lots)
-    return solve_table(table, linear=linear, periods_deg=periods_deg, warnings=warnings)
+    return solve_table(
+        table, linear=linear, periods_deg=periods_deg, seat_std_deg=seat_std_deg, warnings=warnings
+    )
 
 
 def solve_table(
-    table: Table, *, linear: bool = False, periods_deg: Sequence[float] = (), warnings: Sequence[str] = ()
+    table: Table,
+    *,
+    linear: bool = False,
+    periods_deg: Sequence[float] = (),
+    seat_std_deg: float | None = None,
+    warnings: Sequence[str] = (),
 ) -> Solution:
     """The same of poses in columns."""
     known = [TURN_DEG / period for period in periods_deg]
@@ -81,8 +111,18 @@ def solve_table(
     correlated = replace(rich.problem, correlation=correlation_of(rich))
     choice = chosen(fitted(correlated, weights, rich.parameters), known)
     fit = fitted(replace(correlated, orders=choice.orders), weights)
-    worths = tuple(worth(fit, unit) for unit in range(len(table.units)))
-    return Solution(fit, choice, worths, (*warnings, *_of_poses(fit)))
+    units = range(len(table.units))
+    levels = tuple(level_of(fit, unit, seat_std_deg) for unit in units)
+    if seat_std_deg is not None and not any(levels):
+        warnings = [*warnings, "a seat-std was stated, and no unit was clamped both ways round on one seat"]
+    return Solution(
+        fit=fit,
+        choice=choice,
+        worths=tuple(worth(fit, unit) for unit in units),
+        levels=levels,
+        mount_tests=tuple(mount_tests(fit)),
+        warnings=(*warnings, *_of_poses(fit)),
+    )
 
 
 def _offered(table: Table, linear: bool, known: Sequence[float]) -> tuple[float, ...]:
@@ -92,7 +132,7 @@ def _offered(table: Table, linear: bool, known: Sequence[float]) -> tuple[float,
         DiagnosisError: the poses are fewer than the parameters need.
     """
     always = {float(order) for order in range(1, of_the_unit(linear) + 1)} | set(known)
-    needed = int(Problem(table, tuple(always), linear).free().sum())
+    needed = int(Problem(table, tuple(always), linear).free.sum())
     spare = int((1 + table.has_vector).sum()) - needed
     if spare < FEWEST_SPARE:
         raise DiagnosisError(

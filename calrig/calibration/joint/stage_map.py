@@ -42,13 +42,21 @@ def widest_gap_deg(dial_deg: FloatArray) -> float:
 
 
 def resolved_orders(dial_deg: FloatArray) -> list[float]:
-    """Whole orders that such poses can tell: below half the density of the angles."""
-    at = np.unique(np.round(np.mod(dial_deg, TURN_DEG) / SAME_DIAL_DEG))
-    arc_deg = TURN_DEG - widest_gap_deg(dial_deg)
-    spacing_deg = max(arc_deg, SAME_DIAL_DEG) / max(len(at) - 1, 1)
-    dense = (TURN_DEG / spacing_deg - 1.0) / 2.0
-    highest = min(HIGHEST_ORDER, dense, (len(at) - 1) / 2.0)
+    """Whole orders of a map that such poses can tell, all together."""
+    highest = min(HIGHEST_ORDER, told_order(dial_deg), (len(_apart(dial_deg)) - 1) / 2.0)
     return [float(order) for order in range(1, int(highest) + 1)]
+
+
+def told_order(dial_deg: FloatArray) -> float:
+    """The highest order that such poses can tell by itself: half the density of the angles."""
+    arc_deg = TURN_DEG - widest_gap_deg(dial_deg)
+    spacing_deg = max(arc_deg, SAME_DIAL_DEG) / max(len(_apart(dial_deg)) - 1, 1)
+    return (TURN_DEG / spacing_deg - 1.0) / 2.0
+
+
+def _apart(dial_deg: FloatArray) -> FloatArray:
+    """The angles that are not the same, in steps of what is."""
+    return np.unique(np.round(np.mod(dial_deg, TURN_DEG) / SAME_DIAL_DEG))
 
 
 def dial_grid_deg(dial_deg: FloatArray, step_deg: float = 2.0) -> FloatArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,10 @@ from calrig.estimation.angles import FloatArray
 
 BoolArray = npt.NDArray[np.bool_]
 Intp = npt.NDArray[np.intp]
+
+
+SENSES = {"x": 1, "+x": 1, "-x": -1}
+"""Of the unit's elevation against the dial's angle, by the axis that lies along the stage's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,14 +38,28 @@ class Mounted:
     poses: Sequence[Pose]
     axis: str = "x"
 
+    @property
+    def sense(self) -> int:
+        """+1, or −1 where the elevation falls as the dial's angle rises."""
+        return SENSES[self.axis]
+
 
 @dataclass(frozen=True, slots=True)
 class Mount:
-    """One clamping: its label, its unit by index, and the angle that was stated, degrees."""
+    """One clamping: its label, its unit by index, and the angle that was stated, degrees.
+
+    `sense` is −1 of a unit that was reversed (`mount_axis` −x): its elevation falls as the dial rises.
+    """
 
     name: str
     unit: int
     nominal_deg: float | None
+    sense: int = 1
+
+    @property
+    def axis(self) -> str:
+        """Which of the unit's axes lies along the stage's."""
+        return "x" if self.sense > 0 else "-x"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +70,7 @@ class Table:
         units: serial numbers.
         mounts: each clamping.
         sources: files or runs; `source` (n,) has the index of each pose's.
-        mount: (n,) index of each pose's mount.
+        mount: (n,) index of each pose's mount, rising.
         dial_deg: (n,) the stage's own angle.
         approach: (n,) +1 or −1; 0 where it is not known.
         warmer_c: (n,) die temperature less its unit's reference; 0 where it is not known.
@@ -60,6 +78,9 @@ class Table:
         vector_g: (n, 2) a_y and a_z; NaN where the pose has the reading alone.
         reading: (n,) the elevation read, rad.
         in_order: whether the poses of each source and mount come in the order measured.
+        unit: (n,) index of each pose's unit.
+        sense: (n,) +1, or −1 of poses whose elevation falls as the dial's angle rises.
+        has_vector: (n,) whether a pose has the accelerometer's means.
     """
 
     units: tuple[str, ...]
@@ -74,19 +95,19 @@ class Table:
     vector_g: FloatArray
     reading: FloatArray
     in_order: bool = False
+    unit: Intp = field(init=False, repr=False)
+    sense: FloatArray = field(init=False, repr=False)
+    has_vector: BoolArray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        units = np.array([mount.unit for mount in self.mounts], dtype=np.intp)
+        senses = np.array([mount.sense for mount in self.mounts], dtype=np.float64)
+        object.__setattr__(self, "unit", units[self.mount])
+        object.__setattr__(self, "sense", senses[self.mount])
+        object.__setattr__(self, "has_vector", np.isfinite(self.vector_g).all(axis=1))
 
     def __len__(self) -> int:
         return len(self.dial_deg)
-
-    @property
-    def unit(self) -> Intp:
-        """(n,) index of each pose's unit."""
-        return np.array([mount.unit for mount in self.mounts], dtype=np.intp)[self.mount]
-
-    @property
-    def has_vector(self) -> BoolArray:
-        """(n,) whether a pose has the accelerometer's means."""
-        return np.asarray(np.isfinite(self.vector_g).all(axis=1))
 
     def angle(self) -> FloatArray:
         """(n,) the accelerometer's angle, else the reading, rad."""

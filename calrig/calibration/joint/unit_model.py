@@ -63,17 +63,17 @@ class Felt:
 
 
 def felt(parameters: FloatArray, elevation: FloatArray, warmer_c: FloatArray | float = 0.0) -> Felt:
-    """The vector of one unit.
+    """The vector of one unit, or of as many as there are poses.
 
     Args:
-        parameters: (11,) as `NAMES`.
+        parameters: (11,) as `NAMES`, or (11, n) those of each pose's own unit.
         elevation: (n,) φ, rad.
         warmer_c: (n,) die temperature less the unit's reference.
     """
     common, gain, skew, y, z, y2, y3, z2, z3, y_per_c, z_per_c = parameters
     s, c = np.sin(elevation), np.cos(elevation)
     size, both = 1.0 + common, (1.0 + common) * (1.0 + gain)
-    along, across = s + c * math.sin(skew), c - s * math.sin(skew)
+    along, across = s + c * np.sin(skew), c - s * np.sin(skew)
     vector = np.stack(
         [
             both * along + y + y_per_c * warmer_c + y2 * along**2 + y3 * along**3,
@@ -87,7 +87,7 @@ def felt(parameters: FloatArray, elevation: FloatArray, warmer_c: FloatArray | f
     by = np.zeros((len(elevation), 2, len(NAMES)))
     by[:, 0, 0], by[:, 1, 0] = (1.0 + gain) * along, c
     by[:, 0, 1] = size * along
-    by[:, 0, 2] = steep_y * c * math.cos(skew)
+    by[:, 0, 2] = steep_y * c * np.cos(skew)
     by[:, 0, 3], by[:, 1, 4] = 1.0, 1.0
     by[:, 0, 5], by[:, 0, 6] = along**2, along**3
     by[:, 1, 7], by[:, 1, 8] = c**2, c**3

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from calrig.calibration.pose import Pose
+from calrig.canonical_json import sha256_of
 from calrig.export.archive import layout
 from calrig.export.archive.kept import Problem, Said, document_problems, said_by_trail
 from calrig.export.archive.opened import DamagedError, Opened, opened
 from calrig.export.archive.refit import NotRefitted, differences
 from calrig.export.poses_csv import read_poses
-from calrig.store.issued import sha256_of
 from calrig.store.records import AcceptedEffect
 
 MALFORMED = (KeyError, TypeError, ValueError, AttributeError, IndexError, ArithmeticError, RecursionError)

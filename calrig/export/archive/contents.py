@@ -10,13 +10,14 @@ from typing import Any
 
 import calrig
 from calrig.calibration.pose import Pose
+from calrig.canonical_json import sha256_of
 from calrig.export.archive import layout
 from calrig.export.archive.container import Member, Packed, packed
 from calrig.export.archive.samples import labelled_samples
 from calrig.export.poses_csv import write_pose_batches
 from calrig.store import AT_REST, Run, Store
 from calrig.store.convert import iso_utc
-from calrig.store.issued import Revision, sha256_of
+from calrig.store.issued import Revision
 from calrig.store.records import Document
 from calrig.store.trail import entry_document
 

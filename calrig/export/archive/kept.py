@@ -6,9 +6,9 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
+from calrig.canonical_json import sha256_of
 from calrig.export.archive import layout
 from calrig.export.archive.opened import DamagedError
-from calrig.store.issued import sha256_of
 from calrig.store.trail import FIRST, is_chained
 
 Read = Callable[[str], bytes | None]

@@ -59,6 +59,7 @@ class Board:
         self._heard: list[str] = []
         self._is_reset = self._is_behind = False
         self._began_s = 0.0  # its clock counts from here
+        self._clock_rate = 1.0 + 1e-6 * options.clock_error_ppm
         self._noise = random.Random(0)  # noqa: S311 (garbage, not a secret)
 
     @property
@@ -143,17 +144,18 @@ class Board:
         if stream is None:
             return []
         with self._bench.lock:
-            due = int((self._now() - stream.start_s) * stream.rate_hz) + 1
+            rate_hz = stream.rate_hz * self._clock_rate
+            due = int((self._now() - stream.start_s) * rate_hz) + 1
             count = min(due - stream.sent, MOST_SAMPLES_A_BLOCK)
             self._is_behind = count < due - stream.sent
             if count <= 0:
                 return []
-            times_s = stream.start_s + np.arange(stream.sent, stream.sent + count) / stream.rate_hz
+            times_s = stream.start_s + np.arange(stream.sent, stream.sent + count) / rate_hz
             counts = self._bench.counts(times_s, stream.rate_hz)
         if self.fault == "frozen" and self._last is not None:
             counts = np.repeat(self._last, count, axis=0)
         self._last = counts[-1:]
-        packets = sample_packets(stream.sent, times_s - self._began_s, counts)
+        packets = sample_packets(stream.sent, (times_s - self._began_s) * self._clock_rate, counts)
         if self.fault in {"corrupt", "gaps"}:
             packets = [self._damaged(p, stream.sent + k) for k, p in enumerate(packets)]
         stream.sent += count

@@ -1,0 +1,65 @@
+"""`apply`: a calibration on readings."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import nullcontext
+from pathlib import Path
+from typing import IO, Annotated
+
+import typer
+
+from calrig.cli.options import COLUMNS
+from calrig.errors import InputError, printable
+
+STDIN = "standard input"
+
+
+def apply(
+    calibration: Annotated[
+        str,
+        typer.Argument(
+            metavar="CALIBRATION.json",
+            help="A file, or an address such as http://lab-pc:8000/api/units/AS-0042/calibration "
+            "(with the token of CALRIG_TOKEN).",
+        ),
+    ],
+    readings: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="READINGS.csv",
+            help=f"reading_deg, or accel_y_g and accel_z_g; without it standard input. {COLUMNS}",
+        ),
+    ] = None,
+) -> None:
+    """Print the readings with their calibrated elevations and what these are worth, as CSV."""
+    from calrig.calibration.application import Application
+    from calrig.calibration.effect import ApplyError
+    from calrig.export.applied_csv import Applier
+    from calrig.export.calibration_file import read_document
+    from calrig.export.cells import CsvError
+
+    document = read_document(calibration)
+    name = STDIN if readings is None else str(readings)
+    try:
+        applier = Applier(Application.of_document(document))
+        with nullcontext(sys.stdin.buffer) if readings is None else _opened(readings) as stream:
+            for rows in applier.rows(stream):
+                sys.stdout.write(rows)
+    except CsvError as error:
+        raise InputError(f"{name}: {error}") from error
+    except ApplyError as error:
+        raise InputError(f"{calibration}: cannot be applied ({error})") from error
+    except OSError as error:
+        if isinstance(error, BrokenPipeError):
+            raise
+        raise InputError(f"{name}: cannot be read ({error.strerror})") from error
+    for sentence in applier.warnings():
+        typer.echo(f"calrig apply: {printable(f'{name}: {sentence}')}", err=True)
+
+
+def _opened(file: Path) -> IO[bytes]:
+    try:
+        return file.open("rb")
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read ({error.strerror})") from error

@@ -1,0 +1,193 @@
+"""Readings as CSV with the elevations that they stand for beside them (`calrig apply`)."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import IO
+
+import numpy as np
+import numpy.typing as npt
+
+from calrig.calibration.application import Application
+from calrig.estimation.angles import FloatArray
+from calrig.export.cells import Cells, CsvError
+from calrig.export.csv_table import Table, read_rows, there_are
+from calrig.export.log_table import header_of
+from calrig.export.pieces import pieces_of
+
+READING, TEMPERATURE = "reading_deg", "temperature_c"
+ADDED = ("elevation_deg", "elevation_std_deg")
+AXES = "xyz"
+STANDARD_GRAVITY_MPS2 = 9.80665
+"""What an acceleration is divided by, by the unit in its column's name."""
+UNITS = {"g": 1.0, "mps2": STANDARD_GRAVITY_MPS2}
+Triple = tuple[int | None, int, int]
+"""Places of x (None where it is not there), y and z."""
+NAMES = {READING, TEMPERATURE, *(f"accel_{axis}_{unit}" for axis in AXES for unit in UNITS)}
+
+
+@dataclass(slots=True)
+class _Rows:
+    """Rows of which something is to be said: how many, and the line of the first."""
+
+    n: int = 0
+    first_line: int = 0
+
+    def add(self, which: npt.NDArray[np.bool_], lines: Sequence[int]) -> None:
+        found = np.flatnonzero(which)
+        if len(found) and not self.n:
+            self.first_line = lines[int(found[0])]
+        self.n += len(found)
+
+    def said(self, what: str) -> list[str]:
+        rows = "1 row" if self.n == 1 else f"{self.n} rows"
+        return [f"{rows}, the first in line {self.first_line}: {what}"] if self.n else []
+
+
+@dataclass(slots=True)
+class Applier:
+    """Applies one calibration to one stream of readings.
+
+    Attributes:
+        application: the calibration.
+    """
+
+    application: Application
+    _n: int = 0
+    _beyond: _Rows = field(default_factory=_Rows)
+    _warmer: _Rows = field(default_factory=_Rows)
+    _many: _Rows = field(default_factory=_Rows)
+
+    def rows(self, stream: IO[bytes]) -> Iterator[str]:
+        """What came, and two columns more, some rows at a time, the header first.
+
+        Cells stay as they are; a number that is not known is a blank cell.
+
+        Raises:
+            CsvError: it is no such table, lacks a column, or a cell that is needed is no number; says where.
+        """
+        header, dialect, line, place, begun = [""], None, 1, None, ""
+        for piece in pieces_of(stream):
+            begin = 0
+            if dialect is None:
+                header, line, begin, dialect = header_of(piece, NAMES.__contains__)
+                place = _Places.of(header, line, self.application)
+                begun = _written([[*header, *ADDED]], dialect.separator)
+                line += 1
+            assert place is not None  # noqa: S101 (with the header)
+            for table in read_rows(piece, begin, header, line, dialect):
+                yield begun + self._applied(table, place)
+                begun = ""
+            line += piece.count(b"\n", begin)
+        if not self._n:
+            what = "the file is empty" if dialect is None else "the file has a header and no rows"
+            raise CsvError(what, line=None if dialect is None else line - 1)
+
+    def warnings(self) -> list[str]:
+        """What is to be said once all rows are read."""
+        low, high = self.application.range_deg
+        said = self._beyond.said(
+            f"the elevation is outside {low:g}° to {high:g}°, where the calibration says nothing of its worth"
+        )
+        if self.application.temperature_c is not None:
+            coldest, warmest = self.application.temperature_c
+            between = f"{coldest:.4g} to {warmest:.4g} °C"
+            said += self._warmer.said(f"the temperature is outside {between}, where the unit was calibrated")
+        said += self._many.said("the reading stands for many elevations, and none is given")
+        if math.isnan(self.application.type_a_deg) or math.isnan(self.application.std_deg(np.zeros(1))[0]):
+            said.append(
+                "elevation_std_deg is blank: the calibration does not know what its reference is worth"
+            )
+        return said
+
+    def _applied(self, table: Table, place: _Places) -> str:
+        reading_deg, celsius = place.readings(table), place.temperatures(table)
+        elevation = self.application.elevation_deg(reading_deg, celsius)
+        std = self.application.std_deg(elevation)
+        self._n += len(elevation)
+        self._many.add(np.isnan(elevation), table.lines)
+        self._beyond.add(self.application.beyond_range(elevation) > 0.0, table.lines)
+        if celsius is not None:
+            self._warmer.add(self.application.beyond_temperatures(celsius) > 0.0, table.lines)
+        decimal = table.dialect.decimal
+        added = ([_text(value, decimal) for value in column.tolist()] for column in (elevation, std))
+        rows = ([*row, *more] for row, *more in zip(table.rows, *added, strict=True))
+        return _written(rows, table.dialect.separator)
+
+
+@dataclass(frozen=True, slots=True)
+class _Places:
+    """Where in a row a calibration finds what it needs; None where there is no such column."""
+
+    application: Application
+    reading: int | None
+    accel: Triple
+    accel_unit: float
+    temperature: int | None
+
+    @classmethod
+    def of(cls, header: list[str], line: int, application: Application) -> _Places:
+        at = header.index
+        for name in ADDED:
+            if name in header:
+                raise CsvError("is there already: rename or leave it out", line=line, column=name)
+        reading, accel, unit = cls._readings_of(header, line)
+        temperature = at(TEMPERATURE) if TEMPERATURE in header else None
+        if temperature is None and application.needs_temperature:
+            what = f"there is no such column, and effects of the calibration follow it; {there_are(header)}"
+            raise CsvError(what, line=line, column=TEMPERATURE)
+        return cls(application, reading, accel, unit, temperature)
+
+    @staticmethod
+    def _readings_of(header: list[str], line: int) -> tuple[int | None, Triple, float]:
+        at = header.index
+        if READING in header:
+            return at(READING), (None, 0, 0), 1.0
+        for unit, worth in UNITS.items():
+            x, y, z = (f"accel_{axis}_{unit}" for axis in AXES)
+            if y in header and z in header:
+                return None, (at(x) if x in header else None, at(y), at(z)), worth
+        what = f"there is no such column, nor accel_y_g and accel_z_g in its place; {there_are(header)}"
+        raise CsvError(what, line=line, column=READING)
+
+    def readings(self, table: Table) -> FloatArray:
+        """(n,) degrees."""
+        if self.reading is not None:
+            return _known(table.column(self.reading), "and a row needs it")
+        x, y, z = self.accel
+        of_x = np.full(len(table.rows), np.nan) if x is None else _numbers(table.column(x))
+        along = [_known(table.column(place), "and a row needs it") for place in (y, z)]
+        return self.application.reading_of_deg(np.column_stack([of_x, *along]) / self.accel_unit)
+
+    def temperatures(self, table: Table) -> FloatArray | None:
+        """(n,) °C, or None where there are none."""
+        if self.temperature is None:
+            return None
+        cells = table.column(self.temperature)
+        if self.application.needs_temperature:
+            return _known(cells, "and effects of the calibration follow it")
+        return _numbers(cells)
+
+
+def _numbers(cells: Cells) -> FloatArray:
+    return np.array([math.nan if value is None else value for value in cells.numbers()])
+
+
+def _known(cells: Cells, why: str) -> FloatArray:
+    values = cells.numbers()
+    cells.refuse_first(values, lambda value: value is None, f"is not known, {why}")
+    return np.array(values, dtype=np.float64)
+
+
+def _text(value: float, decimal: str) -> str:
+    return "" if math.isnan(value) else f"{value:.9g}".replace(".", decimal)
+
+
+def _written(rows: Iterator[list[str]] | list[list[str]], separator: str) -> str:
+    text = io.StringIO()
+    csv.writer(text, delimiter=separator, lineterminator="\n").writerows(rows)
+    return text.getvalue()

@@ -1,0 +1,158 @@
+"""What a calibration document says of the axes of accelerometer and gyro, as other programs take it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from calrig.calibration.application import effects_at_rest
+from calrig.calibration.effect_terms import MG
+from calrig.estimation.angles import FloatArray
+
+STANDARD_GRAVITY_MPS2 = 9.80665
+AXES = "xyz"
+LONGEST_LINE = 160
+HELD = frozenset({"accelerometer_offset", "axis_mismatch", "temperature_offset"})
+"""Effects that an offset, a scale or a matrix holds; any other stays out of such a format, and it is said."""
+
+
+class NotHeldError(ValueError):
+    """A format cannot hold what the document says without saying something else; the message is why."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Accelerometer:
+    """true = matrix·(raw − bias − per_c·(T − reference_c)), in g along the sensor's own axes.
+
+    Attributes:
+        bias_g: (3,), NaN for an axis that nothing is known of.
+        matrix: (3, 3); the identity's row and column for such an axis.
+        per_c_g: (3,) what the bias follows the temperature by, g/°C; 0 where it does not.
+        reference_c: None where no axis follows it.
+        is_whole: all nine numbers of the matrix are measured.
+        left_out: effects of the document that are not in these, and bias and scale where there are any.
+    """
+
+    bias_g: FloatArray
+    matrix: FloatArray
+    per_c_g: FloatArray
+    reference_c: float | None
+    is_whole: bool
+    left_out: tuple[str, ...]
+
+    @property
+    def known(self) -> list[int]:
+        """Axes of which something is known."""
+        return np.flatnonzero(~np.isnan(self.bias_g)).tolist()
+
+    def true_g(self, raw_g: FloatArray, temperature_c: float | None = None) -> FloatArray:
+        """(3,) of one raw vector; an axis that nothing is known of stays as it is."""
+        warmer = (
+            0.0 if temperature_c is None or self.reference_c is None else temperature_c - self.reference_c
+        )
+        return np.asarray(self.matrix @ (raw_g - np.nan_to_num(self.bias_g) - self.per_c_g * warmer))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gyro:
+    """true = matrix·(raw − bias − dps_per_g·acceleration), in deg/s; NaN and None as in `Accelerometer`.
+
+    Attributes:
+        bias_dps: (3,).
+        matrix: (3, 3); what was not measured is the identity's.
+        dps_per_g: (3, 3), 0 where it was not measured.
+        is_whole: whether the matrix was measured.
+    """
+
+    bias_dps: FloatArray
+    matrix: FloatArray
+    dps_per_g: FloatArray
+    is_whole: bool
+
+
+def accelerometer_of(document: Mapping[str, Any]) -> Accelerometer | None:
+    """Whole where the document has it; else of y and z by its effects; None where these have nothing of them.
+
+    With the axes as in the catalogue, raw_y = gain·(a_y + a_z·sin skew) + y and raw_z = a_z + z: y and z are
+    relative to the gain of z, which a planar calibration does not know.
+    """
+    effects, _ = effects_at_rest(document)
+    values = {name: dict(parameters) for name, parameters in effects}
+    warm = values.get("temperature_offset", {})
+    per_c = MG * np.array([0.0, warm.get("y_mg_per_c", 0.0), warm.get("z_mg_per_c", 0.0)])
+    left_out = [name for name in values if name not in HELD]
+    found = document.get("accelerometer")
+    if found:
+        bias, matrix = np.array(found["bias_g"], dtype=float), np.array(found["matrix"], dtype=float)
+        left_out += (
+            ["quadratic and cubic terms"] if is_curved(found) and "axis_nonlinearity" not in values else []
+        )
+    elif values.keys() & HELD:
+        offset, mismatch = values.get("accelerometer_offset", {}), values.get("axis_mismatch", {})
+        at_rest = MG * np.array([offset.get("y_mg", 0.0), offset.get("z_mg", 0.0)])
+        bias = np.array([np.nan, *(at_rest if offset or mismatch else (np.nan, np.nan))])
+        gain = 1.0 + mismatch.get("gain_pct", 0.0) / 100.0
+        matrix = np.eye(3)
+        matrix[1, 1:] = 1.0 / gain, -np.sin(np.radians(mismatch.get("skew_deg", 0.0)))
+        line = {"bias_deg": document["bias_deg"] or 0.0, "scale": (document["scale"] or 1.0) - 1.0}
+        left_out += [name for name, value in line.items() if value]
+    else:
+        return None
+    return Accelerometer(bias, matrix, per_c, warm.get("reference_c"), bool(found), tuple(left_out))
+
+
+def is_curved(accelerometer: Mapping[str, Any]) -> bool:
+    """Whether it has terms beside its bias and matrix that are not 0."""
+    terms = [accelerometer.get(name) or [] for name in ("quadratic_g_per_g2", "cubic_g_per_g3")]
+    return any(value for values in terms for value in values)
+
+
+def gyro_of(document: Mapping[str, Any]) -> Gyro:
+    """What the document has of it; a scale alone is that about x."""
+    given = document.get("gyro") or {}
+    bias = np.array([np.nan if b is None else b for b in given.get("bias_dps") or [None] * 3], dtype=float)
+    measured = np.array(given.get("matrix") or [[None] * 3] * 3, dtype=float)
+    matrix = np.where(np.isnan(measured), np.eye(3), measured)
+    if given.get("matrix") is None and given.get("scale") is not None:
+        matrix[0, 0] = given["scale"]
+    per_g = np.array(given.get("dps_per_g") or np.zeros((3, 3)), dtype=float)
+    return Gyro(bias, matrix, np.nan_to_num(per_g), not np.isnan(measured).any())
+
+
+def require_whole(document: Mapping[str, Any], format_: str) -> Accelerometer:
+    """The accelerometer, all of it.
+
+    Raises:
+        NotHeldError: it is of one axis alone.
+    """
+    found = accelerometer_of(document)
+    if found is None or not found.is_whole:
+        raise NotHeldError(
+            f"{format_} holds the whole accelerometer, and this calibration is of one axis: clamp the unit "
+            "with its x, y and z along the stage's axis (`mount_axis`) and solve the runs together"
+        )
+    return found
+
+
+def origin_of(document: Mapping[str, Any]) -> list[str]:
+    """Which document this is, for a comment."""
+    revision = "not issued" if document.get("revision") is None else f"revision {document['revision']}"
+    when = document.get("calibrated_at") or "at a time not known"
+    return [
+        f"calrig: unit {document['unit']}, {revision}, calibrated {when}",
+        f"of the document with SHA-256 {document.get('sha256')}",
+    ]
+
+
+def comments(lines: Sequence[str]) -> list[str]:
+    """Lines of comment behind `#`, in which no text from outside breaks a line or is not ASCII."""
+    printable = ("".join(c if " " <= c <= "~" else "_" for c in line)[:LONGEST_LINE] for line in lines)
+    return [f"# {line}".rstrip() for line in printable]
+
+
+def vector(values: FloatArray) -> str:
+    """`[1.5, 0, -9.80665]`, to ten digits."""
+    return f"[{', '.join(f'{value:.10g}' for value in values)}]"

@@ -1,0 +1,1 @@
+"""What turns a unit in its clamp, by name: a motorised dividing head. Most rigs have none: hands do that."""

@@ -1,0 +1,65 @@
+"""What the unit's own gyro says of a run: its bias in the dwells, and the moves between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from calrig.calibration.pose import GYRO_MEANS, GYRO_MOVES
+from calrig.calibration.result import GyroFigures
+from calrig.estimation.gyro import GyroBias, dwell_bias, felt_move_deg, gyro_scale, run_bias
+from calrig.instruments.types import Samples
+
+
+@dataclass
+class OwnGyro:
+    """The gyro over a run.
+
+    Attributes:
+        along: which axis lies along the stage's, 0 to 2.
+        biases: from each dwell.
+    """
+
+    along: int
+    biases: list[GyroBias] = field(default_factory=list)
+
+    def dwelt(self, dwell: Samples) -> float | None:
+        """Takes a dwell; standard error of its bias about the stage's axis."""
+        self.biases.append(dwell_bias(dwell.gyro_dps))
+        return self.biases[-1].bias_std_dps[self.along]
+
+    def felt_deg(
+        self, move: Samples, period_s: float, lasts_s: float, axis: int | None = None
+    ) -> float | None:
+        """The turn over the move into the last dwell, about an axis; the bias is that of the dwells beside."""
+        k = self.along if axis is None else axis
+        neighbours_dps = [b for bias in self.biases[-2:] if (b := bias.bias_dps[k]) is not None]
+        if not neighbours_dps:
+            return None
+        bias_dps = sum(neighbours_dps) / len(neighbours_dps)
+        return felt_move_deg(move.time_s, move.gyro_dps[:, k], bias_dps, period_s, lasts_s)
+
+    def of_all_axes(
+        self, dwell: Samples, move: Samples, period_s: float, lasts_s: float
+    ) -> dict[str, float | None]:
+        """Mean rates of a dwell and turns over the move before it about each axis, as a pose's covariates."""
+        means = [float(mean) for mean in dwell.gyro_dps.mean(axis=0)]
+        known = {name: None if np.isnan(mean) else mean for name, mean in zip(GYRO_MEANS, means, strict=True)}
+        return known | {
+            name: self.felt_deg(move, period_s, lasts_s, axis) for axis, name in enumerate(GYRO_MOVES)
+        }
+
+    def figures(self, moves: list[tuple[float, float]]) -> GyroFigures:
+        """What dwells and moves say together; `moves` pairs what the unit turned with what it felt, degrees."""
+        if not self.biases:
+            return GyroFigures()
+        bias = run_bias(self.biases)
+        turned_deg, felt_deg = zip(*moves, strict=True) if moves else ((), ())
+        scale = gyro_scale(turned_deg, felt_deg)
+        return GyroFigures(
+            bias.bias_dps,
+            bias.bias_std_dps,
+            None if scale is None else scale.scale,
+            None if scale is None else scale.scale_std,
+        )

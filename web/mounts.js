@@ -1,0 +1,43 @@
+// How the unit is clamped during a run: the plan's fields for that, and the angles they say.
+
+import { h } from "./dom.js";
+
+const PRESETS = ["0", "0, 120, 240", "0, 51.43, 154.29"];
+const AXES = ["x", "y", "z", "-x", "-y", "-z"];
+
+/** The fields; `value()` is their part of the plan, `set(query)` fills in what an address says: `mounts=0,120&axis=x`. */
+export function mountFields() {
+  const angles = h("input", { id: "mounts_deg", type: "text", list: "mounts-usual", value: "0", required: true });
+  const usual = h(
+    "datalist",
+    { id: "mounts-usual" },
+    PRESETS.map((value) => h("option", { value })),
+  );
+  const axis = h(
+    "select",
+    { id: "mount_axis" },
+    AXES.map((value) => h("option", { value }, value.replace("-", "−"))),
+  );
+
+  function set(query) {
+    if (query.has("mounts")) angles.value = query.get("mounts").replaceAll(",", ", ");
+    if (AXES.includes(query.get("axis"))) axis.value = query.get("axis");
+  }
+
+  const element = h(
+    "div",
+    { class: "fields two" },
+    h("div", { class: "field" }, h("label", { for: "mounts_deg" }, "Clamp the unit at, °, one after the other"), angles, usual),
+    h("div", { class: "field" }, h("label", { for: "mount_axis" }, "Its axis along the stage's"), axis),
+  );
+  return { element, set, value: () => ({ mounts_deg: numbers(angles.value), mount_axis: axis.value }) };
+}
+
+/** "−60, 0; 60.5" as numbers; a word that is none stays a word, for the service to name. */
+export function numbers(text) {
+  const words = text
+    .replaceAll("−", "-")
+    .split(/[\s,;]+/)
+    .filter(Boolean);
+  return words.map((word) => (Number.isFinite(Number(word)) ? Number(word) : word));
+}
