@@ -3,6 +3,7 @@
 # No `from __future__ import annotations`: FastAPI reads the annotations.
 
 import re
+from itertools import chain
 
 from fastapi import APIRouter
 from fastapi.responses import Response, StreamingResponse
@@ -32,6 +33,6 @@ def show_archive(unit: KnownUnit, context: Context) -> Response:
         "Content-Disposition": f'attachment; filename="archive-{name}.zip"',
         "Content-Encoding": "identity",  # it is packed
     }
-    return StreamingResponse(
-        archive_of(context.store, unit.serial, context.laboratory), media_type=ZIP, headers=headers
-    )
+    pieces = archive_of(context.store, unit.serial, context.laboratory)
+    first = next(pieces)  # what is wrong with the store is told in place of it
+    return StreamingResponse(chain([first], pieces), media_type=ZIP, headers=headers)

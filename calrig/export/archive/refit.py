@@ -56,12 +56,7 @@ def differences(
     Raises:
         NotRefitted: something that the fit needs is not there.
     """
-    if document["schema"] != SCHEMA:
-        raise NotRefitted(f"this program makes {SCHEMA}, and it is {document['schema']}")
-    if "elevation_std_deg" in document:
-        raise NotRefitted("it is of a joint solution of several runs")
-    if run["provenance"].get("stage_map") is not None:
-        raise NotRefitted("its elevations rest on a map of the stage")
+    _require_known(document, run)
     filtering = filtering_of(run["provenance"], run["plan"])
     excluded = set(basis["excluded"])
     counted = [
@@ -93,6 +88,15 @@ def differences(
     )
     if stated != found:
         yield f"its effects are {_names(stated)}, and those accepted are {_names(found)} with other values"
+
+
+def _require_known(document: Document, run: Document) -> None:
+    if document["schema"] != SCHEMA:
+        raise NotRefitted(f"this program makes {SCHEMA}, and it is {document['schema']}")
+    if "elevation_std_deg" in document:
+        raise NotRefitted("it is of a joint solution of several runs")
+    if run["provenance"].get("stage_map") is not None:
+        raise NotRefitted("its elevations rest on a map of the stage")
 
 
 def _accepted(basis: Document, effects: Mapping[int, AcceptedEffect]) -> list[AcceptedEffect]:
