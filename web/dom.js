@@ -59,6 +59,12 @@ export function rigHref(name) {
   return `#/rigs/${encodeURIComponent(name)}`;
 }
 
+/** Where runs of a rig are solved together, with some of them or those of a unit ticked. */
+export function solveHref({ rig, runs = [], unit }) {
+  const named = [["rig", rig ?? ""], ...(unit ? [["unit", unit]] : []), ...runs.map((id) => ["run", id])];
+  return `#/solve?${new URLSearchParams(named)}`;
+}
+
 export function unitLink(serial) {
   return h("a", { href: unitHref(serial), class: "serial" }, serial);
 }

@@ -3,7 +3,7 @@
 import { get, put, remove } from "./api.js";
 import { askConfirmation } from "./ask.js";
 import { Chart } from "./charts.js";
-import { errorLine, field, fill, h, headings, onSubmit, runLink, statusPill, tableBox, unitLink } from "./dom.js";
+import { errorLine, field, fill, h, headings, onSubmit, runLink, solveHref, statusPill, tableBox, unitLink } from "./dom.js";
 import { fixed, isKnown, moment, plural, significant } from "./format.js";
 import { may } from "./me.js";
 
@@ -30,7 +30,8 @@ export async function rigView({ root, parts: [name], signal }) {
     chart.element.hidden = !check;
     if (check) await chart.load(`/api/rigs/${encodeURIComponent(name)}/figures/check-unit`);
   };
-  fill(root, h("h1", {}, `Rig ${name}`), card, chart.element);
+  const together = h("a", { href: solveHref({ rig: name }), id: "solve-rig" }, "Solve its stage and its units together");
+  fill(root, h("h1", {}, `Rig ${name}`), card, chart.element, h("p", {}, together));
   await read();
 }
 

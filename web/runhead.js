@@ -1,6 +1,6 @@
 // What a run is called, its status, and its downloads.
 
-import { h, rigHref, runLink, runName, statusPill, unitHref, unitLink } from "./dom.js";
+import { h, rigHref, runLink, runName, solveHref, statusPill, unitHref, unitLink } from "./dom.js";
 import { moment } from "./format.js";
 import { interruptions } from "./interrupted.js";
 
@@ -50,6 +50,7 @@ export function downloads(run, path) {
     run.plan && link(`${path}/samples`, "Raw samples (CSV)"),
     run.plan && link(`${path}/samples?format=npz`, "Raw samples (NPZ)"),
     h("a", { href: unitHref(run.unit) }, "Unit's history and calibration"),
+    h("a", { href: solveHref({ rig: run.rig, unit: run.unit }) }, "Solve together with its stage"),
   );
 }
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import re
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from calrig.calibration.joint.solution import Solution
 from calrig.calibration.joint.unit_model import NAMES
 from calrig.estimation.angles import wrap_deg
 from calrig.export.calibration_json import MODEL, SCHEMA
+from calrig.export.joint_files import joint_files
 
 MAP_SCHEMA = "calrig.stage-map/1"
 _CURVATURES = ("y_mg_per_g2", "y_mg_per_g3", "z_mg_per_g2", "z_mg_per_g3")
@@ -33,19 +33,13 @@ ADDED = {"y_mg", "z_mg", "y_mg_per_c", "z_mg_per_c", *_CURVATURES}
 """Added to a vector that is longer than 1 g by the common gain; in the catalogue's vector there is none."""
 
 
-def joint_documents(solution: Solution) -> dict[str, str]:
-    """The files' texts by their names; those of a unit's serial, with what no file is called by replaced."""
-    documents = {
-        _file_name(serial): unit_document(solution, k) for k, serial in enumerate(solution.table.units)
-    }
-    documents["stage-map.json"] = map_document(solution)
-    return {
-        name: json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-        for name, document in documents.items()
-    }
+def joint_documents(solution: Solution, rig: str | None = None) -> dict[str, str]:
+    """The files that a solution leaves behind, of runs on a rig or of files."""
+    units = {serial: unit_document(solution, k, rig) for k, serial in enumerate(solution.table.units)}
+    return joint_files(units, map_document(solution, rig))
 
 
-def unit_document(solution: Solution, unit: int) -> dict[str, Any]:
+def unit_document(solution: Solution, unit: int, rig: str | None = None) -> dict[str, Any]:
     """A unit's calibration with the uncertainty of this solution: nothing in it rests on the stage's word.
 
     All that the unit does to a vector is in its effects, beside a scale of 1; the bias is its level, where a
@@ -69,7 +63,7 @@ def unit_document(solution: Solution, unit: int) -> dict[str, Any]:
         "issued_at": None,
         "run_id": None,
         "calibrated_at": None,
-        "rig": None,
+        "rig": rig,
         "range_deg": list(range_deg(fit, unit)),
         "model": MODEL,
         "bias_deg": 0.0 if level is None else level.value_deg,
@@ -128,12 +122,12 @@ def effects_of(solution: Solution, unit: int) -> list[dict[str, Any]]:
     ]
 
 
-def map_document(solution: Solution) -> dict[str, Any]:
+def map_document(solution: Solution, rig: str | None = None) -> dict[str, Any]:
     """The stage's map: over its dial, and as the series itself with its covariance."""
     on_stage = mapped(solution.fit)
     document = {
         "schema": MAP_SCHEMA,
-        "rig": None,
+        "rig": rig,
         "model": "error = Σ (cos_k·cos kψ + sin_k·sin kψ) + backlash/2·approach, ψ the dial's angle",
         "orders": list(solution.fit.problem.orders),
         "coefficients_deg": on_stage.coefficients.tolist(),
@@ -160,10 +154,6 @@ def _temperatures(solution: Solution, unit: int) -> dict[str, float] | None:
 
 def _rms(values: Any) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
-
-
-def _file_name(serial: str) -> str:
-    return re.sub(r"[^\w.\-]", "_", serial).lstrip(".") + ".json"
 
 
 def _sha256(document: dict[str, Any]) -> str:

@@ -25,6 +25,7 @@ from calrig.store.poses import Poses
 from calrig.store.records import Size
 from calrig.store.rig_standing import RigStandings
 from calrig.store.runs import Runs
+from calrig.store.solutions import Solutions
 from calrig.store.spool import Spool
 from calrig.store.trail import Trail
 from calrig.store.units import Units
@@ -54,6 +55,7 @@ class Store(
     Spool,
     Fleet,
     FleetFindings,
+    Solutions,
 ):
     """An open store, shared by threads. Each method is one transaction, on the disk when it returns.
 

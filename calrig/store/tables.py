@@ -305,3 +305,20 @@ class FleetFindingTable(SQLModel, table=True):
     diagnosis: dict[str, Any] | None = Field(default=None, sa_type=CheckedJson)
     error: str | None = None
     at: datetime = Field(sa_type=UtcText)
+
+
+class SolutionTable(SQLModel, table=True):
+    """Stage, mounts and units solved together: rows are added and never changed."""
+
+    __tablename__ = "solution"
+    __table_args__ = (Index("ix_solution_rig_created_at", "rig", "created_at"),)
+
+    id: str = Field(primary_key=True)
+    created_at: datetime = Field(sa_type=UtcText)
+    solved_by: str | None = None
+    rig: str | None = None
+    basis: dict[str, Any] = Field(sa_type=CheckedJson)
+    document: dict[str, Any] = Field(sa_type=CheckedJson)
+    calibrations: dict[str, Any] = Field(sa_type=CheckedJson)
+    stage_map: dict[str, Any] = Field(sa_type=CheckedJson)
+    poses: dict[str, Any] = Field(sa_type=CheckedJson)

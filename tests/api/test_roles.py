@@ -40,6 +40,7 @@ NEEDED = {
     "/api/units/{serial}/calibrations/{revision}/withdraw": "releaser",
     "/api/runs/{run_id}/follow-up": "operator",
     "/api/imports": "operator",
+    "/api/solve": "operator",
     "/api/limits": "admin",
     "/api/jobs/{job_id}": "operator",
     "/api/users": "admin",
