@@ -18,6 +18,7 @@ from pydantic import (
     model_validator,
 )
 
+from calrig.invalid_fields import first_problem
 from calrig.laboratory import STANDARDS, LaboratorySettings, Overdue, StandardSettings, Strict
 
 CONFIG_NAME = "calrig.toml"
@@ -232,7 +233,7 @@ def load_settings(path: str | None = None) -> Settings:
     try:
         settings = Settings.model_validate(document)
     except ValidationError as error:
-        raise SettingsError(f"{file}: {_first_problem(error, document)}") from error
+        raise SettingsError(f"{file}: {first_problem(error.errors()[0], document)}") from error
     settings = _with_files(settings, file)
     settings._file = file
     return settings if settings.rig else settings.model_copy(update={"rig": (DEMO_RIG,)})
@@ -264,22 +265,6 @@ def _find(path: str | None) -> Path | None:
         if (folder / CONFIG_NAME).is_file():
             return folder / CONFIG_NAME
     return None
-
-
-def _first_problem(error: ValidationError, document: dict[str, Any]) -> str:
-    problem = error.errors()[0]
-    place: list[str] = []
-    node: Any = document
-    for part in problem["loc"]:
-        try:
-            node = node[part]
-        except (KeyError, IndexError, TypeError):
-            node = None
-        if isinstance(part, int) and isinstance(node, dict) and "name" in node:
-            place[-1] = f"{place[-1]} {node['name']!r}"
-        else:
-            place.append(str(part))
-    return f"{', '.join(place) or 'file'}: {problem['msg'].removeprefix('Value error, ')}"
 
 
 def store_url(db: str | None = None) -> str:

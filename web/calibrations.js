@@ -48,6 +48,7 @@ export class Calibrations {
 
   #document(document, { stale, verdict }) {
     const file = `${this.path}/calibration?revision=${document.revision}`;
+    const certificate = certificateButtons(this.path, document.revision);
     return [
       stale.length > 0 &&
         h(
@@ -69,9 +70,10 @@ export class Calibrations {
         h("a", { href: file, download: "calibration.json", id: "calibration-json" }, "Calibration (JSON)"),
         h("a", { href: `${file}&format=c-header`, download: "calibration.h" }, "C header"),
         h("a", { href: `${file}&format=dcc`, download: "", id: "certificate-dcc" }, "Certificate (DCC)"),
+        certificate.buttons,
       ),
+      certificate.error,
       formats(file),
-      certificateButtons(this.path, document.revision),
     ];
   }
 

@@ -32,7 +32,7 @@ export function certificateButtons(path, revision) {
     }
   });
   const say = h("button", { type: "button", id: "item", on: { click: () => askItem(path, error) } }, "How it came…");
-  return [h("div", { class: "buttons certificate" }, make, may("operator") && say), error.element];
+  return { buttons: [make, may("operator") && say], error: error.element };
 }
 
 function hand(blob, name) {
@@ -55,8 +55,9 @@ async function askItem(path, error) {
     const tick = h("input", { type: "checkbox", name: "supplied", checked: known.supplied.includes(name) });
     inputs.set(name, input);
     supplied.set(name, tick);
-    const by = h("label", { class: "by" }, tick, h("span", {}, "by the customer", h("span", { class: "for-screen-readers" }, `: ${label}`)));
-    return h("div", { class: "item-field" }, field(input.id, label, input), by);
+    const of = h("span", { class: "for-screen-readers" }, `: ${label}`);
+    const by = h("div", { class: "choice" }, h("label", {}, tick, h("span", {}, "by the customer", of)));
+    return h("div", { class: "fields two" }, field(input.id, label, input), by);
   });
   const question = {
     title: "How this unit came",

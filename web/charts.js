@@ -22,19 +22,10 @@ function plotly() {
       reject(new ApiError(`The charts' script ${SCRIPT.pathname} could not be loaded.`, 0));
     });
     document.head.append(script);
+    import("./paper.js");
   });
   return library;
 }
-
-// On paper a chart shrinks as a whole, and takes its own size again afterwards.
-window.addEventListener("beforeprint", () => {
-  for (const svg of document.querySelectorAll(".plot .main-svg")) {
-    svg.setAttribute("viewBox", `0 0 ${svg.getAttribute("width")} ${svg.getAttribute("height")}`);
-  }
-});
-window.addEventListener("afterprint", () => {
-  for (const svg of document.querySelectorAll(".plot .main-svg")) svg.removeAttribute("viewBox");
-});
 
 /** A chart with its caption. `draw(figure)` shows a figure, `load(path)` fetches one and shows it. */
 export class Chart {

@@ -60,6 +60,7 @@ LATER = {
     "history.js",
     "limits.js",
     "noise.js",
+    "paper.js",
     "rig.js",
     "solution.js",
     "solve.js",

@@ -12,6 +12,7 @@ from typing import Literal
 
 from calrig.calibration.conformity import Answer, Limit
 from calrig.export.certificate.budget import Budget
+from calrig.export.certificate.pose_errors import Point, Residuals
 from calrig.export.certificate.rounding import by_itself, with_uncertainty
 from calrig.store.issued import RevisionStatus
 
@@ -31,6 +32,7 @@ class Quantity:
         unit: as it is printed; empty of a ratio.
         std: standard uncertainty.
         expanded: the standard uncertainty times `coverage_factor`, for the probability `coverage`.
+        digits: that are shown where no uncertainty is known.
     """
 
     name: str
@@ -41,11 +43,15 @@ class Quantity:
     expanded: float | None = None
     coverage_factor: float | None = None
     coverage: float | None = None
+    digits: int = 4
 
     @property
     def text(self) -> str:
         """The value, to the place of its uncertainty."""
-        return with_uncertainty(self.value, self.expanded or self.std)[0]
+        uncertainty = self.expanded or self.std
+        if not uncertainty:
+            return by_itself(self.value, self.digits)
+        return with_uncertainty(self.value, uncertainty)[0]
 
     @property
     def expanded_text(self) -> str | None:
@@ -148,27 +154,6 @@ class EffectFound:
 
 
 @dataclass(frozen=True, slots=True)
-class Point:
-    """The errors about one elevation, degrees: mean over its poses, and from lowest to highest.
-
-    Attributes:
-        found_deg: before: by the calibration that was in force, or as the unit read.
-        left_deg: with this calibration.
-        expanded_deg: expanded uncertainty of the calibrated elevation; None where it is not known.
-    """
-
-    elevation_deg: float
-    n_poses: int
-    found_deg: float
-    found_low_deg: float
-    found_high_deg: float
-    left_deg: float
-    left_low_deg: float
-    left_high_deg: float
-    expanded_deg: float | None
-
-
-@dataclass(frozen=True, slots=True)
 class Results:
     """What came out.
 
@@ -191,24 +176,6 @@ class Results:
     found_by: str
     points: tuple[Point, ...]
     points_say: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """What is left of each pose after something was taken out, degrees, in the order of the poses."""
-
-    title: str
-    left_deg: tuple[float, ...]
-    rms_deg: float
-
-
-@dataclass(frozen=True, slots=True)
-class Residuals:
-    """What is left of each pose, step by step: as it came, by bias and scale, then effect by effect."""
-
-    elevation_deg: tuple[float, ...]
-    approach: tuple[int, ...]
-    steps: tuple[Step, ...]
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import date
@@ -12,11 +11,9 @@ from typing import Any
 
 import calrig
 from calrig.calibration.conformity import Limit
-from calrig.calibration.coverage import coverage_factor
 from calrig.calibration.limit_verdict import IN_WORDS
-from calrig.calibration.uncertainty import Reference
 from calrig.export.certificate import wording
-from calrig.export.certificate.budget import Budget, budget_of
+from calrig.export.certificate.budget import budget_of
 from calrig.export.certificate.content import (
     Certificate,
     Conditions,
@@ -24,25 +21,19 @@ from calrig.export.certificate.content import (
     Dates,
     Laboratory,
     Method,
-    Quantity,
     Replaced,
-    Results,
     TrailMark,
 )
 from calrig.export.certificate.content import Item as ItemSaid
-from calrig.export.certificate.measured import Measured, effects_found
-from calrig.export.certificate.standards import equipment_of, standards_of, traceable
+from calrig.export.certificate.measured import Measured
+from calrig.export.certificate.results import results_of
+from calrig.export.certificate.standards import equipment_of, standards_of, stated_reference, traceable
 from calrig.laboratory import LaboratorySettings
 from calrig.store.issued import Revision
 from calrig.store.items import Item
-from calrig.store.records import AcceptedEffect, Document, Run, StoredPose, reference_of
+from calrig.store.records import AcceptedEffect, Document, Run, StoredPose
 from calrig.store.trail import Entry
 
-FIGURES = (
-    ("rms_raw_deg", "RMS error as the unit reads"),
-    ("rms_calibrated_deg", "RMS error with bias and scale"),
-    ("rms_with_effects_deg", "RMS error with accepted effects"),
-)
 SUPPLIED = {
     "customer": "customer",
     "address": "address",
@@ -87,8 +78,9 @@ def certificate_of(sources: Sources) -> Certificate:
     document, provenance = revision.document, revision.document["provenance"]
     out = set(revision.basis["excluded"])
     counted = [one.pose for one in sources.poses if one.index not in out]
-    freedom = len(counted) - 2 if counted else None
-    reference = _reference(provenance)
+    solved_jointly = "elevation_std_deg" in document  # its scatter is of all units together
+    freedom = None if solved_jointly or not counted else len(counted) - 2
+    reference = stated_reference(provenance)
     came_with = None if sources.came_with is None else sources.came_with.document
     measured = Measured(counted, document, came_with, sources.of_stage)
     budget = budget_of(document, reference, freedom)
@@ -111,7 +103,7 @@ def certificate_of(sources: Sources) -> Certificate:
             literature=(wording.PAPER, *wording.GUIDES),
         ),
         conditions=_conditions(document),
-        results=_results(sources, measured, budget, reference, freedom),
+        results=results_of(document, run, measured, budget, freedom, sources.of_stage, sources.came_with),
         residuals=measured.residuals(),
         budget=budget,
         standards=standards_of(provenance, run.started_at),
@@ -140,12 +132,6 @@ def _number(certificate: Certificate) -> str:
     """The revision, and a hash of everything that is said: other words, another number."""
     text = json.dumps(asdict(certificate), sort_keys=True, ensure_ascii=False, default=str)
     return f"{certificate.revision:04d}-{hashlib.sha256(text.encode()).hexdigest()[:12].upper()}"
-
-
-def _reference(provenance: Document) -> Reference | None:
-    """What the stage was worth, where its rig states a figure; a map states its own."""
-    stated = (provenance.get("rig") or {}).get("reference") or {}
-    return None if stated.get("std_deg") is None else reference_of(provenance)
 
 
 def _item(serial: str, provenance: Document, item: Item | None) -> ItemSaid:
@@ -200,78 +186,6 @@ def _conditions(document: Document) -> Conditions:
         level_std_deg=document["level_std_deg"],
         other=(),
     )
-
-
-def _results(
-    sources: Sources, measured: Measured, budget: Budget, reference: Reference | None, freedom: int | None
-) -> Results:
-    document, before = sources.revision.document, sources.came_with
-    elevation = None
-    if budget.expanded_deg is not None:
-        elevation = Quantity(
-            "expanded_uncertainty_deg",
-            "Calibrated elevation",
-            0.0,
-            "°",
-            budget.combined_deg,
-            budget.expanded_deg,
-            budget.coverage_factor,
-            budget.coverage,
-        )
-    by = "the unit as it reads, without any calibration"
-    if before is not None:
-        by = f"revision {before.revision} of {before.issued_at:%Y-%m-%d}, with which the unit came"
-    return Results(
-        elevation=elevation,
-        line=tuple(_line(document, reference, freedom)),
-        effects=effects_found(document["effects"], _stds(sources.run)),
-        of_stage=effects_found([asdict(one) for one in sources.of_stage], _stds(sources.run)),
-        figures=tuple(
-            Quantity(key, title, document[key], "°") for key, title in FIGURES if document[key] is not None
-        ),
-        found_by=by,
-        points=measured.points(budget.expanded_deg),
-        points_say=_points_say(document, sources.of_stage, before is not None),
-    )
-
-
-def _points_say(document: Document, of_stage: Sequence[AcceptedEffect], earlier: bool) -> tuple[str, ...]:
-    said = ["Errors are the elevation that the unit gives less that of the stage: mean, lowest and highest."]
-    if of_stage:
-        said.append("The stage's own accepted errors are taken out of both where the poses allow it.")
-    if earlier and not document["level_known"]:
-        said.append(
-            "The unit was clamped anew since: what is common to all errors as found may be the clamping's."
-        )
-    return tuple(said)
-
-
-def _line(document: Document, reference: Reference | None, freedom: int | None) -> list[Quantity]:
-    """Bias and scale with their expanded uncertainties, type A and the stage's part together."""
-    worth, covariance, coverage = document["uncertainty"], document["covariance"], document["coverage"]
-    figures = (("bias_deg", "Bias", "°", "reference_bias_deg"), ("scale", "Scale", "", "reference_scale"))
-    found = []
-    for k, (key, title, unit, part) in enumerate(figures):
-        if covariance is None or worth.get(part) is None or reference is None or not freedom or freedom < 1:
-            own = None if covariance is None else math.sqrt(covariance[k][k])
-            found.append(Quantity(key, title, document[key], unit, std=own))
-            continue
-        own, of_stage = math.sqrt(covariance[k][k]), worth[part]
-        distribution = "normal" if reference.kind == "setting" else reference.distribution
-        factor, std = coverage_factor(own, freedom, of_stage, distribution), math.hypot(own, of_stage)
-        found.append(Quantity(key, title, document[key], unit, std, factor * std, factor, coverage))
-    return found
-
-
-def _stds(run: Run) -> dict[tuple[str, str], float]:
-    """Standard errors of effects' parameters, of those that the run's own diagnosis found."""
-    return {
-        (effect["name"], name): given["std"]
-        for effect in (run.diagnosis or {}).get("effects", ())
-        if effect.get("accepted_at") is not None
-        for name, given in effect["parameters"].items()
-        if isinstance(given, Mapping) and given.get("std") is not None
-    }
 
 
 def _conformity(revision: Revision, limit: Limit | None) -> Conformity | None:

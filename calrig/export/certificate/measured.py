@@ -16,7 +16,8 @@ from calrig.calibration.pose import Pose
 from calrig.calibration.result import AppliedEffect, corrected_residuals_deg, raw_error_deg
 from calrig.estimation.angles import FloatArray
 from calrig.export.calibration_json import line_of
-from calrig.export.certificate.content import EffectFound, Point, Quantity, Residuals, Step
+from calrig.export.certificate.content import EffectFound, Quantity
+from calrig.export.certificate.pose_errors import Point, Residuals, Step
 from calrig.store.records import AcceptedEffect
 
 Document = Mapping[str, Any]

@@ -6,7 +6,8 @@ import math
 
 from calrig.calibration.wording import percent
 from calrig.export.certificate.blocks import Block, figure, pairs, paragraphs, table
-from calrig.export.certificate.content import NOT_STATED, Certificate, EffectFound, Point, Quantity
+from calrig.export.certificate.content import NOT_STATED, Certificate, EffectFound, Quantity
+from calrig.export.certificate.pose_errors import Point
 from calrig.export.certificate.rounding import DIGITS, by_itself, place_of, rounded
 
 

@@ -6,8 +6,10 @@ from collections.abc import Mapping
 from datetime import date, datetime
 from typing import Any
 
+from calrig.calibration.uncertainty import Reference
 from calrig.export.certificate.content import Row, Standard
 from calrig.export.certificate.rounding import by_itself
+from calrig.store.records import reference_of
 
 Document = Mapping[str, Any]
 ROLES = (
@@ -41,6 +43,12 @@ def traceable(provenance: Document) -> str:
         return "No certificate of the stage is stated: angles are traceable no further than the stage's own."
     by = f" of {stated['issued_by']}" if stated.get("issued_by") else ""
     return f"Angles are traceable to the certificate {stated['certificate']}{by}."
+
+
+def stated_reference(provenance: dict[str, Any]) -> Reference | None:
+    """What the stage was worth, where its rig states a figure; a map states its own."""
+    stated = (provenance.get("rig") or {}).get("reference") or {}
+    return None if stated.get("std_deg") is None else reference_of(provenance)
 
 
 def overdue(stated: Document, measured_at: datetime | None) -> bool | None:
