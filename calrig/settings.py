@@ -70,11 +70,19 @@ class ReferenceSettings(StandardSettings):
     """What the stage's own angle is worth: its standard uncertainty and how it is shared among poses.
 
     `distribution`: a maker's limit of ±a is rectangular, with std_deg = a/√3; a certificate's U/k normal.
+    `map` is the stage's map that was solved for, a file beside this one; beyond it `std_deg` counts.
     """
 
-    std_deg: float = Field(gt=0)
+    std_deg: float | None = Field(default=None, gt=0)
     kind: Literal["setting", "harmonic", "common"] = "harmonic"
     distribution: Literal["rectangular", "normal"] = "rectangular"
+    map: str | None = Field(default=None, min_length=1)
+
+    @model_validator(mode="after")
+    def _says_something(self) -> Self:
+        if self.std_deg is None and self.map is None:
+            raise ValueError("reference needs `std_deg` (what the stage's angle is worth), or `map` (a file)")
+        return self
 
 
 class FilterSettings(Strict):

@@ -8,7 +8,6 @@ import { onRigs, watchRigs } from "./rigs.js";
 import { startView } from "./start.js";
 import { runView } from "./run.js";
 import { stopButtons } from "./stop.js";
-import { importView } from "./import.js";
 
 const ROUTES = [
   [/^\/$/, startView],
@@ -22,7 +21,7 @@ const ROUTES = [
   [/^\/rigs\/([^/]+)$/, async (shown) => (await import("./rig.js")).rigView(shown)],
   [/^\/solve$/, async (shown) => (await import("./solve.js")).solveView(shown)],
   [/^\/solve\/([^/]+)$/, async (shown) => (await import("./solution.js")).solutionView(shown)],
-  [/^\/import$/, importView],
+  [/^\/import$/, async (shown) => (await import("./import.js")).importView(shown)],
   [/^\/trail$/, async (shown) => (await import("./trail.js")).trailView(shown)],
   [/^\/users$/, async (shown) => (await import("./users.js")).usersView(shown)],
   [/^\/noise$/, async (shown) => (await import("./noise.js")).noiseView(shown)],

@@ -22,6 +22,8 @@ const WORDS = {
   limits_changed: "changed limits",
   check_unit_changed: "changed a check unit",
   item_changed: "said how a unit came",
+  map_put_in_force: "put a stage's map in force",
+  map_withdrawn: "withdrew a stage's map",
   user_added: "added a user",
   user_changed: "changed a user",
   unit_removed: "removed an empty unit",

@@ -10,6 +10,7 @@ from calrig.analysis.acceptance import Acceptance
 from calrig.analysis.amendments import Records
 from calrig.analysis.diagnoses import Diagnoses
 from calrig.analysis.due_dates import INTERVAL_DAYS, DueDates, due_dates
+from calrig.analysis.error_map import Basis, ErrorMap
 from calrig.analysis.errors import Unknown
 from calrig.analysis.histories import Histories
 from calrig.analysis.issuing import Issuer
@@ -32,7 +33,7 @@ class ApiContext:
     `scans` are looks at the ports, one at a time; `jobs` heavy work that no request waits for.
     `centre` tells how agents reach a centre's database, `enrolling` counts those that try to join.
     `laboratory` is who issues certificates.
-    `lately` keeps for a moment what many watch.
+    `lately` keeps for a moment what many watch, `error_maps` by rig the last one that was solved for.
     `limits_kept_in` is the file that gives the limits; None where people change them over HTTP.
     """
 
@@ -48,6 +49,7 @@ class ApiContext:
     enrolling: Attempts = field(default_factory=Attempts)
     lately: Lately = field(default_factory=Lately)
     laboratory: LaboratorySettings = field(default_factory=LaboratorySettings)
+    error_maps: dict[str, tuple[Basis, ErrorMap]] = field(default_factory=dict)
 
     @property
     def diagnoses(self) -> Diagnoses:

@@ -25,7 +25,8 @@ from calrig.store.limits import limits_of
 from calrig.store.records import Progress, RawSamples, Run, SampleBlock, Status, StoredPose, Voided
 from calrig.store.tables import CalibrationTable, PoseTable, RunTable, SampleBlockTable
 
-_POSE_FIELDS = tuple(field.name for field in dataclasses.fields(Pose) if field.name != "filtering")
+_NO_COLUMNS = {"filtering", "map_deg"}
+_POSE_FIELDS = tuple(field.name for field in dataclasses.fields(Pose) if field.name not in _NO_COLUMNS)
 POSE_NUMBERS = tuple(name for name in _POSE_FIELDS if name != "covariates")
 FIGURES = tuple(name for name in CalibrationTable.model_fields if name not in {"run_id", "crc32"})
 """The columns of a result in comparisons."""

@@ -10,6 +10,7 @@ from sqlmodel import Session, col, delete, func, insert, select
 from sqlmodel.sql.expression import SelectOfScalar
 
 from calrig.calibration.pose import Filtering, Pose
+from calrig.calibration.stage_reference import StageMap
 from calrig.store.convert import (
     joined_arrays,
     labelled_block,
@@ -30,6 +31,7 @@ from calrig.store.records import (
     StoredPose,
     filtering_of,
 )
+from calrig.store.run_maps import map_in_use, put_upon
 from calrig.store.runs import POSES_AT_ONCE, change
 from calrig.store.tables import PoseTable, RunTable, SampleBlockTable
 
@@ -89,7 +91,8 @@ class Poses(Part):
             wanted = _by_index(run).execution_options(yield_per=POSES_AT_ONCE)
             filtering = _filtering_of(run)
             found = (pose_of(pose, run.uid, filtering) for pose in session.exec(wanted))
-            return [pose for pose in found if include_excluded or pose.excluded is None]
+            wanted_ones = [pose for pose in found if include_excluded or pose.excluded is None]
+            return put_upon(wanted_ones, map_in_use(session, run))
 
     def pose_batches(self, run_id: str) -> Iterator[list[StoredPose]]:
         """The same, excluded ones among them, some at a time as they are asked for.
@@ -100,11 +103,15 @@ class Poses(Part):
         with self._database.reading() as session:
             run = run_row(session, run_id)
             _require_all(session, run)
-            filtering, wanted = _filtering_of(run), _by_index(run)
-        return self._batches(wanted, run_id, filtering)
+            filtering, wanted, in_use = _filtering_of(run), _by_index(run), map_in_use(session, run)
+        return self._batches(wanted, run_id, filtering, in_use)
 
     def _batches(
-        self, wanted: SelectOfScalar[PoseTable], run_id: str, filtering: Filtering | None
+        self,
+        wanted: SelectOfScalar[PoseTable],
+        run_id: str,
+        filtering: Filtering | None,
+        in_use: StageMap | None,
     ) -> Iterator[list[StoredPose]]:
         last = -1
         while True:
@@ -114,7 +121,7 @@ class Poses(Part):
             if not batch:
                 return
             last = batch[-1].index
-            yield batch
+            yield put_upon(batch, in_use)
 
     def count_poses(self, run_id: str) -> int:
         """How many poses of a run count."""

@@ -27,6 +27,7 @@ from calrig.store.rig_standing import RigStandings
 from calrig.store.runs import Runs
 from calrig.store.solutions import Solutions
 from calrig.store.spool import Spool
+from calrig.store.stage_maps import StageMaps
 from calrig.store.trail import Trail
 from calrig.store.units import Units
 from calrig.store.unpacking import Unpacking
@@ -56,6 +57,7 @@ class Store(
     Fleet,
     FleetFindings,
     Solutions,
+    StageMaps,
 ):
     """An open store, shared by threads. Each method is one transaction, on the disk when it returns.
 

@@ -322,3 +322,30 @@ class SolutionTable(SQLModel, table=True):
     calibrations: dict[str, Any] = Field(sa_type=CheckedJson)
     stage_map: dict[str, Any] = Field(sa_type=CheckedJson)
     poses: dict[str, Any] = Field(sa_type=CheckedJson)
+
+
+class StageMapTable(SQLModel, table=True):
+    """A stage's map that was put in force as the reference of a rig, and until when; at most one is.
+
+    Runs keep what they need of it themselves.
+    """
+
+    __tablename__ = "stage_map"
+    __table_args__ = (
+        Index(
+            "ix_stage_map_in_force",
+            "rig",
+            unique=True,
+            sqlite_where=text("withdrawn_at IS NULL"),
+            postgresql_where=text("withdrawn_at IS NULL"),
+        ),
+    )
+
+    id: int = Field(default=None, primary_key=True)
+    rig: str
+    solution_id: str = Field(foreign_key="solution.id")
+    document: dict[str, Any] = Field(sa_type=CheckedJson)
+    sha256: str = Field(sa_type=Sha256)
+    put_at: datetime = Field(sa_type=UtcText)
+    put_by: str | None = None
+    withdrawn_at: datetime | None = Field(default=None, sa_type=UtcText)

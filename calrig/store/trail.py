@@ -20,7 +20,8 @@ from calrig.store.tables import TrailTable
 What = Literal[
     "started", "imported", "excluded", "included", "voided", "unvoided", "noted", "moved",
     "accepted", "taken_back", "drafted", "released", "withdrawn", "limits_changed",
-    "check_unit_changed", "item_changed", "user_added", "user_changed", "unit_removed",
+    "check_unit_changed", "item_changed", "map_put_in_force", "map_withdrawn",
+    "user_added", "user_changed", "unit_removed",
     "bench_added", "bench_enrolled", "bench_revoked",
 ]  # fmt: skip
 

@@ -58,6 +58,7 @@ LATER = {
     "compare.js",
     "formats.js",
     "history.js",
+    "import.js",
     "limits.js",
     "noise.js",
     "paper.js",

@@ -19,6 +19,7 @@ from calrig.store.users import ROLES
 TOKEN = "the-benches-of-building-4"
 NEEDED = {
     "/api/rigs/{name}/check-unit": "releaser",
+    "/api/rigs/{name}/map": "admin",
     "/api/rigs/scan": "operator",
     "/api/rigs/{name}/clamp": "operator",
     "/api/runs": "operator",

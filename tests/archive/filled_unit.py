@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from dated_runs import gave
+from kept_maps import solved
 
 from calrig.analysis.amendments import Records
 from calrig.analysis.certificates import certificate_dcc
 from calrig.analysis.issuing import Issuer
+from calrig.analysis.stage_maps import provenance_part, put_in_force
 from calrig.calibration.pose import Pose
 from calrig.export.archive.contents import unit_archive
 from calrig.laboratory import LaboratorySettings
@@ -16,6 +19,7 @@ from calrig.store import AcceptedEffect, SampleBlock, Store
 from calrig.store.issued import Revision
 
 UNIT = "AS/42 ä"
+MAPPED = "M-2"
 
 
 def poses_csv(seed: int, n: int = 24) -> bytes:
@@ -57,6 +61,20 @@ def fill(store: Store) -> None:
     issuer.withdraw(UNIT, 4, by="ada", reason="a test")
     measured(store, "completed")
     measured(store, "running")
+    by_a_map(store, issuer)
+
+
+def by_a_map(store: Store, issuer: Issuer) -> None:
+    """A unit whose elevations rest on the map of a stage, what was accepted of that stage beside it."""
+    put_in_force(store, "bench-2", store.keep_solution(solved("bench-2")).id, who=None)
+    kept = provenance_part(store, "bench-2", {})
+    dial = np.repeat(np.linspace(-60.0, 60.0, 7), 2).tolist()
+    poses = [Pose(theta, 0.5 + 1.001 * theta, approach=(-1) ** k) for k, theta in enumerate(dial)]
+    given = {"plan": None, "status": "completed", "provenance": kept, "poses": poses, "result": gave()}
+    run = store.create_run(unit=MAPPED, rig="bench-2", **given)
+    play = AcceptedEffect(run.id, None, "bench-2", "backlash", "stage", {"backlash_deg": 0.06})
+    store.accept_effects(run.id, [play], who="ada")
+    issuer.draft(MAPPED, run.id, by="ada")
 
 
 def measured(store: Store, status: str) -> None:

@@ -11,7 +11,7 @@ import zipfile
 
 import numpy as np
 import pytest
-from filled_unit import UNIT, archive, block, fill
+from filled_unit import MAPPED, UNIT, archive, block, fill
 from forged import container, members, resealed, resigned
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -81,6 +81,18 @@ def test_the_same_store_gives_the_same_bytes_and_one_more_entry_other_ones(fille
         other = archive(store, "somebody else's")
     assert members(other)[layout.README] == members(whole)[layout.README]
     assert UNIT.encode() not in b"".join(members(other).values()), "nothing of another unit is in it"
+
+
+def test_what_rests_on_a_map_of_the_stage_is_fitted_again_by_it(filled, check):
+    with Store.open(filled, writer=None) as store:
+        (revision,) = store.revisions(MAPPED)
+        assert revision.basis["effects"], "of the stage, which the map holds already"
+        whole = archive(store, MAPPED)
+    assert (check(whole).problems, check(whole).refitted) == ([], [1])
+    name = layout.run_names(revision.run_id)[0]
+    run = json.loads(members(whole)[name])
+    run["provenance"]["stage_map"] = None
+    assert "its poses give" in said(check(resigned(whole, contents={name: json.dumps(run).encode()})))
 
 
 @pytest.mark.parametrize("engine", ["postgresql"])

@@ -117,6 +117,7 @@ def test_a_folder_is_no_configuration(tmp_path: Path) -> None:
         (rig("b", "limits_deg = [-inf, 90]"), r"rig 'b', limits_deg, 0: .*finite"),
         (rig("b", "limits_deg = [1, 2, 3]"), r"rig 'b', limits_deg"),
         (rig("b", "reference = { std_deg = -1 }"), r"rig 'b', reference, std_deg: .*greater than 0"),
+        (rig("b", "reference = {}"), r"rig 'b', reference: reference needs `std_deg`"),
         (rig("b", 'reference = { std_deg = 1, kind = "odd" }'), r"rig 'b', reference, kind: .*'setting'"),
         (rig("b").replace('"a"', '"a", sign = 2'), r"rig 'b', stage, sign: .*-1 or 1"),
         (rig("b").replace('"a"', '"a", ratio = 0.0'), r"rig 'b', stage, ratio: .*greater than 0"),

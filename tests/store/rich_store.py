@@ -33,7 +33,7 @@ SOLVED = Solved(
         "warnings": ["größer als erwartet"],
     },
     calibrations={"Ä-1": {"unit": "Ä-1", "bias_deg": 1 / 3, "sha256": "5e"}},
-    stage_map={"map": {"stage_deg": [0.0, -0.0, 1e-300]}, "sha256": "5f"},
+    stage_map={"map": {"stage_deg": [0.0, -0.0, 1e-300]}, "sha256": "5f" * 32},
     poses={"dial_deg": [0.1, 2.0], "before_deg": [0.5, None]},
 )
 
@@ -53,7 +53,8 @@ def fill(path: Path) -> str:
             _amend(client)
         store.name_check_unit("r", "A-3", 7.0, who="ada")
         store.say_item("A-3", Item(customer="山田 & Søn", condition="neu", supplied=("customer",)), who="ada")
-        store.keep_solution(SOLVED, by="ada")
+        solution = store.keep_solution(SOLVED, by="ada")
+        store.put_stage_map("r", solution.id, SOLVED.stage_map, who="ada")
         store.add_user("proxied", "viewer", with_token=False)
         _, token = store.add_user("ada", "admin")
     assert token is not None

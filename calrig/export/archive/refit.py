@@ -13,8 +13,9 @@ from calrig.calibration.effect import ApplyError
 from calrig.calibration.effects import effect_of
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import build_result
+from calrig.calibration.stage_reference import dial_of, with_map
 from calrig.export.calibration_json import SCHEMA, calibration_content
-from calrig.store.records import AcceptedEffect, Document, filtering_of
+from calrig.store.records import AcceptedEffect, Document, filtering_of, map_of
 
 FIGURES = (
     "range_deg",
@@ -56,7 +57,7 @@ def differences(
     Raises:
         NotRefitted: something that the fit needs is not there.
     """
-    _require_known(document, run)
+    _require_known(document)
     filtering = filtering_of(run["provenance"], run["plan"])
     excluded = set(basis["excluded"])
     counted = [
@@ -64,10 +65,14 @@ def differences(
         for pose, index in zip(poses, indices, strict=True)
         if index not in excluded
     ]
-    accepted = _accepted(basis, effects)
-    applied = [(effect.name, numbers_of(effect.parameters)) for effect in accepted]
     if not counted:
         raise NotRefitted("its run has no poses here")
+    accepted = _accepted(basis, effects)
+    in_force = map_of(run["provenance"])
+    if in_force is not None and in_force.covers(dial_of(counted)[0]).all():
+        counted = with_map(counted, in_force)
+        accepted = [effect for effect in accepted if effect.unit is not None]  # the rig's are in the map
+    applied = [(effect.name, numbers_of(effect.parameters)) for effect in accepted]
     with np.errstate(all="ignore"):
         result = build_result(counted, None, applied)
         if result.scale is None:
@@ -90,13 +95,11 @@ def differences(
         yield f"its effects are {_names(stated)}, and those accepted are {_names(found)} with other values"
 
 
-def _require_known(document: Document, run: Document) -> None:
+def _require_known(document: Document) -> None:
     if document["schema"] != SCHEMA:
         raise NotRefitted(f"this program makes {SCHEMA}, and it is {document['schema']}")
     if "elevation_std_deg" in document:
         raise NotRefitted("it is of a joint solution of several runs")
-    if run["provenance"].get("stage_map") is not None:
-        raise NotRefitted("its elevations rest on a map of the stage")
 
 
 def _accepted(basis: Document, effects: Mapping[int, AcceptedEffect]) -> list[AcceptedEffect]:
