@@ -195,7 +195,7 @@ def test_what_a_unit_came_with_on_a_later_day_is_not_of_an_earlier_calibration(
     ("wrong", "says"),
     [
         ({"customer": "a\u202eb"}, "cannot be printed"),
-        ({"interval_agreed_months": 0}, "interval_agreed_months"),
+        ({"interval_agreed_months": 0}, "Months until the next calibration"),
         ({"supplied": ["colour"]}, "supplied"),
         ({"price": "1"}, "price"),
     ],
@@ -253,3 +253,15 @@ def test_a_run_on_an_overdue_reference_is_flagged_or_not_begun(
         assert answer.status_code == 409
         assert "Nothing was moved: have it calibrated" in answer.json()["detail"]
         assert refusing.get("/api/runs").json()["items"] == []
+
+
+def test_of_a_run_with_several_mounts_the_poses_of_the_first_one_count(lab: tuple[httpx.Client, Any]) -> None:
+    rows = [
+        f"{x},{0.5 + x + mount + 0.01 * (-1) ** x},{mount}" for mount in (0, 90) for x in range(-40, 41, 10)
+    ]
+    file = "\n".join(["target_deg,reading_deg,mount_deg", *rows]).encode()
+    service = lab[1]
+    Records(service.store, service.issuer).import_poses(unit="M-1", rig=None, file_name="m", content=file)
+    said = certificate(service.store, service.store.in_force("M-1"), LABORATORY)
+    assert [point.elevation_deg for point in said.results.points] == list(range(-40, 41, 10))
+    assert any(words.startswith("9 poses at further mounts do not count here") for words in said.deviations)

@@ -12,6 +12,7 @@ from typing import Any
 import calrig
 from calrig.calibration.conformity import Limit
 from calrig.calibration.limit_verdict import IN_WORDS
+from calrig.calibration.pose import of_first_mount
 from calrig.export.certificate import wording
 from calrig.export.certificate.budget import budget_of
 from calrig.export.certificate.content import (
@@ -77,7 +78,8 @@ def certificate_of(sources: Sources) -> Certificate:
     revision, run = sources.revision, sources.run
     document, provenance = revision.document, revision.document["provenance"]
     out = set(revision.basis["excluded"])
-    counted = [one.pose for one in sources.poses if one.index not in out]
+    kept = [one.pose for one in sources.poses if one.index not in out]
+    counted = of_first_mount(kept)
     solved_jointly = "elevation_std_deg" in document  # its scatter is of all units together
     freedom = None if solved_jointly or not counted else len(counted) - 2
     reference = stated_reference(provenance)
@@ -119,6 +121,7 @@ def certificate_of(sources: Sources) -> Certificate:
             provenance=provenance,
             faults=run.faults,
             excluded=[one for one in sources.poses if one.index in out],
+            at_other_mounts=len(kept) - len(counted),
         ),
         software=wording.software(calrig.__version__),
         trail=_mark(sources.entries[-1]) if sources.entries else None,

@@ -14,7 +14,7 @@ from calrig.calibration.effects import effect_of
 from calrig.calibration.fit import rms
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import AppliedEffect, corrected_residuals_deg, raw_error_deg
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import FloatArray, wrap_deg
 from calrig.export.calibration_json import line_of
 from calrig.export.certificate.content import EffectFound, Quantity
 from calrig.export.certificate.pose_errors import Point, Residuals, Step
@@ -68,7 +68,7 @@ class Measured:
     def points(self, expanded_deg: float | None) -> tuple[Point, ...]:
         """The errors by elevation."""
         theta = np.array([pose.theta_deg for pose in self.poses])
-        places = np.array([round(pose.target_deg, 3) for pose in self.poses])
+        places = np.array([round(pose.target_deg + wrap_deg(pose.mount_deg), 3) for pose in self.poses])
         if len(set(places.tolist())) > MOST_POINTS:
             low, width = float(theta.min()), float(np.ptp(theta)) / (MOST_POINTS - 1)
             places = low + width * np.rint((theta - low) / width)

@@ -101,7 +101,12 @@ def plan_rows(plan: Document | None) -> tuple[Row, ...]:
 
 
 def deviations(
-    *, plan: Document | None, provenance: Document, faults: Mapping[str, int], excluded: Sequence[StoredPose]
+    *,
+    plan: Document | None,
+    provenance: Document,
+    faults: Mapping[str, int],
+    excluded: Sequence[StoredPose],
+    at_other_mounts: int,
 ) -> tuple[str, ...]:
     """What was not as the method has it."""
     said = []
@@ -111,6 +116,11 @@ def deviations(
         )
     if plan is None:
         said.append("The poses were not measured by this program: they were imported from a file.")
+    if at_other_mounts:
+        said.append(
+            f"{at_other_mounts} poses at further mounts do not count here: they are for the joint solution "
+            "of stage, mounts and unit."
+        )
     for pose in excluded:
         angle = f"{pose.pose.target_deg:g}°".replace("-", "−")
         said.append(f"Pose {pose.index} at {angle} does not count: {pose.excluded or 'excluded'}")
