@@ -104,7 +104,7 @@ def test_a_centre_gives_an_archive_of_the_same_kind(engine, new_database, check)
 
 
 def test_any_changed_byte_of_the_file_is_found(whole, check):
-    @settings(max_examples=40)
+    @settings(max_examples=25)
     @given(st.integers(0, len(whole) - 1), st.integers(1, 255))
     def changed(place, difference):
         content = bytearray(whole)
@@ -142,7 +142,7 @@ def test_what_is_missing_extra_or_cut_off_is_named(whole, check):
     assert "byte" in said(check(b"PK\x03\x04" + whole)), "something was put before it"
 
 
-@pytest.mark.parametrize("n_damages", [40, pytest.param(200, marks=pytest.mark.statistical)])
+@pytest.mark.parametrize("n_damages", [30, pytest.param(200, marks=pytest.mark.statistical)])
 def test_random_damages_are_each_found(whole, check, n_damages):
     rng = random.Random(16)
     for _ in range(n_damages):
@@ -252,7 +252,7 @@ def test_documents_of_any_other_form_are_refused_in_words(whole, check):
     kept = members(whole)
     rng = random.Random(2)
     names = [name for name in kept if name.endswith(".json")]
-    for _ in range(20):
+    for _ in range(12):
         name = rng.choice(names)
         changed = json.dumps(replaced(json.loads(kept[name]), rng)).encode()
         if name == layout.MANIFEST:
