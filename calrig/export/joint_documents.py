@@ -53,7 +53,7 @@ def unit_document(solution: Solution, unit: int, rig: str | None = None) -> dict
     covariance[0, 0] += np.degrees(np.degrees(worth.common_variance))
     factor = coverage_factor(solution.noise_deg, fit.freedom, worth.rms_deg, "normal")
     own = (table.unit == unit) & fit.kept
-    stated = np.array([mount.nominal_deg or 0.0 for mount in table.mounts])[table.mount]
+    stated = np.array([mount.sense * (mount.nominal_deg or 0.0) for mount in table.mounts])[table.mount]
     raw = wrap_deg(np.degrees(table.reading) - table.sense * table.dial_deg - stated)[own]
     document = {
         "schema": SCHEMA,
