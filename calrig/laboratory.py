@@ -60,6 +60,16 @@ class StandardSettings(Strict):
         return self.model_copy(update={"sha256": sha256})
 
 
+_PATHS = {
+    "logo": Path.is_file,
+    "fonts": Path.is_dir,
+    "signing_key": Path.is_file,
+    "signing_certificate": Path.is_file,
+}
+_NOT_STATED = {*_PATHS, "country"}
+"""What of a laboratory a certificate on paper has no words for."""
+
+
 class LaboratorySettings(Strict):
     """Who issues certificates, a `[laboratory]`; what is not stated here, a certificate does not state.
 
@@ -70,6 +80,8 @@ class LaboratorySettings(Strict):
         authorised_by: who is responsible for certificates; else who released the calibration.
         logo: for the head of certificates, an SVG, PNG or JPEG file.
         fonts: a folder of fonts for what typst's own have no characters for.
+        country: of the laboratory, two letters of ISO 3166-1, for digital certificates.
+        signing_key, signing_certificate: PEM files that digital certificates are signed with.
     """
 
     name: Words | None = None
@@ -80,19 +92,28 @@ class LaboratorySettings(Strict):
     authorised_by: Words | None = None
     logo: Words | None = None
     fonts: Words | None = None
+    country: Annotated[str, Field(pattern="^[A-Z]{2}$")] | None = None
+    signing_key: Words | None = None
+    signing_certificate: Words | None = None
+
+    @model_validator(mode="after")
+    def _signs_with_both(self) -> Self:
+        if (self.signing_key is None) != (self.signing_certificate is None):
+            raise ValueError("signing_key and signing_certificate go together")
+        return self
 
     def as_stated(self) -> dict[str, str | None]:
         """What a certificate says of it, by name."""
-        return self.model_dump(exclude={"logo", "fonts"})
+        return self.model_dump(exclude=_NOT_STATED)
 
     def read_beside(self, folder: Path) -> Self:
         """The same with whole paths.
 
         Raises:
-            ValueError: the logo or the fonts are not there.
+            ValueError: one of them is not there.
         """
         found = {}
-        for name, is_there in (("logo", Path.is_file), ("fonts", Path.is_dir)):
+        for name, is_there in _PATHS.items():
             said = getattr(self, name)
             if said is None:
                 continue

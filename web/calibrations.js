@@ -69,6 +69,7 @@ export class Calibrations {
         { class: "downloads" },
         h("a", { href: file, download: "calibration.json", id: "calibration-json" }, "Calibration (JSON)"),
         h("a", { href: `${file}&format=c-header`, download: "calibration.h" }, "C header"),
+        h("a", { href: `${file}&format=dcc`, download: "", id: "certificate-dcc" }, "Certificate (DCC)"),
         certificate.buttons,
       ),
       certificate.error,

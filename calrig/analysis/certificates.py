@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import datetime
+from pathlib import Path
 
 from calrig.analysis.errors import Conflict
 from calrig.analysis.results import rest_on_map
@@ -12,6 +13,8 @@ from calrig.calibration.conformity import Limit
 from calrig.export.certificate.content import Certificate
 from calrig.export.certificate.making import Sources, certificate_of
 from calrig.export.certificate.pdf import Attached, CannotPrintError, pdf_of
+from calrig.export.dcc.document import dcc_of
+from calrig.export.dcc.signing import signed
 from calrig.figures.residual_steps import residual_steps
 from calrig.figures.svg import svg_of
 from calrig.laboratory import LaboratorySettings
@@ -93,6 +96,19 @@ def _limits_at(store: Store, when: datetime) -> list[Limit]:
     return [Limit.from_dict(one) for one in changes[0].act.detail["before"]] if changes else store.limits()
 
 
+def certificate_dcc(store: Store, revision: Revision, laboratory: LaboratorySettings) -> bytes:
+    """A revision's certificate as a DCC, signed where the laboratory has a key.
+
+    Raises:
+        SignerMissingError: what signs is not installed.
+        WorkError: key and certificate cannot be signed with.
+    """
+    made = dcc_of(certificate(store, revision, laboratory), revision.text.encode(), laboratory.country)
+    if laboratory.signing_key is None or laboratory.signing_certificate is None:
+        return made
+    return signed(made, Path(laboratory.signing_key), Path(laboratory.signing_certificate))
+
+
 def certificate_pdf(store: Store, revision: Revision, laboratory: LaboratorySettings) -> bytes:
     """A revision's certificate as PDF/A-3, the calibration document inside.
 
@@ -104,10 +120,17 @@ def certificate_pdf(store: Store, revision: Revision, laboratory: LaboratorySett
     found = said.residuals
     steps = [(step.title, step.left_deg) for step in found.steps]
     picture = svg_of(residual_steps(found.elevation_deg, found.approach, steps))
-    document = Attached(
-        "calibration.json", revision.text.encode(), "application/json", "The calibration document as issued"
-    )
+    document = revision.text.encode()
+    attached = [
+        Attached("calibration.json", document, "application/json", "The calibration document as issued"),
+        Attached(
+            "certificate.xml",
+            dcc_of(said, document, laboratory.country),
+            "application/xml",
+            "This certificate as a DCC",
+        ),
+    ]
     try:
-        return pdf_of(said, picture, [document], laboratory)
+        return pdf_of(said, picture, attached, laboratory)
     except CannotPrintError as error:
         raise Conflict(f"revision {revision.revision} of unit {revision.unit!r}: {error}") from error

@@ -16,6 +16,7 @@ import calrig
 from calrig.analysis.due_dates import INTERVAL_DAYS
 from calrig.api import (
     amendments,
+    archive,
     benches,
     calibrations,
     changes,
@@ -74,6 +75,7 @@ PARTS = (
     calibrations,
     items,
     changes,
+    archive,
     units,
     compare,
     check_unit,

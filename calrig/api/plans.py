@@ -55,8 +55,8 @@ def estimate_plan(body: PlanOnRig, context: Context) -> EstimateAnswer:
     """
     rig = context.service.known_rig(body.rig)
     said = estimate(body.plan, rig, context.store)
-    of_limits = cannot_pass_on(rig, body.unit, body.plan, context.store, context.service.maps)
-    warnings = [*overdue_says(rig), *of_limits]
+    cannot = cannot_pass_on(rig, body.unit, body.plan, context.store, context.service.maps)
+    warnings = [*overdue_says(rig), *cannot]
     return EstimateAnswer(**asdict(said), warnings=warnings)
 
 

@@ -159,22 +159,20 @@ class Units(Part):
             .where(_STANDS)
             .order_by(col(AcceptedEffectTable.id))
         )
-        latest: dict[tuple[str | None, str], AcceptedEffect] = {}
         with self._database.reading() as session:
-            for row, run_id in session.exec(wanted):
-                latest[row.unit, row.name] = _accepted(row, run_id)
+            latest = {(row.unit, row.name): _accepted(row, run_id) for row, run_id in session.exec(wanted)}
         return list(latest.values())
 
     def accepted_effects(self, ids: Sequence[int]) -> list[AcceptedEffect]:
-        """Effects by their ids, in the order that they were accepted in, also those taken back since."""
-        wanted = (
-            select(AcceptedEffectTable, RunTable.uid)
-            .join(RunTable)
-            .where(col(AcceptedEffectTable.id).in_(ids))
-            .order_by(col(AcceptedEffectTable.id))
-        )
+        """Effects that were accepted, by their ids, those that were taken back since among them."""
+        found = []
         with self._database.reading() as session:
-            return [_accepted(row, run_id) for row, run_id in session.exec(wanted)]
+            for first in range(0, len(ids), _AT_ONCE):
+                some = col(AcceptedEffectTable.id).in_(ids[first : first + _AT_ONCE])
+                wanted = select(AcceptedEffectTable, RunTable.uid).join(RunTable).where(some)
+                in_order = wanted.order_by(col(AcceptedEffectTable.id))
+                found += [_accepted(row, run_id) for row, run_id in session.exec(in_order)]
+        return found
 
     def effect_names(self) -> dict[str, list[str]]:
         """Names of the effects in force for each unit that has any."""
