@@ -27,6 +27,7 @@ from calrig.cli import (
     serve,
     solve,
     users,
+    verify,
     watch,
 )
 from calrig.cli.exit_status import Commands
@@ -48,6 +49,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "rigs": rigs.rigs,
     "import": records.import_,
     "export": records.export,
+    "verify": verify.verify,
     "backup": records.backup,
     "move-store": move_store.move_store,
     "diagnose": diagnosis.diagnose,
