@@ -159,7 +159,7 @@ def export(
 
 
 def _refuse_elsewhere(format_: Format, there: Client | None, server: str | None) -> None:
-    """Refuses what is made of the store's file, with this machine's settings, where the store is elsewhere."""
+    """Refuses what is made of the store's file, by the settings beside it, where a service was named."""
     if there is not None and there.server == (server or "").rstrip("/"):
         raise InputError(
             f"export: --format {format_.value} is made of the store itself: run it where that is, or fetch "
