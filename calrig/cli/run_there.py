@@ -9,7 +9,8 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 from calrig.cli.followed import LOOK_S, Refusal
-from calrig.client.errors import CONFLICT, Refused, ServiceError
+from calrig.client.errors import CONFLICT, Refused, ServiceError, Unreachable
+from calrig.errors import WorkError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -51,8 +52,13 @@ class RunThere:
 
     def abort(self) -> None:
         """Ends it at the service."""
-        with _refusals():
-            self._run.abort()
+        try:
+            with _refusals():
+                self._run.abort()
+        except Unreachable as error:
+            raise WorkError(
+                f"run {self.id} may go on, and its stage with it: {error}; stop it at the rig"
+            ) from error
 
     def resume(self) -> None:
         """Goes on at the service."""

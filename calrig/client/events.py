@@ -8,12 +8,14 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 from calrig.client.documents import AT_REST, RunEvent
-from calrig.client.errors import Unreachable
+from calrig.client.errors import Refused, Unreachable
 from calrig.client.given_up import nap
 from calrig.client.transport import Transport
 
 AGAIN_S = 0.5
 """How soon a broken line is taken up again."""
+AWAY = frozenset({None, 502, 503, 504})
+"""No answer, or one of a proxy whose service is not there."""
 PATIENCE_S = 120.0
 """How long a service may be away: it may be started anew meanwhile."""
 
@@ -31,22 +33,25 @@ def run_events(link: Transport, run_id: str, after: int = 0) -> Iterator[RunEven
         Unreachable: the service has been away for `PATIENCE_S`.
     """
     known, path = after, f"/api/runs/{run_id}"
-    last_heard_s = time.monotonic()
+    away_since_s: float | None = None
     while True:
         latest: RunEvent | None = None
         try:
             with link.lines(f"{path}/events", {"Last-Event-ID": str(known)}) as lines:
+                away_since_s = None
                 for fields in parsed(lines):
                     latest = _event(fields)
                     if latest.id > known:
                         known = latest.id
                         yield latest
-                    last_heard_s = time.monotonic()
             # A service that is told to stop ends the stream too: only the run itself tells that it has ended.
             if (latest is None or latest.is_last) and link.get(path)["status"] in AT_REST:
                 return
-        except Unreachable:
-            if time.monotonic() - last_heard_s > PATIENCE_S:
+        except (Unreachable, Refused) as error:
+            if error.status not in AWAY:
+                raise
+            away_since_s = away_since_s or time.monotonic()
+            if time.monotonic() - away_since_s > PATIENCE_S:
                 raise
         if latest is None:
             nap(AGAIN_S)
@@ -56,7 +61,7 @@ def parsed(lines: Iterable[bytes]) -> Iterator[dict[str, str]]:
     """The fields of each event that came whole; comments are passed over."""
     fields: dict[str, str] = {}
     for line in lines:
-        text = line.decode().rstrip("\r\n")
+        text = line.decode(errors="replace").rstrip("\r\n")
         if not text:
             if fields:
                 yield fields

@@ -7,10 +7,11 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 from http.client import HTTPException, HTTPResponse
+from ipaddress import ip_address
 from typing import TYPE_CHECKING, Any
 from urllib.error import HTTPError, URLError
 from urllib.parse import urlsplit
-from urllib.request import HTTPSHandler, Request, build_opener
+from urllib.request import BaseHandler, HTTPSHandler, ProxyHandler, Request, build_opener
 
 from calrig.client.errors import INVALID, Invalid, Refused, Unreachable
 from calrig.errors import InputError
@@ -48,7 +49,10 @@ class Transport:
             raise InputError(f"{server}: is no address such as http://lab-pc:8000")
         self.server = server.rstrip("/")
         self._token = token
-        self._open = build_opener(HTTPSHandler(context=certificates)).open
+        handlers: list[BaseHandler] = [HTTPSHandler(context=certificates)]
+        if is_loopback(urlsplit(server).hostname or ""):
+            handlers.append(ProxyHandler({}))  # nobody else is to see what stays on this machine
+        self._open = build_opener(*handlers).open
 
     def get(self, path: str) -> Any:
         """The JSON at a path.
@@ -99,6 +103,8 @@ class Transport:
         request = Request(self.server + path, data, headers, method=method)  # noqa: S310 (http or https)
         token = self._token or os.environ.get("CALRIG_TOKEN")
         if token:
+            if not (token.isascii() and token.isprintable()):
+                raise InputError("CALRIG_TOKEN: a token is printable ASCII")
             # not where a redirection leads: the token is for the address that was given
             request.add_unredirected_header("Authorization", f"Bearer {token}")
         return request
@@ -124,6 +130,14 @@ class Transport:
     def _unreachable(self, error: Exception) -> Unreachable:
         reason = getattr(error, "reason", None) or error
         return Unreachable(f"{self.server}: does not answer ({reason})")
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a host is this machine, whatever names are resolved to."""
+    try:
+        return host == "localhost" or ip_address(host).is_loopback
+    except ValueError:
+        return False
 
 
 def _detail(error: HTTPError) -> str:

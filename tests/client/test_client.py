@@ -63,7 +63,7 @@ def test_what_was_measured_is_compared_and_applied(service, finished):
     assert service.runs(unit="AS-0042", begins=run.id[:8]) == [run.look()]
 
 
-def test_refusals_are_exceptions_in_the_service_s_words(service):
+def test_refusals_are_exceptions_in_the_service_s_words(service, monkeypatch):
     with pytest.raises(Refused, match="there is no run nope") as refused:
         service.run("nope")
     assert refused.value.status == 404
@@ -79,6 +79,10 @@ def test_refusals_are_exceptions_in_the_service_s_words(service):
         calrig.Client("http://127.0.0.1:1").rigs()
     with pytest.raises(InputError, match="no address"):
         calrig.Client("lab-pc:8000")
+    with pytest.raises(InputError, match="printable ASCII"):
+        calrig.Client(service.server, token="two\nlines").rigs()
+    monkeypatch.setenv("http_proxy", "http://127.0.0.1:1")
+    assert service.rigs() == calrig.Client(service.server).rigs(), "no proxy hears what stays on this machine"
 
 
 def test_a_plan_is_designed_and_taken_as_it_is(service):
