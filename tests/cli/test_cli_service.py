@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
+import logging
 import os
 import signal
 import threading
@@ -14,8 +16,9 @@ from support import LONG, QUICK, running_service, serving, wait_for
 from typer.testing import CliRunner
 
 import calrig as package
+from calrig.api import heavy
+from calrig.calibration.pose import Pose
 from calrig.cli.main import app
-from calrig.plan import Plan
 from calrig.settings import store_url
 from calrig.store import Store, back_up
 from calrig.store.sqlite.lock import answering_at
@@ -31,13 +34,13 @@ def served(rig, launch_rig, tmp_path_factory):
     path = tmp_path_factory.mktemp("served") / "calrig.db"
     with running_service(path, rig, clamped) as service, serving(service) as client:
         service.store.answers_at(str(client.base_url))
-        yield client, path
+        yield service, client, path
 
 
 @pytest.fixture
 def there(served, folder, monkeypatch):
     """The client, where commands find the service without being told."""
-    client, path = served
+    _, client, path = served
     monkeypatch.setenv("CALRIG_DB", str(path))
     for name, plan in (("quick", QUICK), ("long", LONG), ("turned", TURNED)):
         (folder / f"{name}.json").write_text(json.dumps(plan))
@@ -64,10 +67,8 @@ def test_a_run_is_the_services_and_ends_with_its_verdict(there):
     assert (run["unit"], run["operator"], run["status"]) == ("AS-1", "Ada", "completed")
     assert f"run {run['id']}: unit AS-1, on bench-1" in printed
     assert printed.splitlines()[-1] == f"· {run['verdict']['says'][-1]}"
-    as_json = calrig("run", "--unit", "AS-1", "--plan", "quick.json", "--json").stdout
-    assert json.loads(as_json) == newest(there)
-    watched = calrig("watch", run["id"][:8])
-    assert watched.stdout == printed
+    assert calrig("watch", run["id"][:8]).stdout == printed
+    assert json.loads(calrig("watch", run["id"], "--json").stdout) == run
 
 
 def test_what_was_imported_is_exported_and_diagnosed_as_without_the_service(there, folder):
@@ -76,20 +77,16 @@ def test_what_was_imported_is_exported_and_diagnosed_as_without_the_service(ther
     assert newest(there)["id"] == run_id
     back_up(store_url(), folder / "copy.db")
     for arguments in (
-        ("export", run_id),
         ("export", "--unit", "A/1"),
         ("export", run_id[:8], "--format", "csv"),
-        ("export", "--unit", "A/1", "--format", "csv"),
         ("export", "--unit", "A/1", "--format", "c-header"),
     ):
         asked, here = calrig(*arguments), calrig(*arguments, "--db", "copy.db")
         assert (asked.stdout, asked.stderr) == (here.stdout, here.stderr), arguments
     for arguments, status in (
         (("export", "nope"), 1),
-        (("export", "--unit", "nope"), 1),
         (("export", "--unit", "A/1", "--format", "vins"), 1),
         (("diagnose", run_id), 2),
-        (("import", "absent.csv", "--unit", "A"), 2),
     ):
         said, here = reason(*arguments, status=status), reason(*arguments, "--db", "copy.db", status=status)
         assert said.replace(f"{there.base_url}: ", "").split()[-4:] == here.split()[-4:]
@@ -157,7 +154,7 @@ def test_what_a_service_cannot_be_told_is_2_and_rigs_are_its(there, folder):
 
 
 def test_a_token_goes_to_nobody_but_this_users_own_service(served, tmp_path):
-    client, path = served
+    _, client, path = served
     lock = path.with_name("calrig.db.lock")
     address = str(client.base_url)
     assert answering_at(path) == address
@@ -186,16 +183,38 @@ def test_a_named_store_goes_before_the_variable_and_a_named_server_before_the_lo
     assert "there is no run 99" in reason("export", "99", "--server", there.base_url, status=1)
 
 
-def test_an_interrupted_run_goes_on_from_the_terminal(rig, folder, store_path, monkeypatch):
-    with running_service(store_path, rig) as service:
-        run = service.start(unit="AS-1", plan=Plan.model_validate({**QUICK, "sweeps": 4}))
-        wait_for(lambda: len(service.store.poses(run.id)) >= 2, "two poses")
-        watched = []
-        follower = threading.Thread(target=lambda: watched.append(reason("watch", run.id, status=1)))
-        follower.start()
-    follower.join()
-    assert "interrupted" in watched[0], "the file told it: nobody answered"
-    with running_service(store_path, rig) as service, serving(service) as client:
-        service.store.answers_at(str(client.base_url))
-        done = json.loads(calrig("resume", run.id[:8], "--json").stdout)
-    assert (done["id"], done["status"], done["progress"]["poses_done"]) == (run.id, "completed", 12)
+def test_a_run_of_another_program_is_watched_in_the_file(folder):
+    with Store.open(store_url(), writer="run") as store:
+        given = {"plan": None, "provenance": {}, "poses": [Pose(0.0, 0.5)]}
+        run = store.create_run(unit="A", rig=None, status="running", **given)
+        said = []
+        watcher = threading.Thread(target=lambda: said.append(reason("watch", run.id, status=1)))
+        watcher.start()
+        store.update_run(run.id, status="interrupted", error="the power went")
+        watcher.join()
+    assert said == [f"calrig: run {run.id} interrupted: the power went"]
+
+
+def test_a_task_that_is_cancelled_cancels_the_work_that_it_waits_for(there, served, monkeypatch, caplog):
+    monkeypatch.setattr(heavy, "AT_ONCE_S", 0.0)
+    caplog.set_level(logging.INFO, "calrig.api.job")
+    service, _, _ = served
+    poses = [
+        Pose(k % 121 - 60.0, k % 121 - 59.0 + 0.1 * (k % 7), covariates={"a": k % 11}) for k in range(3000)
+    ]
+    given = {"plan": None, "status": "completed", "provenance": {}, "poses": poses}
+    slow = service.store.create_run(unit="SLOW", rig=None, **given)
+
+    async def work():
+        begun = asyncio.Event()
+        loop = asyncio.get_running_loop()
+        client = package.AsyncClient(str(there.base_url))
+        told = {"told": lambda _share: loop.call_soon_threadsafe(begun.set)}
+        asked = asyncio.create_task(client.diagnose(slow.id, **told))
+        await begun.wait()
+        asked.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await asked
+
+    asyncio.run(work())
+    wait_for(lambda: any("cancelled" in record.message for record in caplog.records), "end of the job")
