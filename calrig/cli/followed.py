@@ -29,25 +29,36 @@ class Refusal(Exception):  # noqa: N818 (read as words: raise Refusal)
     """The run cannot do what was asked of it now; says why."""
 
 
-class Followed(Protocol):
-    """A run that is followed.
+class Watched(Protocol):
+    """A run that is looked at.
 
     Attributes:
         id: its id.
         status: as last heard.
         progress: likewise.
         is_over: whether nobody carries it out any more and all that happened was told.
-        has_clamp: whether the rig can turn the unit by itself.
     """
 
     id: str
     status: str
     progress: dict[str, Any]
     is_over: bool
-    has_clamp: bool
 
     def news(self) -> Sequence[Happened]:
         """What happened since the last look; waits for `LOOK_S` at most."""
+
+    def document(self) -> dict[str, Any]:
+        """The run as the API gives it."""
+
+
+class Followed(Watched, Protocol):
+    """A run that this terminal has begun, and answers for.
+
+    Attributes:
+        has_clamp: whether the rig can turn the unit by itself.
+    """
+
+    has_clamp: bool
 
     def abort(self) -> None:
         """Ends it; Refusal where it has just ended, or its stage was not seen to stand."""
@@ -57,9 +68,6 @@ class Followed(Protocol):
 
     def turn(self, mount_deg: float, mount_axis: str) -> None:
         """Has the rig's clamp turn the unit; Refusal where it cannot."""
-
-    def document(self) -> dict[str, Any]:
-        """The run as the API gives it."""
 
 
 class StopRequest:

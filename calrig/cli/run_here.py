@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, cast
 
 from calrig.cli.followed import LOOK_S, Refusal
@@ -42,30 +43,18 @@ class RunHere:
 
     def abort(self) -> None:
         """Ends it."""
-        from calrig.analysis.errors import Conflict
-
-        try:
+        with _refusals():
             self._service.abort(self.id)
-        except Conflict as error:
-            raise Refusal(str(error)) from error
 
     def resume(self) -> None:
         """Goes on."""
-        from calrig.analysis.errors import Conflict
-
-        try:
+        with _refusals():
             self._service.resume(self.id)
-        except Conflict as error:
-            raise Refusal(str(error)) from error
 
     def turn(self, mount_deg: float, mount_axis: str) -> None:
         """Has the rig's clamp turn the unit."""
-        from calrig.analysis.errors import Conflict
-
-        try:
+        with _refusals():
             self._service.begin_clamp(self._rig, mount_deg, cast("MountAxis", mount_axis)).result()
-        except Conflict as error:
-            raise Refusal(str(error)) from error
 
     def document(self) -> dict[str, Any]:
         """As the API gives it."""
@@ -73,9 +62,7 @@ class RunHere:
 
 
 class RunElsewhere:
-    """A run that another program carries out into the same file: it is only looked at."""
-
-    has_clamp = False
+    """A run that another program carries out into the same file; as `calrig.cli.followed.Watched`."""
 
     def __init__(self, store: Store, run: Run) -> None:
         self.id, self.is_over = run.id, False
@@ -96,18 +83,6 @@ class RunElsewhere:
             time.sleep(LOOK_S)
         return events
 
-    def abort(self) -> None:
-        """Leaves it to who carries it out."""
-        raise KeyboardInterrupt
-
-    def resume(self) -> None:
-        """Nobody is asked."""
-        raise Refusal("who started the run resumes it")
-
-    def turn(self, mount_deg: float, mount_axis: str) -> None:  # noqa: ARG002
-        """Nobody is asked."""
-        raise Refusal("who started the run turns its unit")
-
     def document(self) -> dict[str, Any]:
         """As the API gives it."""
         from calrig.analysis.stored_runs import stored_run
@@ -120,3 +95,13 @@ def document_of(run: Run) -> dict[str, Any]:
     from calrig.api.models import RunAnswer
 
     return RunAnswer.model_validate(run).model_dump(mode="json")
+
+
+@contextmanager
+def _refusals() -> Iterator[None]:
+    from calrig.analysis.errors import Conflict
+
+    try:
+        yield
+    except Conflict as error:
+        raise Refusal(str(error)) from error

@@ -11,7 +11,7 @@ from calrig.cli.running_service import running_service, whole_id_there
 from calrig.cli.typed_ids import whole_id
 
 if TYPE_CHECKING:
-    from calrig.cli.followed import Followed, Happened
+    from calrig.cli.followed import Happened, Watched
 
 RunId = Annotated[str, typer.Argument(metavar="RUN_ID", help=f"The run{SHORTENED}.")]
 
@@ -36,7 +36,7 @@ def watch(run_id: RunId, as_json: Json = False, db: Db = None, server: Server = 
         _watch(RunElsewhere(store, run), run.unit, as_json=as_json)
 
 
-def _watch(run: Followed, unit: str, *, as_json: bool) -> None:
+def _watch(run: Watched, unit: str, *, as_json: bool) -> None:
     from calrig.cli.followed import print_end
     from calrig.cli.progress import run_bar
 
