@@ -251,3 +251,4 @@ class JobState(Document):
     fraction: float | None = Field(description="None where the work cannot say.")
     result: str | None
     error: str | None
+    error_status: int | None = None  # services before it was told have none

@@ -7,7 +7,7 @@ from contextlib import suppress
 from typing import Any
 
 from calrig.client.documents import JobState
-from calrig.client.errors import Refused, ServiceError
+from calrig.client.errors import INVALID, Invalid, Refused, ServiceError
 from calrig.client.given_up import nap
 from calrig.client.transport import Transport
 
@@ -44,5 +44,6 @@ def outcome(link: Transport, answer: Any, told: Told = unheard) -> Any:
             link.delete(f"/api/jobs/{job.id}")
         raise
     if job.state != "done" or job.result is None:
-        raise Refused(f"{link.server}: {job.error or f'the work was {job.state}'}")
+        kind = Invalid if job.error_status == INVALID else Refused
+        raise kind(f"{link.server}: {job.error or f'the work was {job.state}'}", job.error_status)
     return link.get(job.result)
