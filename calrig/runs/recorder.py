@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Unpack
 
 from calrig.calibration.pose import Pose
@@ -54,6 +54,7 @@ class Recorder:
         self._first_pose_began_s = self._now_s()
         self._paused_s = 0.0
         self._waiting_for: WaitingFor | None = None
+        self._clamped_at: Callable[[float, float], float] = lambda _stage_deg, reading_deg: reading_deg
         self._readings: list[tuple[str, dict[str, Any]]] = []
         self._last_reading_s = self._last_flush_s = -math.inf
 
@@ -75,11 +76,14 @@ class Recorder:
         self._store.update_run(self.run_id, events=events, draft=draft, **told)
         self._became(status, told)
 
-    def waits_for(self, asked: WaitingFor) -> None:
-        """The run is paused until a person has done what is asked; any other state ends that."""
+    def waits_for(self, asked: WaitingFor, clamped_at: Callable[[float, float], float]) -> None:
+        """The run is paused until a person has done what is asked; any other state ends that.
+
+        `clamped_at` tells, by stage and reading, at which angle the unit is clamped.
+        """
         check_transition(self.run_id, self._status, "paused")
         self.flush()
-        self._waiting_for = asked
+        self._waiting_for, self._clamped_at = asked, clamped_at
         told: RunChanges = {"status": "paused", "progress": self._progress()}
         self._store.update_run(self.run_id, events=[("progress", told["progress"])], **told)
         self._became("paused", told)
@@ -157,6 +161,8 @@ class Recorder:
             "reading_deg": reading_deg,
             "temperature_c": temperature_c,
         }
+        if self._waiting_for is not None and stage_deg is not None and reading_deg is not None:
+            data["mount_deg"] = round(self._clamped_at(stage_deg, reading_deg), 2)
         self._readings.append(("reading", data))
         if now_s - self._last_flush_s >= FLUSH_INTERVAL_S:
             self.flush()
