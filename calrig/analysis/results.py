@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from calrig.calibration.correction import numbers_of
+from calrig.calibration.early_end import AS_PLANNED, Ending
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import AppliedEffect, GyroFigures, Result, build_result, residuals
 from calrig.store import AcceptedEffect, Run, Store
@@ -21,6 +22,7 @@ def fitted(
     accepted: Sequence[AcceptedEffect],
     provenance: Document,
     gyro: GyroFigures | None = None,
+    ending: Ending = AS_PLANNED,
 ) -> Result:
     """The result of poses of a unit on a rig.
 
@@ -29,8 +31,9 @@ def fitted(
         accepted: effects in force for the unit and the rig.
         provenance: of the run; says what the stage was worth when it was made.
         gyro: what the run's samples say of the gyro.
+        ending: how it came to its end.
     """
-    return build_result(poses, gyro, as_applied(accepted), reference_of(provenance))
+    return build_result(poses, gyro, as_applied(accepted), reference_of(provenance), ending)
 
 
 def refitted(store: Store, run: Run, poses: Sequence[Pose]) -> Document:
@@ -39,7 +42,7 @@ def refitted(store: Store, run: Run, poses: Sequence[Pose]) -> Document:
     What it says of the gyro stays: that is from samples, which may have been pruned.
     """
     accepted = store.effects_in_force(run.unit, run.rig)
-    return fitted(poses, accepted, run.provenance, gyro_of(run)).to_dict()
+    return fitted(poses, accepted, run.provenance, gyro_of(run), ending_of(run)).to_dict()
 
 
 def gyro_of(run: Run) -> GyroFigures | None:
@@ -52,6 +55,14 @@ def gyro_of(run: Run) -> GyroFigures | None:
         bias_std_dps=tuple(known["bias_std_dps"]),
         scale=known["scale"],
         scale_std=known["scale_std"],
+    )
+
+
+def ending_of(run: Run) -> Ending:
+    """How a stored run came to its end; as planned before it has a result."""
+    return Ending(
+        may_be_early=(run.plan or {}).get("until") is not None,
+        stopped_by=(run.result or {}).get("stopped_by", "plan"),
     )
 
 

@@ -167,6 +167,7 @@ class ResultAnswer(LineAnswer):
     gyro: GyroAnswer
     reference: ReferenceAnswer | None = None  # of runs stored before it was computed: null
     over_range: OverRange | None = None  # likewise
+    stopped_by: Literal["plan", "until"] = "plan"
 
 
 class VoidedAnswer(Answer):

@@ -15,6 +15,7 @@ from calrig.calibration.correction import (
     fit_line_with_effects,
 )
 from calrig.calibration.coverage import Distribution
+from calrig.calibration.early_end import AS_PLANNED, Ending, StoppedBy, cautious
 from calrig.calibration.effect import ApplyError, Circumstances
 from calrig.calibration.filter_share import filter_share
 from calrig.calibration.fit import Line, fit_line, residuals_deg, rms
@@ -79,6 +80,7 @@ class Result:
             does not follow the stage.
         line: the fit itself, with covariance and residual scatter, for the unit's calibration.
         line_with_effects: the same once accepted effects are taken out; None without any.
+        stopped_by: its plan, which was carried out whole, or `until`, which was reached before.
     """
 
     bias_deg: float
@@ -96,6 +98,7 @@ class Result:
     over_range: OverRange | None
     line: Line = field(repr=False)
     line_with_effects: Line | None = field(default=None, repr=False)
+    stopped_by: StoppedBy = "plan"
 
     def to_dict(self) -> dict[str, Any]:
         """The result ready for JSON, with the contract's keys and null for what is not known."""
@@ -113,6 +116,7 @@ def build_result(
     gyro: GyroFigures | None = None,
     effects: Sequence[AppliedEffect] = (),
     reference: Reference | None = None,
+    ending: Ending = AS_PLANNED,
 ) -> Result:
     """Fits a run's poses and gathers what they say; of several mounts, the first one's.
 
@@ -122,6 +126,7 @@ def build_result(
         effects: accepted for the unit or the rig; `line_with_effects` is None where the poses lack what one
             of them is a function of.
         reference: what the rig said of its stage when the poses were measured.
+        ending: how the run came to its end; the scatter of one that might end early is stated with care.
 
     Raises:
         ValueError: no pose, or one whose angle or reading is not finite.
@@ -133,6 +138,10 @@ def build_result(
     with_effects = _line_with_effects(poses, theta, reading, effects)
     calibrated_deg = residuals_deg(theta, reading, line.bias_deg, line.scale)
     noise_deg = _pooled_noise_deg(poses)
+    if ending.may_be_early:
+        line = cautious(line, len(poses), noise_deg)
+        if with_effects is not None:
+            with_effects = cautious(with_effects[0], len(poses), noise_deg), with_effects[1]
     left = (line, calibrated_deg) if with_effects is None else with_effects
     return Result(
         bias_deg=line.bias_deg,
@@ -150,6 +159,7 @@ def build_result(
         over_range=over_range(theta, left[1], left[0], reference, noise_deg),
         line=line,
         line_with_effects=None if with_effects is None else with_effects[0],
+        stopped_by=ending.stopped_by,
     )
 
 

@@ -28,6 +28,9 @@ def plan(
     trace: Annotated[
         bool, typer.Option(" /--no-trace", help="Without variety for the tracing of effects: sooner.")
     ] = True,
+    until: Annotated[
+        bool, typer.Option("--until", help="Its run ends as soon as the uncertainty is reached.")
+    ] = False,
     keep: Annotated[
         Path | None,
         typer.Option("--plan", metavar="FILE.json", help="Plan whose range, settling and rate are kept."),
@@ -40,7 +43,7 @@ def plan(
     from calrig.analysis.errors import Invalid
     from calrig.calibration.plan_design.goals import Goals
     from calrig.cli import output
-    from calrig.plan import Plan
+    from calrig.plan import Plan, Until
     from calrig.runs.plan_designs import Wanted, designed
     from calrig.settings import load_settings, store_url
     from calrig.store import Store
@@ -48,13 +51,16 @@ def plan(
 
     if (target_u is None) == (time is None):
         raise InputError("plan: give --target-u DEG, or --time S")
+    if until and target_u is None:
+        raise InputError("plan: --until goes with --target-u, which the run is to end at")
     settings = load_settings(config)
     chosen = next((one for one in settings.rig if rig in (None, one.name)), None)
     if chosen is None:
         raise InputError(
             f"--rig: there is no rig {rig!r}; configured: {', '.join(r.name for r in settings.rig)}"
         )
-    wanted = Wanted(Goals(expanded_deg=target_u), time, trace)
+    ends_at = Until(expanded_uncertainty_deg=target_u) if until else None
+    wanted = Wanted(Goals(expanded_deg=target_u), time, trace, ends_at)
     kept = read_plan_file(keep) if keep else Plan()
     with ExitStack() as stack:
         store = None

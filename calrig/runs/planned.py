@@ -9,6 +9,7 @@ from itertools import pairwise
 from calrig.analysis.errors import Invalid
 from calrig.instruments.axis_goal import travel_time_s
 from calrig.plan import Plan, PlanError, PlannedPose
+from calrig.runs.good_enough import require_a_reference
 from calrig.settings import RigSettings
 from calrig.store import Store
 
@@ -41,8 +42,9 @@ def planned_poses(plan: Plan, rig: RigSettings) -> list[PlannedPose]:
     """Every pose of a plan on a rig, in the order measured.
 
     Raises:
-        Invalid: an elevation lies beyond the rig's limits.
+        Invalid: an elevation lies beyond the rig's limits; or the plan is to end by what nobody could know.
     """
+    require_a_reference(plan, rig)
     try:
         return plan.poses(rig.limits_deg)
     except PlanError as error:
