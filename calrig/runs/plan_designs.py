@@ -70,7 +70,7 @@ class Designed:
                 "bias_std_deg": expected.bias_std_deg,
                 "scale_std": expected.scale_std,
             },
-            "limit": None if self.limit_s is None else {"duration_s": self.limit_s, "why": _why(self.whole)},
+            "limit": None if self.limit_s is None else {"duration_s": self.limit_s, "why": _why(self)},
             "suspects": [
                 {
                     "name": one.name,
@@ -188,8 +188,9 @@ def _type_b(rig: RigSettings) -> TypeB | None:
     return TypeB(stated.std_deg, Reference(stated.std_deg, stated.kind, stated.distribution))
 
 
-def _why(design: Design) -> str:
-    ways = "two ways through the range" if design.suspects else "one way through the range"
+def _why(made: Designed) -> str:
+    twice = made.whole.suspects and made.plan.until is None
+    ways = "two ways through the range" if twice else "one way through the range"
     return f"{ways}, and dwells at its two ends alone: less time does not hold the data"
 
 

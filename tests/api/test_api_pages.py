@@ -58,6 +58,7 @@ LATER = {
     "formats.js",
     "history.js",
     "limits.js",
+    "plandesign.js",
     "rig.js",
     "trail.js",
     "units.js",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -13,7 +13,12 @@ from calrig.calibration.early_end import caution, has_the_line
 from calrig.calibration.plan_design.goals import NO_REFERENCE, Goals, TypeB, scatter_wanted_deg
 from calrig.calibration.plan_design.layout import layout, leverage, way_s
 from calrig.calibration.plan_design.rig_figures import Pace, Precision
-from calrig.calibration.plan_design.suspects import SHOWN_BY_MOVING, Suspect, suspects
+from calrig.calibration.plan_design.suspects import (
+    SHOWN_BY_MOVING,
+    Suspect,
+    least_slow_deg,
+    suspects,
+)
 from calrig.plan import FEWEST_UNTIL
 
 POSES = (4, 5, 6, 7, 8, 10, 12, 14, 16, 18, 20, 22, 25, 28, 32, 36, 40, 48, 60, 80, 100, 140, 200)
@@ -138,19 +143,38 @@ def _time_s(task: Task, goals: Goals, design: Design) -> float:
 def limit_s(task: Task, goals: Goals) -> float:
     """A time that no plan of dwells is under: one way through the range, and the data where they say most.
 
-    Two ways where effects are to be traced. The poses stand at the two ends and nowhere else; their number is
-    the one for which dwells and settling together are shortest.
+    Two ways where effects are to be traced, which a run that may end early need not finish. The poses stand
+    at the two ends and nowhere else; their number is the one for which dwells and settling are shortest.
     """
     pace, stands_s = task.pace, math.inf
-    ways = SWEEPS_TRACED if task.trace else 1
-    for n in range(FEWEST_TRACED if task.trace else POSES[0], POSES[-1] + 1):
+    fewest, ways = (FEWEST_TRACED, SWEEPS_TRACED) if task.trace else (POSES[0], 1)
+    if task.until:
+        fewest, ways = FEWEST_UNTIL, 1
+    traced = _traced_by(task, goals)
+    for n in range(fewest, POSES[-1] + 1):
         if n * (SHORTEST_DWELL_S + pace.settle_s + pace.questions_s) > stands_s:
             break
-        wanted_deg = _scatter_deg(task, goals, n, leverage([task.range_deg[k % 2] for k in range(n)]))
-        if wanted_deg > 0.0:
-            dwell_s = max(SHORTEST_DWELL_S, task.precision.dwell_s(wanted_deg))
+        dwell_s = _at_the_ends_s(task, goals, n)
+        if traced(n, dwell_s):
             stands_s = min(stands_s, n * (dwell_s + pace.settle_s + pace.questions_s))
     return pace.begin_s + ways * pace.travel_s(task.range_deg[1] - task.range_deg[0]) + stands_s
+
+
+def _at_the_ends_s(task: Task, goals: Goals, n: int) -> float:
+    """The shortest dwells with which so many poses reach the goals; infinite where none do."""
+    wanted_deg = _scatter_deg(task, goals, n, leverage([task.range_deg[k % 2] for k in range(n)]))
+    return max(SHORTEST_DWELL_S, task.precision.dwell_s(wanted_deg)) if wanted_deg > 0.0 else math.inf
+
+
+def _traced_by(task: Task, goals: Goals) -> Callable[[int, float], bool]:
+    """What tells whether so many such dwells could show effects of time of the size that is not to hide."""
+    allowed_deg = TRACED_SHARE * (goals.expanded_deg or math.inf)
+
+    def show(n: int, dwell_s: float) -> bool:
+        return least_slow_deg(n, task.precision.scatter_deg(dwell_s)) <= allowed_deg
+
+    asked = task.trace and not task.until and show(RICH[0], _at_the_ends_s(task, goals, RICH[0]))
+    return lambda n, dwell_s: not asked or show(n, dwell_s)
 
 
 def _layouts(task: Task) -> Iterator[tuple[list[float], int]]:
