@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     import ssl
 
 PATIENCE_S = 30.0
+INVALID = 422
 
 
 class Client:
@@ -29,7 +30,12 @@ class Client:
         self._open = build_opener(HTTPSHandler(context=certificates)).open
 
     def get(self, path: str) -> Any:
-        """The JSON at a path; WorkError where the service refuses or cannot be reached."""
+        """The JSON at a path.
+
+        Raises:
+            InputError: what was asked for is wrong.
+            WorkError: the service refuses otherwise, or cannot be reached.
+        """
         return self._ask(Request(self._server + path))  # noqa: S310 (http or https, as looked at above)
 
     def post(self, path: str, body: dict[str, Any]) -> Any:
@@ -50,7 +56,8 @@ class Client:
             with self._open(request, timeout=PATIENCE_S) as answer:
                 return json.load(answer)
         except HTTPError as error:
-            raise WorkError(f"{self._server}: {_detail(error)}") from error
+            kind = InputError if error.code == INVALID else WorkError
+            raise kind(f"{self._server}: {_detail(error)}") from error
         except (URLError, HTTPException, OSError) as error:
             reason = getattr(error, "reason", None) or error
             raise WorkError(f"{self._server}: does not answer ({reason})") from error

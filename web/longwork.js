@@ -8,7 +8,7 @@ const UNDER_WAY = new Set(["queued", "running"]);
 
 /**
  * A line to be put where the work is asked for. `doing` says what is done, `share` what the fraction is one of;
- * `signal` is aborted when the view is left.
+ * `signal` is aborted when the view is left. Of what was done, `answer` is the answer, or `result` its address.
  */
 export class LongWork {
   constructor(id, { doing, share }, signal) {
@@ -34,7 +34,8 @@ export class LongWork {
     this.asked = new AbortController();
     this.#show({ state: "running", fraction: null });
     return this.#untilEnd(async () => {
-      const { job } = await begin(path, body, this.asked.signal);
+      const { job, answer } = await begin(path, body, this.asked.signal);
+      this.answer = answer;
       if (job) sessionStorage.setItem(path, job);
       return job ? this.#follow(path) : true;
     });
@@ -77,6 +78,7 @@ export class LongWork {
     }
     sessionStorage.removeItem(path);
     if (job.state === "failed") throw new ApiError(job.error, 0);
+    this.result = job.result;
     return job.state === "done";
   }
 

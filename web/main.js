@@ -8,8 +8,6 @@ import { onRigs, watchRigs } from "./rigs.js";
 import { startView } from "./start.js";
 import { runView } from "./run.js";
 import { stopButtons } from "./stop.js";
-import { importView } from "./import.js";
-import { noiseView } from "./noise.js";
 
 const ROUTES = [
   [/^\/$/, startView],
@@ -21,11 +19,13 @@ const ROUTES = [
   [/^\/limits$/, async (shown) => (await import("./limits.js")).limitsView(shown)],
   [/^\/benches$/, async (shown) => (await import("./benches.js")).benchesView(shown)],
   [/^\/rigs\/([^/]+)$/, async (shown) => (await import("./rig.js")).rigView(shown)],
-  [/^\/import$/, importView],
+  [/^\/solve$/, async (shown) => (await import("./solve.js")).solveView(shown)],
+  [/^\/solve\/([^/]+)$/, async (shown) => (await import("./solution.js")).solutionView(shown)],
+  [/^\/import$/, async (shown) => (await import("./import.js")).importView(shown)],
   [/^\/trail$/, async (shown) => (await import("./trail.js")).trailView(shown)],
   [/^\/users$/, async (shown) => (await import("./users.js")).usersView(shown)],
-  [/^\/noise$/, noiseView],
-  [/^\/noise\/([^/]+)$/, noiseView],
+  [/^\/noise$/, async (shown) => (await import("./noise.js")).noiseView(shown)],
+  [/^\/noise\/([^/]+)$/, async (shown) => (await import("./noise.js")).noiseView(shown)],
 ];
 
 const root = document.getElementById("view");

@@ -1,6 +1,6 @@
 // What a run is called, its status, and its downloads.
 
-import { h, rigHref, runLink, runName, statusPill, unitHref, unitLink } from "./dom.js";
+import { h, rigHref, runLink, runName, solveHref, statusPill, unitHref, unitLink } from "./dom.js";
 import { moment } from "./format.js";
 import { interruptions } from "./interrupted.js";
 
@@ -21,6 +21,7 @@ export function heading(run) {
     ),
     run.note && h("p", { class: "note" }, run.note),
     interruptions(run),
+    (run.provenance.warnings ?? []).map((text) => h("p", { class: "cautions", "data-testid": "warning" }, text)),
     run.error && h("p", { class: "error", id: "run-reason", role: "alert" }, run.error),
     run.suspect &&
       h(
@@ -49,6 +50,7 @@ export function downloads(run, path) {
     run.plan && link(`${path}/samples`, "Raw samples (CSV)"),
     run.plan && link(`${path}/samples?format=npz`, "Raw samples (NPZ)"),
     h("a", { href: unitHref(run.unit) }, "Unit's history and calibration"),
+    h("a", { href: solveHref({ rig: run.rig, unit: run.unit }) }, "Solve together with its stage"),
   );
 }
 

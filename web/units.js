@@ -4,7 +4,7 @@ import { get, remove } from "./api.js";
 import { askConfirmation } from "./ask.js";
 import { Calibrations } from "./calibrations.js";
 import { Chart } from "./charts.js";
-import { fill, h, headings, tableBox, unitLink } from "./dom.js";
+import { fill, h, headings, solveHref, tableBox, unitLink } from "./dom.js";
 import { moment, plural } from "./format.js";
 import { unitHistory } from "./history.js";
 import { may } from "./me.js";
@@ -42,6 +42,7 @@ export async function unitsView({ root, signal }) {
 export async function unitView({ root, parts: [serial], signal }) {
   const path = `/api/units/${encodeURIComponent(serial)}`;
   const unit = await get(path, signal);
+  const solvable = unit.runs.find((run) => run.result);
   const calibrations = new Calibrations(serial, signal);
   const chart = new Chart("history", "Bias, scale and RMS error over time", { tall: true, signal });
   const body = h(
@@ -69,7 +70,9 @@ export async function unitView({ root, parts: [serial], signal }) {
         "p",
         { class: "downloads" },
         h("a", { href: `#/compare?unit=${encodeURIComponent(serial)}` }, "Compare with other units"),
+        solvable && h("a", { href: solveHref({ rig: solvable.rig, unit: serial }) }, "Solve together with its stage"),
         h("a", { href: `#/trail?unit=${encodeURIComponent(serial)}` }, "Trail: who did what"),
+        h("a", { href: `${path}/archive`, download: "", id: "archive" }, "Archive of all this (zip)"),
       ),
     ),
   );

@@ -1,35 +1,183 @@
-"""Stored runs of one rig as the joint solution takes them."""
+"""Stored runs of one rig as the joint solution takes them, and the solution as it is kept."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-from calrig.analysis.errors import Conflict
+from calrig.analysis.errors import Conflict, Invalid, Unknown
+from calrig.analysis.gyro_columns import poses_with_gyro
 from calrig.analysis.stored_runs import counted_poses, ended_run
 from calrig.calibration.joint.table import Mounted
 from calrig.calibration.pose import MOUNT_DEG, Pose
+from calrig.run_ids import short_name
 from calrig.store import Run, Store
+from calrig.store.solutions import Basis, Frame, Solved
+
+MOST_POSES = 40_000
+"""Of one solution: a hundred units of four mounts have 29,000."""
 
 
-def mounted_runs(store: Store, run_ids: Sequence[str]) -> list[Mounted]:
-    """The poses of runs that count, a lot for each clamping.
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What is to be solved together.
+
+    Attributes:
+        runs: ids; without units they are all.
+        units: all calibrations that count of these units, beside the runs named.
+        rig: the one rig of the runs; alone, all calibrations that count on it.
+        linear: whether the units are stated to have no quadratic and cubic terms.
+        periods_deg: of gears, where somebody knows them.
+        seat_std_deg: how far one clamping of a face scatters from the next, where somebody knows it.
+        frame: of units clamped by several faces, whose their matrix is: `sensor` or `faces`.
+        limits_deg: of the stage, which advice keeps to; without them those that the last run was made under.
+    """
+
+    runs: Sequence[str] = ()
+    units: Sequence[str] = ()
+    rig: str | None = None
+    linear: bool = False
+    periods_deg: Sequence[float] = ()
+    seat_std_deg: float | None = None
+    frame: Frame = "sensor"
+    limits_deg: tuple[float, float] | None = None
+
+    def basis(self, runs: Sequence[str], units: Sequence[str]) -> Basis:
+        """What the solution of these runs rests on."""
+        periods_deg = tuple(self.periods_deg)
+        return Basis(tuple(runs), tuple(units), self.linear, periods_deg, self.seat_std_deg, self.frame)
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """Poses to be solved, here or in another process; advice keeps to the limits."""
+
+    rig: str | None
+    basis: Basis
+    lots: Sequence[Mounted]
+    limits_deg: tuple[float, float] | None = None
+
+
+def question(store: Store, wanted: Wanted) -> Question:
+    """What stored runs are to be asked.
 
     Raises:
-        Unknown: there is no such run.
-        Conflict: a run has not ended, or is of another rig: each has a map of its own.
+        Unknown: there is no such run or unit.
+        Conflict: a run has not ended, is voided, or is of another rig: each stage has a map of its own.
+        Invalid: there is no run to solve, or the poses are too many.
     """
-    runs = [ended_run(store, run_id) for run_id in dict.fromkeys(run_ids)]
+    runs = _runs(store, wanted)
+    if not runs:
+        raise Invalid(f"{_named(wanted)} no completed calibration that counts", ["runs"])
+    n = sum(store.count_poses(run.id) for run in runs)
+    if n > MOST_POSES:
+        raise Invalid(
+            f"a solution takes at most {MOST_POSES:,} poses, and these {len(runs)} runs have {n:,}: name "
+            "some of them",
+            ["runs"],
+        )
+    basis = wanted.basis([run.id for run in runs], sorted({run.unit for run in runs}))
+    limits_deg = wanted.limits_deg or _limits_of(max(runs, key=lambda run: run.created_at))
+    return Question(runs[0].rig, basis, mounted(store, runs), limits_deg)
+
+
+def answer(asked: Question) -> Solved:
+    """The solution as it is kept.
+
+    Raises:
+        DiagnosisError: the poses cannot be solved, and why.
+    """
+    # a tenth of a second that a service need not start with
+    from calrig.calibration.joint.poses_left import poses_left
+    from calrig.calibration.joint.report import solution_document
+    from calrig.calibration.joint.solution import solve
+    from calrig.calibration.joint.three_axis_table import whole_units
+    from calrig.export.joint_documents import map_document, unit_document
+
+    if whole_units(asked.lots):
+        return _answer_whole(asked)
+    basis = asked.basis
+    solution = solve(
+        asked.lots,
+        linear=basis.linear,
+        periods_deg=basis.periods_deg,
+        seat_std_deg=basis.seat_std_deg,
+    )
+    units = enumerate(solution.table.units)
+    return Solved(
+        rig=asked.rig,
+        basis=basis,
+        document=solution_document(solution, asked.limits_deg),
+        calibrations={serial: unit_document(solution, k, asked.rig) for k, serial in units},
+        stage_map=map_document(solution, asked.rig),
+        poses=poses_left(solution),
+    )
+
+
+def _answer_whole(asked: Question) -> Solved:
+    """Of units clamped by several faces; no picture is drawn of their poses."""
+    from calrig.calibration.joint.three_axis_report import three_axis_document
+    from calrig.calibration.joint.three_axis_solution import solve_whole
+    from calrig.export.three_axis_documents import three_axis_documents
+
+    basis = asked.basis
+    solution = solve_whole(asked.lots, linear=basis.linear, periods_deg=basis.periods_deg)
+    calibrations, stage_map = three_axis_documents(solution, basis.frame, asked.rig)
+    return Solved(
+        rig=asked.rig,
+        basis=basis,
+        document=three_axis_document(solution, basis.frame),
+        calibrations=calibrations,
+        stage_map=stage_map,
+        poses={"mount": [], "dial_deg": [], "on_map_deg": [], "before_deg": [], "left_deg": []},
+    )
+
+
+def _runs(store: Store, wanted: Wanted) -> list[Run]:
+    """Those named, in this order, then those that count of the units or the rig."""
+    runs = [ended_run(store, run_id) for run_id in dict.fromkeys(wanted.runs)]
+    for serial in wanted.units:
+        if store.unit(serial) is None:
+            raise Unknown(f"there is no unit {serial!r}")
+    if wanted.units or not wanted.runs:
+        named = {run.id for run in runs}
+        counting = store.counting_runs(wanted.rig, wanted.units or None)
+        runs += [ended_run(store, run_id) for run_id in counting if run_id not in named]
     for run in runs:
+        if run.voided is not None:
+            raise Conflict(f"run {run.id} is voided ({run.voided['reason']}): leave it out, or unvoid it")
+        if wanted.rig is not None and run.rig != wanted.rig:
+            raise Conflict(f"run {run.id} is of rig {run.rig!r}, not of {wanted.rig!r}")
         if run.rig != runs[0].rig:
             raise Conflict(
                 f"run {run.id} is of rig {run.rig!r}, run {runs[0].id} of rig {runs[0].rig!r}: each stage "
                 "has a map of its own, solve them one by one"
             )
-    return [lot for run in runs for lot in _lots(run, counted_poses(store, run.id))]
+    return runs
 
 
-def _lots(run: Run, poses: Sequence[Pose]) -> list[Mounted]:
+def _limits_of(run: Run) -> tuple[float, float] | None:
+    """The soft limits that a run was made under; None of an imported one."""
+    limits = (run.provenance.get("rig") or {}).get("limits_deg")
+    return None if limits is None else (float(limits[0]), float(limits[1]))
+
+
+def _named(wanted: Wanted) -> str:
+    units = f"unit {', '.join(wanted.units)} has" if wanted.units else "there is"
+    return units if wanted.rig is None else f"on rig {wanted.rig!r} {units}"
+
+
+def mounted(store: Store, runs: Sequence[Run]) -> list[Mounted]:
+    """The poses of runs that count, a lot for each clamping."""
+    names = {run.id: short_name(run.id) for run in runs}
+    if len(set(names.values())) < len(names):
+        names = {run_id: run_id for run_id in names}
+    whole = any(str((run.plan or {}).get("mount_axis", "x"))[-1] != "x" for run in runs)
+    poses_of = poses_with_gyro if whole else counted_poses
+    return [lot for run in runs for lot in _lots(run, names[run.id], poses_of(store, run.id))]
+
+
+def _lots(run: Run, name: str, poses: Sequence[Pose]) -> list[Mounted]:
     """One for each angle: as its poses have it, else as its plan of one mount does."""
     plan = run.plan or {}
     planned = plan.get("mounts_deg") or [0.0]
@@ -40,6 +188,6 @@ def _lots(run: Run, poses: Sequence[Pose]) -> list[Mounted]:
         lots.setdefault(float(planned[0]) if own is None and len(planned) == 1 else own, []).append(bare)
     axis = str(plan.get("mount_axis", "x"))
     return [
-        Mounted(run.unit, f"{run.id} {angle or 0.0:g}°", angle, run.id, own, axis)
+        Mounted(run.unit, f"{name} {angle or 0.0:g}°", angle, run.id, own, axis)
         for angle, own in lots.items()
     ]

@@ -21,9 +21,11 @@ from calrig.instruments import scan as ports
 from calrig.instruments.clock import WALL
 from calrig.instruments.scan import Kind
 from calrig.instruments.scan_stanza import stanza
+from calrig.run_ids import FEWEST
 from calrig.store import Run
 
 router = APIRouter(tags=["runs"])
+Begins = Annotated[str | None, Query(min_length=FEWEST, description="First characters of the run's UUID.")]
 
 
 class FoundAnswer(Answer):
@@ -121,12 +123,15 @@ def list_runs(
     unit: str | None = None,
     rig: str | None = None,
     status: Status | None = None,
+    begins: Begins = None,
     limit: Annotated[int, Query(ge=1, le=500)] = 50,
     cursor: str | None = None,
 ) -> object:
     """A page of runs; `next_cursor` of the answer is `cursor` of the next question."""
     try:
-        items, next_cursor = context.store.runs(unit=unit, rig=rig, status=status, limit=limit, cursor=cursor)
+        items, next_cursor = context.store.runs(
+            unit=unit, rig=rig, status=status, begins=begins, limit=limit, cursor=cursor
+        )
     except ValueError as error:
         raise Invalid(str(error)) from error
     return {"items": with_doubts(context.store, items), "next_cursor": next_cursor}

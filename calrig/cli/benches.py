@@ -11,8 +11,7 @@ from urllib.parse import quote
 
 import typer
 
-from calrig.cli.options import Db, Json
-from calrig.cli.users import Server
+from calrig.cli.options import Db, Json, Server
 from calrig.errors import InputError
 
 if TYPE_CHECKING:

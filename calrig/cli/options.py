@@ -10,6 +10,15 @@ import typer
 COLUMNS = "Columns: calrig/docs/poses.md."
 SHORTENED = " (the first 6 characters of a UUID do)"
 Db = Annotated[str | None, typer.Option(metavar="FILE", help="Store: a path or a URL [CALRIG_DB].")]
+Server = Annotated[
+    str | None,
+    typer.Option(
+        metavar="URL",
+        envvar="CALRIG_SERVER",
+        show_envvar=False,
+        help="The running service that holds the store [CALRIG_SERVER], asked with CALRIG_TOKEN.",
+    ),
+]
 Config = Annotated[str | None, typer.Option(metavar="FILE", help="Configuration [CALRIG_CONFIG].")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
 Record = Annotated[

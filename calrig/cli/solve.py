@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
 from calrig.cli.input_files import names_a_file, read_bytes
-from calrig.cli.options import COLUMNS, SHORTENED, Db, Json, Plot
+from calrig.cli.options import COLUMNS, SHORTENED, Db, Json, Plot, Server
 from calrig.cli.typed_ids import whole_id
 from calrig.errors import InputError, WorkError
 
 if TYPE_CHECKING:
-    from calrig.calibration.joint.solution import Solution
+    from calrig.analysis.joint_solutions import Question, Wanted
     from calrig.calibration.joint.table import Mounted
+    from calrig.store.solutions import Frame, Solved
 
 Units = Annotated[
     list[str] | None,
@@ -29,6 +30,15 @@ Periods = Annotated[
 ]
 Out = Annotated[
     Path | None, typer.Option(metavar="DIR", help="Write each unit's calibration and the stage's map there.")
+]
+FrameOf = Annotated[
+    str,
+    typer.Option(
+        "--frame",
+        metavar="sensor|faces",
+        help="Of units clamped by several faces: the matrix in the sensor's own frame, upper triangular, or "
+        "in that of the faces.",
+    ),
 ]
 Linear = Annotated[
     bool, typer.Option("--linear", help="State that the units have no quadratic and cubic terms.")
@@ -62,50 +72,100 @@ def solve(
     unit: Units = None,
     linear: Linear = False,
     period: Periods = None,
+    frame: FrameOf = "sensor",
     seat_std: SeatStd = None,
     limits: Limits = None,
     out: Out = None,
     plot: Plot = None,
     as_json: Json = False,
     db: Db = None,
+    server: Server = None,
 ) -> None:
-    """Solve the stage's map, the mounts and the units together, against gravity."""
-    from calrig.calibration.joint.report import solution_document
-    from calrig.calibration.joint.solution import solve as solve_together
-    from calrig.calibration.pose import DiagnosisError
+    """Solve the stage's map, the mounts and the units together, against gravity.
+
+    With --server a running service solves runs and keeps the solution; files are solved here.
+    """
+    from calrig.analysis.joint_solutions import Wanted
     from calrig.cli import output
     from calrig.cli.solve_output import print_solution
     from calrig.figures.files import writer_of
 
     draw = None if plot is None else writer_of(plot)
-    lots, said = _lots(sources, unit or [], db)
-    try:
-        solution = solve_together(lots, linear=linear, periods_deg=period or [], seat_std_deg=seat_std)
-    except DiagnosisError as error:
-        raise InputError(str(error)) from error
-    document = solution_document(solution, limits)
-    document["warnings"] = [*said, *document["warnings"]]
+    files = [source for source in sources if names_a_file(source)]
+    if files and len(files) < len(sources):
+        raise InputError("solve: name files or run ids, not both")
+    if unit and not files:
+        raise InputError("solve: runs have their units; --unit is for files")
+    if frame not in {"sensor", "faces"}:
+        raise InputError(f"solve: --frame is {frame!r}: it is sensor or faces")
+    wanted = Wanted(
+        sources,
+        linear=linear,
+        periods_deg=tuple(period or ()),
+        seat_std_deg=seat_std,
+        frame=cast("Frame", frame),
+        limits_deg=limits,
+    )
+    said: list[str] = []
+    if files:
+        lots, said = _of_files(files, unit or [])
+        found = _answer(_of_lots(lots, wanted))
+    elif server:
+        from calrig.cli.solve_there import solved_there
+
+        found = solved_there(server, wanted, with_files=out is not None, with_poses=draw is not None)
+    else:
+        found = _answer(_of_runs(wanted, db))
+    document = {**found.document, "warnings": [*said, *found.document["warnings"]]}
     if out is not None:
-        _write(out, solution)
+        _write(out, found)
+    whole = found.is_whole
     if draw is not None:
         from calrig.figures.joint import joint_figures
 
-        draw("Stage and units solved together", joint_figures(solution))
+        if whole:
+            raise InputError("solve: --plot is of units clamped by one face")
+        draw("Stage and units solved together", joint_figures(document, found.poses))
     if as_json:
         output.print_json(document)
+    elif whole:
+        from calrig.cli.three_axis_output import print_whole
+
+        print_whole(document)
     else:
         print_solution(document)
 
 
-def _lots(sources: Sequence[str], units: Sequence[str], db: str | None) -> tuple[list[Mounted], list[str]]:
+def _answer(asked: Question) -> Solved:
+    from calrig.analysis.joint_solutions import answer
+    from calrig.calibration.pose import DiagnosisError
+
+    try:
+        return answer(asked)
+    except DiagnosisError as error:
+        raise InputError(str(error)) from error
+
+
+def _of_lots(lots: Sequence[Mounted], wanted: Wanted) -> Question:
+    from calrig.analysis.joint_solutions import Question
+
+    units = list(dict.fromkeys(lot.unit for lot in lots))
+    return Question(None, wanted.basis([], units), lots, wanted.limits_deg)
+
+
+def _of_runs(wanted: Wanted, db: str | None) -> Question:
+    from dataclasses import replace
+
+    from calrig.analysis.joint_solutions import question
+    from calrig.settings import store_url
+    from calrig.store import Store
+
+    with Store.open(store_url(db), writer=None) as store:
+        return question(store, replace(wanted, runs=[whole_id(store, typed) for typed in wanted.runs]))
+
+
+def _of_files(files: Sequence[str], units: Sequence[str]) -> tuple[list[Mounted], list[str]]:
     """Poses of each clamping, and what is to be said of how they were read."""
-    files = [source for source in sources if names_a_file(source)]
-    if files and len(files) < len(sources):
-        raise InputError("solve: name files or run ids, not both")
-    if not files:
-        if units:
-            raise InputError("solve: runs have their units; --unit is for files")
-        return _of_runs(sources, db), []
     if len(units) > 1 and len(units) != len(files):
         raise InputError(
             f"solve: {len(units)} times --unit for {len(files)} files: give one for all, or one each"
@@ -127,21 +187,12 @@ def _of_file(file: Path, serial: str | None) -> tuple[list[Mounted], list[str]]:
     return lots, [f"{file}: {sentence}" for sentence in said]
 
 
-def _of_runs(run_ids: Sequence[str], db: str | None) -> list[Mounted]:
-    from calrig.analysis.joint_solutions import mounted_runs
-    from calrig.settings import store_url
-    from calrig.store import Store
-
-    with Store.open(store_url(db), writer=None) as store:
-        return mounted_runs(store, [whole_id(store, typed) for typed in run_ids])
-
-
-def _write(folder: Path, solution: Solution) -> None:
-    from calrig.export.joint_documents import joint_documents
+def _write(folder: Path, found: Solved) -> None:
+    from calrig.export.joint_files import joint_files
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for name, text in joint_documents(solution).items():
+        for name, text in joint_files(found.calibrations, found.stage_map).items():
             (folder / name).write_text(text, encoding="utf-8")
     except OSError as error:
         raise WorkError(f"{folder}: cannot be written ({error.strerror})") from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from calrig.errors import InputError
@@ -27,7 +28,15 @@ def whole_id(store: Store, typed: str) -> str:
     """
     if not begins_uuid(typed.lower()) or store.run(typed) is not None:
         return typed
-    found = store.uuids_beginning(typed.lower(), LISTED + 1)
+    return the_one(typed, store.uuids_beginning(typed.lower(), LISTED + 1))
+
+
+def the_one(typed: str, found: Sequence[str]) -> str:
+    """The id that begins so; what was typed, where there is none.
+
+    Raises:
+        InputError: several ids begin so.
+    """
     if len(found) > 1:
         listed = ", ".join(found[:LISTED]) + (" and others" if len(found) > LISTED else "")
         raise InputError(f"run {typed}: several ids begin so ({listed}): type more of the one that is meant")

@@ -8,7 +8,7 @@ from urllib.parse import quote
 
 import typer
 
-from calrig.cli.options import Db, Json
+from calrig.cli.options import Db, Json, Server
 from calrig.errors import WorkError
 
 if TYPE_CHECKING:
@@ -22,15 +22,6 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 Name = Annotated[str, typer.Argument(metavar="NAME", help="Letters, digits and . _ @ + -")]
-Server = Annotated[
-    str | None,
-    typer.Option(
-        metavar="URL",
-        envvar="CALRIG_SERVER",
-        show_envvar=False,
-        help="The running service that holds the store [CALRIG_SERVER], asked with CALRIG_TOKEN.",
-    ),
-]
 
 
 class RoleName(StrEnum):

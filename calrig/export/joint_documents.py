@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
-import re
 from typing import Any
 
 import numpy as np
@@ -17,10 +14,12 @@ from calrig.calibration.joint.mapped import mapped
 from calrig.calibration.joint.report import level_document, parameters_of
 from calrig.calibration.joint.solution import Solution
 from calrig.calibration.joint.unit_model import NAMES
+from calrig.calibration.stage_reference import MAP_SCHEMA
+from calrig.canonical_json import with_sha256
 from calrig.estimation.angles import wrap_deg
 from calrig.export.calibration_json import MODEL, SCHEMA
+from calrig.export.joint_files import joint_files
 
-MAP_SCHEMA = "calrig.stage-map/1"
 _CURVATURES = ("y_mg_per_g2", "y_mg_per_g3", "z_mg_per_g2", "z_mg_per_g3")
 EFFECTS: dict[str, tuple[str, ...]] = {
     "accelerometer_offset": ("y_mg", "z_mg"),
@@ -33,19 +32,13 @@ ADDED = {"y_mg", "z_mg", "y_mg_per_c", "z_mg_per_c", *_CURVATURES}
 """Added to a vector that is longer than 1 g by the common gain; in the catalogue's vector there is none."""
 
 
-def joint_documents(solution: Solution) -> dict[str, str]:
-    """The files' texts by their names; those of a unit's serial, with what no file is called by replaced."""
-    documents = {
-        _file_name(serial): unit_document(solution, k) for k, serial in enumerate(solution.table.units)
-    }
-    documents["stage-map.json"] = map_document(solution)
-    return {
-        name: json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-        for name, document in documents.items()
-    }
+def joint_documents(solution: Solution, rig: str | None = None) -> dict[str, str]:
+    """The files that a solution leaves behind, of runs on a rig or of files."""
+    units = {serial: unit_document(solution, k, rig) for k, serial in enumerate(solution.table.units)}
+    return joint_files(units, map_document(solution, rig))
 
 
-def unit_document(solution: Solution, unit: int) -> dict[str, Any]:
+def unit_document(solution: Solution, unit: int, rig: str | None = None) -> dict[str, Any]:
     """A unit's calibration with the uncertainty of this solution: nothing in it rests on the stage's word.
 
     All that the unit does to a vector is in its effects, beside a scale of 1; the bias is its level, where a
@@ -60,7 +53,7 @@ def unit_document(solution: Solution, unit: int) -> dict[str, Any]:
     covariance[0, 0] += np.degrees(np.degrees(worth.common_variance))
     factor = coverage_factor(solution.noise_deg, fit.freedom, worth.rms_deg, "normal")
     own = (table.unit == unit) & fit.kept
-    stated = np.array([mount.nominal_deg or 0.0 for mount in table.mounts])[table.mount]
+    stated = np.array([mount.sense * (mount.nominal_deg or 0.0) for mount in table.mounts])[table.mount]
     raw = wrap_deg(np.degrees(table.reading) - table.sense * table.dial_deg - stated)[own]
     document = {
         "schema": SCHEMA,
@@ -69,7 +62,7 @@ def unit_document(solution: Solution, unit: int) -> dict[str, Any]:
         "issued_at": None,
         "run_id": None,
         "calibrated_at": None,
-        "rig": None,
+        "rig": rig,
         "range_deg": list(range_deg(fit, unit)),
         "model": MODEL,
         "bias_deg": 0.0 if level is None else level.value_deg,
@@ -104,7 +97,7 @@ def unit_document(solution: Solution, unit: int) -> dict[str, Any]:
             "level": None if level is None else level_document(level),
         },
     }
-    return {**document, "sha256": _sha256(document)}
+    return with_sha256(document)
 
 
 def effects_of(solution: Solution, unit: int) -> list[dict[str, Any]]:
@@ -128,12 +121,12 @@ def effects_of(solution: Solution, unit: int) -> list[dict[str, Any]]:
     ]
 
 
-def map_document(solution: Solution) -> dict[str, Any]:
+def map_document(solution: Solution, rig: str | None = None) -> dict[str, Any]:
     """The stage's map: over its dial, and as the series itself with its covariance."""
     on_stage = mapped(solution.fit)
     document = {
         "schema": MAP_SCHEMA,
-        "rig": None,
+        "rig": rig,
         "model": "error = Σ (cos_k·cos kψ + sin_k·sin kψ) + backlash/2·approach, ψ the dial's angle",
         "orders": list(solution.fit.problem.orders),
         "coefficients_deg": on_stage.coefficients.tolist(),
@@ -147,7 +140,7 @@ def map_document(solution: Solution) -> dict[str, Any]:
         "solved_from": list(solution.table.sources),
         "separable": all(solution.is_separable(unit) for unit in range(len(solution.table.units))),
     }
-    return {**document, "sha256": _sha256(document)}
+    return with_sha256(document)
 
 
 def _temperatures(solution: Solution, unit: int) -> dict[str, float] | None:
@@ -160,12 +153,3 @@ def _temperatures(solution: Solution, unit: int) -> dict[str, float] | None:
 
 def _rms(values: Any) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
-
-
-def _file_name(serial: str) -> str:
-    return re.sub(r"[^\w.\-]", "_", serial).lstrip(".") + ".json"
-
-
-def _sha256(document: dict[str, Any]) -> str:
-    text = json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()

@@ -2,67 +2,77 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
-from calrig.calibration.joint.held_out import believing_the_stage
-from calrig.calibration.joint.least_squares import Fit
-from calrig.calibration.joint.mapped import mapped
-from calrig.calibration.joint.solution import Solution
-from calrig.calibration.joint.stage_map import basis
-from calrig.estimation.angles import FloatArray
 from calrig.figures.files import Rows
 from calrig.figures.parts import GREY, PALETTE, Figure, as_text, band_of, colours_of, layout_of, line_of
+from calrig.figures.runs import MAX_POINTS
 
 DIAL = "dial of the stage (°)"
+CAPTIONS = {
+    "map": "Map of the stage, two standard errors to each side",
+    "before": "Left of the angle, believing the stage",
+    "after": "Left with its map",
+}
+"""What each picture shows, by its name."""
+ROWS = (("map",), ("before", "after"))
+"""How they lie on one sheet: the last two have one scale."""
 
 
-def joint_figures(solution: Solution) -> Rows:
-    """The map with its poses; below it what is left believing the stage, and with its map, on one scale."""
-    fit = solution.fit
-    before, after = np.degrees(believing_the_stage(fit).left()), np.degrees(fit.left())
-    most = 1.05 * float(np.abs(before[fit.kept]).max())
-    return [
-        [("Map of the stage, two standard errors to each side", _map(fit, after))],
-        [
-            ("Left of the angle, believing the stage", _left(fit, before, most)),
-            ("Left with its map", _left(fit, after, most)),
-        ],
-    ]
+def joint_figures(document: Mapping[str, Any], poses: Mapping[str, Sequence[Any]]) -> Rows:
+    """All of them on one sheet; arguments as of `joint_figure`."""
+    return [[(CAPTIONS[name], joint_figure(name, document, poses)) for name in row] for row in ROWS]
 
 
-def _map(fit: Fit, left_deg: FloatArray) -> Figure:
+def joint_figure(name: str, document: Mapping[str, Any], poses: Mapping[str, Sequence[Any]]) -> Figure:
+    """One of `CAPTIONS`.
+
+    Args:
+        name: of the picture.
+        document: CONTRACT section 8.
+        poses: columns as `calrig.calibration.joint.poses_left` gives them.
+    """
+    if name == "map":
+        return _map(document, poses)
+    most = 1.05 * max(map(abs, poses["before_deg"]), default=1.0)
+    layout = layout_of(DIAL, "angle measured less expected (°)")
+    layout["yaxis"]["range"] = [-most, most]
+    values = poses["before_deg" if name == "before" else "left_deg"]
+    return {"data": _points(document, poses, values), "layout": layout}
+
+
+def _map(document: Mapping[str, Any], poses: Mapping[str, Sequence[Any]]) -> Figure:
     """The map as a band, and each pose as the map with what it leaves."""
-    found, orders = mapped(fit), fit.problem.orders
-    at, waves = found.stage_deg.tolist(), found.coefficients[:-1]
-    level = (basis(found.stage_deg, np.zeros(len(at)), orders)[:, :-1] @ waves).mean()
-    points = _points(fit, fit.problem.columns[:, :-1] @ waves - level + left_deg)
-    low, high = (found.error_deg + side * found.std_deg for side in (-2.0, 2.0))
-    band = band_of("map", at, low.tolist(), high.tolist(), PALETTE[-1])
-    curve = {**line_of("map", at, found.error_deg.tolist(), PALETTE[-1]), "legendgroup": "map"}
+    at, error, std = (document["stage"]["map"][name] for name in ("stage_deg", "error_deg", "std_deg"))
+    points = _points(document, poses, poses["on_map_deg"])
+    low, high = ([e + side * s for e, s in zip(error, std, strict=True)] for side in (-2.0, 2.0))
+    band = band_of("map", at, low, high, PALETTE[-1])
+    curve = {**line_of("map", at, error, PALETTE[-1]), "legendgroup": "map"}
     return {"data": [*points, band, curve], "layout": layout_of(DIAL, "error of the stage (°)")}
 
 
-def _left(fit: Fit, left_deg: FloatArray, most: float) -> Figure:
-    layout = layout_of(DIAL, "angle measured less expected (°)")
-    layout["yaxis"]["range"] = [-most, most]
-    return {"data": _points(fit, left_deg), "layout": layout}
-
-
-def _points(fit: Fit, values_deg: FloatArray) -> list[dict[str, Any]]:
-    """The poses of each mount that were not left out."""
-    table = fit.problem.table
-    names = [f"{table.units[mount.unit]}, {mount.name}" for mount in table.mounts]
+def _points(
+    document: Mapping[str, Any], poses: Mapping[str, Sequence[Any]], values_deg: Sequence[float]
+) -> list[dict[str, Any]]:
+    """The poses of each mount, at most `MAX_POINTS` of all; where mounts are many, some are named."""
+    stride = max(1, -(-len(values_deg) // MAX_POINTS))
+    names = [f"{mount['unit']}, {mount['mount']}" for mount in document["mounts"]]
     colours = colours_of(names)
+    of_mount: list[tuple[list[float], list[float]]] = [([], []) for _ in names]
+    columns = (poses["mount"], poses["dial_deg"], values_deg)
+    for mount, dial_deg, value_deg in zip(*(column[::stride] for column in columns), strict=True):
+        of_mount[mount][0].append(dial_deg)
+        of_mount[mount][1].append(value_deg)
     return [
         {
             "type": "scatter",
             "mode": "markers",
             "name": as_text(name),
-            "x": table.dial_deg[own].tolist(),
-            "y": values_deg[own].tolist(),
-            "marker": {"color": colours.get(name, GREY), "size": 5},
+            "showlegend": colours[name] != GREY,
+            "x": x,
+            "y": y,
+            "marker": {"color": colours[name], "size": 5},
         }
-        for name, own in ((name, (table.mount == k) & fit.kept) for k, name in enumerate(names))
+        for name, (x, y) in zip(names, of_mount, strict=True)
     ]

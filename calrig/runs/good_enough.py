@@ -11,10 +11,11 @@ from calrig.calibration.early_end import Ending, has_the_line
 from calrig.calibration.plan_design.goals import Goals
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import Result
+from calrig.calibration.stage_reference import with_map
 from calrig.plan import Plan, PlannedPose, Until
 from calrig.settings import RigSettings
-from calrig.store import AcceptedEffect
-from calrig.store.records import Document
+from calrig.store import AcceptedEffect, Store
+from calrig.store.records import Document, map_of
 
 REACHED = Ending(may_be_early=True, stopped_by="until")
 
@@ -37,6 +38,8 @@ class GoodEnough:
 
     def reached(self, poses: Sequence[Pose]) -> bool:
         """Whether the result that the run would have, should it end now, is good enough."""
+        stage_map = map_of(self.provenance)
+        poses = poses if stage_map is None else with_map(poses, stage_map)
         visited_deg = [pose.target_deg for pose in poses]
         if not has_the_line(visited_deg, [pose.target_deg for pose in self.planned]):
             return False
@@ -54,10 +57,10 @@ def goals_of(until: Until) -> Goals:
     return Goals(until.expanded_uncertainty_deg, until.bias_std_deg, until.scale_std)
 
 
-def require_a_reference(plan: Plan, rig: RigSettings) -> None:
+def require_a_reference(plan: Plan, rig: RigSettings, store: Store) -> None:
     """Invalid where a run waits for an uncertainty that nobody could state on this rig."""
     wanted_deg = None if plan.until is None else plan.until.expanded_uncertainty_deg
-    if wanted_deg is not None and rig.reference is None:
+    if wanted_deg is not None and rig.reference is None and store.stage_map(rig.name) is None:
         raise Invalid(
             f"rig {rig.name!r} does not say what its angle is worth: no expanded uncertainty is known that "
             "a run could end by",

@@ -20,6 +20,7 @@ from calrig.calibration.plan_design.design import (
 from calrig.calibration.plan_design.goals import Goals, TypeB
 from calrig.calibration.plan_design.rig_figures import NOT_MEASURED, Pace, Precision, precision_of_run
 from calrig.calibration.plan_design.settling import SHARE, forgotten_s
+from calrig.calibration.stage_reference import StageMap
 from calrig.calibration.uncertainty import Reference
 from calrig.instruments.axis_goal import travel_time_s
 from calrig.plan import Plan, Until
@@ -107,7 +108,7 @@ def designed(wanted: Wanted, plan: Plan, rig: RigSettings, unit: str, store: Sto
         range_deg=(low, high),
         precision=_precision(rig, unit, store),
         pace=_pace(plan, rig, settling.least_s, store),
-        type_b=_type_b(rig),
+        type_b=_type_b(rig, store),
         trace=wanted.trace,
         until=wanted.until is not None,
         seed=plan.seed,
@@ -181,9 +182,12 @@ def _of_run(run: Run) -> Precision | None:
     return precision_of_run(short_name(run.id), plan["dwell_s"], noise_deg, left * (n / (n - 2.0)) ** 0.5)
 
 
-def _type_b(rig: RigSettings) -> TypeB | None:
+def _type_b(rig: RigSettings, store: Store | None) -> TypeB | None:
+    in_force = None if store is None else store.stage_map(rig.name)
+    if in_force is not None:
+        return TypeB(StageMap.from_document(in_force.document).std_deg, None)
     stated = rig.reference
-    if stated is None:
+    if stated is None or stated.std_deg is None:
         return None
     return TypeB(stated.std_deg, Reference(stated.std_deg, stated.kind, stated.distribution))
 

@@ -42,9 +42,8 @@ def planned_poses(plan: Plan, rig: RigSettings) -> list[PlannedPose]:
     """Every pose of a plan on a rig, in the order measured.
 
     Raises:
-        Invalid: an elevation lies beyond the rig's limits; or the plan is to end by what nobody could know.
+        Invalid: an elevation lies beyond the rig's limits.
     """
-    require_a_reference(plan, rig)
     try:
         return plan.poses(rig.limits_deg)
     except PlanError as error:
@@ -68,6 +67,7 @@ def estimate(plan: Plan, rig: RigSettings, store: Store) -> PlanEstimate:
         Invalid: an elevation lies beyond the rig's limits.
     """
     planned = planned_poses(plan, rig)
+    require_a_reference(plan, rig, store)
     static = plan.kind == "static"
     velocity_dps, acceleration_dps2 = speed(rig, store)
     targets_deg = [0.0, *(pose.target_deg for pose in planned)]  # from about its home

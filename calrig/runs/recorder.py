@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any, Unpack
 
+from calrig.analysis.mounts import mount_columns
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import raw_error_deg
 from calrig.instruments.clock import Clock
@@ -28,7 +29,7 @@ FLUSH_INTERVAL_S = 0.25
 class Recorder:
     """One run's way into the store and out to those who watch. Used by the run's own thread only.
 
-    `sense` is that in which its unit turns with the stage.
+    `axis` is which of its unit's lies along the stage's.
     """
 
     def __init__(
@@ -40,14 +41,14 @@ class Recorder:
         clock: Clock,
         poses_total: int,
         poses_before: int = 0,
-        sense: int = 1,
+        axis: str = "x",
     ) -> None:
         self._now_s = clock.now_s
         self._store = store
         self._bus = bus
         self.run_id = run_id
         self.meter = meter
-        self._sense = sense
+        self._axis = axis
         self._status: Status = "queued"
         self._poses_total = poses_total
         self._poses_done = self._poses_before = poses_before
@@ -128,7 +129,9 @@ class Recorder:
         self.flush()
         self._poses_done += 1
         progress = self._progress()
-        told = {"index": index, **pose.row(), "raw_error_deg": raw_error_deg(pose, self._sense)}
+        mount = mount_columns(self.run_id, self._axis, pose)
+        sense = -1 if self._axis.startswith("-") else 1
+        told = {"index": index, **pose.row(), **mount, "raw_error_deg": raw_error_deg(pose, sense)}
         events: list[Announced] = [("pose", told), ("progress", progress), *also]
         self._store.add_pose(self.run_id, index, pose, blocks, events, progress=progress, faults=dict(faults))
         self.meter.pose()

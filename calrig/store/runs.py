@@ -7,7 +7,8 @@ from contextlib import ExitStack
 from datetime import UTC, datetime
 from typing import Unpack, get_args
 
-from sqlmodel import Session, col, func, select, tuple_
+from sqlalchemy import ColumnElement
+from sqlmodel import Session, and_, col, func, select, tuple_
 
 from calrig.calibration.pose import Pose
 from calrig.run_ids import is_uuid, new_run_id
@@ -99,6 +100,7 @@ class Runs(Part):
         unit: str | None = None,
         rig: str | None = None,
         status: str | None = None,
+        begins: str | None = None,
         limit: int = 50,
         cursor: str | None = None,
     ) -> tuple[list[Run], str | None]:
@@ -117,6 +119,8 @@ class Runs(Part):
         for column, value in ((RunTable.unit, unit), (RunTable.rig, rig), (RunTable.status, status)):
             if value is not None:
                 wanted = wanted.where(column == value)
+        if begins is not None:
+            wanted = wanted.where(_begins(begins))
         with self._database.reading() as session:
             if cursor is not None:
                 last = find_run(session, cursor)
@@ -161,7 +165,7 @@ class Runs(Part):
     def uuids_beginning(self, prefix: str, limit: int) -> list[str]:
         """Ids that begin so, numbers not counted, in their own order and no more of them than `limit`."""
         uid = col(RunTable.uid)
-        begin = select(uid).where(uid.startswith(prefix, autoescape=True), uid.contains("-"))
+        begin = select(uid).where(_begins(prefix))
         with self._database.reading() as session:
             return list(session.exec(begin.order_by(uid).limit(limit)))
 
@@ -170,6 +174,12 @@ class Runs(Part):
         wanted = select(RunTable.status, func.count()).group_by(col(RunTable.status))
         with self._database.reading() as session:
             return {**dict.fromkeys(get_args(Status), 0), **dict(session.exec(wanted).all())}
+
+
+def _begins(prefix: str) -> ColumnElement[bool]:
+    """Of the UUIDs among the ids."""
+    uid = col(RunTable.uid)
+    return and_(uid.startswith(prefix, autoescape=True), uid.contains("-"))
 
 
 def new_row(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
+from clamped import clamped
 from pydantic import TypeAdapter
 from support import QUICK, ended
 
@@ -31,11 +32,14 @@ def test_every_answer_is_what_the_document_says(shared_client, monkeypatch):
     static_id = shared_client.post("/api/runs", json={"unit": "A/1", "plan": still}).json()["id"]
     assert ended(shared_client, static_id)["status"] == "completed"
     shared_client.put("/api/rigs/bench-1/check-unit", json={"unit": "A/1", "interval_days": 7})
+    mounts = [clamped(shared_client, "A/1", angle)["id"] for angle in (0, 120, 240)]
+    solution = shared_client.post("/api/solve", json={"runs": mounts}).json()
     monkeypatch.setattr(heavy, "AT_ONCE_S", 0.0)  # for a job
     file = {"file": ("poses.csv", CSV)}
     job = shared_client.post("/api/imports?wait=false", files=file, data={"unit": "B"}).json()
     routes = [route for part in PARTS for route in part.router.routes if "GET" in route.methods]
     models = {route.path: route.response_model for route in routes if route.response_model is not None}
+    del models["/api/rigs/{name}/map"]  # it takes a solution: tests/api/test_api_stage_map.py
     names = {
         "/api/rigs/{name}/error-map": "bench-1",
         "/api/rigs/{name}/check-unit": "bench-1",
@@ -43,11 +47,12 @@ def test_every_answer_is_what_the_document_says(shared_client, monkeypatch):
         "/api/rigs/{name}/figures/error-map": "bench-1",
         "/api/runs/{run_id}/figures/{name}": "residual",
         "/api/compare/figures/{name}": "bias",
+        "/api/solve/{solution_id}/figures/{name}": "map",
     }
     for path, model in models.items():
         told_by = static_id if path.endswith("/noise") else run_id
         url = path.replace("{run_id}", told_by).replace("{serial:path}", "A/1")
-        url = url.replace("{job_id}", job["id"])
+        url = url.replace("{job_id}", job["id"]).replace("{solution_id}", solution["id"])
         answer = shared_client.get(url.replace("{name}", names.get(path, "")))
         assert answer.status_code == 200, url
         TypeAdapter(model).validate_json(answer.content, strict=True)

@@ -9,36 +9,12 @@ import re
 import numpy as np
 import plotly.graph_objects as go
 import pytest
+from clamped import HEADER, clamped, felt_g, rows_of
 from command_line import calrig, reason
+from support import imported, serving
 
 from calrig import load
 from calrig.calibration.correction import calibrated_elevation_deg
-from calrig.simulator.config import ImuOptions
-from calrig.simulator.imu import Imu, Surroundings
-
-IMU = Imu(ImuOptions(accel_bias_mg=(0.0, 50.0, -30.0), accel_gain_error_pct=(0.0, 2.0, 0.0)))
-HEADER = "target_deg,reading_deg,approach,accel_y_g,accel_z_g"
-
-
-def felt_g(elevation_deg):
-    """(n, 2) what the unit makes of gravity."""
-    turn = np.radians(elevation_deg)
-    force = np.stack([np.zeros(len(turn)), np.sin(turn), np.cos(turn)], axis=1)
-    still = np.full(len(turn), 25.0)
-    return IMU.accel_g(force, Surroundings(still, still, 0.0 * still))[:, 1:]
-
-
-def rows_of(mount_deg, seed):
-    """Poses of a unit clamped at an angle of a stage with an eccentricity of 0.3°, as cells."""
-    dial = np.linspace(-60.0, 60.0, 40)
-    approach = np.where(np.arange(40) % 2, 1, -1)
-    table = dial + 0.3 * np.sin(np.radians(dial + 40.0)) - 0.03 * approach
-    vector = felt_g(table + mount_deg) + np.random.default_rng(seed).normal(0.0, 3e-4, (40, 2))
-    reading = np.degrees(np.arctan2(*vector.T))
-    return [
-        f"{d:.4f},{r:.5f},{a},{y:.6f},{z:.6f}"
-        for d, r, a, (y, z) in zip(dial, reading, approach, vector, strict=True)
-    ]
 
 
 @pytest.fixture
@@ -109,6 +85,28 @@ def test_runs_of_the_store_are_solved_by_their_ids(mounts):
     of_files = json.loads(calrig("solve", *mounts, "--unit", "AS-7", "--json").stdout)
     assert of_runs["units"] == of_files["units"]
     assert [mount["mount_deg"] for mount in of_runs["mounts"]] == [0, 120, 240]
+
+
+def test_a_running_service_solves_its_runs_and_keeps_the_solution(mounts, folder, service, monkeypatch):
+    with serving(service) as client:
+        ids = [clamped(client, "AS-7", angle)["id"] for angle in (0, 120, 240)]
+        here = json.loads(calrig("solve", *ids, "--json", "--db", folder / "calrig.db").stdout)
+        monkeypatch.setenv("CALRIG_SERVER", str(client.base_url))
+        done = calrig(
+            "solve", *(typed[:8] for typed in ids), "--json", "--out", "solved", "--plot", "map.html"
+        )
+        assert json.loads(done.stdout) == here
+        (kept,) = client.get("/api/solve").json()
+        assert kept["id"] in done.stderr
+        for name, path in (("AS-7", "units/AS-7"), ("stage-map", "map")):
+            written = (folder / "solved" / f"{name}.json").read_bytes()
+            assert written == client.get(f"/api/solve/{kept['id']}/{path}").content
+        assert "Left with its map" in (folder / "map.html").read_text(encoding="utf-8")
+        assert "there is no run 99" in reason("solve", "99", status=1)
+        few = imported(client, "FEW")["id"]
+        assert "4 poses are too few" in reason("solve", few, status=2)
+        calrig("solve", "all.csv")
+        assert len(client.get("/api/solve").json()) == 1, "files are solved here"
 
 
 def test_one_mount_is_not_enough_and_what_would_help_is_said(mounts):

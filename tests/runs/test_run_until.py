@@ -64,10 +64,6 @@ def test_a_run_ends_once_it_is_good_enough_and_everything_follows_from_the_same_
 def test_a_rig_that_states_no_reference_cannot_wait_for_an_uncertainty(
     bench: TruthRig, serve: Callable[..., RunService]
 ) -> None:
-    unstated = bench.settings.model_copy(update={"reference": None})
-    service = serve(bench)
+    bench.settings = bench.settings.model_copy(update={"reference": None})
     with pytest.raises(Invalid, match="does not say what its angle is worth"):
-        from calrig.runs.planned import planned_poses
-
-        planned_poses(PLAN, unstated)
-    assert service.store is not None
+        begin(serve(bench), PLAN)

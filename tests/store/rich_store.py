@@ -16,10 +16,26 @@ from support import imported, serving
 
 from calrig.calibration.pose import Pose
 from calrig.store import AcceptedEffect, Store
+from calrig.store.items import Item
 from calrig.store.raw_rows import tables
+from calrig.store.solutions import Basis, Solved
 
 POSES = "target_deg,reading_deg,+5V\n-30,-29.5,5.01\n0,-0.4,4.99\n30,30.6,5.00\n60,60.9,5.02\n"
 LIMIT = {"name": "flight", "units": "A*", "max_error_deg": 0.5, "rule": "guarded"}
+SOLVED = Solved(
+    rig="r",
+    basis=Basis(("0b5c4f1e", "17"), ("Ä-1",), linear=True, periods_deg=(7.2,)),
+    document={
+        "units": [{"unit": "Ä-1"}],
+        "separable": False,
+        "before": {"held_out_rms_deg": 0.21},
+        "final": {"held_out_rms_deg": 0.031},
+        "warnings": ["größer als erwartet"],
+    },
+    calibrations={"Ä-1": {"unit": "Ä-1", "bias_deg": 1 / 3, "sha256": "5e"}},
+    stage_map={"map": {"stage_deg": [0.0, -0.0, 1e-300]}, "sha256": "5f" * 32},
+    poses={"dial_deg": [0.1, 2.0], "before_deg": [0.5, None]},
+)
 
 
 def fill(path: Path) -> str:
@@ -36,6 +52,9 @@ def fill(path: Path) -> str:
         with closing(RunService(store, [])) as service, serving(service) as client:
             _amend(client)
         store.name_check_unit("r", "A-3", 7.0, who="ada")
+        store.say_item("A-3", Item(customer="山田 & Søn", condition="neu", supplied=("customer",)), who="ada")
+        solution = store.keep_solution(SOLVED, by="ada")
+        store.put_stage_map("r", solution.id, SOLVED.stage_map, who="ada")
         store.add_user("proxied", "viewer", with_token=False)
         _, token = store.add_user("ada", "admin")
     assert token is not None

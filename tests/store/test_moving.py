@@ -38,7 +38,7 @@ def answers(url: str, token: str) -> dict[str, Any]:
     ):
         client.headers["Authorization"] = f"Bearer {token}"
         runs = client.get("/api/runs").json()["items"]
-        asked = ["runs", "units", "compare", "limits", "trail", "users", "check-units"]
+        asked = ["runs", "units", "compare", "limits", "trail", "users", "check-units", "solve"]
         asked += [f"calibrations?since={runs[-1]['created_at']}"]
         for run in runs:
             of_it = f"runs/{run['id']}"

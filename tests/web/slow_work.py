@@ -1,4 +1,7 @@
-"""A diagnosis that tells that two fifths are done, and goes on once it is let; its process imports little."""
+"""Work that takes long: a diagnosis that tells that two fifths are done, and what has to be cancelled.
+
+Its process imports little.
+"""
 
 from __future__ import annotations
 
@@ -19,3 +22,9 @@ def slow_trace(*poses: Any, progress: Callable[[float], None], **asked: Any) -> 
     while not LET_GO.exists():
         time.sleep(0.02)
     return trace(*poses, **asked)
+
+
+def for_ever(*_: Any) -> None:
+    """Work that somebody has to cancel."""
+    while True:
+        time.sleep(0.02)

@@ -1,0 +1,186 @@
+"""Joint solutions, kept as they were found: a map is put in force from here, and compared with later ones."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Literal
+
+import sqlalchemy
+from sqlmodel import col
+
+from calrig.store.database import Part
+from calrig.store.errors import NotFound
+from calrig.store.records import Document
+from calrig.store.tables import RunTable, SolutionTable
+from calrig.store.units import COUNTS
+
+Frame = Literal["sensor", "faces"]
+_COLUMN = sqlalchemy.inspect(SolutionTable).local_table.c
+_NEWEST_FIRST = _COLUMN.created_at.desc(), _COLUMN.id.desc()
+
+
+@dataclass(frozen=True, slots=True)
+class Basis:
+    """What a solution rests on.
+
+    Attributes:
+        runs: ids of the runs, all of one rig.
+        units: serials of their units.
+        linear: whether the units were stated to have no quadratic and cubic terms.
+        periods_deg: of gears that somebody knew.
+        seat_std_deg: how far one clamping was said to scatter from the next; None where nobody did.
+        frame: of units clamped by several faces, whose their matrix is.
+    """
+
+    runs: tuple[str, ...]
+    units: tuple[str, ...]
+    linear: bool = False
+    periods_deg: tuple[float, ...] = ()
+    seat_std_deg: float | None = None
+    frame: Frame = "sensor"
+
+
+@dataclass(frozen=True, slots=True)
+class Solved:
+    """A joint solution as it leaves the arithmetic.
+
+    Attributes:
+        rig: whose stage it is of; None where the runs name none.
+        basis: what it rests on.
+        document: CONTRACT section 8.
+        calibrations: CONTRACT section 6 by serial, with the uncertainty of this solution.
+        stage_map: what `stage-map.json` has.
+        poses: equally long columns for the picture (`calrig.figures.joint`).
+    """
+
+    rig: str | None
+    basis: Basis
+    document: Document
+    calibrations: dict[str, Document]
+    stage_map: Document
+    poses: Document
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the units were clamped by several faces."""
+        return any(mount["mount_axis"][-1] != "x" for mount in self.document["mounts"])
+
+
+@dataclass(frozen=True, slots=True)
+class StoredSolution:
+    """A joint solution by its id; `by` is None where nobody is known by name."""
+
+    id: str
+    created_at: datetime
+    by: str | None
+    found: Solved
+
+
+@dataclass(frozen=True, slots=True)
+class ListedSolution:
+    """A solution in a list: the RMS of held-out poses believing the stage, and with its map."""
+
+    id: str
+    created_at: datetime
+    by: str | None
+    rig: str | None
+    basis: Basis
+    separable: bool
+    before_rms_deg: float | None
+    final_rms_deg: float | None
+
+
+_LISTED = (
+    _COLUMN.id,
+    _COLUMN.created_at,
+    _COLUMN.solved_by,
+    _COLUMN.rig,
+    _COLUMN.basis,
+    _COLUMN.document["separable"].as_boolean(),
+    _COLUMN.document[("before", "held_out_rms_deg")].as_float(),
+    _COLUMN.document[("final", "held_out_rms_deg")].as_float(),
+)
+
+
+class Solutions(Part):
+    """Every joint solution that was kept; none ever changes."""
+
+    def keep_solution(self, found: Solved, *, by: str | None = None) -> StoredSolution:
+        """Keeps one under a new id."""
+        kept = StoredSolution(str(uuid.uuid4()), datetime.now(UTC), by, found)
+        row = SolutionTable(
+            id=kept.id,
+            created_at=kept.created_at,
+            solved_by=by,
+            rig=found.rig,
+            basis=_as_document(found.basis),
+            document=found.document,
+            calibrations=found.calibrations,
+            stage_map=found.stage_map,
+            poses=found.poses,
+        )
+        with self._database.writing() as session:
+            session.add(row)
+        return kept
+
+    def counting_runs(self, rig: str | None = None, units: Sequence[str] | None = None) -> list[str]:
+        """Ids of the completed, not voided calibrations of some units on a rig, the oldest first."""
+        in_order = col(RunTable.created_at), col(RunTable.id)
+        query = sqlalchemy.select(col(RunTable.uid)).where(*COUNTS).order_by(*in_order)
+        if rig is not None:
+            query = query.where(col(RunTable.rig) == rig)
+        if units is not None:
+            query = query.where(col(RunTable.unit).in_(units))
+        with self._database.reading() as session:
+            return list(session.connection().execute(query).scalars())
+
+    def solution(self, solution_id: str) -> StoredSolution:
+        """One by its id.
+
+        Raises:
+            NotFound: there is none.
+        """
+        with self._database.reading() as session:
+            row = session.get(SolutionTable, solution_id)
+            if row is None:
+                raise NotFound(f"there is no solution {solution_id!r}")
+            found = Solved(
+                row.rig, _basis(row.basis), row.document, row.calibrations, row.stage_map, row.poses
+            )
+            return StoredSolution(row.id, row.created_at, row.solved_by, found)
+
+    def solutions(self, rig: str | None = None, limit: int | None = None) -> list[ListedSolution]:
+        """Those of a rig, or all, the newest first."""
+        query = sqlalchemy.select(*_LISTED).order_by(*_NEWEST_FIRST).limit(limit)
+        if rig is not None:
+            query = query.where(_COLUMN.rig == rig)
+        with self._database.reading() as session:
+            return [
+                ListedSolution(*row[:4], _basis(row.basis), *row[5:])
+                for row in session.connection().execute(query)
+            ]
+
+
+def _as_document(basis: Basis) -> Document:
+    return {
+        "runs": list(basis.runs),
+        "units": list(basis.units),
+        "linear": basis.linear,
+        "periods_deg": list(basis.periods_deg),
+        "seat_std_deg": basis.seat_std_deg,
+        "frame": basis.frame,
+    }
+
+
+def _basis(document: Document) -> Basis:
+    return Basis(
+        tuple(document["runs"]),
+        tuple(document["units"]),
+        document["linear"],
+        tuple(document["periods_deg"]),
+        document["seat_std_deg"],
+        document.get("frame", "sensor"),
+    )

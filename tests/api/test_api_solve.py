@@ -1,0 +1,104 @@
+"""Runs of one rig solved together over HTTP: the solution is kept, listed, drawn and fetched."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+
+import plotly.graph_objects as go
+import pytest
+from clamped import clamped
+from support import LONG, POSES, imported, wait_for
+
+from calrig.api import heavy
+
+
+@pytest.fixture(scope="module")
+def runs(shared_client):
+    """Of unit AS-7, clamped at three angles."""
+    return [clamped(shared_client, "AS-7", angle)["id"] for angle in (0, 120, 240)]
+
+
+@pytest.fixture(scope="module")
+def solved(shared_client, runs):
+    return shared_client.post("/api/solve", json={"runs": runs}).raise_for_status().json()
+
+
+def hash_of(document):
+    """As CONTRACT section 6 has it."""
+    rest = {key: value for key, value in document.items() if key != "sha256"}
+    text = json.dumps(rest, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def test_a_solution_is_answered_and_kept(shared_client, runs, solved):
+    assert solved["separable"]
+    assert [mount["mount"] for mount in solved["mounts"]] == [
+        f"{run_id[:8]} {angle}°" for run_id, angle in zip(runs, (0, 120, 240), strict=True)
+    ]
+    assert solved["final"]["held_out_rms_deg"] < 0.3 * solved["before"]["held_out_rms_deg"]
+    path = f"/api/solve/{solved['id']}"
+    assert shared_client.get(path).json() == solved
+    (listed,) = shared_client.get("/api/solve?rig=bench-1").json()
+    assert listed == {name: solved[name] for name in listed if name != "units"} | {"units": ["AS-7"]}
+    assert listed["runs"] == runs
+    assert shared_client.get("/api/solve?rig=bench-2").json() == []
+
+
+def test_calibrations_and_map_are_fetched_with_their_hashes(shared_client, solved):
+    path = f"/api/solve/{solved['id']}"
+    for of_it in ("units/AS-7", "map"):
+        document = shared_client.get(f"{path}/{of_it}").json()
+        assert (document["rig"], document["sha256"]) == ("bench-1", hash_of(document))
+    assert shared_client.get(f"{path}/units/AS-8").status_code == 404
+    for name in ("map", "before", "after"):
+        figure = shared_client.get(f"{path}/figures/{name}").json()
+        go.Figure(figure)  # raises on any property that plotly does not know
+        assert len(figure["data"]) == 3 + 2 * (name == "map")
+
+
+@pytest.mark.parametrize("body", [{"units": ["AS-7"]}, {"rig": "bench-1"}])
+def test_all_that_counts_of_a_unit_or_on_a_rig_is_taken(shared_client, runs, solved, body):
+    voided = clamped(shared_client, "AS-7", 45)["id"]
+    shared_client.post(f"/api/runs/{voided}/void", json={"reason": "slipped"}).raise_for_status()
+    again = shared_client.post("/api/solve", json=body).raise_for_status().json()
+    assert again["runs"] == runs
+    assert again["mounts"] == solved["mounts"]
+    refused = shared_client.post("/api/solve", json={"runs": [voided], **body})
+    assert (refused.status_code, "voided (slipped)" in refused.json()["detail"]) == (409, True)
+
+
+def test_what_cannot_be_solved_is_refused_with_the_reason(shared_client, runs):
+    elsewhere = clamped(shared_client, "AS-9", 0, rig="bench-2")["id"]
+    few = imported(shared_client, "FEW", POSES)["id"]
+    for body, status, words in (
+        ({"runs": ["999"]}, 404, "there is no run 999"),
+        ({"units": ["nobody"]}, 404, "there is no unit 'nobody'"),
+        ({"rig": "bench-9"}, 404, "bench-9"),
+        ({"runs": [runs[0], elsewhere]}, 409, "each stage has a map of its own"),
+        ({"runs": runs, "rig": "bench-2"}, 409, "is of rig 'bench-1', not of 'bench-2'"),
+        ({}, 422, "name runs, units or a rig"),
+        ({"runs": runs, "periods_deg": [0.1]}, 422, "periods_deg"),
+        ({"runs": runs, "gear": 7.2}, 422, "gear"),
+        ({"runs": [few]}, 422, "4 poses are too few"),
+        ({"units": ["AS-7"], "rig": "bench-2"}, 422, "no completed calibration that counts"),
+    ):
+        answer = shared_client.post("/api/solve", json=body)
+        assert (answer.status_code, words in answer.json()["detail"]) == (status, True), answer.text
+    assert shared_client.get("/api/solve/nothing").status_code == 404
+
+
+def test_a_run_that_goes_on_is_not_solved(shared_client):
+    begun = shared_client.post("/api/runs", json={"unit": "A", "plan": LONG}).json()
+    answer = shared_client.post("/api/solve", json={"runs": [begun["id"]]})
+    assert (answer.status_code, "end it first" in answer.json()["detail"]) == (409, True)
+    shared_client.post(f"/api/runs/{begun['id']}/abort").raise_for_status()
+
+
+def test_who_does_not_wait_has_a_job_that_says_where_the_solution_is(shared_client, runs, monkeypatch):
+    monkeypatch.setattr(heavy, "AT_ONCE_S", 0.0)
+    body = {"runs": runs, "linear": True}
+    job = shared_client.post("/api/solve?wait=false", json=body).headers["Location"]
+    wait_for(lambda: shared_client.get(job).json()["state"] == "done", "end")
+    found = shared_client.get(shared_client.get(job).json()["result"]).json()
+    assert (found["linear"], found["runs"]) == (True, runs)
