@@ -171,6 +171,7 @@ class ResultAnswer(LineAnswer):
     gyro: GyroAnswer
     reference: ReferenceAnswer | None = None  # of runs stored before it was computed: null
     over_range: OverRange | None = None  # likewise
+    stopped_by: Literal["plan", "until"] = "plan"
     reference_says: str | None = Field(None, description="Why the stage's map in force was not used.")
 
 
