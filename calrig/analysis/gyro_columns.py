@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,7 +13,9 @@ from calrig.calibration.joint.three_axis_gyro import HOST
 from calrig.calibration.pose import GYRO_MEANS, GYRO_MOVES, Pose
 from calrig.estimation.angles import FloatArray
 from calrig.estimation.gyro import MISSING_PERIODS, moves_about_axes
-from calrig.store import Store
+
+if TYPE_CHECKING:
+    from calrig.store import Store
 
 
 def poses_with_gyro(store: Store, run_id: str) -> list[Pose]:

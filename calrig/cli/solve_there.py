@@ -12,7 +12,7 @@ from calrig.cli.typed_ids import LISTED, the_one
 from calrig.client import Client
 from calrig.errors import WorkError
 from calrig.run_ids import begins_uuid, is_uuid
-from calrig.store.solutions import Solved
+from calrig.store.solved import Solved
 
 if TYPE_CHECKING:
     from calrig.analysis.joint_solutions import Wanted
