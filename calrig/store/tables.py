@@ -279,6 +279,18 @@ class CheckUnitTable(SQLModel, table=True):
     named_at: datetime = Field(sa_type=UtcText)
 
 
+class ItemTable(SQLModel, table=True):
+    """What was said of a unit as it came: the last row counts."""
+
+    __tablename__ = "item"
+    __table_args__ = (Index("ix_item_unit", "unit"),)
+
+    id: int = Field(default=None, primary_key=True)
+    unit: str = Field(foreign_key="unit.serial")
+    document: dict[str, Any] = Field(sa_type=CheckedJson)
+    at: datetime = Field(sa_type=UtcText)
+
+
 class FleetFindingTable(SQLModel, table=True):
     """What a fleet's re-analysis found in a run last, by which poses and which catalogue.
 
