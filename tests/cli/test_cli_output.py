@@ -36,9 +36,7 @@ def test_a_serial_number_is_no_markup_and_what_is_not_known_is_said(capsys):
     )
     result |= {"gyro": number, "temperature_c": None, "reference": None, "n_poses": 3}
     output.print_result(
-        SimpleNamespace(
-            id="1", unit="[red]AS-1[/red]", rig="bench-1", plan=None, result=result, verdict=None
-        )
+        SimpleNamespace(id="1", unit="[red]AS-1[/red]", rig="bench-1", plan=None, result=result, verdict=None)
     )
     shown = capsys.readouterr().out
     assert "unit [red]AS-1[/red] on bench-1" in shown
