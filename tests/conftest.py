@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 
 # A worker has a core: with a thread a core in each, a third of the time goes into waiting for one another.
@@ -53,6 +54,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if on_a_server(item):
             item.add_marker("centre")
     items.sort(key=lambda item: item.get_closest_marker("browser") is None)
+
+
+def pytest_collection_finish() -> None:
+    """What was imported stays as long as the worker: the garbage collector need not look at it ever again."""
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")

@@ -42,6 +42,9 @@ PATIENCE_S = 120.0
 LONG: dict[str, Any] = {**QUICK, "sweeps": 300}
 """A plan that no test waits for the end of."""
 
+NO_TLS = False
+"""`verify` of clients of a test's own server: to read all authorities' certificates takes each 20 ms else."""
+
 T = TypeVar("T")
 
 
@@ -144,7 +147,7 @@ def serving(service: Any, **options: Any) -> Iterator[httpx.Client]:
     thread.start()
     try:
         assert ready.wait(PATIENCE_S), "the server did not start"
-        with httpx.Client(base_url=url, timeout=PATIENCE_S) as client:
+        with httpx.Client(base_url=url, timeout=PATIENCE_S, verify=NO_TLS) as client:
             yield client
     finally:
         server.should_exit = True

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from calrig.analysis.errors import Conflict, Unknown
 from calrig.analysis.stored_runs import counted_poses, poses_together, runs_together, stored_run
 from calrig.calibration.diagnosis import trace
 from calrig.calibration.partial_residuals import PartialResidual, partial_residuals
 from calrig.calibration.pose import DiagnosisError
-from calrig.store import Run, Store
+from calrig.store.records import Run
+
+if TYPE_CHECKING:
+    from calrig.store import Store
 
 
 class Diagnoses:

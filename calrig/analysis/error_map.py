@@ -8,18 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from calrig.analysis.joint_solutions import mounted
 from calrig.analysis.stored_runs import ended_run
-from calrig.calibration.joint.advice import advised
-from calrig.calibration.joint.solution import Solution, solve
 from calrig.calibration.joint.table import Mounted
 from calrig.calibration.pose import DiagnosisError
 from calrig.calibration.stage_reference import StageMap
-from calrig.export.joint_documents import map_document
-from calrig.store import Run, Store
+from calrig.store.records import Run
+
+if TYPE_CHECKING:
+    from calrig.calibration.joint.solution import Solution
+    from calrig.store import Store
 
 MOST_RUNS = 12
 """The newest; solved in some seconds."""
@@ -83,6 +85,10 @@ def solved_map(lots: Sequence[Mounted], basis: Basis) -> ErrorMap:
         lots: poses of each clamping.
         basis: what they are of.
     """
+    # a tenth of a second that a service need not start with
+    from calrig.calibration.joint.advice import advised
+    from calrig.calibration.joint.solution import solve
+
     if not lots:
         return _untold(basis, "the rig has no completed run")
     try:
@@ -101,6 +107,8 @@ def _untold(basis: Basis, why: str) -> ErrorMap:
 
 
 def _told(solution: Solution, basis: Basis) -> ErrorMap:
+    from calrig.export.joint_documents import map_document
+
     stage_map = StageMap.from_document(map_document(solution))
     senses = (1, -1) if solution.fit.problem.free[-1] else (0,)
     dial = np.tile(stage_map.dial_deg, len(senses))

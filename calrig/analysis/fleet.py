@@ -11,7 +11,7 @@ from functools import cache, partial
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,8 +26,10 @@ from calrig.calibration.packed_poses import PackedPoses, packed
 from calrig.calibration.pose import DiagnosisError
 from calrig.errors import WorkError
 from calrig.export.poses_parquet import parquet_files, read_file
-from calrig.store import Store
-from calrig.store.fleet import ListedRun
+
+if TYPE_CHECKING:
+    from calrig.store import Store
+    from calrig.store.fleet import ListedRun
 
 Progress = Callable[[str], AbstractContextManager[Callable[[float], None]]]
 OF_THE_CATALOGUE = ("calibration", "estimation")

@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calrig.calibration.joint.three_axis_gyro import HOST
-from calrig.calibration.pose import GYRO_MEANS, GYRO_MOVES, Pose
+from calrig.calibration.pose import GYRO_MEANS, GYRO_MOVES, HOST_TIME, Pose
 from calrig.estimation.angles import FloatArray
 from calrig.estimation.gyro import MISSING_PERIODS, moves_about_axes
-from calrig.store import Store
+
+if TYPE_CHECKING:
+    from calrig.store import Store
 
 
 def poses_with_gyro(store: Store, run_id: str) -> list[Pose]:
@@ -60,6 +62,6 @@ def _with(pose: Pose, mean_dps: FloatArray, turned_deg: FloatArray | None) -> Po
 
 def _told(pose: Pose, at: datetime | None, *, lost: bool) -> Pose:
     """The pose with the host's time, s: as it was announced, the same while after each dwell's middle."""
-    host = {} if at is None else {HOST: at.timestamp()}
+    host = {} if at is None else {HOST_TIME: at.timestamp()}
     kept = {k: v for k, v in pose.covariates.items() if not (lost and k in GYRO_MOVES)}
     return replace(pose, covariates={**kept, **host})

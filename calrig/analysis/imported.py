@@ -10,8 +10,7 @@ from calrig.analysis.results import as_applied
 from calrig.calibration.result import build_result
 from calrig.export.calibration_json import calibration_content
 from calrig.export.poses_csv import PoseColumns, read_pose_columns
-from calrig.store import AcceptedEffect
-from calrig.store.records import Document
+from calrig.store.records import AcceptedEffect, Document
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.analysis.gyro_columns import poses_with_gyro
@@ -11,8 +12,11 @@ from calrig.analysis.stored_runs import counted_poses, ended_run
 from calrig.calibration.joint.table import Mounted
 from calrig.calibration.pose import MOUNT_DEG, Pose
 from calrig.run_ids import short_name
-from calrig.store import Run, Store
-from calrig.store.solutions import Basis, Frame, Solved
+from calrig.store.records import Run
+from calrig.store.solved import Basis, Frame, Solved
+
+if TYPE_CHECKING:
+    from calrig.store import Store
 
 MOST_POSES = 40_000
 """Of one solution: a hundred units of four mounts have 29,000."""

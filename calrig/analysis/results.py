@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,8 +13,10 @@ from calrig.calibration.pose import Pose, of_first_mount
 from calrig.calibration.result import AppliedEffect, GyroFigures, Result, build_result, residuals
 from calrig.calibration.stage_reference import beyond_in_words, dial_of, map_reference
 from calrig.calibration.uncertainty import Reference
-from calrig.store import AcceptedEffect, Run, Store
-from calrig.store.records import Document, map_of, reference_of
+from calrig.store.records import AcceptedEffect, Document, Run, map_of, reference_of
+
+if TYPE_CHECKING:
+    from calrig.store import Store
 
 
 def as_applied(accepted: Sequence[AcceptedEffect]) -> list[AppliedEffect]:

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.calibration.pose import Pose
-from calrig.store import AT_REST, Run, Store
+from calrig.store.records import AT_REST, Run
+
+if TYPE_CHECKING:
+    from calrig.store import Store
 
 LONGEST_REASON = 1000
 MOST_POSES = 4_000

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from typing import TYPE_CHECKING
 
 from calrig.analysis.errors import Conflict
 from calrig.analysis.stored_runs import poses_together, runs_together
@@ -11,7 +12,9 @@ from calrig.calibration.diagnosis import diagnose
 from calrig.calibration.pose import DiagnosisError, Pose
 from calrig.calibration.search import Findings
 from calrig.processes.pool import Apart, run_apart
-from calrig.store import Store
+
+if TYPE_CHECKING:
+    from calrig.store import Store
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from pydantic import ConfigDict, Field, model_validator
 
 from calrig.api.models import Answer, Body
-from calrig.store.solutions import Frame
+from calrig.store.solved import Frame
 
 MOST_NAMED = 2000
 

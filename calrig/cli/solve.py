@@ -17,7 +17,7 @@ from calrig.errors import InputError, WorkError
 if TYPE_CHECKING:
     from calrig.analysis.joint_solutions import Question, Wanted
     from calrig.calibration.joint.table import Mounted
-    from calrig.store.solutions import Frame, Solved
+    from calrig.store.solved import Frame, Solved
 
 Units = Annotated[
     list[str] | None,

@@ -9,7 +9,7 @@ import typer
 
 from calrig.cli.progress import late_bar
 from calrig.cli.running_service import whole_id_there
-from calrig.store.solutions import Solved
+from calrig.store.solved import Solved
 
 if TYPE_CHECKING:
     from calrig.analysis.joint_solutions import Wanted

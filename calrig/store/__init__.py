@@ -1,26 +1,36 @@
-"""Runs, poses, events and raw samples in one SQLite file (SQLModel tables, Alembic migrations)."""
+"""Runs, poses, events and raw samples in one SQLite file (SQLModel tables, Alembic migrations).
 
-from calrig.store.check_units import CheckUnit
-from calrig.store.errors import NotFound, StoreDamagedError, StoreError, StoreUnavailableError
-from calrig.store.event_log import Announced
-from calrig.store.records import (
-    AT_REST,
-    AcceptedEffect,
-    ComparisonRow,
-    Event,
-    LeftAt,
-    Progress,
-    RawSamples,
-    Run,
-    RunChanges,
-    SampleBlock,
-    Status,
-    StoredPose,
-    Unit,
-    Voided,
-)
-from calrig.store.sqlite.backup import BackedUp, back_up
-from calrig.store.store import Store
+What is named here is loaded where it is asked for: a process for heavy work takes records apart, and has no
+need of a database's libraries, whose loading takes longer than most of its pieces.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from calrig.store.check_units import CheckUnit
+    from calrig.store.errors import NotFound, StoreDamagedError, StoreError, StoreUnavailableError
+    from calrig.store.event_log import Announced
+    from calrig.store.records import (
+        AT_REST,
+        AcceptedEffect,
+        ComparisonRow,
+        Event,
+        LeftAt,
+        Progress,
+        RawSamples,
+        Run,
+        RunChanges,
+        SampleBlock,
+        Status,
+        StoredPose,
+        Unit,
+        Voided,
+    )
+    from calrig.store.sqlite.backup import BackedUp, back_up
+    from calrig.store.store import Store
 
 __all__ = [
     "AT_REST",
@@ -47,3 +57,23 @@ __all__ = [
     "Voided",
     "back_up",
 ]
+
+_ELSEWHERE = {
+    "Announced": "event_log",
+    "BackedUp": "sqlite.backup",
+    "CheckUnit": "check_units",
+    "NotFound": "errors",
+    "Store": "store",
+    "StoreDamagedError": "errors",
+    "StoreError": "errors",
+    "StoreUnavailableError": "errors",
+    "back_up": "sqlite.backup",
+}
+"""Modules of what is no record."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module = import_module(f"{__name__}.{_ELSEWHERE.get(name, 'records')}")
+    return getattr(module, name)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +48,13 @@ def nobody() -> Iterator[Workers]:
     yield
 
 
+@pytest.fixture(scope="module")
+def processes() -> Iterator[Callable[[], AbstractContextManager[Workers]]]:
+    """Calrig's own processes, which `reanalyse` asks for, started once."""
+    with own_processes() as workers:
+        yield lambda: nullcontext(workers)
+
+
 @pytest.fixture
 def runs(store: Store) -> dict[str, Run]:
     """A backlash nobody has seen, noise, noise that was once taken for something, too few poses."""
@@ -61,8 +68,8 @@ def runs(store: Store) -> dict[str, Run]:
     return made
 
 
-def test_what_stands_out_or_had_a_name_is_diagnosed_once_more(store, runs):
-    found = reanalyse(store, store, own_processes, unseen)
+def test_what_stands_out_or_had_a_name_is_diagnosed_once_more(store, runs, processes):
+    found = reanalyse(store, store, processes, unseen)
     assert set(found) == {"runs", "changed", "rigs", "duration_s"}
     assert found["runs"] == 4
     assert found["changed"] == [
@@ -74,33 +81,33 @@ def test_what_stands_out_or_had_a_name_is_diagnosed_once_more(store, runs):
     assert store.run(runs["mistaken"].id).diagnosis["verdict"] == "named"  # what people saw stays
 
 
-def test_nothing_is_done_twice_until_poses_or_catalogue_change(store, runs, monkeypatch):
-    first = reanalyse(store, store, own_processes, unseen)
+def test_nothing_is_done_twice_until_poses_or_catalogue_change(store, runs, monkeypatch, processes):
+    first = reanalyse(store, store, processes, unseen)
     assert reanalyse(store, store, nobody, unseen)["changed"] == first["changed"]
     before = store.findings()
     store.exclude_pose(runs["mistaken"].id, 3, "bumped", result=None)
-    reanalyse(store, store, own_processes, unseen)
+    reanalyse(store, store, processes, unseen)
     after = store.findings()
     assert [run for run in after if after[run] != before[run]] == [runs["mistaken"].id]
     monkeypatch.setattr(fleet, "catalogue_version", lambda: "f" * 64)
     with pytest.raises(WorkError, match="another calrig"):  # the processes still have that of the files
-        reanalyse(store, store, own_processes, unseen)
+        reanalyse(store, store, processes, unseen)
 
 
-def test_findings_can_go_elsewhere_and_the_screen_read_parquet(store, runs, tmp_path: Path):
+def test_findings_can_go_elsewhere_and_the_screen_read_parquet(store, runs, tmp_path: Path, processes):
     listed = [run for part in store.completed_runs() for run in part]
     write_poses(tmp_path / "poses", store.packed_poses(listed))
     store.void_run(runs["noise"].id, "bumped")  # the files have it still
     calibrated(store, "E", 5)  # and lack this one
     with Store.open(f"sqlite:///{tmp_path / 'found.db'}", writer="tests") as results:
-        found = reanalyse(store, results, own_processes, unseen, tmp_path / "poses")
+        found = reanalyse(store, results, processes, unseen, tmp_path / "poses")
         assert set(results.findings()) == {runs["backlash"].id, runs["mistaken"].id}
     assert store.findings() == {}
-    direct = reanalyse(store, store, own_processes, unseen)
+    direct = reanalyse(store, store, processes, unseen)
     assert (found["runs"], found["changed"], found["rigs"]) == (4, direct["changed"], direct["rigs"])
 
 
-def test_the_map_of_a_rig_is_the_mean_of_its_units_over_all_their_runs(store):
+def test_the_map_of_a_rig_is_the_mean_of_its_units_over_all_their_runs(store, processes):
     made = [calibrated(store, unit, seed, backlash_deg=0.1) for seed, unit in enumerate("ABC")]
 
     def left_at(run, theta_deg, approach):
@@ -109,7 +116,7 @@ def test_the_map_of_a_rig_is_the_mean_of_its_units_over_all_their_runs(store):
         here = [(pose.theta_deg, pose.approach) == (theta_deg, approach) for pose in poses]
         return np.mean(np.array(left)[here])
 
-    (found,) = reanalyse(store, store, own_processes, unseen)["rigs"]
+    (found,) = reanalyse(store, store, processes, unseen)["rigs"]
     assert (found["rig"], found["units"]) == ("bench-1", 3)
     places = sorted(set(zip(THETA_DEG.tolist(), APPROACH.tolist(), strict=True)))
     assert list(zip(found["map"]["stage_deg"], found["map"]["approach"], strict=True)) == places
@@ -119,7 +126,7 @@ def test_the_map_of_a_rig_is_the_mean_of_its_units_over_all_their_runs(store):
     for unit in "ABC":
         calibrated(store, unit, 9, backlash_deg=0.3)  # as many runs again, of one noise
     calibrated(store, "D", 4, rig="bench-2")
-    both, alone = reanalyse(store, store, own_processes, unseen)["rigs"]
+    both, alone = reanalyse(store, store, processes, unseen)["rigs"]
     senses = np.array(both["map"]["approach"])
     errors = np.array(both["map"]["error_deg"])
     assert errors[senses > 0].mean() - errors[senses < 0].mean() == pytest.approx(0.2, abs=0.01)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import httpx
 import pytest
-from support import LONG, running_service, serving, wait_for
+from support import LONG, NO_TLS, running_service, serving, wait_for
 
 from calrig.instruments.ports import open_port
 from calrig.settings import RigSettings
@@ -33,7 +33,7 @@ def no_thread_free(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> Ite
     monkeypatch.setattr(Store, "runs", never_ending)
     with ThreadPoolExecutor(THREADS + 5) as others:
         for _ in range(THREADS + 5):
-            others.submit(httpx.get, f"{client.base_url}/api/runs", timeout=60)
+            others.submit(httpx.get, f"{client.base_url}/api/runs", timeout=60, verify=NO_TLS)
         for _ in range(THREADS):
             assert taken.acquire(timeout=60)
         try:

@@ -32,6 +32,14 @@ def runs(folder) -> list[str]:
     return made
 
 
+@pytest.fixture(scope="module")
+def scheduler():
+    """Address of a Dask scheduler with one worker."""
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+        yield cluster.scheduler_address
+
+
 def test_the_document_tells_what_changed_and_each_rigs_map(runs):
     found = json.loads(calrig("fleet", "--json").stdout)
     assert list(found) == ["runs", "changed", "rigs", "duration_s"]
@@ -54,10 +62,8 @@ def test_without_dask_calrigs_own_processes_do_it_and_a_scheduler_cannot(runs, m
     assert said == "calrig: --scheduler needs Dask: pip install 'calrig[fleet]'"
 
 
-def test_a_schedulers_workers_do_it(runs):
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
-        found = calrig("fleet", "--json", "--scheduler", cluster.scheduler_address)
+def test_a_schedulers_workers_do_it(runs, scheduler):
+    found = calrig("fleet", "--json", "--scheduler", scheduler)
     assert json.loads(found.stdout)["changed"][0]["run_id"] == runs[0]
 
 
@@ -70,17 +76,19 @@ def test_a_scheduler_that_does_not_answer_is_one_line(runs, monkeypatch):
     assert f"tcp://127.0.0.1:{port}: no Dask scheduler answers there" in said
 
 
-def test_exported_poses_are_screened_in_the_stores_place(runs, folder):
+def test_exported_poses_are_screened_in_the_stores_place(runs, scheduler):
     pytest.importorskip("pyarrow")
     assert calrig("export", "--parquet", "poses").stdout == "poses: 2 runs, 104 poses in 1 files\n"
-    found = json.loads(calrig("fleet", "--poses", "poses", "--out", "found.db", "--json").stdout)
+    found = json.loads(
+        calrig("fleet", "--poses", "poses", "--out", "found.db", "--json", "--scheduler", scheduler).stdout
+    )
     assert [change["run_id"] for change in found["changed"]] == [runs[0]]
     assert "name another folder" in reason("export", "--parquet", "poses", status=2)
     assert "name no run" in reason("export", runs[0], "--parquet", "others", status=2)
     assert "no Parquet file" in reason("fleet", "--poses", "absent", "--out", "found.db", status=2)
 
 
-def test_a_store_that_is_taken_names_the_other_way(runs):
+def test_a_store_that_is_taken_names_the_other_way(runs, scheduler):
     with Store.open("sqlite:///calrig.db", writer="serve"):
         assert "--out FILE" in reason("fleet", status=1)
-        calrig("fleet", "--out", "found.db")
+        calrig("fleet", "--out", "found.db", "--scheduler", scheduler)

@@ -36,7 +36,7 @@ def test_a_unit_is_calibrated_through_the_firmware_on_the_simulated_stage(built,
         with table.lock:
             return table.counts(np.array([time_s]), 200.0)[0]
 
-    plan = Plan.model_validate({"elevations_deg": [-40, 0, 40], "sweeps": 2, "settle_s": 1.0, "dwell_s": 1.0})
+    plan = Plan.model_validate({"elevations_deg": [-40, 0, 40], "sweeps": 1, "settle_s": 0.5, "dwell_s": 1.0})
     with ExitStack() as stack:
         clock = VirtualClock()
         board = stack.enter_context(FirmwareBoard(built.harness, built.elf(115200), counts, speed=0.0))

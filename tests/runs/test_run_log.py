@@ -42,7 +42,8 @@ def test_events_are_numbered_without_a_gap_and_end_with_the_terminal_state(
 
 def test_pose_events_are_the_stored_poses(logged: tuple[Run, list[Event], float], store: Store) -> None:
     run, log, _ = logged
-    stored = [{"index": pose.index, **pose.pose.row()} for pose in store.poses(run.id)]
+    clamped = {"mount": f"{run.id} 0°", "mount_deg": 0.0, "mount_axis": "x"}
+    stored = [{"index": pose.index, **pose.pose.row(), **clamped} for pose in store.poses(run.id)]
     told = of(log, "pose")
     errors_deg = [pose.pop("raw_error_deg") for pose in told]
     assert told == stored

@@ -18,7 +18,7 @@ from calrig.calibration.pose import Pose
 from calrig.store import AcceptedEffect, Store
 from calrig.store.items import Item
 from calrig.store.raw_rows import tables
-from calrig.store.solutions import Basis, Solved
+from calrig.store.solved import Basis, Solved
 
 POSES = "target_deg,reading_deg,+5V\n-30,-29.5,5.01\n0,-0.4,4.99\n30,30.6,5.00\n60,60.9,5.02\n"
 LIMIT = {"name": "flight", "units": "A*", "max_error_deg": 0.5, "rule": "guarded"}

@@ -11,12 +11,6 @@ from .page_help import imported
 pytestmark = pytest.mark.browser
 
 
-@pytest.fixture(scope="module")
-def client(shared_client):
-    """One service for all of this file: each test has a unit of its own."""
-    return shared_client
-
-
 def confirm(page, **fields):
     """Fills in the question and answers it."""
     for field, text in fields.items():

@@ -11,12 +11,6 @@ from .page_help import figures_of, imported
 pytestmark = pytest.mark.browser
 
 
-@pytest.fixture(scope="module")
-def client(shared_client):
-    """One service for all of this file: each test has a unit of its own."""
-    return shared_client
-
-
 def in_force(client, unit):
     return client.get(f"/api/units/{unit}/calibration").json()
 

@@ -10,11 +10,9 @@ from calrig.calibration.joint.gyro_dwells import Dwells, dwells_of
 from calrig.calibration.joint.gyro_turns import Turns, turns_of
 from calrig.calibration.joint.three_axis_fit import ThreeAxisFit
 from calrig.calibration.joint.three_axis_frame import Accelerometer
+from calrig.calibration.pose import HOST_TIME
 from calrig.estimation.angles import FloatArray
 from calrig.estimation.clock import ClockRate, clock_rate
-
-HOST = "host_time_s"
-"""Column: when the pose was taken by the host's clock, beside `time_s` by the board's."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +62,7 @@ def _clock(fit: ThreeAxisFit, unit: int) -> ClockRate | None:
     board, host = [], []
     for source in range(len(table.sources)):
         rows = np.flatnonzero((table.source == source) & (table.unit == unit))
-        times = [(poses[row].time_s, poses[row].covariates.get(HOST)) for row in rows]
+        times = [(poses[row].time_s, poses[row].covariates.get(HOST_TIME)) for row in rows]
         both = np.array([pair for pair in times if None not in pair], dtype=np.float64).reshape(-1, 2)
         if len(both):
             board.append(both[:, 0])
