@@ -40,7 +40,7 @@ def conformity(said: Certificate) -> tuple[Block, ...]:
     found = said.conformity
     agreed = said.laboratory.decision_rule
     if found is None:
-        none = "No statement of conformity: no limits match this unit."
+        none = "No statement of conformity: no limits matched this unit when it was issued."
         return (paragraphs([none, *said.judged]),)
     rows = [
         ("Statement", found.answer_in_words),
