@@ -95,8 +95,11 @@ def solved_content(store: Store, unit: str, solution: StoredSolution) -> Documen
     document = solution.found.calibrations[unit]
     runs = [stored_run(store, run_id) for run_id in solution.found.basis.runs]
     own = [run for run in runs if run.unit == unit]
+    stated = next(one for one in solution.found.document["units"] if one["unit"] == unit)
+    warnings = [said for run in own for said in run.provenance.get("warnings", ())]
     provenance = {
         **document["provenance"],
+        "warnings": list(dict.fromkeys([*warnings, *solution.found.document["warnings"]])),
         "solution": {
             "id": solution.id,
             "solved_at": iso_utc(solution.created_at),
@@ -104,6 +107,7 @@ def solved_content(store: Store, unit: str, solution: StoredSolution) -> Documen
             "map_sha256": solution.found.stage_map["sha256"],
             "runs": [run.id for run in runs],
             "began_at": _iso(min((r.started_at for r in own if r.started_at), default=None)),
+            "std": {name: value["std"] for name, value in stated["parameters"].items()},
             "ended_at": _iso(max((r.finished_at for r in own if r.finished_at), default=None)),
         },
     }

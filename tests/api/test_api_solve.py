@@ -107,6 +107,8 @@ def test_a_solution_becomes_a_revision_with_a_certificate_that_rests_on_gravity(
     assert "Angles rest on gravity and the full turn, by a joint solution of several mounts" in dcc
     assert "<dcc:traceable>false</dcc:traceable>" in dcc
     assert f"over 3 runs, solution {solved['id']}" in dcc
+    assert all(warning in dcc for warning in solved["warnings"])
+    assert re.search(r"Offset of y.{,400}Standard uncertainty 0\.0\d+ mg", dcc, re.S)
     left = re.search(r"Mean error as left.*?<si:valueXMLList>([^<]*)", dcc, re.S)
     assert max(abs(float(value)) for value in left[1].split()) < 0.05  # the stage's 0.3° is out of it
 

@@ -63,7 +63,7 @@ def results_of(
     return Results(
         elevation=elevation,
         line=tuple(_line(document, reference, freedom)),
-        effects=effects_found(document["effects"], _stds(run)),
+        effects=effects_found(document["effects"], _stds_solved(document) or _stds(run)),
         of_stage=effects_found([asdict(one) for one in of_stage], _stds(run)),
         figures=tuple(
             Quantity(key, f"{title}{over}", document[key], "°", digits=DIGITS)
@@ -113,6 +113,17 @@ def _line(document: Document, reference: Reference | None, freedom: int | None) 
         factor, std = coverage_factor(own, freedom, of_stage, distribution), math.hypot(own, of_stage)
         found.append(Quantity(key, title, document[key], unit, std, factor * std, factor, coverage))
     return found
+
+
+def _stds_solved(document: Document) -> dict[tuple[str, str], float]:
+    """Standard errors of a joint solution's parameters, as its document has them."""
+    solved = document["provenance"].get("solution") or {"std": {}}
+    return {
+        (effect["name"], name): solved["std"][name]
+        for effect in document["effects"]
+        for name in effect["parameters"]
+        if solved["std"].get(name) is not None
+    }
 
 
 def _stds(run: Run) -> dict[tuple[str, str], float]:
