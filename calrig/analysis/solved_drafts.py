@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
-from typing import Any
+
+import numpy as np
 
 from calrig.analysis.basis import why_none
 from calrig.analysis.errors import Conflict, Unknown
@@ -27,6 +28,9 @@ from calrig.store import Run, Store
 from calrig.store.convert import iso_utc
 from calrig.store.records import Document, StoredPose
 from calrig.store.solutions import StoredSolution
+from calrig.store.trail import What
+
+EVERY_ENTRY = 1_000_000
 
 
 def solved_run(store: Store, unit: str, solution: StoredSolution) -> Run:
@@ -52,14 +56,15 @@ def solved_run(store: Store, unit: str, solution: StoredSolution) -> Run:
 def solution_changes(store: Store, solution: StoredSolution) -> list[str]:
     """What a solution rests on that has changed since it was found, a sentence each."""
     basis = solution.found.basis
-    entries = store.trail(what=("excluded", "included", "moved"), since=solution.created_at)
+    what: tuple[What, ...] = ("excluded", "included", "moved")
+    entries = store.trail(what=what, since=solution.created_at, limit=EVERY_ENTRY)
     voided = [run for run in (stored_run(store, run_id) for run_id in basis.runs) if run.voided is not None]
     said = [gone for run in voided if (gone := gone_since(run, run.unit)) is not None]
-    for what, words in (
+    for done, words in (
         (("moved",), "was moved to another unit"),
         (("excluded", "included"), "had poses excluded or included"),
     ):
-        changed = {str(one.act.run_id) for one in entries if one.act.what in what} & set(basis.runs)
+        changed = {str(one.act.run_id) for one in entries if one.act.what in done} & set(basis.runs)
         said += [f"Run {run_id} {words} since it was solved." for run_id in sorted(changed)]
     return said
 
@@ -97,9 +102,10 @@ def solved_content(store: Store, unit: str, solution: StoredSolution) -> Documen
     own = [run for run in runs if run.unit == unit]
     stated = next(one for one in solution.found.document["units"] if one["unit"] == unit)
     warnings = [said for run in own for said in run.provenance.get("warnings", ())]
+    warnings += [f"Joint solution: {said}." for said in solution.found.document["warnings"]]
     provenance = {
         **document["provenance"],
-        "warnings": list(dict.fromkeys([*warnings, *solution.found.document["warnings"]])),
+        "warnings": list(dict.fromkeys(warnings)),
         "solution": {
             "id": solution.id,
             "solved_at": iso_utc(solution.created_at),
@@ -120,18 +126,18 @@ def solved_verdict(
 ) -> Verdict:
     """The solution held against the limits, by what it leaves of the poses of its run.
 
-    What the solution is uncertain of is one smooth curve over the range; a limit's risk takes it as a line of
-    the covariance that the document has.
+    What the solution is uncertain of is one smooth curve over the range; a limit's risk takes of it the line
+    whose covariance the document has.
     """
     counted = [one.pose for one in solved_poses(solution, run, poses) if one.excluded is None]
     line = line_of(content)
     nothing = ((0.0, 0.0), (0.0, 0.0))
     known = Reference(content["uncertainty"]["type_b_deg"], "map", "normal", nothing)
-    theta_deg = [pose.theta_deg for pose in of_first_mount(counted)]
+    theta_deg = np.array([pose.theta_deg for pose in of_first_mount(counted)], dtype=np.float64)
     effects = [(one["name"], numbers_of(one["parameters"])) for one in content["effects"]]
     try:
         result = apply_calibration(
-            counted, gyro_of(run), line, effects, ReferenceFigures.of(_array(theta_deg), line, known)
+            counted, gyro_of(run), line, effects, ReferenceFigures.of(theta_deg, line, known)
         )
     except ApplyError as error:
         raise Conflict(f"run {run.id}: {error}") from error
@@ -152,12 +158,6 @@ def _as_one_calibration(result: Document) -> Document:
         "scale_std": None,
         "over_range": {**result["over_range"], "covariance": None},
     }
-
-
-def _array(values: Sequence[float]) -> Any:
-    import numpy as np
-
-    return np.array(values, dtype=np.float64)
 
 
 def _stage_map(solution: StoredSolution) -> StageMap:
