@@ -216,7 +216,7 @@ function orderTable({ harmonics }) {
   return h("table", { id: "orders" }, head, h("tbody", {}, rows));
 }
 
-function unitCard(found, { units }, path) {
+function unitCard(found, { id, separable, units }, path) {
   const { unit, parameters, range_deg: bounds, elevation_std_deg: worth, accelerometer, gyro } = found;
   const [least, most] = [Math.min(...worth.std_deg), Math.max(...worth.std_deg)];
   const said = [
@@ -236,7 +236,27 @@ function unitCard(found, { units }, path) {
     accelerometer && axes(`Accelerometer of ${unit}`, "Bias, mg", accelerometer.bias_g.map((g) => 1000 * g), accelerometer.matrix),
     gyro && axes(`Gyro of ${unit}`, "Bias, °/s", gyro.bias_dps, gyro.matrix),
     h("p", { class: "downloads" }, file),
+    drafting(unit, id, separable),
   );
+}
+
+/** Offers a unit's calibration by this solution as a revision, which has a certificate like any other. */
+function drafting(unit, id, separable) {
+  if (!separable || !may("operator")) return null;
+  const state = h("p", { class: "muted", role: "status", "aria-live": "polite" });
+  const button = h("button", { type: "button" }, `Draft a calibration of ${unit}…`);
+  const question = {
+    title: `Draft a calibration of unit ${unit} by this solution?`,
+    text: "It becomes the unit's next revision, in force at once where its rig releases drafts by itself.",
+    action: "Draft it",
+  };
+  button.addEventListener("click", async () => {
+    let made;
+    const draft = async () => (made = await post(`/api/units/${encodeURIComponent(unit)}/calibrations`, { solve: id }));
+    if (await askConfirmation(question, draft))
+      fill(state, `Revision ${made.revision} (${made.status.replaceAll("_", " ")}) of `, unitLink(unit), ".");
+  });
+  return h("div", { class: "buttons" }, button, state);
 }
 
 function parameterTable(parameters) {

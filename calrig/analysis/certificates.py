@@ -8,6 +8,7 @@ from pathlib import Path
 
 from calrig.analysis.errors import Conflict
 from calrig.analysis.results import rest_on_map
+from calrig.analysis.solved_drafts import gone_since, solution_changes, solved_poses
 from calrig.analysis.stored_runs import stored_run
 from calrig.calibration.conformity import Limit
 from calrig.export.certificate.content import Certificate
@@ -18,8 +19,9 @@ from calrig.export.dcc.signing import signed
 from calrig.figures.residual_steps import residual_steps
 from calrig.figures.svg import svg_of
 from calrig.laboratory import LaboratorySettings
-from calrig.store import AcceptedEffect, Store
+from calrig.store import AcceptedEffect, Run, Store
 from calrig.store.issued import Revision
+from calrig.store.records import StoredPose
 from calrig.store.trail import Entry, What
 
 EVERY_ENTRY = 1_000_000
@@ -28,7 +30,7 @@ EVERY_ENTRY = 1_000_000
 def certificate(store: Store, revision: Revision, laboratory: LaboratorySettings) -> Certificate:
     """The content of a revision's certificate."""
     run = stored_run(store, revision.run_id)
-    entries, poses = _entries(store, revision), store.poses(run.id)
+    entries, poses = _entries(store, revision), _poses(store, revision, run)
     before = _before(store, revision, entries)
     return certificate_of(
         Sources(
@@ -41,9 +43,24 @@ def certificate(store: Store, revision: Revision, laboratory: LaboratorySettings
             of_stage=[] if rest_on_map([one.pose for one in poses]) else _of_stage(store, revision),
             limit=_limit(store, revision),
             entries=entries,
+            gone=_gone(store, revision, run),
             item=store.item(revision.unit, (run.finished_at or run.created_at).date()),
         )
     )
+
+
+def _poses(store: Store, revision: Revision, run: Run) -> list[StoredPose]:
+    """All of its run, as the joint solution has them where it is by one."""
+    poses, solution = store.poses(run.id), revision.basis.get("solution")
+    return poses if solution is None else solved_poses(store.solution(solution), run, poses)
+
+
+def _gone(store: Store, revision: Revision, run: Run) -> list[str]:
+    """What it rests on that counts no more, a sentence each."""
+    if (solution := revision.basis.get("solution")) is not None:
+        return solution_changes(store, store.solution(solution))
+    gone = gone_since(run, revision.unit)
+    return [] if gone is None else [gone]
 
 
 def _entries(store: Store, revision: Revision) -> list[Entry]:

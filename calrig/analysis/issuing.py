@@ -10,6 +10,7 @@ from calrig.analysis.basis import basis_of, changed_since, chosen_effects, why_n
 from calrig.analysis.errors import Conflict
 from calrig.analysis.imported import Imported
 from calrig.analysis.results import ending_of, fitted, gyro_of, reference_over
+from calrig.analysis.solved_drafts import solution_changes, solved_content, solved_run, solved_verdict
 from calrig.analysis.stored_runs import checked_reason, stored_run
 from calrig.calibration.conformity import limit_for
 from calrig.calibration.pose import Pose
@@ -109,13 +110,33 @@ class Issuer:
         draft = self._draft(run, self._fit(run, effects), by=by, reason=reason)
         return self._store.issue(run_id, draft)
 
+    def draft_solved(self, unit: str, solution_id: str, *, by: str | None, reason: str | None) -> Revision:
+        """Makes a draft of what a joint solution says of a unit; released as its rig's `release` says.
+
+        Raises:
+            Unknown: the solution has no such unit.
+            Conflict: the solution does not give one, or what it rests on has changed since.
+        """
+        solution = self._store.solution(solution_id)
+        run = solved_run(self._store, unit, solution)
+        content, poses = solved_content(self._store, unit, solution), self._store.poses(run.id)
+        judged = solved_verdict(self._store, content, run, solution, poses)
+        excluded = self._store.excluded_poses(run.id)
+        basis = {**basis_of((), excluded, []), "solution": solution.id}
+        releases = self._releases.puts_in_force(run.rig, judged.answer)
+        return self._store.issue(run.id, Draft(content, basis, judged.to_dict(), releases, by, reason))
+
     def redraft(self, changed: Run, *, by: str | None, reason: str) -> Revision | None:
         """The unit's next draft, after a run or what was accepted from it has changed.
 
         It is of that run where its calibration is in force, else of the latest run that counts; none is made
-        where a current revision of it rests on the same already.
+        where a current revision of it rests on the same already. A joint solution in force gives way to no
+        single run while its own counts: it is listed as stale, and to be solved again.
         """
         in_force, now = self._store.in_force(changed.unit), stored_run(self._store, changed.id)
+        still_counts = now.voided is None and now.unit == changed.unit
+        if in_force is not None and "solution" in in_force.basis and still_counts:
+            return None
         if in_force is not None and in_force.run_id == now.id and now.unit == changed.unit:
             base: Run | None = None if why_not_now(now) else now
         else:
@@ -187,7 +208,10 @@ class Issuer:
                 run = stored_run(self._store, one.run_id)
                 accepted = self._store.effects_in_force(run.unit, run.rig)
                 now[one.run_id] = run, accepted, self._store.excluded_poses(run.id)
-            found.append(changed_since(one, *now[one.run_id]))
+            said = changed_since(one, *now[one.run_id])
+            if (solution := one.basis.get("solution")) is not None:
+                said = solution_changes(self._store, self._store.solution(solution))
+            found.append(said)
         return found
 
     def _fit(self, run: Run, chosen: Sequence[str] | None = None) -> Fitted:

@@ -3,11 +3,11 @@
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
 from datetime import datetime
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self, cast
 
 from fastapi import APIRouter, HTTPException, Path, Query
 from fastapi.responses import PlainTextResponse, Response
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from calrig.analysis.active_calibration import wanted_revision
 from calrig.analysis.errors import Invalid
@@ -120,11 +120,20 @@ class IssuedAnswer(Answer):
 
 
 class NewDraft(Body):
-    """A run, and which of the unit's accepted effects enter; all without a list."""
+    """A run, and which of the unit's accepted effects enter (all without a list); or a joint solution."""
 
-    run_id: Annotated[str, Field(max_length=100)]
+    run_id: Annotated[str, Field(max_length=100)] | None = None
+    solve: Annotated[str, Field(max_length=100)] | None = None
     effects: Annotated[list[str], Field(max_length=100)] | None = None
     reason: Annotated[str, Field(max_length=1000)] | None = None
+
+    @model_validator(mode="after")
+    def _one_of_them(self) -> Self:
+        if (self.run_id is None) == (self.solve is None):
+            raise ValueError("name a run or a solution, and not both")
+        if self.solve is not None and self.effects is not None:
+            raise ValueError("a solution has its own effects: leave `effects` out")
+        return self
 
 
 # The longer paths come first: `{serial:path}` would take their ends for parts of the serial number.
@@ -214,11 +223,15 @@ def withdraw(unit: KnownUnit, revision: Number, body: Reason, context: Context, 
     status_code=201,
     response_model=RevisionAnswer,
     responses=problems(404, 409, 413, 422),
-    summary="Draft a calibration from a run",
+    summary="Draft a calibration from a run or a joint solution",
 )
 def draft(unit: KnownUnit, body: NewDraft, context: Context, who: Who) -> object:
     """Numbered and frozen; released as the `release` of the run's rig says."""
-    made = context.issuer.draft(unit.serial, body.run_id, body.effects, by=who, reason=body.reason)
+    if body.run_id is not None:
+        made = context.issuer.draft(unit.serial, body.run_id, body.effects, by=who, reason=body.reason)
+    else:
+        solution = cast(str, body.solve)
+        made = context.issuer.draft_solved(unit.serial, solution, by=who, reason=body.reason)
     return context.issuer.listed([made])[0]
 
 

@@ -176,15 +176,11 @@ def _largest_error(limit: Limit, allowed_deg: float, measured: _Measured) -> _Fi
         return _Figure(
             "Largest error: not decided, for at one elevation nothing is relative to the others.", None
         )
-    where = f"Largest error {deg(largest)}, near {found.elevation_deg[errors.index(largest)]:g}°".replace(
-        "-", "−"
-    )
+    near = round(found.elevation_deg[errors.index(largest)], 2)
+    where = f"Largest error {deg(largest)}, near {near:g}°".replace("-", "−")
     if not measured.level_known:
-        where += (
-            f", of the elevation less its mean over {low:g}° to {high:g}° (the level is not known)".replace(
-                "-", "−"
-            )
-        )
+        over = f"{low:.4g}° to {high:.4g}°".replace("-", "−")
+        where += f", of the elevation less its mean over {over} (the level is not known)"
     expanded_deg = found.error_expanded_uncertainty_deg
     answer = decide(limit, largest - allowed_deg, expanded_deg, known=measured.known)
     return _at_most(where, expanded_deg, allowed_deg, answer)

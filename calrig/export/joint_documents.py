@@ -93,6 +93,7 @@ def unit_document(solution: Solution, unit: int, rig: str | None = None) -> dict
             "solved_from": list(table.sources),
             "units": list(table.units),
             "linear": fit.problem.linear,
+            "degrees_of_freedom": fit.freedom,
             "separable": solution.is_separable(unit),
             "level": None if level is None else level_document(level),
         },

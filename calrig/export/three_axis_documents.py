@@ -90,6 +90,7 @@ def _calibration(solution: ThreeAxisSolution, unit: int, found: WholeUnit, rig: 
             "units": list(table.units),
             "faces": sorted(set(solution.of.faces)),
             "linear": fit.problem.linear,
+            "degrees_of_freedom": fit.freedom,
             "separable": worth.rms_deg < solution.noise_deg,
         },
     }

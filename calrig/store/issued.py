@@ -27,7 +27,8 @@ class Draft:
     """What a revision is made of before it is numbered.
 
     Attributes:
-        content: CONTRACT section 6 less what the store knows: run, revision, times, provenance, hash.
+        content: CONTRACT section 6 less what the store knows: run, revision, times, hash, and the run's
+            provenance, beside which its own stands.
         basis: what it rests on, to be held against the same later (`calrig.analysis.issuing`).
         verdict: CONTRACT section 2's, as it was when it was made.
         releases: whether it is put in force as it is made.
@@ -75,7 +76,7 @@ def issue(session: Session, run: RunTable, draft: Draft) -> IssuedCalibrationTab
         "run_id": run.uid,
         "calibrated_at": None if run.finished_at is None else iso_utc(run.finished_at),
         "issued_at": iso_utc(now),
-        "provenance": run.provenance,
+        "provenance": {**run.provenance, **draft.content.get("provenance", {})},
     }
     sha256 = sha256_of(document)
     row = IssuedCalibrationTable(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 
 import plotly.graph_objects as go
 import pytest
@@ -86,6 +87,58 @@ def test_what_cannot_be_solved_is_refused_with_the_reason(shared_client, runs):
         answer = shared_client.post("/api/solve", json=body)
         assert (answer.status_code, words in answer.json()["detail"]) == (status, True), answer.text
     assert shared_client.get("/api/solve/nothing").status_code == 404
+
+
+def test_a_solution_becomes_a_revision_with_a_certificate_that_rests_on_gravity(shared_client, runs, solved):
+    limit = {"name": "flight", "units": "AS-7", "max_error_deg": 0.2, "rule": "guarded", "guard": 1.0}
+    shared_client.put("/api/limits", json=[limit]).raise_for_status()
+    path = "/api/units/AS-7/calibration"
+    body = {"solve": solved["id"], "reason": "three mounts"}
+    made = shared_client.post(f"{path}s", json=body).raise_for_status().json()
+    assert (made["verdict"]["answer"], made["stale"], made["reason"]) == ("pass", [], "three mounts")
+    document = shared_client.get(f"{path}?revision={made['revision']}").json()
+    of_solution = shared_client.get(f"/api/solve/{solved['id']}/units/AS-7").json()
+    for name in ("effects", "covariance", "expanded_uncertainty_deg", "elevation_std_deg", "range_deg"):
+        assert document[name] == of_solution[name]
+    assert (document["sha256"], document["run_id"]) == (hash_of(document), runs[0])
+    assert document["provenance"]["solution"]["runs"] == runs
+
+    dcc = shared_client.get(f"{path}?revision=latest&format=dcc").text
+    assert "Angles rest on gravity and the full turn, by a joint solution of several mounts" in dcc
+    assert "<dcc:traceable>false</dcc:traceable>" in dcc
+    assert f"over 3 runs, solution {solved['id']}" in dcc
+    assert all(warning in dcc for warning in solved["warnings"])
+    assert re.search(r"Offset of y.{,400}Standard uncertainty 0\.0\d+ mg", dcc, re.S)
+    left = re.search(r"Mean error as left.*?<si:valueXMLList>([^<]*)", dcc, re.S)
+    assert max(abs(float(value)) for value in left[1].split()) < 0.05  # the stage's 0.3° is out of it
+
+    for body, status, words in (
+        ({"solve": solved["id"], "run_id": runs[0]}, 422, "a run or a solution"),
+        ({"solve": solved["id"], "effects": []}, 422, "its own effects"),
+        ({"reason": "none"}, 422, "a run or a solution"),
+        ({"solve": "nothing"}, 404, "no solution"),
+    ):
+        answer = shared_client.post(f"{path}s", json=body)
+        assert (answer.status_code, words in answer.json()["detail"]) == (status, True), answer.text
+
+
+def test_what_a_revision_rests_on_and_counts_no_more_is_on_its_certificate(shared_client):
+    runs = [clamped(shared_client, "AS-8", angle)["id"] for angle in (0, 120, 240)]
+    solution = shared_client.post("/api/solve", json={"runs": runs}).raise_for_status().json()["id"]
+    path = "/api/units/AS-8/calibration"
+    made = shared_client.post(f"{path}s", json={"solve": solution}).raise_for_status().json()
+    alone = shared_client.get(f"{path}s").json()[1]["revision"]  # of the last run by itself
+    shared_client.post(f"/api/runs/{runs[0]}/note", json={"note": "by hand"}).raise_for_status()
+    shared_client.post(f"/api/runs/{runs[1]}/poses/3/exclude", json={"reason": "bumped"}).raise_for_status()
+    listed = shared_client.get(f"{path}s").json()
+    assert (listed[0]["revision"], listed[0]["status"]) == (made["revision"], "in_force")
+    assert listed[0]["stale"] == [f"Run {runs[1]} had poses excluded or included since it was solved."]
+    shared_client.post(f"/api/runs/{runs[2]}/void", json={"reason": "slipped"}).raise_for_status()
+    for revision in (made["revision"], alone):
+        dcc = shared_client.get(f"{path}?revision={revision}&format=dcc").text
+        assert f"Run {runs[2]}, which it rests on, has been voided: slipped" in dcc
+    refused = shared_client.post(f"{path}s", json={"solve": solution})
+    assert (refused.status_code, "Solve again" in refused.json()["detail"]) == (409, True)
 
 
 def test_a_run_that_goes_on_is_not_solved(shared_client):

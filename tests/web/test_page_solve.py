@@ -49,6 +49,9 @@ def test_runs_of_a_unit_are_solved_from_its_page(page, client, go, expect, runs)
     with page.expect_download() as download:
         page.get_by_role("link", name="Calibration (JSON)").click()
     assert json.loads(download.value.path().read_text(encoding="utf-8"))["unit"] == "CLAMPED-3"
+    page.get_by_role("button", name="Draft a calibration of CLAMPED-3…").click()
+    page.get_by_test_id("confirm").click()
+    expect(page.locator("[data-unit='CLAMPED-3'] [role=status]")).to_contain_text("Revision 4 (in force)")
     older = {"status": 404, "json": {"detail": "Not Found"}}
     page.route("**/api/rigs/bench-1/map", lambda route: route.fulfill(**older))
     page.click("#use-map")

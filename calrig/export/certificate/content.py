@@ -253,6 +253,7 @@ class Certificate:
         kind: `demonstration` of a rig that is a simulation.
         traceable: to what the angles are traceable, a sentence.
         authorised_by: who is responsible for what it says, and how it came into force.
+        gone: what it rests on that counts no more: it is not to be relied on.
         deviations: from the plan or the method, and what else to know of the measurement; a sentence each.
         software: what shows that the program does what it should.
         statements: such as that results relate to this item alone.
@@ -280,6 +281,7 @@ class Certificate:
     authorised_by: str | None
     in_force_by: str
     replaces: Replaced | None
+    gone: tuple[str, ...]
     deviations: tuple[str, ...]
     software: tuple[str, ...]
     trail: TrailMark | None

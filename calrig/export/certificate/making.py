@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from datetime import date
+from datetime import date, datetime
 from typing import Any
 
 import calrig
@@ -59,6 +59,7 @@ class Sources:
         limit: that the verdict names, as it was when the revision was made; None where nobody knows.
         entries: of the audit trail, about this revision, oldest first.
         item: what was said of the unit; None where nobody did.
+        gone: what it rests on that counts no more, such as a run that was voided; a sentence each.
     """
 
     revision: Revision
@@ -71,6 +72,7 @@ class Sources:
     limit: Limit | None = None
     entries: Sequence[Entry] = ()
     item: Item | None = None
+    gone: Sequence[str] = ()
 
 
 def certificate_of(sources: Sources) -> Certificate:
@@ -80,8 +82,9 @@ def certificate_of(sources: Sources) -> Certificate:
     out = set(revision.basis["excluded"])
     kept = [one.pose for one in sources.poses if one.index not in out]
     counted = of_first_mount(kept)
-    solved_jointly = "elevation_std_deg" in document  # its scatter is of all units together
-    freedom = None if solved_jointly or not counted else len(counted) - 2
+    freedom = len(counted) - 2 if counted else None
+    if "elevation_std_deg" in document:  # its scatter is of all units together
+        freedom = provenance.get("degrees_of_freedom")
     reference = stated_reference(document)
     came_with = None if sources.came_with is None else sources.came_with.document
     measured = Measured(counted, document, came_with, sources.of_stage)
@@ -116,6 +119,7 @@ def certificate_of(sources: Sources) -> Certificate:
         authorised_by=_authorised(sources.laboratory, revision, released),
         in_force_by=_in_force(revision, released),
         replaces=_replaced(revision, sources.before),
+        gone=tuple(sources.gone),
         deviations=wording.deviations(
             plan=run.plan,
             provenance=provenance,
@@ -156,15 +160,21 @@ def _item(serial: str, provenance: Document, item: Item | None) -> ItemSaid:
 
 def _dates(sources: Sources, released: Entry | None) -> Dates:
     run, months = sources.run, None if sources.item is None else sources.item.interval_agreed_months
-    ended = run.finished_at
+    began, ended = run.started_at, run.finished_at
+    if (solved := sources.revision.document["provenance"].get("solution")) is not None:
+        began, ended = (_moment(solved[key]) for key in ("began_at", "ended_at"))
     again = None if months is None or ended is None else months_after(ended.date(), months)
     return Dates(
-        calibration_began=None if run.plan is None else run.started_at,
+        calibration_began=None if run.plan is None else began,
         calibration_ended=None if run.plan is None else ended,
         issued=sources.revision.issued_at,
         released=None if released is None else released.at,
         calibrate_again=again,
     )
+
+
+def _moment(text: str | None) -> datetime | None:
+    return None if text is None else datetime.fromisoformat(text)
 
 
 def months_after(day: date, months: int) -> date:
@@ -227,7 +237,8 @@ def _in_force(revision: Revision, released: Entry | None) -> str:
     said = "The calibration was put in force"
     if released is not None:
         said += f" on {released.at:%Y-%m-%d}"
-        said += f" by {_releaser(revision, released) or 'nobody known by name'}"
+        by = _releaser(revision, released)
+        said += "" if by is None else f" by {by}"
     return f"{said}; it has been superseded since." if revision.status == "superseded" else f"{said}."
 
 

@@ -44,7 +44,8 @@ class Measured:
         """(n,) errors as the unit came: by the calibration that it had, or of its readings."""
         if self.came_with is not None:
             return self._left_deg(self.came_with, _own(self.came_with))
-        return np.array([raw_error_deg(pose) for pose in self.poses])
+        theta = np.array([pose.theta_deg for pose in self.poses])
+        return np.asarray(wrap_deg(np.array([pose.reading_deg for pose in self.poses]) - theta))
 
     def left_deg(self) -> FloatArray:
         """(n,) errors with this calibration."""
@@ -54,7 +55,8 @@ class Measured:
         """As it came, by bias and scale, then with one effect after another taken out."""
         raw_deg = np.array([raw_error_deg(pose) for pose in self.poses])
         steps = [_step("As the unit reads", raw_deg)]
-        steps.append(_step("With bias and scale", self._by(self.document, ())))
+        if "elevation_std_deg" not in self.document:  # a joint solution has 0 and 1 there, and all in effects
+            steps.append(_step("With bias and scale", self._by(self.document, ())))
         taken: list[AppliedEffect] = []
         for name, parameters in [*_of_stage(self.of_stage), *_own(self.document)]:
             taken.append((name, parameters))
@@ -71,7 +73,7 @@ class Measured:
         places = np.array([round(pose.target_deg + wrap_deg(pose.mount_deg), 3) for pose in self.poses])
         if len(set(places.tolist())) > MOST_POINTS:
             low, width = float(theta.min()), float(np.ptp(theta)) / (MOST_POINTS - 1)
-            places = low + width * np.rint((theta - low) / width)
+            places = np.round(low + width * np.rint((theta - low) / width), 2)
         found, left = self.found_deg(), self.left_deg()
         points = []
         for place in np.unique(places):

@@ -56,16 +56,17 @@ def results_of(
             budget.coverage_factor,
             budget.coverage,
         )
+    over = ", over all runs of the solution" if "elevation_std_deg" in document else ""
     by = "the unit as it reads, without any calibration"
     if came_with is not None:
         by = f"revision {came_with.revision} of {came_with.issued_at:%Y-%m-%d}, with which the unit came"
     return Results(
         elevation=elevation,
         line=tuple(_line(document, reference, freedom)),
-        effects=effects_found(document["effects"], _stds(run)),
+        effects=effects_found(document["effects"], _stds_solved(document) or _stds(run)),
         of_stage=effects_found([asdict(one) for one in of_stage], _stds(run)),
         figures=tuple(
-            Quantity(key, title, document[key], "°", digits=DIGITS)
+            Quantity(key, f"{title}{over}", document[key], "°", digits=DIGITS)
             for key, title in FIGURES
             if document[key] is not None
         ),
@@ -78,7 +79,9 @@ def results_of(
 def _points_say(document: Document, of_stage: Sequence[AcceptedEffect], earlier: bool) -> tuple[str, ...]:
     said = ["Errors are the elevation that the unit gives less that of the stage: mean, lowest and highest."]
     if "elevation_std_deg" in document:
-        said.append("The stage is taken at its word here: its map, solved for beside, is not taken out.")
+        said.append(
+            "They are of one run of the joint solution, the stage put right by the map solved for beside."
+        )
     if of_stage:
         said.append("The stage's own accepted errors are taken out of both where the poses allow it.")
     if earlier and not document["level_known"]:
@@ -89,9 +92,16 @@ def _points_say(document: Document, of_stage: Sequence[AcceptedEffect], earlier:
 
 
 def _line(document: Document, reference: Reference | None, freedom: int | None) -> list[Quantity]:
-    """Bias and scale with their expanded uncertainties, type A and the stage's part together."""
+    """Bias and scale with their expanded uncertainties, type A and the stage's part together.
+
+    A joint solution has the unit in its effects: its scale is 1, and its bias the level, where that is known.
+    """
+    if "elevation_std_deg" in document:
+        level = Quantity("bias_deg", "Bias", document["bias_deg"], "°", std=document["level_std_deg"])
+        return [level] if document["level_known"] else []
     worth, covariance, coverage = document["uncertainty"], document["covariance"], document["coverage"]
-    figures = (("bias_deg", "Bias", "°", "reference_bias_deg"), ("scale", "Scale", "", "reference_scale"))
+    bias = "Bias" if document["level_known"] else "Bias, as clamped (the level is not known)"
+    figures = (("bias_deg", bias, "°", "reference_bias_deg"), ("scale", "Scale", "", "reference_scale"))
     found = []
     for k, (key, title, unit, part) in enumerate(figures):
         if covariance is None or worth.get(part) is None or reference is None or not freedom or freedom < 1:
@@ -103,6 +113,17 @@ def _line(document: Document, reference: Reference | None, freedom: int | None) 
         factor, std = coverage_factor(own, freedom, of_stage, distribution), math.hypot(own, of_stage)
         found.append(Quantity(key, title, document[key], unit, std, factor * std, factor, coverage))
     return found
+
+
+def _stds_solved(document: Document) -> dict[tuple[str, str], float]:
+    """Standard errors of a joint solution's parameters, as its document has them."""
+    solved = document["provenance"].get("solution") or {"std": {}}
+    return {
+        (effect["name"], name): solved["std"][name]
+        for effect in document["effects"]
+        for name in effect["parameters"]
+        if solved["std"].get(name) is not None
+    }
 
 
 def _stds(run: Run) -> dict[tuple[str, str], float]:

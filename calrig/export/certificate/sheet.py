@@ -46,6 +46,7 @@ def sheet_of(said: Certificate) -> Sheet:
     """Lays a certificate out."""
     stamps = ["NO ITEM WAS MEASURED: the rig is a simulation"] if said.kind == "demonstration" else []
     stamps += [STAMPS[said.status]] if said.status in STAMPS else []
+    stamps += ["NOT TO BE RELIED ON: what it rests on counts no more"] if said.gone else []
     laboratory = said.laboratory
     return Sheet(
         title=TITLES[said.kind],
@@ -190,7 +191,7 @@ def _standard(one: Standard) -> Sequence[str]:
 
 
 def _deviations(said: Certificate) -> tuple[Block, ...]:
-    lines = list(said.deviations) or ["No deviations from the method."]
+    lines = [*said.gone, *said.deviations] or ["No deviations from the method."]
     replaced = said.replaces
     if replaced is not None:
         what = "amends and replaces the certificate of" if replaced.amends else "follows the calibration of"

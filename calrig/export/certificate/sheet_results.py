@@ -20,13 +20,9 @@ def results(said: Certificate) -> tuple[Block, ...]:
     """U, bias and scale, the effects in words, RMS errors."""
     found = said.results
     blocks = [figure(_elevation(said))]
-    blocks.append(
-        table(
-            ("Result", "Value", "Expanded uncertainty U", "k"),
-            [_line(one) for one in found.line],
-            (False, True, True, True),
-        )
-    )
+    if found.line:
+        columns = ("Result", "Value", "Expanded uncertainty U", "k")
+        blocks.append(table(columns, [_line(one) for one in found.line], (False, True, True, True)))
     blocks += [_effect(one, "of the unit; part of the calibration") for one in found.effects]
     blocks += [_effect(one, "of the stage; taken out, no part of the calibration") for one in found.of_stage]
     if not found.effects and not found.of_stage:
@@ -40,7 +36,7 @@ def conformity(said: Certificate) -> tuple[Block, ...]:
     found = said.conformity
     agreed = said.laboratory.decision_rule
     if found is None:
-        none = "No statement of conformity: no limits match this unit."
+        none = "No statement of conformity: no limits matched this unit when it was issued."
         return (paragraphs([none, *said.judged]),)
     rows = [
         ("Statement", found.answer_in_words),

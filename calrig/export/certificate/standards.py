@@ -36,6 +36,8 @@ def standards_of(document: Document, measured_at: datetime | None) -> tuple[Stan
     provenance = document["provenance"]
     rig = provenance.get("rig") or {}
     stated = tuple(_standard(key, role, rig, provenance, measured_at) for key, role in ROLES)
+    if "elevation_std_deg" in document:
+        return (_gravity(document), *stated[1:])
     by_map = document["uncertainty"].get("reference")
     return stated if by_map is None else (_map(by_map), *stated)
 
@@ -56,8 +58,30 @@ def _map(by_map: Document) -> Standard:
     )
 
 
+def _gravity(document: Document) -> Standard:
+    """What the angles of a joint solution rest on, which no certificate is needed for."""
+    worth = by_itself(document["uncertainty"]["reference_deg"])
+    return Standard(
+        role="Angle",
+        what="gravity and the full turn, by stage, mounts and unit solved together",
+        uncertainty=f"standard uncertainty {worth}°, normal",
+        certificate=None,
+        file=None,
+        sha256=None,
+        issued_by=None,
+        issued_on=None,
+        due=None,
+        overdue=None,
+    )
+
+
 def traceable(document: Document) -> str:
     """To what the angles of a calibration document are traceable, a sentence."""
+    if "elevation_std_deg" in document:
+        return (
+            "Angles rest on gravity and the full turn, by a joint solution of several mounts: on no "
+            "certificate of the stage."
+        )
     by_map = document["uncertainty"].get("reference")
     if by_map is not None:
         return f"Angles rest on {by_map['says']}: on gravity and the full turn, by several mounts."
@@ -73,6 +97,8 @@ def stated_reference(document: Document) -> Reference | None:
     by_map = document["uncertainty"].get("reference")
     if by_map is not None:
         return ReferenceFigures.from_dict(by_map).reference
+    if "elevation_std_deg" in document:
+        return None
     return reference_of(document["provenance"])
 
 

@@ -57,12 +57,32 @@ def procedure(plan: Document | None, document: Document, n_poses: int) -> tuple[
         else "Readings of the unit at known elevations were supplied as a file and imported."
     )
     low, high = (f"{end:g}°".replace("-", "−") for end in document["range_deg"])
+    solved = document["provenance"].get("solution")
+    if solved is not None:
+        return (how, *_solved(document, solved), f"Applying it: {document['model']}.")
     return (
         how,
         f"Bias and scale are least squares over {n_poses} poses between {low} and {high}, beside the effects "
         "accepted; the unit's own effects are part of the calibration, the stage's are taken out.",
         f"Applying it: {document['model']}.",
     )
+
+
+def _solved(document: Document, solved: Document) -> tuple[str, ...]:
+    """How a joint solution came about, and what it takes for granted."""
+    provenance = document["provenance"]
+    units = ", ".join(provenance["units"])
+    said = (
+        f"The unit was clamped at several angles. Stage, mounts and units ({units}) were solved together by "
+        f"least squares over {len(solved['runs'])} runs, solution {solved['id']} of "
+        f"{solved['solved_at'][:10]}: gravity and the full turn are the reference, and the "
+        "stage's own angle counts as nominal.",
+        "All that the unit does to gravity is in its effects, beside a scale of 1. The stage's error is "
+        "taken out by the map of this solution, and the angle of the mount is the one that was found.",
+    )
+    if not provenance["linear"]:
+        return said
+    return (*said, "The unit was stated to be linear; no quadratic or cubic term was solved for.")
 
 
 def plan_rows(plan: Document | None) -> tuple[Row, ...]:
@@ -116,7 +136,7 @@ def deviations(
         )
     if plan is None:
         said.append("The poses were not measured by this program: they were imported from a file.")
-    if at_other_mounts:
+    if at_other_mounts and "solution" not in provenance:
         said.append(
             f"{at_other_mounts} poses at further mounts do not count here: they are for the joint solution "
             "of stage, mounts and unit."

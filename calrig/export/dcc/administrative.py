@@ -5,6 +5,7 @@ from __future__ import annotations
 from datetime import date
 from xml.etree import ElementTree as ET
 
+from calrig.calibration.wording import percent
 from calrig.export.certificate.content import NOT_STATED, Certificate
 from calrig.export.dcc.elements import LANGUAGE, dcc, plain, words, words_if
 
@@ -159,7 +160,7 @@ def _statements(said: Certificate) -> list[ET.Element]:
             "Metrological traceability",
             said.traceable,
             ref_type="basic_metrologicallyTraceableToSI",
-            traceable=any(one.certificate is not None for one in said.standards[:1]),
+            traceable=any(one.certificate is not None and not one.overdue for one in said.standards[:1]),
         ),
         *_conformity(said),
         *(_statement("Statement", sentence) for sentence in said.statements),
@@ -191,6 +192,7 @@ def _statements(said: Certificate) -> list[ET.Element]:
                 day=said.dates.calibrate_again,
             )
         )
+    stated += [_statement("Not to be relied on", one, ref_type="calrig_gone") for one in said.gone]
     stated += [_statement("Deviation", one, ref_type="calrig_deviation") for one in said.deviations]
     if said.kind == "demonstration":
         stated.append(_statement("Demonstration", "No item was measured: the rig is a simulation."))
@@ -207,7 +209,7 @@ def _conformity(said: Certificate) -> list[ET.Element]:
     if found is None:
         return []
     probabilities = [
-        f"{what}: {value:.3g}"
+        f"{what}: {percent(value)}"
         for what, value in (
             ("Probability of conformity", found.probability_of_conformity),
             ("Probability of false acceptance", found.probability_of_false_accept),
