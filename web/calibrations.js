@@ -143,7 +143,7 @@ function figures(document, verdict) {
     [
       "Expanded uncertainty",
       expanded === null
-        ? "not known: the rig states no reference"
+        ? ["not known", h("small", { class: "why" }, "the rig states no reference")]
         : `${significant(expanded, 2, "°")} (k = ${significant(document.coverage_factor, 3)})`,
     ],
     ["Elevations", range(...document.range_deg, 0, "°")],

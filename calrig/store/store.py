@@ -19,6 +19,7 @@ from calrig.store.fleet import Fleet
 from calrig.store.fleet_findings import FleetFindings
 from calrig.store.issued import Issued
 from calrig.store.limits import Limits
+from calrig.store.log_studies import LogStudies
 from calrig.store.places import Places
 from calrig.store.poses import Poses
 from calrig.store.records import Size
@@ -56,6 +57,7 @@ class Store(
     FleetFindings,
     Solutions,
     StageMaps,
+    LogStudies,
 ):
     """An open store, shared by threads. Each method is one transaction, on the disk when it returns.
 

@@ -166,6 +166,7 @@ class SqliteDatabase(Database):
 
     def _connect(self) -> sqlite3.Connection:
         connection = connect(self._uri, self._timeout_s, isolation_level=None, check_same_thread=False)
+        connection.create_function("lower", 1, _lower, deterministic=True)
         connection.execute("PRAGMA foreign_keys = ON")
         connection.execute("PRAGMA synchronous = FULL")
         if self._lock:
@@ -267,3 +268,8 @@ class SqliteDatabase(Database):
         if self._lock:
             self._lock.close()
             self._lock = None
+
+
+def _lower(value: object) -> object:
+    """SQLite's own knows the letters of ASCII alone."""
+    return value.lower() if isinstance(value, str) else value
