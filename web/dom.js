@@ -43,7 +43,8 @@ export function keepingFocus(element, change) {
   const had = document.activeElement;
   const isInside = element.contains(had);
   change();
-  if (!isInside || (had.isConnected && had.checkVisibility())) return;
+  const isElsewhere = document.activeElement !== had && document.activeElement !== document.body;
+  if (!isInside || isElsewhere || (had.isConnected && had.checkVisibility())) return;
   const same = had.id && document.getElementById(had.id);
   (same?.checkVisibility() ? same : element.closest("main"))?.focus({ preventScroll: true });
 }
@@ -102,10 +103,12 @@ export function tableBox(label, table) {
   return h("div", { class: "table-box", role: "region", "aria-label": label, tabindex: "0" }, table);
 }
 
-/** A table's head; a name that begins with "#" stands over numbers. */
+/** A table's head; a name that begins with "#" stands over numbers, none over buttons. */
 export function headings(...names) {
   const cell = (name) =>
-    h("th", { scope: "col", class: name.startsWith("#") && "number" }, name.replace(/^#/, ""));
+    name
+      ? h("th", { scope: "col", class: name.startsWith("#") && "number" }, name.replace(/^#/, ""))
+      : h("td", {});
   return h("thead", {}, h("tr", {}, names.map(cell)));
 }
 

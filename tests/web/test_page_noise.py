@@ -43,7 +43,7 @@ def test_a_file_of_ones_own_is_analysed_and_a_bad_one_refused_in_place(page, go,
     expect(page.locator("h1")).to_have_text("Noise of mine.csv")
     expect(page.locator("#noise")).to_contain_text(white)
     page.click("#remove-study")
-    page.click("dialog button.danger")
+    page.get_by_test_id("confirm").click()
     expect(page.locator("#studies")).to_contain_text("None yet")
     page.set_input_files("#log", log)
 
