@@ -3,9 +3,6 @@
 import { ApiError, get } from "./api.js";
 import { Chart } from "./charts.js";
 import { errorLine, fill, h, runName } from "./dom.js";
-import { effectCard } from "./effect.js";
-import { knowEffects } from "./effects.js";
-import { followUpBox, followedBy, isAnswered } from "./followup.js";
 import { plural, significant } from "./format.js";
 import { LongWork } from "./longwork.js";
 import { Together } from "./together.js";
@@ -100,7 +97,12 @@ export class DiagnosisPanel {
   async #draw(diagnosis) {
     const shown = this.shown;
     const asked = new URLSearchParams({ follows: this.run.id });
-    const [followers] = await Promise.all([get(`/api/runs?${asked}`, this.signal), knowEffects()]);
+    const [followers, { effectCard }, { followUpBox, followedBy, isAnswered }] = await Promise.all([
+      get(`/api/runs?${asked}`, this.signal),
+      import("./effect.js"), // these with the first diagnosis that is shown
+      import("./followup.js"),
+      import("./effects.js").then(({ knowEffects }) => knowEffects()),
+    ]);
     if (this.shown !== shown || this.signal.aborted) return;
     this.drawn?.abort();
     this.drawn = new AbortController();

@@ -98,7 +98,7 @@ export function runList(rigs, query, signal) {
     h("h2", { id: "runs-title" }, "Runs"),
     filters.element,
     error.element,
-    tableBox("Runs listed", h("table", { id: "runs-table" }, runHeadings(), body)),
+    tableBox("Runs", h("table", { id: "runs-table" }, runHeadings(), body)),
     told,
     more,
   );

@@ -21,6 +21,7 @@ const WORDS = {
   withdrawn: "withdrew a calibration",
   limits_changed: "changed limits",
   check_unit_changed: "changed a check unit",
+  item_changed: "said how a unit came",
   map_put_in_force: "put a stage's map in force",
   map_withdrawn: "withdrew a stage's map",
   user_added: "added a user",

@@ -18,6 +18,7 @@ from calrig.api.attempts import Attempts
 from calrig.api.job import Jobs
 from calrig.api.looks import Lately
 from calrig.api.streams import Streams
+from calrig.laboratory import LaboratorySettings
 from calrig.processes.pool import Processes
 from calrig.runs.errands import Errands
 from calrig.runs.services import Service
@@ -31,6 +32,7 @@ class ApiContext:
 
     `scans` are looks at the ports, one at a time; `jobs` heavy work that no request waits for.
     `centre` tells how agents reach a centre's database, `enrolling` counts those that try to join.
+    `laboratory` is who issues certificates.
     `lately` keeps for a moment what many watch, `error_maps` by rig the last one that was solved for.
     `limits_kept_in` is the file that gives the limits; None where people change them over HTTP.
     """
@@ -46,6 +48,7 @@ class ApiContext:
     centre: CentreSettings = field(default_factory=CentreSettings)
     enrolling: Attempts = field(default_factory=Attempts)
     lately: Lately = field(default_factory=Lately)
+    laboratory: LaboratorySettings = field(default_factory=LaboratorySettings)
     error_maps: dict[str, tuple[Basis, ErrorMap]] = field(default_factory=dict)
 
     @property

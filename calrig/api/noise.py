@@ -198,7 +198,8 @@ async def log_noise(
     wait: Wait = True,
 ) -> Any:
     """The sensor was at rest. What an operator finds is kept (`GET /api/log-studies`), the log is not."""
-    return await _of_file("noise", file, heavy, context, keeper, wait, rate_hz, accel_range_g, gyro_range_dps)
+    given = (rate_hz, accel_range_g, gyro_range_dps)
+    return await _of_file("noise", file, heavy, context, keeper, wait, *given)
 
 
 @router.post(
@@ -218,8 +219,10 @@ async def log_filters(
     gyro_range_dps: Range = None,
     wait: Wait = True,
 ) -> Any:
-    """The sensor was at rest and was turned about its x axis. What an operator finds is kept, the log is not."""
-    return await _of_file("filters", file, heavy, context, keeper, wait, rate_hz, accel_range_g, gyro_range_dps)
+    """The sensor was at rest and was turned about its x axis. What an operator finds is kept."""
+    return await _of_file(
+        "filters", file, heavy, context, keeper, wait, rate_hz, accel_range_g, gyro_range_dps
+    )
 
 
 async def _of_run(study: Study, run: Run, context: ApiContext, heavy: HeavyWork, wait: bool) -> Any:

@@ -34,9 +34,7 @@ Text = Annotated[
 ]
 _DATES = "A time, or a day of UTC (ISO 8601); compared with `created_at`."
 Since = Annotated[str | None, Query(alias="from", description=f"The first. {_DATES}")]
-Until = Annotated[
-    str | None, Query(alias="to", description=f"A time is excluded, a day included. {_DATES}")
-]
+Until = Annotated[str | None, Query(alias="to", description=f"A time is excluded, a day included. {_DATES}")]
 
 
 class FoundAnswer(Answer):

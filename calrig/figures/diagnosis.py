@@ -151,7 +151,7 @@ def _levels(found: PartialResidual, at: FloatArray) -> dict[str, list[float | No
 
 
 def _turns_often(y: FloatArray) -> bool:
-    """Whether it goes up and down: at one temperature such an effect differs with elevation, or on the way back."""
+    """Whether it goes up and down: at one temperature it differs with elevation, or on the way back."""
     return float(np.abs(np.diff(y)).sum()) > TURNS * float(np.ptp(y))
 
 

@@ -28,6 +28,7 @@ from calrig.runs.follow_up import FollowUpRun
 from calrig.runs.meter import Meter
 from calrig.runs.new_run import NewRun
 from calrig.runs.planned import planned_poses
+from calrig.runs.references import require_in_date
 from calrig.runs.resume import resumed_task
 from calrig.runs.rig_states import RigState, state_of
 from calrig.runs.stage_place import leave_at
@@ -140,6 +141,7 @@ class RunService:
     def begin(self, settings: RigSettings, wanted: NewRun) -> Run:
         """Starts a run on a rig of this service, which is free or kept for that run; errors as of `start`."""
         plan = wanted.plan
+        require_in_date(settings)
         planned = planned_poses(plan, settings)
         if plan.kind == "verification" and wanted.verifies is None:
             verifies = active_calibration(self.store, wanted.unit, settings.name, plan.revision)
@@ -265,6 +267,7 @@ class RunService:
         settings = self._rigs.get(run.rig or "")
         if settings is None:
             raise Conflict(f"run {run.id} was on rig {run.rig!r}, which is not configured any more")
+        require_in_date(settings)
         task = resumed_task(self.store, run, settings)
         with self._beginning:
             self._crew.require_free(settings.name, run.id)

@@ -13,6 +13,7 @@ from calrig.calibration.pose import Filtering, Pose
 from calrig.calibration.stage_reference import StageMap
 from calrig.store.convert import (
     joined_arrays,
+    labelled_block,
     packed_arrays,
     pose_of,
     pose_values,
@@ -36,6 +37,8 @@ from calrig.store.tables import PoseTable, RunTable, SampleBlockTable
 
 SAMPLES_AT_ONCE = 1_000
 """Read from the file together where they are asked for some at a time."""
+BLOCKS_AT_ONCE = 8
+"""Of a move or a dwell each."""
 VARIABLES = 500
 """In one statement; SQLite takes a thousand."""
 
@@ -167,6 +170,24 @@ class Poses(Part):
                     unpacked = [unpacked_block(block) for block in _packed_blocks(session, together)]
                 yield from unpacked
                 together, n_samples = [], 0
+
+    def labelled_blocks(self, run_id: str) -> Iterator[SampleBlock]:
+        """The same of a whole run, each block with its pose and whether it is of a move or a dwell."""
+        with self._database.reading() as session:
+            numbers = _block_numbers(session, run_id, None)
+        return self._labelled([number for number, _ in numbers])
+
+    def _labelled(self, numbers: Sequence[int]) -> Iterator[SampleBlock]:
+        for first in range(0, len(numbers), BLOCKS_AT_ONCE):
+            wanted = select(SampleBlockTable).where(
+                col(SampleBlockTable.id).in_(numbers[first : first + BLOCKS_AT_ONCE])
+            )
+            with self._database.reading() as session:
+                rows = session.exec(wanted.order_by(col(SampleBlockTable.id))).all()
+                blocks = [labelled_block(row) for row in rows]
+            if len(blocks) < len(numbers[first : first + BLOCKS_AT_ONCE]):
+                raise NotFound("raw samples were deleted while they were read")
+            yield from blocks
 
     def prune_samples(self, before: datetime) -> int:
         """Deletes the raw samples of runs made before then and no longer going on, and nothing else.

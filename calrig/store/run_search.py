@@ -77,7 +77,7 @@ class Sought:
             return [number.in_(_IMPORTED)]
         if self.kind == "follow-up":
             return [number.in_(_FOLLOW_UPS)]
-        others = [number.not_in(_IMPORTED), number.not_in(_FOLLOW_UPS)]
+        others: list[ColumnElement[bool]] = [number.not_in(_IMPORTED), number.not_in(_FOLLOW_UPS)]
         return [*others, col(RunTable.kind).not_in(_TOLD)] if self.kind == "calibration" else others
 
 

@@ -18,6 +18,7 @@ from calrig.store.event_log import EventLog
 from calrig.store.fleet import Fleet
 from calrig.store.fleet_findings import FleetFindings
 from calrig.store.issued import Issued
+from calrig.store.items import Items
 from calrig.store.limits import Limits
 from calrig.store.log_studies import LogStudies
 from calrig.store.places import Places
@@ -44,6 +45,7 @@ class Store(
     Places,
     Limits,
     CheckUnits,
+    Items,
     Trail,
     Users,
     Benches,

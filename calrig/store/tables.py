@@ -74,9 +74,9 @@ class RunTable(SQLModel, table=True):
             postgresql_where=text("plan IS NULL"),
         ),
         # all that a text is looked for in; a note may be longer than PostgreSQL has in an index
-        Index(
-            "ix_run_search", "created_at", "id", "unit", "rig", "status", "kind", "note"
-        ).ddl_if(dialect="sqlite"),
+        Index("ix_run_search", "created_at", "id", "unit", "rig", "status", "kind", "note").ddl_if(
+            dialect="sqlite"
+        ),
     )
 
     id: int = Field(default=None, primary_key=True)
@@ -295,6 +295,18 @@ class CheckUnitTable(SQLModel, table=True):
     unit: str = Field(foreign_key="unit.serial")
     interval_days: float
     named_at: datetime = Field(sa_type=UtcText)
+
+
+class ItemTable(SQLModel, table=True):
+    """What was said of a unit as it came: the last row counts."""
+
+    __tablename__ = "item"
+    __table_args__ = (Index("ix_item_unit", "unit"),)
+
+    id: int = Field(default=None, primary_key=True)
+    unit: str = Field(foreign_key="unit.serial")
+    document: dict[str, Any] = Field(sa_type=CheckedJson)
+    at: datetime = Field(sa_type=UtcText)
 
 
 class FleetFindingTable(SQLModel, table=True):

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from kept_maps import solved
 
+from calrig.analysis.certificates import certificate
+from calrig.analysis.issuing import Issuer
 from calrig.analysis.results import fitted, refitted
 from calrig.analysis.stage_maps import provenance_part, put_in_force
 from calrig.calibration.pose import Pose
+from calrig.laboratory import LaboratorySettings
 from calrig.store import AcceptedEffect, Run, Store
 
 DIAL_DEG = np.repeat(np.linspace(-60.0, 60.0, 7), 2)
@@ -63,3 +66,17 @@ def test_a_pose_beyond_the_map_leaves_the_run_to_the_certificate_until_it_is_exc
     again = refitted(store, far, counted(store, far))
     assert again["reference"]["kind"] == "map"
     assert "reference_says" not in again
+
+
+def test_a_certificate_states_the_map_with_what_it_rests_on(store, run):
+    poses = [Pose(float(d), float(d) + 0.01 * (-1) ** k) for k, d in enumerate(DIAL_DEG)]
+    noisy = laid(store, poses, run.provenance)
+    store.update_run(noisy.id, result=fitted(counted(store, noisy), [], noisy.provenance).to_dict())
+    said = certificate(store, Issuer(store).draft("A", noisy.id), LaboratorySettings())
+    of_stage = next(line for line in said.budget.contributions if line.type_ == "B")
+    assert "by its map" in of_stage.title
+    assert of_stage.distribution == "normal"
+    assert said.budget.combined_deg * said.budget.coverage_factor == pytest.approx(said.budget.expanded_deg)
+    assert sum(line.share for line in said.budget.contributions) == pytest.approx(1.0)
+    assert said.standards[0].sha256 == run.provenance["stage_map"]["sha256"]
+    assert "the stage's map" in said.traceable

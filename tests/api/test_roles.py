@@ -35,6 +35,7 @@ NEEDED = {
     "/api/runs/{run_id}/diagnosis/accept": "releaser",
     "/api/runs/{run_id}/diagnosis/withdraw": "releaser",
     "/api/units/{serial}": "releaser",
+    "/api/units/{serial}/item": "operator",
     "/api/units/{serial}/calibrations": "operator",
     "/api/units/{serial}/calibrations/{revision}/release": "releaser",
     "/api/units/{serial}/calibrations/{revision}/withdraw": "releaser",

@@ -16,6 +16,7 @@ from support import imported, serving
 
 from calrig.calibration.pose import Pose
 from calrig.store import AcceptedEffect, Store
+from calrig.store.items import Item
 from calrig.store.raw_rows import tables
 from calrig.store.solutions import Basis, Solved
 
@@ -51,6 +52,7 @@ def fill(path: Path) -> str:
         with closing(RunService(store, [])) as service, serving(service) as client:
             _amend(client)
         store.name_check_unit("r", "A-3", 7.0, who="ada")
+        store.say_item("A-3", Item(customer="山田 & Søn", condition="neu", supplied=("customer",)), who="ada")
         solution = store.keep_solution(SOLVED, by="ada")
         store.put_stage_map("r", solution.id, SOLVED.stage_map, who="ada")
         store.add_user("proxied", "viewer", with_token=False)

@@ -254,7 +254,9 @@ def test_what_is_ambiguous_leads_to_the_run_that_separates_it(page, client, go, 
 
     page.locator("#follows a").click()
     answered = page.locator("#followed-by")
-    expect(answered).to_contain_text(f"Run {short_name(second['id'])}: both runs together say: backlash (named)")
+    expect(answered).to_contain_text(
+        f"Run {short_name(second['id'])}: both runs together say: backlash (named)"
+    )
     expect(page.locator("#follow-up")).to_have_count(0)
 
 

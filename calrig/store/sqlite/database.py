@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 from urllib.parse import unquote
 
 from sqlalchemy import Connection, QueuePool, create_engine, event, make_url
@@ -270,6 +270,6 @@ class SqliteDatabase(Database):
             self._lock = None
 
 
-def _lower(value: object) -> object:
+def _lower(value: Any) -> Any:
     """SQLite's own knows the letters of ASCII alone."""
     return value.lower() if isinstance(value, str) else value
