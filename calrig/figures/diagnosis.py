@@ -17,8 +17,8 @@ ROOM = 1.2
 """Beside the longest bar, for its figure."""
 ROUGH = 1.0
 """Mean squared step between neighbours over the variance: about this where a cycle has six points."""
-TURNS = 2.5
-"""Way up and down over the range: 1 where it only rises or falls, 2 with one bend."""
+MOST_TURNS = 2
+"""From up to down or back, of what follows temperature alone."""
 
 
 def before_and_after(diagnosis: Mapping[str, Any]) -> Figure:
@@ -152,7 +152,8 @@ def _levels(found: PartialResidual, at: FloatArray) -> dict[str, list[float | No
 
 def _turns_often(y: FloatArray) -> bool:
     """Whether it goes up and down: at one temperature it differs with elevation, or on the way back."""
-    return float(np.abs(np.diff(y)).sum()) > TURNS * float(np.ptp(y))
+    steps = np.sign(np.diff(y))
+    return int(np.count_nonzero(np.diff(steps[steps != 0]))) > MOST_TURNS
 
 
 def _is_rough(y: FloatArray) -> bool:
