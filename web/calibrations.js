@@ -148,13 +148,13 @@ function figures(document, verdict) {
     [
       "Expanded uncertainty",
       expanded === null
-        ? "not known: the rig states no reference"
+        ? ["not known", h("small", { class: "words" }, "the rig states no reference")]
         : `${significant(expanded, 2, "°")} (k = ${significant(document.coverage_factor, 3)})`,
     ],
     ["Elevations", range(...document.range_deg, 0, "°")],
     ["Temperature", range(document.temperature_c?.min, document.temperature_c?.max, 1, "°C")],
     ["Issued", moment(document.issued_at)],
     ["From run", runLink(document.run_id)],
-    ["Is this good?", verdict.says[0] ?? "not judged"],
+    ["Is this good?", h("span", { class: "words" }, verdict.says[0] ?? "not judged")],
   ];
 }

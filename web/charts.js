@@ -2,12 +2,16 @@
 
 import { fill, h } from "./dom.js";
 import { ApiError, get } from "./api.js";
+import { localDigits } from "./format.js";
 
 const CONFIG = { responsive: true, displayModeBar: false, doubleClick: "reset" };
 const TOUCH = window.matchMedia("(pointer: coarse)");
 const DARK = window.matchMedia("(prefers-color-scheme: dark)");
 
 const SCRIPT = new URL("./vendor/plotly-partial.min.js", import.meta.url);
+
+const HALF_DAY_MS = 43_200_000;
+const EMPTY = "Nothing is drawn: no value of it is known.";
 
 let library;
 
@@ -27,9 +31,9 @@ function plotly() {
   return library;
 }
 
-/** A chart with its caption. `draw(figure)` shows a figure, `load(path)` fetches one and shows it. */
+/** A chart with its caption, which says why where there is nothing in it. `draw(figure)` shows a figure, `load(path)` fetches one and shows it. */
 export class Chart {
-  constructor(testid, title, { tall = false, low = false, signal } = {}) {
+  constructor(testid, title, { tall = false, low = false, empty = EMPTY, signal } = {}) {
     this.plot = h("div", {
       class: ["plot", tall && "tall", low && "low"].filter(Boolean).join(" "),
       "data-testid": testid,
@@ -37,7 +41,9 @@ export class Chart {
       "aria-label": title,
     });
     this.problem = h("p", { class: "error", role: "alert", hidden: true });
-    this.element = h("figure", { class: "chart" }, h("figcaption", {}, title), this.plot, this.problem);
+    this.empty = h("p", { class: "muted", hidden: true }, empty);
+    const caption = h("figcaption", {}, title);
+    this.element = h("figure", { class: "chart" }, caption, this.empty, this.plot, this.problem);
     DARK.addEventListener("change", () => this.figure && this.draw(this.figure), { signal });
     signal?.addEventListener("abort", () => window.Plotly?.purge(this.plot));
     this.signal = signal;
@@ -58,7 +64,9 @@ export class Chart {
       const Plotly = await plotly();
       if (this.signal?.aborted || !this.plot.isConnected) return;
       this.problem.hidden = true;
-      await Plotly.react(this.plot, figure.data, themed(figure.layout), CONFIG);
+      this.empty.hidden = figure.data.some(hasPoints);
+      const { data, layout } = inLocalTime(figure);
+      await Plotly.react(this.plot, data, themed(layout), CONFIG);
     } catch (error) {
       this.#say(error);
     }
@@ -70,6 +78,21 @@ export class Chart {
     fill(this.problem, error.message);
     this.problem.hidden = false;
   }
+}
+
+function hasPoints({ x, y, z }) {
+  return [y ?? x, z].some((values) => values?.some((value) => value !== null));
+}
+
+/** Times in the reader's own zone, as everywhere on the page; the service draws them in UTC. */
+function inLocalTime({ data, layout }) {
+  if (layout.xaxis?.type !== "date") return { data, layout };
+  const local = data.map((trace) => ({ ...trace, x: trace.x.map(localDigits) }));
+  const moments = new Set(data.flatMap(({ x }) => x.map(Date.parse)));
+  const [only] = moments;
+  const range = moments.size === 1 && [only - HALF_DAY_MS, only + HALF_DAY_MS].map(localDigits); // not milliseconds
+  const title = { ...layout.xaxis.title, text: layout.xaxis.title.text.replace(" (UTC)", "") };
+  return { data: local, layout: { ...layout, xaxis: { ...layout.xaxis, title, ...(range && { range }) } } };
 }
 
 function themed(layout) {

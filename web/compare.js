@@ -13,6 +13,7 @@ const CHARTS = [
 ];
 
 const COLOURS = 8;
+const NONE_COUNT = "No completed calibration that counts: nothing is drawn of other runs, or of voided ones.";
 
 export async function compareView({ root, query, signal }) {
   const picked = query.getAll("unit");
@@ -22,7 +23,7 @@ export async function compareView({ root, query, signal }) {
   if (!picked.length && !all) return fill(root, heading, picker(units, picked));
   const asked = new URLSearchParams(picked.map((serial) => ["unit", serial]));
   const comparison = await get(`/api/compare?${asked}`, signal);
-  const charts = CHARTS.map(([name, title]) => [name, new Chart(`compare-${name}`, title, { signal })]);
+  const charts = CHARTS.map(([name, title]) => [name, new Chart(`compare-${name}`, title, { signal, empty: NONE_COUNT })]);
   const draw = (chosen) => {
     const wanted = new URLSearchParams([...asked, ...chosen.map((serial) => ["chosen", serial])]);
     return Promise.all(charts.map(([name, chart]) => chart.load(`/api/compare/figures/${name}?${wanted}`)));

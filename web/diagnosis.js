@@ -3,9 +3,6 @@
 import { ApiError, get } from "./api.js";
 import { Chart } from "./charts.js";
 import { errorLine, fill, h, runName } from "./dom.js";
-import { effectCard } from "./effect.js";
-import { knowEffects } from "./effects.js";
-import { followUpBox } from "./followup.js";
 import { plural, significant } from "./format.js";
 import { LongWork } from "./longwork.js";
 import { Together } from "./together.js";
@@ -54,6 +51,7 @@ export class DiagnosisPanel {
     if (!run.diagnosis || found === this.shown) return;
     this.shown = found;
     this.#draw(run.diagnosis).catch((error) => {
+      if (this.signal.aborted) return;
       if (!(error instanceof ApiError)) throw error;
       this.error.say(error);
     });
@@ -98,7 +96,13 @@ export class DiagnosisPanel {
 
   async #draw(diagnosis) {
     const shown = this.shown;
-    await knowEffects();
+    const asked = new URLSearchParams({ follows: this.run.id });
+    const [followers, { effectCard }, { followUpBox, followedBy, isAnswered }] = await Promise.all([
+      get(`/api/runs?${asked}`, this.signal),
+      import("./effect.js"), // these with the first diagnosis that is shown
+      import("./followup.js"),
+      import("./effects.js").then(({ knowEffects }) => knowEffects()),
+    ]);
     if (this.shown !== shown || this.signal.aborted) return;
     this.drawn?.abort();
     this.drawn = new AbortController();
@@ -108,7 +112,8 @@ export class DiagnosisPanel {
     fill(
       this.found,
       h("div", { class: "columns outcome" }, summary(diagnosis), bars.element),
-      diagnosis.verdict === "ambiguous" && followUpBox(diagnosis, this.path),
+      followedBy(followers.items),
+      diagnosis.verdict === "ambiguous" && !isAnswered(followers.items) && followUpBox(diagnosis, this.path),
       effects.map(({ element }) => element),
       diagnosis.warnings.length > 0 && warnings(diagnosis.warnings),
       this.run.rig && commonError(this.run.rig, signal),

@@ -35,6 +35,20 @@ export function fill(element, ...children) {
   element.replaceChildren(...shown(children));
 }
 
+/**
+ * Does `change` to what is within `element`, and leaves the focus where it was there: on what has its id now, else on
+ * the view itself, where the keyboard goes on, and never on nothing.
+ */
+export function keepingFocus(element, change) {
+  const had = document.activeElement;
+  const isInside = element.contains(had);
+  change();
+  const isElsewhere = document.activeElement !== had && document.activeElement !== document.body;
+  if (!isInside || isElsewhere || (had.isConnected && had.checkVisibility())) return;
+  const same = had.id && document.getElementById(had.id);
+  (same?.checkVisibility() ? same : element.closest("main"))?.focus({ preventScroll: true });
+}
+
 export function unitHref(serial) {
   return `#/units/${encodeURIComponent(serial)}`;
 }

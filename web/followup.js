@@ -1,9 +1,36 @@
 // An ambiguous diagnosis leads here: the run that separates the suspects, or why there is none.
 
 import { post } from "./api.js";
-import { errorLine, h, runHref } from "./dom.js";
+import { errorLine, h, runHref, runLink } from "./dom.js";
 import { candidateWords } from "./effects.js";
 import { duration, plural, significant } from "./format.js";
+
+const UNDER_WAY = new Set(["queued", "running", "paused", "interrupted"]);
+
+/** The runs that followed one up, the latest first: what each has come to, by its own diagnosis. */
+export function followedBy(runs) {
+  if (!runs.length) return null;
+  return h(
+    "div",
+    { class: "follow-up", id: "followed-by" },
+    h("h3", {}, "Followed up"),
+    runs.map((run) => h("p", { class: run.voided && "voided" }, runLink(run.id, "Run "), `: ${outcome(run)}`)),
+  );
+}
+
+function outcome({ status, diagnosis, voided, error }) {
+  if (voided) return "voided, so that it answers nothing.";
+  if (UNDER_WAY.has(status)) return `${status}; its diagnosis will be of both runs together.`;
+  if (status !== "completed") return `${status}, so that it answers nothing. ${error ?? ""}`;
+  if (!diagnosis) return "completed; its diagnosis, of both runs together, is still to be made there.";
+  const found = diagnosis.effects.map(({ name, verdict }) => `${candidateWords(name)} (${verdict})`);
+  return `both runs together say: ${found.join(", ") || "no effect"}.`;
+}
+
+/** Whether the question that the diagnosis left has been asked already, so that it is not to be asked again. */
+export function isAnswered(runs) {
+  return runs.some(({ status, voided }) => !voided && (status === "completed" || UNDER_WAY.has(status)));
+}
 
 export function followUpBox({ follow_up: planned }, path) {
   if (!planned) {

@@ -68,6 +68,31 @@ export function moment(iso) {
   return element;
 }
 
+/** The moment at which a day such as "2026-11-22" begins in the reader's own time zone, in UTC. */
+export function dayStart(day) {
+  const [year, month, date] = day.split("-").map(Number);
+  return new Date(year, month - 1, date).toISOString();
+}
+
+/** When the day after it does. */
+export function dayEnd(day) {
+  const [year, month, date] = day.split("-").map(Number);
+  return new Date(year, month - 1, date + 1).toISOString();
+}
+
+/** The reader's time zone, which every time on the page is told in. */
+export function timeZone() {
+  const format = new Intl.DateTimeFormat(undefined, { timeZoneName: "shortOffset" });
+  const offset = format.formatToParts(new Date()).find(({ type }) => type === "timeZoneName").value;
+  return `${format.resolvedOptions().timeZone} (${offset})`;
+}
+
+/** A moment as a chart takes it: its digits in the reader's own time zone, without one. */
+export function localDigits(iso) {
+  const at = new Date(iso);
+  return new Date(at.getTime() - 60_000 * at.getTimezoneOffset()).toISOString().slice(0, -1);
+}
+
 export function plural(count, one, many = `${one}s`) {
   return `${count.toLocaleString()} ${count === 1 ? one : many}`;
 }

@@ -1,4 +1,5 @@
-// Whether the service is there: a banner while it is not, and "calrig:back" to whoever wants to catch up.
+// Whether the service is there: a banner while it is not, "calrig:back" to whoever wants to catch up, and
+// "calrig:there" whenever it has answered.
 
 const CALM_MS = 5000;
 const WORRIED_MS = 1000;
@@ -24,6 +25,7 @@ async function check(banner) {
     banner.textContent = alive ? "" : LOST;
     if (alive) window.dispatchEvent(new Event("calrig:back"));
   }
+  if (alive) window.dispatchEvent(new Event("calrig:there"));
   clearTimeout(timer);
   timer = setTimeout(check, lost ? WORRIED_MS : CALM_MS, banner);
 }

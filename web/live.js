@@ -77,10 +77,13 @@ export class LivePanel {
     this.announce(`${tenth * 10} % done, ${this.remaining.textContent}`);
   }
 
+  /** Who has pressed one of the two finds the other in its place, with the focus. */
   #buttons() {
+    const had = [this.pause, this.resume].includes(document.activeElement);
     this.pause.hidden = this.paused || this.holding;
     this.resume.hidden = !this.pause.hidden || this.waiting;
     this.abort.hidden = this.waiting;
+    if (had) (this.pause.hidden ? this.resume : this.pause).focus();
   }
 
   #left() {

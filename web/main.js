@@ -1,13 +1,14 @@
 // Which view is shown: one hash route each, one AbortSignal each, aborted when the person goes elsewhere.
 
 import { fill, h, visible } from "./dom.js";
+import { timeZone } from "./format.js";
 import { watchHealth } from "./health.js";
 import { loginState, loginView, logOut } from "./login.js";
 import { iAm, may } from "./me.js";
 import { onRigs, watchRigs } from "./rigs.js";
 import { startView } from "./start.js";
 import { runView } from "./run.js";
-import { stopButtons } from "./stop.js";
+import { preferRig, stopButtons } from "./stop.js";
 
 const ROUTES = [
   [/^\/$/, startView],
@@ -44,6 +45,7 @@ async function show({ focus }) {
   const { signal } = leaving;
   const [path, query] = (location.hash.slice(1) || "/").split("?", 2);
   markCurrent(path);
+  preferRig(null);
   try {
     const [view, parts] = match(path);
     await view({ root, parts, query: new URLSearchParams(query), signal });
@@ -135,6 +137,7 @@ leave.addEventListener("click", async () => {
   await logOut();
   lock();
 });
+document.getElementById("zone").textContent = `Times are those of ${timeZone()}.`;
 watchHealth(document.getElementById("banner"));
 onRigs((rigs) => (benches.hidden = !rigs.some(({ bench }) => bench)));
 stopButtons(stop, document.getElementById("stop-line"));

@@ -1,20 +1,76 @@
 // Noise and filters: of a log from anybody's sensor, or of a run's samples.
 
-import { get, post, postForm } from "./api.js";
+import { get, post, postForm, remove } from "./api.js";
+import { askConfirmation } from "./ask.js";
 import { Chart } from "./charts.js";
 import { errorLine, field, fill, h, headings, onSubmit, runHref, runLink, tableBox } from "./dom.js";
-import { NOT_KNOWN, fixed, isKnown, significant } from "./format.js";
+import { NOT_KNOWN, fixed, isKnown, moment, significant } from "./format.js";
+import { may } from "./me.js";
 
-/** Without a run: a form for a file, and one that records a log on a rig. With one: what its samples say. */
-export async function noiseView({ root, parts: [id], signal }) {
+const STUDIES = "/api/log-studies";
+
+/**
+ * Without a run: a form for a file, one that records a log on a rig, and the files that were analysed; one of those
+ * by `#/noise?study=ID`. With a run: what its samples say.
+ */
+export async function noiseView({ root, parts: [id], query, signal }) {
   if (id !== undefined) return ofRun(root, id, signal);
+  if (query.has("study")) return ofStudy(root, query.get("study"), signal);
   const rigs = await get("/api/rigs", signal);
+  const kept = h("section", { class: "card", id: "studies", "aria-labelledby": "studies-title" });
+  const list = () => listStudies(kept, signal);
   const shown = h("div", { id: "noise-result", class: "run", "aria-live": "polite" });
   fill(
     root,
     h("h1", {}, "Noise and filters"),
-    h("div", { class: "columns" }, fileForm(shown, signal), rigForm(rigs)),
+    h("div", { class: "columns" }, fileForm(shown, signal, list), rigForm(rigs)),
     shown,
+    kept,
+  );
+  await list();
+}
+
+async function ofStudy(root, id, signal) {
+  const path = `${STUDIES}/${encodeURIComponent(id)}`;
+  const { study, noise, filters } = await get(path, signal);
+  const shown = h("div", { id: "noise-result", class: "run" });
+  const by = study.studied_by && ` by ${study.studied_by}`;
+  const drop = h("button", { type: "button", id: "remove-study" }, "Remove this analysis…");
+  drop.addEventListener("click", async () => {
+    const question = { title: `Remove the analysis of ${study.file_name}?`, text: "It is gone for good.", action: "Remove it" };
+    if (await askConfirmation(question, () => remove(path))) location.hash = "#/noise";
+  });
+  fill(
+    root,
+    h("h1", {}, `${KINDS[study.kind]} of ${study.file_name}`),
+    h("p", { class: "muted" }, "Analysed ", moment(study.created_at), by, ". ", h("a", { href: "#/noise" }, "All analyses")),
+    shown,
+    may("operator") && h("p", {}, drop),
+  );
+  if (noise) show(shown, noise, noiseTable, signal);
+  else show(shown, filters, filterTable, signal);
+}
+
+const KINDS = { noise: "Noise", filters: "Filters" };
+
+async function listStudies(place, signal) {
+  const studies = await get(STUDIES, signal);
+  const rows = studies.map(({ id, kind, file_name: file, created_at: at, studied_by: by }) =>
+    h(
+      "tr",
+      {},
+      h("th", { scope: "row" }, h("a", { href: `#/noise?study=${encodeURIComponent(id)}` }, file)),
+      h("td", {}, KINDS[kind]),
+      h("td", {}, moment(at)),
+      h("td", {}, by ?? "–"),
+    ),
+  );
+  fill(
+    place,
+    h("h2", { id: "studies-title" }, "Files analysed"),
+    rows.length
+      ? tableBox("Files analysed", h("table", { id: "studies-table" }, headings("File", "Analysis", "When", "By"), h("tbody", {}, rows)))
+      : h("p", { class: "muted" }, "None yet: what is found in a file is kept here, the file itself is not."),
   );
 }
 
@@ -31,7 +87,7 @@ async function ofRun(root, id, signal) {
   busy.remove();
 }
 
-function fileForm(shown, signal) {
+function fileForm(shown, signal, list) {
   const file = h("input", { id: "log", type: "file", accept: ".csv,text/csv", required: true });
   const what = h(
     "select",
@@ -72,6 +128,7 @@ function fileForm(shown, signal) {
     for (const [name, input] of Object.entries(given)) if (input.value) body.set(name, input.value);
     const answer = await postForm(`/api/${what.value}`, body);
     if (!signal.aborted) show(shown, answer, what.value === "noise" ? noiseTable : filterTable, signal);
+    await list();
   };
   onSubmit(form, submit, error, send, () => fill(shown));
   return form;
@@ -124,7 +181,8 @@ function rigForm(rigs) {
   return form;
 }
 
-function show(place, { report, figures }, table, signal) {
+function show(place, answer, table, signal) {
+  const { report, figures } = answer;
   const charts = figures.map(({ caption, figure }, k) => [
     new Chart(`noise-${k}`, caption, { tall: true, signal }),
     figure,
@@ -141,7 +199,7 @@ function show(place, { report, figures }, table, signal) {
         report.summary.map((sentence) => h("li", {}, sentence)),
       ),
     ),
-    h("section", { class: "card" }, table(report)),
+    h("section", { class: "card" }, table(answer)),
     h(
       "div",
       { class: "charts" },
@@ -154,8 +212,7 @@ function show(place, { report, figures }, table, signal) {
 const told = (value, words) => (isKnown(value) ? words(value) : NOT_KNOWN);
 const cell = (text) => h("td", { class: "number" }, text);
 
-function noiseTable({ channels }) {
-  const term = (term) => told(term, ({ value, unit }) => `${significant(value, 3)}\u00a0${unit}`);
+function noiseTable({ report: { channels }, stated }) {
   const rows = Object.entries(channels).map(([name, channel]) =>
     h(
       "tr",
@@ -163,7 +220,7 @@ function noiseTable({ channels }) {
       h("th", { scope: "row" }, name),
       [channel.adf_slope, channel.psd_slope].map((slope) => cell(told(slope, (value) => fixed(value, 2)))),
       cell(significant(channel.std, 3)),
-      [channel.coefficients.white, channel.coefficients.flicker].map((one) => cell(term(one))),
+      [stated[name].white, stated[name].flicker].map((one) => cell(one ?? NOT_KNOWN)),
       cell(channel.lines.map(({ frequency_hz }) => `${significant(frequency_hz, 3)}\u00a0Hz`).join(", ") || "none"),
       cell(told(channel.colour, String)),
     ),
@@ -173,15 +230,15 @@ function noiseTable({ channels }) {
     "#Slope of Allan deviation",
     "#Slope of PSD",
     "#Standard deviation",
-    "#White noise",
-    "#Flicker noise",
+    "#White noise, density",
+    "#Bias instability",
     "#Spectral lines",
     "#Noise colour",
   ];
   return tableBox("Noise by channel", h("table", { id: "noise" }, headings(...names), h("tbody", {}, rows)));
 }
 
-function filterTable({ filters }) {
+function filterTable({ report: { filters } }) {
   const rows = filters.map((filter) =>
     h(
       "tr",

@@ -211,7 +211,7 @@ function number(input) {
 }
 
 /** How much a plan is, in words, as the service has computed it. */
-function estimateText(plan, { n_poses: poses, duration_s: seconds }) {
+function estimateText(plan, { n_poses: poses, duration_s: seconds, wall_s: wall }) {
   const upTo = plan.target_std_deg || plan.until ? "at most about" : "about";
   const turns = plan.mounts_deg.length - 1;
   const more = [
@@ -220,6 +220,6 @@ function estimateText(plan, { n_poses: poses, duration_s: seconds }) {
   ].join("");
   return [
     h("strong", {}, plural(poses, "pose")),
-    `, ${upTo} ${duration(seconds)} by the board's clock${more}`,
+    `, ${upTo} ${wall === null ? `${duration(seconds)} by the board's clock` : duration(wall)}${more}`,
   ];
 }

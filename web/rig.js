@@ -6,6 +6,7 @@ import { Chart } from "./charts.js";
 import { errorLine, field, fill, h, headings, onSubmit, runLink, solveHref, statusPill, tableBox, unitLink } from "./dom.js";
 import { fixed, isKnown, moment, plural, significant } from "./format.js";
 import { may } from "./me.js";
+import { preferRig } from "./stop.js";
 
 const STATES = { passed: "good", failed: "poor", not_known: "unknown" };
 const HEADLINES = { passed: "The rig passes.", failed: "The rig fails.", not_known: "Nothing can be said yet." };
@@ -13,6 +14,7 @@ const WORDS = { passed: "passed", failed: "failed", not_known: "not known" };
 const EVERY_DAYS = 30;
 
 export async function rigView({ root, parts: [name], signal }) {
+  preferRig(name);
   const path = `/api/rigs/${encodeURIComponent(name)}/check-unit`;
   const card = h("section", { class: "card", id: "check", "aria-labelledby": "check-title" });
   const chart = new Chart("check-chart", "Control chart: the check unit's bias and scale", { signal });

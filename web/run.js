@@ -4,7 +4,7 @@ import { ApiError, get, post } from "./api.js";
 import { amendments, askExclude, askInclude } from "./amend.js";
 import { Chart } from "./charts.js";
 import { DiagnosisPanel } from "./diagnosis.js";
-import { errorLine, fill, h, runName, tableBox } from "./dom.js";
+import { errorLine, fill, h, keepingFocus, runName, tableBox } from "./dom.js";
 import { wayOn } from "./interrupted.js";
 import { LivePanel, TERMINAL } from "./live.js";
 import { may } from "./me.js";
@@ -17,6 +17,7 @@ import { follow } from "./stream.js";
 import { Timeline } from "./timeline.js";
 
 const RESIDUAL_EVERY_MS = 1000;
+const NO_TIMES = "Nothing was read yet, or it is not known when: poses of a file without time_s.";
 
 export async function runView({ root, parts: [id], signal }) {
   const path = `/api/runs/${encodeURIComponent(id)}`;
@@ -37,8 +38,8 @@ class RunPage {
     this.live = new LivePanel((verb) => this.#ask(verb), announce);
     this.result = h("section", { id: "result", class: "card", hidden: true });
     this.diagnosis = new DiagnosisPanel(path, signal, () => this.#reread());
-    this.timelineChart = new Chart("timeline", "Stage and reading against time", { signal });
-    this.residualChart = new Chart("residual", "Residual of each pose", { tall: true, signal });
+    this.timelineChart = new Chart("timeline", "Stage and reading against time", { signal, empty: NO_TIMES });
+    this.residualChart = new Chart("residual", "Residual of each pose", { tall: true, signal, empty: "No pose has been measured." });
     this.poses = new PoseTable(
       (pose) => askExclude(path, pose),
       (pose) => askInclude(path, pose),
@@ -140,6 +141,10 @@ class RunPage {
       this.spoken.textContent = `Run ${runName(run.id)} is ${run.status}`;
     this.run = run;
     for (const part of this.ofPoses) part.hidden = run.plan?.kind === "static";
+    keepingFocus(this.element, () => this.#draw(run));
+  }
+
+  #draw(run) {
     fill(
       this.header,
       heading(run),

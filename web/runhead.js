@@ -14,7 +14,7 @@ export function heading(run) {
       { class: "facts" },
       statusPill(run.status, { id: "status" }),
       run.follows &&
-        h("span", { id: "follows" }, "follow-up of ", runLink(run.follows, "run ")),
+        h("span", { id: "follows" }, "follow-up of ", runLink(run.follows, "run "), asked(run)),
       h("span", {}, run.rig ? `rig ${run.rig}` : "no rig"),
       run.operator && h("span", {}, `by ${run.operator}`),
       h("span", {}, run.finished_at ? "finished " : "created ", moment(run.finished_at ?? run.created_at)),
@@ -39,6 +39,12 @@ export function heading(run) {
         `: ${run.voided.reason}`,
       ),
   );
+}
+
+/** What a follow-up is there to answer. */
+function asked({ provenance }) {
+  const suspects = provenance.follow_up?.separates ?? [];
+  return suspects.length > 0 && `: ${suspects.map((name) => name.replaceAll("_", " ")).join(" or ")}?`;
 }
 
 export function downloads(run, path) {

@@ -1,11 +1,18 @@
-// Runs, newest first, by unit, rig and status.
+// Runs, newest first, and those of them that somebody looks for.
 
 import { get } from "./api.js";
 import { errorLine, fill, h, headings, runLink, statusPill, suspectTag, tableBox, unitLink } from "./dom.js";
 import { moment, plusMinus, significant } from "./format.js";
+import { runFilters } from "./runfilters.js";
 
-const STATUSES = ["queued", "running", "paused", "completed", "failed", "aborted", "interrupted"];
 const PAGE = 20;
+const KINDS = { verification: "verification", static: "static log" };
+
+/** What a run is, where it is no calibration on a rig. */
+function kindTag({ plan, follows }) {
+  const kind = follows ? "follow-up" : plan ? KINDS[plan.kind] : "import";
+  return kind && h("span", { class: "tag" }, kind);
+}
 
 /** One run as a table row; a voided one is struck through and says why. */
 export function runRow(run, { withUnit = true } = {}) {
@@ -13,7 +20,7 @@ export function runRow(run, { withUnit = true } = {}) {
   return h(
     "tr",
     { class: run.voided && "voided", "data-run": run.id },
-    h("th", { scope: "row" }, runLink(run.id)),
+    h("th", { scope: "row" }, runLink(run.id), kindTag(run)),
     withUnit && h("td", {}, unitLink(run.unit)),
     h("td", {}, run.rig ?? "–"),
     h(
@@ -47,81 +54,52 @@ export function runHeadings({ withUnit = true } = {}) {
 }
 
 /** The list with its filters; `refresh()` fetches the first page again. */
-export function runList(rigs, signal) {
-  const serials = h("datalist", { id: "known-units" });
-  const unit = h("input", {
-    id: "filter-unit",
-    type: "search",
-    list: serials.id,
-    autocomplete: "off",
-    placeholder: "any",
-  });
-  const rig = h(
-    "select",
-    { id: "filter-rig" },
-    h("option", { value: "" }, "any"),
-    rigs.map(({ name }) => h("option", {}, name)),
-  );
-  const status = h(
-    "select",
-    { id: "filter-status" },
-    h("option", { value: "" }, "any"),
-    STATUSES.map((name) => h("option", {}, name)),
-  );
+export function runList(rigs, query, signal) {
+  const filters = runFilters(rigs, query, () => refresh(), signal);
   const body = h("tbody");
-  const empty = h("p", { class: "muted", hidden: true }, "No runs yet.");
+  const told = h("p", { id: "runs-told", class: "muted", role: "status" });
   const more = h("button", { type: "button", hidden: true }, "Show older runs");
   const error = errorLine("runs-error");
   let cursor = null;
   let asked = 0;
 
+  /** A verdict is looked for a few hundred runs at a time: on until there is a page of them, or no older run. */
   async function load(from) {
     const mine = ++asked;
-    const query = new URLSearchParams({ limit: PAGE });
-    const wanted = { unit: unit.value.trim(), rig: rig.value, status: status.value, cursor: from };
-    for (const [name, value] of Object.entries(wanted)) if (value) query.set(name, value);
+    const wanted = filters.asked();
+    if (!from) fill(body);
+    const before = body.childElementCount;
+    cursor = from;
+    more.hidden = true;
+    told.textContent = wanted.verdict ? "Judging older and older runs…" : "";
     try {
-      const page = await get(`/api/runs?${query}`, signal);
-      if (mine !== asked) return; // a later question has been asked meanwhile
-      const rows = page.items.map((run) => runRow(run));
-      if (from) body.append(...rows);
-      else fill(body, rows);
-      cursor = page.next_cursor;
+      do {
+        const left = PAGE - body.childElementCount + before;
+        const page = await get(`/api/runs?${new URLSearchParams({ ...wanted, limit: left, ...(cursor && { cursor }) })}`, signal);
+        if (mine !== asked) return; // a later question has been asked meanwhile
+        body.append(...page.items.map((run) => runRow(run)));
+        cursor = page.next_cursor;
+      } while (cursor && body.childElementCount - before < PAGE);
       more.hidden = !cursor;
-      empty.hidden = body.childElementCount > 0;
-      empty.textContent = wanted.unit || wanted.rig || wanted.status ? "No run matches." : "No runs yet.";
+      told.textContent = body.childElementCount ? "" : filters.isAny() ? "No runs yet." : "No run matches.";
       error.say(null);
     } catch (problem) {
-      if (!signal.aborted) error.say(problem);
+      if (signal.aborted || mine !== asked) return;
+      told.textContent = "";
+      error.say(problem);
     }
   }
 
   const refresh = () => load(null);
-  unit.addEventListener("focus", async () => {
-    try {
-      const units = await get("/api/units", signal);
-      fill(serials, ...units.map(({ serial }) => h("option", { value: serial })));
-    } catch (problem) {
-      if (!signal.aborted) error.say(problem);
-    }
-  });
-  for (const input of [unit, rig, status]) input.addEventListener("input", refresh);
   more.addEventListener("click", () => load(cursor));
-  const filter = (id, label, input) => h("div", { class: "field" }, h("label", { for: id }, label), input);
   const element = h(
     "section",
     { class: "card", "aria-labelledby": "runs-title" },
     h("h2", { id: "runs-title" }, "Runs"),
-    h(
-      "div",
-      { class: "filters" },
-      filter("filter-unit", "Unit (whole serial number)", [unit, serials]),
-      filter("filter-rig", "Rig", rig),
-      filter("filter-status", "Status", status),
-    ),
+    filters.element,
     error.element,
     tableBox("Runs", h("table", { id: "runs-table" }, runHeadings(), body)),
-    empty,
+    told,
     more,
   );
   return { element, refresh };

@@ -9,13 +9,14 @@ import { runList } from "./runlist.js";
 import { stagePlace } from "./stageplace.js";
 
 const OPERATOR_KEY = "calrig.operator";
+const TOUCH = window.matchMedia("(pointer: coarse)"); // where a focus would open the keyboard over the page
 
 /** An address may fill the form in: `#/?unit=AS-1&rig=bench-1&mounts=0,120,240&axis=x`. */
 export async function startView({ root, query, signal }) {
   const rigs = await get("/api/rigs", signal);
-  const { form, place } = startForm(rigs, query, signal);
+  const { form, place, unit } = startForm(rigs, query, signal);
   const rigList = h("ul", { class: "rigs", "data-testid": "rigs" });
-  const runs = runList(rigs, signal);
+  const runs = runList(rigs, query, signal);
   showRigs(rigList, rigs);
   fill(
     root,
@@ -34,6 +35,7 @@ export async function startView({ root, query, signal }) {
     ),
     runs.element,
   );
+  if (!TOUCH.matches) unit.focus({ preventScroll: true }); // a reader of bar codes types where the focus is
   await Promise.all([runs.refresh(), rigs.length > 0 && place.look()]);
   keepFresh(rigList, runs, rigs, signal);
 }
@@ -99,7 +101,7 @@ function startForm(rigs, query, signal) {
     location.hash = runHref(run.id);
   };
   onSubmit(form, start, error, send);
-  return { form, place };
+  return { form, place, unit };
 }
 
 function showRigs(list, rigs) {

@@ -7,33 +7,47 @@ import { onRigs } from "./rigs.js";
 const BUTTONS = 3;
 const CALM_MS = 15_000;
 const CUT = "If the stage still moves, cut its motor power.";
+const CUT_EACH = "Where a stage still moves, cut its motor power.";
 
 let preferred = null;
 
-/** On a page about one rig, that is the one offered where there are too many for a button each. */
+/** On a page about one rig, that is the first of the buttons; null on every other page. */
 export function preferRig(name) {
+  if (name === preferred) return;
   preferred = name;
   window.dispatchEvent(new Event("calrig:prefer"));
 }
 
 /**
- * Fills `place` with a button for each rig, always in the same order: a button never becomes another rig's
- * under the pointer. Of many rigs one is chosen from a list. What came of it is said in `line`.
+ * Fills `place` with a button for each rig, and one for all: in the order configured, a page's own rig first. While
+ * a page is shown no button becomes another rig's under the pointer. Of many rigs one is chosen from a list. What
+ * came of it is said in `line`.
  */
 export function stopButtons(place, line) {
-  let names = null;
+  let known = [];
+  const draw = () => {
+    const first = known.filter(({ name }) => name === preferred);
+    const rigs = [...first, ...known.filter(({ name }) => name !== preferred)];
+    fill(
+      place,
+      rigs.length > BUTTONS ? chosenRig(rigs, line) : rigs.map(({ name }) => button(name, line)),
+      rigs.length > 1 && allButton(() => known, line),
+    );
+  };
+  window.addEventListener("calrig:prefer", () => known.length > 1 && draw());
   onRigs((rigs) => {
-    const now = rigs.map(({ name }) => name).join("\n");
-    if (now !== names) {
-      names = now;
-      fill(place, rigs.length > BUTTONS ? chosenRig(rigs, line) : rigs.map(({ name }) => button(name, line)));
-    }
+    const same = named(rigs) === named(known);
+    known = rigs;
+    if (!same) draw();
     for (const { name, state } of rigs) {
       const option = [...place.querySelectorAll("option")].find(({ value }) => value === name);
       if (option) option.textContent = state === "busy" ? `${name} (busy)` : name;
     }
   });
+  window.addEventListener("calrig:there", () => line.lost && back(line));
 }
+
+const named = (rigs) => rigs.map(({ name }) => name).join("\n");
 
 /** One for a rig in a list, which is heard as its own; what comes of it is said in the page's header. */
 export function stopButton(name) {
@@ -49,6 +63,12 @@ function button(name, line) {
   return element;
 }
 
+function allButton(rigs, line) {
+  const element = h("button", { type: "button", class: "stop", id: "stop-all" }, "Stop all");
+  element.addEventListener("click", () => stopAll(rigs(), line));
+  return element;
+}
+
 function chosenRig(rigs, line) {
   const choice = h(
     "select",
@@ -57,33 +77,70 @@ function chosenRig(rigs, line) {
   );
   const element = button(rigs[0].name, line);
   const choose = (name) => {
-    if (!rigs.some((rig) => rig.name === name)) return;
     choice.value = name;
     element.dataset.rig = name;
     element.querySelector("span").textContent = name;
   };
   choice.addEventListener("change", () => choose(choice.value));
-  window.addEventListener("calrig:prefer", () => choose(preferred));
-  choose(preferred ?? rigs.find(({ state }) => state === "busy")?.name);
+  choose(preferred === rigs[0].name ? preferred : (rigs.find(({ state }) => state === "busy") ?? rigs[0]).name);
   return [choice, element];
 }
 
 async function stop(name, line) {
-  clearTimeout(line.timer);
   say(line, `Stopping ${name}…`, "muted");
+  const { state, run_id: run, problem } = await told(name);
+  if (problem) {
+    // of a 409 the service has been at the stage, and says what to do
+    return saysNot(line, `${name} was not stopped: ${problem.message}`, problem.status === 409 ? "." : ` ${CUT}`, problem);
+  }
+  const ended = run ? ` Run ${runName(run)} ends; its poses are kept.` : "";
+  say(line, `${name}: the stage was told to stop.${ended}${state === "unreachable" ? ` ${CUT}` : ""}`, "told");
+  calmLater(line);
+}
+
+/** Each by itself and those first where a run goes on; none waits for one that does not answer. */
+async function stopAll(rigs, line) {
+  const names = rigs.toSorted((a, b) => (b.state === "busy") - (a.state === "busy")).map(({ name }) => name);
+  say(line, `Stopping all ${names.length} rigs…`, "muted");
+  const answers = await Promise.all(names.map(async (name) => ({ name, ...(await told(name)) })));
+  const not = answers.filter(({ problem, state }) => problem || state === "unreachable");
+  if (not.length) {
+    const lost = not.find(({ problem }) => problem?.status === 0)?.problem;
+    const why = lost ? lost.message : not.map(({ name, problem }) => `${name}: ${problem?.message ?? "unreachable"}`).join("; ");
+    const words = `Not known to stand: ${not.map(({ name }) => name).join(", ")}. ${why}. ${CUT_EACH}`;
+    return saysNot(line, words.replaceAll("..", "."), "", lost);
+  }
+  say(line, `All ${names.length} stages were told to stop: ${names.join(", ")}.`, "told");
+  calmLater(line);
+}
+
+/** What the service answers, or the `problem`. */
+async function told(name) {
   try {
-    const { state, run_id: run } = await post(`/api/rigs/${encodeURIComponent(name)}/stop`);
-    const ended = run ? ` Run ${runName(run)} ends; its poses are kept.` : "";
-    say(line, `${name}: the stage was told to stop.${ended}${state === "unreachable" ? ` ${CUT}` : ""}`, "told");
-    line.timer = setTimeout(() => (line.hidden = true), CALM_MS);
-  } catch (error) {
-    if (!(error instanceof ApiError)) throw error;
-    const known = error.status === 409; // the service has been at the stage, and says what to do
-    say(line, `${name} was not stopped: ${error.message}${known ? "." : ` ${CUT}`}`, "error");
+    return await post(`/api/rigs/${encodeURIComponent(name)}/stop`);
+  } catch (problem) {
+    if (!(problem instanceof ApiError)) throw problem;
+    return { problem };
   }
 }
 
+/** Red, for as long as it holds: where nobody answered that is until the service is back. */
+function saysNot(line, text, more, problem) {
+  say(line, text + more, "error");
+  line.lost = problem?.status === 0;
+}
+
+function back(line) {
+  say(line, "The service is back. What it was asked to stop meanwhile it was not told: press Stop again if it moves.", "told");
+}
+
+function calmLater(line) {
+  line.timer = setTimeout(() => (line.hidden = true), CALM_MS);
+}
+
 function say(line, text, kind) {
+  clearTimeout(line.timer);
+  line.lost = false;
   fill(line, text);
   line.className = kind;
   line.hidden = false;

@@ -1,14 +1,16 @@
 // All units, and one unit with its history.
 
-import { get, remove } from "./api.js";
+import { get, post, remove } from "./api.js";
 import { askConfirmation } from "./ask.js";
 import { Calibrations } from "./calibrations.js";
 import { Chart } from "./charts.js";
-import { fill, h, headings, solveHref, tableBox, unitLink } from "./dom.js";
+import { errorLine, fill, h, headings, runHref, solveHref, tableBox, unitLink } from "./dom.js";
 import { moment, plural } from "./format.js";
 import { unitHistory } from "./history.js";
 import { may } from "./me.js";
 import { runHeadings, runRow } from "./runlist.js";
+
+const NONE_COUNT = "No completed calibration that counts: nothing is drawn of other runs, or of voided ones.";
 
 export async function unitsView({ root, signal }) {
   const units = await get("/api/units", signal);
@@ -41,10 +43,10 @@ export async function unitsView({ root, signal }) {
 
 export async function unitView({ root, parts: [serial], signal }) {
   const path = `/api/units/${encodeURIComponent(serial)}`;
-  const unit = await get(path, signal);
+  const [unit, rigs] = await Promise.all([get(path, signal), get("/api/rigs", signal)]);
   const solvable = unit.runs.find((run) => run.result);
   const calibrations = new Calibrations(serial, signal);
-  const chart = new Chart("history", "Bias, scale and RMS error over time", { tall: true, signal });
+  const chart = new Chart("history", "Bias, scale and RMS error over time", { tall: true, signal, empty: NONE_COUNT });
   const body = h(
     "tbody",
     {},
@@ -55,6 +57,7 @@ export async function unitView({ root, parts: [serial], signal }) {
     h("h1", {}, "Unit ", h("span", { class: "serial" }, unit.serial)),
     h("p", { class: "muted" }, `${plural(unit.n_runs, "run")}, known since `, moment(unit.created_at)),
     unit.n_runs === 0 && may("releaser") && removal(serial, path, calibrations),
+    unit.revision_in_force !== null && rigs.length > 0 && may("operator") && verifying(unit, rigs),
     calibrations.elements,
     unitHistory(serial, signal),
     chart.element,
@@ -77,6 +80,34 @@ export async function unitView({ root, parts: [serial], signal }) {
     ),
   );
   await Promise.all([calibrations.read(), chart.load(`${path}/figures/history`)]);
+}
+
+/** Applies the revision in force to fresh poses of the default plan, on the rig that it was calibrated on if that is there. */
+function verifying({ serial, runs, active_run_id: active, revision_in_force: revision }, rigs) {
+  const last = runs.find(({ id }) => id === active)?.rig;
+  const options = rigs.map(({ name }) => h("option", { value: name, selected: name === last }, name));
+  const rig = h("select", { id: "verify-rig", "aria-label": "Rig to verify on" }, options);
+  const button = h("button", { type: "button", id: "verify" }, "Verify");
+  const error = errorLine("verify-error");
+  button.addEventListener("click", async () => {
+    button.disabled = true;
+    error.say(null);
+    try {
+      const run = await post("/api/runs", { unit: serial, rig: rig.value, plan: { kind: "verification" } });
+      location.hash = runHref(run.id);
+    } catch (problem) {
+      error.say(problem);
+    } finally {
+      button.disabled = false;
+    }
+  });
+  const says = `Starts a run that applies revision ${revision} to fresh poses and tells what is left.`;
+  return h(
+    "div",
+    {},
+    error.element,
+    h("div", { class: "buttons verify" }, button, rigs.length > 1 && rig, h("span", { class: "muted" }, says)),
+  );
 }
 
 /** Of a unit whose runs were moved to their right serial number. */

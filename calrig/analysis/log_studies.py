@@ -82,7 +82,22 @@ def _noise(
     from calrig.noise.report import noise_document, said_first
 
     found = analyse(channels, time_s, rate_hz)
-    return _answer(said_first(warnings, noise_document(found)), noise_figures(found))
+    document = said_first(warnings, noise_document(found))
+    return {**_answer(document, noise_figures(found)), "stated": _stated(document)}
+
+
+def _stated(document: Answer) -> Answer:
+    """Each channel's white and flicker noise as data sheets state them, with the unit."""
+    from calrig.noise.units import bias_instability, white_density
+
+    words = {"white": white_density, "flicker": bias_instability}
+    return {
+        name: {
+            kind: None if (one := channel["coefficients"][kind]) is None else say(name, one["value"])
+            for kind, say in words.items()
+        }
+        for name, channel in document["channels"].items()
+    }
 
 
 def _filters(

@@ -5,11 +5,14 @@
 from functools import partial
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, File, Form, UploadFile
+from fastapi import APIRouter, Depends, File, Form, Request, UploadFile
+from pydantic import ConfigDict
+from starlette.concurrency import run_in_threadpool
 
 from calrig.analysis.errors import Invalid
 from calrig.analysis.log_studies import Study, study_file, study_samples
 from calrig.analysis.noise_studies import NAMES, gyro_scale_of, lay_samples, require_static
+from calrig.api.callers import Caller, caller_of
 from calrig.api.context import ApiContext, Context, KnownRun
 from calrig.api.errors import problems
 from calrig.api.heavy import ACCEPTED, Heavy, HeavyWork, Wait
@@ -24,6 +27,15 @@ router = APIRouter(tags=["noise"])
 LogFile = Annotated[UploadFile, File(description="CONTRACT section 4's static log")]
 Rate = Annotated[float | None, Form(gt=0, le=1e6, description="Samples a second; wins over time_s.")]
 Range = Annotated[float | None, Form(gt=0, le=1e5, description="Full scale of raw counts.")]
+
+
+async def _keeper(request: Request) -> Caller | None:
+    caller = caller_of(request)
+    return caller if caller is not None and caller.may("operator") else None
+
+
+Keeper = Annotated[Caller | None, Depends(_keeper)]
+"""Who asks, if what they find is kept; None of whoever may only look."""
 
 
 class Dropped(Answer):
@@ -117,16 +129,30 @@ class CaptionedFigure(Answer):
     figure: FigureAnswer
 
 
-class NoiseAnswer(Answer):
-    """The report of a static log, and its pictures."""
+class StatedAnswer(Answer):
+    """A channel's noise as data sheets state it, with its unit: one-sided density, and bias instability."""
 
+    white: str | None
+    flicker: str | None
+
+
+class NoiseAnswer(Answer):
+    """The report of a static log, and its pictures; `id` of a study of a file, which is kept."""
+
+    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
+
+    id: str | None = None
     report: NoiseReport
+    stated: dict[str, StatedAnswer]
     figures: list[CaptionedFigure]
 
 
 class FiltersAnswer(Answer):
-    """What `calrig filters --json` prints, and its pictures."""
+    """What `calrig filters --json` prints, and its pictures; `id` of a study of a file, which is kept."""
 
+    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
+
+    id: str | None = None
     report: dict[str, Any]
     figures: list[CaptionedFigure]
 
@@ -163,14 +189,17 @@ async def run_filters(run: KnownRun, context: Context, heavy: Heavy, wait: Wait 
 )
 async def log_noise(
     heavy: Heavy,
+    context: Context,
+    keeper: Keeper,
     file: LogFile,
     rate_hz: Rate = None,
     accel_range_g: Range = None,
     gyro_range_dps: Range = None,
     wait: Wait = True,
 ) -> Any:
-    """The sensor was at rest. Nothing is stored."""
-    return await _of_file("noise", file, heavy, wait, rate_hz, accel_range_g, gyro_range_dps)
+    """The sensor was at rest. What an operator finds is kept (`GET /api/log-studies`), the log is not."""
+    given = (rate_hz, accel_range_g, gyro_range_dps)
+    return await _of_file("noise", file, heavy, context, keeper, wait, *given)
 
 
 @router.post(
@@ -182,14 +211,18 @@ async def log_noise(
 )
 async def log_filters(
     heavy: Heavy,
+    context: Context,
+    keeper: Keeper,
     file: LogFile,
     rate_hz: Rate = None,
     accel_range_g: Range = None,
     gyro_range_dps: Range = None,
     wait: Wait = True,
 ) -> Any:
-    """The sensor was at rest and was turned about its x axis. Nothing is stored."""
-    return await _of_file("filters", file, heavy, wait, rate_hz, accel_range_g, gyro_range_dps)
+    """The sensor was at rest and was turned about its x axis. What an operator finds is kept."""
+    return await _of_file(
+        "filters", file, heavy, context, keeper, wait, rate_hz, accel_range_g, gyro_range_dps
+    )
 
 
 async def _of_run(study: Study, run: Run, context: ApiContext, heavy: HeavyWork, wait: bool) -> Any:
@@ -207,6 +240,8 @@ async def _of_file(
     study: Study,
     file: UploadFile,
     heavy: HeavyWork,
+    context: ApiContext,
+    keeper: Caller | None,
     wait: bool,
     rate_hz: float | None,
     accel_range_g: float | None,
@@ -218,8 +253,12 @@ async def _of_file(
     async def work(job: Job) -> dict[str, Any]:
         async with on_disk(copied(file)) as path:
             try:
-                return await job.run(partial(study_file, study, path, **given))
+                found = await job.run(partial(study_file, study, path, **given))
             except ValueError as error:
                 raise Invalid(f"{name}: {error}") from error
+        if keeper is None:
+            return found
+        kept = await run_in_threadpool(context.store.keep_study, study, name, found, who=keeper.name)
+        return {"id": kept.id, **found}
 
     return await heavy.answer(work, wait=wait)

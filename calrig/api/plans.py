@@ -18,6 +18,7 @@ from calrig.runs.good_enough import goals_of
 from calrig.runs.plan_designs import Wanted, designed
 from calrig.runs.planned import estimate
 from calrig.runs.references import overdue_says
+from calrig.runs.wall_clock import wall_pace
 
 router = APIRouter(tags=["runs"])
 
@@ -39,6 +40,9 @@ class EstimateAnswer(Answer):
     n_poses: int
     elevations_deg: list[float]
     duration_s: float = Field(description="About, by the board's clock; without a wait for a temperature.")
+    wall_s: float | None = Field(
+        description="The same by the clock on the wall, as the rig's last runs took; null before any."
+    )
     warnings: list[str] = Field(description="What is known to fail before it has begun, in sentences.")
 
 
@@ -58,7 +62,9 @@ def estimate_plan(body: PlanOnRig, context: Context) -> EstimateAnswer:
     said = estimate(body.plan, rig, context.store)
     cannot = cannot_pass_on(rig, body.unit, body.plan, context.store, context.service.maps)
     warnings = [*overdue_says(rig), *cannot]
-    return EstimateAnswer(**asdict(said), warnings=warnings)
+    pace = wall_pace(rig, context.store)
+    wall_s = None if pace is None else pace * said.duration_s
+    return EstimateAnswer(**asdict(said), wall_s=wall_s, warnings=warnings)
 
 
 class WantedPlan(Body):

@@ -3,6 +3,7 @@
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
 import asyncio
+from datetime import UTC, datetime, timedelta
 from functools import partial
 from typing import Annotated
 
@@ -12,6 +13,7 @@ from pydantic import Field
 import calrig
 from calrig.analysis.check_unit import with_doubts
 from calrig.analysis.errors import Invalid
+from calrig.analysis.found_runs import Judged, found_runs
 from calrig.api.callers import Who, requires
 from calrig.api.context import Context, KnownRun
 from calrig.api.errands import answer_of
@@ -23,9 +25,16 @@ from calrig.instruments.scan import Kind
 from calrig.instruments.scan_stanza import stanza
 from calrig.run_ids import FEWEST
 from calrig.store import Run
+from calrig.store.run_search import RunKind, Sought
 
 router = APIRouter(tags=["runs"])
 Begins = Annotated[str | None, Query(min_length=FEWEST, description="First characters of the run's UUID.")]
+Text = Annotated[
+    str | None, Query(max_length=200, description="Part of the serial number or the note, in any case.")
+]
+_DATES = "A time, or a day of UTC (ISO 8601); compared with `created_at`."
+Since = Annotated[str | None, Query(alias="from", description=f"The first. {_DATES}")]
+Until = Annotated[str | None, Query(alias="to", description=f"A time is excluded, a day included. {_DATES}")]
 
 
 class FoundAnswer(Answer):
@@ -124,17 +133,49 @@ def list_runs(
     rig: str | None = None,
     status: Status | None = None,
     begins: Begins = None,
+    q: Text = None,
+    since: Since = None,
+    until: Until = None,
+    kind: RunKind | None = None,
+    verdict: Judged | None = None,
+    follows: str | None = None,
     limit: Annotated[int, Query(ge=1, le=500)] = 50,
     cursor: str | None = None,
 ) -> object:
-    """A page of runs; `next_cursor` of the answer is `cursor` of the next question."""
+    """A page of runs; `next_cursor` of the answer is `cursor` of the next question.
+
+    A verdict is judged anew for each run that may have it: a page of them may hold fewer than `limit`, even
+    none, and there are more as long as there is a `next_cursor`.
+    """
+    sought = Sought(
+        unit=unit,
+        rig=rig,
+        status=status,
+        begins=begins,
+        text=q or None,
+        since=_moment(since, "from"),
+        before=_moment(until, "to"),
+        kind=kind,
+        follows=follows,
+    )
     try:
-        items, next_cursor = context.store.runs(
-            unit=unit, rig=rig, status=status, begins=begins, limit=limit, cursor=cursor
-        )
+        items, next_cursor = found_runs(context.store, sought, verdict, limit, cursor)
     except ValueError as error:
         raise Invalid(str(error)) from error
     return {"items": with_doubts(context.store, items), "next_cursor": next_cursor}
+
+
+def _moment(said: str | None, name: str) -> datetime | None:
+    """A time without a zone is UTC's; a day is all of it: from its beginning, or to its end."""
+    if said is None:
+        return None
+    try:
+        at = datetime.fromisoformat(said)
+        if len(said) == len("2026-11-22") and name == "to":
+            at += timedelta(days=1)
+        return at.astimezone(UTC) if at.tzinfo else at.replace(tzinfo=UTC)
+    except (ValueError, OverflowError) as error:
+        raise Invalid(f"{name}: {said[:40]!r} is neither a day nor a time (ISO 8601)", [name]) from error
 
 
 @router.get("/api/runs/{run_id}", response_model=RunAnswer, responses=problems(404), summary="One run")

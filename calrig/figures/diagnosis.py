@@ -17,6 +17,8 @@ ROOM = 1.2
 """Beside the longest bar, for its figure."""
 ROUGH = 1.0
 """Mean squared step between neighbours over the variance: about this where a cycle has six points."""
+MOST_TURNS = 2
+"""From up to down or back, of what follows temperature alone."""
 
 
 def before_and_after(diagnosis: Mapping[str, Any]) -> Figure:
@@ -117,7 +119,7 @@ def _fitted(found: PartialResidual, at: FloatArray) -> dict[str, Any]:
     trace = {"type": "scatter", "name": "fitted effect", "hoverinfo": "skip"}
     if found.covariate == "approach":
         return {**trace, "mode": "lines", "line": {"color": PALETTE[1], "width": 3}, **_levels(found, at)}
-    if _is_rough(y):
+    if _is_rough(y) or (found.covariate == "temperature_c" and _turns_often(y)):
         marker = {
             "color": PALETTE[1],
             "symbol": "x-thin",
@@ -146,6 +148,12 @@ def _levels(found: PartialResidual, at: FloatArray) -> dict[str, list[float | No
         x += [*at[ends].tolist(), None]
         y += [*found.effect_deg[ends].tolist(), None]
     return {"x": x[:-1], "y": y[:-1]}
+
+
+def _turns_often(y: FloatArray) -> bool:
+    """Whether it goes up and down: at one temperature it differs with elevation, or on the way back."""
+    steps = np.sign(np.diff(y))
+    return int(np.count_nonzero(np.diff(steps[steps != 0]))) > MOST_TURNS
 
 
 def _is_rough(y: FloatArray) -> bool:

@@ -7,8 +7,7 @@ from contextlib import ExitStack
 from datetime import UTC, datetime
 from typing import Unpack, get_args
 
-from sqlalchemy import ColumnElement
-from sqlmodel import Session, and_, col, func, select, tuple_
+from sqlmodel import Session, col, func, select, tuple_
 
 from calrig.calibration.pose import Pose
 from calrig.run_ids import is_uuid, new_run_id
@@ -18,6 +17,7 @@ from calrig.store.database import Part
 from calrig.store.errors import Refused
 from calrig.store.event_log import Announced
 from calrig.store.records import TERMINAL, UNFINISHED, Document, Run, RunChanges, Status
+from calrig.store.run_search import Sought, beginning
 from calrig.store.tables import CalibrationTable, RunTable, UnitTable
 from calrig.store.trail import Act, What
 
@@ -100,9 +100,14 @@ class Runs(Part):
         unit: str | None = None,
         rig: str | None = None,
         status: str | None = None,
-        begins: str | None = None,
         limit: int = 50,
         cursor: str | None = None,
+    ) -> tuple[list[Run], str | None]:
+        """As `sought_runs`, by what most programs ask for."""
+        return self.sought_runs(Sought(unit, rig, status), limit=limit, cursor=cursor)
+
+    def sought_runs(
+        self, sought: Sought, *, limit: int = 50, cursor: str | None = None
     ) -> tuple[list[Run], str | None]:
         """A page of runs, the newest first, and the cursor of the next page (None after the last).
 
@@ -115,19 +120,17 @@ class Runs(Part):
         if limit < 1:
             raise ValueError(f"limit is {limit}; a page holds at least 1 run")
         made, number = col(RunTable.created_at), col(RunTable.id)
-        wanted = select(RunTable).order_by(made.desc(), number.desc()).limit(limit + 1)
-        for column, value in ((RunTable.unit, unit), (RunTable.rig, rig), (RunTable.status, status)):
-            if value is not None:
-                wanted = wanted.where(column == value)
-        if begins is not None:
-            wanted = wanted.where(_begins(begins))
+        newest_first = made.desc(), number.desc()
+        page = select(RunTable.id).where(*sought.conditions()).order_by(*newest_first).limit(limit + 1)
         with self._database.reading() as session:
             if cursor is not None:
                 last = find_run(session, cursor)
                 if last is None:
                     raise ValueError(f"cursor {cursor!r} is not one that this list gave")
-                wanted = wanted.where(tuple_(made, number) < (last.created_at, last.id))
-            found = [run_of(row) for row in session.exec(wanted)]
+                page = page.where(tuple_(made, number) < (last.created_at, last.id))
+            # first which, from an index alone, then those rows: they are long, and lie apart
+            rows = select(RunTable).where(number.in_(page.scalar_subquery())).order_by(*newest_first)
+            found = [run_of(row) for row in session.exec(rows)]
         return found[:limit], found[limit - 1].id if len(found) > limit else None
 
     def update_run(
@@ -165,7 +168,7 @@ class Runs(Part):
     def uuids_beginning(self, prefix: str, limit: int) -> list[str]:
         """Ids that begin so, numbers not counted, in their own order and no more of them than `limit`."""
         uid = col(RunTable.uid)
-        begin = select(uid).where(_begins(prefix))
+        begin = select(uid).where(beginning(prefix))
         with self._database.reading() as session:
             return list(session.exec(begin.order_by(uid).limit(limit)))
 
@@ -174,12 +177,6 @@ class Runs(Part):
         wanted = select(RunTable.status, func.count()).group_by(col(RunTable.status))
         with self._database.reading() as session:
             return {**dict.fromkeys(get_args(Status), 0), **dict(session.exec(wanted).all())}
-
-
-def _begins(prefix: str) -> ColumnElement[bool]:
-    """Of the UUIDs among the ids."""
-    uid = col(RunTable.uid)
-    return and_(uid.startswith(prefix, autoescape=True), uid.contains("-"))
 
 
 def new_row(

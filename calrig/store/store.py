@@ -20,6 +20,7 @@ from calrig.store.fleet_findings import FleetFindings
 from calrig.store.issued import Issued
 from calrig.store.items import Items
 from calrig.store.limits import Limits
+from calrig.store.log_studies import LogStudies
 from calrig.store.places import Places
 from calrig.store.poses import Poses
 from calrig.store.records import Size
@@ -58,6 +59,7 @@ class Store(
     FleetFindings,
     Solutions,
     StageMaps,
+    LogStudies,
 ):
     """An open store, shared by threads. Each method is one transaction, on the disk when it returns.
 

@@ -59,6 +59,24 @@ class RunTable(SQLModel, table=True):
         Index("ix_run_unit_created_at_id", "unit", "created_at", "id"),
         Index("ix_run_rig_created_at_id", "rig", "created_at", "id"),
         Index("ix_run_status_created_at_id", "status", "created_at", "id"),
+        Index("ix_run_kind_created_at_id", "kind", "created_at", "id"),
+        Index(
+            "ix_run_follows",
+            "follows",
+            sqlite_where=text("follows IS NOT NULL"),
+            postgresql_where=text("follows IS NOT NULL"),
+        ),
+        Index(
+            "ix_run_imported",
+            "created_at",
+            "id",
+            sqlite_where=text("plan IS NULL"),
+            postgresql_where=text("plan IS NULL"),
+        ),
+        # all that a text is looked for in; a note may be longer than PostgreSQL has in an index
+        Index("ix_run_search", "created_at", "id", "unit", "rig", "status", "kind", "note").ddl_if(
+            dialect="sqlite"
+        ),
     )
 
     id: int = Field(default=None, primary_key=True)
@@ -349,3 +367,17 @@ class StageMapTable(SQLModel, table=True):
     put_at: datetime = Field(sa_type=UtcText)
     put_by: str | None = None
     withdrawn_at: datetime | None = Field(default=None, sa_type=UtcText)
+
+
+class LogStudyTable(SQLModel, table=True):
+    """What was found in a log that somebody brought: the report and its pictures, not the log."""
+
+    __tablename__ = "log_study"
+    __table_args__ = (Index("ix_log_study_created_at_id", "created_at", "id"),)
+
+    id: str = Field(primary_key=True)
+    created_at: datetime = Field(sa_type=UtcText)
+    studied_by: str | None = None
+    kind: str
+    file_name: str
+    document: dict[str, Any] = Field(sa_type=CheckedJson)

@@ -34,6 +34,9 @@ def test_every_answer_is_what_the_document_says(shared_client, monkeypatch):
     shared_client.put("/api/rigs/bench-1/check-unit", json={"unit": "A/1", "interval_days": 7})
     mounts = [clamped(shared_client, "A/1", angle)["id"] for angle in (0, 120, 240)]
     solution = shared_client.post("/api/solve", json={"runs": mounts}).json()
+    rows = "\n".join(f"{k / 100},{0.01 * (k % 7 - 3)},{1 + 0.01 * (k % 5 - 2)}" for k in range(500))
+    log = {"file": ("log.csv", f"time_s,accel_y_g,accel_z_g\n{rows}\n")}
+    study = shared_client.post("/api/noise", files=log).raise_for_status().json()
     monkeypatch.setattr(heavy, "AT_ONCE_S", 0.0)  # for a job
     file = {"file": ("poses.csv", CSV)}
     job = shared_client.post("/api/imports?wait=false", files=file, data={"unit": "B"}).json()
@@ -53,6 +56,7 @@ def test_every_answer_is_what_the_document_says(shared_client, monkeypatch):
         told_by = static_id if path.endswith("/noise") else run_id
         url = path.replace("{run_id}", told_by).replace("{serial:path}", "A/1")
         url = url.replace("{job_id}", job["id"]).replace("{solution_id}", solution["id"])
+        url = url.replace("{study_id}", study["id"])
         answer = shared_client.get(url.replace("{name}", names.get(path, "")))
         assert answer.status_code == 200, url
         TypeAdapter(model).validate_json(answer.content, strict=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from datetime import datetime
+
 import httpx
 import pytest
 from support import LONG, QUICK, declared, ended, imported, running_service, serving, wait_for
@@ -234,3 +236,26 @@ def test_a_port_that_is_not_there_becomes_a_failed_run_with_a_reason(store_path)
         assert (run["status"], run["progress"]["poses_done"]) == ("failed", 0)
         assert "/dev/ttyABSENT0" in run["error"]
         assert client.get("/api/rigs").json()[0]["run_id"] is None
+
+
+def test_runs_are_found_over_http(shared_client):
+    run = imported(shared_client, "Seek-1")
+    asked = {"q": "sEEK", "kind": "import", "from": run["created_at"], "to": run["created_at"][:10]}
+    found = shared_client.get("/api/runs", params=asked).json()["items"]
+    assert [one["id"] for one in found] == [run["id"]]
+    left = run["verdict"]["left"] or "no_limits"
+    assert shared_client.get("/api/runs", params={**asked, "verdict": left}).json()["items"] == found
+    none = shared_client.get("/api/runs", params={"q": "seek", "verdict": "fail"}).json()
+    assert none == {"items": [], "next_cursor": None}
+    before = {"q": "seek", "to": run["created_at"]}
+    assert shared_client.get("/api/runs", params=before).json()["items"] == []
+    refused = shared_client.get("/api/runs", params={"from": "yesterday"})
+    assert (refused.status_code, "from: 'yesterday'" in refused.json()["detail"]) == (422, True)
+
+
+def test_an_estimate_says_the_walls_time_once_the_rig_has_told_how_fast_its_clocks_run(shared_client):
+    run = ended(shared_client, start(shared_client)["id"])
+    said = shared_client.post("/api/plans/estimate", json={"plan": QUICK}).json()
+    began, finished = (datetime.fromisoformat(run[key]) for key in ("started_at", "finished_at"))
+    assert 0.0 < said["wall_s"] < said["duration_s"] / 5  # the simulated rig's clocks run fast
+    assert said["wall_s"] == pytest.approx((finished - began).total_seconds(), rel=1.0)

@@ -44,6 +44,7 @@ NEEDED = {
     "/api/imports": "operator",
     "/api/solve": "operator",
     "/api/limits": "admin",
+    "/api/log-studies/{study_id}": "operator",
     "/api/jobs/{job_id}": "operator",
     "/api/users": "admin",
     "/api/users/{name}/token": "admin",

@@ -211,6 +211,10 @@ def test_the_fitted_effect_is_drawn_through_the_poses_in_the_order_of_its_covari
 def test_an_effect_that_depends_on_more_than_its_covariate_is_drawn_as_points():
     zigzag = effect(at=np.arange(20.0), effect_deg=np.tile([0.1, -0.1], 10))
     assert figures.partial_residual(zigzag)["data"][1]["mode"] == "markers"
+    # smooth from pose to pose, and yet no function of temperature alone
+    warming = np.linspace(20.0, 30.0, 52)
+    with_elevation = effect(at=warming, effect_deg=np.sin(warming * 3.0))
+    assert figures.partial_residual(with_elevation)["data"][1]["mode"] == "markers"
 
 
 def test_backlash_is_a_level_for_each_approach_with_gaps_between_them():

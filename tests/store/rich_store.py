@@ -55,6 +55,7 @@ def fill(path: Path) -> str:
         store.say_item("A-3", Item(customer="山田 & Søn", condition="neu", supplied=("customer",)), who="ada")
         solution = store.keep_solution(SOLVED, by="ada")
         store.put_stage_map("r", solution.id, SOLVED.stage_map, who="ada")
+        store.keep_study("noise", "Prüfling 7.csv", {"report": {}, "figures": [1e-300]}, who="ada")
         store.add_user("proxied", "viewer", with_token=False)
         _, token = store.add_user("ada", "admin")
     assert token is not None

@@ -234,7 +234,9 @@ def test_what_is_ambiguous_leads_to_the_run_that_separates_it(page, client, go, 
 
     page.click("#follow-up")
     page.wait_for_url(lambda url: not url.endswith(f"/runs/{run['id']}"))
-    expect(page.locator("#follows")).to_have_text(f"follow-up of run {short_name(run['id'])}")
+    expect(page.locator("#follows")).to_have_text(
+        f"follow-up of run {short_name(run['id'])}: {' or '.join(planned['separates'])}?"
+    )
     expect(page.locator("#status")).to_have_text("completed")
     expect(page.locator("[data-effect=backlash]")).to_contain_text("named")
     page.locator("#together summary").click()
@@ -249,6 +251,13 @@ def test_what_is_ambiguous_leads_to_the_run_that_separates_it(page, client, go, 
     for when in ("before", "after"):
         assert figures[f"Confirmation, {when}"] == f"{confirmed[f'{when}_rms_deg']:#.3g}°"
     is_drawn(page, "effect-0")
+
+    page.locator("#follows a").click()
+    answered = page.locator("#followed-by")
+    expect(answered).to_contain_text(
+        f"Run {short_name(second['id'])}: both runs together say: backlash (named)"
+    )
+    expect(page.locator("#follow-up")).to_have_count(0)
 
 
 def test_without_a_rig_the_reason_why_nothing_can_be_separated_is_shown(page, client, go, expect, forgiven):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from .page_help import row_of
+
 pytestmark = pytest.mark.browser
 
 
@@ -34,6 +36,16 @@ def test_a_file_of_ones_own_is_analysed_and_a_bad_one_refused_in_place(page, go,
     page.set_input_files("#log", log)
     page.click("#analyse")
     expect(page.locator("#noise tbody tr")).to_have_count(3)  # y, z, and the elevation
+    white = row_of(page, "#noise", "accel_y_g")["White noise, density"]
+    assert white.endswith("µg/√Hz")
+    expect(page.locator("#summary")).to_contain_text(white)  # one number, one unit
+    page.get_by_role("link", name="mine.csv").click()
+    expect(page.locator("h1")).to_have_text("Noise of mine.csv")
+    expect(page.locator("#noise")).to_contain_text(white)
+    page.click("#remove-study")
+    page.get_by_test_id("confirm").click()
+    expect(page.locator("#studies")).to_contain_text("None yet")
+    page.set_input_files("#log", log)
 
     page.select_option("#what", "filters")
     page.click("#analyse")

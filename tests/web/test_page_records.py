@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from datetime import date
 
 import pytest
 from support import DATA
@@ -139,16 +140,34 @@ def test_a_serial_number_is_text_wherever_it_is_shown_and_leads_to_its_unit(page
     assert page.locator("main img").count() == 0
 
 
-def test_runs_are_found_by_unit_rig_and_status(page, client, go, expect):
-    imported(client, "FOUND")
-    imported(client, "ANOTHER")
-    imported(client, "FOUND", rig="bench-1")
-    go("#/")
+def test_runs_are_found_by_a_part_of_their_serial_or_note_and_the_way_back_keeps_what_was_sought(
+    page, client, go, expect
+):
+    first, _ = imported(client, "FOUND-1"), imported(client, "ANOTHER")
+    imported(client, "FOUND-2", rig="bench-1")
+    client.post(f"/api/runs/{first['id']}/note", json={"note": "Gehäuse offen"}).raise_for_status()
+    go("#/?unit=AS-7")
+    expect(page.locator("#unit")).to_be_focused()
     rows = page.locator("#runs-table tbody tr")
     expect(rows.filter(has_text="ANOTHER")).to_have_count(1)
-    page.fill("#filter-unit", "FOUND")
+    page.fill("#filter-text", "found-")
     expect(rows).to_have_count(2)
+    expect(rows.first).to_contain_text("import")
     page.select_option("#filter-rig", "bench-1")
     expect(rows).to_have_count(1)
-    page.select_option("#filter-status", "failed")
+    page.select_option("#filter-verdict", "pass")
+    expect(page.get_by_text("No run matches.")).to_be_visible()
+    page.select_option("#filter-verdict", "")
+    page.select_option("#filter-rig", "")
+    page.fill("#filter-text", "GEHÄUSE")
+    page.fill("#filter-from", date.today().isoformat())
+    expect(rows).to_have_count(1)
+    rows.get_by_role("link").first.click()
+    expect(page.locator("h1")).to_contain_text("FOUND-1")
+    page.go_back()
+    expect(rows).to_have_count(1)
+    expect(page.locator("#filter-text")).to_have_value("GEHÄUSE")
+    expect(page.locator("#unit")).to_have_value("AS-7")
+    page.fill("#filter-from", "")
+    page.fill("#filter-to", "2020-01-01")
     expect(page.get_by_text("No run matches.")).to_be_visible()

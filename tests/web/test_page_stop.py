@@ -125,19 +125,43 @@ def test_a_stage_that_cannot_be_told_is_said_to_be_so_with_what_to_do(
         fresh_page.goto("about:blank")
 
 
-def test_of_many_rigs_one_is_chosen_and_a_runs_own_is_chosen_on_its_page(fresh_page, rig, store_path, expect):
+def test_of_many_rigs_one_is_chosen_a_pages_own_is_first_and_all_are_stopped_with_one_click(
+    fresh_page, rig, store_path, expect, forgiven
+):
+    forgiven.append("status of 409")
     rigs = [*(absent(f"bench-{k}") for k in (7, 8, 9)), rig]
     with running_service(store_path, *rigs) as service, serving(service) as client:
         run = client.post("/api/runs", json={"unit": "A", "rig": rig.name, "plan": LONG}).json()
+        fresh_page.set_viewport_size(PHONE)
         fresh_page.goto(str(client.base_url.join(f"/#/runs/{run['id']}")))
-        button = fresh_page.locator("button.stop")
+        button = fresh_page.locator("button.stop[data-rig]")
         expect(button).to_have_text("Stop bench-1")
+        names = fresh_page.locator("#stop-rig option").evaluate_all("all => all.map(one => one.value)")
+        assert names == ["bench-1", "bench-7", "bench-8", "bench-9"]
+        assert fresh_page.locator("#stop-all").evaluate(ON_TOP)
         fresh_page.select_option("#stop-rig", "bench-8")
         expect(button).to_have_text("Stop bench-8")
-        fresh_page.select_option("#stop-rig", "bench-1")
-        button.click()
+        fresh_page.click("#stop-all")
         expect(fresh_page.locator("#status")).to_have_text("aborted")
+        line = fresh_page.locator("#stop-line")
+        expect(line).to_contain_text("Not known to stand: bench-7, bench-8, bench-9.")
+        expect(line).to_contain_text("cut its motor power")
         fresh_page.goto("about:blank")
+
+
+def test_what_nobody_answered_stands_in_red_until_the_service_is_back(page, go, expect, forgiven):
+    forgiven.append("ERR_FAILED")
+    go("#/units")
+    page.route("**/stop", lambda route: route.abort())
+    page.route("**/api/health", lambda route: route.abort())
+    page.click("button.stop")
+    line = page.locator("#stop-line")
+    expect(line).to_contain_text("cut its motor power")
+    expect(page.locator("#banner")).to_be_visible()
+    page.unroute_all()
+    expect(page.locator("#banner")).to_be_hidden()
+    expect(line).to_contain_text("press Stop again")
+    expect(line).not_to_contain_text("motor power")
 
 
 def absent(name):

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 from urllib.parse import unquote
 
 from sqlalchemy import Connection, QueuePool, create_engine, event, make_url
@@ -166,6 +166,7 @@ class SqliteDatabase(Database):
 
     def _connect(self) -> sqlite3.Connection:
         connection = connect(self._uri, self._timeout_s, isolation_level=None, check_same_thread=False)
+        connection.create_function("lower", 1, _lower, deterministic=True)
         connection.execute("PRAGMA foreign_keys = ON")
         connection.execute("PRAGMA synchronous = FULL")
         if self._lock:
@@ -272,3 +273,8 @@ class SqliteDatabase(Database):
         if self._lock:
             self._lock.close()
             self._lock = None
+
+
+def _lower(value: Any) -> Any:
+    """SQLite's own knows the letters of ASCII alone."""
+    return value.lower() if isinstance(value, str) else value
