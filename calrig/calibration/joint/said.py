@@ -205,8 +205,8 @@ def _of_dial(solution: Solution, on_stage: Mapped) -> list[str]:
     n_angles = len(np.unique(np.round(dial / NEAR_DEG)))
     if n_angles <= 2 * len(on_stage.harmonics) + 1:
         said.append(
-            f"the poses stand at {n_angles} angles of the dial, as few as the map has terms: what the stage has "
-            "beyond these orders is in no standard error of the map; take poses at more angles"
+            f"the poses stand at {n_angles} angles of the dial, as few as the map has terms: what the stage "
+            "has beyond these orders is in no standard error of the map; take poses at more angles"
         )
     if solution.choice.untold:
         orders = ", ".join(f"{order:g}" for order in solution.choice.untold)
