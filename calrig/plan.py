@@ -13,6 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 MAX_POSES = 10_000
 """More than a day of dwells: beyond it a plan is a slip of the keyboard."""
 
+FEWEST_UNTIL = 8
+"""Poses that a run takes in any case."""
 MOST_MOUNTS = 36
 """As often does nobody turn a unit by hand in one run."""
 SAME_MOUNT_DEG = 1e-6
@@ -39,6 +41,22 @@ class PlannedPose:
     mount_deg: float = 0.0
 
 
+class Until(BaseModel):
+    """What a run is to reach and ends at (CONTRACT section 9); null where it does not matter."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    bias_std_deg: float | None = Field(default=None, gt=0, le=90)
+    scale_std: float | None = Field(default=None, gt=0, le=10)
+    expanded_uncertainty_deg: float | None = Field(default=None, gt=0, le=90)
+
+    @model_validator(mode="after")
+    def _names_something(self) -> Self:
+        if (self.bias_std_deg, self.scale_std, self.expanded_uncertainty_deg) == (None, None, None):
+            raise ValueError("until names what is to be reached: at least one of its three")
+        return self
+
+
 class Plan(BaseModel):
     """A run's plan (CONTRACT section 2). Angles in degrees, times in seconds of the board's clock."""
 
@@ -61,6 +79,7 @@ class Plan(BaseModel):
     wait_temperature_c: float | None = Field(default=None, ge=-40, le=125)
     mounts_deg: list[ElevationDeg] = Field(default=[0.0], min_length=1, max_length=MOST_MOUNTS)
     mount_axis: MountAxis = "x"
+    until: Until | None = None
     revision: int | None = Field(default=None, ge=1, le=2**31 - 1)
     seed: int = Field(default=0, ge=0, le=2**63 - 1)
 
@@ -87,12 +106,20 @@ class Plan(BaseModel):
             raise ValueError("a static plan stands still: it has one mount")
         if self.kind == "verification" and self.mount_axis != "x":
             raise ValueError("a verification is of elevations about x: its mount_axis is x")
+        if self.until is not None:
+            self._can_end_early(count)
         if self.dwell_s * self.rate_hz < 2:
             raise ValueError(
                 f"a dwell of {self.dwell_s:g} s at {self.rate_hz} Hz holds fewer than two samples: "
                 "dwell longer or sample faster"
             )
         return self
+
+    def _can_end_early(self, count: int) -> None:
+        if self.kind != "calibration" or len(self.mounts_deg) > 1 or self.mount_axis != "x":
+            raise ValueError("until is for calibrations of one mount about x")
+        if count < FEWEST_UNTIL or len(set(self.elevations())) == 1:
+            raise ValueError(f"until is for plans of {FEWEST_UNTIL} poses and more, at several elevations")
 
     @property
     def asks_for_mounts(self) -> bool:

@@ -21,6 +21,7 @@ const ADVANCED = [
   field("jitter_deg", "Jitter of each elevation, ±", "°", 0),
   field("rate_hz", "Sample rate", "Hz", 200, { whole: true }),
   field("target_std_deg", "Dwell until standard error", "°", null, { hint: "fixed dwell" }),
+  field("expanded_uncertainty_deg", "End once the expanded uncertainty is", "°", null, { hint: "whole plan" }),
   field("velocity_dps", "Stage velocity", "°/s", null, { hint: "stage default" }),
   field("wait_s", "Wait before each sweep", "s", 0),
   field("wait_temperature_c", "Wait for temperature", "°C", null, { hint: "do not wait" }),
@@ -97,10 +98,12 @@ export function planForm(of, signal) {
   );
 
   function value() {
-    const plan = { order: order.value, ...mounts.value() };
+    let plan = { order: order.value, ...mounts.value() };
     for (const spec of [...(asList.input.checked ? [] : RANGE), ...USUAL, ...ADVANCED]) {
       plan[spec.name] = number(inputs.get(spec.name));
     }
+    const { expanded_uncertainty_deg: wanted, ...rest } = plan;
+    plan = { ...rest, until: wanted === null ? null : { expanded_uncertainty_deg: wanted } };
     if (asList.input.checked) plan.elevations_deg = numbers(list.value);
     return plan;
   }
@@ -161,7 +164,28 @@ export function planForm(of, signal) {
     refresh();
   }
 
-  return { element, value, estimate, prefill };
+  /** The form says a plan of elevations, as the service has designed it. */
+  function take(plan) {
+    const said = { ...plan, expanded_uncertainty_deg: plan.until?.expanded_uncertainty_deg ?? null };
+    for (const [name, input] of inputs) if (name in said) input.value = said[name] ?? "";
+    order.value = plan.order;
+    asList.input.checked = true;
+    list.value = plan.elevations_deg.join(", ").replaceAll("-", "−");
+    refresh();
+  }
+
+  return { element, designer: designer(() => ({ ...of(), plan: value() }), take, signal), value, estimate, prefill };
+}
+
+/** "How good must it be?", folded: what it takes is asked for when somebody opens it. */
+function designer(of, take, signal) {
+  const element = h("details", { id: "designer" }, h("summary", {}, "How good must it be?"));
+  const open = async () => {
+    const { planDesigner } = await import("./plandesign.js");
+    element.append(planDesigner(of, take, signal));
+  };
+  element.addEventListener("toggle", open, { once: true });
+  return element;
 }
 
 function labelled({ name, label, unit, value, whole, hint }, inputs) {
@@ -188,7 +212,7 @@ function number(input) {
 
 /** How much a plan is, in words, as the service has computed it. */
 function estimateText(plan, { n_poses: poses, duration_s: seconds }) {
-  const upTo = plan.target_std_deg ? "at most about" : "about";
+  const upTo = plan.target_std_deg || plan.until ? "at most about" : "about";
   const turns = plan.mounts_deg.length - 1;
   const more = [
     plan.wait_temperature_c === null ? "" : ", and the wait for temperature",

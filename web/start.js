@@ -80,6 +80,7 @@ function startForm(rigs, query, signal) {
       field("operator", "Operator (optional)", operator),
       field("note", "Note (optional)", note),
     ),
+    plan.designer,
     plan.element,
     place.element,
     error.element,

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from calrig.analysis.basis import basis_of, changed_since, chosen_effects, why_none, why_not_now
 from calrig.analysis.errors import Conflict
 from calrig.analysis.imported import Imported
-from calrig.analysis.results import fitted, gyro_of, reference_over
+from calrig.analysis.results import ending_of, fitted, gyro_of, reference_over
 from calrig.analysis.stored_runs import checked_reason, stored_run
 from calrig.calibration.conformity import limit_for
 from calrig.calibration.pose import Pose
@@ -196,7 +196,7 @@ class Issuer:
         stored = self._store.poses(run.id)
         poses = [one.pose for one in stored if one.excluded is None]
         excluded = [one.index for one in stored if one.excluded is not None]
-        result = fitted(poses, accepted, run.provenance, gyro_of(run))
+        result = fitted(poses, accepted, run.provenance, gyro_of(run), ending_of(run))
         return Fitted(poses, result, accepted, excluded, chosen)
 
     def _draft(

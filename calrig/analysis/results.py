@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calrig.calibration.correction import numbers_of
+from calrig.calibration.early_end import AS_PLANNED, Ending
 from calrig.calibration.pose import Pose, of_first_mount
 from calrig.calibration.result import AppliedEffect, GyroFigures, Result, build_result, residuals
 from calrig.calibration.stage_reference import beyond_in_words, dial_of, map_reference
@@ -25,6 +26,7 @@ def fitted(
     accepted: Sequence[AcceptedEffect],
     provenance: Document,
     gyro: GyroFigures | None = None,
+    ending: Ending = AS_PLANNED,
 ) -> Result:
     """The result of poses of a unit on a rig.
 
@@ -33,10 +35,11 @@ def fitted(
         accepted: effects in force for the unit and the rig.
         provenance: of the run; says what the stage was worth when it was made.
         gyro: what the run's samples say of the gyro.
+        ending: how it came to its end.
     """
     effects = as_applied(accepted if not rest_on_map(poses) else [e for e in accepted if e.unit is not None])
     reference = reference_over(poses, provenance, bent=bool(effects))
-    return build_result(poses, gyro, effects, reference, unused_map_says(poses, provenance))
+    return build_result(poses, gyro, effects, reference, unused_map_says(poses, provenance), ending)
 
 
 def rest_on_map(poses: Sequence[Pose]) -> bool:
@@ -82,7 +85,7 @@ def refitted(store: Store, run: Run, poses: Sequence[Pose]) -> Document:
     What it says of the gyro stays: that is from samples, which may have been pruned.
     """
     accepted = store.effects_in_force(run.unit, run.rig)
-    return fitted(poses, accepted, run.provenance, gyro_of(run)).to_dict()
+    return fitted(poses, accepted, run.provenance, gyro_of(run), ending_of(run)).to_dict()
 
 
 def gyro_of(run: Run) -> GyroFigures | None:
@@ -95,6 +98,14 @@ def gyro_of(run: Run) -> GyroFigures | None:
         bias_std_dps=tuple(known["bias_std_dps"]),
         scale=known["scale"],
         scale_std=known["scale_std"],
+    )
+
+
+def ending_of(run: Run) -> Ending:
+    """How a stored run came to its end; as planned before it has a result."""
+    return Ending(
+        may_be_early=(run.plan or {}).get("until") is not None,
+        stopped_by=(run.result or {}).get("stopped_by", "plan"),
     )
 
 

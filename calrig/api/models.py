@@ -72,6 +72,7 @@ class JobAnswer(Answer):
     fraction: float | None = Field(description="Share that is done; null where the work cannot say.")
     result: str | None = Field(description="Path of what came of it, once it is done.")
     error: str | None
+    error_status: int | None = Field(description="Status with which its call would have answered the error.")
 
 
 class Health(Answer):
@@ -170,6 +171,7 @@ class ResultAnswer(LineAnswer):
     gyro: GyroAnswer
     reference: ReferenceAnswer | None = None  # of runs stored before it was computed: null
     over_range: OverRange | None = None  # likewise
+    stopped_by: Literal["plan", "until"] = "plan"
     reference_says: str | None = Field(None, description="Why the stage's map in force was not used.")
 
 

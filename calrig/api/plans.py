@@ -2,7 +2,7 @@
 
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 from fastapi import APIRouter
 from pydantic import Field
@@ -13,7 +13,8 @@ from calrig.api.context import Context
 from calrig.api.errors import problems
 from calrig.api.models import Answer, Body
 from calrig.calibration.plan_design.goals import Goals
-from calrig.plan import Plan
+from calrig.plan import Plan, Until
+from calrig.runs.good_enough import goals_of
 from calrig.runs.plan_designs import Wanted, designed
 from calrig.runs.planned import estimate
 from calrig.runs.references import overdue_says
@@ -60,31 +61,24 @@ def estimate_plan(body: PlanOnRig, context: Context) -> EstimateAnswer:
     return EstimateAnswer(**asdict(said), warnings=warnings)
 
 
-class Goal(Body):
-    """What a run is to reach; null where it does not matter."""
-
-    bias_std_deg: float | None = Field(default=None, gt=0, le=90)
-    scale_std: float | None = Field(default=None, gt=0, le=10)
-    expanded_uncertainty_deg: float | None = Field(default=None, gt=0, le=90)
-
-
 class WantedPlan(Body):
     """What a plan is to reach: `target_u_deg`, an expanded uncertainty, and `until`; or `time_s`.
 
-    `plan` is what it keeps: range, settling, rate, velocity. With `trace` effects are to be found in it.
+    With `until` the run ends as soon as that is reached. `plan` is what it keeps: range, rate, velocity. With
+    `trace` effects are to be found in it.
     """
 
     rig: str | None = None
     unit: str = ""
     target_u_deg: float | None = Field(default=None, gt=0, le=90)
-    until: Goal | None = None
+    until: Until | None = None
     time_s: float | None = Field(default=None, gt=0, le=86_400)
     trace: bool = True
     plan: Plan = Plan()
 
 
 class ExpectedAnswer(Answer):
-    """Of the plan, by the noise and the pace of the rig."""
+    """Of the plan, by the noise and the pace of the rig; where it may end early, when it probably does."""
 
     duration_s: float
     expanded_uncertainty_deg: float | None
@@ -132,12 +126,11 @@ class DesignAnswer(Answer):
 def design_plan(body: WantedPlan, context: Context) -> object:
     """Nothing moves. 422 says why no plan reaches what is wanted, and what would."""
     rig = context.service.known_rig(body.rig)
-    until = body.until or Goal()
-    target_deg = body.target_u_deg or until.expanded_uncertainty_deg
-    goals = Goals(target_deg, until.bias_std_deg, until.scale_std)
+    goals = Goals() if body.until is None else goals_of(body.until)
+    goals = replace(goals, expanded_deg=body.target_u_deg or goals.expanded_deg)
     if (goals == Goals()) == (body.time_s is None):
         raise Invalid(
             "Give either what is to be reached (target_u_deg, until) or a time (time_s)", ["time_s"]
         )
-    wanted = Wanted(goals, body.time_s, body.trace)
+    wanted = Wanted(goals, body.time_s, body.trace, body.until)
     return designed(wanted, body.plan, rig, body.unit, context.store).document()

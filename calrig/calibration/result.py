@@ -14,6 +14,7 @@ from calrig.calibration.correction import (
     felt_elevation_deg,
     fit_line_with_effects,
 )
+from calrig.calibration.early_end import AS_PLANNED, Ending, StoppedBy, cautious
 from calrig.calibration.effect import ApplyError, Circumstances
 from calrig.calibration.filter_share import filter_share
 from calrig.calibration.fit import Line, fit_line, residuals_deg, rms
@@ -61,6 +62,7 @@ class Result:
             does not follow the stage.
         line: the fit itself, with covariance and residual scatter, for the unit's calibration.
         line_with_effects: the same once accepted effects are taken out; None without any.
+        stopped_by: its plan, which was carried out whole, or `until`, which was reached before.
     """
 
     bias_deg: float
@@ -79,6 +81,7 @@ class Result:
     line: Line = field(repr=False)
     line_with_effects: Line | None = field(default=None, repr=False)
     reference_says: str | None = None
+    stopped_by: StoppedBy = "plan"
 
     def to_dict(self) -> dict[str, Any]:
         """The result ready for JSON, with the contract's keys and null for what is not known."""
@@ -106,6 +109,7 @@ def build_result(
     effects: Sequence[AppliedEffect] = (),
     reference: Reference | None = None,
     reference_says: str | None = None,
+    ending: Ending = AS_PLANNED,
 ) -> Result:
     """Fits a run's poses and gathers what they say; of several mounts, the first one's.
 
@@ -116,6 +120,7 @@ def build_result(
             of them is a function of.
         reference: what the rig said of its stage when the poses were measured.
         reference_says: why it is not the stage's map.
+        ending: how the run came to its end; the scatter of one that might end early is stated with care.
 
     Raises:
         ValueError: no pose, or one whose angle or reading is not finite.
@@ -127,6 +132,10 @@ def build_result(
     with_effects = _line_with_effects(poses, theta, reading, effects)
     calibrated_deg = residuals_deg(theta, reading, line.bias_deg, line.scale)
     noise_deg = _pooled_noise_deg(poses)
+    if ending.may_be_early:
+        line = cautious(line, len(poses), noise_deg)
+        if with_effects is not None:
+            with_effects = cautious(with_effects[0], len(poses), noise_deg), with_effects[1]
     left = (line, calibrated_deg) if with_effects is None else with_effects
     return Result(
         bias_deg=line.bias_deg,
@@ -145,6 +154,7 @@ def build_result(
         line=line,
         line_with_effects=None if with_effects is None else with_effects[0],
         reference_says=reference_says,
+        stopped_by=ending.stopped_by,
     )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from calrig.analysis.active_calibration import active_calibration
 from calrig.analysis.errors import Conflict
 from calrig.analysis.issuing import Fitted, Issuer
-from calrig.analysis.results import fitted, gyro_of
+from calrig.analysis.results import ending_of, fitted, gyro_of
 from calrig.store import Run, Store, StoredPose
 from calrig.store.unpacking import Conclusion
 
@@ -28,6 +28,6 @@ def concluded(store: Store, issuer: Issuer, run: Run, stored: Sequence[StoredPos
             return run.result, None
         return applied.result(poses, gyro).to_dict(), None
     accepted = store.effects_in_force(run.unit, run.rig)
-    result = fitted(poses, accepted, run.provenance, gyro)
+    result = fitted(poses, accepted, run.provenance, gyro, ending_of(run))
     excluded = [one.index for one in stored if one.excluded is not None]
     return result.to_dict(), issuer.completing(run, Fitted(poses, result, accepted, excluded))

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from contextlib import ExitStack, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from calrig.cli.input_files import read_plan_file
-from calrig.cli.options import Config, Db, Json, Rig
+from calrig.cli.options import Config, Db, Json, Rig, Server
+from calrig.cli.running_service import running_service
 from calrig.errors import InputError, WorkError
 
 if TYPE_CHECKING:
-    from calrig.runs.plan_designs import Designed
+    from calrig.client import Client
+    from calrig.plan import Plan
 
 
 def plan(
@@ -28,6 +31,9 @@ def plan(
     trace: Annotated[
         bool, typer.Option(" /--no-trace", help="Without variety for the tracing of effects: sooner.")
     ] = True,
+    until: Annotated[
+        bool, typer.Option("--until", help="Its run ends as soon as the uncertainty is reached.")
+    ] = False,
     keep: Annotated[
         Path | None,
         typer.Option("--plan", metavar="FILE.json", help="Plan whose range, settling and rate are kept."),
@@ -35,45 +41,84 @@ def plan(
     as_json: Json = False,
     db: Db = None,
     config: Config = None,
+    server: Server = None,
 ) -> None:
     """Design the plan that reaches an uncertainty soonest, or the best one for a time; nothing moves."""
-    from calrig.analysis.errors import Invalid
-    from calrig.calibration.plan_design.goals import Goals
     from calrig.cli import output
     from calrig.plan import Plan
+
+    if (target_u is None) == (time is None):
+        raise InputError("plan: give --target-u DEG, or --time S")
+    if until and target_u is None:
+        raise InputError("plan: --until goes with --target-u, which the run is to end at")
+    kept = read_plan_file(keep) if keep else Plan()
+    asked = _Asked(target_u, time, rig, unit, trace, until, kept)
+    there = None if config else running_service(server, db)
+    document = _designed_here(asked, db, config) if there is None else _designed_there(there, asked)
+    if as_json:
+        output.print_json(document)
+    else:
+        _print(document)
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    target_u_deg: float | None
+    time_s: float | None
+    rig: str | None
+    unit: str
+    trace: bool
+    until: bool
+    kept: Plan
+
+
+def _designed_there(there: Client, asked: _Asked) -> dict[str, Any]:
+    from calrig.client import Invalid
+
+    try:
+        found = there.plan(
+            target_u_deg=asked.target_u_deg,
+            time_s=asked.time_s,
+            rig=asked.rig,
+            unit=asked.unit,
+            until={"expanded_uncertainty_deg": asked.target_u_deg or 0.0} if asked.until else None,
+            trace=asked.trace,
+            keep=asked.kept,
+        )
+    except Invalid as error:
+        raise WorkError(str(error)) from error
+    return found.model_dump(mode="json")
+
+
+def _designed_here(asked: _Asked, db: str | None, config: str | None) -> dict[str, Any]:
+    from calrig.analysis.errors import Invalid
+    from calrig.calibration.plan_design.goals import Goals
+    from calrig.plan import Until
     from calrig.runs.plan_designs import Wanted, designed
     from calrig.settings import load_settings, store_url
     from calrig.store import Store
     from calrig.store.errors import NoStore
 
-    if (target_u is None) == (time is None):
-        raise InputError("plan: give --target-u DEG, or --time S")
     settings = load_settings(config)
-    chosen = next((one for one in settings.rig if rig in (None, one.name)), None)
+    chosen = next((one for one in settings.rig if asked.rig in (None, one.name)), None)
     if chosen is None:
-        raise InputError(
-            f"--rig: there is no rig {rig!r}; configured: {', '.join(r.name for r in settings.rig)}"
-        )
-    wanted = Wanted(Goals(expanded_deg=target_u), time, trace)
-    kept = read_plan_file(keep) if keep else Plan()
+        configured = ", ".join(one.name for one in settings.rig)
+        raise InputError(f"--rig: there is no rig {asked.rig!r}; configured: {configured}")
+    ends_at = Until(expanded_uncertainty_deg=asked.target_u_deg) if asked.until else None
+    wanted = Wanted(Goals(expanded_deg=asked.target_u_deg), asked.time_s, asked.trace, ends_at)
     with ExitStack() as stack:
         store = None
         with suppress(NoStore):  # nothing has run yet: noise and pace are assumed, and said to be
             store = stack.enter_context(Store.open(store_url(db), writer=None))
         try:
-            found = designed(wanted, kept, chosen, unit, store)
+            return designed(wanted, asked.kept, chosen, asked.unit, store).document()
         except Invalid as error:
             raise WorkError(str(error)) from error
-    if as_json:
-        output.print_json(found.document())
-    else:
-        _print(found)
 
 
-def _print(found: Designed) -> None:
+def _print(document: dict[str, Any]) -> None:
     from calrig.cli.printing import number, print_line, print_table
 
-    document = found.document()
     expected: dict[str, Any] = document["expected"]
     limit: dict[str, Any] | None = document["limit"]
     rows = [

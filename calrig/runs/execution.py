@@ -17,6 +17,7 @@ from calrig.instruments.types import FloatArray
 from calrig.plan import Plan, PlannedPose
 from calrig.runs.felt_moves import KIND, FeltMoves, lost, told
 from calrig.runs.follow_up import FollowUpRun
+from calrig.runs.good_enough import GoodEnough
 from calrig.runs.mounting import Mount, OwnErrors
 from calrig.runs.own_gyro import OwnGyro
 from calrig.runs.pace import Pace
@@ -37,6 +38,7 @@ MOVED_DEG = 1e-4
 class Execution:
     """What a run carries from pose to pose. `felt` is what the unit felt of the moves between them.
 
+    `good_enough` tells where the plan need not be carried out whole, `is_enough` whether that is so by now.
     `returned` is what the last pose before an interruption gave when it was measured once more.
     """
 
@@ -44,7 +46,9 @@ class Execution:
     pace: Pace
     follow_up: FollowUpRun | None = None
     earlier: Earlier = field(default_factory=Earlier)
+    good_enough: GoodEnough | None = None
     returned: Returned | None = None
+    is_enough: bool = field(init=False)
     gyro: OwnGyro = field(init=False)
     felt: FeltMoves = field(init=False)
     poses: list[Pose] = field(init=False)
@@ -56,6 +60,7 @@ class Execution:
         self.gyro = OwnGyro(AXES.index(self.plan.mount_axis[-1]), list(self.earlier.biases))
         self.felt = FeltMoves(self.poses, self.rig.board_identity.gyro_range_dps, self.plan.mount_axis)
         self._noise = KalmanNoise(**self.rig.settings.filter.model_dump())
+        self.is_enough = self._reached()  # by a run that was interrupted before it could say so
 
     def carry_out(self, planned: list[PlannedPose]) -> None:
         """Homes the stage where it must be, then takes the planned poses that are left, in their order.
@@ -65,7 +70,7 @@ class Execution:
             InstrumentError: a device failed; the poses so far are stored.
             NotTheSame: after an interruption the last pose reads otherwise by far.
         """
-        left = self._left(planned)
+        left = [] if self.is_enough else self._left(planned)
         sweep: int | None = None
         clamped_deg = self._begin(left)
         if self.poses and clamped_deg is not None:
@@ -85,6 +90,8 @@ class Execution:
                 sweep = pose.sweep
                 wait_before_sweep(self.plan, self.pace)
             self._take(pose)
+            if self.is_enough:
+                return
             self.pace.hold_while_paused()
 
     def _begin(self, left: list[PlannedPose]) -> float | None:
@@ -265,6 +272,9 @@ class Execution:
         """Stores a pose, and says where the unit felt another move; StageError where that ends the run."""
         index = len(self.poses)  # of the poses measured: a follow-up skips some that were planned
         self.poses.append(pose)
+        self.is_enough = self._reached()
+        if self.is_enough:
+            self.recorder.is_the_last()
         also = []
         if check is not None and check.verdict != "agrees":
             self.rig.board.faults[KIND] += 1
@@ -273,6 +283,9 @@ class Execution:
         if check is not None and check.verdict == "lost":
             self.rig.place.is_lost()
             raise lost(index, pose, check)
+
+    def _reached(self) -> bool:
+        return self.good_enough is not None and self.good_enough.reached(self.poses)
 
 
 def _mean(values: FloatArray) -> float | None:

@@ -9,6 +9,7 @@ from itertools import pairwise
 from calrig.analysis.errors import Invalid
 from calrig.instruments.axis_goal import travel_time_s
 from calrig.plan import Plan, PlanError, PlannedPose
+from calrig.runs.good_enough import require_a_reference
 from calrig.settings import RigSettings
 from calrig.store import Store
 
@@ -66,6 +67,7 @@ def estimate(plan: Plan, rig: RigSettings, store: Store) -> PlanEstimate:
         Invalid: an elevation lies beyond the rig's limits.
     """
     planned = planned_poses(plan, rig)
+    require_a_reference(plan, rig, store)
     static = plan.kind == "static"
     velocity_dps, acceleration_dps2 = speed(rig, store)
     targets_deg = [0.0, *(pose.target_deg for pose in planned)]  # from about its home

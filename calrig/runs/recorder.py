@@ -118,6 +118,10 @@ class Recorder:
         """One planned pose will not be measured."""
         self._poses_total -= 1
 
+    def is_the_last(self) -> None:
+        """None will be measured after the pose that is told next."""
+        self._poses_total = self._poses_done + 1
+
     def pose(
         self, index: int, pose: Pose, blocks: list[SampleBlock], faults: Mapping[str, int], *also: Announced
     ) -> None:

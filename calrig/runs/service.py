@@ -25,6 +25,7 @@ from calrig.runs.control import End
 from calrig.runs.crew import Crew
 from calrig.runs.errands import Errand
 from calrig.runs.follow_up import FollowUpRun
+from calrig.runs.good_enough import require_a_reference
 from calrig.runs.meter import Meter
 from calrig.runs.new_run import NewRun
 from calrig.runs.planned import planned_poses
@@ -143,6 +144,7 @@ class RunService:
         plan = wanted.plan
         require_in_date(settings)
         planned = planned_poses(plan, settings)
+        require_a_reference(plan, settings, self.store)
         if plan.kind == "verification" and wanted.verifies is None:
             verifies = active_calibration(self.store, wanted.unit, settings.name, plan.revision)
             wanted = replace(wanted, verifies=verifies)

@@ -12,7 +12,7 @@ from pathlib import Path
 from calrig import logs
 from calrig.analysis.errors import Conflict, NotTheSame
 from calrig.analysis.issuing import Fitted, Issuer
-from calrig.analysis.results import fitted
+from calrig.analysis.results import ending_of, fitted
 from calrig.instruments.clock import WALL
 from calrig.instruments.errors import InstrumentError
 from calrig.instruments.ports import clock_of
@@ -21,6 +21,7 @@ from calrig.instruments.wanted import for_at_most, while_wanted
 from calrig.runs.bus import Bus
 from calrig.runs.control import Control, End, Ended, Left
 from calrig.runs.execution import Execution
+from calrig.runs.good_enough import REACHED, GoodEnough
 from calrig.runs.meter import Meter
 from calrig.runs.pace import Pace
 from calrig.runs.recorder import Recorder
@@ -225,7 +226,7 @@ class Worker:
                 rig.place.take_up(rig.axis, homes=rig.stage_identity.homes)
             self._under_way = True
             pace = Pace(rig, self.control, self._recorder, task.earlier.clock_s)
-            execution = Execution(task.plan, pace, task.follow_up, task.earlier)
+            execution = Execution(task.plan, pace, task.follow_up, task.earlier, self._good_enough())
             try:
                 if task.plan.kind == "static":
                     keep_log(task.plan, task.planned, pace, task.earlier.logged_s)
@@ -239,6 +240,14 @@ class Worker:
         if task.follow_up is not None:
             self._fields["provenance"] = {**self._origin, "follow_up": task.follow_up.provenance()}
             self._fields["diagnosis"] = task.follow_up.diagnosis(self.run_id, execution.poses)
+
+    def _good_enough(self) -> GoodEnough | None:
+        """What tells whether the run may end before its plan does; None of one that may not."""
+        task = self._task
+        if task.plan.until is None:
+            return None
+        accepted = self._store.effects_in_force(task.run.unit, task.run.rig)
+        return GoodEnough(task.plan.until, task.planned, accepted, self._origin)
 
     def _note_origin(self, rig: Rig) -> None:
         """Keeps what measures with the run; of a resumed one, that it was interrupted."""
@@ -280,7 +289,8 @@ class Worker:
             self._fields["result"] = self._task.verifies.result(poses, gyro).to_dict()
             return
         accepted = self._store.effects_in_force(run.unit, run.rig)
-        result = fitted(poses, accepted, self._origin, gyro)
+        ending = REACHED if execution.is_enough else ending_of(run)
+        result = fitted(poses, accepted, self._origin, gyro, ending)
         self._fields["result"] = result.to_dict()
         excluded = [one.index for one in stored if one.excluded is not None]
         now = replace(run, provenance=self._origin, faults=self._fields["faults"])

@@ -62,6 +62,7 @@ LATER = {
     "limits.js",
     "noise.js",
     "paper.js",
+    "plandesign.js",
     "rig.js",
     "solution.js",
     "solve.js",

@@ -47,6 +47,7 @@ def test_a_runs_result_has_the_contracts_keys_and_is_json():
         "gyro",
         "reference",
         "over_range",
+        "stopped_by",
     ]
     assert json.loads(json.dumps(document, allow_nan=False)) == document
     assert document["bias_deg"] == pytest.approx(0.5, abs=4 * document["bias_std_deg"])
@@ -102,6 +103,7 @@ def test_what_poses_do_not_say_is_null_not_missing():
             "highest_error_deg": [0.0],
             "mean_error_deg": 0.0,
         },
+        "stopped_by": "plan",
     }
 
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
-from calrig.calibration.coverage import COVERAGE
-from calrig.calibration.diagnosis import diagnose, document
+from calrig.calibration.diagnosis import diagnose
 from calrig.calibration.plan_design.design import Design, Task
 from calrig.calibration.plan_design.goals import TypeB
+from calrig.calibration.plan_design.layout import leverage
 from calrig.calibration.plan_design.rig_figures import DATA_SHEET_WHITE, Pace, Precision
 from calrig.calibration.result import build_result
 from calrig.calibration.uncertainty import Reference, uncertainty
@@ -21,7 +22,8 @@ from tests.blind.causes import Draw
 from tests.blind.layout import ACCELERATION_DPS2, Layout, timeline
 from tests.blind.physics import Noise, measure
 
-VELOCITY_DPS, SETTLE_S = 20.0, 1.0
+VELOCITY_DPS, SETTLE_S = 20.0, 0.2
+"""A table that is at rest when it arrives, as the gyro shows it: a designed plan waits no longer."""
 AROUND = {"mount": {"offset_deg": 0.8}, "mechanics": {"scale_error_pct": 0.2}}
 PRECISION = Precision(DATA_SHEET_WHITE, 0.0, "a data sheet's noise")
 
@@ -41,6 +43,20 @@ def task(reference: Reference, *, trace: bool, seed: int = 0) -> Task:
 def fixed() -> Layout:
     """The default plan: 52 poses of 2 s."""
     return Layout.of(Plan())
+
+
+def stage_time_s(plan: Layout) -> float:
+    """Of a plan on that stage: begin, moves, settling, questions and dwells."""
+    places = [0.0, *plan.target_deg.tolist()]
+    moves_s = sum(travel_s(abs(after - before)) for before, after in pairwise(places))
+    return HOMING_AND_START_S + moves_s + (len(places) - 1) * (plan.settle_s + plan.dwell_s + QUESTIONS_S)
+
+
+def standard_errors(plan: Layout) -> tuple[float, float]:
+    """Of bias, degrees, and scale, by a plan."""
+    _, bias, scale = leverage(plan.target_deg.tolist())
+    scatter_deg = PRECISION.scatter_deg(plan.dwell_s)
+    return scatter_deg * math.sqrt(bias), scatter_deg * math.sqrt(scale)
 
 
 def laid_out(design: Design) -> Layout:
@@ -96,9 +112,6 @@ def found(layout: Layout, cause: Draw, name: str, runs: int, seed: int = 0) -> i
     for k in range(runs):
         rng = np.random.default_rng([seed, k])
         run = measure(layout, [cause(rng, when)], noise, rng, AROUND)
-        effects = document(diagnose([run.poses]), ["0"])["effects"]
-        times += any(name in (one["name"], *one["confusable_with"]) for one in effects)
+        effects = diagnose([run.poses], cross_fit=False).findings.found
+        times += any(name in {c.name for c in (one.candidate, *one.rivals)} for one in effects)
     return times
-
-
-PROMISED = COVERAGE

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from scipy.optimize import brentq
+
 from calrig.calibration.coverage import coverage_factor
 from calrig.calibration.uncertainty import Reference
-
-_HALVINGS = 40
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,6 +18,17 @@ class Goals:
     expanded_deg: float | None = None
     bias_std_deg: float | None = None
     scale_std: float | None = None
+
+    def reached_by(
+        self, expanded_deg: float | None, bias_std_deg: float | None, scale_std: float | None
+    ) -> bool:
+        """Whether what is stated is all that is wanted; what is not known reaches nothing."""
+        pairs = (
+            (expanded_deg, self.expanded_deg),
+            (bias_std_deg, self.bias_std_deg),
+            (scale_std, self.scale_std),
+        )
+        return all(wanted is None or (stated is not None and stated <= wanted) for stated, wanted in pairs)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,14 +56,16 @@ class TypeB:
 
     def type_a_deg(self, expanded_deg: float, freedom: float) -> float:
         """The largest standard uncertainty of type A beside it; 0 where none is small enough."""
-        low, high = 0.0, expanded_deg
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (low + high)
-            if middle > 0.0 and self.expanded_deg(middle, freedom) <= expanded_deg:
-                low = middle
-            else:
-                high = middle
-        return low if low > 1e-6 * expanded_deg else 0.0
+        least_deg = 1e-6 * expanded_deg
+        if self.expanded_deg(least_deg, freedom) >= expanded_deg:
+            return 0.0
+        found = brentq(
+            lambda type_a_deg: self.expanded_deg(type_a_deg, freedom) - expanded_deg,
+            least_deg,
+            expanded_deg,
+            xtol=1e-7 * expanded_deg,
+        )
+        return float(found) - 2e-7 * expanded_deg  # below the root by more than its tolerance
 
     @property
     def least_deg(self) -> float:

@@ -35,8 +35,11 @@ BY_CHANCE = 6.3e-5
 """Of one shape among all that a search tries, so that the best of them is chance in one run of a hundred."""
 POWER_QUANTILE = 0.8416
 """Of the normal distribution: four times in five."""
-TAKEN = 6
-"""Degrees of freedom that a search takes from a channel: line, first pose, correlation, and the effect."""
+TAKEN = 22
+"""Degrees of freedom that a search takes: its line, correlations and rivals, as diagnoses of 20 to 52 poses
+with effects of known size have shown (`python -m tests.plans suspects`)."""
+SLOW = 1.6
+"""Times as large an effect of time must be, measured the same way: noise that wanders looks like it."""
 SHARED = 0.87
 """Correlation of the reading's noise with that of the accelerometer's angle."""
 MOVE_DEG = 0.02
@@ -111,14 +114,27 @@ def _least(
     worst = float(np.linalg.eigvalsh(to_unit.T @ size @ to_unit)[-1])
     one = len(values) == 1 and len(candidate.shape.parameters) == 1
     distance = _distance(len(r))
+    if EFFECTS[candidate.name].covariate.needs_time:
+        distance *= SLOW**2
     return math.sqrt(distance * worst), math.sqrt(distance / float(values[0])) if one else None
 
 
 def _distance(n_poses: int) -> float:
     """Noncentrality at which four of five effects are found, the noise being found from the same poses."""
     freedom = n_poses - TAKEN
+    if freedom < 1:
+        return math.inf
     critical = float(stdtrit(freedom, 1.0 - 0.5 * BY_CHANCE))
     return float((critical + POWER_QUANTILE * math.sqrt(1.0 + 0.5 * critical**2 / freedom)) ** 2)
+
+
+def least_slow_deg(n_poses: int, scatter_deg: float) -> float:
+    """The least RMS of an effect of time that so many poses show, however they are laid out.
+
+    Reading and accelerometer's angle both show the whole of it, and bias and scale take nothing of it.
+    """
+    seen = 2.0 * n_poses / (1.0 + SHARED)
+    return scatter_deg * SLOW * math.sqrt(_distance(n_poses) / seen)
 
 
 def _middle(sizes: list[tuple[float, float | None]]) -> tuple[float, float | None]:

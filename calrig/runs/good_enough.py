@@ -1,0 +1,68 @@
+"""Whether a run that ends as soon as it is good enough has come so far: CONTRACT section 9's `until`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from calrig.analysis.errors import Invalid
+from calrig.analysis.results import fitted
+from calrig.calibration.early_end import Ending, has_the_line
+from calrig.calibration.plan_design.goals import Goals
+from calrig.calibration.pose import Pose
+from calrig.calibration.result import Result
+from calrig.calibration.stage_reference import with_map
+from calrig.plan import Plan, PlannedPose, Until
+from calrig.settings import RigSettings
+from calrig.store import AcceptedEffect, Store
+from calrig.store.records import Document, map_of
+
+REACHED = Ending(may_be_early=True, stopped_by="until")
+
+
+@dataclass(frozen=True, slots=True)
+class GoodEnough:
+    """What a run is to reach, and what its result follows from beside its poses.
+
+    Attributes:
+        until: of its plan.
+        planned: every pose of the plan.
+        accepted: effects in force for the unit and its rig; a bench of a centre knows of none.
+        provenance: of the run.
+    """
+
+    until: Until
+    planned: Sequence[PlannedPose]
+    accepted: Sequence[AcceptedEffect]
+    provenance: Document
+
+    def reached(self, poses: Sequence[Pose]) -> bool:
+        """Whether the result that the run would have, should it end now, is good enough."""
+        stage_map = map_of(self.provenance)
+        poses = poses if stage_map is None else with_map(poses, stage_map)
+        visited_deg = [pose.target_deg for pose in poses]
+        if not has_the_line(visited_deg, [pose.target_deg for pose in self.planned]):
+            return False
+        return holds(self.until, fitted(poses, self.accepted, self.provenance, ending=REACHED))
+
+
+def holds(until: Until, result: Result) -> bool:
+    """Whether a result states what is wanted; its expanded uncertainty is that of the unit's calibration."""
+    expanded_deg = None if result.over_range is None else result.over_range.expanded_uncertainty_deg
+    return goals_of(until).reached_by(expanded_deg, result.bias_std_deg, result.scale_std)
+
+
+def goals_of(until: Until) -> Goals:
+    """The same, as plans are designed for it."""
+    return Goals(until.expanded_uncertainty_deg, until.bias_std_deg, until.scale_std)
+
+
+def require_a_reference(plan: Plan, rig: RigSettings, store: Store) -> None:
+    """Invalid where a run waits for an uncertainty that nobody could state on this rig."""
+    wanted_deg = None if plan.until is None else plan.until.expanded_uncertainty_deg
+    if wanted_deg is not None and rig.reference is None and store.stage_map(rig.name) is None:
+        raise Invalid(
+            f"rig {rig.name!r} does not say what its angle is worth: no expanded uncertainty is known that "
+            "a run could end by",
+            ["plan.until.expanded_uncertainty_deg"],
+        )

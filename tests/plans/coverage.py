@@ -1,0 +1,86 @@
+"""What is covered by what runs state that end as soon as they are good enough: by the program's own rule."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calrig.analysis.results import fitted
+from calrig.calibration.plan_design.layout import layout
+from calrig.calibration.pose import Pose
+from calrig.plan import Plan, Until
+from calrig.runs.good_enough import REACHED, GoodEnough
+
+PERFECT = {"rig": {"reference": {"std_deg": 1e-9, "kind": "setting", "distribution": "normal"}}}
+"""Beside such a stage all of the uncertainty is of type A: what ending early could shrink."""
+SCATTER_DEG = 0.02
+FREEDOM_WITHIN = 20
+"""Of a pose's own standard error."""
+
+
+def designed(n_poses: int) -> Plan:
+    """Of two ways through ±60°."""
+    order = layout((-60.0, 60.0), n_poses, 2, 0.3, np.random.default_rng(0))
+    return Plan(elevations_deg=order, order="given", sweeps=1)
+
+
+@dataclass(frozen=True)
+class Covered:
+    """Over many runs: the share that ended early, poses taken, and shares inside of what was stated.
+
+    Of one later reading inside of the expanded uncertainty, of bias and scale inside of two standard errors.
+    """
+
+    early: float
+    poses: float
+    elevation: float
+    bias: float
+    scale: float
+
+
+def covered(plan: Plan, times: float, share: float, runs: int, seed: int = 0) -> Covered:
+    """Runs of noise alone that end once their expanded uncertainty is small enough.
+
+    Args:
+        plan: its poses are the most.
+        times: the uncertainty wanted, in scatters of a reading; below 2 it is reached by chance alone.
+        share: of that scatter, what a dwell shows of itself: 1 with white noise and nothing else.
+        runs: how many.
+        seed: of the noise.
+    """
+    rng = np.random.default_rng(seed)
+    planned = plan.poses((-90.0, 90.0))
+    until = Until(expanded_uncertainty_deg=times * SCATTER_DEG)
+    known = GoodEnough(until, planned, [], PERFECT)
+    rows = []
+    for _ in range(runs):
+        poses = _until_good_enough(known, share, rng)
+        result = fitted(poses, [], PERFECT, ending=REACHED)
+        assert result.over_range and result.bias_std_deg and result.scale and result.scale_std
+        at_deg = rng.uniform(-60.0, 60.0)
+        read_deg = at_deg + SCATTER_DEG * rng.standard_normal()
+        off_deg = (read_deg - result.bias_deg) / result.scale - at_deg
+        rows.append(
+            (
+                len(poses) < len(planned),
+                len(poses),
+                abs(off_deg) <= (result.over_range.expanded_uncertainty_deg or 0.0),
+                abs(result.bias_deg) <= 2.0 * result.bias_std_deg,
+                abs(result.scale - 1.0) <= 2.0 * result.scale_std,
+            )
+        )
+    return Covered(*np.mean(rows, axis=0).tolist())
+
+
+def _until_good_enough(known: GoodEnough, share: float, rng: np.random.Generator) -> list[Pose]:
+    poses: list[Pose] = []
+    for one in known.planned:
+        within = share * SCATTER_DEG * np.sqrt(rng.chisquare(FREEDOM_WITHIN) / FREEDOM_WITHIN)
+        read_deg = one.target_deg + SCATTER_DEG * rng.standard_normal()
+        poses.append(
+            Pose(target_deg=one.target_deg, reading_deg=float(read_deg), reading_stderr_deg=float(within))
+        )
+        if known.reached(poses):
+            break
+    return poses

@@ -1,0 +1,116 @@
+// "How good must it be?": the service designs the plan that gets there soonest, and the form takes it.
+
+import { ApiError, post } from "./api.js";
+import { fill, h, headings, tableBox } from "./dom.js";
+import { duration, plural, significant } from "./format.js";
+
+/**
+ * What is asked, and what comes of it. `of()` is rig, unit and the plan that is kept; `take(plan)` has the form take
+ * one; `signal` is aborted when the view is left.
+ */
+export function planDesigner(of, take, signal) {
+  const target = input("target_u_deg", "number", { step: "any", placeholder: "0.5" });
+  const time = input("time_s", "number", { step: "any", placeholder: "as long as it takes" });
+  const trace = input("trace", "checkbox", { checked: true });
+  const early = input("stop-early", "checkbox");
+  const answer = h("div", { id: "designed", role: "status", "aria-live": "polite" });
+  const ask = h("button", { type: "button", id: "design", on: { click: () => design() } }, "Find the plan");
+  const fields = h(
+    "div",
+    { class: "fields two" },
+    h("div", { class: "field" }, h("label", { for: target.id }, "Expanded uncertainty wanted, °"), target),
+    h("div", { class: "field" }, h("label", { for: time.id }, "Or: the time there is, s"), time),
+    h("label", { for: trace.id, class: "check" }, trace, "Trace effects: poses enough to find and name them"),
+    h("label", { for: early.id, class: "check" }, early, "Stop as soon as it is good enough"),
+  );
+  fields.addEventListener("keydown", (event) => {
+    if (event.key !== "Enter") return;
+    event.preventDefault(); // of the form around it, that would start a run
+    design();
+  });
+  fields.addEventListener("input", () => {
+    early.disabled = time.value !== "";
+    fill(answer);
+  });
+
+  async function design() {
+    const wanted = target.value === "" ? null : Number(target.value);
+    const stops = early.checked && !early.disabled && wanted !== null;
+    ask.disabled = true;
+    fill(answer, h("p", { class: "muted" }, "Looking for it …"));
+    try {
+      const said = await post(
+        "/api/plans/design",
+        {
+          ...of(),
+          target_u_deg: wanted,
+          until: stops ? { expanded_uncertainty_deg: wanted } : null,
+          time_s: time.value === "" ? null : Number(time.value),
+          trace: trace.checked,
+        },
+        signal,
+      );
+      fill(answer, shown(said, stops), useIt(said.plan));
+    } catch (problem) {
+      if (problem.name === "AbortError") return;
+      if (!(problem instanceof ApiError)) throw problem;
+      fill(answer, h("p", { id: "design-refused", class: "cautions" }, problem.message));
+    } finally {
+      ask.disabled = false;
+    }
+  }
+
+  function useIt(plan) {
+    const use = () => {
+      take(plan);
+      fill(answer, h("p", { class: "muted" }, "The form below has this plan."));
+    };
+    return h(
+      "div",
+      { class: "buttons" },
+      h("button", { type: "button", id: "use-plan", on: { click: use } }, "Use this plan"),
+    );
+  }
+
+  return h("div", { id: "plan-design" }, fields, h("div", { class: "buttons" }, ask), answer);
+}
+
+/** An input that belongs to no form: what is asked here is no part of the run. */
+function input(id, type, props = {}) {
+  return h("input", { id, type, form: "no-form", ...props });
+}
+
+function shown({ plan, expected, limit, suspects, says }, stops) {
+  const rows = [
+    ["Poses", `${plural(plan.elevations_deg.length, "pose")} of ${plan.dwell_s}\u00a0s${stops ? " at most" : ""}`],
+    ["Time on the rig", `about ${duration(expected.duration_s)}`],
+    ["Expanded uncertainty", significant(expected.expanded_uncertainty_deg, 3, "°")],
+    ["Bias, standard error", significant(expected.bias_std_deg, 2, "°")],
+    limit && ["No plan is under", duration(limit.duration_s)],
+  ];
+  return [
+    h("dl", { class: "figures" }, rows.filter(Boolean).map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value)))),
+    suspects.length > 0 && tableBox("Effects that it would show", tableOf(suspects)),
+    h("ul", { class: "says" }, says.map((sentence) => h("li", {}, sentence))),
+  ];
+}
+
+function tableOf(suspects) {
+  return h(
+    "table",
+    { id: "design-suspects" },
+    h("caption", {}, "The least of each effect that would be found four times in five"),
+    headings("Effect", "#Left in readings, RMS", "#As a parameter"),
+    h("tbody", {}, suspects.map(row)),
+  );
+}
+
+function row({ title, rms_deg: rms, value, unit }) {
+  return h(
+    "tr",
+    {},
+    h("th", { scope: "row" }, title),
+    h("td", { class: "number" }, rms === null ? "not shown" : significant(rms, 2, "°")),
+    h("td", { class: "number" }, value === null ? "–" : significant(value, 2, unit ?? "")),
+  );
+}
