@@ -13,6 +13,14 @@ const COLOURS = {
   more_than_noise: "poor",
 };
 
+/** The card's content for a run of a unit that was not clamped with its x along the stage's axis. */
+export function noResultAbout(axis) {
+  return [
+    h("h2", {}, "Result"),
+    h("p", {}, `The unit's ${axis} lay along the stage's axis: bias and scale are of elevations about x. Its poses are for the joint solution.`),
+  ];
+}
+
 /** The card's content for a run that has a result. */
 export function resultCard(run) {
   const counts = run.status === "completed" && !run.voided;

@@ -34,7 +34,8 @@ const TITLES = {
 export async function solutionView({ root, parts: [id], signal }) {
   const path = `/api/solve/${encodeURIComponent(id)}`;
   const found = await get(path, signal);
-  const charts = Object.entries(TITLES).map(([name, title]) => [name, new Chart(`solve-${name}`, title, { signal })]);
+  const drawn = isWhole(found) ? [["map", TITLES.map]] : Object.entries(TITLES); // of whole units no poses are drawn
+  const charts = drawn.map(([name, title]) => [name, new Chart(`solve-${name}`, title, { signal })]);
   const [[, map], ...left] = charts;
   fill(
     root,
@@ -50,7 +51,7 @@ export async function solutionView({ root, parts: [id], signal }) {
       h("p", { class: "downloads" }, download(`${path}/map`, "stage-map.json", "Stage map (JSON)")),
     ),
     map.element,
-    h("div", { class: "charts" }, left.map(([, chart]) => chart.element)),
+    left.length > 0 && h("div", { class: "charts" }, left.map(([, chart]) => chart.element)),
     card("Mounts", tableBox("Mounts", mountTable(found.mounts))),
     card("Orders of the map", tableBox("Orders of the map", orderTable(found.stage))),
     found.units.map((unit) => unitCard(unit, found, path)),
@@ -88,6 +89,9 @@ function heading({ id, created_at: at, by, rig, runs, linear, periods_deg: perio
     ),
   );
 }
+
+/** Whether units were clamped by several faces. */
+const isWhole = ({ mounts }) => mounts.some(({ mount_axis: axis = "x" }) => !axis.endsWith("x"));
 
 /** Whether the map foretells held-out poses better than believing the stage does. */
 const isBetter = ({ before, final }) => final.held_out_rms_deg < before.held_out_rms_deg;

@@ -67,6 +67,7 @@ class Records:
             provenance={
                 **provenance(operator),
                 "imported_from": file_name,
+                "mount_axis": imported.mount_axis,
                 "warnings": imported.warnings,
             },
             result=imported.result,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from calrig.analysis.errors import Conflict
+from calrig.analysis.mounts import axis_of
 from calrig.store import AcceptedEffect, Run
 from calrig.store.issued import Revision
 from calrig.store.records import Document
@@ -19,7 +20,7 @@ def why_none(run: Run) -> str | None:
     kind = (run.plan or {}).get("kind", "calibration")
     if kind != "calibration":
         return f"is a {'static log' if kind == 'static' else kind}"
-    if (axis := (run.plan or {}).get("mount_axis", "x")) != "x":
+    if (axis := axis_of(run)) != "x":
         return f"had the unit's {axis} along the stage's axis: its poses are for the joint solution"
     return None if run.follows is None else f"is a follow-up of run {run.follows}"
 

@@ -9,7 +9,8 @@ from pathlib import Path
 from calrig.analysis.results import as_applied
 from calrig.calibration.result import build_result
 from calrig.export.calibration_json import calibration_content
-from calrig.export.poses_csv import PoseColumns, read_pose_columns
+from calrig.export.mounted_csv import read_run
+from calrig.export.poses_csv import PoseColumns
 from calrig.store.records import AcceptedEffect, Document
 
 
@@ -17,13 +18,14 @@ from calrig.store.records import AcceptedEffect, Document
 class Imported:
     """What a run is made of: the poses, what was said of the file, and CONTRACT section 2's result.
 
-    `content` is that of the unit's next revision, with the effects `accepted`; None where the poses leave the
-    scale open.
+    `mount_axis` is which of the unit's axes lay along the stage's; there is a result about x alone. `content`
+    is that of the unit's next revision, with the effects `accepted`; None where the scale is left open.
     """
 
     poses: PoseColumns
+    mount_axis: str
     warnings: list[str]
-    result: Document
+    result: Document | None
     content: Document | None
     accepted: Sequence[AcceptedEffect]
 
@@ -42,10 +44,12 @@ def read_and_fit(
     Raises:
         CsvError: the file is bad; says line and column.
     """
-    columns, warnings = read_pose_columns(file.read_bytes() if isinstance(file, Path) else file)
+    columns, axis, warnings = read_run(file.read_bytes() if isinstance(file, Path) else file, unit)
+    if axis != "x":
+        return Imported(columns, axis, warnings, None, None, accepted)
     poses = columns[:]
     result = build_result(poses, None, as_applied(accepted))
     content = None
     if result.scale is not None:
         content = calibration_content(unit=unit, rig=rig, poses=poses, result=result, accepted=accepted)
-    return Imported(columns, warnings, result.to_dict(), content, accepted)
+    return Imported(columns, axis, warnings, result.to_dict(), content, accepted)

@@ -72,8 +72,8 @@ class Issuer:
         return self._draft(run, fit, by=run.operator, reason=None)
 
     def importing(self, imported: Imported, *, by: str | None) -> Draft | None:
-        """What a file of poses makes as it is imported; None where its poses leave the scale open."""
-        if imported.content is None:
+        """What poses make as they are imported; None where they are not about x, or leave the scale open."""
+        if imported.content is None or imported.result is None:
             return None
         limit = limit_for(self._store.limits(), imported.content["unit"], imported.content["rig"])
         judged = verdict(imported.result, limit=limit, calibration=imported.content)

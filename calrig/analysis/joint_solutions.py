@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.analysis.gyro_columns import poses_with_gyro
+from calrig.analysis.mounts import axis_of
 from calrig.analysis.stored_runs import counted_poses, ended_run
 from calrig.calibration.joint.table import Mounted
 from calrig.calibration.pose import MOUNT_DEG, Pose
@@ -176,7 +177,7 @@ def mounted(store: Store, runs: Sequence[Run]) -> list[Mounted]:
     names = {run.id: short_name(run.id) for run in runs}
     if len(set(names.values())) < len(names):
         names = {run_id: run_id for run_id in names}
-    whole = any(str((run.plan or {}).get("mount_axis", "x"))[-1] != "x" for run in runs)
+    whole = any(axis_of(run)[-1] != "x" for run in runs)
     poses_of = poses_with_gyro if whole else counted_poses
     return [lot for run in runs for lot in _lots(run, names[run.id], poses_of(store, run.id))]
 
@@ -190,8 +191,7 @@ def _lots(run: Run, name: str, poses: Sequence[Pose]) -> list[Mounted]:
         own = pose.covariates.get(MOUNT_DEG)
         bare = replace(pose, covariates={k: v for k, v in pose.covariates.items() if k != MOUNT_DEG})
         lots.setdefault(float(planned[0]) if own is None and len(planned) == 1 else own, []).append(bare)
-    axis = str(plan.get("mount_axis", "x"))
     return [
-        Mounted(run.unit, f"{name} {angle or 0.0:g}°", angle, run.id, own, axis)
+        Mounted(run.unit, f"{name} {angle or 0.0:g}°", angle, run.id, own, axis_of(run))
         for angle, own in lots.items()
     ]

@@ -10,8 +10,8 @@ from calrig.store import Run
 
 
 def axis_of(run: Run) -> str:
-    """Which of the unit's axes lay along the stage's."""
-    return str((run.plan or {}).get("mount_axis", "x"))
+    """Which of the unit's axes lay along the stage's: as it was planned, or an imported file says."""
+    return str((run.plan or run.provenance).get("mount_axis", "x"))
 
 
 def mount_columns(run_id: str, axis: str, pose: Pose) -> dict[str, str | float]:

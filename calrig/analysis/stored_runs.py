@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from calrig.analysis.errors import Conflict, Invalid, Unknown
+from calrig.analysis.mounts import axis_of
 from calrig.calibration.pose import Pose
 from calrig.store.records import AT_REST, Run
 
@@ -95,7 +96,7 @@ def runs_together(store: Store, run_id: str, more: Sequence[str] = ()) -> list[R
     for one in runs:
         if one.status not in AT_REST:
             raise Conflict(f"run {one.id} is {one.status}: wait until it has ended")
-        if (axis := (one.plan or {}).get("mount_axis", "x")) != "x":
+        if (axis := axis_of(one)) != "x":
             raise Conflict(
                 f"run {one.id} had the unit's {axis} along the stage's axis: a diagnosis is of elevations "
                 "about x; `solve` takes it"

@@ -27,7 +27,6 @@ class Solve(Body):
     periods_deg: list[Annotated[float, Field(ge=0.5, le=360)]] = Field(
         default=[], max_length=24, description="Known periods of gears, degrees of the dial."
     )
-
     seat_std_deg: float | None = Field(
         default=None, ge=0, le=90, description="How far one clamping of a face scatters from the next."
     )
@@ -43,6 +42,12 @@ class Solve(Body):
     def _names_something(self) -> "Solve":
         if not (self.runs or self.units or self.rig):
             raise ValueError("name runs, units or a rig: there is nothing to solve")
+        return self
+
+    @model_validator(mode="after")
+    def _limits_rise(self) -> "Solve":
+        if self.limits_deg is not None and self.limits_deg[0] >= self.limits_deg[1]:
+            raise ValueError("limits_deg is the lower, then the upper")
         return self
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
@@ -27,7 +28,9 @@ Units = Annotated[
 ]
 Periods = Annotated[
     list[float] | None,
-    typer.Option("--period", metavar="DEG", min=0.5, help="Known period of a gear, degrees of the dial."),
+    typer.Option(
+        "--period", metavar="DEG", min=0.5, max=360.0, help="Known period of a gear, degrees of the dial."
+    ),
 ]
 Out = Annotated[
     Path | None, typer.Option(metavar="DIR", help="Write each unit's calibration and the stage's map there.")
@@ -97,8 +100,7 @@ def solve(
         raise InputError("solve: name files or run ids, not both")
     if unit and not files:
         raise InputError("solve: runs have their units; --unit is for files")
-    if frame not in {"sensor", "faces"}:
-        raise InputError(f"solve: --frame is {frame!r}: it is sensor or faces")
+    _check_options(frame, limits)
     wanted = Wanted(
         sources,
         linear=linear,
@@ -135,6 +137,13 @@ def solve(
         print_whole(document)
     else:
         print_solution(document)
+
+
+def _check_options(frame: str, limits: tuple[float, float] | None) -> None:
+    if frame not in {"sensor", "faces"}:
+        raise InputError(f"solve: --frame is {frame!r}: it is sensor or faces")
+    if limits is not None and not -math.inf < limits[0] < limits[1] < math.inf:
+        raise InputError(f"solve: --limits {limits[0]:g} {limits[1]:g}: the lower comes first")
 
 
 def _answer(asked: Question) -> Solved:
@@ -185,6 +194,8 @@ def _of_file(file: Path, serial: str | None) -> tuple[list[Mounted], list[str]]:
         lots, said = read_mounted(read_bytes(file), str(file), serial)
     except CsvError as error:
         raise InputError(f"{file}: {error}") from error
+    if serial is not None and (others := sorted({lot.unit for lot in lots} - {serial})):
+        said = [*said, f"--unit {serial} is not theirs whose unit the file says: {', '.join(others)}"]
     return lots, [f"{file}: {sentence}" for sentence in said]
 
 

@@ -5,13 +5,86 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from calrig.calibration.joint.clamping import FACES
 from calrig.calibration.joint.table import Mounted
-from calrig.calibration.pose import Pose
+from calrig.calibration.pose import MOUNT_DEG, Pose
 from calrig.export.cells import CsvError
-from calrig.export.poses_csv import Labels, read_labelled_poses
+from calrig.export.poses_csv import (
+    Labels,
+    PoseColumns,
+    Texts,
+    read_labelled_columns,
+    read_labelled_poses,
+)
 
-LABELS = ("unit", "mount", "mount_axis")
-MOUNT_DEG = "mount_deg"
+AXIS = "mount_axis"
+LABELS = ("unit", "mount", AXIS)
+
+
+def read_run(data: bytes, unit: str) -> tuple[PoseColumns, str, list[str]]:
+    """The poses of a file that is to be a run, in the order measured, and how they are clamped.
+
+    A run is of one unit, has one of its axes along the stage's, and one clamping at each angle.
+
+    Args:
+        data: the file.
+        unit: serial number of the run's unit.
+
+    Returns:
+        The poses, the axis along the stage's, and what is to be said.
+
+    Raises:
+        CsvError: the file is no table of poses, or they are of several runs.
+    """
+    poses, texts, warnings = read_labelled_columns(data, LABELS)
+    if "unit" in texts and (serial := _one(texts["unit"], "unit")) not in {unit, ""}:
+        warnings.append(f"the file says that these poses are of unit {serial}")
+    axis = _axis(texts[AXIS]) if AXIS in texts else "x"
+    if "mount" in texts:
+        _refuse_two_in_one(texts["mount"], poses.cells(MOUNT_DEG))
+    ordered, of_time = poses.in_time()
+    return ordered, axis, [*warnings, *([of_time] if of_time else [])]
+
+
+def _one(column: Texts, name: str) -> str:
+    """The text of every cell; blank cells are of any."""
+    first = next((text for text in column.texts if text), "")
+    for text, line in zip(column.texts, column.lines, strict=True):
+        if text not in {first, ""}:
+            raise CsvError(f"{text!r} after {first!r}: {_ALONE}", line=line, column=name)
+    return first
+
+
+_ALONE = "make a file of each, and a run of each file, or solve the file as it is"
+
+
+def _axis(column: Texts) -> str:
+    """What every pose has along the stage's axis; `x` where a cell is blank."""
+    faces = [text.lower().removeprefix("+") or "x" for text in column.texts]
+    for text, face, line in zip(column.texts, faces, column.lines, strict=True):
+        if face not in FACES:
+            raise CsvError(f"{text!r} is none of {', '.join(FACES)}", line=line, column=AXIS)
+    return _one(Texts(faces, column.lines), AXIS) or "x"
+
+
+def _refuse_two_in_one(mounts: Texts, angles: Sequence[float | None] | None) -> None:
+    """Raises CsvError where one label is at two angles, or two are at one: a run tells them by the angle."""
+    at: dict[str, float | None] = {}
+    named: dict[float | None, str] = {}
+    for place, (mount, line) in enumerate(zip(mounts.texts, mounts.lines, strict=True)):
+        if not mount:
+            continue
+        angle = None if angles is None else angles[place]
+        if at.setdefault(mount, angle) != angle:
+            said = f"{mount!r} was clamped at {_degrees(at[mount])} and at {_degrees(angle)}"
+            raise CsvError(f"{said}: give what was clamped anew a name of its own", line=line, column="mount")
+        if (other := named.setdefault(angle, mount)) != mount:
+            said = f"{mount!r} and {other!r} are two clampings at {_degrees(angle)}"
+            raise CsvError(f"{said}: {_ALONE}", line=line, column="mount")
+
+
+def _degrees(angle: float | None) -> str:
+    return "no stated angle" if angle is None else f"{angle:g}°"
 
 
 def read_mounted(data: bytes, source: str, unit: str | None = None) -> tuple[list[Mounted], list[str]]:
@@ -46,7 +119,7 @@ def lots_of(
                 else "it is not said whose poses these are"
             )
             raise CsvError(f"{whose}: give it a column unit, or --unit", column="unit")
-        axis = texts.get("mount_axis", "x")
+        axis = texts.get(AXIS, "x")
         name = texts.get("mount") or _name(source, angle, axis)
         bare = replace(pose, covariates={k: v for k, v in pose.covariates.items() if k != MOUNT_DEG})
         lots.setdefault((serial, name, angle, axis), []).append(bare)

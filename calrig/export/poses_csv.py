@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import overload
 
-from calrig.calibration.pose import COLUMNS, INTEGER, REQUIRED, Pose
+from calrig.calibration.pose import COLUMNS, INTEGER, MOUNT_DEG, REQUIRED, Pose
 from calrig.export.cells import Cells, CsvError, for_spreadsheet, from_spreadsheet
 from calrig.export.csv_table import read_tables
 
@@ -19,6 +19,8 @@ __all__ = [
     "CsvError",
     "ImportedPoses",
     "PoseColumns",
+    "Texts",
+    "read_labelled_columns",
     "read_labelled_poses",
     "read_pose_columns",
     "read_poses",
@@ -62,6 +64,11 @@ class PoseColumns(Sequence[Pose]):
         cells = (_known(column[place], name in INTEGER) for name, column in self._columns.items())
         return [Pose.from_row(dict(zip(self._columns, row, strict=True))) for row in zip(*cells, strict=True)]
 
+    def cells(self, name: str) -> list[float | None] | None:
+        """A column, None where not known; None where there is none of this name."""
+        column = self._columns.get(name)
+        return None if column is None else [None if math.isnan(cell) else cell for cell in column]
+
     def in_time(self) -> tuple[PoseColumns, str]:
         """The poses by `time_s` if each has one, and what is to be said where they were not so."""
         order, said = self.order_in_time()
@@ -103,7 +110,7 @@ def read_poses(data: bytes) -> ImportedPoses:
 
 def read_pose_columns(data: bytes) -> tuple[PoseColumns, list[str]]:
     """The same, of which a hundred thousand poses fit into little memory."""
-    poses, _, warnings = _read(data, ())
+    poses, _, warnings = read_labelled_columns(data, ())
     ordered, of_time = poses.in_time()
     return ordered, [*warnings, *([of_time] if of_time else [])]
 
@@ -119,25 +126,36 @@ def read_labelled_poses(data: bytes, labels: Sequence[str]) -> tuple[list[Pose],
         The poses in the order measured, of each its texts by column (of columns that the file has, and cells
         that are not blank), and warnings.
     """
-    poses, texts, warnings = _read(data, labels)
+    poses, texts, warnings = read_labelled_columns(data, labels)
     order, of_time = poses.order_in_time()
-    rows = [{name: cells[k] for name, cells in texts.items() if cells[k]} for k in order]
+    rows = [{name: cells.texts[k] for name, cells in texts.items() if cells.texts[k]} for k in order]
     return poses.in_time()[0][:], rows, [*warnings, *([of_time] if of_time else [])]
 
 
 Labels = dict[str, str]
 
 
-def _read(data: bytes, labels: Sequence[str]) -> tuple[PoseColumns, dict[str, list[str]], list[str]]:
+@dataclass(frozen=True, slots=True)
+class Texts:
+    """A column of text: its cells, and the line each stands in."""
+
+    texts: list[str]
+    lines: list[int]
+
+
+def read_labelled_columns(
+    data: bytes, labels: Sequence[str]
+) -> tuple[PoseColumns, dict[str, Texts], list[str]]:
     """Columns of numbers and of text, in the order of the file, and what was left out."""
     columns: list[_Column] = []
-    texts: dict[str, list[str]] = {}
+    texts: dict[str, Texts] = {}
     for table in read_tables(data, REQUIRED):
         columns = columns or [_Column(name) for name in table.header]
         for place, column in enumerate(columns):
             if column.name in labels:
-                cells = (from_spreadsheet(text.strip()) for text in table.column(place).texts)
-                texts.setdefault(column.name, []).extend(cells)
+                cells, said = table.column(place), texts.setdefault(column.name, Texts([], []))
+                said.texts.extend(from_spreadsheet(text.strip()) for text in cells.texts)
+                said.lines.extend(cells.lines)
             else:
                 column.take(table.column(place))
     warnings: list[str] = []
@@ -213,7 +231,7 @@ class _Column:
         try:
             values = cells.numbers()
         except CsvError as error:
-            if self.name in COLUMNS:
+            if self.name in (*COLUMNS, MOUNT_DEG):
                 raise
             self._why_not = f"is not numeric (line {error.line}: {error.what})"
             return

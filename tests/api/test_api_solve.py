@@ -81,6 +81,7 @@ def test_what_cannot_be_solved_is_refused_with_the_reason(shared_client, runs):
         ({}, 422, "name runs, units or a rig"),
         ({"runs": runs, "periods_deg": [0.1]}, 422, "periods_deg"),
         ({"runs": runs, "gear": 7.2}, 422, "gear"),
+        ({"runs": runs, "limits_deg": [90, -90]}, 422, "limits_deg is the lower, then the upper"),
         ({"runs": [few]}, 422, "4 poses are too few"),
         ({"units": ["AS-7"], "rig": "bench-2"}, 422, "no completed calibration that counts"),
     ):

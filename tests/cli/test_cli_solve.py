@@ -38,6 +38,8 @@ def test_one_file_with_columns_and_a_file_for_each_mount_are_one_solution(mounts
     assert [mount["mount"] for mount in of_one["mounts"]] == ["clamp 0", "clamp 1", "clamp 2"]
     assert [mount["mount_deg"] for mount in of_three["mounts"]] == [0, 120, 240]
     assert of_one["units"] == of_three["units"]
+    (said,) = json.loads(calrig("solve", "all.csv", "--unit", "B", "--json").stdout)["warnings"][:1]
+    assert said == "all.csv: --unit B is not theirs whose unit the file says: AS-7"
     (unit,) = of_one["units"]
     assert unit["unit"] == "AS-7"
     for name, true in (("y_mg", 50.0), ("z_mg", -30.0), ("gain_pct", 2.0)):
@@ -87,6 +89,23 @@ def test_runs_of_the_store_are_solved_by_their_ids(mounts):
     assert [mount["mount_deg"] for mount in of_runs["mounts"]] == [0, 120, 240]
 
 
+def test_a_file_with_labels_is_imported_as_it_is_solved(mounts):
+    run_id = calrig("import", "all.csv", "--unit", "AS-7").stdout.strip()
+    of_run, of_file = (json.loads(calrig("solve", one, "--json").stdout) for one in (run_id, "all.csv"))
+    for part in ("units", "stage", "before", "final", "noise", "warnings"):
+        assert of_run[part] == of_file[part]
+    assert of_file["mounts"][2]["angle_deg"]["value"] == pytest.approx(240.0, abs=1.0)
+
+
+def test_an_imported_run_keeps_the_axis_that_it_was_clamped_by(folder):
+    rows = "\n".join(f"{row},-x" for row in rows_of(0, 1))
+    (folder / "reversed.csv").write_text(f"{HEADER},mount_axis\n{rows}")
+    run_id = calrig("import", "reversed.csv", "--unit", "AS-7").stdout.strip()
+    assert "lie the other way round (mount_axis x)?" in reason("solve", run_id, status=2)
+    assert "-x along the stage's axis" in reason("diagnose", run_id, status=1)
+    assert calrig("export", run_id, "--format", "csv").stdout.count(",-x\n") == 40
+
+
 def test_a_running_service_solves_its_runs_and_keeps_the_solution(mounts, folder, service, monkeypatch):
     with serving(service) as client:
         ids = [clamped(client, "AS-7", angle)["id"] for angle in (0, 120, 240)]
@@ -125,6 +144,8 @@ def test_one_mount_is_not_enough_and_what_would_help_is_said(mounts):
         (["at0.csv", "1"], "name files or run ids, not both"),
         (["absent.csv", "--unit", "A"], "absent.csv: cannot be read"),
         (["poses.csv", "--unit", "A"], "3 poses are too few"),
+        (["all.csv", "--limits", "90", "-90"], "the lower comes first"),
+        (["all.csv", "--limits", "nan", "90"], "the lower comes first"),
     ],
 )
 def test_what_cannot_be_solved_is_refused_in_one_line(mounts, arguments, words):

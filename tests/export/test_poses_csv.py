@@ -13,6 +13,7 @@ from support import DATA
 from calrig.calibration.pose import COLUMNS, Pose
 from calrig.export import csv_table
 from calrig.export.cells import CsvError
+from calrig.export.mounted_csv import read_run
 from calrig.export.poses_csv import read_poses, write_poses
 
 number = st.floats(-1e30, 1e30, allow_nan=False)
@@ -197,6 +198,7 @@ def test_rows_whose_time_is_partly_unknown_stay_where_they_are_with_a_warning():
         (b"target_deg,reading_deg,stage_deg\n1,2,1_000\n", 2, "stage_deg", "not a number"),
         (b"target_deg,reading_deg,pass\n1,2,0.5\n", 2, "pass", "not whole"),
         (b"target_deg,reading_deg,pass\n1,2,-1\n", 2, "pass", "not a count"),
+        (b"target_deg,reading_deg,mount_deg\n1,2,half\n", 2, "mount_deg", "'half' is not a number"),
         (b"target_deg,reading_deg,n_samples\n1,2,1e25\n", 2, "n_samples", "not a count"),
         (b"target_deg,reading_deg,approach\n1,2,1\n1,2,2\n", 3, "approach", "none of -1, 0, 1"),
         (b'target_deg,reading_deg\n1,"2\n', 2, None, "is not CSV"),
@@ -217,6 +219,23 @@ def test_a_bad_file_is_told_by_line_and_column(data, line, column, says):
     assert line is None or bad.value.line == line
     if line is not None:
         assert str(bad.value).startswith(f"line {line}")
+
+
+@pytest.mark.parametrize(
+    ("columns", "rows", "line", "says"),
+    [
+        ("mount_axis", ["y", "q"], 3, "'q' is none of x, -x, y, -y, z, -z"),
+        ("mount_axis", ["+Y", "y", ""], 4, "'x' after 'y'"),
+        ("unit", ["A", "B"], 3, "'B' after 'A'"),
+        ("mount,mount_deg", ["a,0", "a,120"], 3, "'a' was clamped at 0° and at 120°"),
+        ("mount,mount_deg", ["a,0", "b,120", "c,0"], 4, "'c' and 'a' are two clampings at 0°"),
+    ],
+)
+def test_a_file_of_several_runs_is_not_imported_as_one(columns, rows, line, says):
+    text = "\n".join([f"target_deg,reading_deg,{columns}", *(f"1,2,{row}" for row in rows)])
+    with pytest.raises(CsvError) as bad:
+        read_run(text.encode(), "A")
+    assert (bad.value.line, says in bad.value.what) == (line, True), bad.value
 
 
 def test_a_file_beyond_the_size_is_refused_before_it_is_read():

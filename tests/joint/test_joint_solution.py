@@ -278,3 +278,15 @@ def test_too_few_poses_and_other_axes_are_refused(lots):
         solve([replace(lots[0], axis="z"), *lots[1:]])
     with pytest.raises(DiagnosisError, match="mount m1 of unit U0: mount_axis is 'left', which is none of"):
         solve([lots[0], replace(lots[1], axis="left"), lots[2]])
+
+
+def test_few_angles_of_the_dial_are_told_of_where_the_map_has_as_many_terms():
+    bench = replace(THREE, highest=12).bench(0)
+    up = np.linspace(-60.0, 60.0, 13)
+    dial, approach = np.concatenate([up, up[::-1]]), np.repeat([1.0, -1.0], 13)
+    visits = tuple(
+        replace(visit, dial_deg=dial, approach=approach, die_c=np.full(26, visit.die_c[0]))
+        for visit in bench.visits
+    )
+    few = told(replace(bench, visits=visits).measured(np.random.default_rng(0)))
+    assert any("13 angles of the dial, as few as the map has terms" in said for said in few["warnings"])

@@ -27,6 +27,8 @@ HARDLY_NOISE = 0.85
 """Correlation from pose to pose, seconds apart, beyond which something moved."""
 CONTRADICTS = 1e-3
 """Chance of quadratic and cubic terms as large in units that have none."""
+NEAR_DEG = 0.25
+"""Poses nearer to one another than this stand at one angle of the dial."""
 OFF_DEG = 5.0
 """From where a mount was said to be to where gravity has it; a plan is held to the same."""
 CAUSES = {
@@ -69,7 +71,7 @@ def sentences(solution: Solution, on_stage: Mapped) -> list[str]:
         )
     said += [*_of_misfits(solution), *_of_gear(solution), *_of_levels(solution)]
     said += [*_of_linear(solution), *_of_mounts(solution, on_stage), *_of_sources(solution)]
-    return [*said, *_of_dial(solution), *_of_columns(solution), *_of_readings(solution)]
+    return [*said, *_of_dial(solution, on_stage), *_of_columns(solution), *_of_readings(solution)]
 
 
 def _not_separable(solution: Solution, unit: int) -> str:
@@ -160,7 +162,7 @@ def _of_mounts(solution: Solution, on_stage: Mapped) -> list[str]:
     """Mounts that stand elsewhere than somebody said."""
     said = []
     for mount, found_deg in zip(solution.table.mounts, on_stage.mounts_deg, strict=True):
-        angle_deg = mount.sense * float(found_deg)
+        angle_deg = mount.on_its_turn(mount.sense * float(found_deg))
         if abs(wrap_deg(angle_deg - (mount.nominal_deg or 0.0))) > OFF_DEG:
             stated = (
                 "no mount_deg was given"
@@ -191,7 +193,7 @@ def _of_sources(solution: Solution) -> list[str]:
     return said
 
 
-def _of_dial(solution: Solution) -> list[str]:
+def _of_dial(solution: Solution, on_stage: Mapped) -> list[str]:
     dial = solution.table.dial_deg[solution.fit.kept]
     said = []
     if not goes_round(dial):
@@ -199,6 +201,12 @@ def _of_dial(solution: Solution) -> list[str]:
         said.append(
             f"the poses stand on {arc:.0f}° of the dial: the map is known there and nowhere else, and its "
             "orders are a way to write it down, not the axis' own"
+        )
+    n_angles = len(np.unique(np.round(dial / NEAR_DEG)))
+    if n_angles <= 2 * len(on_stage.harmonics) + 1:
+        said.append(
+            f"the poses stand at {n_angles} angles of the dial, as few as the map has terms: what the stage "
+            "has beyond these orders is in no standard error of the map; take poses at more angles"
         )
     if solution.choice.untold:
         orders = ", ".join(f"{order:g}" for order in solution.choice.untold)

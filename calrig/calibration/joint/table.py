@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.pose import Pose
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import FloatArray, wrap_deg
 
 BoolArray = npt.NDArray[np.bool_]
 Intp = npt.NDArray[np.intp]
@@ -61,6 +61,11 @@ class Mount:
     def axis(self) -> str:
         """Which of the unit's axes lies along the stage's."""
         return "x" if self.sense > 0 else "-x"
+
+    def on_its_turn(self, angle_deg: float) -> float:
+        """An angle that was found, within half a turn of the one stated: 241° where that was 240°."""
+        nominal_deg = self.nominal_deg or 0.0
+        return nominal_deg + float(wrap_deg(angle_deg - nominal_deg))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -173,7 +173,7 @@ def _mounts(solution: ThreeAxisSolution, on_stage: Mapped) -> list[dict[str, Any
             "unit": solution.table.units[mount.unit],
             "mount_deg": mount.nominal_deg or 0.0,
             "mount_axis": faces[k],
-            "angle_deg": value(on_stage.mounts_deg[k], on_stage.mounts_std_deg[k]),
+            "angle_deg": value(mount.on_its_turn(float(on_stage.mounts_deg[k])), on_stage.mounts_std_deg[k]),
             "tilts_deg": np.degrees(fit.parameters[fit.problem.tilts_at(k)]).tolist(),
         }
         for k, mount in enumerate(solution.table.mounts)

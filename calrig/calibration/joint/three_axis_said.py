@@ -103,7 +103,7 @@ def _of_mounts(solution: ThreeAxisSolution, on_stage: Mapped) -> list[str]:
     """Mounts that stand elsewhere than somebody said."""
     return [
         f"mount {mount.name} of unit {solution.table.units[mount.unit]}: mount_deg is {mount.nominal_deg:g}, "
-        f"gravity says {angle_deg:.1f}° about {face}"
+        f"gravity says {mount.on_its_turn(float(angle_deg)):.1f}° about {face}"
         for mount, angle_deg, face in zip(
             solution.table.mounts, on_stage.mounts_deg, solution.of.faces, strict=True
         )
