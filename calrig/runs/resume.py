@@ -26,6 +26,7 @@ from calrig.estimation.reading import Reading
 from calrig.plan import Plan, PlanError
 from calrig.runs import ordered
 from calrig.runs.follow_up import FollowUpRun
+from calrig.runs.planned import planned_poses
 from calrig.runs.rig import Rig
 from calrig.runs.task import Earlier, Task
 from calrig.settings import RigSettings
@@ -79,6 +80,18 @@ def resumed_task(store: Store, run: Run, settings: RigSettings) -> Task:
             "resumed_at": datetime.now(UTC).isoformat(timespec="seconds"),
         },
     )
+
+
+def waiting_task(store: Store, run: Run, settings: RigSettings) -> Task:
+    """A run whose turn has come: nothing of it has been done.
+
+    Raises:
+        Invalid: an elevation lies beyond the rig's limits, as they are configured now.
+        Conflict: the revision that a verification is to apply is not there.
+    """
+    plan = Plan.model_validate(run.plan)
+    verifies = _verified(store, run, plan, settings)
+    return Task(run, settings, plan, planned_poses(plan, settings), verifies=verifies)
 
 
 def _verified(store: Store, run: Run, plan: Plan, rig: RigSettings) -> ActiveCalibration | None:
