@@ -22,6 +22,8 @@ const ROUTES = [
   [/^\/rigs\/([^/]+)$/, async (shown) => (await import("./rig.js")).rigView(shown)],
   [/^\/solve$/, async (shown) => (await import("./solve.js")).solveView(shown)],
   [/^\/solve\/([^/]+)$/, async (shown) => (await import("./solution.js")).solutionView(shown)],
+  [/^\/queue$/, async (shown) => (await import("./queue.js")).queueView(shown)],
+  [/^\/queue\/([^/]+)$/, async (shown) => (await import("./queue.js")).queueView(shown)],
   [/^\/import$/, importView],
   [/^\/trail$/, async (shown) => (await import("./trail.js")).trailView(shown)],
   [/^\/users$/, async (shown) => (await import("./users.js")).usersView(shown)],

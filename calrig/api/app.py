@@ -16,6 +16,7 @@ import calrig
 from calrig.analysis.due_dates import INTERVAL_DAYS
 from calrig.api import (
     amendments,
+    batches,
     benches,
     calibrations,
     changes,
@@ -57,6 +58,7 @@ from calrig.settings import CentreSettings, packed
 
 PARTS = (
     runs,
+    batches,
     amendments,
     plans,
     clamp,

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Annotated
 
 from fastapi import Depends, FastAPI, Request
@@ -18,6 +19,7 @@ from calrig.api.job import Jobs
 from calrig.api.looks import Lately
 from calrig.api.streams import Streams
 from calrig.processes.pool import Processes
+from calrig.runs.batches import RunBatches
 from calrig.runs.errands import Errands
 from calrig.runs.services import Service
 from calrig.settings import CentreSettings
@@ -45,6 +47,11 @@ class ApiContext:
     centre: CentreSettings = field(default_factory=CentreSettings)
     enrolling: Attempts = field(default_factory=Attempts)
     lately: Lately = field(default_factory=Lately)
+
+    @cached_property
+    def batches(self) -> RunBatches:
+        """Lists of units that are calibrated one after the other."""
+        return RunBatches(self.service)
 
     @property
     def diagnoses(self) -> Diagnoses:

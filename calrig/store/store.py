@@ -7,6 +7,7 @@ from types import TracebackType
 from typing import Self
 
 from calrig.store.amendments import Amendments
+from calrig.store.batches import Batches
 from calrig.store.bench_backlog import BenchBacklog
 from calrig.store.bench_commands import BenchCommands
 from calrig.store.benches import Benches
@@ -54,6 +55,7 @@ class Store(
     Fleet,
     FleetFindings,
     Solutions,
+    Batches,
 ):
     """An open store, shared by threads. Each method is one transaction, on the disk when it returns.
 
