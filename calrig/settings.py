@@ -21,6 +21,7 @@ from pydantic import (
 )
 
 CONFIG_NAME = "calrig.toml"
+SHORTEST_SECRET = 16
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+_.-]*://")
 
 
@@ -156,6 +157,43 @@ class CentreSettings(_Strict):
     agent_db_port: int | None = Field(default=None, ge=1, le=65535)
 
 
+class WebhookSettings(_Strict):
+    """Where another program is told of each run's end, and what its key is kept in: a file or a variable."""
+
+    url: Annotated[str, Field(pattern=r"^https?://[^\s/@]+(/\S*)?$", max_length=2000)]
+    secret_file: Path | None = None
+    secret_env: Annotated[str, Field(pattern=r"^\w+$", max_length=200)] | None = None
+
+    @model_validator(mode="after")
+    def _has_one_key(self) -> Self:
+        if (self.secret_file is None) == (self.secret_env is None):
+            raise ValueError(
+                "a webhook needs secret_file or secret_env, one of them: what it sends is signed"
+            )
+        return self
+
+    def secret(self) -> bytes:
+        """The key that is signed with.
+
+        Raises:
+            SettingsError: it cannot be read, or is too short to keep anybody out.
+        """
+        if self.secret_file is not None:
+            kept_in = str(self.secret_file)
+            try:
+                key = self.secret_file.read_bytes().strip()
+            except OSError as error:
+                raise SettingsError(f"[webhook] {kept_in}: cannot be read ({error.strerror})") from error
+        else:
+            kept_in = f"the environment's {self.secret_env}"
+            key = os.environ.get(self.secret_env or "", "").encode().strip()
+        if len(key) < SHORTEST_SECRET:
+            raise SettingsError(
+                f"[webhook] {kept_in}: has to hold a secret of {SHORTEST_SECRET} bytes or more"
+            )
+        return key
+
+
 class Settings(_Strict):
     """Everything configured."""
 
@@ -174,6 +212,8 @@ class Settings(_Strict):
     """Raw samples of runs older than this are deleted when the service starts; null keeps them for ever."""
 
     centre: CentreSettings = CentreSettings()
+    webhook: WebhookSettings | None = None
+    """Here alone: no request could have the service speak to an address of its choice."""
 
     _file: Path | None = PrivateAttr(default=None)
 

@@ -227,7 +227,9 @@ class RunService:
                 return self.run(run_id)
             run = self.run(run_id)
             if run.status == "interrupted" and self._crew.of_run(run_id) is None:
-                return self.store.update_run(run_id, status="aborted")
+                aborted = self.store.update_run(run_id, status="aborted")
+                self.bus.wake(run_id)
+                return aborted
         return self._aborted(self._worker(run_id, "aborted"))
 
     def begin_abort(self, run_id: str) -> Errand[Run] | None:

@@ -31,6 +31,7 @@ from calrig.store.trail import Trail
 from calrig.store.units import Units
 from calrig.store.unpacking import Unpacking
 from calrig.store.users import Users
+from calrig.store.webhook import Deliveries
 
 
 class Store(
@@ -56,6 +57,7 @@ class Store(
     FleetFindings,
     Solutions,
     Batches,
+    Deliveries,
 ):
     """An open store, shared by threads. Each method is one transaction, on the disk when it returns.
 
