@@ -118,6 +118,9 @@ class QueuePage {
       list.operator && h("span", {}, `by ${list.operator}`),
       list.note && h("span", { class: "note" }, list.note),
     );
+    const shown = JSON.stringify([list.units, list.closed_at]);
+    if (shown === this.shown) return; // a button in the table keeps the focus
+    this.shown = shown;
     fill(this.units, h("h2", { id: "queue-units-title" }, "Units"), tableBox("Units of this list", this.#table(list)));
   }
 
@@ -135,7 +138,7 @@ class QueuePage {
         h("td", { class: "plain" }, !closed && turn.state === "waiting" && may("operator") && h("button", { type: "button", class: "small", "aria-label": `Take ${turn.unit} out`, on: { click: () => take(turn.unit) } }, "Take out")),
       ),
     );
-    return h("table", { id: "queue-units" }, headings("Unit", "State", "Rig", "Run", "Why", ""), h("tbody", {}, rows));
+    return h("table", { id: "queue-units" }, headings("Unit", "State", "Rig", "Run", "Why", "Change"), h("tbody", {}, rows));
   }
 
   /** Enter alone, or a serial and Enter: what a bar-code reader types. */

@@ -66,7 +66,7 @@ export class RigCard {
     this.result.hidden = !word;
     this.result.className = `big-word ${word}`;
     fill(this.result, word && [h("span", { "aria-hidden": "true" }, SHAPES[word]), ` ${word.toUpperCase()}`]);
-    fill(this.of, word && [`${rig.last.unit} `, runLink(rig.last.run_id, "run ")]);
+    fill(this.of, word && [`${rig.last.unit} `, runLink(rig.last.run_id, "run "), rig.last_says.length > 0 && h("small", {}, rig.last_says[0])]);
     const why = under_way ? null : rig.on?.why;
     this.why.hidden = !why;
     fill(this.why, why && [why, rig.on.run_id && [" ", runLink(rig.on.run_id, "Run ")]]);

@@ -16,7 +16,6 @@ Failed = Literal["end", "follow_up"]
 Word = Literal["pass", "fail", "done"]
 TRIES = 2
 """Turns that a unit which fails has in a list, follow-ups not counted."""
-GOOD = ("pass", "conditional_pass")
 POOR = ("fail", "conditional_fail")
 
 
@@ -70,13 +69,16 @@ def settled(turns: Sequence[Turn], runs: Mapping[str, Run], rigs: Sequence[str],
 
 
 def word_of(run: Run) -> Word | None:
-    """What a run came to, in one word; None where it has not ended or nothing was measured."""
+    """What a run came to, in one word; None where it has not ended or nothing was measured.
+
+    A conditional pass is no more than `done`: its limit may be undecided.
+    """
     if run.status == "failed" and run.progress["poses_done"]:
         return "fail"
     if run.status != "completed":
         return None
     answer = None if run.verdict is None else run.verdict.answer
-    return "fail" if answer in POOR else "pass" if answer in GOOD else "done"
+    return "fail" if answer in POOR else "pass" if answer == "pass" else "done"
 
 
 def _ended(turn: Turn, run: Run) -> Turn:
