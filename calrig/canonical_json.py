@@ -17,3 +17,8 @@ def sha256_of(document: Mapping[str, Any]) -> str:
     """Of a document less its own `sha256`."""
     bare = {key: value for key, value in document.items() if key != "sha256"}
     return hashlib.sha256(canonical(bare).encode()).hexdigest()
+
+
+def with_sha256(document: Mapping[str, Any]) -> dict[str, Any]:
+    """The document with its own `sha256`."""
+    return {**document, "sha256": sha256_of(document)}

@@ -37,6 +37,13 @@ TITLES = {
     "accel_range_g": "Accelerometer full scale",
     "gyro_range_dps": "Gyro full scale",
     "token": "Token",
+    # of how a unit came
+    "customer": "Customer",
+    "address": "Customer's address",
+    "received_at": "Date of receipt",
+    "condition": "Condition at receipt",
+    "description": "Description",
+    "interval_agreed_months": "Months until the next calibration",
     # of a limit
     "name": "Name",
     "units": "Units",
@@ -146,3 +153,19 @@ def _title(name: str) -> str:
 def _quoted(name: object) -> str:
     shown = str(name)
     return f"“{shown if len(shown) <= LONGEST_PLACE else shown[:LONGEST_PLACE] + '…'}”"
+
+
+def first_problem(problem: Mapping[str, Any], document: Mapping[str, Any]) -> str:
+    """What pydantic says of a configuration, by the names of what it is in."""
+    place: list[str] = []
+    node: Any = document
+    for part in problem["loc"]:
+        try:
+            node = node[part]
+        except (KeyError, IndexError, TypeError):
+            node = None
+        if isinstance(part, int) and isinstance(node, dict) and "name" in node:
+            place[-1] = f"{place[-1]} {node['name']!r}"
+        else:
+            place.append(str(part))
+    return f"{', '.join(place) or 'file'}: {problem['msg'].removeprefix('Value error, ')}"

@@ -10,8 +10,6 @@ from typing import Annotated, Any, Literal, Self
 
 import platformdirs
 from pydantic import (
-    BaseModel,
-    ConfigDict,
     Field,
     IPvAnyNetwork,
     PrivateAttr,
@@ -20,8 +18,11 @@ from pydantic import (
     model_validator,
 )
 
+from calrig.invalid_fields import first_problem
+from calrig.laboratory import STANDARDS, LaboratorySettings, Overdue, StandardSettings, Strict
+from calrig.webhook_settings import WebhookSettings
+
 CONFIG_NAME = "calrig.toml"
-SHORTEST_SECRET = 16
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+_.-]*://")
 
 
@@ -33,11 +34,7 @@ ReleasePolicy = Literal["auto", "pass", "manual"]
 """Who puts a draft of a calibration in force: nobody need to, its limits, a person (CONTRACT section 6)."""
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class StageSettings(_Strict):
+class StageSettings(Strict):
     """A rig's stage: elevation = sign · (stage − zero_deg) / ratio.
 
     `port`, of a board as well, is anything `serial.serial_for_url` opens, or `usb:` and the serial number of
@@ -54,7 +51,7 @@ class StageSettings(_Strict):
     tolerance_deg: float = Field(default=0.3, gt=0)
 
 
-class BoardSettings(_Strict):
+class BoardSettings(Strict):
     """A rig's sensor board."""
 
     driver: str
@@ -62,7 +59,7 @@ class BoardSettings(_Strict):
     baudrate: int | None = Field(default=None, gt=0)
 
 
-class ClampSettings(_Strict):
+class ClampSettings(Strict):
     """What turns the unit in its clamp, where a rig has that: a motorised dividing head."""
 
     driver: Literal["index"]
@@ -70,19 +67,26 @@ class ClampSettings(_Strict):
     baudrate: int | None = Field(default=None, gt=0)
 
 
-class ReferenceSettings(_Strict):
+class ReferenceSettings(StandardSettings):
     """What the stage's own angle is worth: its standard uncertainty and how it is shared among poses.
 
     `distribution`: a maker's limit of ±a is rectangular, with std_deg = a/√3; a certificate's U/k normal.
+    `map` is the stage's map that was solved for, a file beside this one; beyond it `std_deg` counts.
     """
 
-    std_deg: float = Field(gt=0)
+    std_deg: float | None = Field(default=None, gt=0)
     kind: Literal["setting", "harmonic", "common"] = "harmonic"
     distribution: Literal["rectangular", "normal"] = "rectangular"
-    certificate: str | None = None
+    map: str | None = Field(default=None, min_length=1)
+
+    @model_validator(mode="after")
+    def _says_something(self) -> Self:
+        if self.std_deg is None and self.map is None:
+            raise ValueError("reference needs `std_deg` (what the stage's angle is worth), or `map` (a file)")
+        return self
 
 
-class FilterSettings(_Strict):
+class FilterSettings(Strict):
     """Noise of the Kalman filter (Nirmal et al. 2016): Q in deg² and (deg/s)² per second, R in deg²."""
 
     q_angle: float = Field(default=0.001, gt=0)
@@ -90,7 +94,7 @@ class FilterSettings(_Strict):
     r_deg2: float = Field(default=0.03, gt=0)
 
 
-class RigSettings(_Strict):
+class RigSettings(Strict):
     """One stage and one board; a clamp where there is one. `simulated` takes the place of ports."""
 
     name: Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[\w.-]+$")]
@@ -100,6 +104,9 @@ class RigSettings(_Strict):
     imu: BoardSettings | None = None
     clamp: ClampSettings | None = None
     reference: ReferenceSettings | None = None
+    thermometer: StandardSettings | None = None
+    time_base: StandardSettings | None = None
+    overdue: Overdue = "flag"
     filter: FilterSettings = FilterSettings()
     simulated: dict[str, Any] | None = None
 
@@ -121,7 +128,7 @@ Positive = Annotated[float, Field(gt=0)]
 Range = tuple[float, float]
 
 
-class LimitSettings(_Strict):
+class LimitSettings(Strict):
     """What units are held against, a `[[limit]]` or an entry of `/api/limits`; null asks nothing of that."""
 
     name: Annotated[str, Field(min_length=1, max_length=100)]
@@ -150,51 +157,14 @@ class LimitSettings(_Strict):
         return self
 
 
-class CentreSettings(_Strict):
+class CentreSettings(Strict):
     """How agents reach a centre's database, where that is not as the centre itself does."""
 
     agent_db_host: Annotated[str, Field(pattern=r"^[\w.:-]+$", max_length=253)] | None = None
     agent_db_port: int | None = Field(default=None, ge=1, le=65535)
 
 
-class WebhookSettings(_Strict):
-    """Where another program is told of each run's end, and what its key is kept in: a file or a variable."""
-
-    url: Annotated[str, Field(pattern=r"^https?://[^\s/@]+(/\S*)?$", max_length=2000)]
-    secret_file: Path | None = None
-    secret_env: Annotated[str, Field(pattern=r"^\w+$", max_length=200)] | None = None
-
-    @model_validator(mode="after")
-    def _has_one_key(self) -> Self:
-        if (self.secret_file is None) == (self.secret_env is None):
-            raise ValueError(
-                "a webhook needs secret_file or secret_env, one of them: what it sends is signed"
-            )
-        return self
-
-    def secret(self) -> bytes:
-        """The key that is signed with.
-
-        Raises:
-            SettingsError: it cannot be read, or is too short to keep anybody out.
-        """
-        if self.secret_file is not None:
-            kept_in = str(self.secret_file)
-            try:
-                key = self.secret_file.read_bytes().strip()
-            except OSError as error:
-                raise SettingsError(f"[webhook] {kept_in}: cannot be read ({error.strerror})") from error
-        else:
-            kept_in = f"the environment's {self.secret_env}"
-            key = os.environ.get(self.secret_env or "", "").encode().strip()
-        if len(key) < SHORTEST_SECRET:
-            raise SettingsError(
-                f"[webhook] {kept_in}: has to hold a secret of {SHORTEST_SECRET} bytes or more"
-            )
-        return key
-
-
-class Settings(_Strict):
+class Settings(Strict):
     """Everything configured."""
 
     rig: tuple[RigSettings, ...] = ()
@@ -211,6 +181,7 @@ class Settings(_Strict):
     keep_samples_days: float | None = Field(default=None, gt=0)
     """Raw samples of runs older than this are deleted when the service starts; null keeps them for ever."""
 
+    laboratory: LaboratorySettings = LaboratorySettings()
     centre: CentreSettings = CentreSettings()
     webhook: WebhookSettings | None = None
     """Here alone: no request could have the service speak to an address of its choice."""
@@ -273,9 +244,28 @@ def load_settings(path: str | None = None) -> Settings:
     try:
         settings = Settings.model_validate(document)
     except ValidationError as error:
-        raise SettingsError(f"{file}: {_first_problem(error, document)}") from error
+        raise SettingsError(f"{file}: {first_problem(error.errors()[0], document)}") from error
+    settings = _with_files(settings, file)
     settings._file = file
     return settings if settings.rig else settings.model_copy(update={"rig": (DEMO_RIG,)})
+
+
+def _with_files(settings: Settings, file: Path) -> Settings:
+    """The settings with what lies beside them: certificates' hashes, and whole paths of the laboratory's."""
+    place = "laboratory"
+    try:
+        laboratory = settings.laboratory.read_beside(file.parent)
+        rigs = []
+        for rig in settings.rig:
+            found: dict[str, StandardSettings] = {}
+            for key in STANDARDS:
+                place = f"rig {rig.name!r}, {key}"
+                if (standard := getattr(rig, key)) is not None:
+                    found[key] = standard.read_beside(file.parent)
+            rigs.append(rig.model_copy(update=found))
+    except ValueError as error:
+        raise SettingsError(f"{file}: {place}: {error}") from error
+    return settings.model_copy(update={"laboratory": laboratory, "rig": tuple(rigs)})
 
 
 def _find(path: str | None) -> Path | None:
@@ -286,22 +276,6 @@ def _find(path: str | None) -> Path | None:
         if (folder / CONFIG_NAME).is_file():
             return folder / CONFIG_NAME
     return None
-
-
-def _first_problem(error: ValidationError, document: dict[str, Any]) -> str:
-    problem = error.errors()[0]
-    place: list[str] = []
-    node: Any = document
-    for part in problem["loc"]:
-        try:
-            node = node[part]
-        except (KeyError, IndexError, TypeError):
-            node = None
-        if isinstance(part, int) and isinstance(node, dict) and "name" in node:
-            place[-1] = f"{place[-1]} {node['name']!r}"
-        else:
-            place.append(str(part))
-    return f"{', '.join(place) or 'file'}: {problem['msg'].removeprefix('Value error, ')}"
 
 
 def store_url(db: str | None = None) -> str:

@@ -67,6 +67,11 @@ export async function begin(path, body, signal) {
   return { answer: await response.json() };
 }
 
+/** A file, as it is. */
+export async function getBlob(path) {
+  return (await sent(path, {})).blob();
+}
+
 async function request(path, options) {
   return (await sent(path, options)).json();
 }

@@ -2,6 +2,7 @@
 
 import { get, post } from "./api.js";
 import { askReason } from "./ask.js";
+import { certificateButtons } from "./certificate.js";
 import { fill, h, headings, runLink, runName, statusPill, tableBox } from "./dom.js";
 import { formats } from "./formats.js";
 import { moment, plusMinus, range, significant } from "./format.js";
@@ -47,6 +48,7 @@ export class Calibrations {
 
   #document(document, { stale, verdict }) {
     const file = `${this.path}/calibration?revision=${document.revision}`;
+    const certificate = certificateButtons(this.path, document.revision);
     return [
       stale.length > 0 &&
         h(
@@ -67,7 +69,10 @@ export class Calibrations {
         { class: "downloads" },
         h("a", { href: file, download: "calibration.json", id: "calibration-json" }, "Calibration (JSON)"),
         h("a", { href: `${file}&format=c-header`, download: "calibration.h" }, "C header"),
+        h("a", { href: `${file}&format=dcc`, download: "", id: "certificate-dcc" }, "Certificate (DCC)"),
+        certificate.buttons,
       ),
+      certificate.error,
       formats(file),
     ];
   }

@@ -22,6 +22,7 @@ function plotly() {
       reject(new ApiError(`The charts' script ${SCRIPT.pathname} could not be loaded.`, 0));
     });
     document.head.append(script);
+    import("./paper.js");
   });
   return library;
 }

@@ -194,7 +194,7 @@ function commonError(rig, signal) {
       const map = await get(`${path}/error-map`, signal);
       const says = h("p", { class: "muted" }, map.says);
       if (!map.stage_deg.length) return fill(body, says);
-      const title = `Mean residual of ${plural(map.units, "unit")}`;
+      const title = `The stage, solved together with ${plural(map.units, "unit")}`;
       const chart = new Chart("error-map-chart", title, { low: true, signal });
       fill(body, chart.element, says);
       await chart.load(`${path}/figures/error-map`);

@@ -86,13 +86,17 @@ export function field(id, label, input) {
 
 /** A table in a box of its own that scrolls sideways on a narrow screen, also by keyboard. */
 export function tableBox(label, table) {
-  return h("div", { class: "table-box", role: "region", "aria-label": label, tabindex: "0" }, table);
+  return h("div", { class: "table-box", role: "region", "aria-label": `Table: ${label}`, tabindex: "0" }, table);
 }
 
-/** A table's head; a name that begins with "#" stands over numbers. */
+/** A table's head; a name that begins with "#" stands over numbers, and none at all over buttons. */
 export function headings(...names) {
   const cell = (name) =>
-    h("th", { scope: "col", class: name.startsWith("#") && "number" }, name.replace(/^#/, ""));
+    h(
+      "th",
+      { scope: "col", class: name.startsWith("#") && "number" },
+      name.replace(/^#/, "") || h("span", { class: "for-screen-readers" }, "Actions"),
+    );
   return h("thead", {}, h("tr", {}, names.map(cell)));
 }
 

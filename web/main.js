@@ -8,7 +8,6 @@ import { onRigs, watchRigs } from "./rigs.js";
 import { startView } from "./start.js";
 import { runView } from "./run.js";
 import { stopButtons } from "./stop.js";
-import { importView } from "./import.js";
 
 const ROUTES = [
   [/^\/$/, startView],
@@ -24,7 +23,7 @@ const ROUTES = [
   [/^\/solve\/([^/]+)$/, async (shown) => (await import("./solution.js")).solutionView(shown)],
   [/^\/queue$/, async (shown) => (await import("./queue.js")).queueView(shown)],
   [/^\/queue\/([^/]+)$/, async (shown) => (await import("./queue.js")).queueView(shown)],
-  [/^\/import$/, importView],
+  [/^\/import$/, async (shown) => (await import("./import.js")).importView(shown)],
   [/^\/trail$/, async (shown) => (await import("./trail.js")).trailView(shown)],
   [/^\/users$/, async (shown) => (await import("./users.js")).usersView(shown)],
   [/^\/noise$/, async (shown) => (await import("./noise.js")).noiseView(shown)],

@@ -1,6 +1,6 @@
-// A rig: the unit it is checked by, when it last passed, and which runs are in doubt.
+// A rig: the map that its elevations rest on, the unit it is checked by, and which runs are in doubt.
 
-import { get, put, remove } from "./api.js";
+import { get, post, put, remove } from "./api.js";
 import { askConfirmation } from "./ask.js";
 import { Chart } from "./charts.js";
 import { errorLine, field, fill, h, headings, onSubmit, runLink, solveHref, statusPill, tableBox, unitLink } from "./dom.js";
@@ -30,9 +30,70 @@ export async function rigView({ root, parts: [name], signal }) {
     chart.element.hidden = !check;
     if (check) await chart.load(`/api/rigs/${encodeURIComponent(name)}/figures/check-unit`);
   };
+  const reference = h("section", { class: "card", id: "reference", "aria-labelledby": "reference-title" });
   const together = h("a", { href: solveHref({ rig: name }), id: "solve-rig" }, "Solve its stage and its units together");
-  fill(root, h("h1", {}, `Rig ${name}`), card, chart.element, h("p", {}, together));
-  await read();
+  fill(root, h("h1", {}, `Rig ${name}`), reference, card, chart.element, h("p", {}, together));
+  await Promise.all([read(), showReference(reference, name, signal)]);
+}
+
+const HOLDS = { holds: "good", moved: "poor", not_known: "unknown" };
+const HOLD_WORDS = { holds: "The map holds.", moved: "The map has moved.", not_known: "Nothing can be said yet." };
+
+async function showReference(card, name, signal) {
+  const path = `/api/rigs/${encodeURIComponent(name)}/map`;
+  const maps = await get("/api/stage-maps", signal);
+  const map = maps.some(({ rig }) => rig === name) ? await get(path, signal) : null;
+  fill(
+    card,
+    h("h2", { id: "reference-title" }, "Reference"),
+    map
+      ? mapInForce(map)
+      : h("p", { class: "muted" }, "The stage's certificate, as calrig.toml has it: no map of the stage is in force."),
+    map?.solve && may("admin") && withdrawing(path, () => showReference(card, name, signal)),
+  );
+}
+
+function mapInForce(map) {
+  const [low, high] = map.dial_deg;
+  const figures = [
+    ["Rests on", map.file ? `file ${map.file}` : `solution ${map.solve.slice(0, 8)}`],
+    ["Solved", moment(map.solved_at)],
+    ["In force since", moment(map.put_at)],
+    ["Standard uncertainty", significant(map.std_deg, 2, "°")],
+    ["Dial", `${fixed(low, 0, "°")} to ${fixed(high, 0, "°")}`],
+    ["From", `${plural(map.units.length, "unit")}, ${plural(map.runs.length, "run")}`],
+  ];
+  return [
+    h("p", {}, map.says),
+    h(
+      "div",
+      { class: `verdict ${HOLDS[map.holds.state]}`, role: "status" },
+      h("p", { class: "headline" }, HOLD_WORDS[map.holds.state]),
+      h("p", {}, map.holds.says),
+    ),
+    figureList(figures),
+  ];
+}
+
+function withdrawing(path, read) {
+  const drop = h("button", { type: "button", id: "withdraw-map" }, "Withdraw the map…");
+  drop.addEventListener("click", async () => {
+    const question = {
+      title: "Withdraw the stage's map?",
+      text: "Runs from now on rest on the stage's certificate again. Those that are there stay as they are.",
+      action: "Withdraw",
+    };
+    if (await askConfirmation(question, () => post(path, { solve: null }))) await read();
+  });
+  return h("div", { class: "buttons" }, drop);
+}
+
+function figureList(figures) {
+  return h(
+    "dl",
+    { class: "figures" },
+    figures.map(([title, value]) => h("div", {}, h("dt", {}, title), h("dd", {}, value))),
+  );
 }
 
 function standing(check) {
@@ -52,11 +113,7 @@ function standing(check) {
       h("p", {}, check.says),
       suspects.length > 0 && h("p", { id: "suspects" }, h("strong", {}, "Runs in doubt: "), suspects),
     ),
-    h(
-      "dl",
-      { class: "figures" },
-      figures.map(([title, value]) => h("div", {}, h("dt", {}, title), h("dd", {}, value))),
-    ),
+    figureList(figures),
   ];
 }
 

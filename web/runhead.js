@@ -21,6 +21,7 @@ export function heading(run) {
     ),
     run.note && h("p", { class: "note" }, run.note),
     interruptions(run),
+    (run.provenance.warnings ?? []).map((text) => h("p", { class: "cautions", "data-testid": "warning" }, text)),
     run.error && h("p", { class: "error", id: "run-reason", role: "alert" }, run.error),
     run.suspect &&
       h(

@@ -72,6 +72,7 @@ export async function unitView({ root, parts: [serial], signal }) {
         h("a", { href: `#/compare?unit=${encodeURIComponent(serial)}` }, "Compare with other units"),
         solvable && h("a", { href: solveHref({ rig: solvable.rig, unit: serial }) }, "Solve together with its stage"),
         h("a", { href: `#/trail?unit=${encodeURIComponent(serial)}` }, "Trail: who did what"),
+        h("a", { href: `${path}/archive`, download: "", id: "archive" }, "Archive of all this (zip)"),
       ),
     ),
   );

@@ -41,11 +41,10 @@ export class WaitingCard {
     this.error.say(null);
   }
 
-  reading({ stage_deg, reading_deg }) {
-    if (this.element.hidden || stage_deg === null || reading_deg === null) return;
-    const sense = this.asked.mount_axis.startsWith("-") ? -1 : 1;
-    const left = turned(this.asked.mount_deg - (sense * reading_deg - stage_deg));
-    const now = fixed(this.asked.mount_deg - left, 0, "°");
+  reading({ mount_deg }) {
+    if (this.element.hidden || mount_deg === undefined) return;
+    const left = this.asked.mount_deg - mount_deg;
+    const now = fixed(mount_deg, 0, "°");
     this.now.classList.toggle("right", Math.abs(left) <= RIGHT_DEG);
     this.now.textContent =
       Math.abs(left) <= RIGHT_DEG ? `Now at ${now}: right.` : `Now at ${now}: turn it ${left > 0 ? "on" : "back"} by ${fixed(Math.abs(left), 0, "°")}.`;
@@ -74,9 +73,4 @@ export class WaitingCard {
 
 function decimals(angle) {
   return Number.isInteger(angle) ? 0 : 2;
-}
-
-/** On the half turn to either side of 0. */
-function turned(angle) {
-  return angle - 360 * Math.ceil((angle - 180) / 360);
 }

@@ -9,16 +9,16 @@ from typing import Literal
 
 from calrig.analysis.basis import why_none, why_not_now
 from calrig.analysis.errors import Conflict, Unknown
-from calrig.analysis.results import as_applied, pose_residuals_deg
+from calrig.analysis.results import as_applied, pose_residuals_deg, rest_on_map
 from calrig.analysis.stored_runs import stored_run
 from calrig.calibration.correction import numbers_of
 from calrig.calibration.effect import ApplyError
 from calrig.calibration.fit import Line
 from calrig.calibration.pose import Pose
+from calrig.calibration.reference_figures import ReferenceFigures
 from calrig.calibration.result import (
     AppliedEffect,
     GyroFigures,
-    ReferenceFigures,
     Result,
     apply_calibration,
     corrected_residuals_deg,
@@ -69,20 +69,27 @@ def newest_of_run(store: Store, run_id: str) -> Revision:
 
 @dataclass(frozen=True, slots=True)
 class ActiveCalibration:
-    """A revision as a verification applies it, on the rig that the verification is made on."""
+    """A revision as a verification applies it, on the rig that the verification is made on.
+
+    `of_rig` are the errors of that rig, taken out beside where its stage's map does not have them already.
+    """
 
     revision: int
     run_id: str
     line: Line
     effects: Sequence[AppliedEffect]
     reference: ReferenceFigures | None
+    of_rig: Sequence[AppliedEffect] = ()
 
     def result(self, poses: Sequence[Pose], gyro: GyroFigures | None) -> Result:
         """What it leaves of fresh poses; without the effects where the poses lack what they need."""
         try:
-            return apply_calibration(poses, gyro, self.line, self.effects, self.reference)
+            return apply_calibration(poses, gyro, self.line, self._beside(poses), self.reference)
         except ApplyError:
             return apply_calibration(poses, gyro, self.line, (), self.reference)
+
+    def _beside(self, poses: Sequence[Pose]) -> Sequence[AppliedEffect]:
+        return self.effects if rest_on_map(poses) else [*self.effects, *self.of_rig]
 
     def provenance(self) -> Document:
         """What a verification's provenance says of it."""
@@ -91,7 +98,7 @@ class ActiveCalibration:
     def left_deg(self, poses: Sequence[Pose]) -> list[float | None]:
         """As found against the document: calibrated elevation less the stage's, of each pose."""
         try:
-            left = corrected_residuals_deg(poses, self.line, self.effects)
+            left = corrected_residuals_deg(poses, self.line, self._beside(poses))
         except ApplyError:
             left = corrected_residuals_deg(poses, self.line, ())
         return [value if math.isfinite(value) else None for value in left.tolist()]
@@ -118,12 +125,20 @@ def active_calibration(store: Store, unit: str, rig: str | None, number: int | N
     document = found.document
     of_unit = [(e["name"], numbers_of(e["parameters"])) for e in document["effects"]]
     of_rig = as_applied([e for e in store.effects_in_force(unit, rig) if e.unit is None])
+    reference = _reference(document)
+    return ActiveCalibration(found.revision, found.run_id, line_of(document), of_unit, reference, of_rig)
+
+
+def _reference(document: Document) -> ReferenceFigures | None:
+    """What the stage is worth in a document: its map where that was in force, else its certificate."""
     worth, stage = document["uncertainty"], reference_of(document["provenance"])
-    reference = None
-    if stage is not None and worth["reference_bias_deg"] is not None:
-        parts = worth["reference_bias_deg"], worth["reference_scale"]
-        reference = ReferenceFigures(stage.std_deg, stage.kind, *parts, stage.distribution)
-    return ActiveCalibration(found.revision, found.run_id, line_of(document), [*of_unit, *of_rig], reference)
+    by_map = worth.get("reference")
+    if by_map is not None:
+        return ReferenceFigures.from_dict(by_map)
+    if stage is None or worth["reference_bias_deg"] is None:
+        return None
+    parts = worth["reference_bias_deg"], worth["reference_scale"]
+    return ReferenceFigures(stage.std_deg, stage.kind, *parts, stage.distribution)
 
 
 def left_of_poses_deg(store: Store, run: Run, poses: Sequence[Pose]) -> list[float | None]:

@@ -1,80 +1,116 @@
-"""The rig error map: the mean residual over units, which none of them has of its own."""
+"""The rig's error map: stage, mounts and units solved together over the rig's newest runs.
+
+A mean over units, whichever way it is taken, holds what units have in common as well (0.12–0.15° of a usual
+stage). Gravity tells the two apart once one unit among them was clamped at several angles.
+"""
 
 from __future__ import annotations
 
-import math
-from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from calrig.analysis.stored_runs import counted_poses
-from calrig.calibration.result import residuals
-from calrig.store import Store
+import numpy as np
 
-FEWEST_UNITS = 3
-PLACE_DEG = 1.0
-"""Poses closer than this in elevation are taken for one place."""
-CAVEAT = "common firmware, a common cable or a common sensor design would look the same"
+from calrig.analysis.joint_solutions import mounted
+from calrig.analysis.stored_runs import ended_run
+from calrig.calibration.joint.advice import advised
+from calrig.calibration.joint.solution import Solution, solve
+from calrig.calibration.joint.table import Mounted
+from calrig.calibration.pose import DiagnosisError
+from calrig.calibration.stage_reference import StageMap
+from calrig.export.joint_documents import map_document
+from calrig.store import Run, Store
+
+MOST_RUNS = 12
+"""The newest; solved in some seconds."""
+LOOKS_BACK = 100
+"""Of the rig's newest runs, among which those of units that were clamped otherwise go first."""
 
 
 @dataclass(frozen=True, slots=True)
 class ErrorMap:
-    """Mean residual over units by elevation and approach, with its standard error between units."""
+    """What the elevation is more than the dial says, by the dial's angle and approach, with standard errors.
+
+    Empty where it cannot be told yet; `says` has what would help, or what it rests on.
+    """
 
     stage_deg: list[float]
     approach: list[int]
     error_deg: list[float]
     std_deg: list[float]
     units: int
-    caveat: str = CAVEAT
+    says: str
 
-    @property
-    def says(self) -> str:
-        """What to keep in mind of it, or why there is none yet."""
-        if self.stage_deg:
-            return f"Note that {self.caveat}."
-        if self.units < FEWEST_UNITS:
-            has = "there is 1" if self.units == 1 else f"there are {self.units}"
-        else:
-            has = f"{self.units} units have none in common"
-        return (
-            f"Not known yet: the map needs calibrations of {FEWEST_UNITS} units on this rig over the same "
-            f"elevations; {has}."
-        )
+
+@dataclass(frozen=True, slots=True)
+class Basis:
+    """The runs that a map rests on: their ids, and how many poses of each count."""
+
+    runs: tuple[tuple[str, int], ...]
+    units: int
+
+
+def basis_of(store: Store, rig: str) -> Basis:
+    """The newest runs of a rig that count, at most `MOST_RUNS`; those at several clamping angles first."""
+    runs, _ = store.runs(rig=rig, status="completed", limit=LOOKS_BACK)
+    counted = [run for run in runs if run.voided is None and (run.plan or {}).get("kind") != "static"]
+    chosen = sorted(counted, key=lambda run: not _is_remounted(run))[:MOST_RUNS]
+    numbers = ((run.id, store.count_poses(run.id)) for run in chosen)
+    return Basis(tuple(one for one in numbers if one[1]), len({run.unit for run in chosen}))
+
+
+def _is_remounted(run: Run) -> bool:
+    """Whether a unit was clamped otherwise than usual for it."""
+    mounts = (run.plan or {}).get("mounts_deg") or [0.0]
+    return any(angle != 0.0 for angle in mounts)
 
 
 def error_map(store: Store, rig: str) -> ErrorMap:
-    """The latest calibration of each unit on the rig, averaged; empty with fewer than three units."""
-    latest: dict[str, str] = {}
-    for row in store.comparison():
-        if row.rig == rig and row.result["scale"] is not None:
-            latest[row.unit] = row.run_id
-    if len(latest) < FEWEST_UNITS:
-        return ErrorMap([], [], [], [], len(latest))
-    places: dict[tuple[float, int], list[list[float]]] = defaultdict(list)
-    for run_id in latest.values():
-        for place, errors in _by_place(store, run_id).items():
-            places[place].append(errors)
-    found = []
-    for (elevation, approach), of_units in sorted(places.items()):
-        means = [sum(errors) / len(errors) for errors in of_units]
-        if len(means) >= FEWEST_UNITS:
-            mean = sum(means) / len(means)
-            variance = sum((m - mean) ** 2 for m in means) / (len(means) - 1)
-            found.append((elevation, approach, mean, math.sqrt(variance / len(means))))
-    columns = list(zip(*found, strict=True)) or [(), (), (), ()]
-    elevations, approaches, errors_deg, stds = (list(column) for column in columns)
-    return ErrorMap(elevations, approaches, errors_deg, stds, len(latest))
+    """The map of a rig as it is now."""
+    basis = basis_of(store, rig)
+    return solved_map(lots_of(store, basis), basis)
 
 
-def _by_place(store: Store, run_id: str) -> dict[tuple[float, int], list[float]]:
-    run = store.run(run_id)
-    poses = counted_poses(store, run_id)
-    places: dict[tuple[float, int], list[float]] = defaultdict(list)
-    if run is None or run.result is None:
-        return places
-    left = residuals(poses, run.result["bias_deg"], run.result["scale"])
-    for pose, error in zip(poses, left, strict=True):
-        if error is not None:
-            place = PLACE_DEG * round(pose.theta_deg / PLACE_DEG)
-            places[place, pose.approach or 0].append(error)
-    return places
+def lots_of(store: Store, basis: Basis) -> list[Mounted]:
+    """The poses that a map rests on."""
+    return mounted(store, [ended_run(store, run_id) for run_id, _ in basis.runs])
+
+
+def solved_map(lots: Sequence[Mounted], basis: Basis) -> ErrorMap:
+    """The map of these poses; takes some seconds.
+
+    Args:
+        lots: poses of each clamping.
+        basis: what they are of.
+    """
+    if not lots:
+        return _untold(basis, "the rig has no completed run")
+    try:
+        solution = solve(lots)
+    except DiagnosisError as error:
+        return _untold(basis, str(error))
+    if not all(solution.is_separable(unit) for unit in range(len(solution.table.units))):
+        advice = advised(solution)
+        helps = "" if advice is None else f": {advice.says}"
+        return _untold(basis, f"these runs do not part the stage from the units on it{helps}")
+    return _told(solution, basis)
+
+
+def _untold(basis: Basis, why: str) -> ErrorMap:
+    return ErrorMap([], [], [], [], basis.units, f"Not known yet: {why}.")
+
+
+def _told(solution: Solution, basis: Basis) -> ErrorMap:
+    stage_map = StageMap.from_document(map_document(solution))
+    senses = (1, -1) if solution.fit.problem.free[-1] else (0,)
+    dial = np.tile(stage_map.dial_deg, len(senses))
+    approach = np.repeat(senses, len(stage_map.dial_deg))
+    n_runs = "1 run" if len(basis.runs) == 1 else f"the newest {len(basis.runs)} runs"
+    return ErrorMap(
+        dial.tolist(),
+        approach.tolist(),
+        stage_map.correction_deg(dial, approach).tolist(),
+        stage_map.stds_deg(dial, approach).tolist(),
+        basis.units,
+        f"Solved together with the units from {n_runs}; its mean over the dial is the clamping's.",
+    )

@@ -128,6 +128,7 @@ def _maps(sums: PlaceSums) -> list[dict[str, Any]]:
 
 def glance(poses: PackedPoses) -> Glanced:
     """Screens some runs."""
+    poses = poses.of_first_mounts()
     seen = screen(poses)
     standing_out = tuple(poses.run_ids[k] for k in np.flatnonzero(seen.stands_out))
     return Glanced(poses.run_ids, standing_out, place_sums(poses, seen.scale, seen.residual_deg))

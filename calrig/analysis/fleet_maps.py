@@ -1,4 +1,8 @@
-"""One error map a rig from all its runs: what its units have in common, summed up as runs come by."""
+"""One error map a rig from all its runs: what its units have in common, summed up as runs come by.
+
+A million runs are no joint solution: what the units themselves have in common is in this mean as well. The
+rig's own map (`calrig.analysis.error_map`) is solved for, from its newest runs.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +13,29 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from calrig.analysis.error_map import FEWEST_UNITS, PLACE_DEG, ErrorMap
 from calrig.calibration.packed_poses import PackedPoses
 from calrig.estimation.angles import FloatArray
 
+FEWEST_UNITS = 3
+PLACE_DEG = 1.0
+"""Poses closer than this in elevation are taken for one place."""
+CAVEAT = "common firmware, a common cable or a common sensor design would look the same"
 APPROACHES = 3
 MIDDLE = 2**20
 """Stands for a place of 0°, so that no key is below 0; of nearly three thousand turns either way."""
 Keys = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class MeanMap:
+    """Mean residual over units by elevation and approach, with its standard error between units."""
+
+    stage_deg: list[float]
+    approach: list[int]
+    error_deg: list[float]
+    std_deg: list[float]
+    units: int
+    caveat: str = CAVEAT
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +106,7 @@ def _summed(
     return PlaceSums(pairs, pair[begins], place[begins], summed, counted)
 
 
-def rig_maps(sums: PlaceSums) -> dict[str, ErrorMap]:
+def rig_maps(sums: PlaceSums) -> dict[str, MeanMap]:
     """The map of each rig, by name: every unit counts once at each place, however many runs it has."""
     rigs = np.array([rig for rig, _ in sums.pairs])
     names, of_pair = np.unique(rigs, return_inverse=True) if len(rigs) else (rigs, np.empty(0, dtype=np.intp))
@@ -99,7 +118,7 @@ def rig_maps(sums: PlaceSums) -> dict[str, ErrorMap]:
     }
 
 
-def _map(place: Keys, mean_deg: FloatArray, units: int) -> ErrorMap:
+def _map(place: Keys, mean_deg: FloatArray, units: int) -> MeanMap:
     """Of the means of all units (K,) of one rig at each place (K,)."""
     places, inverse, n = np.unique(place, return_inverse=True, return_counts=True)
     mean = np.bincount(inverse, mean_deg) / n if len(n) else np.empty(0)
@@ -107,7 +126,7 @@ def _map(place: Keys, mean_deg: FloatArray, units: int) -> ErrorMap:
     common = n >= FEWEST_UNITS
     std = [math.sqrt(s / (m - 1) / m) for s, m in zip(squares[common], n[common].tolist(), strict=True)]
     step, approach = np.divmod(places[common], APPROACHES)
-    return ErrorMap(
+    return MeanMap(
         [PLACE_DEG * (k - MIDDLE) for k in step.tolist()],
         [k - 1 for k in approach.tolist()],
         mean[common].tolist(),

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from calrig.analysis.basis import basis_of, changed_since, chosen_effects, why_none, why_not_now
 from calrig.analysis.errors import Conflict
 from calrig.analysis.imported import Imported
-from calrig.analysis.results import fitted, gyro_of
+from calrig.analysis.results import fitted, gyro_of, reference_over
 from calrig.analysis.stored_runs import checked_reason, stored_run
 from calrig.calibration.conformity import limit_for
 from calrig.calibration.pose import Pose
@@ -19,7 +19,7 @@ from calrig.export.calibration_json import calibration_content
 from calrig.settings import ReleasePolicy, RigSettings
 from calrig.store import AcceptedEffect, Run, Store
 from calrig.store.issued import Draft, Revision
-from calrig.store.records import Document, reference_of
+from calrig.store.records import Document
 
 EVERY_ENTRY = 1_000_000
 BROUGHT_OVER = "in force when this store began to issue revisions"
@@ -208,7 +208,10 @@ class Issuer:
             poses=fit.poses,
             result=fit.result,
             accepted=fit.accepted,
-            reference=reference_of(run.provenance),
+            reference=reference_over(
+                fit.poses, run.provenance, bent=fit.result.line_with_effects is not None
+            ),
+            provenance=run.provenance,
         )
         mismatches = run.faults.get("move_mismatch", 0)
         judged = verdict(

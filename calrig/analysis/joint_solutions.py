@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from calrig.analysis.errors import Conflict, Invalid, Unknown
+from calrig.analysis.gyro_columns import poses_with_gyro
 from calrig.analysis.stored_runs import counted_poses, ended_run
 from calrig.calibration.joint.table import Mounted
 from calrig.calibration.pose import MOUNT_DEG, Pose
 from calrig.run_ids import short_name
 from calrig.store import Run, Store
-from calrig.store.solutions import Basis, Solved
+from calrig.store.solutions import Basis, Frame, Solved
 
 MOST_POSES = 40_000
 """Of one solution: a hundred units of four mounts have 29,000."""
@@ -28,6 +29,7 @@ class Wanted:
         linear: whether the units are stated to have no quadratic and cubic terms.
         periods_deg: of gears, where somebody knows them.
         seat_std_deg: how far one clamping of a face scatters from the next, where somebody knows it.
+        frame: of units clamped by several faces, whose their matrix is: `sensor` or `faces`.
         limits_deg: of the stage, which advice keeps to; without them those that the last run was made under.
     """
 
@@ -37,11 +39,13 @@ class Wanted:
     linear: bool = False
     periods_deg: Sequence[float] = ()
     seat_std_deg: float | None = None
+    frame: Frame = "sensor"
     limits_deg: tuple[float, float] | None = None
 
     def basis(self, runs: Sequence[str], units: Sequence[str]) -> Basis:
         """What the solution of these runs rests on."""
-        return Basis(tuple(runs), tuple(units), self.linear, tuple(self.periods_deg), self.seat_std_deg)
+        periods_deg = tuple(self.periods_deg)
+        return Basis(tuple(runs), tuple(units), self.linear, periods_deg, self.seat_std_deg, self.frame)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +78,7 @@ def question(store: Store, wanted: Wanted) -> Question:
         )
     basis = wanted.basis([run.id for run in runs], sorted({run.unit for run in runs}))
     limits_deg = wanted.limits_deg or _limits_of(max(runs, key=lambda run: run.created_at))
-    return Question(runs[0].rig, basis, _mounted(store, runs), limits_deg)
+    return Question(runs[0].rig, basis, mounted(store, runs), limits_deg)
 
 
 def answer(asked: Question) -> Solved:
@@ -87,8 +91,11 @@ def answer(asked: Question) -> Solved:
     from calrig.calibration.joint.poses_left import poses_left
     from calrig.calibration.joint.report import solution_document
     from calrig.calibration.joint.solution import solve
+    from calrig.calibration.joint.three_axis_table import whole_units
     from calrig.export.joint_documents import map_document, unit_document
 
+    if whole_units(asked.lots):
+        return _answer_whole(asked)
     basis = asked.basis
     solution = solve(
         asked.lots,
@@ -104,6 +111,25 @@ def answer(asked: Question) -> Solved:
         calibrations={serial: unit_document(solution, k, asked.rig) for k, serial in units},
         stage_map=map_document(solution, asked.rig),
         poses=poses_left(solution),
+    )
+
+
+def _answer_whole(asked: Question) -> Solved:
+    """Of units clamped by several faces; no picture is drawn of their poses."""
+    from calrig.calibration.joint.three_axis_report import three_axis_document
+    from calrig.calibration.joint.three_axis_solution import solve_whole
+    from calrig.export.three_axis_documents import three_axis_documents
+
+    basis = asked.basis
+    solution = solve_whole(asked.lots, linear=basis.linear, periods_deg=basis.periods_deg)
+    calibrations, stage_map = three_axis_documents(solution, basis.frame, asked.rig)
+    return Solved(
+        rig=asked.rig,
+        basis=basis,
+        document=three_axis_document(solution, basis.frame),
+        calibrations=calibrations,
+        stage_map=stage_map,
+        poses={"mount": [], "dial_deg": [], "on_map_deg": [], "before_deg": [], "left_deg": []},
     )
 
 
@@ -141,12 +167,14 @@ def _named(wanted: Wanted) -> str:
     return units if wanted.rig is None else f"on rig {wanted.rig!r} {units}"
 
 
-def _mounted(store: Store, runs: Sequence[Run]) -> list[Mounted]:
+def mounted(store: Store, runs: Sequence[Run]) -> list[Mounted]:
     """The poses of runs that count, a lot for each clamping."""
     names = {run.id: short_name(run.id) for run in runs}
     if len(set(names.values())) < len(names):
         names = {run_id: run_id for run_id in names}
-    return [lot for run in runs for lot in _lots(run, names[run.id], counted_poses(store, run.id))]
+    whole = any(str((run.plan or {}).get("mount_axis", "x"))[-1] != "x" for run in runs)
+    poses_of = poses_with_gyro if whole else counted_poses
+    return [lot for run in runs for lot in _lots(run, names[run.id], poses_of(store, run.id))]
 
 
 def _lots(run: Run, name: str, poses: Sequence[Pose]) -> list[Mounted]:

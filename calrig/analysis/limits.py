@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 
 from calrig.analysis.errors import Conflict, Invalid
+from calrig.analysis.stage_maps import kept_of
 from calrig.calibration.conformity import Limit, cannot_pass, limit_for
+from calrig.calibration.stage_reference import StageMap, map_reference
 from calrig.calibration.uncertainty import Reference
 from calrig.plan import Plan
 from calrig.settings import LimitSettings, RigSettings, Settings
 from calrig.store import Store
+from calrig.store.records import Document
 
 
 def limit_of(given: LimitSettings) -> Limit:
@@ -52,12 +56,31 @@ def replace(
     return store.limits()
 
 
-def cannot_pass_on(rig: RigSettings, unit: str, plan: Plan, store: Store) -> list[str]:
-    """Why no unit can pass its limits on a rig by a plan, said before anything moves; empty where one can."""
+def cannot_pass_on(
+    rig: RigSettings, unit: str, plan: Plan, store: Store, maps: Mapping[str, Document] = MappingProxyType({})
+) -> list[str]:
+    """Why no unit can pass its limits on a rig by a plan, said before anything moves; empty where one can.
+
+    Args:
+        rig: of the run to come.
+        unit: its serial number.
+        plan: what it is to measure.
+        store: has limits, and the map that was put in force.
+        maps: that files give, as far as they are in this program's hands.
+    """
     limit = limit_for(store.limits(), unit, rig.name)
     if limit is None or plan.kind == "static":
         return []
     stated = rig.reference
-    reference = None if stated is None else Reference(stated.std_deg, stated.kind, stated.distribution)
+    reference = None
+    if stated is not None and stated.std_deg is not None:
+        reference = Reference(stated.std_deg, stated.kind, stated.distribution)
     theta_deg = np.array(plan.elevations() * plan.sweeps, dtype=np.float64)
+    kept = kept_of(store, rig.name, maps)
+    if kept is None and stated is not None and stated.map is not None:
+        return []  # a bench's own file, which a centre has not seen
+    if kept is not None:
+        in_force = StageMap.from_frozen(kept)
+        if in_force.covers(theta_deg).all():
+            reference = map_reference(in_force, theta_deg, theta_deg, np.zeros(len(theta_deg)))
     return cannot_pass(limit, reference, theta_deg)

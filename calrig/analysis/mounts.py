@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from calrig.calibration.pose import Pose
+from calrig.calibration.pose import MOUNT_DEG, Pose
 from calrig.export.poses_csv import Labels
 from calrig.store import Run
 
@@ -14,9 +14,9 @@ def axis_of(run: Run) -> str:
     return str((run.plan or {}).get("mount_axis", "x"))
 
 
-def mount_name(run: Run, pose: Pose) -> str | None:
-    """What a pose shares with those that were taken without the unit being touched; None of imported ones."""
-    return None if run.plan is None else f"{run.id} {pose.mount_deg:g}°"
+def mount_columns(run_id: str, axis: str, pose: Pose) -> dict[str, str | float]:
+    """How the unit was clamped for a pose; `mount` is what it shares with those of the same clamping."""
+    return {"mount": f"{run_id} {pose.mount_deg:g}°", MOUNT_DEG: pose.mount_deg, "mount_axis": axis}
 
 
 def labels_of(run: Run) -> Callable[[Pose], Labels] | None:
@@ -24,4 +24,9 @@ def labels_of(run: Run) -> Callable[[Pose], Labels] | None:
     plan, axis = run.plan or {}, axis_of(run)
     if plan.get("mounts_deg", [0.0]) == [0.0] and axis == "x":
         return None
-    return lambda pose: {"mount": mount_name(run, pose) or "", "mount_axis": axis}
+
+    def labels(pose: Pose) -> Labels:
+        columns = mount_columns(run.id, axis, pose)
+        return {name: str(columns[name]) for name in ("mount", "mount_axis")}
+
+    return labels

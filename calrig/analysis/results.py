@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from calrig.calibration.correction import numbers_of
-from calrig.calibration.pose import Pose
+from calrig.calibration.pose import Pose, of_first_mount
 from calrig.calibration.result import AppliedEffect, GyroFigures, Result, build_result, residuals
+from calrig.calibration.stage_reference import beyond_in_words, dial_of, map_reference
+from calrig.calibration.uncertainty import Reference
 from calrig.store import AcceptedEffect, Run, Store
-from calrig.store.records import Document, reference_of
+from calrig.store.records import Document, map_of, reference_of
 
 
 def as_applied(accepted: Sequence[AcceptedEffect]) -> list[AppliedEffect]:
@@ -30,7 +34,46 @@ def fitted(
         provenance: of the run; says what the stage was worth when it was made.
         gyro: what the run's samples say of the gyro.
     """
-    return build_result(poses, gyro, as_applied(accepted), reference_of(provenance))
+    effects = as_applied(accepted if not rest_on_map(poses) else [e for e in accepted if e.unit is not None])
+    reference = reference_over(poses, provenance, bent=bool(effects))
+    return build_result(poses, gyro, effects, reference, unused_map_says(poses, provenance))
+
+
+def rest_on_map(poses: Sequence[Pose]) -> bool:
+    """Whether elevations rest on the stage's map, which has all of the stage's errors in it.
+
+    What was accepted of the rig (its play, its eccentricity) would be taken out twice.
+    """
+    return all(pose.map_deg is not None for pose in poses)
+
+
+def reference_over(poses: Sequence[Pose], provenance: Document, *, bent: bool) -> Reference | None:
+    """What a run's elevations rest on: the stage's map, else its certificate; None where there is neither.
+
+    Args:
+        poses: of the run that count, as the store gives them: with the map or, beyond it, without.
+        provenance: of the run.
+        bent: whether effects are taken out beside bias and scale.
+    """
+    certificate, in_force = reference_of(provenance), map_of(provenance)
+    if in_force is None or not rest_on_map(poses):
+        return certificate
+    poses = of_first_mount(poses)
+    theta_deg = np.array([pose.theta_deg for pose in poses])
+    return map_reference(in_force, theta_deg, *dial_of(poses), level=certificate, bent=bent)
+
+
+def unused_map_says(poses: Sequence[Pose], provenance: Document) -> str | None:
+    """Why the map in force was not used for a run, and what it rests on instead; None where it was."""
+    in_force = map_of(provenance)
+    if in_force is None or rest_on_map(poses):
+        return None
+    instead = (
+        "The uncertainty is that of the stage's certificate."
+        if reference_of(provenance) is not None
+        else "No certificate says what the stage is worth beyond the map: the uncertainty is not known."
+    )
+    return f"{beyond_in_words(poses, in_force)} {instead}"
 
 
 def refitted(store: Store, run: Run, poses: Sequence[Pose]) -> Document:

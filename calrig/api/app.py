@@ -16,6 +16,7 @@ import calrig
 from calrig.analysis.due_dates import INTERVAL_DAYS
 from calrig.api import (
     amendments,
+    archive,
     batches,
     benches,
     calibrations,
@@ -25,10 +26,12 @@ from calrig.api import (
     compare,
     diagnoses,
     effects,
+    error_maps,
     errors,
     events,
     figures,
     imports,
+    items,
     jobs,
     limit_rules,
     login,
@@ -40,6 +43,7 @@ from calrig.api import (
     plans,
     runs,
     solve,
+    stage_maps,
     trail,
     units,
     users,
@@ -53,6 +57,7 @@ from calrig.api.origin_check import OriginCheck
 from calrig.api.proxies import TrustedProxies
 from calrig.api.request_log import RequestLog
 from calrig.api.turns import BeginInTurn
+from calrig.laboratory import LaboratorySettings
 from calrig.runs.services import Service
 from calrig.settings import CentreSettings, packed
 
@@ -70,10 +75,14 @@ PARTS = (
     noise,
     figures,
     calibrations,
+    items,
     changes,
+    archive,
     units,
     compare,
     check_unit,
+    stage_maps,
+    error_maps,
     imports,
     jobs,
     limit_rules,
@@ -97,6 +106,7 @@ def create_app(
     limits_kept_in: str | None = None,
     is_bench: bool = False,
     centre: CentreSettings | None = None,
+    laboratory: LaboratorySettings | None = None,
 ) -> FastAPI:
     """Makes the application; nothing of it is shared with another one.
 
@@ -108,6 +118,7 @@ def create_app(
         limits_kept_in: the file that gives the limits, which then are not changed over HTTP.
         is_bench: whether it is a bench's own page, which leaves to the centre what only that may do.
         centre: how agents reach the database of a centre, where that is not as the centre does.
+        laboratory: who issues certificates.
     """
 
     @asynccontextmanager
@@ -124,6 +135,7 @@ def create_app(
         limits_kept_in,
         interval_days=interval_days,
         centre=centre or CentreSettings(),
+        laboratory=laboratory or LaboratorySettings(),
     )
     app.state.authentication = Authentication(access, service.store.users)
     if is_bench:

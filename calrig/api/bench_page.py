@@ -15,7 +15,7 @@ from calrig.api.lingering import CLOSE
 from calrig.api.origin_check import HARMLESS
 
 OF_THE_BENCH = re.compile(
-    r"/api/(login|logout|runs|runs/[^/]+/(abort|pause|resume)|rigs/scan|rigs/[^/]+/stop|plans/(estimate|design))"
+    r"/api/(login|logout|runs|runs/[^/]+/(abort|pause|resume)|rigs/scan|rigs/[^/]+/(stop|clamp)|plans/(estimate|design))"
 )
 """What a bench does for itself."""
 AT_THE_CENTRE = "this is a bench: it starts, stops and shows runs; anything else is changed at its centre"

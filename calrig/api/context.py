@@ -11,6 +11,7 @@ from calrig.analysis.acceptance import Acceptance
 from calrig.analysis.amendments import Records
 from calrig.analysis.diagnoses import Diagnoses
 from calrig.analysis.due_dates import INTERVAL_DAYS, DueDates, due_dates
+from calrig.analysis.error_map import Basis, ErrorMap
 from calrig.analysis.errors import Unknown
 from calrig.analysis.histories import Histories
 from calrig.analysis.issuing import Issuer
@@ -18,6 +19,7 @@ from calrig.api.attempts import Attempts
 from calrig.api.job import Jobs
 from calrig.api.looks import Lately
 from calrig.api.streams import Streams
+from calrig.laboratory import LaboratorySettings
 from calrig.processes.pool import Processes
 from calrig.runs.batches import RunBatches
 from calrig.runs.errands import Errands
@@ -32,7 +34,8 @@ class ApiContext:
 
     `scans` are looks at the ports, one at a time; `jobs` heavy work that no request waits for.
     `centre` tells how agents reach a centre's database, `enrolling` counts those that try to join.
-    `lately` keeps for a moment what many watch.
+    `laboratory` is who issues certificates.
+    `lately` keeps for a moment what many watch, `error_maps` by rig the last one that was solved for.
     `limits_kept_in` is the file that gives the limits; None where people change them over HTTP.
     """
 
@@ -47,6 +50,8 @@ class ApiContext:
     centre: CentreSettings = field(default_factory=CentreSettings)
     enrolling: Attempts = field(default_factory=Attempts)
     lately: Lately = field(default_factory=Lately)
+    laboratory: LaboratorySettings = field(default_factory=LaboratorySettings)
+    error_maps: dict[str, tuple[Basis, ErrorMap]] = field(default_factory=dict)
 
     @cached_property
     def batches(self) -> RunBatches:

@@ -9,7 +9,6 @@ from fastapi import APIRouter
 from pydantic import ConfigDict, Field
 from starlette.concurrency import run_in_threadpool
 
-from calrig.analysis.error_map import error_map
 from calrig.analysis.errors import Invalid
 from calrig.api.callers import Who, requires
 from calrig.api.context import Context, KnownRun
@@ -180,18 +179,6 @@ class DiagnosisAnswer(Answer):
     says: list[str] = Field(default=[])
 
 
-class ErrorMapAnswer(Answer):
-    """The rig error map: the error of the readings by elevation and approach, over all units."""
-
-    stage_deg: list[float]
-    approach: list[int]
-    error_deg: list[float]
-    std_deg: list[float]
-    units: int
-    caveat: str
-    says: str
-
-
 @router.post(
     "/api/runs/{run_id}/diagnosis",
     dependencies=[requires("operator")],
@@ -264,15 +251,3 @@ def take_back(run: KnownRun, body: TakeBack, context: Context, who: Who) -> Run:
 async def follow_up(run: KnownRun, context: Context, heavy: Heavy, who: Who) -> Run:
     """409, with the reason, where no run on this rig would help. Its diagnosis is of all runs together."""
     return await run_in_threadpool(context.service.follow_up, run.id, heavy.from_thread, who)
-
-
-@router.get(
-    "/api/rigs/{name}/error-map",
-    response_model=ErrorMapAnswer,
-    responses=problems(404),
-    summary="The rig error map",
-)
-def show_error_map(name: str, context: Context) -> object:
-    """From three units on; empty before. Common firmware, cable or sensor design would look the same."""
-    context.service.known_rig(name)
-    return error_map(context.store, name)

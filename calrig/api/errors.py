@@ -45,6 +45,7 @@ WORDS = {
     413: "The body is too large",
     422: "Invalid",
     429: "Too many wrong tokens or codes came from there, or too much heavy work is waiting",
+    501: "What makes it is not installed",
     503: "The store or the disk is full, the store locked or read-only, too many uploads or event streams "
     "are in hand, or a process was killed",
 }

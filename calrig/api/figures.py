@@ -9,7 +9,6 @@ from calrig import figures
 from calrig.analysis.active_calibration import left_of_poses_deg
 from calrig.analysis.check_unit import check_chart
 from calrig.analysis.comparison import compared_runs
-from calrig.analysis.error_map import error_map
 from calrig.analysis.errors import Unknown
 from calrig.analysis.histories import histories
 from calrig.analysis.unit_changes import charts
@@ -84,19 +83,6 @@ def _residual(context: ApiContext, run: Run) -> figures.Figure:
         scale=None if run.result is None else run.result["scale"],
         excluded={place for place, s in enumerate(stored) if s.excluded is not None},
     )
-
-
-@router.get(
-    "/api/rigs/{name}/figures/error-map",
-    response_model=Figure,
-    responses=problems(404),
-    summary="The rig error map, drawn",
-)
-def rig_error_map(name: str, context: Context) -> figures.Figure:
-    """Mean residual over units by elevation and approach; empty with fewer than three units."""
-    context.service.known_rig(name)
-    found = error_map(context.store, name)
-    return figures.error_map(found.stage_deg, found.approach, found.error_deg, found.std_deg)
 
 
 @router.get(

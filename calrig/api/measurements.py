@@ -10,11 +10,11 @@ from fastapi.responses import PlainTextResponse, Response, StreamingResponse
 from pydantic_core import to_json
 
 from calrig.analysis.active_calibration import left_of_poses_deg
-from calrig.analysis.mounts import axis_of, labels_of, mount_name
+from calrig.analysis.mounts import axis_of, labels_of, mount_columns
 from calrig.api.context import ApiContext, Context, KnownRun
 from calrig.api.errors import problems, problems_in_json
 from calrig.api.models import PoseAnswer
-from calrig.calibration.pose import MOUNT_DEG, Pose
+from calrig.calibration.pose import Pose
 from calrig.calibration.result import raw_error_deg
 from calrig.export.poses_csv import write_pose_batches
 from calrig.export.samples_csv import write_samples_csv, write_samples_npz
@@ -77,9 +77,7 @@ def _pose(stored: StoredPose, residual_deg: float | None, run: Run) -> dict[str,
     axis = axis_of(run)
     return {
         **stored.pose.row(),
-        MOUNT_DEG: stored.pose.mount_deg,
-        "mount": mount_name(run, stored.pose),
-        "mount_axis": axis,
+        **mount_columns(run.id, axis, stored.pose),
         "index": stored.index,
         "excluded": stored.excluded,
         "raw_error_deg": raw_error_deg(stored.pose, -1 if axis.startswith("-") else 1),

@@ -138,10 +138,13 @@ class ReferenceAnswer(Answer):
     """What the rig said its stage is worth, and its part of bias and scale: type B, √n does not shrink it."""
 
     std_deg: float
-    kind: Literal["setting", "harmonic", "common"]
+    kind: Literal["setting", "harmonic", "common", "map"]
     bias_std_deg: float
     scale_std: float | None
     distribution: Literal["rectangular", "normal"] = "rectangular"
+    line_covariance: tuple[tuple[float, float], tuple[float, float]] | None = Field(
+        default=None, description="Of the line that a map's error is taken for; null but for `map`."
+    )
 
 
 class LineAnswer(Answer):
@@ -167,6 +170,7 @@ class ResultAnswer(LineAnswer):
     gyro: GyroAnswer
     reference: ReferenceAnswer | None = None  # of runs stored before it was computed: null
     over_range: OverRange | None = None  # likewise
+    reference_says: str | None = Field(None, description="Why the stage's map in force was not used.")
 
 
 class VoidedAnswer(Answer):
@@ -238,7 +242,7 @@ class PoseAnswer(BaseModel):
     accel_z_g: float | None
     gyro_move_deg: float | None
     settle_s: float | None
-    mount: str | None = Field(description="Poses that share it were taken without the unit being touched.")
+    mount: str = Field(description="Poses that share it were taken without the unit being touched.")
     mount_deg: float = Field(description="The angle at which the unit was clamped, nominally.")
     mount_axis: str = Field(description="Which of the unit's axes lay along the stage's.")
     raw_error_deg: float = Field(description="Reading less the elevation it was taken at.")

@@ -16,6 +16,7 @@ from calrig.calibration.plan_design.goals import Goals
 from calrig.plan import Plan
 from calrig.runs.plan_designs import Wanted, designed
 from calrig.runs.planned import estimate
+from calrig.runs.references import overdue_says
 
 router = APIRouter(tags=["runs"])
 
@@ -54,7 +55,8 @@ def estimate_plan(body: PlanOnRig, context: Context) -> EstimateAnswer:
     """
     rig = context.service.known_rig(body.rig)
     said = estimate(body.plan, rig, context.store)
-    warnings = cannot_pass_on(rig, body.unit, body.plan, context.store)
+    cannot = cannot_pass_on(rig, body.unit, body.plan, context.store, context.service.maps)
+    warnings = [*overdue_says(rig), *cannot]
     return EstimateAnswer(**asdict(said), warnings=warnings)
 
 

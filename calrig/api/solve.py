@@ -160,6 +160,7 @@ def _beside(kept: StoredSolution | Listed, found: Any) -> dict[str, Any]:
         "linear": found.basis.linear,
         "periods_deg": list(found.basis.periods_deg),
         "seat_std_deg": found.basis.seat_std_deg,
+        "frame": found.basis.frame,
     }
 
 

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 from pydantic import ConfigDict, Field, model_validator
 
 from calrig.api.models import Answer, Body
+from calrig.store.solutions import Frame
 
 MOST_NAMED = 2000
 
@@ -29,6 +30,10 @@ class Solve(Body):
 
     seat_std_deg: float | None = Field(
         default=None, ge=0, le=90, description="How far one clamping of a face scatters from the next."
+    )
+    frame: Frame = Field(
+        default="sensor",
+        description="Of units clamped by several faces, whose their accelerometer's matrix is.",
     )
     limits_deg: tuple[float, float] | None = Field(
         default=None, description="What is advised keeps to them; without, to those of the last run."
@@ -133,6 +138,7 @@ class _Kept(Answer):
     linear: bool
     periods_deg: list[float]
     seat_std_deg: float | None
+    frame: Frame
 
 
 class ListedSolution(_Kept):

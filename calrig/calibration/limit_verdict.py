@@ -10,6 +10,7 @@ from typing import Any
 from calrig.calibration.conformity import Answer, Limit, beyond_interval, decide, worst
 from calrig.calibration.coverage import coverage_factor
 from calrig.calibration.over_range import OverRange, frozen
+from calrig.calibration.reference_figures import ReferenceFigures
 from calrig.calibration.specific_risk import probability_of_conformity
 from calrig.calibration.uncertainty import Reference
 from calrig.calibration.wording import deg, percent, significant
@@ -124,8 +125,7 @@ def _measured(result: Document, calibration: Document | None) -> _Measured | Non
     rms = result["rms_calibrated_deg" if result["rms_with_effects_deg"] is None else "rms_with_effects_deg"]
     return _Measured(
         found=found,
-        reference=stage
-        and Reference(stage["std_deg"], stage["kind"], stage.get("distribution", "rectangular")),
+        reference=stage and ReferenceFigures.from_dict(stage).reference,
         reference_std=stage and (stage["bias_std_deg"], stage["scale_std"] or 0.0),
         rms_deg=rms,
         level_known=bool((calibration or {}).get("level_known", False)),

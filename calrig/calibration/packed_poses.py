@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -51,6 +51,21 @@ class PackedPoses:
     def covariates(self) -> list[str]:
         """Columns that CONTRACT section 4 does not know."""
         return [name for name in self.columns if name not in (*COLUMNS, *OF_MOUNTS)]
+
+    def of_first_mounts(self) -> PackedPoses:
+        """Of runs with several mounts, the poses of the first one, as `of_first_mount`."""
+        mount = self.columns.get(MOUNT_DEG)
+        if mount is None or not len(mount):
+            return self
+        mount_deg = np.nan_to_num(mount)
+        of_run = np.repeat(np.arange(len(self)), self.counts)
+        at_first_deg = mount_deg[np.minimum(self.first[:-1], len(mount_deg) - 1)]
+        kept = mount_deg == at_first_deg[of_run]
+        counts = np.bincount(of_run[kept], minlength=len(self))
+        first = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
+        return replace(
+            self, first=first, columns={name: column[kept] for name, column in self.columns.items()}
+        )
 
     def runs(self, chosen: Intp) -> PackedPoses:
         """Some of the runs, in the order given."""

@@ -62,6 +62,7 @@ class Pose:
             where samples are missing or too few carry it.
         covariates: further columns by name.
         filtering: of the run it belongs to, where that is known; no column of a file.
+        map_deg: what the stage's map in force for its run adds to the dial; no column of a file either.
     """
 
     target_deg: float
@@ -81,10 +82,11 @@ class Pose:
     settle_s: float | None = None
     covariates: dict[str, float | None] = field(default_factory=dict)
     filtering: Filtering | None = field(default=None, compare=False, repr=False)
+    map_deg: float | None = field(default=None, compare=False, repr=False)
 
     @property
     def dial_deg(self) -> float:
-        """The stage's own angle: what it reported, else what was commanded."""
+        """The angle of the dial: what the stage reported, else what was commanded."""
         return self.target_deg if self.stage_deg is None else self.stage_deg
 
     @property
@@ -94,8 +96,11 @@ class Pose:
 
     @property
     def theta_deg(self) -> float:
-        """The elevation the pose stands for: the stage's angle and, on the half turn about 0, the mount's."""
-        return self.dial_deg + wrap_deg(self.mount_deg)
+        """The elevation the pose stands for: the stage's angle and, on the half turn about 0, the mount's.
+
+        The stage's angle is put right by its map, where one was in force.
+        """
+        return self.dial_deg + wrap_deg(self.mount_deg) + (self.map_deg or 0.0)
 
     def row(self) -> dict[str, float | int | None]:
         """The pose as CONTRACT section 4's columns, covariates after them."""

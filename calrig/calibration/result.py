@@ -14,7 +14,6 @@ from calrig.calibration.correction import (
     felt_elevation_deg,
     fit_line_with_effects,
 )
-from calrig.calibration.coverage import Distribution
 from calrig.calibration.effect import ApplyError, Circumstances
 from calrig.calibration.filter_share import filter_share
 from calrig.calibration.fit import Line, fit_line, residuals_deg, rms
@@ -22,7 +21,8 @@ from calrig.calibration.motion import approach_of, motion_of, moves_deg
 from calrig.calibration.over_range import OverRange, over_range
 from calrig.calibration.play import travel_deg
 from calrig.calibration.pose import Pose, of_first_mount
-from calrig.calibration.uncertainty import Reference, ReferenceKind, reference_part
+from calrig.calibration.reference_figures import ReferenceFigures
+from calrig.calibration.uncertainty import Reference
 from calrig.estimation.angles import FloatArray, wrap_deg
 
 AppliedEffect = tuple[str, Mapping[str, float]]
@@ -50,31 +50,13 @@ class TemperatureRange:
 
 
 @dataclass(frozen=True, slots=True)
-class ReferenceFigures:
-    """What the rig says its stage is worth, and what that makes of bias and scale.
-
-    Standard uncertainties of type B: `bias_std_deg` and `scale_std` of the result itself are of type A.
-    """
-
-    std_deg: float
-    kind: ReferenceKind
-    bias_std_deg: float
-    scale_std: float | None
-    distribution: Distribution = "rectangular"
-
-    @property
-    def reference(self) -> Reference:
-        """What the rig said."""
-        return Reference(self.std_deg, self.kind, self.distribution)
-
-
-@dataclass(frozen=True, slots=True)
 class Result:
     """CONTRACT section 2, "Result"; what is not known is None.
 
     Attributes:
         reference: the stage's part of bias and scale, beside their own standard errors; None where nobody
             has said what the stage is worth.
+        reference_says: why the stage's map in force was not used; None where it was, or there is none.
         over_range: the error that is left over the range after everything accepted; None where the reading
             does not follow the stage.
         line: the fit itself, with covariance and residual scatter, for the unit's calibration.
@@ -96,6 +78,7 @@ class Result:
     over_range: OverRange | None
     line: Line = field(repr=False)
     line_with_effects: Line | None = field(default=None, repr=False)
+    reference_says: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The result ready for JSON, with the contract's keys and null for what is not known."""
@@ -105,7 +88,16 @@ class Result:
         gyro["bias_dps"], gyro["bias_std_dps"] = list(gyro["bias_dps"]), list(gyro["bias_std_dps"])
         if self.over_range is not None:
             document["over_range"] = self.over_range.to_dict()
-        return document
+        return _as_before_maps(document)
+
+
+def _as_before_maps(document: dict[str, Any]) -> dict[str, Any]:
+    """Without what only results by a map have to say: those of before were kept without it."""
+    if document["reference_says"] is None:
+        del document["reference_says"]
+    if document["reference"] is not None and document["reference"]["line_covariance"] is None:
+        del document["reference"]["line_covariance"]
+    return document
 
 
 def build_result(
@@ -113,6 +105,7 @@ def build_result(
     gyro: GyroFigures | None = None,
     effects: Sequence[AppliedEffect] = (),
     reference: Reference | None = None,
+    reference_says: str | None = None,
 ) -> Result:
     """Fits a run's poses and gathers what they say; of several mounts, the first one's.
 
@@ -122,6 +115,7 @@ def build_result(
         effects: accepted for the unit or the rig; `line_with_effects` is None where the poses lack what one
             of them is a function of.
         reference: what the rig said of its stage when the poses were measured.
+        reference_says: why it is not the stage's map.
 
     Raises:
         ValueError: no pose, or one whose angle or reading is not finite.
@@ -139,17 +133,18 @@ def build_result(
         bias_std_deg=line.bias_std_deg,
         scale=line.scale,
         scale_std=line.scale_std,
-        rms_raw_deg=rms(wrap_deg(reading - theta)),
+        rms_raw_deg=rms(np.array([raw_error_deg(pose) for pose in poses])),
         rms_calibrated_deg=_known(rms(calibrated_deg)),
         rms_with_effects_deg=None if with_effects is None else _known(rms(with_effects[1])),
         n_poses=len(poses),
         noise_deg=noise_deg,
         temperature_c=_temperature_range(poses),
         gyro=gyro or GyroFigures(),
-        reference=None if reference is None else _reference_figures(theta, line, reference),
+        reference=None if reference is None else ReferenceFigures.of(theta, line, reference),
         over_range=over_range(theta, left[1], left[0], reference, noise_deg),
         line=line,
         line_with_effects=None if with_effects is None else with_effects[0],
+        reference_says=reference_says,
     )
 
 
@@ -253,11 +248,11 @@ def _line_with_effects(
 
 
 def raw_error_deg(pose: Pose, sense: int = 1) -> float:
-    """Reading less the elevation that it was taken at, degrees, on the turn about 0.
+    """Reading less what the stage said, its map or no map, degrees, on the turn about 0.
 
     `sense` is −1 of a unit whose face was turned about the vertical: it reads the elevation's negative.
     """
-    return float(wrap_deg(pose.reading_deg - sense * pose.theta_deg))
+    return float(wrap_deg(pose.reading_deg - sense * (pose.theta_deg - (pose.map_deg or 0.0))))
 
 
 def residuals(poses: Sequence[Pose], bias_deg: float, scale: float | None) -> list[float | None]:
@@ -274,13 +269,6 @@ def residuals(poses: Sequence[Pose], bias_deg: float, scale: float | None) -> li
 def _angles(poses: Sequence[Pose]) -> tuple[FloatArray, FloatArray]:
     theta = np.array([pose.theta_deg for pose in poses], dtype=np.float64)
     return theta, np.array([pose.reading_deg for pose in poses], dtype=np.float64)
-
-
-def _reference_figures(theta: FloatArray, line: Line, reference: Reference) -> ReferenceFigures:
-    part = reference_part(theta, line.scale, reference)
-    return ReferenceFigures(
-        reference.std_deg, reference.kind, part.bias_deg, part.scale, reference.distribution
-    )
 
 
 def _pooled_noise_deg(poses: Sequence[Pose]) -> float | None:

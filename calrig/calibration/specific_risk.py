@@ -109,6 +109,9 @@ def _drawn(freedom: int, kind: ReferenceKind, distribution: Distribution) -> Flo
 def _stage_shapes(found: OverRange, reference: Reference, theta_deg: FloatArray) -> FloatArray:
     """(2, m) what the stage's two factors do at each elevation, degrees."""
     one, none = np.ones(len(theta_deg)), np.zeros(len(theta_deg))
+    if reference.line_covariance is not None:
+        line = _root(np.array(reference.line_covariance)).T
+        return np.asarray(line[:, :1] + line[:, 1:] * theta_deg)
     if reference.kind == "common":
         return reference.std_deg * np.array([one, none])
     if reference.kind == "harmonic":

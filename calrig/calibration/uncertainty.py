@@ -12,7 +12,8 @@ from calrig.calibration.coverage import COVERAGE, Distribution, coverage_factor
 from calrig.calibration.fit import MIN_SCALE, Line
 from calrig.estimation.angles import FloatArray
 
-ReferenceKind = Literal["setting", "harmonic", "common"]
+ReferenceKind = Literal["setting", "harmonic", "common", "map"]
+Covariance = tuple[tuple[float, float], tuple[float, float]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,11 +22,16 @@ class Reference:
 
     `distribution` is that of the error at one angle: a limit from a data sheet, ±a, is rectangular with
     std_deg = a/√3; a certificate's U/k is normal.
+
+    Of kind `map` it is what a stage's map was worth to certain poses (`stage_reference.map_reference`):
+    std_deg of a calibrated elevation, and `line_covariance` of the line's offset (deg) and slope that its
+    error is taken for.
     """
 
     std_deg: float
     kind: ReferenceKind = "harmonic"
     distribution: Distribution = "rectangular"
+    line_covariance: Covariance | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,14 +146,19 @@ def reference_part(theta_deg: FloatArray, scale: float | None, reference: Refere
       too, so that type A holds them once more: on the safe side, since s² − u² of a few poses may be
       negative. (Where θ is what an encoder with such an error reports, the scale is also too small by u²
       over the variance of θ, 7·10⁻⁵ for 0.29° over ±60°: not corrected.)
+    - `map`: propagated through these poses already (`line_covariance`).
 
     Args:
         theta_deg: (n,) elevations of the poses, n >= 1.
         scale: of the fit; None with all poses at one angle, counts as 1.
-        reference: u, and which of the three kinds.
+        reference: u, and which of the kinds.
     """
     std_deg, kind = reference.std_deg, reference.kind
     factor = 1.0 if scale is None else abs(scale)
+    if reference.line_covariance is not None:
+        (of_offset, _), (_, of_slope) = reference.line_covariance
+        of_scale = None if scale is None else factor * math.sqrt(of_slope)
+        return ReferencePart(factor * math.sqrt(of_offset), of_scale, std_deg)
     design = np.ones((len(theta_deg), 1))
     if scale is not None:
         design = np.column_stack([design, theta_deg])

@@ -87,6 +87,7 @@ def verdict(
         *_left_in_words(left, ratio, bound, freedom, alone=held is None),
         _before_and_after(result, verification=verification),
         *_of_the_stage(result, freedom, left),
+        *([result["reference_says"]] if result.get("reference_says") else []),
         *_diagnosed(diagnosis, left),
         *([] if verification else _scale(result)),
     ]

@@ -74,7 +74,7 @@ def _rig(rig: RigState, standing: Standing, now: datetime) -> Document:
     check, last = standing.check, standing.last
     has_failed = last is not None and last.status in NOT_RESOLVED and not last.is_voided
     shown = asdict(rig)
-    for of_bench in ("bench", "hall", "last_seen_at"):
+    for of_bench in ("bench", "hall", "last_seen_at", "clamp"):
         del shown[of_bench]
     return {
         **shown,

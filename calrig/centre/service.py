@@ -5,11 +5,13 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping
 from functools import partial
+from types import MappingProxyType
 
 from calrig.analysis.active_calibration import ActiveCalibration, active_calibration
 from calrig.analysis.errors import Conflict, Unknown
 from calrig.analysis.issuing import Issuer
 from calrig.analysis.origin import check_serial, provenance
+from calrig.analysis.stage_maps import provenance_part
 from calrig.analysis.stored_runs import stored_run
 from calrig.analysis.unresolved import unresolved
 from calrig.centre.asking import Asking, seen
@@ -34,7 +36,7 @@ from calrig.store.bench_commands import Kind
 from calrig.store.benches import Bench
 from calrig.store.postgresql.listening import Listening
 from calrig.store.postgresql.set_up import ANSWERS, EVENTS, PARCELS
-from calrig.store.records import TERMINAL, UNFINISHED
+from calrig.store.records import TERMINAL, UNFINISHED, Document
 
 log = logging.getLogger(__name__)
 
@@ -51,6 +53,9 @@ class CentreService:
         url: of that store, for a connection that hears of news.
         clock: by which answers of benches are waited for.
     """
+
+    maps: Mapping[str, Document] = MappingProxyType({})
+    """A file that a bench names is the bench's: it goes by it where the centre has put none in force."""
 
     def __init__(self, store: Store, url: str, clock: Clock = WALL) -> None:
         self.store = store
@@ -154,6 +159,7 @@ class CentreService:
             provenance={
                 **provenance(operator),
                 "seed": plan.seed,
+                **provenance_part(self.store, on.settings.name, self.maps),
                 **({} if verifies is None else verifies.provenance()),
                 **({} if follow_up is None else {"follow_up": follow_up.provenance()}),
             },

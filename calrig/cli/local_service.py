@@ -71,6 +71,7 @@ def local_service(
             starting = beside.submit(lambda: [stack.enter_context(_with_ports(rig)) for rig in rigs])
             from calrig.analysis.issuing import Issuer, NoDrafts, Releases
             from calrig.analysis.limits import keep_configured
+            from calrig.analysis.stage_maps import configured_maps
             from calrig.runs.recovery import mark_interrupted, stop_stages
             from calrig.runs.service import RunService
             from calrig.store import Store
@@ -81,6 +82,7 @@ def local_service(
                     f"--db: {shown(url)} is a centre's, whose benches carry runs out: start the run at the "
                     "centre's page, or at the bench of the rig"
                 )
+            maps = configured_maps(settings)
             configured, troubles = {rig.name: rig for rig in settings.rig}, dict[str, str]()
 
             def stop(rig_names: Sequence[str]) -> None:
@@ -92,7 +94,7 @@ def local_service(
             issuer = Issuer(store, Releases.of(rigs)) if drafts else NoDrafts(store)
             issuer.bring_over()
             powered = starting.result()
-        service = RunService(store, powered, record, issuer)
+        service = RunService(store, powered, record, issuer, maps)
         stack.callback(service.close)
         yield service
 

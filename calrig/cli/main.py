@@ -26,6 +26,7 @@ from calrig.cli import (
     serve,
     solve,
     users,
+    verify,
 )
 from calrig.cli.exit_status import Commands
 
@@ -44,6 +45,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "rigs": rigs.rigs,
     "import": records.import_,
     "export": records.export,
+    "verify": verify.verify,
     "backup": records.backup,
     "move-store": move_store.move_store,
     "diagnose": diagnosis.diagnose,

@@ -30,6 +30,10 @@ def print_result(run: Run) -> None:
         print_table(headings, _rows_of(run.result), title=f"run {run.id}: unit {run.unit} on {run.rig}")
     if run.verdict is not None:
         _print_sentences(run.verdict.says)
+    mounts_deg = (run.plan or {}).get("mounts_deg", [0.0])
+    if len(mounts_deg) > 1 and run.status == "completed":
+        of = f"All of this is of the first mount ({mounts_deg[0]:g}°): " if run.result is not None else ""
+        _print_sentences([f"{of}`calrig solve {run.id}` takes all {len(mounts_deg)} mounts together."])
 
 
 def _rows_of(result: dict[str, Any]) -> Iterable[tuple[str, ...]]:

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -17,6 +17,8 @@ from calrig.errors import InputError
 
 if TYPE_CHECKING:
     from calrig.calibration.packed_poses import PackedPoses
+    from calrig.store import Store
+    from calrig.store.issued import Revision
 
 
 class Format(StrEnum):
@@ -31,6 +33,9 @@ class Format(StrEnum):
     vins = "vins"
     imu_tk = "imu-tk"
     imucal = "imucal"
+    pdf = "pdf"
+    dcc = "dcc"
+    archive = "archive"
 
 
 def import_(
@@ -73,24 +78,34 @@ def export(
         Format,
         typer.Option(
             "--format",
-            help="The calibration, or its poses (csv); for other programs: calrig/docs/calibrations.md.",
+            help="The calibration, its poses (csv), its certificate (pdf, dcc), all of a unit (archive); "
+            "for other programs: calrig/docs/calibrations.md.",
         ),
     ] = Format.json,
     parquet: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write the poses of all completed runs there.")
     ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="FILE", help="Where a certificate or an archive goes."),
+    ] = None,
+    sign: Annotated[
+        Path | None, typer.Option(metavar="KEY.pem", help="Sign the DCC with this key, and --cert.")
+    ] = None,
+    cert: Annotated[
+        Path | None, typer.Option(metavar="CERT.pem", help="The certificate of the key that signs.")
+    ] = None,
     db: Db = None,
 ) -> None:
     """Print a calibration as JSON or for another program, or its poses as CSV.
 
-    Standard error has its verdict. With --parquet: the poses of all completed runs into files.
+    Standard error has its verdict. `--format pdf` is its certificate, into a file or a pipe; `dcc` the same
+    for programs, in PTB's XML. `--format archive --out FILE.zip` is everything that stands behind a unit:
+    `calrig verify` checks it. With --parquet: the poses of all completed runs into files.
     """
-    from calrig.analysis.active_calibration import newest_of_run, wanted_revision
-    from calrig.analysis.exports import NOISE_FORMATS, exported, exported_noise
-    from calrig.analysis.mounts import labels_of
-    from calrig.analysis.stored_runs import counted_poses, stored_run
+    from calrig.cli.certificate import write_certificate
     from calrig.cli.output import print_says
-    from calrig.export.poses_csv import write_poses
+    from calrig.cli.verify import export_archive
     from calrig.settings import store_url
     from calrig.store import Store
 
@@ -99,35 +114,47 @@ def export(
             raise InputError("export: --parquet writes the poses of all runs: name no run or unit beside it")
         _export_all(parquet, db)
         return
+    if format_ is Format.archive:
+        export_archive(unit, out, db)
+        return
     if (run_id is None) == (unit is None):
         raise InputError("export: name either a RUN_ID or --unit SERIAL")
+    if out is not None and format_ not in {Format.pdf, Format.dcc}:
+        raise InputError(f"export: --format {format_.value} goes to standard output, not to --out")
     if run_id is not None and (run_id.endswith(".json") or Path(run_id).is_file()):
         sys.stdout.write(_of_file(run_id, format_))
         return
     with Store.open(store_url(db), writer=None) as store:
         if run_id is not None:
             run_id = whole_id(store, run_id)
-        if run_id is not None and format_ is Format.csv:
-            run = stored_run(store, run_id)
-            sys.stdout.write(write_poses(counted_poses(store, run.id), labels_of(run)))
-            return
-        if format_.value in NOISE_FORMATS:
-            of_unit = unit or stored_run(store, run_id or "").unit
-            sys.stdout.write(exported_noise(store, of_unit, format_.value))
-            return
-        if unit is not None:
-            found = store.in_force(unit) or wanted_revision(store, unit, "latest")
-        else:
-            found = newest_of_run(store, run_id or "")
-        if found.status != "in_force":
-            words = f"revision {found.revision} of unit {found.unit!r} is {found.status}, not in force"
-            typer.echo(f"calrig export: {words}", err=True)
-        if format_ is Format.csv:
-            text = write_poses(counted_poses(store, found.run_id))
-        else:
+        if format_ is Format.pdf or format_ is Format.dcc:
+            form: Literal["pdf", "dcc"] = "pdf" if format_ is Format.pdf else "dcc"
+            found = _revision_asked_for(store, run_id, unit)
             print_says(found.verdict["says"])
-            text = found.text + "\n" if format_ is Format.json else exported(found, format_.value)
-        sys.stdout.write(text)
+            write_certificate(store, found, form, out, sign, cert)
+        else:
+            sys.stdout.write(_text(store, run_id, unit, format_))
+
+
+def _text(store: Store, run_id: str | None, unit: str | None, format_: Format) -> str:
+    """What is printed; standard error has the verdict of a calibration."""
+    from calrig.analysis.exports import NOISE_FORMATS, exported, exported_noise
+    from calrig.analysis.mounts import labels_of
+    from calrig.analysis.stored_runs import counted_poses, stored_run
+    from calrig.cli.output import print_says
+    from calrig.export.poses_csv import write_poses
+
+    if run_id is not None and format_ is Format.csv:
+        run = stored_run(store, run_id)
+        return write_poses(counted_poses(store, run.id), labels_of(run))
+    if format_.value in NOISE_FORMATS:
+        of_unit = unit or stored_run(store, run_id or "").unit
+        return exported_noise(store, of_unit, format_.value)
+    found = _revision_asked_for(store, run_id, unit)
+    if format_ is Format.csv:
+        return write_poses(counted_poses(store, found.run_id))
+    print_says(found.verdict["says"])
+    return found.text + "\n" if format_ is Format.json else exported(found, format_.value)
 
 
 def _of_file(file: str, format_: Format) -> str:
@@ -137,6 +164,19 @@ def _of_file(file: str, format_: Format) -> str:
     if format_.value not in REVISION_FORMATS:
         raise InputError(f"export: {file}: a calibration in a file is given as {', '.join(REVISION_FORMATS)}")
     return exported_document(read_document(file), format_.value, file)
+
+
+def _revision_asked_for(store: Store, run_id: str | None, unit: str | None) -> Revision:
+    from calrig.analysis.active_calibration import newest_of_run, wanted_revision
+
+    if unit is not None:
+        found = store.in_force(unit) or wanted_revision(store, unit, "latest")
+    else:
+        found = newest_of_run(store, run_id or "")
+    if found.status != "in_force":
+        words = f"revision {found.revision} of unit {found.unit!r} is {found.status}, not in force"
+        typer.echo(f"calrig export: {words}", err=True)
+    return found
 
 
 def _export_all(folder: Path, db: str | None) -> None:

@@ -56,7 +56,7 @@ def run(
     settings = load_settings(config)
     chosen = _rig_named(settings, rig)
     with local_service(store_url(db), "run", (chosen,), settings, record) as service:
-        for warning in cannot_pass_on(chosen, unit, the_plan, service.store):
+        for warning in cannot_pass_on(chosen, unit, the_plan, service.store, service.maps):
             typer.echo(f"warning: {warning}", err=True)
         begun = service.start(
             unit=unit, rig=chosen.name, plan=the_plan, operator=operator, note=note, stage_at_deg=stage_at

@@ -81,6 +81,7 @@ def _serve_on(
             limits_kept_in=kept_in,
             interval_days=settings.interval_days,
             centre=settings.centre,
+            laboratory=settings.laboratory,
         )
 
         def say_ready() -> None:

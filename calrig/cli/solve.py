@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
@@ -16,7 +16,7 @@ from calrig.errors import InputError, WorkError
 if TYPE_CHECKING:
     from calrig.analysis.joint_solutions import Question, Wanted
     from calrig.calibration.joint.table import Mounted
-    from calrig.store.solutions import Solved
+    from calrig.store.solutions import Frame, Solved
 
 Units = Annotated[
     list[str] | None,
@@ -30,6 +30,15 @@ Periods = Annotated[
 ]
 Out = Annotated[
     Path | None, typer.Option(metavar="DIR", help="Write each unit's calibration and the stage's map there.")
+]
+FrameOf = Annotated[
+    str,
+    typer.Option(
+        "--frame",
+        metavar="sensor|faces",
+        help="Of units clamped by several faces: the matrix in the sensor's own frame, upper triangular, or "
+        "in that of the faces.",
+    ),
 ]
 Linear = Annotated[
     bool, typer.Option("--linear", help="State that the units have no quadratic and cubic terms.")
@@ -63,6 +72,7 @@ def solve(
     unit: Units = None,
     linear: Linear = False,
     period: Periods = None,
+    frame: FrameOf = "sensor",
     seat_std: SeatStd = None,
     limits: Limits = None,
     out: Out = None,
@@ -86,11 +96,14 @@ def solve(
         raise InputError("solve: name files or run ids, not both")
     if unit and not files:
         raise InputError("solve: runs have their units; --unit is for files")
+    if frame not in {"sensor", "faces"}:
+        raise InputError(f"solve: --frame is {frame!r}: it is sensor or faces")
     wanted = Wanted(
         sources,
         linear=linear,
         periods_deg=tuple(period or ()),
         seat_std_deg=seat_std,
+        frame=cast("Frame", frame),
         limits_deg=limits,
     )
     said: list[str] = []
@@ -106,12 +119,19 @@ def solve(
     document = {**found.document, "warnings": [*said, *found.document["warnings"]]}
     if out is not None:
         _write(out, found)
+    whole = found.is_whole
     if draw is not None:
         from calrig.figures.joint import joint_figures
 
+        if whole:
+            raise InputError("solve: --plot is of units clamped by one face")
         draw("Stage and units solved together", joint_figures(document, found.poses))
     if as_json:
         output.print_json(document)
+    elif whole:
+        from calrig.cli.three_axis_output import print_whole
+
+        print_whole(document)
     else:
         print_solution(document)
 

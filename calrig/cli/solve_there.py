@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from calrig.analysis.joint_solutions import Wanted
 
 LOOK_S = 0.5
-KEPT_BESIDE = ("id", "created_at", "by", "rig", "runs", "linear", "periods_deg", "seat_std_deg")
+KEPT_BESIDE = ("id", "created_at", "by", "rig", "runs", "linear", "periods_deg", "seat_std_deg", "frame")
 """What an answer has beside the document of CONTRACT section 8."""
 
 
@@ -42,6 +42,7 @@ def solved_there(server: str, wanted: Wanted, *, with_files: bool, with_poses: b
         "linear": wanted.linear,
         "periods_deg": list(wanted.periods_deg),
         "seat_std_deg": wanted.seat_std_deg,
+        "frame": wanted.frame,
         "limits_deg": wanted.limits_deg,
     }
     document = _asked(client, body)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -91,6 +93,34 @@ def move_angle_deg(
         return None
     rate = rate_dps - bias_dps
     return float((rate[1:] + rate[:-1]) @ np.diff(time_s)) / 2.0
+
+
+def moves_about_axes(
+    time_s: FloatArray, gyro_dps: FloatArray, dwells_s: Sequence[tuple[float, float]], gap_s: float = math.inf
+) -> list[FloatArray | None]:
+    """What a run's samples say of the move into each of its poses about each axis (`gyro_move_x_deg`, …).
+
+    Args:
+        time_s: (n,) the board's clock over the whole run, increasing.
+        gyro_dps: (n, 3).
+        dwells_s: first and last time of each pose's dwell, in the order measured.
+        gap_s: as `move_angle_deg`.
+
+    Returns:
+        Of each pose (3,) degrees, less the mean bias of the two dwells; None of the first, and where samples
+        are missing.
+    """
+    moves: list[FloatArray | None] = [None] * min(len(dwells_s), 1)
+    means = [gyro_dps[(time_s >= first) & (time_s <= last)].mean(axis=0) for first, last in dwells_s]
+    for k, ((_, left_s), (came_s, _)) in enumerate(pairwise(dwells_s)):
+        between = (time_s >= left_s) & (time_s <= came_s)
+        bias = 0.5 * (means[k] + means[k + 1])
+        angles = [
+            move_angle_deg(time_s[between], gyro_dps[between, axis], float(bias[axis]), gap_s)
+            for axis in range(3)
+        ]
+        moves.append(None if None in angles else np.array(angles, dtype=np.float64))
+    return moves
 
 
 def integration_error_deg(time_s: FloatArray, rate_dps: FloatArray) -> float:

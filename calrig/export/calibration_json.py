@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,11 @@ import numpy as np
 from calrig.calibration.effects import effect_of
 from calrig.calibration.fit import Line
 from calrig.calibration.pose import Pose, of_first_mount
+from calrig.calibration.reference_figures import ReferenceFigures
 from calrig.calibration.result import Result
+from calrig.calibration.stage_reference import in_words
 from calrig.calibration.uncertainty import Reference, uncertainty
+from calrig.estimation.angles import FloatArray
 from calrig.store.records import AcceptedEffect, Document
 
 SCHEMA = "calrig.calibration/2"
@@ -26,6 +30,7 @@ def calibration_content(
     result: Result,
     accepted: Sequence[AcceptedEffect] = (),
     reference: Reference | None = None,
+    provenance: Document | None = None,
 ) -> Document:
     """What a revision says of a unit; the store adds which revision it is, of which run, and the hash.
 
@@ -37,6 +42,7 @@ def calibration_content(
         accepted: effects of the unit and its rig: bias and scale are those beside all of them, and the unit's
             own are applied in flight.
         reference: what the rig said of its stage when the poses were measured.
+        provenance: of their run, which names the stage's map where the reference is one.
 
     Raises:
         ValueError: there is no pose, or the scale is not known.
@@ -72,9 +78,20 @@ def calibration_content(
         "level_known": False,
         "level_std_deg": None,
         "accelerometer": None,
-        "uncertainty": worth.to_dict(),
+        "uncertainty": {**worth.to_dict(), **_by_map(elevations, line, reference, provenance or {})},
         "temperature_c": figures["temperature_c"],
     }
+
+
+def _by_map(
+    elevations: FloatArray, line: Line, reference: Reference | None, provenance: Document
+) -> dict[str, Any]:
+    """Which map the uncertainty rests on; nothing where that is a certificate, which the provenance has."""
+    if reference is None or reference.kind != "map":
+        return {}
+    kept = provenance["stage_map"]
+    figures = asdict(ReferenceFigures.of(elevations, line, reference))
+    return {"reference": {**figures, "sha256": kept["sha256"], "says": in_words(kept)}}
 
 
 def line_of(document: Mapping[str, Any]) -> Line:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from typing import Any
 
@@ -16,11 +14,12 @@ from calrig.calibration.joint.mapped import mapped
 from calrig.calibration.joint.report import level_document, parameters_of
 from calrig.calibration.joint.solution import Solution
 from calrig.calibration.joint.unit_model import NAMES
+from calrig.calibration.stage_reference import MAP_SCHEMA
+from calrig.canonical_json import with_sha256
 from calrig.estimation.angles import wrap_deg
 from calrig.export.calibration_json import MODEL, SCHEMA
 from calrig.export.joint_files import joint_files
 
-MAP_SCHEMA = "calrig.stage-map/1"
 _CURVATURES = ("y_mg_per_g2", "y_mg_per_g3", "z_mg_per_g2", "z_mg_per_g3")
 EFFECTS: dict[str, tuple[str, ...]] = {
     "accelerometer_offset": ("y_mg", "z_mg"),
@@ -54,7 +53,7 @@ def unit_document(solution: Solution, unit: int, rig: str | None = None) -> dict
     covariance[0, 0] += np.degrees(np.degrees(worth.common_variance))
     factor = coverage_factor(solution.noise_deg, fit.freedom, worth.rms_deg, "normal")
     own = (table.unit == unit) & fit.kept
-    stated = np.array([mount.nominal_deg or 0.0 for mount in table.mounts])[table.mount]
+    stated = np.array([mount.sense * (mount.nominal_deg or 0.0) for mount in table.mounts])[table.mount]
     raw = wrap_deg(np.degrees(table.reading) - table.sense * table.dial_deg - stated)[own]
     document = {
         "schema": SCHEMA,
@@ -98,7 +97,7 @@ def unit_document(solution: Solution, unit: int, rig: str | None = None) -> dict
             "level": None if level is None else level_document(level),
         },
     }
-    return {**document, "sha256": _sha256(document)}
+    return with_sha256(document)
 
 
 def effects_of(solution: Solution, unit: int) -> list[dict[str, Any]]:
@@ -141,7 +140,7 @@ def map_document(solution: Solution, rig: str | None = None) -> dict[str, Any]:
         "solved_from": list(solution.table.sources),
         "separable": all(solution.is_separable(unit) for unit in range(len(solution.table.units))),
     }
-    return {**document, "sha256": _sha256(document)}
+    return with_sha256(document)
 
 
 def _temperatures(solution: Solution, unit: int) -> dict[str, float] | None:
@@ -154,8 +153,3 @@ def _temperatures(solution: Solution, unit: int) -> dict[str, float] | None:
 
 def _rms(values: Any) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
-
-
-def _sha256(document: dict[str, Any]) -> str:
-    text = json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()

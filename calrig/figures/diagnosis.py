@@ -88,8 +88,8 @@ def _axis(name: str) -> str:
 def error_map(
     stage_deg: Sequence[float], approach: Sequence[int], error_deg: Sequence[float], std_deg: Sequence[float]
 ) -> Figure:
-    """The rig error map by elevation, one line an approach, with standard errors."""
-    layout = layout_of("elevation (°)", "common residual (°)")
+    """The rig error map by angle of the dial, one line an approach, with standard errors."""
+    layout = layout_of("angle of the dial (°)", "elevation less dial (°)")
     layout["yaxis"]["zeroline"] = True
     data = []
     for sense, (name, symbol, colour) in APPROACHES.items():

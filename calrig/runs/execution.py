@@ -17,7 +17,7 @@ from calrig.instruments.types import FloatArray
 from calrig.plan import Plan, PlannedPose
 from calrig.runs.felt_moves import KIND, FeltMoves, lost, told
 from calrig.runs.follow_up import FollowUpRun
-from calrig.runs.mounting import Mount
+from calrig.runs.mounting import Mount, OwnErrors
 from calrig.runs.own_gyro import OwnGyro
 from calrig.runs.pace import Pace
 from calrig.runs.resume import MOVE_OFF_DEG, Returned, way_back
@@ -104,7 +104,7 @@ class Execution:
             self.pace.begin(self.plan, moves=True, mount=mount)
             return mount.deg
         self.pace.begin(self.plan, moves=True)
-        return mount.deg if self.pace.why_not(mount) is None else None
+        return mount.deg if self.pace.why_not(mount, OwnErrors()) is None else None
 
     def _mount(self, mount_deg: float) -> Mount:
         return Mount(mount_deg, self.plan.mount_axis)
@@ -115,7 +115,7 @@ class Execution:
         Gravity tells the angle about the stage's axis at any angle of the dial. Hands may have pushed the
         table through its play meanwhile.
         """
-        self.pace.wait_for_mount(mount)
+        self.pace.wait_for_mount(mount, OwnErrors(self.poses, mount.sense))
         self.felt.touched()
         self._move_off([pose for pose in left if pose.mount_deg == mount.deg])
 

@@ -32,7 +32,7 @@ class OwnGyro:
     def felt_deg(
         self, move: Samples, period_s: float, lasts_s: float, axis: int | None = None
     ) -> float | None:
-        """The turn over the move into the last dwell, about an axis; the bias is that of the dwells beside."""
+        """The turn over the move into the last dwell about an axis, by the bias of the dwells beside it."""
         k = self.along if axis is None else axis
         neighbours_dps = [b for bias in self.biases[-2:] if (b := bias.bias_dps[k]) is not None]
         if not neighbours_dps:
@@ -51,7 +51,7 @@ class OwnGyro:
         }
 
     def figures(self, moves: list[tuple[float, float]]) -> GyroFigures:
-        """What dwells and moves say together; `moves` pairs what the unit turned with what it felt, degrees."""
+        """What dwells and moves say; `moves` pairs what the unit turned with what it felt, degrees."""
         if not self.biases:
             return GyroFigures()
         bias = run_bias(self.biases)

@@ -10,7 +10,7 @@ from calrig.estimation.kalman import KalmanFilter, KalmanNoise
 from calrig.instruments.types import GAP_PERIODS, FloatArray
 from calrig.plan import Plan
 from calrig.runs.control import ENDED, Control, Go
-from calrig.runs.mounting import Mount, angle_about_deg
+from calrig.runs.mounting import Mount, OwnErrors, angle_about_deg
 from calrig.runs.recorder import Recorder
 from calrig.runs.rig import Rig
 from calrig.runs.stream import Stream
@@ -71,10 +71,10 @@ class Pace:
         if not np.isnan(accel_g).any():
             self.rig.place.check_gravity(self.rig.axis.elevation_deg(), angle_deg, mount)
 
-    def why_not(self, mount: Mount) -> str | None:
+    def why_not(self, mount: Mount, errors: OwnErrors) -> str | None:
         """Why the unit is not clamped so, by what gravity says from now on; None where it is."""
         angle_deg, accel_g = self._gravity(mount)
-        return mount.refusal(self.rig.axis.elevation_deg(), angle_deg, accel_g)
+        return mount.refusal(self.rig.axis.elevation_deg(), errors.without_deg(angle_deg), accel_g)
 
     def _gravity(self, mount: Mount) -> tuple[float, FloatArray]:
         """The angle about the unit's axis, and (3,) the mean specific force, NaN where the board has none."""
@@ -87,21 +87,27 @@ class Pace:
         turns = np.exp(1j * np.radians(seen.elevation_deg))
         return float(np.degrees(np.angle(turns.mean()))), accel_g
 
-    def wait_for_mount(self, mount: Mount) -> None:
-        """Stands until a person has clamped the unit so and says Go, and gravity agrees."""
-        self.recorder.waits_for(mount.asked)
+    def wait_for_mount(self, mount: Mount, errors: OwnErrors) -> None:
+        """Stands until a person has clamped the unit so and says Go, and gravity agrees.
+
+        Readings meanwhile tell at which angle it is clamped.
+        """
+        self.recorder.waits_for(
+            mount.asked,
+            lambda stage_deg, reading_deg: mount.clamped_at(stage_deg, errors.without_deg(reading_deg)),
+        )
         with self.control.waiting():
             refusal: str | None = "nobody said Go"
             while refusal is not None:
                 self.stand_by()
                 if (go := self.control.take_go()) is not None:
-                    refusal = self._answered(go, mount)
+                    refusal = self._answered(go, mount, errors)
 
-    def _answered(self, go: Go, mount: Mount) -> str | None:
+    def _answered(self, go: Go, mount: Mount, errors: OwnErrors) -> str | None:
         """Why the unit is not clamped as it should be; whoever asked is told once the run goes on, or not."""
         refusal: str | None = ENDED
         try:
-            refusal = self.why_not(mount)
+            refusal = self.why_not(mount, errors)
             if refusal is None:
                 self.control.resume()  # whoever wished for a pause meanwhile has had it
                 self.recorder.state("running")

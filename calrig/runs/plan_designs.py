@@ -10,6 +10,7 @@ from calrig.analysis.errors import Invalid
 from calrig.calibration.plan_design.design import Design, OutOfReachError, Task, limit_s, quickest, within
 from calrig.calibration.plan_design.goals import Goals, TypeB
 from calrig.calibration.plan_design.rig_figures import NOT_MEASURED, Pace, Precision, precision_of_run
+from calrig.calibration.stage_reference import StageMap
 from calrig.calibration.uncertainty import Reference
 from calrig.instruments.axis_goal import travel_time_s
 from calrig.plan import Plan
@@ -83,7 +84,7 @@ def designed(wanted: Wanted, plan: Plan, rig: RigSettings, unit: str, store: Sto
         range_deg=(low, high),
         precision=_precision(rig, unit, store),
         pace=_pace(plan, rig, store),
-        type_b=_type_b(rig),
+        type_b=_type_b(rig, store),
         trace=wanted.trace,
         seed=plan.seed,
     )
@@ -139,9 +140,12 @@ def _of_run(run: Run) -> Precision | None:
     return precision_of_run(run.id, plan["dwell_s"], noise_deg, left * (n / (n - 2.0)) ** 0.5)
 
 
-def _type_b(rig: RigSettings) -> TypeB | None:
+def _type_b(rig: RigSettings, store: Store | None) -> TypeB | None:
+    in_force = None if store is None else store.stage_map(rig.name)
+    if in_force is not None:
+        return TypeB(StageMap.from_document(in_force.document).std_deg, None)
     stated = rig.reference
-    if stated is None:
+    if stated is None or stated.std_deg is None:
         return None
     return TypeB(stated.std_deg, Reference(stated.std_deg, stated.kind, stated.distribution))
 

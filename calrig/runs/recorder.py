@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Unpack
 
+from calrig.analysis.mounts import mount_columns
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import raw_error_deg
 from calrig.instruments.clock import Clock
@@ -28,7 +29,7 @@ FLUSH_INTERVAL_S = 0.25
 class Recorder:
     """One run's way into the store and out to those who watch. Used by the run's own thread only.
 
-    `sense` is that in which its unit turns with the stage.
+    `axis` is which of its unit's lies along the stage's.
     """
 
     def __init__(
@@ -40,20 +41,21 @@ class Recorder:
         clock: Clock,
         poses_total: int,
         poses_before: int = 0,
-        sense: int = 1,
+        axis: str = "x",
     ) -> None:
         self._now_s = clock.now_s
         self._store = store
         self._bus = bus
         self.run_id = run_id
         self.meter = meter
-        self._sense = sense
+        self._axis = axis
         self._status: Status = "queued"
         self._poses_total = poses_total
         self._poses_done = self._poses_before = poses_before
         self._first_pose_began_s = self._now_s()
         self._paused_s = 0.0
         self._waiting_for: WaitingFor | None = None
+        self._clamped_at: Callable[[float, float], float] = lambda _stage_deg, reading_deg: reading_deg
         self._readings: list[tuple[str, dict[str, Any]]] = []
         self._last_reading_s = self._last_flush_s = -math.inf
 
@@ -75,11 +77,14 @@ class Recorder:
         self._store.update_run(self.run_id, events=events, draft=draft, **told)
         self._became(status, told)
 
-    def waits_for(self, asked: WaitingFor) -> None:
-        """The run is paused until a person has done what is asked; any other state ends that."""
+    def waits_for(self, asked: WaitingFor, clamped_at: Callable[[float, float], float]) -> None:
+        """The run is paused until a person has done what is asked; any other state ends that.
+
+        `clamped_at` tells, by stage and reading, at which angle the unit is clamped.
+        """
         check_transition(self.run_id, self._status, "paused")
         self.flush()
-        self._waiting_for = asked
+        self._waiting_for, self._clamped_at = asked, clamped_at
         told: RunChanges = {"status": "paused", "progress": self._progress()}
         self._store.update_run(self.run_id, events=[("progress", told["progress"])], **told)
         self._became("paused", told)
@@ -120,7 +125,9 @@ class Recorder:
         self.flush()
         self._poses_done += 1
         progress = self._progress()
-        told = {"index": index, **pose.row(), "raw_error_deg": raw_error_deg(pose, self._sense)}
+        mount = mount_columns(self.run_id, self._axis, pose)
+        sense = -1 if self._axis.startswith("-") else 1
+        told = {"index": index, **pose.row(), **mount, "raw_error_deg": raw_error_deg(pose, sense)}
         events: list[Announced] = [("pose", told), ("progress", progress), *also]
         self._store.add_pose(self.run_id, index, pose, blocks, events, progress=progress, faults=dict(faults))
         self.meter.pose()
@@ -157,6 +164,8 @@ class Recorder:
             "reading_deg": reading_deg,
             "temperature_c": temperature_c,
         }
+        if self._waiting_for is not None and stage_deg is not None and reading_deg is not None:
+            data["mount_deg"] = round(self._clamped_at(stage_deg, reading_deg), 2)
         self._readings.append(("reading", data))
         if now_s - self._last_flush_s >= FLUSH_INTERVAL_S:
             self.flush()

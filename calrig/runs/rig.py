@@ -16,6 +16,7 @@ from calrig.instruments.ports import clock_of
 from calrig.instruments.types import Board, BoardIdentity, Stage, StageIdentity
 from calrig.instruments.wanted import while_wanted
 from calrig.runs.control import Control, Left
+from calrig.runs.references import overdue_says
 from calrig.runs.stage_place import StagePlace
 from calrig.settings import RigSettings
 
@@ -59,6 +60,7 @@ class Rig:
             "stage": asdict(self.stage_identity),
             "board": asdict(self.board_identity),
             "filter": self.settings.filter.model_dump(),
+            **({"warnings": overdue} if (overdue := overdue_says(self.settings)) else {}),
         }
 
 

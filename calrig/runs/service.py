@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 from calrig.analysis.active_calibration import active_calibration
 from calrig.analysis.errors import Conflict, Unknown
 from calrig.analysis.issuing import Issuer, Releases
 from calrig.analysis.origin import check_serial
+from calrig.analysis.stage_maps import provenance_part
 from calrig.analysis.stored_runs import stored_run
 from calrig.analysis.unresolved import unresolved
 from calrig.plan import MountAxis, Plan
@@ -27,6 +29,7 @@ from calrig.runs.meter import Meter
 from calrig.runs.new_run import NewRun
 from calrig.runs.planned import planned_poses
 from calrig.runs.queue import RunQueue
+from calrig.runs.references import require_in_date
 from calrig.runs.resume import resumed_task, waiting_task
 from calrig.runs.rig_states import RigState, state_of
 from calrig.runs.stage_place import leave_at
@@ -36,6 +39,7 @@ from calrig.runs.task import Task
 from calrig.runs.worker import Worker
 from calrig.settings import RigSettings
 from calrig.store import Run, Store, StoreError
+from calrig.store.records import Document
 
 log = logging.getLogger(__name__)
 
@@ -53,6 +57,7 @@ class RunService:
         rigs: those there are.
         record: folder for transcripts of every byte on the rigs' wires; None for none.
         issuer: makes drafts of completed calibrations; without it by what the rigs' `release` says.
+        maps: what runs keep of the stage's map that a file gives, by rig (`analysis.stage_maps`).
     """
 
     def __init__(
@@ -61,8 +66,10 @@ class RunService:
         rigs: Sequence[RigSettings],
         record: Path | None = None,
         issuer: Issuer | None = None,
+        maps: Mapping[str, Document] = MappingProxyType({}),
     ) -> None:
         self.store = store
+        self.maps = maps
         self.issuer = issuer or Issuer(store, Releases.of(rigs))
         self.bus = Bus()
         self._rigs = {rig.name: rig for rig in rigs}
@@ -141,10 +148,14 @@ class RunService:
         With `waits` it is stored as `queued` where the rig is not free, and begins once it is.
         """
         plan = wanted.plan
+        require_in_date(settings)
         planned = planned_poses(plan, settings)
         if plan.kind == "verification" and wanted.verifies is None:
             verifies = active_calibration(self.store, wanted.unit, settings.name, plan.revision)
             wanted = replace(wanted, verifies=verifies)
+        if "stage_map" not in wanted.origin:  # a centre's order has brought the one in force there
+            kept = provenance_part(self.store, settings.name, self.maps)
+            wanted = replace(wanted, origin={**wanted.origin, **kept})
         with self._beginning:
             self._clamps.require_still(settings.name)
             try:
@@ -172,7 +183,7 @@ class RunService:
         settings = self._rigs.get(run.rig or "")
         if settings is None:
             raise Conflict(f"rig {run.rig!r} is not configured any more")
-        self._employ(waiting_task(self.store, run, settings))
+        self._employ(waiting_task(self.store, run, settings, self.maps))
 
     def _require_ready(self, rig_name: str) -> None:
         self._crew.require_free(rig_name)
@@ -308,6 +319,7 @@ class RunService:
         settings = self._rigs.get(run.rig or "")
         if settings is None:
             raise Conflict(f"run {run.id} was on rig {run.rig!r}, which is not configured any more")
+        require_in_date(settings)
         task = resumed_task(self.store, run, settings)
         with self._beginning:
             self._crew.require_free(settings.name, run.id)

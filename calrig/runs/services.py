@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Protocol
 
 from calrig.analysis.issuing import Issuer
@@ -13,6 +14,7 @@ from calrig.runs.meter import Meter
 from calrig.runs.rig_states import RigState
 from calrig.settings import RigSettings
 from calrig.store import Run, Store
+from calrig.store.records import Document
 
 
 class Service(Protocol):
@@ -21,6 +23,10 @@ class Service(Protocol):
     store: Store
     bus: Bus
     meter: Meter
+
+    @property
+    def maps(self) -> Mapping[str, Document]:
+        """What runs keep of the stages' maps that files give, by rig."""
 
     @property
     def issuer(self) -> Issuer:

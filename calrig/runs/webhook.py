@@ -11,6 +11,7 @@ import hmac
 import http.client
 import json
 import logging
+import os
 import threading
 from collections.abc import Callable
 from contextlib import closing
@@ -22,9 +23,10 @@ from prometheus_client import Counter, Gauge
 
 import calrig
 from calrig.runs.services import Service
-from calrig.settings import WebhookSettings
+from calrig.settings import SettingsError
 from calrig.store import Run, StoreError
 from calrig.store.records import TERMINAL, Document
+from calrig.webhook_settings import WebhookSettings
 
 log = logging.getLogger(__name__)
 
@@ -38,6 +40,7 @@ CLOSE_S = 1.0
 """How long a try under way is waited for at the end: it is made again, and told by `Calrig-Delivery`."""
 RESULT = ("bias_deg", "scale", "rms_raw_deg", "rms_calibrated_deg", "rms_with_effects_deg", "n_poses")
 SIGNATURE = "Calrig-Signature"
+SHORTEST_SECRET = 16
 
 
 class Webhook:
@@ -59,7 +62,7 @@ class Webhook:
         now: Callable[[], datetime] = lambda: datetime.now(UTC),
     ) -> None:
         self._store, self._service = service.store, service
-        self._url, self._secret = settings.url, settings.secret()
+        self._url, self._secret = settings.url, secret_of(settings)
         self._now = now
         self._news = threading.Condition()
         self._heard: set[str] = set()
@@ -167,6 +170,26 @@ class Webhook:
         except (OSError, http.client.HTTPException, ValueError) as error:
             return f"{type(error).__name__}: {error}"[:300]
         return None if HTTPStatus.OK <= status < HTTPStatus.MULTIPLE_CHOICES else f"it answered {status}"
+
+
+def secret_of(settings: WebhookSettings) -> bytes:
+    """The key that is signed with.
+
+    Raises:
+        SettingsError: it cannot be read, or is too short to keep anybody out.
+    """
+    if settings.secret_file is not None:
+        kept_in = str(settings.secret_file)
+        try:
+            key = settings.secret_file.read_bytes().strip()
+        except OSError as error:
+            raise SettingsError(f"[webhook] {kept_in}: cannot be read ({error.strerror})") from error
+    else:
+        kept_in = f"the environment's {settings.secret_env}"
+        key = os.environ.get(settings.secret_env or "", "").encode().strip()
+    if len(key) < SHORTEST_SECRET:
+        raise SettingsError(f"[webhook] {kept_in}: has to hold a secret of {SHORTEST_SECRET} bytes or more")
+    return key
 
 
 def signature(secret: bytes, sent_s: str, body: bytes) -> str:

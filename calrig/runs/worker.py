@@ -22,7 +22,6 @@ from calrig.runs.bus import Bus
 from calrig.runs.control import Control, End, Ended, Left
 from calrig.runs.execution import Execution
 from calrig.runs.meter import Meter
-from calrig.runs.mounting import Mount
 from calrig.runs.pace import Pace
 from calrig.runs.recorder import Recorder
 from calrig.runs.resume import require_same_devices
@@ -76,7 +75,7 @@ class Worker:
             self.clock,
             len(task.planned),
             len(task.earlier.poses),
-            Mount(0.0, task.plan.mount_axis).sense,
+            task.plan.mount_axis,
         )
         self._left_rig = left_rig
         self._ended = ended

@@ -33,8 +33,8 @@ def main(arguments: list[str]) -> int:
     with SimulatedRig(settings) as rig:
         stage = {"driver": rig.stage_driver, "port": rig.stage_port}
         imu = {"driver": rig.imu_driver, "port": rig.imu_port}
-        clamp = rig.clamp_port and {"driver": IndexClamp.driver, "port": rig.clamp_port}
-        sys.stdout.write(json.dumps({"stage": stage, "imu": imu, "clamp": clamp}) + "\n")
+        clamp = {"clamp": {"driver": IndexClamp.driver, "port": rig.clamp_port}} if rig.clamp_port else {}
+        sys.stdout.write(json.dumps({"stage": stage, "imu": imu, **clamp}) + "\n")
         sys.stdout.flush()
         sys.stdin.buffer.read()
     return 0

@@ -86,7 +86,7 @@ def launch(options: Mapping[str, Any]) -> SimulatedProcess:
     too_late.cancel()
     try:
         said = json.loads(line)
-        return SimulatedProcess(process, said["stage"], said["imu"], said["clamp"])
+        return SimulatedProcess(process, said["stage"], said["imu"], said.get("clamp"))
     except (ValueError, KeyError) as error:
         _end(process)
         raise LaunchError(

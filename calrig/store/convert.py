@@ -23,9 +23,10 @@ from calrig.store import checksums
 from calrig.store.errors import NotFound, Unreadable
 from calrig.store.limits import limits_of
 from calrig.store.records import Progress, RawSamples, Run, SampleBlock, Status, StoredPose, Voided
-from calrig.store.tables import CalibrationTable, PoseTable, RunTable
+from calrig.store.tables import CalibrationTable, PoseTable, RunTable, SampleBlockTable
 
-_POSE_FIELDS = tuple(field.name for field in dataclasses.fields(Pose) if field.name != "filtering")
+_NO_COLUMNS = {"filtering", "map_deg"}
+_POSE_FIELDS = tuple(field.name for field in dataclasses.fields(Pose) if field.name not in _NO_COLUMNS)
 POSE_NUMBERS = tuple(name for name in _POSE_FIELDS if name != "covariates")
 FIGURES = tuple(name for name in CalibrationTable.model_fields if name not in {"run_id", "crc32"})
 """The columns of a result in comparisons."""
@@ -187,6 +188,15 @@ def unpacked_block(blob: bytes) -> RawSamples:
     """The samples of one block, with the board's angle wherever it was packed."""
     arrays = _unpacked(blob)
     return RawSamples(**{name: arrays[name] for name in _ARRAYS}, angle_deg=arrays.get(_ANGLE))
+
+
+def labelled_block(row: SampleBlockTable) -> SampleBlock:
+    """The samples of one block with what they are of."""
+    if row.phase not in ("move", "dwell"):
+        raise Unreadable(f"raw samples are not what was stored: there is no phase {row.phase[:40]!r}")
+    arrays = _unpacked(row.data)
+    given = {name: arrays[name] for name in _ARRAYS}
+    return SampleBlock(row.pose_index, cast(Any, row.phase), **given, angle_deg=arrays.get(_ANGLE))
 
 
 def _unpacked(blob: bytes) -> dict[str, np.ndarray[Any, Any]]:

@@ -49,6 +49,13 @@ class EventLog(Part):
                     raise Unreadable(f"event {expected} of run {run.uid} is missing")
             return found
 
+    def poses_announced_at(self, run_id: str) -> dict[int, datetime]:
+        """When each pose of a run was announced, by its index: on the clock of the machine that took it."""
+        with self._database.reading() as session:
+            run = run_row(session, run_id)
+            wanted = select(EventTable).where(EventTable.run_id == run.id, EventTable.type == "pose")
+            return {int(row.data["index"]): row.at for row in session.exec(wanted)}
+
     def keep_transcripts(self, run_id: str, texts: Mapping[str, str]) -> None:
         """Keeps what went over each port of a run."""
         with self._database.writing() as session:

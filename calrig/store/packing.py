@@ -174,7 +174,7 @@ class _Wrapping:
         Of its faults and provenance, what is so now.
         """
         states = [event.data for event in events if event.type == "state"]
-        begun = {"poses_done": 0, "fraction": 0.0, "remaining_s": None}
+        begun = {"poses_done": 0, "fraction": 0.0, "remaining_s": None, "waiting_for": None}
         return {
             **self.run_now(),
             "status": states[-1]["status"] if states else "running",

@@ -10,8 +10,10 @@ from sqlmodel import Session, col, delete, func, insert, select
 from sqlmodel.sql.expression import SelectOfScalar
 
 from calrig.calibration.pose import Filtering, Pose
+from calrig.calibration.stage_reference import StageMap
 from calrig.store.convert import (
     joined_arrays,
+    labelled_block,
     packed_arrays,
     pose_of,
     pose_values,
@@ -29,11 +31,14 @@ from calrig.store.records import (
     StoredPose,
     filtering_of,
 )
+from calrig.store.run_maps import map_in_use, put_upon
 from calrig.store.runs import POSES_AT_ONCE, change
 from calrig.store.tables import PoseTable, RunTable, SampleBlockTable
 
 SAMPLES_AT_ONCE = 1_000
 """Read from the file together where they are asked for some at a time."""
+BLOCKS_AT_ONCE = 8
+"""Of a move or a dwell each."""
 VARIABLES = 500
 """In one statement; SQLite takes a thousand."""
 
@@ -86,7 +91,8 @@ class Poses(Part):
             wanted = _by_index(run).execution_options(yield_per=POSES_AT_ONCE)
             filtering = _filtering_of(run)
             found = (pose_of(pose, run.uid, filtering) for pose in session.exec(wanted))
-            return [pose for pose in found if include_excluded or pose.excluded is None]
+            wanted_ones = [pose for pose in found if include_excluded or pose.excluded is None]
+            return put_upon(wanted_ones, map_in_use(session, run))
 
     def pose_batches(self, run_id: str) -> Iterator[list[StoredPose]]:
         """The same, excluded ones among them, some at a time as they are asked for.
@@ -97,11 +103,15 @@ class Poses(Part):
         with self._database.reading() as session:
             run = run_row(session, run_id)
             _require_all(session, run)
-            filtering, wanted = _filtering_of(run), _by_index(run)
-        return self._batches(wanted, run_id, filtering)
+            filtering, wanted, in_use = _filtering_of(run), _by_index(run), map_in_use(session, run)
+        return self._batches(wanted, run_id, filtering, in_use)
 
     def _batches(
-        self, wanted: SelectOfScalar[PoseTable], run_id: str, filtering: Filtering | None
+        self,
+        wanted: SelectOfScalar[PoseTable],
+        run_id: str,
+        filtering: Filtering | None,
+        in_use: StageMap | None,
     ) -> Iterator[list[StoredPose]]:
         last = -1
         while True:
@@ -111,7 +121,7 @@ class Poses(Part):
             if not batch:
                 return
             last = batch[-1].index
-            yield batch
+            yield put_upon(batch, in_use)
 
     def count_poses(self, run_id: str) -> int:
         """How many poses of a run count."""
@@ -160,6 +170,24 @@ class Poses(Part):
                     unpacked = [unpacked_block(block) for block in _packed_blocks(session, together)]
                 yield from unpacked
                 together, n_samples = [], 0
+
+    def labelled_blocks(self, run_id: str) -> Iterator[SampleBlock]:
+        """The same of a whole run, each block with its pose and whether it is of a move or a dwell."""
+        with self._database.reading() as session:
+            numbers = _block_numbers(session, run_id, None)
+        return self._labelled([number for number, _ in numbers])
+
+    def _labelled(self, numbers: Sequence[int]) -> Iterator[SampleBlock]:
+        for first in range(0, len(numbers), BLOCKS_AT_ONCE):
+            wanted = select(SampleBlockTable).where(
+                col(SampleBlockTable.id).in_(numbers[first : first + BLOCKS_AT_ONCE])
+            )
+            with self._database.reading() as session:
+                rows = session.exec(wanted.order_by(col(SampleBlockTable.id))).all()
+                blocks = [labelled_block(row) for row in rows]
+            if len(blocks) < len(numbers[first : first + BLOCKS_AT_ONCE]):
+                raise NotFound("raw samples were deleted while they were read")
+            yield from blocks
 
     def prune_samples(self, before: datetime) -> int:
         """Deletes the raw samples of runs made before then and no longer going on, and nothing else.

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from calrig.calibration.conformity import Limit
 from calrig.calibration.pose import Filtering, Pose
+from calrig.calibration.stage_reference import StageMap
 from calrig.calibration.uncertainty import Reference
 from calrig.calibration.verdict import Verdict, verdict
 from calrig.estimation.kalman import KalmanNoise
@@ -106,10 +107,16 @@ class Run:
 def reference_of(provenance: Document) -> Reference | None:
     """What the rig said of its stage when a run was made; None where it said nothing, or none was known."""
     stated = (provenance.get("rig") or {}).get("reference")
-    if stated is None:
+    if stated is None or stated["std_deg"] is None:  # a map alone, and no certificate
         return None
     usual = Reference(stated["std_deg"])
     return replace(usual, **{key: stated[key] for key in ("kind", "distribution") if key in stated})
+
+
+def map_of(provenance: Document) -> StageMap | None:
+    """The stage's map that was in force when a run was made; None where there was none."""
+    kept = provenance.get("stage_map")
+    return None if kept is None else StageMap.from_frozen(kept)
 
 
 def filtering_of(provenance: Document, plan: Document | None) -> Filtering | None:

@@ -6,6 +6,7 @@ import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from typing import Literal
 
 import sqlalchemy
 from sqlmodel import col
@@ -16,6 +17,7 @@ from calrig.store.records import Document
 from calrig.store.tables import RunTable, SolutionTable
 from calrig.store.units import COUNTS
 
+Frame = Literal["sensor", "faces"]
 _COLUMN = sqlalchemy.inspect(SolutionTable).local_table.c
 _NEWEST_FIRST = _COLUMN.created_at.desc(), _COLUMN.id.desc()
 
@@ -30,6 +32,7 @@ class Basis:
         linear: whether the units were stated to have no quadratic and cubic terms.
         periods_deg: of gears that somebody knew.
         seat_std_deg: how far one clamping was said to scatter from the next; None where nobody did.
+        frame: of units clamped by several faces, whose their matrix is.
     """
 
     runs: tuple[str, ...]
@@ -37,6 +40,7 @@ class Basis:
     linear: bool = False
     periods_deg: tuple[float, ...] = ()
     seat_std_deg: float | None = None
+    frame: Frame = "sensor"
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +62,11 @@ class Solved:
     calibrations: dict[str, Document]
     stage_map: Document
     poses: Document
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the units were clamped by several faces."""
+        return any(mount["mount_axis"][-1] != "x" for mount in self.document["mounts"])
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,6 +171,7 @@ def _as_document(basis: Basis) -> Document:
         "linear": basis.linear,
         "periods_deg": list(basis.periods_deg),
         "seat_std_deg": basis.seat_std_deg,
+        "frame": basis.frame,
     }
 
 
@@ -172,4 +182,5 @@ def _basis(document: Document) -> Basis:
         document["linear"],
         tuple(document["periods_deg"]),
         document["seat_std_deg"],
+        document.get("frame", "sensor"),
     )

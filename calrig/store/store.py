@@ -19,6 +19,7 @@ from calrig.store.event_log import EventLog
 from calrig.store.fleet import Fleet
 from calrig.store.fleet_findings import FleetFindings
 from calrig.store.issued import Issued
+from calrig.store.items import Items
 from calrig.store.limits import Limits
 from calrig.store.places import Places
 from calrig.store.poses import Poses
@@ -27,6 +28,7 @@ from calrig.store.rig_standing import RigStandings
 from calrig.store.runs import Runs
 from calrig.store.solutions import Solutions
 from calrig.store.spool import Spool
+from calrig.store.stage_maps import StageMaps
 from calrig.store.trail import Trail
 from calrig.store.units import Units
 from calrig.store.unpacking import Unpacking
@@ -44,6 +46,7 @@ class Store(
     Places,
     Limits,
     CheckUnits,
+    Items,
     Trail,
     Users,
     Benches,
@@ -58,6 +61,7 @@ class Store(
     Solutions,
     Batches,
     Deliveries,
+    StageMaps,
 ):
     """An open store, shared by threads. Each method is one transaction, on the disk when it returns.
 

@@ -279,6 +279,18 @@ class CheckUnitTable(SQLModel, table=True):
     named_at: datetime = Field(sa_type=UtcText)
 
 
+class ItemTable(SQLModel, table=True):
+    """What was said of a unit as it came: the last row counts."""
+
+    __tablename__ = "item"
+    __table_args__ = (Index("ix_item_unit", "unit"),)
+
+    id: int = Field(default=None, primary_key=True)
+    unit: str = Field(foreign_key="unit.serial")
+    document: dict[str, Any] = Field(sa_type=CheckedJson)
+    at: datetime = Field(sa_type=UtcText)
+
+
 class FleetFindingTable(SQLModel, table=True):
     """What a fleet's re-analysis found in a run last, by which poses and which catalogue.
 
@@ -350,3 +362,30 @@ class WebhookDeliveryTable(SQLModel, table=True):
     tries: int
     delivered_at: datetime | None = Field(default=None, sa_type=UtcText)
     error: str | None = None
+
+
+class StageMapTable(SQLModel, table=True):
+    """A stage's map that was put in force as the reference of a rig, and until when; at most one is.
+
+    Runs keep what they need of it themselves.
+    """
+
+    __tablename__ = "stage_map"
+    __table_args__ = (
+        Index(
+            "ix_stage_map_in_force",
+            "rig",
+            unique=True,
+            sqlite_where=text("withdrawn_at IS NULL"),
+            postgresql_where=text("withdrawn_at IS NULL"),
+        ),
+    )
+
+    id: int = Field(default=None, primary_key=True)
+    rig: str
+    solution_id: str = Field(foreign_key="solution.id")
+    document: dict[str, Any] = Field(sa_type=CheckedJson)
+    sha256: str = Field(sa_type=Sha256)
+    put_at: datetime = Field(sa_type=UtcText)
+    put_by: str | None = None
+    withdrawn_at: datetime | None = Field(default=None, sa_type=UtcText)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from typing import Any, Literal
 
@@ -20,7 +20,8 @@ from calrig.store.tables import TrailTable
 What = Literal[
     "started", "imported", "excluded", "included", "voided", "unvoided", "noted", "moved",
     "accepted", "taken_back", "drafted", "released", "withdrawn", "limits_changed",
-    "check_unit_changed", "user_added", "user_changed", "unit_removed",
+    "check_unit_changed", "item_changed", "map_put_in_force", "map_withdrawn",
+    "user_added", "user_changed", "unit_removed",
     "bench_added", "bench_enrolled", "bench_revoked",
 ]  # fmt: skip
 
@@ -111,6 +112,14 @@ class Trail(Part):
         with self._database.reading() as session:
             return [_entry(row) for row in session.exec(wanted.limit(limit))]
 
+    def links_before(self, numbers: Sequence[int]) -> dict[int, str]:
+        """Of some entries, what each is chained to: the hash of the one before, of the first `FIRST`."""
+        wanted = select(TrailTable.seq, TrailTable.sha256)
+        wanted = wanted.where(col(TrailTable.seq).in_([number - 1 for number in numbers]))
+        with self._database.reading() as session:
+            found = {seq + 1: sha256 for seq, sha256 in session.exec(wanted)}
+        return {number: found.get(number, FIRST) for number in numbers}
+
     def broken_link(self) -> int | None:
         """Number of the first entry that is not what was written after the one before it; None: all are."""
         before, expected = FIRST, 1
@@ -147,6 +156,20 @@ def chained(before: str, said: Sequence[Any]) -> str:
     time = at.astimezone(UTC).isoformat(timespec="microseconds")
     text = to_json([before, seq, time, who, what, unit, rig, run_id, *rest])
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def entry_document(entry: Entry) -> Document:
+    """An entry as JSON that `is_chained` takes."""
+    act = asdict(entry.act)
+    at = entry.at.astimezone(UTC).isoformat(timespec="microseconds")
+    return {"seq": entry.seq, "at": at, **act, "sha256": entry.sha256}
+
+
+def is_chained(before: str, document: Document) -> bool:
+    """Whether an entry's document is what was written after the entry of that hash."""
+    said = [document[column.key] for column in _SAID]
+    said[1] = datetime.fromisoformat(document["at"])
+    return bool(chained(before, said) == document["sha256"])
 
 
 def _entry(row: TrailTable) -> Entry:

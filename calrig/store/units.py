@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import sqlalchemy
-from sqlmodel import Session, col, func, or_, select
+from sqlmodel import Session, col, delete, func, or_, select
 
 from calrig.store.checksums import check_numbers
 from calrig.store.convert import FIGURES, result_part, run_of
@@ -18,6 +18,7 @@ from calrig.store.tables import (
     CalibrationTable,
     CheckUnitTable,
     IssuedCalibrationTable,
+    ItemTable,
     RunTable,
     UnitTable,
     UtcText,
@@ -145,6 +146,7 @@ class Units(Part):
                 if session.exec(select(table).where(table.unit == serial).limit(1)).first() is not None:
                     raise Refused(f"unit {serial!r} has {kept} and is not removed")
             _remove_revisions(session, serial)
+            session.exec(delete(ItemTable).where(col(ItemTable.unit) == serial))
             session.delete(row)
             append(session, Act("unit_removed", who=who, unit=serial))
 
@@ -157,19 +159,20 @@ class Units(Part):
             .where(_STANDS)
             .order_by(col(AcceptedEffectTable.id))
         )
-        latest: dict[tuple[str | None, str], AcceptedEffect] = {}
         with self._database.reading() as session:
-            for row, run_id in session.exec(wanted):
-                latest[row.unit, row.name] = AcceptedEffect(
-                    run_id=run_id,
-                    unit=row.unit,
-                    rig=row.rig,
-                    name=row.name,
-                    origin=row.origin,
-                    parameters=row.parameters,
-                    id=row.id,
-                )
+            latest = {(row.unit, row.name): _accepted(row, run_id) for row, run_id in session.exec(wanted)}
         return list(latest.values())
+
+    def accepted_effects(self, ids: Sequence[int]) -> list[AcceptedEffect]:
+        """Effects that were accepted, by their ids, those that were taken back since among them."""
+        found = []
+        with self._database.reading() as session:
+            for first in range(0, len(ids), _AT_ONCE):
+                some = col(AcceptedEffectTable.id).in_(ids[first : first + _AT_ONCE])
+                wanted = select(AcceptedEffectTable, RunTable.uid).join(RunTable).where(some)
+                in_order = wanted.order_by(col(AcceptedEffectTable.id))
+                found += [_accepted(row, run_id) for row, run_id in session.exec(in_order)]
+        return found
 
     def effect_names(self) -> dict[str, list[str]]:
         """Names of the effects in force for each unit that has any."""
@@ -184,6 +187,18 @@ class Units(Part):
             for unit, name in session.exec(wanted):
                 found.setdefault(str(unit), []).append(name)
         return found
+
+
+def _accepted(row: AcceptedEffectTable, run_id: str) -> AcceptedEffect:
+    return AcceptedEffect(
+        run_id=run_id,
+        unit=row.unit,
+        rig=row.rig,
+        name=row.name,
+        origin=row.origin,
+        parameters=row.parameters,
+        id=row.id,
+    )
 
 
 def _remove_revisions(session: Session, serial: str) -> None:

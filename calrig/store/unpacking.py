@@ -26,6 +26,7 @@ from calrig.store.database import Part
 from calrig.store.errors import Unreadable
 from calrig.store.parcel_document import DeliveredEvent, DeliveredPose, DeliveredSamples, ParcelDocument
 from calrig.store.records import TERMINAL, Document, Run, Status, StoredPose, filtering_of
+from calrig.store.run_maps import map_in_use, put_upon
 from calrig.store.runs import first_progress, new_row, replace_result
 from calrig.store.tables import EventTable, PoseTable, RunTable, SampleBlockTable, TranscriptTable
 from calrig.store.trail import Act
@@ -241,7 +242,8 @@ def _update(
 def _poses(session: Session, run: RunTable) -> list[StoredPose]:
     wanted = select(PoseTable).where(PoseTable.run_id == run.id).order_by(col(PoseTable.pose_index))
     filtering = filtering_of(run.provenance, run.plan)
-    return [pose_of(row, run.uid, filtering) for row in session.exec(wanted)]
+    poses = [pose_of(row, run.uid, filtering) for row in session.exec(wanted)]
+    return put_upon(poses, map_in_use(session, run))
 
 
 def _add_poses(session: Session, run: RunTable, poses: Sequence[DeliveredPose]) -> None:

@@ -11,7 +11,7 @@ from calrig.analysis.active_calibration import ActiveCalibration
 from calrig.analysis.unresolved import Unresolved
 from calrig.calibration.fit import Line
 from calrig.calibration.pose import Filtering, Pose
-from calrig.calibration.result import ReferenceFigures
+from calrig.calibration.reference_figures import ReferenceFigures
 from calrig.plan import Plan
 from calrig.runs.follow_up import FollowUpRun
 from calrig.runs.ordered import order_part, ordered_run
@@ -44,6 +44,7 @@ def test_a_verification_applies_the_same_line_effects_and_reference() -> None:
         line=Line(0.8, 1.01, 0.001, 2e-5, ((1e-6, 0.0), (0.0, 4e-10)), None),
         effects=[("misalignment", {"tilt_deg": 0.1}), ("backlash", {"play_deg": 0.03})],
         reference=ReferenceFigures(0.29, "harmonic", 0.1, None),
+        of_rig=[("backlash", {"backlash_deg": 0.1})],
     )
     run = ordered(Plan.model_validate({**QUICK, "kind": "verification"}), verifies=verifies)
     assert run.verifies == verifies

@@ -1,49 +1,71 @@
-"""The rig error map over stored runs: which run of a unit counts, and which unit."""
+"""The rig's error map over stored runs: solved with the units, once one of them was clamped anew."""
 
 from __future__ import annotations
 
-import pytest
+from collections.abc import Sequence
+from dataclasses import replace
 
-from calrig.analysis.error_map import error_map
-from calrig.calibration.pose import Pose
+import numpy as np
+import pytest
+from joint.rig import Bench, Design, Stage, drawn_stage, drawn_unit
+
+from calrig.analysis.error_map import MOST_RUNS, basis_of, error_map
+from calrig.calibration.joint.table import Mounted
 from calrig.calibration.result import build_result
 from calrig.store import Run, Store
 
-STAGE_DEG = [-60.0, -30.0, 0.0, 30.0, 60.0]
-STAGES_OWN_DEG = [0.02, -0.04, 0.04, -0.04, 0.02]
-"""Of the stage at each elevation: no part of it looks like bias or scale."""
-WORN_DEG = [-0.03, 0.06, -0.06, 0.06, -0.03]
-"""What the stage had before it was repaired."""
 
-
-def calibrated(store: Store, unit: str, of_stage_deg: list[float], rig: str = "bench-1") -> Run:
-    """A calibration of a unit whose readings have the stage's error."""
-    poses = [Pose(x, 0.8 + x + e, approach=1) for x, e in zip(STAGE_DEG, of_stage_deg, strict=True)]
+def laid(store: Store, lot: Mounted, rig: str = "bench-1") -> Run:
+    """A run of one clamping."""
     return store.create_run(
-        unit=unit,
+        unit=lot.unit,
         rig=rig,
-        plan=None,
+        plan={"mounts_deg": [lot.nominal_deg]},
         status="completed",
         provenance={},
-        poses=poses,
-        result=build_result(poses).to_dict(),
+        poses=lot.poses,
+        result=build_result(lot.poses).to_dict(),
     )
 
 
-def test_the_map_is_that_of_each_units_newest_calibration_on_the_rig(store: Store) -> None:
-    for unit in ("A", "B", "C"):
-        calibrated(store, unit, WORN_DEG)
-    for unit in ("C", "A", "B"):
-        calibrated(store, unit, STAGES_OWN_DEG)
-        calibrated(store, unit, WORN_DEG, rig="bench-2")
+@pytest.fixture
+def bench() -> tuple[Stage, Sequence[Mounted]]:
+    """A stage worth 0.29° and what is measured on it: of one unit three clampings, of another one."""
+    rng = np.random.default_rng(15)
+    stage = drawn_stage(rng, gap_deg=0.05)
+    three = Design((0.0, 120.0, 240.0), n=52).visits(rng)
+    once = replace(Design((0.0,), n=52).visits(rng)[0], unit=1)
+    units = (drawn_unit(rng), drawn_unit(rng))
+    return stage, Bench(units, stage, (*three, once)).measured(rng)
+
+
+def test_one_unit_that_was_clamped_anew_fixes_the_map_of_the_rig(store, bench):
+    stage, (first, second, third, other) = bench
+    for lot in (first, other):
+        laid(store, lot)
+    before = error_map(store, "bench-1")
+    assert (before.stage_deg, before.units) == ([], 2)
+    assert "clamped at 0°, 120°, 240°" in before.says
+    laid(store, second)
+    bumped = laid(store, first)
+    store.void_run(bumped.id, "bumped")
+    laid(store, third)
     found = error_map(store, "bench-1")
-    assert (found.units, found.stage_deg, found.approach) == (3, STAGE_DEG, [1] * 5)
-    assert found.error_deg == pytest.approx(STAGES_OWN_DEG, abs=1e-9)
-    assert found.std_deg == pytest.approx([0.0] * 5, abs=1e-9)
+    assert (found.units, set(found.approach)) == (2, {-1, 1})
+    dial, approach = np.array(found.stage_deg), np.array(found.approach)
+    left = stage.table_deg(dial, approach) - dial - np.array(found.error_deg)
+    left -= left.mean()
+    assert np.sqrt(np.mean(left**2)) < 0.015, "of 0.29°"
+    assert np.mean(np.abs(left) < 2.5 * np.array(found.std_deg)) > 0.9
+    assert "the newest 4 runs" in found.says
 
 
-def test_a_run_that_was_voided_leaves_the_one_before_it(store: Store) -> None:
-    for unit in ("A", "B", "C"):
-        calibrated(store, unit, STAGES_OWN_DEG)
-        store.void_run(calibrated(store, unit, WORN_DEG).id, "bumped")
-    assert error_map(store, "bench-1").error_deg == pytest.approx(STAGES_OWN_DEG, abs=1e-9)
+def test_a_rig_without_runs_has_none_and_of_many_the_newest_count(store, bench):
+    assert error_map(store, "bench-1").says == "Not known yet: the rig has no completed run."
+    _, (first, second, _, _) = bench
+    remounted = laid(store, second)
+    runs = [laid(store, replace(first, poses=first.poses[:4])) for _ in range(MOST_RUNS + 1)]
+    chosen = [run_id for run_id, _ in basis_of(store, "bench-1").runs]
+    assert chosen == [remounted.id, *(run.id for run in runs[:1:-1])]
+    store.exclude_pose(runs[-1].id, 1, "leant on", result=None)
+    assert dict(basis_of(store, "bench-1").runs)[runs[-1].id] == 3

@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 
 from calrig.analysis import fleet
-from calrig.analysis.error_map import error_map
 from calrig.analysis.fleet import reanalyse
 from calrig.analysis.fleet_workers import Workers, own_processes
 from calrig.calibration.pose import Pose
-from calrig.calibration.result import build_result
+from calrig.calibration.result import build_result, residuals
 from calrig.errors import WorkError
 from calrig.export.poses_parquet import write_poses
 from calrig.store import Run, Store
@@ -102,15 +101,21 @@ def test_findings_can_go_elsewhere_and_the_screen_read_parquet(store, runs, tmp_
 
 
 def test_the_map_of_a_rig_is_the_mean_of_its_units_over_all_their_runs(store):
-    for seed, unit in enumerate("ABC"):
-        calibrated(store, unit, seed, backlash_deg=0.1)
-    expected = error_map(store, "bench-1")  # of the newest run of each unit, which is its only one
+    made = [calibrated(store, unit, seed, backlash_deg=0.1) for seed, unit in enumerate("ABC")]
+
+    def left_at(run, theta_deg, approach):
+        poses = [one.pose for one in store.poses(run.id)]
+        left = residuals(poses, run.result["bias_deg"], run.result["scale"])
+        here = [(pose.theta_deg, pose.approach) == (theta_deg, approach) for pose in poses]
+        return np.mean(np.array(left)[here])
+
     (found,) = reanalyse(store, store, own_processes, unseen)["rigs"]
     assert (found["rig"], found["units"]) == ("bench-1", 3)
-    assert found["map"]["stage_deg"] == expected.stage_deg
-    assert found["map"]["approach"] == expected.approach
-    assert found["map"]["error_deg"] == pytest.approx(expected.error_deg, abs=1e-12)
-    assert found["map"]["std_deg"] == pytest.approx(expected.std_deg, abs=1e-12)
+    places = sorted(set(zip(THETA_DEG.tolist(), APPROACH.tolist(), strict=True)))
+    assert list(zip(found["map"]["stage_deg"], found["map"]["approach"], strict=True)) == places
+    means = np.array([[left_at(run, *place) for place in places] for run in made])
+    assert found["map"]["error_deg"] == pytest.approx(means.mean(axis=0), abs=1e-9)
+    assert found["map"]["std_deg"] == pytest.approx(means.std(axis=0, ddof=1) / np.sqrt(3), abs=1e-9)
     for unit in "ABC":
         calibrated(store, unit, 9, backlash_deg=0.3)  # as many runs again, of one noise
     calibrated(store, "D", 4, rig="bench-2")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import json
+from xml.etree import ElementTree
 
 import pytest
 from support import imported, running_service, serving
@@ -12,6 +14,7 @@ from typer.testing import CliRunner
 import calrig
 from calrig.cli.main import app
 from calrig.errors import WorkError
+from calrig.export.archive.check import check_archive
 
 POSES = "target_deg,reading_deg\n-30,-29.5\n0,0.4\n30,30.6\n"
 
@@ -76,6 +79,31 @@ def test_a_draft_of_a_run_is_made_by_request(client, unit):
     made = client.post(f"{unit}/calibrations", json=body)
     assert (made.status_code, made.json()["revision"], made.json()["run_id"]) == (201, 3, run_id)
     assert (made.json()["status"], made.json()["reason"]) == ("draft", "once more")
+
+
+def test_the_certificate_for_programs_is_of_the_revision_asked_for(client, unit):
+    answer = client.get(f"{unit}/calibration?revision=1&format=dcc").raise_for_status()
+    assert answer.headers["content-type"] == "application/xml"
+    issued = client.get(f"{unit}/calibration?revision=1")
+    name = f"certificate-{issued.json()['sha256'][:12]}-1.xml"
+    assert answer.headers["content-disposition"] == f'attachment; filename="{name}"'
+    root = ElementTree.fromstring(answer.content)
+    assert root.tag == "{https://ptb.de/dcc}digitalCalibrationCertificate"
+    inside = root.findtext(".//{https://ptb.de/dcc}dataBase64")
+    assert base64.b64decode(inside) == issued.content
+    assert client.get(f"{unit}/calibration?format=dcc").status_code == 404, "none is in force"
+
+
+def test_a_downloaded_archive_is_whole_and_the_same_again(client, unit, tmp_path):
+    answer = client.get(f"{unit}/archive").raise_for_status()
+    assert answer.headers["content-type"] == "application/zip"
+    assert answer.headers["content-disposition"].startswith('attachment; filename="archive-test_a_down')
+    file = tmp_path / "unit.zip"
+    file.write_bytes(answer.content)
+    found = check_archive(file)
+    assert (found.problems, found.unit, found.runs, found.refitted) == ([], unit.split("/")[-1], 2, [1, 2])
+    assert client.get(f"{unit}/archive").content == answer.content
+    assert client.get("/api/units/nobody/archive").status_code == 404
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from calrig.store.users import ROLES
 TOKEN = "the-benches-of-building-4"
 NEEDED = {
     "/api/rigs/{name}/check-unit": "releaser",
+    "/api/rigs/{name}/map": "admin",
     "/api/rigs/scan": "operator",
     "/api/rigs/{name}/clamp": "operator",
     "/api/runs": "operator",
@@ -39,6 +40,7 @@ NEEDED = {
     "/api/runs/{run_id}/diagnosis/accept": "releaser",
     "/api/runs/{run_id}/diagnosis/withdraw": "releaser",
     "/api/units/{serial}": "releaser",
+    "/api/units/{serial}/item": "operator",
     "/api/units/{serial}/calibrations": "operator",
     "/api/units/{serial}/calibrations/{revision}/release": "releaser",
     "/api/units/{serial}/calibrations/{revision}/withdraw": "releaser",

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from calrig.calibration.conformity import Limit
 from calrig.calibration.fit import Line
 from calrig.calibration.pose import Pose
-from calrig.calibration.result import ReferenceFigures, apply_calibration, build_result
+from calrig.calibration.reference_figures import ReferenceFigures
+from calrig.calibration.result import apply_calibration, build_result
 from calrig.calibration.uncertainty import Reference
 from calrig.calibration.verdict import verdict
 from calrig.settings import LimitSettings

@@ -35,7 +35,8 @@ def test_each_rig_says_what_it_does_what_waits_what_failed_and_which_check_is_du
     assert [bench["name"] for bench in found] == benches.benches
     assert rigs["rig-03"]["state"] == "busy"
     assert rigs["rig-03"]["run"]["progress"] == {
-        "poses_done": 9, "poses_total": 52, "fraction": 9 / 52, "remaining_s": 495.0
+        "poses_done": 9, "poses_total": 52, "fraction": 9 / 52, "remaining_s": 495.0,
+        "waiting_for": None,
     }  # fmt: skip
     assert [run["unit"] for run in rigs["rig-03"]["queued"]] == ["AS-2001", "AS-2002", "AS-2003", "AS-2004"]
     assert rigs["rig-16"]["run"]["status"] == "paused"

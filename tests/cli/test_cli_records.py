@@ -155,3 +155,13 @@ def test_names_of_another_encoding_are_taken_or_refused_in_words(folder):
 @pytest.mark.parametrize("empty", ["", " "])
 def test_an_empty_name_of_a_store_is_2_and_no_other_store_is_taken(folder, empty):
     assert "--db is empty" in reason("import", "poses.csv", "--unit", "A", "--db", empty, status=2)
+
+
+def test_a_certificate_goes_into_a_file_or_a_pipe_the_same(folder):
+    calrig("import", "poses.csv", "--unit", "A")
+    told = calrig("export", "--unit", "A", "--format", "pdf", "-o", "a.pdf")
+    assert (told.stdout, told.stderr.startswith("· Not judged")) == ("", True)
+    made = (folder / "a.pdf").read_bytes()
+    assert made.startswith(b"%PDF-")
+    assert calrig("export", "--unit", "A", "--format", "pdf").stdout_bytes == made
+    assert "is a folder" in calrig("export", "--unit", "A", "--format", "pdf", "-o", folder, status=2).stderr

@@ -58,6 +58,8 @@ def test_defaults_are_those_of_the_contract() -> None:
         "velocity_dps": None,
         "wait_s": 0,
         "wait_temperature_c": None,
+        "mounts_deg": [0.0],
+        "mount_axis": "x",
         "revision": None,
         "seed": 0,
     }
@@ -248,3 +250,29 @@ def test_a_dwell_of_less_than_two_samples_is_refused() -> None:
 def test_a_plan_survives_json(plan: dict[str, Any]) -> None:
     before = Plan(**plan)
     assert Plan.model_validate_json(before.model_dump_json()) == before
+
+
+def test_every_mount_is_visited_once_by_sweeps_that_begin_upward() -> None:
+    plan = Plan(elevations_deg=[-20, 20], sweeps=2, mounts_deg=[0, 120, -120])
+    poses = plan.poses(LIMITS)
+    assert [pose.mount_deg for pose in poses[::4]] == [0, 120, -120]
+    assert [pose.target_deg for pose in poses] == [-20, 20, 20, -20] * 3
+    assert [pose.sweep for pose in poses] == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5]
+    assert [pose.index for pose in poses] == list(range(12))
+
+
+@pytest.mark.parametrize(
+    ("plan", "words"),
+    [
+        ({"mounts_deg": []}, "at least 1 item"),
+        ({"mounts_deg": [120, 0, 360]}, "0° and 360° are one mount"),
+        ({"mounts_deg": [-120, 240.0]}, "-120° and 240° are one mount"),
+        ({"mount_axis": "w"}, "mount_axis"),
+        ({"mounts_deg": [0, 90], "sweeps": 500}, "the plan has 13000 poses"),
+        ({"mounts_deg": [0, 90], "kind": "static"}, "it has one mount"),
+        ({"mount_axis": "-x", "kind": "verification"}, "elevations about x"),
+    ],
+)
+def test_mounts_that_cannot_be_meant_are_refused_by_name(plan: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValidationError, match=words):
+        Plan.model_validate(plan)

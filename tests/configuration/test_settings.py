@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
+import re
+from datetime import date
 from pathlib import Path
 
 import platformdirs
@@ -114,6 +117,7 @@ def test_a_folder_is_no_configuration(tmp_path: Path) -> None:
         (rig("b", "limits_deg = [-inf, 90]"), r"rig 'b', limits_deg, 0: .*finite"),
         (rig("b", "limits_deg = [1, 2, 3]"), r"rig 'b', limits_deg"),
         (rig("b", "reference = { std_deg = -1 }"), r"rig 'b', reference, std_deg: .*greater than 0"),
+        (rig("b", "reference = {}"), r"rig 'b', reference: reference needs `std_deg`"),
         (rig("b", 'reference = { std_deg = 1, kind = "odd" }'), r"rig 'b', reference, kind: .*'setting'"),
         (rig("b").replace('"a"', '"a", sign = 2'), r"rig 'b', stage, sign: .*-1 or 1"),
         (rig("b").replace('"a"', '"a", ratio = 0.0'), r"rig 'b', stage, ratio: .*greater than 0"),
@@ -182,3 +186,41 @@ def test_the_names_people_use_for_the_service_stand_above_the_rigs(tmp_path: Pat
     file.write_text('hosts = ["https://calrig.lab.example"]\n')
     with pytest.raises(SettingsError, match="hosts"):
         load_settings(str(file))
+
+
+LABORATORY = """
+[laboratory]
+name = "Kalibrierlabor Süd"
+logo = "logo.svg"
+"""
+STAGE = 'reference = { std_deg = 0.1, certificate = "K-1", issued_at = 2025-03-01, due = 2026-03-01%s }'
+
+
+def test_a_laboratory_and_the_certificates_of_its_standards_are_read_with_what_lies_beside(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "logo.svg").write_text("<svg/>")
+    (tmp_path / "stage.pdf").write_bytes(b"%PDF")
+    more = STAGE % ', file = "stage.pdf"' + '\ntime_base = { name = "counter" }\noverdue = "refuse"'
+    settings = load_settings(written(tmp_path / "a.toml", LABORATORY + rig("one", more)))
+    (bench,) = settings.rig
+    assert bench.reference is not None and bench.time_base is not None
+    assert (bench.reference.due, bench.overdue) == (date(2026, 3, 1), "refuse")
+    assert bench.reference.sha256 == hashlib.sha256(b"%PDF").hexdigest()
+    assert settings.laboratory.logo == str(tmp_path / "logo.svg")
+    assert settings.laboratory.accreditation is None
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (LABORATORY + rig("one"), "laboratory: logo logo.svg: is not there"),
+        (rig("one", STAGE % ', file = "no.pdf"'), "rig 'one', reference: file no.pdf: cannot be read"),
+        (rig("one", STAGE % f', file = "a.toml", sha256 = "{"0" * 64}"'), "not what is stated"),
+        (rig("one", "thermometer = { issued_at = 2026-01-02, due = 2026-01-01 }"), "is before issued_at"),
+        (rig("one", 'overdue = "ignore"'), "overdue"),
+    ],
+)
+def test_what_a_certificate_could_not_state_is_refused_by_name(tmp_path: Path, text: str, says: str) -> None:
+    with pytest.raises(SettingsError, match=re.escape(says)):
+        load_settings(written(tmp_path / "a.toml", text))

@@ -1,6 +1,7 @@
 """The joint solution against its bound: `python -m tests.joint [--seeds N] [--rigs N] [--minutes M]`.
 
-With `--example FILE.csv` the poses of one such rig instead, for `calrig solve`.
+With `--example FILE.csv` the poses of one such rig instead, for `calrig solve`. With `--three-axes` whole
+units clamped by three faces, and their gyros; with `--peers` the same units beside other programs' methods.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"  # inherited by the workers
 
 import numpy as np
 
+from . import three_axes
 from .cases import BOUNDS, COVERAGE, Case, Judged, judge
 
 BATCH = 20
@@ -34,10 +36,15 @@ def main() -> None:
         "--minutes", type=float, default=math.inf, help="stop each table's case after its share"
     )
     parser.add_argument("--example", type=Path, metavar="FILE.csv")
+    parser.add_argument("--three-axes", action="store_true")
+    parser.add_argument("--peers", action="store_true")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     wanted = parser.parse_args()
     if wanted.example is not None:
         wanted.example.write_text(example(), encoding="utf-8")
+        return
+    if wanted.three_axes or wanted.peers:
+        _of_whole_units(wanted)
         return
     share_s = 60.0 * wanted.minutes / (len(BOUNDS) + len(COVERAGE))
     with ProcessPoolExecutor(wanted.workers, mp_context=get_context("spawn")) as workers:
@@ -61,6 +68,19 @@ def main() -> None:
             )
             sys.stdout.write(_covered(name, judged))
             sys.stdout.flush()
+
+
+def _of_whole_units(wanted: argparse.Namespace) -> None:
+    seeds = range(wanted.first_seed, wanted.first_seed + wanted.seeds)
+    with ProcessPoolExecutor(wanted.workers, mp_context=get_context("spawn")) as workers:
+        if wanted.three_axes:
+            judged = partial(three_axes.judge)
+            sys.stdout.write(three_axes.table(lambda cubic: workers.map(partial(judged, cubic=cubic), seeds)))
+            sys.stdout.write("\n" + three_axes.gyro_table(workers.map(three_axes.judge_gyro, seeds)))
+        if wanted.peers:
+            from . import peers
+
+            sys.stdout.write(peers.tables(workers, seeds) + peers.of_measured_logs())
 
 
 def example() -> str:

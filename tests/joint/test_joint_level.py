@@ -19,9 +19,9 @@ SEAT_DEG = 0.02
 
 
 def reversed_bench(
-    seed: int, *, reversals: int = 1, seat_deg: float = SEAT_DEG, base_deg: float = 0.7
+    seed: int, *, reversals: int = 1, seat_deg: float = SEAT_DEG, base_deg: float = 0.7, at: int = 0
 ) -> Bench:
-    """A unit turned in its case by a degree or so, clamped at 0/120/240, and at 0 both ways round.
+    """A unit turned in its case by a degree or so, clamped at 0/120/240, and at one of them both ways round.
 
     Each clamping misses its seat by an error of its own; those after the first reversal are repetitions.
     """
@@ -29,8 +29,8 @@ def reversed_bench(
     unit = replace(drawn_unit(rng), in_case_deg=float(rng.normal(0.0, 1.0)))
     visits = list(Design((0.0, 120.0, 240.0), n=36).visits(rng))
     for k in range(reversals):
-        again = [] if k == 0 else [replace(visits[0], name=f"again {k}")]
-        visits += [*again, replace(visits[0], name=f"reversed {k}", reversed=True)]
+        again = [] if k == 0 else [replace(visits[at], name=f"again {k}")]
+        visits += [*again, replace(visits[at], name=f"reversed {k}", reversed=True)]
     seats = rng.normal(0.0, seat_deg, len(visits))
     missed = (replace(v, clamp_deg=v.clamp_deg + float(off)) for v, off in zip(visits, seats, strict=True))
     return Bench((unit,), drawn_stage(rng, 8), tuple(missed), base_deg=base_deg)
@@ -51,6 +51,18 @@ def test_a_reversal_tells_the_level_whatever_the_base_does():
         assert SEAT_DEG / 2**0.5 < level["deg"]["std"] < SEAT_DEG, "a seat's error in each half of the sum"
         assert (document["level_known"], document["level_std_deg"]) == (True, level["deg"]["std"])
         assert document["separable"], "seats that scatter more than the poses are no ignorance of the stage"
+
+
+@pytest.mark.parametrize("at", [1, 2])
+def test_a_reversed_unit_has_the_angle_of_its_seat(at):
+    bench = reversed_bench(8, at=at)
+    document = solution_document(solve(measured(bench), seat_std_deg=SEAT_DEG))
+    *_, mount = document["mounts"]
+    assert (mount["mount_axis"], mount["mount_deg"]) == ("-x", 120.0 * at)
+    assert np.cos(np.radians(mount["angle_deg"]["value"] - 120.0 * at)) > np.cos(np.radians(5.0))
+    assert not [said for said in document["warnings"] if "gravity says" in said]
+    level = document["units"][0]["level"]["deg"]
+    assert level["value"] == pytest.approx(bench.units[0].in_case_deg, abs=3.0 * level["std"])
 
 
 def test_the_calibration_then_is_of_the_elevation_itself():
@@ -90,7 +102,7 @@ def test_reversals_that_are_repeated_tell_how_well_seats_repeat():
 
 def test_a_reversal_on_another_seat_tells_no_level():
     *upright, other = measured(reversed_bench(5))
-    for stated_deg in (-120.0, -90.0):  # of a seat where it does not stand, and of one that nobody else had
+    for stated_deg in (120.0, 90.0):  # of a seat where it does not stand, and of one that nobody else had
         found = solve([*upright, replace(other, nominal_deg=stated_deg)], seat_std_deg=SEAT_DEG)
         assert found.levels == (None,)
 

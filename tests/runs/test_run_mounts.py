@@ -51,7 +51,7 @@ def finished(request: pytest.FixtureRequest, store: Store) -> Iterator[tuple[Tru
     harmonics = [{"order": k, "amplitude_deg": a, "phase_deg": p} for k, a, p in waves]
     options = {**HAND, "mechanics": {"harmonics": harmonics}, "imu": {"accel_bias_mg": [0, 30, -20]}}
     bench = TruthRig("mapped", **options)
-    both_ways = {"start_deg": -80, "stop_deg": 80, "step_deg": 20, "sweeps": 2}
+    both_ways = {"start_deg": -80, "stop_deg": 80, "step_deg": 32, "sweeps": 2}
     full = plan(elevations_deg=None, **both_ways, settle_s=0.3, dwell_s=0.4, mounts_deg=[0, 120, 240])
     with bench.simulated:
         service = RunService(store, [bench.settings])
@@ -97,12 +97,13 @@ def test_it_waits_for_each_mount_and_refuses_to_go_on_where_gravity_disagrees(
     assert all(abs(wrap_deg(pose.reading_deg - pose.theta_deg)) < 5.0 for pose in poses)
 
 
+@pytest.mark.statistical
 def test_its_result_is_of_the_first_mount_and_all_of_them_solve_the_stage(
     finished: tuple[TruthRig, Run], store: Store
 ) -> None:
     _, run = finished
     assert run.status == "completed", run.error
-    assert run.result is not None and run.result["n_poses"] == 18
+    assert run.result is not None and run.result["n_poses"] == 12
     assert abs(run.result["scale"] - 1.0) < 0.02
     solution = solve(question(store, Wanted([run.id])).lots)
     document = solution_document(solution)
@@ -146,7 +147,7 @@ def test_a_run_that_was_interrupted_goes_on_at_the_mount_it_was_at(
     assert ("measured_again" in ended.provenance["interruptions"][0]) == (at == "within a mount")
 
 
-@pytest.mark.parametrize(("axis", "first"), [("-x", 30.0), ("y", 60.0), ("-z", 0.0)])
+@pytest.mark.parametrize(("axis", "first"), [("-x", 30.0), ("y", 60.0)])
 def test_other_faces_are_asked_for_at_once_and_read_about_their_own_axis(
     axis: str, first: float, make_rig: MakeRig, serve: Serve, store: Store
 ) -> None:

@@ -17,9 +17,10 @@ import pytest
 from support import wait_for
 
 from calrig.runs.service import RunService
-from calrig.runs.webhook import Webhook
-from calrig.settings import SettingsError, WebhookSettings
+from calrig.runs.webhook import Webhook, secret_of
+from calrig.settings import SettingsError
 from calrig.store import Store
+from calrig.webhook_settings import WebhookSettings
 
 SECRET = b"a-secret-of-the-labs-own"
 
@@ -152,4 +153,4 @@ def test_an_address_without_a_key_or_of_another_kind_is_refused(given: dict[str,
 def test_a_key_that_is_too_short_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CALRIG_HOOK", "short")
     with pytest.raises(SettingsError, match="16 bytes"):
-        WebhookSettings(url="https://lab/x", secret_env="CALRIG_HOOK").secret()
+        secret_of(WebhookSettings(url="https://lab/x", secret_env="CALRIG_HOOK"))

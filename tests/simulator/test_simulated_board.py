@@ -183,3 +183,13 @@ def test_faults_on_purpose():
     board.now_s += 0.1
     with pytest.raises((AssertionError, cobs.DecodeError)):
         decode(board.device.emit())
+
+
+def test_a_resonator_that_runs_too_fast_counts_shorter_seconds_and_samples_as_often():
+    sensor = Sensor(board={"clock_error_ppm": 5000})
+    sensor.tell("START 200")
+    told = [packet for _ in range(100) for packet in sensor.wait(0.1)]
+    assert len(told) == 2010
+    assert np.diff([packet.sample[1] for packet in told]) == pytest.approx(
+        5000, abs=2
+    )  # its own microseconds

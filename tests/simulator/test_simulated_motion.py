@@ -216,3 +216,14 @@ def test_an_obstruction_stops_the_motor_where_it_is_and_lets_it_go_back():
     assert stage.motor(np.array([into.at_s + 9])).angle_deg[0] == pytest.approx(20.0)
     assert stage.move(into.at_s, 30.0, 20.0, 80.0) == (into.at_s, True)
     assert not stage.move(into.at_s, 5.0, 20.0, 80.0).stalled
+
+
+def test_a_table_is_off_by_as_many_orders_as_it_is_told():
+    waves = [{"order": 1, "amplitude_deg": 0.2, "phase_deg": 30}, {"order": 5, "amplitude_deg": 0.1}]
+    stage = mechanics(harmonics=waves)
+    ready_s = stage.move(stage.home(0.0, 90.0, 900.0).at_s, 50.0, 20.0, 80.0).at_s
+    expected = 50.0 + 0.2 * np.sin(np.radians(80)) + 0.1 * np.sin(np.radians(250))
+    assert stage.table(np.array([ready_s])).angle_deg[0] == pytest.approx(expected)
+    times_s = np.linspace(0.0, ready_s, 20_001)
+    table = stage.table(times_s)
+    np.testing.assert_allclose(np.gradient(table.angle_deg, times_s)[5:-5], table.rate_dps[5:-5], atol=0.2)

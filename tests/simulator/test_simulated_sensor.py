@@ -256,3 +256,55 @@ def test_the_demo_rig_hides_effects_but_no_blunder():
     assert 0.5 < np.sqrt(np.mean((np.array(reading_deg) - stage_deg) ** 2)) < 1.2
     assert 5 * noise_deg < np.sqrt(np.mean(residual_deg**2)) < 0.2
     assert now_s / 6.0 < 35.0
+
+
+@pytest.mark.parametrize(
+    ("axis", "up", "after"),
+    [("x", "z", "y"), ("y", "x", "z"), ("z", "y", "x"), ("-x", "z", "y"), ("-y", "x", "z"), ("-z", "y", "x")],
+)
+def test_each_face_lies_along_the_stage_and_turns_with_its_clamp(axis, up, after):
+    table, ready_s = standing_at(20.0)
+    there_s = table.clamp(ready_s + 1.0, 100.0, axis)
+    before, at = np.array([ready_s]), np.array([there_s + 0.1])
+    at_20 = [0, np.sin(np.radians(20)), np.cos(np.radians(20))]
+    assert table.specific_force_g(before)[0] == pytest.approx(at_20)
+    sense = -1.0 if axis.startswith("-") else 1.0
+    along, sine, cosine = ("xyz".index(name) for name in (axis[-1], after, up))
+    force_g = table.specific_force_g(at)[0]
+    assert force_g[along] == pytest.approx(0.0, abs=1e-12)
+    assert np.degrees(np.arctan2(force_g[sine], force_g[cosine])) == pytest.approx(sense * 120.0)
+    turning = np.arange(at[0], table.mechanics.move(at[0], -30.0, 20.0, 80.0).at_s + 0.1, 1e-3)
+    turned_deg = np.trapezoid(table.angular_rate_dps(turning), turning, axis=0)
+    assert turned_deg[along] == pytest.approx(sense * -50.0, abs=0.01)
+
+
+def test_a_hand_turns_the_unit_as_slowly_as_its_gyro_can_follow_and_seats_it_anew_each_time():
+    table, ready_s = standing_at(0.0, mount={"seat_std_deg": 0.5, "roll_deg": 2.0}, seed=4)
+    there_s = table.clamp(ready_s, 120.0)
+    times_s = np.arange(ready_s, there_s, 1e-3)
+    rates_dps = table.angular_rate_dps(times_s)[:, 0]
+    assert rates_dps.max() < 61.0
+    assert np.trapezoid(rates_dps, times_s) == pytest.approx(120.0, abs=0.1)
+    seen = []
+    for _ in range(40):
+        there_s = table.clamp(there_s + 0.1, 0.0) + 0.1
+        seen.append(table.specific_force_g(np.array([there_s]))[0])
+    tilts_deg = np.degrees(np.array(seen))[:, :2]
+    assert tilts_deg.mean(axis=0) == pytest.approx([0.0, 2.0], abs=0.4)
+    assert tilts_deg.std(axis=0) == pytest.approx([0.5, 0.5], abs=0.2)
+
+
+def test_a_gyro_mixes_its_axes_and_feels_gravity():
+    per_g = [[0, 0, 0.2], [0.1, 0, 0], [0, 0.3, 0]]
+    response = {"gyro_cross_axis_deg": {"yx": 1.0, "zx": -2.0}, "gyro_dps_per_g": per_g}
+    table, ready_s = standing_at(90.0, imu=response)
+    assert still(table, ready_s)[0, GX:].astype(float) * 250 / 32768 == pytest.approx(
+        [0.0, 0.0, 0.3], abs=0.01
+    )
+    start_s, end_s = ready_s, table.mechanics.move(ready_s, 0.0, 30.0, 90.0).at_s
+    times_s = np.arange(start_s, end_s, 1e-3)
+    turned_deg = np.trapezoid(table.counts(times_s)[:, GX:].astype(float) * 250 / 32768, times_s, axis=0)
+    felt_s = np.trapezoid(table.specific_force_g(times_s), times_s, axis=0)
+    by_gravity = np.array([0.2 * felt_s[2], 0.1 * felt_s[0], 0.3 * felt_s[1]])
+    expected = -90.0 * np.array([1.0, np.sin(np.radians(1)), -np.sin(np.radians(2))])
+    assert turned_deg - by_gravity == pytest.approx(expected, abs=0.03)

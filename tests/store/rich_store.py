@@ -18,6 +18,7 @@ from support import imported, serving
 
 from calrig.calibration.pose import Pose
 from calrig.store import AcceptedEffect, Store
+from calrig.store.items import Item
 from calrig.store.raw_rows import tables
 from calrig.store.solutions import Basis, Solved
 
@@ -34,7 +35,7 @@ SOLVED = Solved(
         "warnings": ["größer als erwartet"],
     },
     calibrations={"Ä-1": {"unit": "Ä-1", "bias_deg": 1 / 3, "sha256": "5e"}},
-    stage_map={"map": {"stage_deg": [0.0, -0.0, 1e-300]}, "sha256": "5f"},
+    stage_map={"map": {"stage_deg": [0.0, -0.0, 1e-300]}, "sha256": "5f" * 32},
     poses={"dial_deg": [0.1, 2.0], "before_deg": [0.5, None]},
 )
 
@@ -53,10 +54,12 @@ def fill(path: Path) -> str:
         with closing(RunService(store, [])) as service, serving(service) as client:
             _amend(client)
         store.name_check_unit("r", "A-3", 7.0, who="ada")
-        store.keep_solution(SOLVED, by="ada")
         batch = store.keep_batch({"rigs": ["r"], "plan": {"dwell_s": 0.1}, "note": "Ä"}, ["A-1", "Ä-2"])
         store.write_turns(batch.id, batch.turns, [replace(batch.turns[0], state="done", why="größer")])
         store.note_end(store.runs(status="completed")[0][0].id, datetime.now(UTC))
+        store.say_item("A-3", Item(customer="山田 & Søn", condition="neu", supplied=("customer",)), who="ada")
+        solution = store.keep_solution(SOLVED, by="ada")
+        store.put_stage_map("r", solution.id, SOLVED.stage_map, who="ada")
         store.add_user("proxied", "viewer", with_token=False)
         _, token = store.add_user("ada", "admin")
     assert token is not None

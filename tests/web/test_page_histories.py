@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from dated_runs import at, gave, lay, ran
+from kept_maps import solved
 from support import running_service, serving
 
 from calrig.run_ids import short_name
@@ -116,6 +117,7 @@ def test_a_rig_whose_check_unit_fails_puts_runs_in_doubt(page, client, store, go
     go("#/")
     page.get_by_test_id("rigs").get_by_role("link", name="bench-1", exact=True).click()
     expect(page.locator("#check")).to_contain_text("nothing tells whether this rig has changed")
+    expect(page.locator("#reference")).to_contain_text("no map of the stage is in force")
     page.select_option("#check-unit", "U00")
     page.fill("#check-days", "7")
     page.click("#name-check")
@@ -125,9 +127,16 @@ def test_a_rig_whose_check_unit_fails_puts_runs_in_doubt(page, client, store, go
         session.get_one(CheckUnitTable, "bench-1").named_at = at(50)
     during = ran(store, "U05", 85, 1.0)
     ran(store, "U00", 90, 2.0)
+    kept = store.keep_solution(solved())
+    store.put_stage_map("bench-1", kept.id, kept.found.stage_map)
     go("#/rigs/bench-1")
     page.reload()
     expect(page.locator("#check .headline")).to_have_text("The rig fails.")
+    expect(page.locator("#reference .headline")).to_have_text("Nothing can be said yet.")
+    expect(page.locator("#reference")).to_contain_text("Elevations rest on the stage's map")
+    page.click("#withdraw-map")
+    page.get_by_test_id("confirm").click()
+    expect(page.locator("#reference")).to_contain_text("no map of the stage is in force")
     expect(page.get_by_test_id("check-chart").locator(".plot-container")).to_be_visible()
     page.locator("#suspects").get_by_role("link", name=short_name(during.id), exact=True).click()
     expect(page.locator("#suspect-reason")).to_contain_text("check unit U00 failed on rig bench-1")

@@ -8,6 +8,8 @@ import json
 import pytest
 from support import DATA
 
+from calrig.export.archive.check import check_archive
+
 from .page_help import figures_of, imported, row_of
 
 pytestmark = pytest.mark.browser
@@ -124,6 +126,13 @@ def test_a_serial_number_is_text_wherever_it_is_shown_and_leads_to_its_unit(page
     with page.expect_download() as download:
         page.click("#calibration-json")
     assert json.loads(download.value.path().read_text())["unit"] == serial
+    with page.expect_download() as download:
+        page.click("#certificate-dcc")
+    assert download.value.suggested_filename.endswith("-1.xml")
+    with page.expect_download() as download:
+        page.click("#archive")
+    found = check_archive(download.value.path())
+    assert (found.problems, found.unit) == ([], serial)
     page.get_by_role("link", name="Compare with other units").click()
     expect(page.locator("#compare-table tbody th")).to_have_text(serial)
     expect(page.get_by_test_id("compare-bias").locator(".legendtext")).to_have_text(serial)

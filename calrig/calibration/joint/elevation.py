@@ -71,7 +71,14 @@ def polynomial(fit: Fit, unit: int) -> tuple[FloatArray, FloatArray]:
         (2,) deg/deg² and deg/deg³, and (2, 2) their covariance.
     """
     at = fit.problem.unit_at(unit)
-    grid = grid_deg(fit, unit)
+    covariance = fit.covariance_at(np.arange(fit.problem.size)[at])
+    return polynomial_of(fit.parameters[at], covariance, grid_deg(fit, unit))
+
+
+def polynomial_of(
+    parameters: FloatArray, covariance: FloatArray, grid: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The same of one unit's parameters (11,) and their covariance, over elevations (m,) in degrees."""
     powers = np.linalg.pinv(np.vander(grid / 90.0, 4, increasing=True))[2:] / 90.0 ** np.array([[2.0], [3.0]])
     straight = np.ones(len(NAMES))
     straight[list(CURVATURES)] = 0.0
@@ -81,14 +88,11 @@ def polynomial(fit: Fit, unit: int) -> tuple[FloatArray, FloatArray]:
         bent, plain = felt(own, elevation).angle(), felt(own * straight, elevation).angle()
         return np.asarray(powers @ wrap_deg(np.degrees(bent - plain)))
 
-    own = fit.parameters[at]
     slopes = np.stack(
         [
-            (coefficients(own + step) - coefficients(own - step)) / (2.0 * STEP)
-            for step in STEP * np.eye(len(own))
+            (coefficients(parameters + step) - coefficients(parameters - step)) / (2.0 * STEP)
+            for step in STEP * np.eye(len(parameters))
         ],
         axis=1,
     )
-    by_parameters = np.zeros((2, fit.problem.size))
-    by_parameters[:, at] = slopes
-    return coefficients(own), fit.covariance_of(by_parameters)
+    return coefficients(parameters), slopes @ covariance @ slopes.T

@@ -243,7 +243,7 @@ def _seat_deg(fit: Fit, k: int, known: list[float]) -> float:
     if mount.nominal_deg is None:
         at_deg, near = _found_deg(fit, k), SAME_SEAT_DEG
     else:
-        at_deg, near = float(wrap_deg(mount.sense * mount.nominal_deg)), STATED_ALIKE_DEG
+        at_deg, near = float(wrap_deg(mount.nominal_deg)), STATED_ALIKE_DEG
     nearest = min(known, key=lambda other: abs(wrap_deg(at_deg - other)), default=None)
     return nearest if nearest is not None and abs(wrap_deg(at_deg - nearest)) <= near else at_deg
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calrig.calibration.joint.least_squares import Fit
+from calrig.calibration.joint.linearised import Linearised
 from calrig.calibration.joint.stage_map import TURN_DEG, basis, dial_grid_deg
 from calrig.estimation.angles import FloatArray, wrap_deg
 
@@ -45,7 +45,7 @@ class Mapped:
     mounts_std_deg: FloatArray
 
 
-def mapped(fit: Fit) -> Mapped:
+def mapped(fit: Linearised) -> Mapped:
     """The map and the mounts of a joint fit."""
     problem, at = fit.problem, fit.problem.map_at
     dial = dial_grid_deg(problem.table.dial_deg[fit.kept])

@@ -172,7 +172,7 @@ def _angle_deg(lot: Mounted) -> float:
 
 
 def _dial_deg(poses: Sequence[Pose]) -> FloatArray:
-    return np.array([pose.theta_deg for pose in poses], dtype=np.float64)
+    return np.array([pose.dial_deg for pose in poses], dtype=np.float64)
 
 
 def _columns(mounts: Sequence[Sequence[Mounted]]) -> Table:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calrig.calibration.joint.least_squares import Fit
+from calrig.calibration.joint.linearised import Linearised
 from calrig.calibration.joint.table import BoolArray, Intp
 from calrig.calibration.joint.unit_model import OF_CUBIC, OF_LINEAR
 from calrig.estimation.angles import FloatArray
@@ -49,7 +49,7 @@ def of_the_unit(linear: bool) -> int:
     return OF_LINEAR if linear else OF_CUBIC
 
 
-def chosen(rich: Fit, known_orders: Collection[float] = ()) -> Choice:
+def chosen(rich: Linearised, known_orders: Collection[float] = ()) -> Choice:
     """Forward selection on the normal equations of a fit that has every order in it.
 
     Args:
@@ -104,7 +104,7 @@ class _OfMap:
         return bool(np.linalg.eigvalsh(left)[0] > TOLD * self.whole[at].mean())
 
 
-def _beside_units(rich: Fit) -> _OfMap:
+def _beside_units(rich: Linearised) -> _OfMap:
     """The linear problem about the rich fit, whose solution with all parameters is the fit itself."""
     problem, normal = rich.problem, rich.normal
     centre = np.where(problem.free, problem.start(), 0.0)
@@ -123,7 +123,7 @@ def _beside_units(rich: Fit) -> _OfMap:
 
 
 def _best(
-    rich: Fit, beside: _OfMap, model: BoolArray, orders: dict[float, Intp], rng: np.random.Generator
+    rich: Linearised, beside: _OfMap, model: BoolArray, orders: dict[float, Intp], rng: np.random.Generator
 ) -> float | None:
     """The order that explains most, if that is more than noise would explain by the best of them."""
     gradient, matrix = beside.taken(model, np.concatenate(list(orders.values())))

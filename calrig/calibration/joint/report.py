@@ -128,7 +128,7 @@ def _mounts(solution: Solution, on_stage: Mapped) -> list[dict[str, Any]]:
             "unit": solution.table.units[mount.unit],
             "mount_deg": mount.nominal_deg or 0.0,
             "mount_axis": mount.axis,
-            "angle_deg": _value(float(angle), float(std)),
+            "angle_deg": _value(mount.sense * float(angle), float(std)),
             "fits_p_value": fits.get(k),
         }
         for k, (mount, angle, std) in enumerate(

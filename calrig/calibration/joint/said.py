@@ -159,8 +159,9 @@ def _of_linear(solution: Solution) -> list[str]:
 def _of_mounts(solution: Solution, on_stage: Mapped) -> list[str]:
     """Mounts that stand elsewhere than somebody said."""
     said = []
-    for mount, angle_deg in zip(solution.table.mounts, on_stage.mounts_deg, strict=True):
-        if abs(wrap_deg(float(angle_deg) - (mount.nominal_deg or 0.0))) > OFF_DEG:
+    for mount, found_deg in zip(solution.table.mounts, on_stage.mounts_deg, strict=True):
+        angle_deg = mount.sense * float(found_deg)
+        if abs(wrap_deg(angle_deg - (mount.nominal_deg or 0.0))) > OFF_DEG:
             stated = (
                 "no mount_deg was given"
                 if mount.nominal_deg is None

@@ -26,7 +26,8 @@ class Mounted:
     Attributes:
         unit: serial number.
         mount: a label.
-        nominal_deg: the angle at which it was clamped, as somebody said; None where nobody did.
+        nominal_deg: the angle at which it was clamped, as somebody said; None where nobody did. Reversed, the
+            unit's elevation is the dial's angle and this one, both with the other sign.
         source: the file or run they are of.
         axis: which of the unit's axes lies along the stage's.
     """

@@ -1,0 +1,151 @@
+"""The stage's map that a rig's elevations rest on: which is in force, and what a run keeps of it.
+
+A map that somebody put in force (`POST /api/rigs/{name}/map`) goes before the file that the configuration
+names; once it is withdrawn, the file counts again.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calrig.analysis.errors import Conflict, Unknown
+from calrig.analysis.map_guard import holds
+from calrig.calibration.stage_reference import MapError, StageMap, in_words
+from calrig.settings import RigSettings, Settings, SettingsError
+from calrig.store import Store
+from calrig.store.records import Document
+from calrig.store.stage_maps import MapInForce
+
+
+def configured_maps(settings: Settings) -> dict[str, Document]:
+    """What runs are to keep of the maps that the configuration names, by rig; looked at when it starts.
+
+    Raises:
+        SettingsError: a file cannot be read or is no map that can be used, and what to do.
+    """
+    return {rig.name: kept for rig in settings.rig if (kept := _of_file(settings, rig)) is not None}
+
+
+def _of_file(settings: Settings, rig: RigSettings) -> Document | None:
+    named = None if rig.reference is None else rig.reference.map
+    if named is None:
+        return None
+    file = (settings.file.parent if settings.file else Path()) / named
+    where = f"{settings.file}: rig {rig.name!r}, reference.map: {file}"
+    again = "make it again with `calrig solve … --out DIR`, or leave `map` out"
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"), parse_constant=_refuse)
+        stage_map = StageMap.from_document(document)
+    except OSError as error:
+        said = f"cannot be read ({error.strerror}): name the stage-map.json of `calrig solve … --out DIR`"
+        raise SettingsError(f"{where} {said}") from error
+    except MapError as error:
+        raise SettingsError(f"{where} {error}: {again}") from error
+    except ValueError as error:
+        raise SettingsError(f"{where} is no JSON document ({error}): {again}") from error
+    return {**stage_map.frozen(), "solve": None, "file": named, "solved_at": None, "put_at": None}
+
+
+def _refuse(name: str) -> Any:
+    raise MapError(f"has a number in it that is not finite ({name})")
+
+
+def kept_of(store: Store, rig: str, configured: Mapping[str, Document]) -> Document | None:
+    """What a run that begins now on a rig keeps of the map in force; None where there is none.
+
+    Args:
+        store: has what was put in force.
+        rig: by name.
+        configured: of `configured_maps`.
+    """
+    found = store.stage_map(rig)
+    return configured.get(rig) if found is None else _kept(store, found)
+
+
+def provenance_part(store: Store, rig: str, configured: Mapping[str, Document]) -> Document:
+    """The same as a part of a new run's provenance; nothing of it where there is no map."""
+    kept = kept_of(store, rig, configured)
+    return {} if kept is None else {"stage_map": kept}
+
+
+def _kept(store: Store, found: MapInForce) -> Document:
+    solved_at = store.solution(found.solution_id).created_at
+    return {
+        **StageMap.from_document(found.document).frozen(),
+        "solve": found.solution_id,
+        "file": None,
+        "solved_at": solved_at.isoformat(timespec="seconds"),
+        "put_at": found.put_at.isoformat(timespec="seconds"),
+    }
+
+
+def put_in_force(store: Store, rig: str, solution_id: str, *, who: str | None) -> MapInForce:
+    """Puts the map of a stored solution in force for a rig.
+
+    Raises:
+        NotFound: there is no such solution.
+        Conflict: it is of another rig, or its map cannot be used, and why.
+    """
+    solution = store.solution(solution_id)
+    if solution.found.rig != rig:
+        raise Conflict(
+            f"solution {solution_id} is of rig {solution.found.rig!r}: each stage has a map of its own"
+        )
+    try:
+        StageMap.from_document(solution.found.stage_map)
+    except MapError as error:
+        advice = solution.found.document.get("advice") or {}
+        helps = f": {advice['says']}" if advice.get("says") else ""
+        raise Conflict(f"the map of solution {solution_id} {error}{helps}") from error
+    return store.put_stage_map(rig, solution_id, solution.found.stage_map, who=who)
+
+
+def listed_maps(store: Store, configured: Mapping[str, Document]) -> list[Document]:
+    """Which maps are in force, by name of the rig."""
+    put = {
+        one.rig: {"rig": one.rig, "sha256": one.sha256, "solve": one.solution_id, "file": None}
+        for one in store.stage_maps()
+    }
+    of_files = {
+        rig: {"rig": rig, "sha256": kept["sha256"], "solve": None, "file": kept["file"]}
+        for rig, kept in configured.items()
+    }
+    return [one for _, one in sorted({**of_files, **put}.items())]
+
+
+def shown_map(store: Store, rig: RigSettings, configured: Mapping[str, Document]) -> Document:
+    """The map in force for a rig, as people and programs look at it.
+
+    Raises:
+        Unknown: it has none.
+    """
+    kept, found = kept_of(store, rig.name, configured), store.stage_map(rig.name)
+    if kept is None:
+        of_bench = "; its bench may have a file of its own" if rig.reference and rig.reference.map else ""
+        raise Unknown(f"rig {rig.name!r} has no stage's map in force{of_bench}")
+    stage_map = StageMap.from_frozen(kept)
+    dial_deg = stage_map.dial_deg
+    middle = np.zeros(len(dial_deg))
+    return {
+        "rig": rig.name,
+        **{key: kept[key] for key in ("solve", "file", "sha256", "solved_at", "put_at", "std_deg")},
+        "put_by": None if found is None else found.put_by,
+        "dial_deg": (float(dial_deg[0]), float(dial_deg[-1])),
+        "orders": list(stage_map.orders),
+        "coefficients_deg": stage_map.coefficients_deg.tolist(),
+        "covariance_deg2": stage_map.covariance_deg2.tolist(),
+        "map": {
+            "stage_deg": dial_deg.tolist(),
+            "error_deg": stage_map.correction_deg(dial_deg, middle).tolist(),
+            "std_deg": stage_map.stds_deg(dial_deg, middle).tolist(),
+        },
+        "units": list(stage_map.units),
+        "runs": list(stage_map.sources),
+        "holds": holds(store, rig.name, kept),
+        "says": f"Elevations rest on {in_words(kept)}.",
+    }

@@ -1,0 +1,125 @@
+"""Stage, mounts and whole units from a set of poses, with how many orders the map has chosen by the data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calrig.calibration.joint.least_squares import WILD
+from calrig.calibration.joint.order_choice import Choice, chosen, of_the_unit
+from calrig.calibration.joint.stage_map import TURN_DEG, resolved_orders
+from calrig.calibration.joint.table import Mounted, Table
+from calrig.calibration.joint.three_axis_fit import (
+    ThreeAxisFit,
+    fitted_whole,
+    noise_of_axes,
+    vector_correlation,
+    vector_distances,
+    without_wild_vectors,
+)
+from calrig.calibration.joint.three_axis_problem import ThreeAxisProblem
+from calrig.calibration.joint.three_axis_table import ThreeAxisTable, three_axis_table
+from calrig.calibration.pose import DiagnosisError
+
+FEWEST_SPARE = 12
+"""Responses beside the parameters, which the noise is found from."""
+SPARE_AN_ORDER = 8
+MOST_TILT_DEG = 25.0
+TOLD = 5
+"""Of the poses that were left out, how many are named."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ThreeAxisSolution:
+    """Stage, mounts and whole units.
+
+    Attributes:
+        fit: of the model that the data carry.
+        choice: how that model was chosen.
+        warnings: what a person should know of the poses.
+    """
+
+    fit: ThreeAxisFit
+    choice: Choice
+    warnings: tuple[str, ...]
+
+    @property
+    def of(self) -> ThreeAxisTable:
+        """The poses."""
+        return self.fit.problem.of
+
+    @property
+    def table(self) -> Table:
+        """The same as of mounts about x."""
+        return self.fit.problem.table
+
+    @property
+    def noise_deg(self) -> float:
+        """Standard deviation of one pose's angle."""
+        return float(np.degrees(self.fit.noise))
+
+
+def solve_whole(
+    lots: Sequence[Mounted], *, linear: bool = False, periods_deg: Sequence[float] = ()
+) -> ThreeAxisSolution:
+    """Solves stage, mounts and units clamped by several faces at once; arguments as `solution.solve`.
+
+    Raises:
+        DiagnosisError: the poses are too few, or cannot be what they are said to be.
+    """
+    table, warnings = three_axis_table(lots)
+    known = [TURN_DEG / period for period in periods_deg]
+    shape = np.ones((len(table.seen.units), 3))
+    problem = ThreeAxisProblem(table, (), linear, shape)
+    rich, weights = without_wild_vectors(replace(problem, orders=_offered(problem, known)))
+    rich = noise_of_axes(rich)
+    correlated = replace(rich.problem, correlation=vector_correlation(rich))
+    choice = chosen(fitted_whole(correlated, weights, rich.parameters), known)
+    fit = fitted_whole(replace(correlated, orders=choice.orders), weights)
+    _refuse_another_face(fit)
+    return ThreeAxisSolution(fit, choice, (*warnings, *_of_poses(fit)))
+
+
+def _offered(problem: ThreeAxisProblem, known: Sequence[float]) -> tuple[float, ...]:
+    """Orders that the map always has, and as many more as leave the noise to be seen.
+
+    Raises:
+        DiagnosisError: the poses are fewer than the parameters need.
+    """
+    always = {float(order) for order in range(1, of_the_unit(problem.linear) + 1)} | set(known)
+    needed = int(replace(problem, orders=tuple(always)).free.sum())
+    spare = 3 * len(problem.table) - needed
+    if spare < FEWEST_SPARE:
+        raise DiagnosisError(
+            f"{len(problem.table)} poses are too few for {needed} parameters of stage, mounts and whole "
+            "units: take more of each mount"
+        )
+    more = [order for order in resolved_orders(problem.table.dial_deg) if order not in always]
+    return tuple(sorted({*always, *more[: spare // SPARE_AN_ORDER]}))
+
+
+def _refuse_another_face(fit: ThreeAxisFit) -> None:
+    for mount, named in enumerate(fit.problem.table.mounts):
+        tilt_deg = float(np.degrees(np.abs(fit.parameters[fit.problem.tilts_at(mount)]).max()))
+        if tilt_deg > MOST_TILT_DEG:
+            raise DiagnosisError(
+                f"mount {named.name} of unit {fit.problem.table.units[named.unit]}: mount_axis is "
+                f"{fit.problem.of.faces[mount]}, but that axis lies {tilt_deg:.0f}° from the stage's"
+            )
+
+
+def _of_poses(fit: ThreeAxisFit) -> list[str]:
+    """Poses that were left out, each by its place."""
+    table, said = fit.problem.table, []
+    left_out = np.flatnonzero(~fit.kept)
+    if len(left_out):
+        listed = ", ".join(
+            f"{table.mounts[table.mount[k]].name} at {table.dial_deg[k]:g}°" for k in left_out[:TOLD]
+        )
+        said.append(f"{len(left_out)} poses went wrong alone and were left out: {listed}")
+    far = int((vector_distances(fit)[fit.kept] > WILD).sum())
+    if far:
+        said.append(f"{far} poses lie far from the model, too many to be left out: something else moved")
+    return said

@@ -1,0 +1,242 @@
+"""Makes the content of a certificate from what the store keeps of a revision; pure."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from datetime import date
+from typing import Any
+
+import calrig
+from calrig.calibration.conformity import Limit
+from calrig.calibration.limit_verdict import IN_WORDS
+from calrig.calibration.pose import of_first_mount
+from calrig.export.certificate import wording
+from calrig.export.certificate.budget import budget_of
+from calrig.export.certificate.content import (
+    Certificate,
+    Conditions,
+    Conformity,
+    Dates,
+    Laboratory,
+    Method,
+    Replaced,
+    TrailMark,
+)
+from calrig.export.certificate.content import Item as ItemSaid
+from calrig.export.certificate.measured import Measured
+from calrig.export.certificate.results import results_of
+from calrig.export.certificate.standards import equipment_of, standards_of, stated_reference, traceable
+from calrig.laboratory import LaboratorySettings
+from calrig.store.issued import Revision
+from calrig.store.items import Item
+from calrig.store.records import AcceptedEffect, Document, Run, StoredPose
+from calrig.store.trail import Entry
+
+SUPPLIED = {
+    "customer": "customer",
+    "address": "address",
+    "order": "order number",
+    "received_at": "date of receipt",
+    "condition": "condition",
+    "description": "description",
+    "interval_agreed_months": "interval",
+}
+"""Fields of an item, and what they are called where the customer supplied them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """All that a certificate is made of.
+
+    Attributes:
+        poses: of the run, excluded ones too.
+        before: the revision in force until this one was; None where there was none.
+        came_with: the last one before of another run, with which the unit came in; None likewise.
+        of_stage: effects of the rig's that this revision rests on.
+        limit: that the verdict names, as it was when the revision was made; None where nobody knows.
+        entries: of the audit trail, about this revision, oldest first.
+        item: what was said of the unit; None where nobody did.
+    """
+
+    revision: Revision
+    run: Run
+    poses: Sequence[StoredPose]
+    laboratory: LaboratorySettings
+    before: Revision | None = None
+    came_with: Revision | None = None
+    of_stage: Sequence[AcceptedEffect] = ()
+    limit: Limit | None = None
+    entries: Sequence[Entry] = ()
+    item: Item | None = None
+
+
+def certificate_of(sources: Sources) -> Certificate:
+    """The content of a revision's certificate: the same sources always give the same one."""
+    revision, run = sources.revision, sources.run
+    document, provenance = revision.document, revision.document["provenance"]
+    out = set(revision.basis["excluded"])
+    kept = [one.pose for one in sources.poses if one.index not in out]
+    counted = of_first_mount(kept)
+    solved_jointly = "elevation_std_deg" in document  # its scatter is of all units together
+    freedom = None if solved_jointly or not counted else len(counted) - 2
+    reference = stated_reference(document)
+    came_with = None if sources.came_with is None else sources.came_with.document
+    measured = Measured(counted, document, came_with, sources.of_stage)
+    budget = budget_of(document, reference, freedom)
+    released = next((one for one in reversed(sources.entries) if one.act.what == "released"), None)
+    made = Certificate(
+        number="",
+        kind="demonstration" if provenance.get("simulated") else "certificate",
+        revision=revision.revision,
+        status=revision.status,
+        document_sha256=revision.sha256,
+        laboratory=Laboratory(**sources.laboratory.as_stated()),
+        item=_item(revision.unit, provenance, sources.item),
+        dates=_dates(sources, released),
+        method=Method(
+            program=f"calrig {provenance.get('calrig') or 'of a version not known'}",
+            measurand=wording.measurand(document),
+            model=document["model"],
+            procedure=wording.procedure(run.plan, document, len(counted)),
+            plan=wording.plan_rows(run.plan),
+            literature=(wording.PAPER, *wording.GUIDES),
+        ),
+        conditions=_conditions(document),
+        results=results_of(document, run, measured, budget, freedom, sources.of_stage, sources.came_with),
+        residuals=measured.residuals(),
+        budget=budget,
+        standards=standards_of(document, run.started_at),
+        traceable=traceable(document),
+        equipment=equipment_of(provenance),
+        conformity=_conformity(revision, sources.limit),
+        judged=tuple(revision.verdict["says"]),
+        authorised_by=_authorised(sources.laboratory, revision, released),
+        in_force_by=_in_force(revision, released),
+        replaces=_replaced(revision, sources.before),
+        deviations=wording.deviations(
+            plan=run.plan,
+            provenance=provenance,
+            faults=run.faults,
+            excluded=[one for one in sources.poses if one.index in out],
+            at_other_mounts=len(kept) - len(counted),
+        ),
+        software=wording.software(calrig.__version__),
+        trail=_mark(sources.entries[-1]) if sources.entries else None,
+        statements=wording.STATEMENTS,
+        document=wording.flattened(document),
+    )
+    return replace(made, number=_number(made))
+
+
+def _number(certificate: Certificate) -> str:
+    """The revision, and a hash of everything that is said: other words, another number."""
+    text = json.dumps(asdict(certificate), sort_keys=True, ensure_ascii=False, default=str)
+    return f"{certificate.revision:04d}-{hashlib.sha256(text.encode()).hexdigest()[:12].upper()}"
+
+
+def _item(serial: str, provenance: Document, item: Item | None) -> ItemSaid:
+    said, board = item or Item(), provenance.get("board") or {}
+    return ItemSaid(
+        serial=serial,
+        chip=board.get("chip"),
+        firmware=board.get("firmware"),
+        description=said.description,
+        condition=said.condition,
+        customer=said.customer,
+        address=said.address,
+        order=said.order,
+        received_on=said.received_at,
+        interval_months=said.interval_agreed_months,
+        supplied=tuple(SUPPLIED[name] for name in SUPPLIED if name in said.supplied),
+    )
+
+
+def _dates(sources: Sources, released: Entry | None) -> Dates:
+    run, months = sources.run, None if sources.item is None else sources.item.interval_agreed_months
+    ended = run.finished_at
+    again = None if months is None or ended is None else months_after(ended.date(), months)
+    return Dates(
+        calibration_began=None if run.plan is None else run.started_at,
+        calibration_ended=None if run.plan is None else ended,
+        issued=sources.revision.issued_at,
+        released=None if released is None else released.at,
+        calibrate_again=again,
+    )
+
+
+def months_after(day: date, months: int) -> date:
+    """The same day so many months later, or the last one of a shorter month."""
+    year, month = divmod(day.year * 12 + day.month - 1 + months, 12)
+    for last in (day.day, 30, 29, 28):
+        try:
+            return date(year, month + 1, min(day.day, last))
+        except ValueError:
+            continue
+    raise AssertionError("every month has 28 days")
+
+
+def _conditions(document: Document) -> Conditions:
+    low, high = document["range_deg"]
+    temperature = document["temperature_c"] or {}
+    return Conditions(
+        range_deg=(low, high),
+        temperature_min_c=temperature.get("min"),
+        temperature_max_c=temperature.get("max"),
+        level_known=document["level_known"],
+        level_std_deg=document["level_std_deg"],
+        other=(),
+    )
+
+
+def _conformity(revision: Revision, limit: Limit | None) -> Conformity | None:
+    judged: Mapping[str, Any] = revision.verdict
+    if judged["answer"] == "no_limits":
+        return None
+    return Conformity(
+        answer=judged["answer"],
+        answer_in_words=IN_WORDS[judged["answer"]],
+        limit_name=judged["limit"],
+        limit=limit,
+        rule="not stated" if limit is None else limit.rule_in_words,
+        asks=wording.asks(limit),
+        says=tuple(judged["says"]),
+        probability_of_conformity=judged.get("probability_of_conformity"),
+        probability_of_false_accept=judged.get("probability_of_false_accept"),
+    )
+
+
+def _authorised(laboratory: LaboratorySettings, revision: Revision, released: Entry | None) -> str | None:
+    if laboratory.authorised_by is not None or released is None or released.at == revision.issued_at:
+        return laboratory.authorised_by
+    return released.act.who
+
+
+def _releaser(revision: Revision, released: Entry) -> str | None:
+    """Who put it in force; what came into force as it was made did so by its rig's `release`."""
+    return "the release rule of its rig" if released.at == revision.issued_at else released.act.who
+
+
+def _in_force(revision: Revision, released: Entry | None) -> str:
+    if revision.status == "draft":
+        return "This revision is a draft: nobody has put it in force."
+    if revision.status == "withdrawn":
+        return "This revision has been withdrawn and is not to be used."
+    said = "The calibration was put in force"
+    if released is not None:
+        said += f" on {released.at:%Y-%m-%d}"
+        said += f" by {_releaser(revision, released) or 'nobody known by name'}"
+    return f"{said}; it has been superseded since." if revision.status == "superseded" else f"{said}."
+
+
+def _replaced(revision: Revision, before: Revision | None) -> Replaced | None:
+    if before is None:
+        return None
+    amends = before.run_id == revision.run_id
+    return Replaced(before.revision, before.sha256, before.issued_at, amends, revision.reason)
+
+
+def _mark(entry: Entry) -> TrailMark:
+    return TrailMark(entry.seq, entry.at, entry.act.what, entry.act.who, entry.sha256)

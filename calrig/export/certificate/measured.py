@@ -1,0 +1,154 @@
+"""What a revision did to the poses it rests on: errors as found and as left, and step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from calrig.calibration.correction import numbers_of
+from calrig.calibration.effect import ORIGINS, ApplyError
+from calrig.calibration.effects import effect_of
+from calrig.calibration.fit import rms
+from calrig.calibration.pose import Pose
+from calrig.calibration.result import AppliedEffect, corrected_residuals_deg, raw_error_deg
+from calrig.estimation.angles import FloatArray, wrap_deg
+from calrig.export.calibration_json import line_of
+from calrig.export.certificate.content import EffectFound, Quantity
+from calrig.export.certificate.pose_errors import Point, Residuals, Step
+from calrig.store.records import AcceptedEffect
+
+Document = Mapping[str, Any]
+MOST_POINTS = 25
+"""Elevations that a table shows one by one; more are gathered in as many stretches of the range."""
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """The poses that a revision rests on, and what takes their errors out.
+
+    Attributes:
+        document: CONTRACT section 6.
+        came_with: the document of the revision that the unit came with; None where it is found as it reads.
+        of_stage: effects of the rig's that were taken out beside the unit's own.
+    """
+
+    poses: Sequence[Pose]
+    document: Document
+    came_with: Document | None
+    of_stage: Sequence[AcceptedEffect]
+
+    def found_deg(self) -> FloatArray:
+        """(n,) errors as the unit came: by the calibration that it had, or of its readings."""
+        if self.came_with is not None:
+            return self._left_deg(self.came_with, _own(self.came_with))
+        return np.array([raw_error_deg(pose) for pose in self.poses])
+
+    def left_deg(self) -> FloatArray:
+        """(n,) errors with this calibration."""
+        return self._left_deg(self.document, _own(self.document))
+
+    def residuals(self) -> Residuals:
+        """As it came, by bias and scale, then with one effect after another taken out."""
+        raw_deg = np.array([raw_error_deg(pose) for pose in self.poses])
+        steps = [_step("As the unit reads", raw_deg)]
+        steps.append(_step("With bias and scale", self._by(self.document, ())))
+        taken: list[AppliedEffect] = []
+        for name, parameters in [*_of_stage(self.of_stage), *_own(self.document)]:
+            taken.append((name, parameters))
+            steps.append(_step(f"… and {effect_of(name).title.lower()}", self._by(self.document, taken)))
+        return Residuals(
+            elevation_deg=tuple(pose.theta_deg for pose in self.poses),
+            approach=tuple(pose.approach or 0 for pose in self.poses),
+            steps=tuple(step for step in steps if step is not None),
+        )
+
+    def points(self, expanded_deg: float | None) -> tuple[Point, ...]:
+        """The errors by elevation."""
+        theta = np.array([pose.theta_deg for pose in self.poses])
+        places = np.array([round(pose.target_deg + wrap_deg(pose.mount_deg), 3) for pose in self.poses])
+        if len(set(places.tolist())) > MOST_POINTS:
+            low, width = float(theta.min()), float(np.ptp(theta)) / (MOST_POINTS - 1)
+            places = low + width * np.rint((theta - low) / width)
+        found, left = self.found_deg(), self.left_deg()
+        points = []
+        for place in np.unique(places):
+            here = places == place
+            points.append(
+                Point(
+                    elevation_deg=float(place),
+                    n_poses=int(here.sum()),
+                    **_spread("found", found[here]),
+                    **_spread("left", left[here]),
+                    expanded_deg=expanded_deg,
+                )
+            )
+        return tuple(points)
+
+    def _left_deg(self, document: Document, own: Sequence[AppliedEffect]) -> FloatArray:
+        """By a document and the stage's effects; by its line alone where the poses lack what they need."""
+        for effects in ([*_of_stage(self.of_stage), *own], own, ()):
+            left_deg = self._by(document, effects)
+            if left_deg is not None:
+                return left_deg
+        raise AssertionError("a line can always be applied")
+
+    def _by(self, document: Document, effects: Sequence[AppliedEffect]) -> FloatArray | None:
+        try:
+            return corrected_residuals_deg(self.poses, line_of(document), effects)
+        except ApplyError:
+            return None
+
+
+def effects_found(
+    effects: Sequence[Document], stds: Mapping[tuple[str, str], float] | None = None
+) -> tuple[EffectFound, ...]:
+    """Effects of a document, or of the rig, in the catalogue's words.
+
+    Args:
+        effects: `name` and `parameters` of each.
+        stds: standard errors by effect and parameter, as far as they are known.
+    """
+    return tuple(_effect_found(one["name"], one["parameters"], stds or {}) for one in effects)
+
+
+def _effect_found(
+    name: str, parameters: Mapping[str, float | None], stds: Mapping[tuple[str, str], float]
+) -> EffectFound:
+    effect = effect_of(name)
+    known = {parameter.name: parameter for parameter in effect.parameters}
+    figures = []
+    for key, value in parameters.items():
+        if value is None:
+            continue
+        parameter = known.get(key)
+        unit = (
+            "" if parameter is None else (effect.covariate.unit if parameter.unit is None else parameter.unit)
+        )
+        title = key if parameter is None else f"{parameter.title} ({key})"
+        figures.append(Quantity(key, title, value, unit, std=stds.get((name, key))))
+    return EffectFound(name, effect.title, effect.formula, ORIGINS[effect.origin], tuple(figures))
+
+
+def _own(document: Document) -> list[AppliedEffect]:
+    return [(effect["name"], numbers_of(effect["parameters"])) for effect in document["effects"]]
+
+
+def _of_stage(effects: Sequence[AcceptedEffect]) -> list[AppliedEffect]:
+    return [(effect.name, numbers_of(effect.parameters)) for effect in effects]
+
+
+def _step(title: str, left_deg: FloatArray | None) -> Step | None:
+    if left_deg is None or not np.isfinite(left_deg).all():
+        return None
+    return Step(title, tuple(left_deg.tolist()), rms(left_deg))
+
+
+def _spread(of: str, error_deg: FloatArray) -> dict[str, float]:
+    return {
+        f"{of}_deg": float(error_deg.mean()),
+        f"{of}_low_deg": float(error_deg.min()),
+        f"{of}_high_deg": float(error_deg.max()),
+    }

@@ -1,0 +1,126 @@
+"""The digital calibration certificate: valid by PTB's schema whatever was stored, its numbers as they are."""
+
+from __future__ import annotations
+
+import base64
+import random
+from xml.etree import ElementTree as ET
+
+import pytest
+from random_certificates import random_certificate
+
+from calrig.errors import WorkError
+from calrig.export.dcc.document import dcc_of
+from calrig.export.dcc.elements import UNITS
+from calrig.export.dcc.signing import signed
+
+NAMES = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
+
+
+def read(xml: bytes) -> ET.Element:
+    return ET.fromstring(xml)
+
+
+def checked(seed: int, errors_in) -> None:
+    said, document = random_certificate(random.Random(seed))
+    xml = dcc_of(said, document, random.Random(seed).choice([None, "DE"]))
+    assert errors_in(xml) == [], seed
+    (attached,) = read(xml).iterfind(".//dcc:byteData/dcc:dataBase64", NAMES)
+    assert base64.b64decode(attached.text) == document
+
+
+def test_certificates_of_random_histories_are_valid(errors_in):
+    for seed in range(8):
+        checked(seed, errors_in)
+
+
+@pytest.mark.statistical
+def test_certificates_of_two_hundred_random_histories_are_valid(errors_in):
+    for seed in range(1000, 1200):
+        checked(seed, errors_in)
+
+
+def test_numbers_conformity_and_amendment_are_the_certificates_own():
+    seen = set()
+    for seed in range(30):
+        said, document = random_certificate(random.Random(seed))
+        xml = dcc_of(said, document)
+        assert dcc_of(said, document) == xml
+        root = read(xml)
+
+        def text(path, root=root):
+            return root.findtext(f".//{path}", namespaces=NAMES)
+
+        assert text("dcc:uniqueIdentifier") == said.number
+        if said.conformity is not None:
+            words = {"conditional_pass": "conditionalPass", "conditional_fail": "conditionalFail"}
+            assert text("dcc:conformity") == words.get(said.conformity.answer, said.conformity.answer)
+            seen.add(said.conformity.answer)
+        else:
+            assert text("dcc:conformity") is None
+        if said.results.elevation is not None:
+            elevation = said.results.elevation
+            worth = root.find(".//dcc:quantity[@refType='calrig_elevation']//si:expandedUnc", NAMES)
+            figures = [float(worth.findtext(f"si:{name}", namespaces=NAMES)) for name in UNCERTAINTY]
+            assert figures == [elevation.expanded, elevation.coverage_factor, elevation.coverage]
+        column = root.find(".//dcc:quantity[@refType='basic_measurementError']", NAMES)
+        values = column.findtext(".//si:valueXMLList", namespaces=NAMES).split()
+        assert [float(value) for value in values] == [one.left_deg for one in said.results.points]
+        assert column.get("refId") == "asLeft"
+        units = {unit.text for unit in root.iterfind(".//si:unit", NAMES)}
+        assert units <= {unit for unit, _ in UNITS.values()} | set(UNITS)
+        assert (text("dcc:typeOfChange") == "amended") is bool(said.replaces and said.replaces.amends)
+        assert (text("dcc:date") is None) is (said.dates.calibrate_again is None)
+    assert len(seen) == 4
+
+
+UNCERTAINTY = ("uncertainty", "coverageFactor", "coverageProbability")
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory):
+    """A key of a laboratory and its certificate, signed by itself."""
+    from datetime import UTC, datetime, timedelta
+
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+
+    folder = tmp_path_factory.mktemp("keys")
+    made = []
+    for name in ("lab", "other"):
+        key = ec.generate_private_key(ec.SECP256R1())
+        of = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, name)])
+        now = datetime.now(UTC)
+        builder = x509.CertificateBuilder(of, of, key.public_key(), 1, now, now + timedelta(days=2))
+        cert = builder.sign(key, hashes.SHA256())
+        pem = serialization.Encoding.PEM
+        no_password = serialization.NoEncryption()
+        secret = key.private_bytes(pem, serialization.PrivateFormat.PKCS8, no_password)
+        paths = folder / f"{name}.key", folder / f"{name}.pem"
+        paths[0].write_bytes(secret)
+        paths[1].write_bytes(cert.public_bytes(pem))
+        made.append(paths)
+    return made
+
+
+def test_a_signed_dcc_is_valid_and_any_change_breaks_its_signature(errors_in, keys):
+    from signxml import InvalidSignature
+    from signxml.verifier import XMLVerifier
+
+    (key, certificate), (_, other) = keys
+    xml = signed(dcc_of(*random_certificate(random.Random(3))), key, certificate)
+    assert errors_in(xml) == []
+    verified = XMLVerifier().verify(xml, x509_cert=certificate.read_text())
+    assert verified.signed_xml.tag == "{https://ptb.de/dcc}digitalCalibrationCertificate"
+    for forged in (
+        xml.replace(b"<si:value>1.0", b"<si:value>1.1", 1),
+        xml.replace(b"Elevation<", b"elevation<", 1),
+    ):
+        assert forged != xml
+        with pytest.raises(InvalidSignature):
+            XMLVerifier().verify(forged, x509_cert=certificate.read_text())
+    with pytest.raises(WorkError, match="cannot be signed with"):
+        signed(dcc_of(*random_certificate(random.Random(3))), key, other)
+    with pytest.raises(WorkError, match=r"absent\.key: cannot be read"):
+        signed(b"", key.with_name("absent.key"), certificate)

@@ -1,0 +1,43 @@
+"""The dividing head that turns a unit in its clamp, against its simulated counterpart on a wire."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack, closing
+
+import pytest
+
+from calrig.instruments.clamps.index import ClampError, IndexClamp
+from calrig.simulator.config import SimulatorSettings
+from calrig.simulator.rig import SimulatedRig
+from calrig.simulator.virtual_clock import VirtualClock
+
+
+@pytest.fixture
+def make_rig():
+    """Rigs with a head, in virtual time."""
+    clock = VirtualClock()
+    with ExitStack() as stack:
+        stack.enter_context(clock.taking_part())
+        yield lambda **clamp: stack.enter_context(
+            SimulatedRig(SimulatorSettings.from_options({"preset": "ideal", "clamp": clamp}), clock)
+        )
+
+
+def test_it_says_who_it_is_and_answers_once_the_unit_sits(make_rig):
+    rig = make_rig()
+    with closing(IndexClamp.open(rig.clamp_port)) as head:
+        assert head.identify().startswith("INDEX")
+        began_s = rig.clock()
+        head.turn_to(-90.0, "x")
+        assert 1.0 < rig.clock() - began_s < 3.0
+        assert rig.bench.true_elevation_deg([rig.clock()])[0] == pytest.approx(4.0 - 90.0)  # stands at 4°
+        with pytest.raises(ClampError, match=r"refused CLAMP 90\.000 w: unknown"):
+            head.turn_to(90.0, "w")
+
+
+def test_one_that_is_mute_is_said_to_be(make_rig):
+    with closing(IndexClamp.open(make_rig(fault="hang").clamp_port)) as head:
+        with pytest.raises(ClampError, match="does not answer ID"):
+            head.identify()
+        with pytest.raises(ClampError, match="has not said within 60 s"):
+            head.turn_to(0.0, "x")
