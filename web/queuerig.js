@@ -48,14 +48,13 @@ export class RigCard {
 
   /** What Enter means here; nothing in the moment after it has changed. */
   press() {
-    if (!this.does || performance.now() - this.since < CALM_MS) return null;
-    return this.does();
+    return this.does && !this.go.disabled ? this.does() : null;
   }
 
   show(rig, named, closed) {
     this.rig = rig;
     const [text, button, does] = closed ? ["This list is closed", null, null] : this.#now(rig);
-    if (text !== this.text) this.since = performance.now();
+    if (text !== this.text) this.#calm();
     this.text = text;
     this.does = may("operator") ? does : null;
     fill(this.title, named && `Rig ${rig.name}`);
@@ -76,6 +75,12 @@ export class RigCard {
     this.go.hidden = !this.does;
     this.go.textContent = button ?? "";
     this.abort.hidden = !under_way || !may("operator");
+  }
+
+  #calm() {
+    this.go.disabled = true;
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => (this.go.disabled = false), CALM_MS);
   }
 
   /** The instruction, the button, and what both do. */

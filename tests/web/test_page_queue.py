@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from support import PATIENCE_S
 
 pytestmark = pytest.mark.browser
 SHORT = {"elevations_deg": [0, 20], "sweeps": 1, "settle_s": 0.2, "dwell_s": 0.5}
@@ -18,7 +17,9 @@ def forgiven():
 def pressed(page, expect, instruction):
     """Enter, as soon as it means something."""
     expect(page.locator(".todo").first).to_have_text(instruction)
-    page.wait_for_timeout(750)  # an Enter meant for what stood there before starts nothing
+    expect(
+        page.locator("[data-go]")
+    ).to_be_enabled()  # an Enter meant for what stood there before does nothing
     page.keyboard.press("Enter")
 
 
@@ -60,7 +61,8 @@ def test_a_list_goes_unit_by_unit_with_one_key_and_is_the_same_in_another_tab(pa
     expect(other.locator(".todo")).to_have_text("Mount PQ-2, press Enter")
     expect(other.locator(".big-word")).to_have_text("● DONE")
     page.set_viewport_size({"width": 390, "height": 844})
-    page.wait_for_timeout(750)
+    for tab in (page, other):
+        expect(tab.locator("[data-go]")).to_be_enabled()
     go_here = "document.querySelector('[data-go]').click()"
     page.evaluate(go_here)
     other.evaluate(go_here)
@@ -87,9 +89,7 @@ def test_what_stops_a_unit_is_said_and_a_unit_that_is_to_be_turned_asks_in_the_s
     go(f"#/queue/{batch['id']}")
     expect(page.locator("#queue-units tbody tr")).to_have_count(301)
     pressed(page, expect, "Mount PT-1, press Enter")
-    expect(page.locator(".todo")).to_have_text("Turn PT-1 to 120°, press Enter", timeout=1000 * PATIENCE_S)
-    page.wait_for_timeout(750)
-    page.keyboard.press("Enter")
+    pressed(page, expect, "Turn PT-1 to 120°, press Enter")
     expect(page.locator("#queue-error")).to_contain_text("120")
     page.get_by_role("button", name="Abort").click()
     expect(page.locator(".turn .error")).to_contain_text("its run was aborted")
