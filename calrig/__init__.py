@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from calrig.client import AsyncClient, Client
     from calrig.loaded import Calibration
 
 __version__ = "0.1.0"
+__all__ = ["AsyncClient", "Client", "__version__", "load"]
+
+
+def __getattr__(name: str) -> Any:
+    """The clients of a running service, imported where they are used."""
+    if name in {"AsyncClient", "Client"}:
+        from calrig import client
+
+        return getattr(client, name)
+    raise AttributeError(f"module 'calrig' has no attribute {name!r}")
 
 
 def load(source: str | Path) -> Calibration:

@@ -20,11 +20,12 @@ class Diagnoses:
     def __init__(self, store: Store) -> None:
         self._store = store
 
-    def question(self, run_id: str, more: Sequence[str] = ()) -> Callable[[], dict[str, Any]]:
+    def question(self, run_id: str, more: Sequence[str] = ()) -> Callable[..., dict[str, Any]]:
         """What a run's poses, with more runs of its unit and those it follows on, are to be asked.
 
         Returns:
-            What gives the diagnosis, here or in another process, or raises DiagnosisError.
+            What gives the diagnosis, here or in another process, or raises DiagnosisError; its `progress` as
+            of `trace`.
 
         Raises:
             Unknown: there is no such run.

@@ -136,6 +136,14 @@ async def _http_error(_request: Request, error: Exception) -> JSONResponse:
     return JSONResponse({"detail": error.detail}, status_code=status, headers=error.headers)
 
 
+def status_of(error: BaseException) -> int:
+    """The status that an answer would have."""
+    if isinstance(error, HTTPException):
+        return 422 if error.status_code == 400 else error.status_code
+    kinds = {**STATUS, **STORE_STATUS, WorkRefused: 429, WorkTooLarge: 422, WorkLost: 503}
+    return next((code for kind, code in kinds.items() if isinstance(error, kind)), 500)
+
+
 def reason_of(error: BaseException) -> str:
     """What an answer would say of an error, for work whose end no answer tells."""
     if isinstance(error, HTTPException):

@@ -12,7 +12,7 @@ from typing import Any, Literal, TypeVar
 
 from pydantic_core import to_json
 
-from calrig.api.errors import DEFECT, reason_of
+from calrig.api.errors import DEFECT, reason_of, status_of
 from calrig.processes.pool import Processes
 
 T = TypeVar("T")
@@ -48,6 +48,7 @@ class Job:
         self.fraction: float | None = None
         self.result: str | None = None
         self.error: str | None = None
+        self.error_status: int | None = None
         self.content = b""
         self.asked = asyncio.Event()
         self._processes = processes
@@ -119,6 +120,7 @@ class Job:
             raise
         except Exception as error:  # noqa: BLE001 (it is raised again for who waits, or logged)
             self.state, self.error, self._failure = "failed", reason_of(error), error
+            self.error_status = status_of(error)
         finally:
             self.ended()
 

@@ -72,6 +72,7 @@ class JobAnswer(Answer):
     fraction: float | None = Field(description="Share that is done; null where the work cannot say.")
     result: str | None = Field(description="Path of what came of it, once it is done.")
     error: str | None
+    error_status: int | None = Field(description="Status with which its call would have answered the error.")
 
 
 class Health(Answer):

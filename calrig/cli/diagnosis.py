@@ -9,7 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from calrig.cli.input_files import names_a_file, read_log_file, read_poses_file
-from calrig.cli.options import COLUMNS, SHORTENED, AccelRange, Db, Json
+from calrig.cli.options import COLUMNS, SHORTENED, AccelRange, Db, Json, Server
+from calrig.cli.running_service import running_service, whole_id_there
 from calrig.cli.typed_ids import whole_id
 from calrig.errors import InputError
 
@@ -23,8 +24,12 @@ def diagnose(
     ],
     as_json: Json = False,
     db: Db = None,
+    server: Server = None,
 ) -> None:
-    """Trace the residual after bias and scale to the physical effects behind it."""
+    """Trace the residual after bias and scale to the physical effects behind it.
+
+    Runs are diagnosed by the service that holds their store, where one does: it keeps the diagnosis.
+    """
     from calrig.calibration.pose import DiagnosisError
     from calrig.cli import output
 
@@ -32,7 +37,7 @@ def diagnose(
     if files and len(files) < len(sources):
         raise InputError("diagnose: name files or run ids, not both")
     try:
-        found = _of_files(files) if files else _of_runs(sources, db)
+        found = _of_files(files) if files else _of_runs(sources, db, server)
     except DiagnosisError as error:
         raise InputError(f"{', '.join(sources)}: {error}") from error
     if as_json:
@@ -76,18 +81,32 @@ def gravity(
 
 def _of_files(files: Sequence[str]) -> dict[str, Any]:
     from calrig.calibration.diagnosis import trace
+    from calrig.cli.progress import late_bar
 
     read = [read_poses_file(Path(file)) for file in files]
-    found = trace([poses for poses, _ in read], files)
+    with late_bar("diagnosing") as show:
+        found = trace([poses for poses, _ in read], files, progress=show)
     found["warnings"] = [warning for _, warnings in read for warning in warnings] + found["warnings"]
     return found
 
 
-def _of_runs(run_ids: Sequence[str], db: str | None) -> dict[str, Any]:
+def _of_runs(run_ids: Sequence[str], db: str | None, server: str | None) -> dict[str, Any]:
+    from calrig.cli.progress import late_bar
+
+    there = running_service(server, db)
+    if there is not None:
+        *more, last = (whole_id_there(there, typed) for typed in run_ids)
+        with late_bar("diagnosing") as show:
+            there.diagnose(last, *more, told=show)
+        found: dict[str, Any] = there.get(f"/api/runs/{last}/diagnosis")
+        return found
+
     from calrig.analysis.diagnoses import Diagnoses
     from calrig.settings import store_url
     from calrig.store import Store
 
     with Store.open(store_url(db), writer=None) as store:
         *more, last = (whole_id(store, typed) for typed in run_ids)
-        return Diagnoses(store).question(last, more)()
+        asked = Diagnoses(store).question(last, more)
+    with late_bar("diagnosing") as show:
+        return asked(progress=show)

@@ -6,7 +6,6 @@ import os
 import ssl
 from collections.abc import Iterator
 from contextlib import contextmanager
-from ipaddress import ip_address
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import IO, Annotated
@@ -46,19 +45,14 @@ def enroll(
 
 def _require_private(centre: str) -> None:
     """Refuses an address at which code and password could be read on the way."""
+    from calrig.client.transport import is_loopback
+
     named = urlsplit(centre)
-    if named.scheme == "http" and not _is_loopback(named.hostname or ""):
+    if named.scheme == "http" and not is_loopback(named.hostname or ""):
         raise InputError(
             f"--centre {centre}: code and password could be read on the way: name it by https:// "
             "(`--ca FILE` where the certificate is your own authority's)"
         )
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return host == "localhost" or ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 def _believed(ca: Path) -> ssl.SSLContext:

@@ -21,12 +21,14 @@ from calrig.cli import (
     noise,
     plan,
     records,
+    resume,
     rigs,
     run,
     serve,
     solve,
     users,
     verify,
+    watch,
 )
 from calrig.cli.exit_status import Commands
 
@@ -34,7 +36,7 @@ app = typer.Typer(
     cls=Commands,
     name="calrig",
     help="Calibrates IMU attitude sensors on a rotary stage.",
-    add_completion=False,
+    add_completion=True,
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -42,6 +44,8 @@ app = typer.Typer(
 COMMANDS: dict[str, Callable[..., None]] = {
     "serve": serve.serve,
     "run": run.run,
+    "watch": watch.watch,
+    "resume": resume.resume,
     "rigs": rigs.rigs,
     "import": records.import_,
     "export": records.export,

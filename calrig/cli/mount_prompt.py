@@ -5,15 +5,15 @@ from __future__ import annotations
 import sys
 import threading
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
+from calrig.cli.followed import Refusal
 from calrig.errors import WorkError
 
 if TYPE_CHECKING:
-    from calrig.runs.service import RunService
-    from calrig.store import Run
+    from calrig.cli.followed import Followed
 
 BY_CLAMP = "c"
 
@@ -21,54 +21,54 @@ BY_CLAMP = "c"
 class MountPrompt:
     """What is asked on standard error and answered by a line of standard input, a person's or a program's.
 
-    Args:
-        service: carries the run out in this process, so that nobody else can resume it.
-        rig: its name; whether it has a clamp of its own.
+    Somebody else may answer first, on the page of the service: then the line still to come says nothing.
     """
 
-    def __init__(self, service: RunService, rig: str, *, has_clamp: bool) -> None:
-        self._service, self._rig, self._has_clamp = service, rig, has_clamp
+    def __init__(self) -> None:
         self._lines: SimpleQueue[str] = SimpleQueue()
-        self._is_asking = False
+        self._asked: dict[str, Any] | None = None
+        self._is_reading = False
 
-    def look(self, run: Run) -> None:
+    def look(self, run: Followed) -> None:
         """Asks where the run waits and has not been asked about; passes an answer on that has come.
 
         Raises:
             WorkError: standard input has ended: nobody can say that the unit was turned.
         """
-        asked = run.progress.get("waiting_for")
-        if run.status != "paused" or asked is None:
+        wanted = run.progress.get("waiting_for") if run.status == "paused" else None
+        if wanted is None:
+            self._asked = None
             return
-        to = f"the unit to {asked['mount_deg']:g}°, its {asked['mount_axis']} along the stage's axis"
-        if not self._is_asking:
-            self._ask(f"Turn {to}, then press Enter")
+        to = f"the unit to {wanted['mount_deg']:g}°, its {wanted['mount_axis']} along the stage's axis"
+        if self._asked != wanted:
+            self._ask(f"Turn {to}, then press Enter", has_clamp=run.has_clamp)
+            self._asked = wanted
             return
         try:
             line = self._lines.get_nowait()
         except Empty:
             return
-        self._is_asking = False
+        self._is_reading = False
         if not line:
-            self._service.abort(run.id)
+            run.abort()
             raise WorkError(
                 f"run {run.id} aborted: it waited for somebody to turn {to}, and standard input has ended: "
                 "run it on a terminal, or start it on the page of `calrig serve`"
             )
-        self._go(run.id, asked["mount_deg"], asked["mount_axis"], line.strip().lower())
+        self._go(run, wanted, line.strip().lower())
 
-    def _ask(self, what: str) -> None:
-        by_clamp = f" ({BY_CLAMP} and Enter: the rig's clamp turns it)" if self._has_clamp else ""
+    def _ask(self, what: str, *, has_clamp: bool) -> None:
+        by_clamp = f" ({BY_CLAMP} and Enter: the rig's clamp turns it)" if has_clamp else ""
         typer.echo(f"{what}{by_clamp}", err=True)
-        self._is_asking = True
-        threading.Thread(target=lambda: self._lines.put(sys.stdin.readline()), daemon=True).start()
+        if not self._is_reading:
+            self._is_reading = True
+            threading.Thread(target=lambda: self._lines.put(sys.stdin.readline()), daemon=True).start()
 
-    def _go(self, run_id: str, mount_deg: float, axis: str, line: str) -> None:
-        from calrig.analysis.errors import Conflict
-
+    def _go(self, run: Followed, wanted: dict[str, Any], line: str) -> None:
         try:
-            if line == BY_CLAMP and self._has_clamp:
-                self._service.begin_clamp(self._rig, mount_deg, axis).result()  # type: ignore[arg-type]
-            self._service.resume(run_id)
-        except Conflict as refusal:
+            if line == BY_CLAMP and run.has_clamp:
+                run.turn(wanted["mount_deg"], wanted["mount_axis"])
+            run.resume()
+        except Refusal as refusal:
             typer.echo(str(refusal), err=True)
+            self._asked = None

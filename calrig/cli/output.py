@@ -12,9 +12,8 @@ from calrig.cli.printing import number, print_line, print_parameter, print_table
 from calrig.errors import printable
 
 if TYPE_CHECKING:
-    from calrig.instruments.scan import Found
+    from calrig.client import RigState
     from calrig.settings import RigSettings
-    from calrig.store import Run
     from calrig.store.moving import Moved
 
 
@@ -23,17 +22,19 @@ def print_json(document: dict[str, Any] | list[dict[str, Any]]) -> None:
     typer.echo(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
 
 
-def print_result(run: Run) -> None:
-    """Prints a run's result, where it has one."""
-    if run.result is not None:
+def print_result(run: dict[str, Any]) -> None:
+    """Prints the result of a run as the API gives it, where it has one, and ends with the verdict."""
+    if run["result"] is not None:
         headings = ("", "value", "u, type A (noise)", "u, type B (stage)")
-        print_table(headings, _rows_of(run.result), title=f"run {run.id}: unit {run.unit} on {run.rig}")
-    if run.verdict is not None:
-        _print_sentences(run.verdict.says)
-    mounts_deg = (run.plan or {}).get("mounts_deg", [0.0])
-    if len(mounts_deg) > 1 and run.status == "completed":
-        of = f"All of this is of the first mount ({mounts_deg[0]:g}°): " if run.result is not None else ""
-        _print_sentences([f"{of}`calrig solve {run.id}` takes all {len(mounts_deg)} mounts together."])
+        where = "imported" if run["plan"] is None else f"on {run['rig']}"
+        title = f"run {run['id']}: unit {run['unit']}, {where}"
+        print_table(headings, _rows_of(run["result"]), title=title)
+    if run["verdict"] is not None:
+        _print_sentences(run["verdict"]["says"])
+    mounts_deg = (run["plan"] or {}).get("mounts_deg", [0.0])
+    if len(mounts_deg) > 1 and run["status"] == "completed":
+        of = f"All of this is of the first mount ({mounts_deg[0]:g}°): " if run["result"] is not None else ""
+        _print_sentences([f"{of}`calrig solve {run['id']}` takes all {len(mounts_deg)} mounts together."])
 
 
 def _rows_of(result: dict[str, Any]) -> Iterable[tuple[str, ...]]:
@@ -48,8 +49,8 @@ def _rows_of(result: dict[str, Any]) -> Iterable[tuple[str, ...]]:
     yield "RMS calibrated", number(result["rms_calibrated_deg"], "°")
     yield "standard error of a reading", number(result["noise_deg"], "°")
     yield "poses", str(result["n_poses"])
-    lowest, highest = (number(temperature[end], " °C", 1) for end in ("min", "max"))
-    yield "temperature", f"{lowest} to {highest}"
+    lowest, highest = (temperature[end] for end in ("min", "max"))
+    yield "temperature", number(lowest, f" to {highest:.1f} °C" if highest is not None else "", 1)
     for axis, bias, std in zip("xyz", gyro["bias_dps"], gyro["bias_std_dps"], strict=True):
         yield f"gyro bias {axis}", number(bias, " °/s"), number(std, " °/s")
     yield "gyro scale", number(gyro["scale"], "", 6), number(gyro["scale_std"], "", 6)
@@ -77,17 +78,26 @@ def print_rigs(rigs: Iterable[RigSettings]) -> None:
     print_table(("rig", "elevation", "stage", "imu"), rows, justify="left")
 
 
-def print_ports(found: Sequence[Found], stanza: str) -> None:
+def print_rigs_there(rigs: Iterable[RigState]) -> None:
+    """Prints the rigs of a running service and what they are doing."""
+    rows = (
+        (
+            rig.name,
+            rig.state + (f", run {rig.run_id[:8]}" if rig.run_id else ""),
+            *("simulated" if rig.simulated else driver for driver in (rig.stage, rig.imu)),
+        )
+        for rig in rigs
+    )
+    print_table(("rig", "is", "stage", "imu"), rows, justify="left")
+
+
+def print_ports(found: Sequence[dict[str, Any]], stanza: str) -> None:
     """Prints who answers on which port, and what can be pasted into the configuration."""
     if not found:
         print_line("there is no serial port: is the USB cable plugged in?")
         return
-    rows = (
-        tuple(
-            cell or "" for cell in (one.port, one.kind, one.driver, one.identity, one.usb_id, one.usb_serial)
-        )
-        for one in found
-    )
+    names = ("port", "kind", "driver", "identity", "usb_id", "usb_serial")
+    rows = (tuple(one[name] or "" for name in names) for one in found)
     print_table(("port", "device", "driver", "identity", "USB", "serial number"), rows, justify="left")
     if stanza:
         print_line(f"for calrig.toml:\n\n{stanza.rstrip()}")

@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from calrig.cli.input_files import read_plan_file
-from calrig.cli.options import Config, Db, Json, Rig
+from calrig.cli.options import Config, Db, Json, Rig, Server
+from calrig.cli.running_service import running_service
 from calrig.errors import InputError, WorkError
 
 if TYPE_CHECKING:
-    from calrig.runs.plan_designs import Designed
+    from calrig.client import Client
+    from calrig.plan import Plan
 
 
 def plan(
@@ -35,19 +37,61 @@ def plan(
     as_json: Json = False,
     db: Db = None,
     config: Config = None,
+    server: Server = None,
 ) -> None:
     """Design the plan that reaches an uncertainty soonest, or the best one for a time; nothing moves."""
-    from calrig.analysis.errors import Invalid
-    from calrig.calibration.plan_design.goals import Goals
     from calrig.cli import output
     from calrig.plan import Plan
+
+    if (target_u is None) == (time is None):
+        raise InputError("plan: give --target-u DEG, or --time S")
+    kept = read_plan_file(keep) if keep else Plan()
+    there = None if config else running_service(server, db)
+    if there is not None:
+        document = _designed_there(there, target_u, time, rig, unit, trace, kept)
+    else:
+        document = _designed_here(target_u, time, rig, unit, trace, kept, db, config)
+    if as_json:
+        output.print_json(document)
+    else:
+        _print(document)
+
+
+def _designed_there(
+    there: Client,
+    target_u: float | None,
+    time: float | None,
+    rig: str | None,
+    unit: str,
+    trace: bool,
+    kept: Plan,
+) -> dict[str, Any]:
+    from calrig.client import Invalid
+
+    try:
+        found = there.plan(target_u_deg=target_u, time_s=time, rig=rig, unit=unit, trace=trace, keep=kept)
+    except Invalid as error:
+        raise WorkError(str(error)) from error
+    return found.model_dump(mode="json")
+
+
+def _designed_here(
+    target_u: float | None,
+    time: float | None,
+    rig: str | None,
+    unit: str,
+    trace: bool,
+    kept: Plan,
+    db: str | None,
+    config: str | None,
+) -> dict[str, Any]:
+    from calrig.analysis.errors import Invalid
+    from calrig.calibration.plan_design.goals import Goals
     from calrig.runs.plan_designs import Wanted, designed
     from calrig.settings import load_settings, store_url
     from calrig.store import Store
     from calrig.store.errors import NoStore
 
-    if (target_u is None) == (time is None):
-        raise InputError("plan: give --target-u DEG, or --time S")
     settings = load_settings(config)
     chosen = next((one for one in settings.rig if rig in (None, one.name)), None)
     if chosen is None:
@@ -55,25 +99,19 @@ def plan(
             f"--rig: there is no rig {rig!r}; configured: {', '.join(r.name for r in settings.rig)}"
         )
     wanted = Wanted(Goals(expanded_deg=target_u), time, trace)
-    kept = read_plan_file(keep) if keep else Plan()
     with ExitStack() as stack:
         store = None
         with suppress(NoStore):  # nothing has run yet: noise and pace are assumed, and said to be
             store = stack.enter_context(Store.open(store_url(db), writer=None))
         try:
-            found = designed(wanted, kept, chosen, unit, store)
+            return designed(wanted, kept, chosen, unit, store).document()
         except Invalid as error:
             raise WorkError(str(error)) from error
-    if as_json:
-        output.print_json(found.document())
-    else:
-        _print(found)
 
 
-def _print(found: Designed) -> None:
+def _print(document: dict[str, Any]) -> None:
     from calrig.cli.printing import number, print_line, print_table
 
-    document = found.document()
     expected: dict[str, Any] = document["expected"]
     limit: dict[str, Any] | None = document["limit"]
     rows = [

@@ -20,7 +20,7 @@ from rich.progress import (
 from calrig.errors import printable
 
 if TYPE_CHECKING:
-    from calrig.store import Event, Run
+    from calrig.cli.followed import Happened
 
 PATIENCE_S = 2.0
 """What takes no longer needs no bar."""
@@ -29,7 +29,7 @@ PERCENT = 100
 
 
 @contextmanager
-def run_bar(run: Run) -> Iterator[Callable[[Event], None]]:
+def run_bar(unit: str, poses_total: int) -> Iterator[Callable[[Happened], None]]:
     """A run's progress: poses, elevation, time left. Gives what is to be told each of the run's events."""
     columns = (
         TextColumn("unit {task.fields[unit]}", markup=False),
@@ -40,10 +40,10 @@ def run_bar(run: Run) -> Iterator[Callable[[Event], None]]:
     )
     console = Console(stderr=True)
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
-        total = run.progress["poses_total"] or PERCENT
-        bar = progress.add_task("", total=total, unit=run.unit, elevation="", left="")
+        total = poses_total or PERCENT
+        bar = progress.add_task("", total=total, unit=printable(unit), elevation="", left="")
 
-        def show(event: Event) -> None:
+        def show(event: Happened) -> None:
             data = event.data
             if event.type == "progress":
                 left_s = data["remaining_s"]

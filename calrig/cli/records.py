@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from calrig.cli.input_files import in_utf8, read_bytes
-from calrig.cli.options import COLUMNS, SHORTENED, Db, Rig, UnitSerial
+from calrig.cli.options import COLUMNS, SHORTENED, Db, Rig, Server, UnitSerial
+from calrig.cli.running_service import running_service
 from calrig.cli.typed_ids import whole_id
 from calrig.errors import InputError
 
 if TYPE_CHECKING:
     from calrig.calibration.packed_poses import PackedPoses
+    from calrig.client import Client
     from calrig.store import Store
     from calrig.store.issued import Revision
 
@@ -43,8 +45,19 @@ def import_(
     unit: UnitSerial,
     rig: Rig = None,
     db: Db = None,
+    server: Server = None,
 ) -> None:
     """Import a CSV of poses as a run and print its id; standard error says whether it is good."""
+    there = running_service(server, db)
+    if there is not None:
+        from calrig.cli.output import print_says
+        from calrig.cli.records_there import imported_there
+
+        record = imported_there(there, file, unit, rig).record
+        typer.echo(record.id)
+        print_says(record.verdict.says if record.verdict else ())
+        return
+
     from calrig.analysis.amendments import Records
     from calrig.analysis.issuing import Issuer, Releases
     from calrig.analysis.limits import keep_configured
@@ -96,6 +109,7 @@ def export(
         Path | None, typer.Option(metavar="CERT.pem", help="The certificate of the key that signs.")
     ] = None,
     db: Db = None,
+    server: Server = None,
 ) -> None:
     """Print a calibration as JSON or for another program, or its poses as CSV.
 
@@ -115,6 +129,7 @@ def export(
         _export_all(parquet, db)
         return
     if format_ is Format.archive:
+        _refuse_elsewhere(format_, running_service(server, db), server)
         export_archive(unit, out, db)
         return
     if (run_id is None) == (unit is None):
@@ -124,16 +139,33 @@ def export(
     if run_id is not None and (run_id.endswith(".json") or Path(run_id).is_file()):
         sys.stdout.write(_of_file(run_id, format_))
         return
-    with Store.open(store_url(db), writer=None) as store:
-        if run_id is not None:
-            run_id = whole_id(store, run_id)
-        if format_ is Format.pdf or format_ is Format.dcc:
-            form: Literal["pdf", "dcc"] = "pdf" if format_ is Format.pdf else "dcc"
-            found = _revision_asked_for(store, run_id, unit)
+    there = running_service(server, db)
+    if format_ is Format.pdf or format_ is Format.dcc:
+        _refuse_elsewhere(format_, there, server)
+        form: Literal["pdf", "dcc"] = "pdf" if format_ is Format.pdf else "dcc"
+        with Store.open(store_url(db), writer=None) as store:
+            found = _revision_asked_for(store, run_id and whole_id(store, run_id), unit)
             print_says(found.verdict["says"])
             write_certificate(store, found, form, out, sign, cert)
-        else:
-            sys.stdout.write(_text(store, run_id, unit, format_))
+    elif there is not None:
+        from calrig.cli.records_there import exported_there
+
+        text, said = exported_there(there, run_id, unit, format_.value)
+        print_says(said)
+        sys.stdout.write(text)
+    else:
+        with Store.open(store_url(db), writer=None) as store:
+            sys.stdout.write(_text(store, run_id and whole_id(store, run_id), unit, format_))
+
+
+def _refuse_elsewhere(format_: Format, there: Client | None, server: str | None) -> None:
+    """Refuses what is made of the store's file, by the settings beside it, where a service was named."""
+    if there is not None and there.server == (server or "").rstrip("/"):
+        raise InputError(
+            f"export: --format {format_.value} is made of the store itself: run it where that is, or fetch "
+            f"{there.server}/api/units/SERIAL/"
+            + ("archive" if format_ is Format.archive else f"calibration?format={format_.value}")
+        )
 
 
 def _text(store: Store, run_id: str | None, unit: str | None, format_: Format) -> str:

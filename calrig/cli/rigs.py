@@ -1,4 +1,4 @@
-"""`rigs`: what is configured, and what answers on the ports of this machine."""
+"""`rigs`: what there is, and what answers on the ports of its machine."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from calrig.cli.options import Config
+from calrig.cli.options import Config, Db, Server
+from calrig.cli.running_service import running_service
 
 
 def rigs(
@@ -18,16 +19,32 @@ def rigs(
         ),
     ] = False,
     config: Config = None,
+    db: Db = None,
+    server: Server = None,
 ) -> None:
-    """List the configured rigs and, with --scan, the devices that answer; nothing is moved."""
+    """List the rigs and, with --scan, the devices that answer; nothing is moved.
+
+    Those of the service that holds the store, where one does; else those that are configured.
+    """
     from calrig.cli import output
+
+    there = None if config else running_service(server, db)
+    if there is not None:
+        output.print_rigs_there(there.rigs())
+        if scan:
+            looked = there.post("/api/rigs/scan", {})
+            output.print_ports(looked["found"], looked["stanza"])
+        return
+
     from calrig.settings import load_settings
 
     settings = load_settings(config)
     output.print_rigs(settings.rig)
     if scan:
+        from dataclasses import asdict
+
         from calrig.instruments import scan as ports
         from calrig.instruments.scan_stanza import stanza
 
         found = ports.scan(settings.ports())
-        output.print_ports(found, stanza(found, {rig.name for rig in settings.rig}))
+        output.print_ports([asdict(one) for one in found], stanza(found, {rig.name for rig in settings.rig}))

@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from calrig.settings import Settings
 
 
+HERE = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104 (told to commands on this machine)
+"""Where a service that listens everywhere is asked from its own machine."""
+
+
 def serve(
     host: Annotated[str, typer.Option(metavar="H", help="Address to listen on.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(metavar="N", min=0, max=65535, help="Port; 0: any free one.")] = 8000,
@@ -87,7 +91,8 @@ def _serve_on(
         def say_ready() -> None:
             rigs = ", ".join(f"{r.name} (simulated)" if r.simulated else r.name for r in service.rigs())
             host, port = listener.getsockname()[:2]
-            where = f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+            where = _url(host, port)
+            service.store.answers_at(_url(HERE.get(host, host), port))
             asks = what_is_asked(app)
             typer.echo(
                 f"calrig {calrig.__version__} at {where}, store {in_utf8(shown(url))}, rigs: {rigs}{asks}"
@@ -96,3 +101,7 @@ def _serve_on(
         gc.freeze()  # what was imported lives to the end: no collection need look at it, the last one neither
         # On SIGINT and SIGTERM uvicorn stops in order, then raises what it was told by.
         Server(app, say_ready).run(sockets=[listener])
+
+
+def _url(host: str, port: int) -> str:
+    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"

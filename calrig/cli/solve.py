@@ -10,6 +10,7 @@ import typer
 
 from calrig.cli.input_files import names_a_file, read_bytes
 from calrig.cli.options import COLUMNS, SHORTENED, Db, Json, Plot, Server
+from calrig.cli.running_service import running_service
 from calrig.cli.typed_ids import whole_id
 from calrig.errors import InputError, WorkError
 
@@ -83,7 +84,7 @@ def solve(
 ) -> None:
     """Solve the stage's map, the mounts and the units together, against gravity.
 
-    With --server a running service solves runs and keeps the solution; files are solved here.
+    A service that holds the store of the runs solves them, and keeps the solution; files are solved here.
     """
     from calrig.analysis.joint_solutions import Wanted
     from calrig.cli import output
@@ -110,10 +111,10 @@ def solve(
     if files:
         lots, said = _of_files(files, unit or [])
         found = _answer(_of_lots(lots, wanted))
-    elif server:
+    elif (there := running_service(server, db)) is not None:
         from calrig.cli.solve_there import solved_there
 
-        found = solved_there(server, wanted, with_files=out is not None, with_poses=draw is not None)
+        found = solved_there(there, wanted, with_files=out is not None, with_poses=draw is not None)
     else:
         found = _answer(_of_runs(wanted, db))
     document = {**found.document, "warnings": [*said, *found.document["warnings"]]}

@@ -28,7 +28,12 @@ def read_document(source: str | Path) -> dict[str, Any]:
         WorkError: the service refuses or cannot be reached.
     """
     name = str(source)
-    document = _from_service(name) if name.startswith(("http://", "https://")) else _from_file(Path(source))
+    is_address = name.startswith(("http://", "https://"))
+    return checked(_from_service(name) if is_address else _from_file(Path(source)), name)
+
+
+def checked(document: Any, name: str) -> dict[str, Any]:
+    """The same of JSON that has been read; `name` says where it is from."""
     if not isinstance(document, dict) or not str(document.get("schema")).startswith("calrig.calibration/"):
         raise InputError(f"{name}: is no calibration: `calrig export --unit SERIAL` prints one")
     if document["schema"] != SCHEMA:

@@ -100,6 +100,10 @@ class Store(
         """What the store takes of its disk."""
         return self._database.size()
 
+    def answers_at(self, address: str) -> None:
+        """Says to commands that find a file taken at which address its holder does their work for them."""
+        self._database.answers_at(address)
+
     def close(self) -> None:
         """Closes the file and lets another writer in."""
         self._database.close()

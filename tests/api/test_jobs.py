@@ -57,6 +57,7 @@ def test_a_diagnosis_tells_how_far_it_is_and_where_it_is_found(shared_client):
     path = f"/api/runs/{run_id}/diagnosis"
     assert {**said[-1], "id": ""} == {
         "id": "", "state": "done", "fraction": 1.0, "result": path, "error": None,
+        "error_status": None,
     }  # fmt: skip
     found = shared_client.get(path).json()
     assert found["n_poses"] == len(TARGETS)
@@ -87,7 +88,7 @@ def test_what_fails_says_why_as_it_would_to_who_waits(shared_client):
     failed = over(shared_client, begun(shared_client, "/api/imports", **request))[-1]
     assert (failed["state"], failed["result"]) == ("failed", None)
     refused = shared_client.post("/api/imports", **request)
-    assert (refused.status_code, refused.json()["detail"]) == (422, failed["error"])
+    assert (refused.status_code, refused.json()["detail"]) == (failed["error_status"], failed["error"])
 
 
 @pytest.mark.usefixtures("_nobody_waits")

@@ -261,6 +261,11 @@ class SqliteDatabase(Database):
         used_bytes = sum(file_system.size_bytes(file) for file in files)
         return Size(used_bytes, shutil.disk_usage(self.path.parent).free)
 
+    def answers_at(self, address: str) -> None:
+        """Says in the writer's lock at which address its holder answers."""
+        if self._lock:
+            self._lock.answers_at(address)
+
     def close(self) -> None:
         """Closes every connection and lets the writer's lock go."""
         self._engine.dispose()

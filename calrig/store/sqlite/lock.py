@@ -8,6 +8,7 @@ import json
 import os
 import socket
 import stat
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -51,18 +52,26 @@ class WriterLock:
                 f"{database}: {holder} writes to it, and a store has one writer at a time: "
                 "stop that one first, or name another database with --db"
             ) from error
-        mine = {  # `pid` first: what begins with it is known to be a lock
+        self._mine = {  # `pid` first: what begins with it is known to be a lock
             "pid": os.getpid(),
             "what": what,
             "host": socket.gethostname(),
             "since": datetime.now(UTC).isoformat(timespec="seconds"),
         }
         try:
-            os.ftruncate(self._file, 0)
-            os.pwrite(self._file, json.dumps(mine).encode(), 0)
+            self._write()
         except OSError as error:
             os.close(self._file)
             raise store_error(error, self.path) from error
+
+    def answers_at(self, address: str) -> None:
+        """Says at which address its holder answers, for commands of its user's that would write too."""
+        self._mine["at"] = address
+        self._write()
+
+    def _write(self) -> None:
+        os.ftruncate(self._file, 0)
+        os.pwrite(self._file, json.dumps(self._mine).encode(), 0)
 
     def _opened(self, database: Path) -> int:
         """The file, opened and made where there was none; what a link or a device leads to is not touched."""
@@ -112,21 +121,56 @@ class WriterLock:
 
 def living_writer(database: Path) -> str | None:
     """Who writes to a store now, in words; None where nobody does. For who looks, and will not write."""
+    with _held(database) as file:
+        return None if file is None else _holder(file)
+
+
+def answering_at(database: Path) -> str | None:
+    """Where the service answers that writes to a store now, if it is this user's; else None.
+
+    A token may be sent there: nobody else could have written the address, which its living process did.
+    """
+    with _held(database) as file:
+        if file is None or not _is_ours_alone(os.fstat(file)):
+            return None
+        try:
+            said = json.loads(os.pread(file, 4096, 0))
+            address, is_here = said["at"], said["host"] == socket.gethostname()
+            os.kill(said["pid"], 0)  # refused where it is another user's
+        except (ValueError, KeyError, TypeError, OSError):
+            return None
+    return address if is_here and isinstance(address, str) else None
+
+
+def _is_ours_alone(found: os.stat_result) -> bool:
+    others_write = found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    return stat.S_ISREG(found.st_mode) and found.st_uid == os.geteuid() and not others_write
+
+
+@contextlib.contextmanager
+def _held(database: Path) -> Iterator[int | None]:
+    """The lock's file, opened for reading, where a writer holds it."""
     try:
         file = os.open(
             _path(database), os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY
         )
     except OSError:
-        return None  # nobody has ever written here
+        yield None  # nobody has ever written here
+        return
+    try:
+        yield file if _is_held(file) else None
+    finally:
+        os.close(file)
+
+
+def _is_held(file: int) -> bool:
     try:
         fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
-        return _holder(file)
+        return True
     except OSError:
-        return None  # a drive without locks, to which nobody writes
-    finally:
-        os.close(file)
-    return None
+        pass  # a drive without locks, to which nobody writes
+    return False
 
 
 def _path(database: Path) -> Path:

@@ -1,0 +1,103 @@
+"""A run at a running service, followed by its events."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from contextlib import contextmanager
+from queue import Empty, SimpleQueue
+from typing import TYPE_CHECKING, Any
+
+from calrig.cli.followed import LOOK_S, Refusal
+from calrig.client.errors import CONFLICT, Refused, ServiceError, Unreachable
+from calrig.errors import WorkError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from calrig.client import Client, Run, RunEvent
+
+
+class RunThere:
+    """A run that a service carries out; `calrig.cli.followed.Followed` has what each part is."""
+
+    def __init__(self, client: Client, run: Run) -> None:
+        record = run.record
+        self.id, self.is_over = run.id, False
+        self.status: str = record.status
+        self.progress: dict[str, Any] = record.progress.model_dump()
+        self.has_clamp = any(rig.clamp for rig in client.rigs() if rig.name == record.rig)
+        self._client, self._run, self._rig = client, run, record.rig
+        self._heard: SimpleQueue[RunEvent | Exception | None] = SimpleQueue()
+        # A daemon: a line that has nothing to tell keeps nobody from leaving.
+        threading.Thread(target=self._listen, name=f"events of {run.id}", daemon=True).start()
+
+    def news(self) -> Sequence[RunEvent]:
+        """Events since the last look."""
+        events: list[RunEvent] = []
+        try:
+            heard = self._heard.get(timeout=LOOK_S)
+            while True:
+                if isinstance(heard, Exception):
+                    raise heard
+                if heard is None:
+                    self.is_over = True
+                    break
+                self._take(heard)
+                events.append(heard)
+                heard = self._heard.get_nowait()
+        except Empty:
+            pass
+        return events
+
+    def abort(self) -> None:
+        """Ends it at the service."""
+        try:
+            with _refusals():
+                self._run.abort()
+        except Unreachable as error:
+            raise WorkError(
+                f"run {self.id} may go on, and its stage with it: {error}; stop it at the rig"
+            ) from error
+
+    def resume(self) -> None:
+        """Goes on at the service."""
+        with _refusals():
+            self._run.resume()
+
+    def turn(self, mount_deg: float, mount_axis: str) -> None:
+        """Has the rig's clamp turn the unit."""
+        from urllib.parse import quote
+
+        body = {"mount_deg": mount_deg, "mount_axis": mount_axis}
+        with _refusals():
+            self._client.post(f"/api/rigs/{quote(str(self._rig), safe='')}/clamp", body)
+
+    def document(self) -> dict[str, Any]:
+        """As the service gives it."""
+        document: dict[str, Any] = self._client.get(f"/api/runs/{self.id}")
+        return document
+
+    def _listen(self) -> None:
+        try:
+            for event in self._run.events():
+                self._heard.put(event)
+            self._heard.put(None)
+        except ServiceError as error:
+            self._heard.put(error)
+
+    def _take(self, event: RunEvent) -> None:
+        if event.type == "state":
+            self.status = event.data["status"]
+        elif event.type == "progress":
+            self.progress = event.data
+
+
+@contextmanager
+def _refusals() -> Iterator[None]:
+    try:
+        yield
+    except Refused as error:
+        if error.status == CONFLICT:
+            raise Refusal(str(error)) from error
+        raise

@@ -1,0 +1,51 @@
+"""Which running service a command speaks to: the one that is named, else the one that holds the store."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+from calrig.cli.typed_ids import LISTED, the_one
+from calrig.run_ids import begins_uuid, is_uuid
+
+if TYPE_CHECKING:
+    from calrig.client import Client
+
+NAMED = "CALRIG_SERVER"
+
+
+def running_service(server: str | None, db: str | None) -> Client | None:
+    """The service to ask, with CALRIG_TOKEN; None where this process does the work on the store itself.
+
+    Args:
+        server: its address, as an option or CALRIG_SERVER gave it. A store named by `--db` goes before the
+            variable.
+        db: the store, as `--db` gave it. Whoever serves it has left the address in its lock; what is
+            another user's, or could have been written by one, is not asked.
+
+    Raises:
+        InputError: `server` is no address.
+    """
+    if server and not (db and server == os.environ.get(NAMED)):
+        return _client(server)
+    from calrig.settings import store_url
+    from calrig.store.engines import is_centre
+    from calrig.store.sqlite.database import database_path
+    from calrig.store.sqlite.lock import answering_at
+
+    url = store_url(db)
+    address = None if is_centre(url) else answering_at(database_path(url))
+    return None if address is None else _client(address)
+
+
+def whole_id_there(client: Client, typed: str) -> str:
+    """As `calrig.cli.typed_ids.whole_id`, of the runs that a service has."""
+    if is_uuid(typed) or not begins_uuid(typed.lower()):
+        return typed
+    return the_one(typed, [run.id for run in client.runs(begins=typed.lower(), limit=LISTED + 1)])
+
+
+def _client(address: str) -> Client:
+    from calrig.client import Client
+
+    return Client(address)

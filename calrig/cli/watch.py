@@ -1,0 +1,55 @@
+"""`watch`: a run that a service or another program carries out, followed from this terminal."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from calrig.cli.options import SHORTENED, Db, Json, Server
+from calrig.cli.running_service import running_service, whole_id_there
+from calrig.cli.typed_ids import whole_id
+
+if TYPE_CHECKING:
+    from calrig.cli.followed import Happened, Watched
+
+RunId = Annotated[str, typer.Argument(metavar="RUN_ID", help=f"The run{SHORTENED}.")]
+
+
+def watch(run_id: RunId, as_json: Json = False, db: Db = None, server: Server = None) -> None:
+    """Follow a run and print how it ended; Ctrl-C stops watching, and the run goes on."""
+    there = running_service(server, db)
+    if there is not None:
+        from calrig.cli.run_there import RunThere
+
+        found = there.run(whole_id_there(there, run_id))
+        _watch(RunThere(there, found), found.unit, as_json=as_json)
+        return
+
+    from calrig.analysis.stored_runs import stored_run
+    from calrig.cli.run_here import RunElsewhere
+    from calrig.settings import store_url
+    from calrig.store import Store
+
+    with Store.open(store_url(db), writer=None) as store:
+        run = stored_run(store, whole_id(store, run_id))
+        _watch(RunElsewhere(store, run), run.unit, as_json=as_json)
+
+
+def _watch(run: Watched, unit: str, *, as_json: bool) -> None:
+    from calrig.cli.followed import print_end
+    from calrig.cli.progress import run_bar
+
+    with run_bar(unit, run.progress["poses_total"]) as show:
+        while not run.is_over:
+            for event in run.news():
+                show(event)
+                _say_what_it_waits_for(run.id, event)
+    print_end(run.document(), as_json=as_json)
+
+
+def _say_what_it_waits_for(run_id: str, event: Happened) -> None:
+    wanted = event.data.get("waiting_for") if event.type == "progress" else None
+    if wanted is not None:
+        to = f"{wanted['mount_deg']:g}°, its {wanted['mount_axis']} along the stage's axis"
+        typer.echo(f"the run waits for the unit to be turned to {to}: calrig resume {run_id}", err=True)

@@ -1,0 +1,39 @@
+"""A running service from Python: `Client("http://lab-pc:8000").calibrate("AS-0042").result.bias_deg`.
+
+The standard library's HTTP and pydantic, nothing of the service itself: it starts in a tenth of a second.
+"""
+
+from calrig.client.asynchronous import AsyncClient, AsyncRun
+from calrig.client.client import Client
+from calrig.client.documents import (
+    Comparison,
+    Diagnosis,
+    PlanDesign,
+    Result,
+    RigState,
+    RunEvent,
+    RunRecord,
+    Solution,
+)
+from calrig.client.errors import Invalid, Refused, RunFailed, ServiceError, Unreachable
+from calrig.client.run import Run
+
+__all__ = [
+    "AsyncClient",
+    "AsyncRun",
+    "Client",
+    "Comparison",
+    "Diagnosis",
+    "Invalid",
+    "PlanDesign",
+    "Refused",
+    "Result",
+    "RigState",
+    "Run",
+    "RunEvent",
+    "RunFailed",
+    "RunRecord",
+    "ServiceError",
+    "Solution",
+    "Unreachable",
+]

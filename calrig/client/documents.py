@@ -1,0 +1,254 @@
+"""What the service answers, typed. What it says beyond these fields is there as it came.
+
+Units are in the names; what is not known is None. A test holds every field to the OpenAPI document.
+"""
+
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+
+from datetime import datetime
+from typing import Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from calrig.client.errors import Unreachable
+
+Status = Literal["queued", "running", "paused", "completed", "failed", "aborted", "interrupted"]
+AT_REST = frozenset({"completed", "failed", "aborted", "interrupted"})
+"""A run in one of these is carried out by nobody."""
+
+
+class Document(BaseModel):
+    """A part of an answer; it does not change."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    @classmethod
+    def of(cls, answer: Any) -> Self:
+        """An answer, typed.
+
+        Raises:
+            Unreachable: it is none of calrig's.
+        """
+        try:
+            return cls.model_validate(answer)
+        except ValidationError as error:
+            first = error.errors(include_url=False, include_input=False)[0]
+            place = ".".join(map(str, first["loc"]))
+            raise Unreachable(
+                f"the service answers, and not as calrig does ({place}: {first['msg']})"
+            ) from error
+
+
+class Mount(Document):
+    """How the unit is to be clamped before a run goes on."""
+
+    mount_deg: float
+    mount_axis: str
+
+
+class Progress(Document):
+    """How far a run is."""
+
+    poses_done: int
+    poses_total: int
+    fraction: float
+    remaining_s: float | None
+    waiting_for: Mount | None
+
+
+class Gyro(Document):
+    """Bias of each axis, and the stage's rotation over the integrated rate about the stage's axis."""
+
+    bias_dps: list[float | None]
+    bias_std_dps: list[float | None]
+    scale: float | None
+    scale_std: float | None
+
+
+class Result(Document):
+    """reading = bias_deg + scale·elevation; standard errors are of type A (noise)."""
+
+    bias_deg: float
+    bias_std_deg: float | None
+    scale: float | None
+    scale_std: float | None
+    rms_raw_deg: float
+    rms_calibrated_deg: float | None
+    rms_with_effects_deg: float | None
+    n_poses: int
+    noise_deg: float | None
+    gyro: Gyro
+
+
+class Verdict(Document):
+    """The answer to the limits that match, what is left, and sentences that say it."""
+
+    answer: Literal["pass", "conditional_pass", "conditional_fail", "fail", "no_limits"]
+    left: str | None
+    says: list[str]
+
+
+class RunRecord(Document):
+    """A run as the service has it."""
+
+    id: str
+    unit: str
+    rig: str | None
+    status: Status
+    verdict: Verdict | None
+    plan: dict[str, Any] | None
+    progress: Progress
+    result: Result | None
+    diagnosis: dict[str, Any] | None
+    faults: dict[str, int]
+    follows: str | None
+    operator: str | None
+    note: str | None
+    created_at: datetime
+    started_at: datetime | None
+    finished_at: datetime | None
+    error: str | None
+
+
+class RunEvent(Document):
+    """Something that happened in a run; `id` counts up from 1 in a run's log.
+
+    `data`: of `state` {"status", "error"}, of `progress` a `Progress`, of `pose` a pose with its `index`, of
+    `reading` {"time_s", "stage_deg", "reading_deg", "temperature_c"}.
+    """
+
+    id: int
+    type: str
+    data: dict[str, Any]
+
+    @property
+    def is_last(self) -> bool:
+        """Whether nobody carries the run out after it; resuming an interrupted one adds others."""
+        return self.type == "state" and self.data["status"] in AT_REST
+
+
+class RigState(Document):
+    """A rig and what it is doing."""
+
+    name: str
+    stage: str
+    imu: str
+    simulated: bool
+    state: Literal["idle", "busy", "unreachable", "offline"]
+    run_id: str | None
+    clamp: str | None
+
+
+class Parameter(Document):
+    """A value with its standard error."""
+
+    value: float
+    std: float | None
+
+
+class Effect(Document):
+    """Something that a diagnosis found in the residual."""
+
+    name: str
+    verdict: Literal["named", "ambiguous", "unnamed"]
+    origin: str
+    covariate: str
+    parameters: dict[str, Parameter | None]
+    p_value: float
+    confusable_with: list[str]
+    evidence: list[str]
+    remedy: str
+
+
+class Errors(Document):
+    """RMS of the fit, and of held-out poses."""
+
+    fit_rms_deg: float
+    held_out_rms_deg: float | None
+
+
+class Diagnosis(Document):
+    """What the residual of a run was traced to."""
+
+    runs: list[str]
+    n_poses: int
+    verdict: Literal["named", "ambiguous", "unnamed", "nothing"]
+    effects: list[Effect]
+    base: Errors
+    final: Errors
+    follow_up: dict[str, Any] | None
+    warnings: list[str]
+    says: list[str]
+
+
+class ComparedRun(Document):
+    """The figures of one calibration."""
+
+    run_id: str
+    finished_at: datetime
+    bias_deg: float
+    bias_std_deg: float | None
+    scale: float | None
+    scale_std: float | None
+    rms_calibrated_deg: float | None
+    effects: list[str]
+
+
+class ComparedUnit(Document):
+    """A unit's calibrations, the oldest first, and whether it changed by more than repeatability."""
+
+    unit: str
+    runs: list[ComparedRun]
+    drift_deg_per_day: float | None
+    changed: bool
+    due_at: datetime | None
+    overdue: bool
+
+
+class Comparison(Document):
+    """Units side by side, those first that changed."""
+
+    units: list[ComparedUnit]
+    spread: dict[str, Any]
+
+
+class Solution(Document):
+    """Stage, mounts and units solved together (CONTRACT section 8), as the service keeps it."""
+
+    id: str
+    units: list[dict[str, Any]]
+    stage: dict[str, Any]
+    mounts: list[dict[str, Any]]
+    separable: bool
+    before: dict[str, Any]
+    final: dict[str, Any]
+    warnings: list[str]
+
+
+class Expected(Document):
+    """What a plan is expected to come to."""
+
+    duration_s: float
+    expanded_uncertainty_deg: float | None
+    bias_std_deg: float
+    scale_std: float
+
+
+class PlanDesign(Document):
+    """A plan that was designed, ready for `Client.calibrate`, and what it is expected to come to."""
+
+    plan: dict[str, Any]
+    expected: Expected
+    limit: dict[str, Any] | None
+    says: list[str]
+
+
+class JobState(Document):
+    """Long work under way or ended; `result` is the address of what came of it."""
+
+    id: str
+    state: Literal["queued", "running", "done", "failed", "cancelled"]
+    fraction: float | None = Field(description="None where the work cannot say.")
+    result: str | None
+    error: str | None
+    error_status: int | None = None  # services before it was told have none

@@ -1,0 +1,159 @@
+"""A service from Python in three lines: calibrate, follow, diagnose, compare, apply."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import subprocess
+import sys
+from contextlib import aclosing
+from pathlib import Path
+
+import pytest
+from support import LONG, QUICK, running_service, serving
+
+import calrig
+from calrig.client import Invalid, Refused, RunFailed, Unreachable, documents
+from calrig.errors import InputError, WorkError
+
+
+@pytest.fixture(scope="module")
+def served(rig, tmp_path_factory):
+    path = tmp_path_factory.mktemp("client") / "calrig.db"
+    with running_service(path, rig) as service, serving(service) as client:
+        yield service, str(client.base_url)
+
+
+@pytest.fixture(scope="module")
+def service(served):
+    return calrig.Client(served[1])
+
+
+@pytest.fixture(scope="module")
+def finished(service):
+    run = service.calibrate("AS-0042", plan=QUICK, operator="Ada", note="as found")
+    return run, list(run.events())
+
+
+def test_three_lines_calibrate_a_unit(finished):
+    run, _ = finished
+    assert run.result.bias_deg == pytest.approx(0.8, abs=0.2)  # the simulated mount's offset
+    assert run.record.verdict.says
+    assert (run.record.unit, run.record.operator, run.record.note) == ("AS-0042", "Ada", "as found")
+    assert len(run.poses()) == run.result.n_poses == 6
+
+
+def test_events_are_an_iterator_of_all_that_happened(finished):
+    run, log = finished
+    assert [event.id for event in log] == list(range(1, len(log) + 1))
+    states = [event.data["status"] for event in log if event.type == "state"]
+    assert states == ["queued", "running", "completed"]
+    assert log[-1].is_last
+    assert list(run.events(after=log[-3].id)) == log[-2:]
+    assert list(run.events(after=log[-1].id)) == []
+
+
+def test_what_was_measured_is_compared_and_applied(service, finished):
+    run, _ = finished
+    (unit,) = service.compare("AS-0042").units
+    assert [one.bias_deg for one in unit.runs] == [run.result.bias_deg]
+    calibration = service.calibration("AS-0042")
+    reading_deg = run.result.bias_deg + run.result.scale * 12.0
+    assert calibration.elevation_deg(reading_deg) == pytest.approx(12.0)
+    assert service.runs(unit="AS-0042", begins=run.id[:8]) == [run.look()]
+
+
+def test_refusals_are_exceptions_in_the_service_s_words(service, monkeypatch):
+    with pytest.raises(Refused, match="there is no run nope") as refused:
+        service.run("nope")
+    assert refused.value.status == 404
+    assert isinstance(refused.value, WorkError)
+    with pytest.raises(Invalid, match="stepp") as invalid:
+        service.calibrate("A", plan={"stepp": 5})
+    assert isinstance(invalid.value, InputError)
+    with pytest.raises(InputError, match=r"absent\.csv: cannot be read"):
+        service.import_poses("absent.csv", "A")
+    with pytest.raises(Invalid, match="certificate"):
+        service.plan(target_u_deg=0.001)
+    with pytest.raises(Unreachable, match="does not answer"):
+        calrig.Client("http://127.0.0.1:1").rigs()
+    with pytest.raises(InputError, match="no address"):
+        calrig.Client("lab-pc:8000")
+    with pytest.raises(InputError, match="printable ASCII"):
+        calrig.Client(service.server, token="two\nlines").rigs()
+    monkeypatch.setenv("http_proxy", "http://127.0.0.1:1")
+    assert service.rigs() == calrig.Client(service.server).rigs(), "no proxy hears what stays on this machine"
+
+
+def test_a_plan_is_designed_and_taken_as_it_is(service):
+    design = service.plan(time_s=60.0, trace=False)
+    run = service.calibrate("AS-2", plan=design)
+    assert run.record.plan["elevations_deg"] == design.plan["elevations_deg"]
+    assert design.expected.duration_s <= 60.0
+    assert run.abort().status == "aborted"
+    with pytest.raises(RunFailed, match="aborted") as failed:
+        _ = run.result
+    assert failed.value.record.id == run.id
+
+
+def test_asyncio_does_the_same(served, rig):
+    _, url = served
+
+    async def work():
+        client = calrig.AsyncClient(url)
+        run = await client.calibrate("AS-3", plan=LONG)
+        async with aclosing(run.events()) as events:
+            kinds = [event.type async for event in aiter_slice(events, 3)]
+        assert kinds[0] == "state"
+        with pytest.raises(Refused, match="busy"):
+            await client.calibrate("AS-4", rig=rig.name)
+        await run.abort()
+        assert (await run.wait()).status == "aborted"
+        with pytest.raises(RunFailed):
+            await run.result()
+        return await client.compare("AS-0042"), await client.rigs()
+
+    async def aiter_slice(events, n):
+        async for event in events:
+            yield event
+            n -= 1
+            if n == 0:
+                return
+
+    compared, (known,) = asyncio.run(work())
+    assert compared.units[0].unit == "AS-0042"
+    assert known.name == rig.name
+
+
+def test_every_field_is_one_that_the_service_has():
+    document = json.loads((Path(calrig.__file__).parent / "docs" / "openapi.json").read_text())
+    answers = document["components"]["schemas"]
+    named = {
+        "RunRecord": "RunAnswer",
+        "RigState": "RigAnswer",
+        "Comparison": "Comparison",
+        "ComparedUnit": "ComparedUnit",
+        "ComparedRun": "ComparedRun",
+        "Result": "ResultAnswer",
+        "Gyro": "GyroAnswer",
+        "Progress": "ProgressAnswer",
+        "Mount": "MountAnswer",
+        "Verdict": "Verdict",
+        "Diagnosis": "DiagnosisAnswer",
+        "Effect": "EffectAnswer",
+        "Parameter": "ParameterAnswer",
+        "Solution": "SolutionAnswer",
+        "PlanDesign": "DesignAnswer",
+        "Expected": "ExpectedAnswer",
+        "JobState": "JobAnswer",
+    }
+    for ours, theirs in named.items():
+        assert set(getattr(documents, ours).model_fields) <= set(answers[theirs]["properties"]), ours
+
+
+def test_importing_calrig_imports_no_client_and_the_client_nothing_heavy():
+    heavy = ("pydantic", "numpy", "fastapi", "sqlalchemy")
+    loaded = f"print([m for m in {heavy} if m in sys.modules])"
+    script = f"import sys, calrig; {loaded}; calrig.Client; {loaded}"
+    said = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
+    assert said.split() == ["[]", "['pydantic']"]
