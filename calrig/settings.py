@@ -20,6 +20,7 @@ from pydantic import (
 
 from calrig.invalid_fields import first_problem
 from calrig.laboratory import STANDARDS, LaboratorySettings, Overdue, StandardSettings, Strict
+from calrig.webhook_settings import WebhookSettings
 
 CONFIG_NAME = "calrig.toml"
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+_.-]*://")
@@ -182,6 +183,8 @@ class Settings(Strict):
 
     laboratory: LaboratorySettings = LaboratorySettings()
     centre: CentreSettings = CentreSettings()
+    webhook: WebhookSettings | None = None
+    """Here alone: no request could have the service speak to an address of its choice."""
 
     _file: Path | None = PrivateAttr(default=None)
 

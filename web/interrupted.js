@@ -27,8 +27,9 @@ function measuredAgain({ target_deg, before_deg, after_deg, difference_deg, diff
 
 /** Buttons for a run that lies interrupted; `ask(verb)` posts resume or abort. */
 export function wayOn(run, ask) {
-  if (run.status !== "interrupted") return null;
   const button = (id, verb, text) => h("button", { id, type: "button", on: { click: () => ask(verb) } }, text);
+  if (run.status === "queued" && run.error) return h("div", { class: "buttons" }, button("go-held", "resume", "Go"));
+  if (run.status !== "interrupted") return null;
   return h(
     "section",
     { class: "card", "aria-label": "Interrupted" },

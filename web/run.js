@@ -230,12 +230,13 @@ class RunPage {
     }
   }
 
-  /** Resumes an interrupted run and follows it; or ends it. */
+  /** Resumes an interrupted run, or one that is held, and follows it; or ends it. */
   async #goOn(verb) {
     this.error.say(null);
     try {
+      const { ended } = this;
       this.#show(await post(`${this.path}/${verb}`));
-      await this.begin();
+      if (ended) await this.begin(); // one that waited is followed already
     } catch (error) {
       this.#say(error);
     }

@@ -17,6 +17,7 @@ from calrig.analysis.due_dates import INTERVAL_DAYS
 from calrig.api import (
     amendments,
     archive,
+    batches,
     benches,
     calibrations,
     changes,
@@ -63,6 +64,7 @@ from calrig.settings import CentreSettings, packed
 
 PARTS = (
     runs,
+    batches,
     amendments,
     plans,
     clamp,

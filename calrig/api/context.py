@@ -2,6 +2,7 @@
 
 from collections.abc import Collection
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Annotated
 
 from fastapi import Depends, FastAPI, Request
@@ -20,6 +21,7 @@ from calrig.api.looks import Lately
 from calrig.api.streams import Streams
 from calrig.laboratory import LaboratorySettings
 from calrig.processes.pool import Processes
+from calrig.runs.batches import RunBatches
 from calrig.runs.errands import Errands
 from calrig.runs.services import Service
 from calrig.settings import CentreSettings
@@ -50,6 +52,11 @@ class ApiContext:
     lately: Lately = field(default_factory=Lately)
     laboratory: LaboratorySettings = field(default_factory=LaboratorySettings)
     error_maps: dict[str, tuple[Basis, ErrorMap]] = field(default_factory=dict)
+
+    @cached_property
+    def batches(self) -> RunBatches:
+        """Lists of units that are calibrated one after the other."""
+        return RunBatches(self.service)
 
     @property
     def diagnoses(self) -> Diagnoses:

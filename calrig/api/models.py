@@ -48,7 +48,7 @@ class StartRun(Body):
     )
     queue: bool = Field(
         default=False,
-        description="At a centre, whether it waits its turn where the rig is busy or its bench away.",
+        description="Whether it waits its turn where the rig is busy or, at a centre, its bench away.",
     )
 
 

@@ -63,7 +63,8 @@ def local_service(
         rigs: those that runs may be started on.
         settings: all that is configured.
         record: folder that takes what passes on the wires; None keeps the last minute only.
-        drafts: whether completed calibrations make drafts here; a bench leaves them to its centre.
+        drafts: whether completed calibrations make drafts here; a bench leaves them to its centre, as it does
+            what waits its turn.
     """
     with ExitStack() as stack:
         with ThreadPoolExecutor(1) as beside:
@@ -88,7 +89,7 @@ def local_service(
                 troubles.update(stop_stages(rig_names, configured))
 
             store = stack.enter_context(Store.open(url, writer=command, left_by_the_dead=stop))
-            mark_interrupted(store, troubles)
+            mark_interrupted(store, troubles, keeps_queue=drafts)
             keep_configured(settings, store)
             issuer = Issuer(store, Releases.of(rigs)) if drafts else NoDrafts(store)
             issuer.bring_over()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import gc
-from contextlib import AbstractContextManager, closing, suppress
+from contextlib import AbstractContextManager, ExitStack, closing, suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -68,9 +68,15 @@ def _serve_on(
         if is_centre(url)
         else local_service(url, "serve", settings.rig, settings, record)
     )
-    with serving as service, suppress(KeyboardInterrupt):
+    with serving as service, suppress(KeyboardInterrupt), ExitStack() as stack:
         if settings.keep_samples_days is not None:
             service.store.prune_samples(datetime.now(UTC) - timedelta(days=settings.keep_samples_days))
+
+        if settings.webhook is not None:
+            from calrig.runs.webhook import Webhook
+
+            hook = stack.enter_context(closing(Webhook(service, settings.webhook)))
+            hook.start()
 
         kept_in = str(settings.file) if settings.limit else None
         app = create_app(

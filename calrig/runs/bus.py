@@ -13,11 +13,17 @@ class Bus:
         self._lock = threading.Lock()
         self._watchers: dict[str, list[Callable[[], None]]] = {}
         self._of_all: list[Callable[[], None]] = []
+        self._hearing: list[Callable[[str], None]] = []
 
     def subscribe_to_all(self, wake: Callable[[], None]) -> None:
         """Has `wake` called after each commit of new events of any run."""
         with self._lock:
             self._of_all.append(wake)
+
+    def hear(self, heard: Callable[[str], None]) -> None:
+        """Has `heard` called with the run after each commit of new events of any run."""
+        with self._lock:
+            self._hearing.append(heard)
 
     def subscribe(self, run_id: str, wake: Callable[[], None]) -> Callable[[], None]:
         """Has `wake` called after each commit of new events of the run; returns the way to end it."""
@@ -38,8 +44,11 @@ class Bus:
         """Calls everybody who watches the run."""
         with self._lock:
             watchers = [*self._watchers.get(run_id, ()), *self._of_all]
+            hearing = list(self._hearing)
         for wake in watchers:
             wake()
+        for heard in hearing:
+            heard(run_id)
 
     def wake_all(self) -> None:
         """Calls everybody: what happened meanwhile was not heard."""

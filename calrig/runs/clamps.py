@@ -20,10 +20,10 @@ T = TypeVar("T")
 
 
 class Clamps:
-    """The clamps of a service's rigs. Thread-safe."""
+    """The clamps of a service's rigs. Thread-safe. `still` is called with a rig whose clamp has turned."""
 
-    def __init__(self, crew: Crew) -> None:
-        self._crew = crew
+    def __init__(self, crew: Crew, still: Callable[[str], None]) -> None:
+        self._crew, self._still = crew, still
         self._errands = Errands()
         self._lock = threading.Lock()
         self._turning: set[str] = set()
@@ -63,6 +63,7 @@ class Clamps:
             finally:
                 with self._lock:
                     self._turning.discard(rig.name)
+                self._still(rig.name)
             return answer()
 
         with self._lock:

@@ -19,6 +19,11 @@ class Crew:
         self._called_off: set[str] = set()
         self._is_closing = False
 
+    @property
+    def is_closing(self) -> bool:
+        """Whether nobody is taken any more."""
+        return self._is_closing
+
     def require_free(self, rig_name: str, run_id: str | None = None) -> None:
         """Raises Conflict where a rig takes no run now, or not this one, and why."""
         with self._lock:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 from calrig.instruments.errors import InstrumentError
+from calrig.runs.queue import HELD, waits_its_turn
 from calrig.runs.rig import stop_stage
 from calrig.settings import RigSettings
 from calrig.store import Store
@@ -34,13 +35,18 @@ def stop_stages(names: Sequence[str], rigs: Mapping[str, RigSettings]) -> dict[s
         return {name: trouble for name, trouble in zip(names, said, strict=True) if trouble is not None}
 
 
-def mark_interrupted(store: Store, troubles: Mapping[str, str]) -> list[str]:
+def mark_interrupted(store: Store, troubles: Mapping[str, str], *, keeps_queue: bool = False) -> list[str]:
     """Marks the runs that a dead program left unfinished as `interrupted`; returns their ids.
 
-    For a writer that has just opened the store: then no living program carries any of them out.
+    For a writer that has just opened the store: then no living program carries any of them out. With
+    `keeps_queue` those that only waited their turn stay `queued`, and say what they wait for now.
     """
-    left = store.unfinished()
-    for run in left:
+    left = []
+    for run in store.unfinished():
+        if keeps_queue and waits_its_turn(run):
+            store.update_run(run.id, error=HELD)
+            continue
+        left.append(run)
         trouble = troubles.get(run.rig or "")
         log.warning("run %s was interrupted: %s", run.id, trouble or "its stage stands")
         store.update_run(run.id, status="interrupted", error=f"{DIED}; {trouble}" if trouble else DIED)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -18,6 +18,7 @@ import numpy as np
 
 from calrig.analysis.active_calibration import ActiveCalibration, active_calibration
 from calrig.analysis.errors import Conflict, NotTheSame
+from calrig.analysis.stage_maps import provenance_part
 from calrig.analysis.unresolved import unresolved
 from calrig.calibration.pose import Pose
 from calrig.estimation.angles import wrap_deg
@@ -26,10 +27,13 @@ from calrig.estimation.reading import Reading
 from calrig.plan import Plan, PlanError
 from calrig.runs import ordered
 from calrig.runs.follow_up import FollowUpRun
+from calrig.runs.planned import planned_poses
+from calrig.runs.references import require_in_date
 from calrig.runs.rig import Rig
 from calrig.runs.task import Earlier, Task
 from calrig.settings import RigSettings
 from calrig.store import Run, Store
+from calrig.store.records import Document
 
 MAY_DIFFER = ("port", "baudrate")
 """Of a rig: where its devices are plugged in today."""
@@ -79,6 +83,21 @@ def resumed_task(store: Store, run: Run, settings: RigSettings) -> Task:
             "resumed_at": datetime.now(UTC).isoformat(timespec="seconds"),
         },
     )
+
+
+def waiting_task(store: Store, run: Run, settings: RigSettings, maps: Mapping[str, Document]) -> Task:
+    """A run whose turn has come, of which nothing has been done: by the stage's map that is in force now.
+
+    Raises:
+        Invalid: an elevation lies beyond the rig's limits, as they are configured now.
+        Conflict: a certificate is overdue; the revision that a verification is to apply is not there.
+    """
+    require_in_date(settings)
+    plan = Plan.model_validate(run.plan)
+    verifies = _verified(store, run, plan, settings)
+    origin = {key: value for key, value in run.provenance.items() if key != "stage_map"}
+    now = replace(run, provenance={**origin, **provenance_part(store, settings.name, maps)})
+    return Task(now, settings, plan, planned_poses(plan, settings), verifies=verifies)
 
 
 def _verified(store: Store, run: Run, plan: Plan, rig: RigSettings) -> ActiveCalibration | None:

@@ -29,8 +29,9 @@ from calrig.runs.good_enough import require_a_reference
 from calrig.runs.meter import Meter
 from calrig.runs.new_run import NewRun
 from calrig.runs.planned import planned_poses
+from calrig.runs.queue import RunQueue
 from calrig.runs.references import require_in_date
-from calrig.runs.resume import resumed_task
+from calrig.runs.resume import resumed_task, waiting_task
 from calrig.runs.rig_states import RigState, state_of
 from calrig.runs.stage_place import leave_at
 from calrig.runs.states import check_transition
@@ -77,7 +78,10 @@ class RunService:
         self._beginning = threading.Lock()  # held while the store is told of a run that takes a rig
         self._crew = Crew()
         self._stops = Stops(self._crew)
-        self._clamps = Clamps(self._crew)
+        self._queue = RunQueue(
+            store, self.bus, self.meter, self._beginning, self._require_ready, self._begin_waiting
+        )
+        self._clamps = Clamps(self._crew, self._queue.next)
         self._record = record
 
     def rigs(self) -> list[RigState]:
@@ -97,12 +101,12 @@ class RunService:
         operator: str | None = None,
         note: str | None = None,
         stage_at_deg: float | None = None,
-        queue: bool = False,  # noqa: ARG002 (a rig of this machine has no queue yet: busy is refused)
+        queue: bool = False,
     ) -> Run:
         """Starts a run on a rig (the first one configured where none is named) and returns it at once.
 
         `stage_at_deg` is a person's word for the elevation at which a stage without homing stands; `queue`
-        asks to wait for a busy rig, which only a centre does.
+        has the run wait its turn where the rig is busy.
 
         Raises:
             Invalid: the serial number or an elevation of the plan is out of bounds; nothing was stored.
@@ -114,7 +118,7 @@ class RunService:
         wanted = NewRun(
             unit=unit, plan=plan, operator=operator, who=operator, note=note, stage_at_deg=stage_at_deg
         )
-        return self.begin(settings, wanted)
+        return self.begin(settings, wanted, waits=queue)
 
     def follow_up(self, run_id: str, apart: Apart = run_apart, who: str | None = None) -> Run:
         """Starts the run that best separates what the diagnosis of a run (and those before it) could not.
@@ -139,8 +143,11 @@ class RunService:
         )
         return self.begin(settings, wanted)
 
-    def begin(self, settings: RigSettings, wanted: NewRun) -> Run:
-        """Starts a run on a rig of this service, which is free or kept for that run; errors as of `start`."""
+    def begin(self, settings: RigSettings, wanted: NewRun, *, waits: bool = False) -> Run:
+        """Starts a run on a rig of this service, which is free or kept for that run; errors as of `start`.
+
+        With `waits` it is stored as `queued` where the rig is not free, and begins once it is.
+        """
         plan = wanted.plan
         require_in_date(settings)
         planned = planned_poses(plan, settings)
@@ -152,13 +159,37 @@ class RunService:
             kept = provenance_part(self.store, settings.name, self.maps)
             wanted = replace(wanted, origin={**wanted.origin, **kept})
         with self._beginning:
-            self._crew.require_free(settings.name, wanted.run_id)
             self._clamps.require_still(settings.name)
+            try:
+                self._crew.require_free(settings.name, wanted.run_id)
+                self._queue.require_nobody(settings.name)
+            except Conflict:
+                if not waits or self._crew.is_closing:
+                    raise
+                return self._wait_in_turn(settings.name, wanted, len(planned))
             if wanted.stage_at_deg is not None:
                 leave_at(self.store, settings, wanted.stage_at_deg)
             run = wanted.keep(self.store, settings.name, len(planned))
             self._employ(Task(run, settings, plan, planned, wanted.follow_up, wanted.verifies))
         return self.run(run.id)
+
+    def _wait_in_turn(self, rig_name: str, wanted: NewRun, n_poses: int) -> Run:
+        if wanted.stage_at_deg is not None:
+            raise Conflict("where the stage stands cannot be said of a run that waits: others move it before")
+        run = wanted.keep(self.store, rig_name, n_poses)
+        self._queue.add(run)
+        return run
+
+    def _begin_waiting(self, run: Run) -> None:
+        """Begins a run whose turn has come."""
+        settings = self._rigs.get(run.rig or "")
+        if settings is None:
+            raise Conflict(f"rig {run.rig!r} is not configured any more")
+        self._employ(waiting_task(self.store, run, settings, self.maps))
+
+    def _require_ready(self, rig_name: str) -> None:
+        self._crew.require_free(rig_name)
+        self._clamps.require_still(rig_name)
 
     def is_free(self, rig_name: str) -> bool:
         """Whether no run is on a rig, and none is about to be."""
@@ -176,11 +207,15 @@ class RunService:
 
     def _employ(self, task: Task) -> None:
         """Starts a worker; called while nobody else begins a run."""
-        left, ended = self._crew.left_rig, self._crew.ended
-        worker = Worker(task, self.store, self.issuer, self.bus, self.meter, left, ended, self._record)
+        left = self._crew.left_rig
+        worker = Worker(task, self.store, self.issuer, self.bus, self.meter, left, self._ended, self._record)
         if self._crew.take(worker):
             worker.control.end(BY_REQUEST)
         worker.start()
+
+    def _ended(self, worker: Worker) -> None:
+        self._crew.ended(worker)
+        self._queue.next(worker.rig.name)
 
     def run(self, run_id: str) -> Run:
         """The run, or Unknown. One whose end the store could not be told of yet is as it ended."""
@@ -192,7 +227,7 @@ class RunService:
     def abort(self, run_id: str) -> Run:
         """Stops the stage now and ends the run; returns once it has ended, or two seconds after the stage.
 
-        An interrupted run, which nobody carries out, will not be resumed.
+        A run that waits its turn will not begin, an interrupted one not be resumed.
 
         Raises:
             Unknown: there is no such run.
@@ -201,9 +236,13 @@ class RunService:
         if errand := self.begin_abort(run_id):
             return errand.result()
         with self._beginning:
+            if self._queue.take_out(run_id):
+                return self.run(run_id)
             run = self.run(run_id)
             if run.status == "interrupted" and self._crew.of_run(run_id) is None:
-                return self.store.update_run(run_id, status="aborted")
+                aborted = self.store.update_run(run_id, status="aborted")
+                self.bus.wake(run_id)
+                return aborted
         return self._aborted(self._worker(run_id, "aborted"))
 
     def begin_abort(self, run_id: str) -> Errand[Run] | None:
@@ -223,6 +262,8 @@ class RunService:
     def stop(self, rig_name: str) -> RigState:
         """Stops a rig's stage now, whatever runs: a run on it is aborted, an idle stage is told by itself.
 
+        What waits for the rig is aborted as well.
+
         Returns once the stage was seen to stand.
 
         Raises:
@@ -235,7 +276,14 @@ class RunService:
         """As `stop`, in a thread that is this rig's alone; who asks while it is being told shares that."""
         rig = self._rig(rig_name)
         self._crew.call_off(rig_name)
-        return self._stops.stop(rig, lambda: self._state_of(rig))
+        telling = threading.Thread(target=self._queue.call_off(rig_name), name=f"waited for {rig_name}")
+        telling.start()  # beside the stop, which waits for no store
+
+        def stopped() -> RigState:
+            telling.join(ANSWER_S)
+            return self._state_of(rig)
+
+        return self._stops.stop(rig, stopped)
 
     def begin_clamp(self, rig_name: str, mount_deg: float, axis: MountAxis) -> Errand[RigState]:
         """Has a rig's clamp turn the unit, in a thread of its own; errors as of `Clamps.turn`, or Unknown."""
@@ -254,6 +302,8 @@ class RunService:
     def resume(self, run_id: str) -> Run:
         """Has a paused run go on, or takes the wish for a pause back; resumes an interrupted run.
 
+        A run that waited while the service was started anew waits its turn again.
+
         Raises:
             Unknown: there is no such run.
             Conflict: it is neither paused nor interrupted; its rig is busy, not configured any more, or
@@ -262,6 +312,8 @@ class RunService:
         run = self.run(run_id)
         if run.status == "interrupted":
             return self._resume_interrupted(run)
+        if self._queue.go(run_id):
+            return self.run(run_id)
         self._worker(run_id, "resumed").go_on()
         return self.run(run_id)
 

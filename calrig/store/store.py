@@ -7,6 +7,7 @@ from types import TracebackType
 from typing import Self
 
 from calrig.store.amendments import Amendments
+from calrig.store.batches import Batches
 from calrig.store.bench_backlog import BenchBacklog
 from calrig.store.bench_commands import BenchCommands
 from calrig.store.benches import Benches
@@ -33,6 +34,7 @@ from calrig.store.trail import Trail
 from calrig.store.units import Units
 from calrig.store.unpacking import Unpacking
 from calrig.store.users import Users
+from calrig.store.webhook import Deliveries
 
 
 class Store(
@@ -58,6 +60,8 @@ class Store(
     Fleet,
     FleetFindings,
     Solutions,
+    Batches,
+    Deliveries,
     StageMaps,
     LogStudies,
 ):

@@ -179,3 +179,16 @@ def test_a_centre_has_no_rigs_of_its_own(url: str, tmp_path: Path, arguments: tu
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert why in line
+
+
+def test_a_list_of_units_is_carried_out_by_benches(centre: CentreService, bench: TableBench) -> None:
+    with serving(centre) as client:
+        body = {"units": ["L-1", "L-2"], "rigs": ["bench-1"], "plan": QUICK}
+        path = f"/api/batches/{client.post('/api/batches', json=body).raise_for_status().json()['id']}"
+        begun = client.post(f"{path}/start", json={"rig": "bench-1", "unit": "L-1"}).raise_for_status().json()
+        (rig,) = begun["rigs"]
+        assert (rig["on"]["state"], rig["status"], rig["next"]["unit"]) == ("running", "queued", "L-2")
+        assert client.post(f"{path}/start", json={"rig": "bench-1", "unit": "L-2"}).status_code == 409
+        client.post(f"/api/runs/{rig['on']['run_id']}/abort").raise_for_status()
+        (rig,) = client.get(path).json()["rigs"]
+        assert (rig["on"]["unit"], rig["on"]["state"]) == ("L-1", "waiting")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +54,9 @@ def fill(path: Path) -> str:
         with closing(RunService(store, [])) as service, serving(service) as client:
             _amend(client)
         store.name_check_unit("r", "A-3", 7.0, who="ada")
+        batch = store.keep_batch({"rigs": ["r"], "plan": {"dwell_s": 0.1}, "note": "Ä"}, ["A-1", "Ä-2"])
+        store.write_turns(batch.id, batch.turns, [replace(batch.turns[0], state="done", why="größer")])
+        store.note_end(store.runs(status="completed")[0][0].id, datetime.now(UTC))
         store.say_item("A-3", Item(customer="山田 & Søn", condition="neu", supplied=("customer",)), who="ada")
         solution = store.keep_solution(SOLVED, by="ada")
         store.put_stage_map("r", solution.id, SOLVED.stage_map, who="ada")

@@ -1,0 +1,297 @@
+"""Lists of units that are calibrated one after the other, as every tab, phone and reload shows them."""
+
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+
+import hashlib
+from datetime import datetime
+from typing import Annotated, Literal
+
+from fastapi import APIRouter, Header
+from fastapi.responses import Response
+from pydantic import Field
+from starlette.concurrency import run_in_threadpool
+
+from calrig.api.callers import Who, requires
+from calrig.api.context import ApiContext, Context
+from calrig.api.errors import problems
+from calrig.api.heavy import Heavy
+from calrig.api.models import Answer, Body, MountAnswer, ProgressAnswer, Status
+from calrig.plan import Plan
+from calrig.runs.batch_turns import word_of
+from calrig.runs.batches import Standing, serials_in
+from calrig.store import Run
+from calrig.store.batches import Turn
+
+router = APIRouter(tags=["batches"])
+LONGEST_CSV = 200_000
+Serials = Annotated[list[Annotated[str, Field(max_length=1000)]], Field(max_length=10_000)]
+
+
+class UnitsBody(Body):
+    """Serials, one an entry, or a CSV: its column `unit` or `serial`, else its first."""
+
+    units: Serials = Field(default_factory=list)
+    csv: Annotated[str, Field(max_length=LONGEST_CSV)] | None = None
+
+    def serials(self) -> list[str]:
+        """All of them, in order."""
+        return [*self.units, *(serials_in(self.csv) if self.csv else ())]
+
+
+class MakeBatch(UnitsBody):
+    """A list: its units, the rigs side by side that they go to (without any, the first), and how."""
+
+    rigs: Annotated[list[str], Field(max_length=50)] | None = None
+    plan: Plan = Plan()
+    operator: Annotated[str, Field(max_length=200)] | None = None
+    note: Annotated[str, Field(max_length=10_000)] | None = None
+    failed: Literal["end", "follow_up"] = Field(
+        default="end",
+        description="A unit that fails gets another turn at the end, or at once the run that tells why.",
+    )
+
+
+class NameUnit(Body):
+    """A unit of the list."""
+
+    unit: str
+
+
+class StartTurn(Body):
+    """What a person has mounted, and where."""
+
+    rig: str
+    unit: str
+    stage_at_deg: Annotated[float, Field(ge=-360, le=360)] | None = None
+
+
+class TurnAnswer(Answer):
+    """A unit's turn. `word`: pass or fail by its limits, `done` without any; null before it was measured."""
+
+    position: int
+    unit: str
+    state: Literal["waiting", "follow_up", "running", "done", "failed", "removed"]
+    rig: str | None
+    run_id: str | None
+    word: Literal["pass", "fail", "done"] | None
+    why: str | None
+
+
+class BatchRigAnswer(Answer):
+    """A rig of the list. `on` is under way or to be mounted, `next` comes then, `last` ended last."""
+
+    name: str
+    state: Literal["idle", "busy", "unreachable", "offline"]
+    busy_with: str | None
+    on: TurnAnswer | None
+    status: Status | None = Field(description="Of the run under way.")
+    progress: ProgressAnswer | None
+    waiting_for: MountAnswer | None
+    next: TurnAnswer | None
+    last: TurnAnswer | None
+    last_says: list[str]
+
+
+class BatchAnswer(Answer):
+    """A list as it stands."""
+
+    id: str
+    created_at: datetime
+    closed_at: datetime | None
+    plan: Plan
+    operator: str | None
+    note: str | None
+    failed: Literal["end", "follow_up"]
+    rigs: list[BatchRigAnswer]
+    units: list[TurnAnswer]
+    known: list[str] = Field(description="Of units just added, those that the list had already.")
+
+
+class ListedBatch(Answer):
+    """A list among the others."""
+
+    id: str
+    created_at: datetime
+    closed_at: datetime | None
+    rigs: list[str]
+    operator: str | None
+    note: str | None
+
+
+@router.get("/api/batches", response_model=list[ListedBatch], summary="Lists of units, the newest first")
+def list_batches(context: Context) -> object:
+    """The last twenty."""
+    return [
+        ListedBatch(
+            id=one.id,
+            created_at=one.created_at,
+            closed_at=one.closed_at,
+            rigs=one.document["rigs"],
+            operator=one.document["operator"],
+            note=one.document["note"],
+        )
+        for one in context.store.batches()
+    ]
+
+
+@router.post(
+    "/api/batches",
+    dependencies=[requires("operator")],
+    status_code=201,
+    response_model=BatchAnswer,
+    responses=problems(404, 413, 422),
+    summary="Make a list of units",
+)
+def make_batch(body: MakeBatch, context: Context, who: Who) -> object:
+    """Nothing moves before a person says that a unit is mounted. A unit named twice has one turn."""
+    rigs = body.rigs or [context.service.known_rig(None).name]
+    made = context.batches.make(
+        body.serials(),
+        rigs=rigs,
+        plan=body.plan,
+        failed=body.failed,
+        operator=who or body.operator,
+        note=body.note,
+    )
+    return _answer(context, made.id)
+
+
+@router.get(
+    "/api/batches/{batch_id}",
+    response_class=Response,
+    responses={
+        200: {"model": BatchAnswer},
+        304: {"description": "Nothing has changed since the `ETag` of `If-None-Match`."},
+        **problems(404),
+    },
+    summary="A list as it stands",
+)
+def show_batch(batch_id: str, context: Context, if_none_match: Annotated[str, Header()] = "") -> Response:
+    """Asked for again and again by those who watch: 304 while nothing has changed."""
+    body = _answer(context, batch_id).model_dump_json().encode()
+    tag = f'"{hashlib.sha256(body).hexdigest()[:16]}"'
+    if tag in if_none_match:
+        return Response(status_code=304, headers={"ETag": tag})
+    return Response(body, headers={"ETag": tag}, media_type="application/json")
+
+
+@router.post(
+    "/api/batches/{batch_id}/units",
+    dependencies=[requires("operator")],
+    response_model=BatchAnswer,
+    responses=problems(404, 409, 413, 422),
+    summary="Add units to a list",
+)
+def add_units(batch_id: str, body: UnitsBody, context: Context) -> object:
+    """At its end; what it has already stays where it is, and is told in `known`."""
+    known = context.batches.add(batch_id, body.serials())
+    return _answer(context, batch_id, known)
+
+
+@router.post(
+    "/api/batches/{batch_id}/remove",
+    dependencies=[requires("operator")],
+    response_model=BatchAnswer,
+    responses=problems(404, 409, 422),
+    summary="Take a unit out of a list",
+)
+def remove_unit(batch_id: str, body: NameUnit, context: Context) -> object:
+    """One that waits; 409 otherwise."""
+    context.batches.remove(batch_id, body.unit)
+    return _answer(context, batch_id)
+
+
+@router.post(
+    "/api/batches/{batch_id}/start",
+    dependencies=[requires("operator")],
+    response_model=BatchAnswer,
+    responses=problems(404, 409, 422),
+    summary="A unit of a list is mounted: begin its run",
+)
+async def start_turn(batch_id: str, body: StartTurn, context: Context, heavy: Heavy, who: Who) -> object:
+    """409 where the unit does not wait or the rig is busy: of two who ask at once one is refused.
+
+    A board that says another serial fails the run before anything moves, and the unit stays next.
+    """
+
+    def begin() -> BatchAnswer:
+        start = context.batches.start
+        start(batch_id, body.rig, body.unit, heavy.from_thread, who, body.stage_at_deg)
+        return _answer(context, batch_id)
+
+    return await run_in_threadpool(begin)
+
+
+@router.post(
+    "/api/batches/{batch_id}/close",
+    dependencies=[requires("operator")],
+    response_model=BatchAnswer,
+    responses=problems(404, 409),
+    summary="End a list",
+)
+def close_batch(batch_id: str, context: Context) -> object:
+    """A run under way goes on."""
+    context.batches.close(batch_id)
+    return _answer(context, batch_id)
+
+
+def _answer(context: ApiContext, batch_id: str, known: list[str] | None = None) -> BatchAnswer:
+    standing = context.batches.standing(batch_id)
+    states = {rig.name: rig for rig in context.service.rigs()}
+    document = standing.batch.document
+    return BatchAnswer(
+        id=standing.batch.id,
+        created_at=standing.batch.created_at,
+        closed_at=standing.batch.closed_at,
+        plan=document["plan"],
+        operator=document["operator"],
+        note=document["note"],
+        failed=document["failed"],
+        rigs=[_rig(standing, name, states.get(name)) for name in document["rigs"]],
+        units=[_turn(standing, turn) for turn in standing.now.turns if turn.state != "removed"],
+        known=known or [],
+    )
+
+
+def _rig(standing: Standing, name: str, state: object) -> BatchRigAnswer:
+    on, then = standing.now.on[name], standing.now.then[name]
+    run = standing.runs.get(on.run_id or "") if on is not None and on.state == "running" else None
+    last = _last(standing, name)
+    ended = None if last is None else standing.runs[last.run_id or ""]
+    progress = None if run is None else run.progress
+    return BatchRigAnswer(
+        name=name,
+        state=getattr(state, "state", "offline"),
+        busy_with=getattr(state, "run_id", None),
+        on=None if on is None else _turn(standing, on),
+        status=None if run is None else run.status,
+        progress=None if progress is None else ProgressAnswer.model_validate(progress),
+        waiting_for=None if progress is None else progress.get("waiting_for"),
+        next=None if then is None else _turn(standing, then),
+        last=None if last is None else _turn(standing, last),
+        last_says=[] if ended is None or ended.verdict is None else ended.verdict.says,
+    )
+
+
+def _last(standing: Standing, rig: str) -> Turn | None:
+    """What ended last on a rig, among what was measured."""
+    mine = [turn for turn in standing.now.turns if turn.rig == rig and turn.state in ("done", "failed")]
+    return max((t for t in mine if t.run_id), key=lambda t: str(_finished(standing, t)), default=None)
+
+
+def _finished(standing: Standing, turn: Turn) -> datetime | None:
+    return standing.runs[turn.run_id or ""].finished_at
+
+
+def _turn(standing: Standing, turn: Turn) -> TurnAnswer:
+    run: Run | None = standing.runs.get(turn.run_id or "")
+    ended = turn.state in ("done", "failed") and run is not None
+    return TurnAnswer(
+        position=turn.position,
+        unit=turn.unit,
+        state=turn.state,
+        rig=turn.rig,
+        run_id=turn.run_id,
+        word=word_of(run) if ended and run is not None else None,
+        why=turn.why,
+    )

@@ -1,0 +1,226 @@
+"""Units calibrated one after the other, from a list that the service keeps: all pages show the same."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+from calrig.analysis.errors import Conflict, Invalid
+from calrig.analysis.origin import check_serial
+from calrig.plan import Plan
+from calrig.processes.pool import Apart
+from calrig.runs.batch_turns import Settled, settled
+from calrig.runs.planned import planned_poses
+from calrig.runs.services import Service
+from calrig.store import Run
+from calrig.store.batches import Batch, Turn
+
+MOST_UNITS = 2000
+NAMES = ("unit", "serial", "serial number", "serial_number", "sn")
+"""Headings over the serials of a table."""
+REMEMBERED = 4096
+"""Runs that have ended, which a look at a list need not read again."""
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """A list as it stands, with the runs of its turns by id."""
+
+    batch: Batch
+    now: Settled
+    runs: Mapping[str, Run]
+
+
+class RunBatches:
+    """The lists of a service. Thread-safe."""
+
+    def __init__(self, service: Service) -> None:
+        self._service, self._store = service, service.store
+        self._ended_run = lru_cache(REMEMBERED)(service.run)
+
+    def make(
+        self,
+        units: Sequence[str],
+        *,
+        rigs: Sequence[str],
+        plan: Plan,
+        failed: str,
+        operator: str | None,
+        note: str | None,
+    ) -> Batch:
+        """Keeps a new list; the same unit twice has one turn.
+
+        Raises:
+            Invalid: no serials, too many, or what is none; a pose is beyond the limits of a rig.
+            Unknown: there is no such rig.
+        """
+        serials = checked(units)
+        if not rigs:
+            raise Invalid("a list is for one rig at least", ["rigs"])
+        for name in rigs:
+            planned_poses(plan, self._service.known_rig(name))
+        document = {
+            "rigs": list(dict.fromkeys(rigs)),
+            "plan": plan.model_dump(mode="json"),
+            "failed": failed,
+            "operator": operator,
+            "note": note,
+        }
+        return self._store.keep_batch(document, serials)
+
+    def add(self, batch_id: str, units: Sequence[str]) -> list[str]:
+        """Adds units at the end; gives those that the list has already. Errors as of `make` and the store."""
+        standing = self.standing(batch_id)
+        serials = checked(units)
+        if len(standing.now.turns) + len(serials) > MOST_UNITS:
+            raise Invalid(f"a list has at most {MOST_UNITS} units: make another one", ["units"])
+        self._store.write_turns(batch_id, standing.batch.turns, standing.now.written)
+        return self._store.add_turns(batch_id, serials)
+
+    def remove(self, batch_id: str, unit: str) -> None:
+        """Takes a unit out that waits, or Conflict."""
+        standing = self.standing(batch_id)
+        turn = _waiting(standing, unit)
+        gone = replace(turn, state="removed", rig=None)
+        self._write(standing, gone)
+
+    def start(
+        self,
+        batch_id: str,
+        rig: str,
+        unit: str,
+        apart: Apart,
+        who: str | None,
+        stage_at_deg: float | None = None,
+    ) -> Run:
+        """Begins the run of a unit that a person has mounted on a rig, and keeps the next unit for that rig.
+
+        Raises:
+            Unknown: there is no such rig.
+            Conflict: the unit does not wait, or the rig is busy: of two who ask at once one is refused.
+        """
+        standing = self.standing(batch_id)
+        if standing.batch.closed_at is not None:
+            raise Conflict("this list is closed: make another one")
+        document = standing.batch.document
+        if rig not in document["rigs"]:
+            raise Conflict(f"this list is not for rig {rig!r}")
+        turn = _waiting(standing, unit)
+        if turn.state == "follow_up":
+            run = self._follow_up(standing, turn, apart, who)
+        else:
+            run = self._service.start(
+                unit=unit,
+                rig=rig,
+                plan=Plan.model_validate(document["plan"]),
+                operator=who or document["operator"],
+                note=document["note"],
+                stage_at_deg=stage_at_deg,
+            )
+        begun = replace(turn, state="running", rig=run.rig, run_id=run.id, why=None)
+        kept = _kept(standing.now, rig, begun)
+        try:
+            self._write(standing, begun, *kept)
+        except Exception:
+            self._service.abort(run.id)  # nobody would know that it belongs to the list
+            raise
+        return run
+
+    def _follow_up(self, standing: Standing, turn: Turn, apart: Apart, who: str | None) -> Run:
+        assert turn.run_id is not None  # noqa: S101 (of a follow-up)
+        try:
+            return self._service.follow_up(turn.run_id, apart, who)
+        except Conflict as error:
+            if turn.rig in {state.name for state in self._service.rigs() if state.state == "busy"}:
+                raise
+            self._write(standing, replace(turn, state="failed", why=str(error)))
+            raise
+
+    def close(self, batch_id: str) -> None:
+        """Ends a list; what is under way goes on."""
+        standing = self.standing(batch_id)
+        self._store.write_turns(batch_id, standing.batch.turns, standing.now.written)
+        self._store.close_batch(batch_id)
+
+    def standing(self, batch_id: str) -> Standing:
+        """How a list stands now; changes nothing."""
+        batch = self._store.batch(batch_id)
+        runs = {turn.run_id: self._run(turn) for turn in batch.turns if turn.run_id is not None}
+        document = batch.document
+        return Standing(batch, settled(batch.turns, runs, document["rigs"], document["failed"]), runs)
+
+    def _run(self, turn: Turn) -> Run:
+        """Its run; one that had ended for good when the turn was written is not read again."""
+        assert turn.run_id is not None  # noqa: S101 (as asked for)
+        return self._service.run(turn.run_id) if turn.state == "running" else self._ended_run(turn.run_id)
+
+    def _write(self, standing: Standing, *changed: Turn) -> None:
+        by_position = {turn.position: turn for turn in (*standing.now.written, *changed)}
+        self._store.write_turns(standing.batch.id, standing.batch.turns, by_position.values())
+
+
+def checked(units: Sequence[str]) -> list[str]:
+    """Serials without blanks around them, each once, lines without any left out.
+
+    Raises:
+        Invalid: none is left, or too many; or one is no serial, and which.
+    """
+    serials = list(dict.fromkeys(unit.strip() for unit in units if unit.strip()))
+    if not serials:
+        raise Invalid("no serial number was given: scan or paste some, one a line", ["units"])
+    if len(serials) > MOST_UNITS:
+        raise Invalid(f"a list has at most {MOST_UNITS} units, not {len(serials)}", ["units"])
+    for number, serial in enumerate(serials, start=1):
+        try:
+            check_serial(serial)
+        except Invalid as error:
+            raise Invalid(f"serial {number}, {serial[:40]!a}: {error}", ["units"]) from error
+    return serials
+
+
+def serials_in(table: str) -> list[str]:
+    """The serials of a CSV: the column headed `unit` or `serial`, else the first, whose first row counts."""
+    text = table.removeprefix("\ufeff")
+    first = text.splitlines()[0] if text.strip() else ""
+    delimiter = max(",;\t", key=first.count)
+    try:
+        rows = [row for row in csv.reader(io.StringIO(text), delimiter=delimiter) if row]
+    except csv.Error as error:
+        raise Invalid(f"the file is no CSV: {error}", ["csv"]) from error
+    headings = [cell.strip().casefold() for cell in rows[0]] if rows else []
+    column = next((headings.index(name) for name in NAMES if name in headings), None)
+    if column is None:
+        return [row[0] for row in rows]
+    return [row[column] for row in rows[1:] if len(row) > column]
+
+
+def _waiting(standing: Standing, unit: str) -> Turn:
+    mine = [turn for turn in standing.now.turns if turn.unit == unit]
+    for turn in mine:
+        if turn.state in ("waiting", "follow_up"):
+            return turn
+    if not mine or mine[-1].state == "removed":
+        raise Conflict(f"{unit} is not in this list: add it first")
+    raise Conflict(
+        f"{unit} is on rig {mine[-1].rig} already"
+        if mine[-1].state == "running"
+        else f"{unit} is done already"
+    )
+
+
+def _kept(now: Settled, rig: str, begun: Turn) -> list[Turn]:
+    """Turns to be kept for the rigs whose pages show them: what a person holds already stays theirs."""
+    shown = {name: turn for name, turn in now.on.items() if name != rig}
+    own = now.on[rig]
+    shown[rig] = now.then[rig] if own is None or own.position == begun.position else own
+    return [
+        replace(turn, rig=name)
+        for name, turn in shown.items()
+        if turn is not None
+        and turn.state == "waiting"
+        and turn.rig is None
+        and turn.position != begun.position
+    ]

@@ -1,0 +1,168 @@
+"""Runs that wait for a rig of this machine: each begins when the rig is free, in the order asked for.
+
+What an ended program left waiting is held: after a power cut nothing moves until somebody says Go.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+
+from calrig.analysis.errors import Conflict, RunsError
+from calrig.runs.bus import Bus
+from calrig.runs.meter import Meter
+from calrig.runs.stopping import BY_REQUEST
+from calrig.store import Run, RunChanges, Store, StoreError
+
+log = logging.getLogger(__name__)
+
+HELD = "the service was started anew while this run waited its turn: it begins once somebody says Go (resume)"
+
+
+class RunQueue:
+    """Which runs wait for which rig. Thread-safe; nothing in it waits for a rig or the store but `next`.
+
+    Args:
+        store: keeps the runs, as `queued`.
+        bus: tells those who watch a run that ends without having begun.
+        meter: counts those.
+        beginning: is held while a run begins; whoever calls `next` must not hold it.
+        require_ready: raises Conflict where a rig takes no run now.
+        begin: begins a stored run, while `beginning` is held.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        bus: Bus,
+        meter: Meter,
+        beginning: threading.Lock,
+        require_ready: Callable[[str], None],
+        begin: Callable[[Run], None],
+    ) -> None:
+        self._store, self._bus, self._meter, self._beginning = store, bus, meter, beginning
+        self._require_ready, self._begin = require_ready, begin
+        self._lock = threading.Lock()
+        self._waiting: dict[str, list[str]] = {}  # by rig, the first to begin first
+        self._held: dict[str, str] = {}  # rigs by run
+        for run in store.unfinished():
+            if waits_its_turn(run) and run.rig is not None:
+                self._held[run.id] = run.rig
+
+    def add(self, run: Run) -> None:
+        """Has a run wait for its rig."""
+        with self._lock:
+            self._waiting.setdefault(run.rig or "", []).append(run.id)
+
+    def require_nobody(self, rig_name: str) -> None:
+        """Raises Conflict where a run waits for a rig, before which no other is begun."""
+        with self._lock:
+            waiting = self._waiting.get(rig_name)
+        if waiting:
+            raise Conflict(
+                f'rig {rig_name!r} is busy: run {waiting[0]} is next; ask with "queue": true to wait'
+            )
+
+    def go(self, run_id: str) -> bool:
+        """Has a run that is held wait its turn again; returns whether it was."""
+        with self._lock:
+            rig_name = self._held.pop(run_id, None)
+            if rig_name is not None:
+                self._waiting.setdefault(rig_name, []).append(run_id)
+        if rig_name is None:
+            return False
+        self._store.update_run(run_id, error=None)
+        self.next(rig_name)
+        return True
+
+    def take_out(self, run_id: str) -> bool:
+        """Aborts a run that waits or is held; returns whether it did either. Called under `beginning`."""
+        with self._lock:
+            found = self._held.pop(run_id, None) is not None
+            for waiting in self._waiting.values():
+                if run_id in waiting:
+                    waiting.remove(run_id)
+                    found = True
+        if found:
+            self._end(run_id, {"status": "aborted", "error": None})
+        return found
+
+    def call_off(self, rig_name: str) -> Callable[[], None]:
+        """Nothing that waits for a rig is to move it any more; gives what tells the store so."""
+        with self._lock:
+            off = [
+                *self._waiting.pop(rig_name, ()),
+                *(run for run, rig in self._held.items() if rig == rig_name),
+            ]
+            for run_id in off:
+                self._held.pop(run_id, None)
+
+        def tell() -> None:
+            for run_id in off:
+                try:
+                    self._end(run_id, {"status": "aborted", "error": BY_REQUEST.reason})
+                except StoreError as error:  # of a stop that was made, the store's trouble makes no failure
+                    log.error("run %s is not told of as aborted; it does not begin: %s", run_id, error)
+
+        return tell
+
+    def next(self, rig_name: str) -> None:
+        """Begins the run that waits longest for a rig, where the rig is free; raises nothing."""
+        with self._beginning:
+            while (run_id := self._first(rig_name)) is not None:
+                try:
+                    self._require_ready(rig_name)
+                except Conflict:
+                    return
+                if self._has_begun(rig_name, run_id):
+                    return
+
+    def _has_begun(self, rig_name: str, run_id: str) -> bool:
+        try:
+            run = self._store.run(run_id)
+            if not self._remove(rig_name, run_id) or run is None:
+                return False  # called off meanwhile
+            self._begin(run)
+        except RunsError as error:
+            self._fail(rig_name, run_id, str(error))
+            return False
+        except StoreError as error:
+            log.error("run %s waits until somebody says Go: %s", run_id, error)
+            self._hold(rig_name, run_id)
+            return False
+        return True
+
+    def _fail(self, rig_name: str, run_id: str, why: str) -> None:
+        try:
+            self._end(run_id, {"status": "failed", "error": why})
+        except StoreError as error:
+            log.error("run %s cannot begin (%s) and the store cannot be told: %s", run_id, why, error)
+            self._hold(rig_name, run_id)
+
+    def _end(self, run_id: str, changes: RunChanges) -> None:
+        run = self._store.update_run(run_id, **changes)
+        self._meter.of_run(run.rig or "").ended(run.status)
+        self._bus.wake(run_id)
+
+    def _first(self, rig_name: str) -> str | None:
+        with self._lock:
+            return next(iter(self._waiting.get(rig_name, ())), None)
+
+    def _remove(self, rig_name: str, run_id: str) -> bool:
+        with self._lock:
+            waiting = self._waiting.get(rig_name, [])
+            found = run_id in waiting
+            if found:
+                waiting.remove(run_id)
+            return found
+
+    def _hold(self, rig_name: str, run_id: str) -> None:
+        self._remove(rig_name, run_id)
+        with self._lock:
+            self._held[run_id] = rig_name
+
+
+def waits_its_turn(run: Run) -> bool:
+    """Whether a stored run has never moved anything, nor opened a port: it is queued and never began."""
+    return run.status == "queued" and run.started_at is None

@@ -1,0 +1,151 @@
+"""Lists of units that are calibrated one after the other: who is next, where, and which run each got."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Literal, cast
+
+from sqlmodel import Session, col, select
+
+from calrig.store.database import Part
+from calrig.store.errors import NotFound, Refused
+from calrig.store.records import Document
+from calrig.store.tables import BatchTable, BatchUnitTable
+
+TurnState = Literal["waiting", "follow_up", "running", "done", "failed", "removed"]
+"""`follow_up` waits as well: for the run that separates what the one before could not."""
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """A unit's turn in a list; a unit that failed may get another.
+
+    Attributes:
+        position: within the list, from 0.
+        unit: its serial.
+        state: as it was last written; of a run that has ended since, `running`.
+        rig: that it is kept for, or was on.
+        run_id: its run; of a follow-up that has not begun, the run that it follows.
+        why: what a person must know of it.
+    """
+
+    position: int
+    unit: str
+    state: TurnState = "waiting"
+    rig: str | None = None
+    run_id: str | None = None
+    why: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """A list; `document` has its rigs, plan, operator, note, and what becomes of units that failed."""
+
+    id: str
+    created_at: datetime
+    closed_at: datetime | None
+    document: Document
+    turns: list[Turn] = field(default_factory=list)
+
+
+class Batches(Part):
+    """Every list there was."""
+
+    def keep_batch(self, document: Document, units: Sequence[str]) -> Batch:
+        """Keeps a new list."""
+        row = BatchTable(id=str(uuid.uuid4()), created_at=datetime.now(UTC), document=document)
+        turns = [Turn(position, unit) for position, unit in enumerate(units)]
+        with self._database.writing() as session:
+            session.add(row)
+            session.flush()
+            session.add_all(_row(row.id, turn) for turn in turns)
+            return Batch(row.id, row.created_at, None, document, turns)
+
+    def batch(self, batch_id: str) -> Batch:
+        """One by its id, or NotFound."""
+        with self._database.reading() as session:
+            return _batch(session, batch_id)
+
+    def batches(self, limit: int = 20) -> list[Batch]:
+        """Those made last, the newest first, without their turns."""
+        newest_first = select(BatchTable).order_by(col(BatchTable.created_at).desc()).limit(limit)
+        with self._database.reading() as session:
+            return [
+                Batch(row.id, row.created_at, row.closed_at, row.document)
+                for row in session.exec(newest_first)
+            ]
+
+    def add_turns(self, batch_id: str, units: Sequence[str]) -> list[str]:
+        """Adds units at the end of an open list; gives those that it has already, whose turn stays as it is.
+
+        Raises:
+            NotFound: there is no such list.
+            Refused: it is closed.
+        """
+        with self._database.writing() as session:
+            batch = _open(session, batch_id)
+            known = {turn.unit for turn in batch.turns if turn.state != "removed"}
+            new = [unit for unit in units if unit not in known]
+            first = len(batch.turns)
+            session.add_all(_row(batch_id, Turn(first + k, unit)) for k, unit in enumerate(new))
+            return [unit for unit in units if unit in known]
+
+    def write_turns(self, batch_id: str, before: Sequence[Turn], after: Iterable[Turn]) -> None:
+        """Writes what became of turns, unless somebody has written another thing meanwhile.
+
+        Args:
+            batch_id: of an open list.
+            before: every turn, as it was read.
+            after: those that are new or changed.
+
+        Raises:
+            NotFound: there is no such list.
+            Refused: it is closed, or not as it was.
+        """
+        with self._database.writing() as session:
+            if _open(session, batch_id).turns != list(before):
+                raise Refused("somebody has changed the list at the same moment: look at it, and try again")
+            for turn in after:
+                session.merge(_row(batch_id, turn))
+
+    def close_batch(self, batch_id: str) -> None:
+        """Ends a list: nothing of it begins any more."""
+        with self._database.writing() as session:
+            _open(session, batch_id)
+            row = session.get_one(BatchTable, batch_id)
+            row.closed_at = datetime.now(UTC)
+            session.add(row)
+
+
+def _open(session: Session, batch_id: str) -> Batch:
+    batch = _batch(session, batch_id)
+    if batch.closed_at is not None:
+        raise Refused("this list is closed: make another one")
+    return batch
+
+
+def _batch(session: Session, batch_id: str) -> Batch:
+    row = session.get(BatchTable, batch_id)
+    if row is None:
+        raise NotFound(f"there is no list {batch_id!r}")
+    in_order = select(BatchUnitTable).where(BatchUnitTable.batch == batch_id)
+    turns = [
+        Turn(one.position, one.unit, cast(TurnState, one.state), one.rig, one.run_uid, one.why)
+        for one in session.exec(in_order.order_by(col(BatchUnitTable.position)))
+    ]
+    return Batch(row.id, row.created_at, row.closed_at, row.document, turns)
+
+
+def _row(batch_id: str, turn: Turn) -> BatchUnitTable:
+    return BatchUnitTable(
+        batch=batch_id,
+        position=turn.position,
+        unit=turn.unit,
+        rig=turn.rig,
+        run_uid=turn.run_id,
+        state=turn.state,
+        why=turn.why,
+    )

@@ -1,0 +1,96 @@
+"""Units one after the other on the page: one Enter a unit, the same in every tab, read from three metres."""
+
+from __future__ import annotations
+
+import pytest
+
+pytestmark = pytest.mark.browser
+SHORT = {"elevations_deg": [0, 20], "sweeps": 1, "settle_s": 0.2, "dwell_s": 0.5}
+ODD = "Ä <b>7</b>\u202e\"'&#/%2F"
+
+
+@pytest.fixture
+def forgiven():
+    return [r"(409|422) \("]
+
+
+def pressed(page, expect, instruction):
+    """Enter, as soon as it means something."""
+    expect(page.locator(".todo").first).to_have_text(instruction)
+    expect(
+        page.locator("[data-go]")
+    ).to_be_enabled()  # an Enter meant for what stood there before does nothing
+    page.keyboard.press("Enter")
+
+
+def test_a_list_goes_unit_by_unit_with_one_key_and_is_the_same_in_another_tab(page, client, go, expect):
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe is not installed").Axe()
+    go("#/queue/new")
+    page.locator("#units").press_sequentially("PQ-1\nPQ-1\n")
+    expect(page.locator("#units-count")).to_have_text("1 unit, some scanned twice")
+    file = {"name": "tray.csv", "mimeType": "text/csv", "buffer": b"lot,serial\n7,PQ-2\n7,PQ-3\n"}
+    page.locator("#csv").set_input_files(file)
+    page.get_by_label("List").check()
+    page.locator("#elevations_deg").fill("0, 20")
+    for name, value in {"sweeps": 1, "settle_s": 0.2, "dwell_s": 0.5, "mounts_deg": "0"}.items():
+        page.locator(f"#{name}").fill(str(value))
+    page.click("#make-list")
+    expect(page.locator("#queue-units tbody tr")).to_have_count(3)
+    expect(page.locator("#scan")).to_be_focused()
+    pressed(page, expect, "Mount PQ-1, press Enter")
+    batch = page.url.split("/")[-1]
+    word = page.locator(".big-word")
+    expect(word).to_have_text("● DONE")
+    expect(page).to_have_title("DONE PQ-1 · calrig")
+    assert word.evaluate("word => parseFloat(getComputedStyle(word).fontSize)") >= 96
+    assert axe.run(page).violations_count == 0
+    page.locator("#scan").fill(ODD)
+    page.keyboard.press("Enter")
+    expect(page.locator("#queue-error")).to_contain_text("printable")
+    page.locator("#scan").fill(ODD.replace("\u202e", ""))
+    page.keyboard.press("Enter")
+    expect(page.locator("#queue-units tbody tr")).to_have_count(4)
+    page.locator("#scan").fill("PQ-3")
+    page.keyboard.press("Enter")
+    expect(page.locator("#queue-said")).to_have_text("PQ-3 is in the list already.")
+
+    with page.context.expect_page() as opened:
+        page.evaluate("open(location.href)")
+    other = opened.value
+    expect(other.locator(".todo")).to_have_text("Mount PQ-2, press Enter")
+    expect(other.locator(".big-word")).to_have_text("● DONE")
+    page.set_viewport_size({"width": 390, "height": 844})
+    for tab in (page, other):
+        expect(tab.locator("[data-go]")).to_be_enabled()
+    go_here = "document.querySelector('[data-go]').click()"
+    page.evaluate(go_here)
+    other.evaluate(go_here)
+    page.wait_for_function("document.documentElement.scrollWidth <= 390")
+    for tab in (page, other):
+        expect(tab.locator("#queue-counts")).to_have_text("2 to go, 2 done, 0 failed")
+        expect(tab.locator(".todo")).to_have_text("Mount PQ-3, press Enter")
+    assert len(client.get("/api/runs?unit=PQ-2").json()["items"]) == 1, "two tabs, one run"
+    other.close()
+    go("#/queue")
+    expect(page.locator(".todo")).to_have_text("Mount PQ-3, press Enter")
+    page.get_by_role("button", name="Take PQ-3 out").click()
+    page.click("#close-list")
+    expect(page.locator(".todo")).to_have_text("This list is closed")
+    assert client.get(f"/api/batches/{batch}").json()["closed_at"]
+
+
+def test_what_stops_a_unit_is_said_and_a_unit_that_is_to_be_turned_asks_in_the_same_place(
+    page, client, go, expect
+):
+    plan = {**SHORT, "mounts_deg": [0, 120]}
+    units = ["PT-1", *(f"PT-{k:03d}" for k in range(300))]
+    batch = client.post("/api/batches", json={"units": units, "plan": plan}).raise_for_status().json()
+    go(f"#/queue/{batch['id']}")
+    expect(page.locator("#queue-units tbody tr")).to_have_count(301)
+    pressed(page, expect, "Mount PT-1, press Enter")
+    pressed(page, expect, "Turn PT-1 to 120°, press Enter")
+    expect(page.locator("#queue-error")).to_contain_text("120")
+    page.get_by_role("button", name="Abort").click()
+    expect(page.locator(".turn .error")).to_contain_text("its run was aborted")
+    expect(page.locator(".todo")).to_have_text("Mount PT-1, press Enter")
+    client.post(f"/api/batches/{batch['id']}/close").raise_for_status()

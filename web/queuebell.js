@@ -1,0 +1,74 @@
+// That a run has ended, for who looks elsewhere: the page's title, a sound, a notification.
+
+import { h } from "./dom.js";
+
+const MUTE_KEY = "calrig.mute";
+const TONES_HZ = { pass: [880], done: [660], fail: [220, 220], stopped: [220] };
+const TONE_S = 0.25;
+
+export class Bell {
+  constructor() {
+    this.heard = null;
+    this.mute = h("button", { id: "mute", type: "button", class: "small", on: { click: () => this.#toggle() } });
+    this.ask = h("button", { id: "notify", type: "button", class: "small", on: { click: () => this.#allow() } }, "Notify me");
+    this.ask.hidden = !("Notification" in window) || Notification.permission !== "default";
+    this.buttons = [this.mute, this.ask];
+    this.#label();
+  }
+
+  /** Tells what has ended since it was last called. */
+  heed(rigs) {
+    const now = new Map(rigs.map((rig) => [rig.name, `${rig.last?.run_id ?? ""} ${rig.on?.why ?? ""}`]));
+    const before = this.heard;
+    this.heard = now;
+    const running = rigs.every(({ on }) => on?.state === "running");
+    if (running) document.title = `${rigs.map(({ on }) => on.unit).join(", ")} · calrig`;
+    if (!before) return;
+    for (const rig of rigs.filter(({ name }) => before.get(name) !== now.get(name) && before.has(name))) this.#tell(rig, before.get(rig.name));
+  }
+
+  #tell({ last, on }, before) {
+    const ended = last && !before.startsWith(last.run_id);
+    if (!ended && !on?.why) return;
+    const [word, unit] = ended ? [last.word, last.unit] : ["stopped", on.unit];
+    document.title = `${word.toUpperCase()} ${unit} · calrig`;
+    if (!this.muted) sound(TONES_HZ[word]);
+    if ("Notification" in window && Notification.permission === "granted") new Notification(`${word.toUpperCase()} ${unit}`, { tag: "calrig-queue" });
+  }
+
+  get muted() {
+    return localStorage.getItem(MUTE_KEY) === "1";
+  }
+
+  #toggle() {
+    localStorage.setItem(MUTE_KEY, this.muted ? "0" : "1");
+    this.#label();
+    if (!this.muted) sound(TONES_HZ.pass);
+  }
+
+  #label() {
+    this.mute.textContent = this.muted ? "Sound is off" : "Sound is on";
+    this.mute.setAttribute("aria-pressed", String(!this.muted));
+  }
+
+  async #allow() {
+    this.ask.hidden = (await Notification.requestPermission()) !== "default";
+  }
+}
+
+let audio;
+
+/** A tone each; silent where the browser plays nothing before somebody has touched the page. */
+function sound(tones) {
+  if (!("AudioContext" in window) || !navigator.userActivation?.hasBeenActive) return;
+  audio ??= new AudioContext();
+  tones.forEach((hertz, k) => {
+    const tone = audio.createOscillator();
+    const volume = audio.createGain();
+    volume.gain.value = 0.2;
+    tone.frequency.value = hertz;
+    tone.connect(volume).connect(audio.destination);
+    tone.start(audio.currentTime + 1.4 * k * TONE_S);
+    tone.stop(audio.currentTime + (1.4 * k + 1) * TONE_S);
+  });
+}

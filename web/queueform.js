@@ -1,0 +1,66 @@
+// A new list: serials scanned, pasted or from a file; rigs, plan, operator and note stay for all of them.
+
+import { get, post } from "./api.js";
+import { errorLine, field, h, onSubmit } from "./dom.js";
+import { plural } from "./format.js";
+import { planForm } from "./plan.js";
+
+const OPERATOR_KEY = "calrig.operator";
+
+export async function listForm(signal) {
+  const rigs = await get("/api/rigs", signal);
+  const units = h("textarea", { id: "units", rows: "10", spellcheck: "false", autocomplete: "off" });
+  const file = h("input", { id: "csv", type: "file", accept: ".csv,text/csv,text/plain" });
+  const count = h("p", { id: "units-count", class: "muted", "aria-live": "polite" }, "Scan or paste: one a line.");
+  const ticks = rigs.map(({ name }, k) => h("input", { type: "checkbox", name: "rigs", value: name, id: `rig-${name}`, checked: k === 0 }));
+  const operator = h("input", { id: "operator", type: "text", autocomplete: "name", value: localStorage.getItem(OPERATOR_KEY) });
+  const note = h("input", { id: "note", type: "text", autocomplete: "off" });
+  const failed = h(
+    "select",
+    { id: "failed" },
+    h("option", { value: "end" }, "measure it once more at the end"),
+    h("option", { value: "follow_up" }, "find out why, while it is mounted"),
+  );
+  const chosen = () => ticks.filter(({ checked }) => checked).map(({ value }) => value);
+  const plan = planForm(() => ({ rig: chosen()[0] ?? null, unit: "" }), signal);
+  const error = errorLine("queue-form-error");
+  const make = h("button", { id: "make-list", type: "submit", class: "primary" }, "Begin the list");
+  const form = h(
+    "form",
+    { class: "card start" },
+    field("units", "Serial numbers, one a line", units),
+    count,
+    field("csv", "or a CSV: its column “unit” or “serial”, else the first", file),
+    h("fieldset", {}, h("legend", {}, "Rigs, side by side"), h("div", { class: "choice" }, ticks.map((tick) => h("label", { for: tick.id }, tick, tick.value)))),
+    h("div", { class: "fields two" }, field("operator", "Operator (optional)", operator), field("note", "Note (optional)", note), field("failed", "A unit that fails", failed)),
+    plan.element,
+    error.element,
+    h("div", { class: "buttons" }, make),
+  );
+  units.addEventListener("input", () => {
+    const serials = lines(units.value);
+    count.textContent = `${plural(new Set(serials).size, "unit")}${new Set(serials).size < serials.length ? ", some scanned twice" : ""}`;
+  });
+  onSubmit(form, make, error, async () => {
+    localStorage.setItem(OPERATOR_KEY, operator.value);
+    const { id } = await post("/api/batches", {
+      units: lines(units.value),
+      csv: file.files[0] ? await file.files[0].text() : null,
+      rigs: chosen(),
+      plan: plan.value(),
+      operator: operator.value || null,
+      note: note.value || null,
+      failed: failed.value,
+    });
+    location.hash = `#/queue/${encodeURIComponent(id)}`;
+  });
+  setTimeout(() => units.focus());
+  return form;
+}
+
+function lines(text) {
+  return text
+    .split(/\r?\n/)
+    .map((line) => line.trim())
+    .filter(Boolean);
+}
