@@ -108,13 +108,24 @@ export function planForm(of, signal) {
     return plan;
   }
 
+  let hadSeveral = false;
+
   function refresh() {
     range.hidden = asList.input.checked;
     given.hidden = !asList.input.checked;
     for (const spec of RANGE) inputs.get(spec.name).disabled = asList.input.checked;
     list.required = asList.input.checked;
+    jitterForMounts();
     markWrong(element);
     estimate();
+  }
+
+  /** What the stage does between the elevations of a grid shows in no mount, unless they are jittered. */
+  function jitterForMounts() {
+    const several = mounts.value().mounts_deg.length > 1;
+    const jitter = inputs.get("jitter_deg");
+    if (several && !hadSeveral && jitter.value === "0") jitter.value = Number(inputs.get("step_deg").value) / 2;
+    hadSeveral = several;
   }
 
   let timer;

@@ -16,7 +16,7 @@ from calrig.calibration.plan_design.goals import Goals
 from calrig.plan import Plan, Until
 from calrig.runs.good_enough import goals_of
 from calrig.runs.plan_designs import Wanted, designed
-from calrig.runs.planned import estimate
+from calrig.runs.planned import estimate, grid_says
 from calrig.runs.references import overdue_says
 from calrig.runs.wall_clock import wall_pace
 
@@ -61,7 +61,7 @@ def estimate_plan(body: PlanOnRig, context: Context) -> EstimateAnswer:
     rig = context.service.known_rig(body.rig)
     said = estimate(body.plan, rig, context.store)
     cannot = cannot_pass_on(rig, body.unit, body.plan, context.store, context.service.maps)
-    warnings = [*overdue_says(rig), *cannot]
+    warnings = [*overdue_says(rig), *grid_says(body.plan), *cannot]
     pace = wall_pace(rig, context.store)
     wall_s = None if pace is None else pace * said.duration_s
     return EstimateAnswer(**asdict(said), wall_s=wall_s, warnings=warnings)

@@ -14,6 +14,8 @@ from calrig.calibration.noise_bound import CONFIDENCE, upper_limit
 from calrig.calibration.wording import deg
 
 FEW_POSES = 6
+CLAMPED_DEG = 10.0
+"""More than a unit's own bias, and care in clamping: an MPU-6050's 80 mg of zero-g output are 4.6°."""
 WORTH_APPLYING = 3.0
 """Standard errors by which a scale must differ from 1 before it is worth applying."""
 
@@ -90,6 +92,7 @@ def verdict(
         *([result["reference_says"]] if result.get("reference_says") else []),
         *_diagnosed(diagnosis, left),
         *([] if verification else _scale(result)),
+        *([] if verification else _clamped(result)),
     ]
     if result["n_poses"] < FEW_POSES:
         says.append(f"It rests on only {_poses(result['n_poses'])}.")
@@ -227,6 +230,16 @@ def _scale(result: Document) -> list[str]:
     if distance > WORTH_APPLYING * math.hypot(std, of_stage):
         return [f"{words}."]
     return [f"{words}, but no more than the stage's own uncertainty allows."]
+
+
+def _clamped(result: Document) -> list[str]:
+    bias_deg = result["bias_deg"]
+    if abs(bias_deg) <= CLAMPED_DEG:
+        return []
+    return [
+        f"The unit reads {bias_deg:+.0f}° where the stage stands at 0°: it is clamped at another angle than "
+        "the plan says, or the stage's zero is another one."
+    ]
 
 
 def _scale_as_applied(result: Document) -> tuple[float | None, float | None]:

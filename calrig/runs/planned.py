@@ -18,6 +18,8 @@ ASSUMED_VELOCITY_DPS = 20.0
 ASSUMED_ACCELERATION_DPS2 = 80.0
 HOMING_AND_START_S = 5.0
 """Opening both ports and homing, which takes some stages longer and is left out by those referenced."""
+FEW_ANGLES = 30
+"""Of the dial: fewer do not tell the dozen orders that real axes have."""
 QUESTIONS_S = 0.12
 """A pose's questions to stage and board, on simulated rigs of each kind."""
 
@@ -36,6 +38,16 @@ class PlanEstimate:
     n_poses: int
     elevations_deg: list[float]
     duration_s: float
+
+
+def grid_says(plan: Plan) -> list[str]:
+    """What a plan of several mounts on one grid of elevations leaves unseen; empty for any other."""
+    if len(plan.mounts_deg) < 2 or plan.jitter_deg or len(set(plan.elevations())) > FEW_ANGLES:
+        return []
+    return [
+        f"Every mount stands at the same {len(set(plan.elevations()))} angles of the dial: what the stage "
+        "does between them shows in none. A jitter of half a step lets it show."
+    ]
 
 
 def planned_poses(plan: Plan, rig: RigSettings) -> list[PlannedPose]:

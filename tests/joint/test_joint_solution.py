@@ -290,3 +290,34 @@ def test_few_angles_of_the_dial_are_told_of_where_the_map_has_as_many_terms():
     )
     few = told(replace(bench, visits=visits).measured(np.random.default_rng(0)))
     assert any("13 angles of the dial, as few as the map has terms" in said for said in few["warnings"])
+
+
+def on_a_grid(bench, jitter_deg, rng):
+    """The same mounts in four sweeps over 13 elevations."""
+    up = np.linspace(-60.0, 60.0, 13)
+    approach = np.repeat([1.0, -1.0, 1.0, -1.0], 13)
+    return replace(
+        bench,
+        visits=tuple(
+            replace(
+                visit,
+                dial_deg=np.concatenate([up, up[::-1]] * 2) + rng.uniform(-jitter_deg, jitter_deg, 52),
+                approach=approach,
+                die_c=np.full(52, visit.die_c[0]),
+            )
+            for visit in bench.visits
+        ),
+    )
+
+
+def test_what_the_stage_does_between_the_angles_of_a_grid_is_in_the_standard_error_of_its_map():
+    bench, rng = replace(THREE, highest=12).bench(2), np.random.default_rng(2)
+    for jitter_deg, common in ((0.0, True), (5.0, False)):
+        document = told(on_a_grid(bench, jitter_deg, rng).measured(rng))
+        found = document["stage"]["map"]
+        dial_deg = np.array(found["stage_deg"])
+        true = bench.stage.table_deg(dial_deg, np.zeros(len(dial_deg))) - dial_deg
+        error = np.array(found["error_deg"]) - true
+        error -= error.mean()
+        assert np.sqrt(np.mean(error**2)) < 2.0 * np.sqrt(np.mean(np.square(found["std_deg"])))
+        assert any("have" in said and "in common" in said for said in document["warnings"]) is common

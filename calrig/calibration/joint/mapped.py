@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calrig.calibration.joint.linearised import Linearised
+from calrig.calibration.joint.common_misfit import Residuals, covariance_of_misfit
 from calrig.calibration.joint.stage_map import TURN_DEG, basis, dial_grid_deg
 from calrig.estimation.angles import FloatArray, wrap_deg
 
@@ -29,7 +29,8 @@ class Mapped:
 
     Attributes:
         stage_deg, error_deg, std_deg: (m,) over the dial where poses stood, as in the middle of the play.
-        coefficients, covariance: (p,) and (p, p) of cosine and sine of each order, then the play.
+        coefficients, covariance: (p,) and (p, p) of cosine and sine of each order, then the play; with what
+            poses at one angle of the dial have in common that the orders do not explain.
         backlash: reading after upward moves less that after downward moves, and its standard error.
         mounts_deg, mounts_std_deg: of each mount.
     """
@@ -45,14 +46,15 @@ class Mapped:
     mounts_std_deg: FloatArray
 
 
-def mapped(fit: Linearised) -> Mapped:
+def mapped(fit: Residuals) -> Mapped:
     """The map and the mounts of a joint fit."""
     problem, at = fit.problem, fit.problem.map_at
     dial = dial_grid_deg(problem.table.dial_deg[fit.kept])
     columns = basis(dial, np.zeros(len(dial)), problem.orders)
     mean = columns.mean(axis=0)
     coefficients = np.degrees(fit.parameters[at])
-    covariance = np.degrees(np.degrees(fit.covariance_at(np.arange(fit.problem.size)[at])))
+    of_fit = fit.covariance_at(np.arange(fit.problem.size)[at]) + covariance_of_misfit(fit)
+    covariance = np.degrees(np.degrees(of_fit))
     variance = np.einsum("gi,ij,gj->g", columns - mean, covariance, columns - mean)
     mounts = np.zeros((len(problem.table.mounts), problem.size))
     mounts[:, problem.first_mount : problem.first_order] = np.eye(len(mounts))

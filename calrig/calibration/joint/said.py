@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtrc
 
+from calrig.calibration.joint.common_misfit import common_variance
 from calrig.calibration.joint.gear import unstated_gear
 from calrig.calibration.joint.lack_of_fit import misfits
 from calrig.calibration.joint.least_squares import fitted
@@ -206,7 +207,13 @@ def _of_dial(solution: Solution, on_stage: Mapped) -> list[str]:
     if n_angles <= 2 * len(on_stage.harmonics) + 1:
         said.append(
             f"the poses stand at {n_angles} angles of the dial, as few as the map has terms: what the stage "
-            "has beyond these orders is in no standard error of the map; take poses at more angles"
+            "has beyond these orders they do not show; take poses at more angles (jitter)"
+        )
+    common_deg = float(np.degrees(np.sqrt(common_variance(solution.fit))))
+    if common_deg > 0.0:
+        said.append(
+            f"poses at one angle of the dial have {common_deg:.2g}° in common that the map's orders do not "
+            "explain: the map's standard errors hold that much at each angle"
         )
     if solution.choice.untold:
         orders = ", ".join(f"{order:g}" for order in solution.choice.untold)
