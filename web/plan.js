@@ -21,7 +21,7 @@ const ADVANCED = [
   field("jitter_deg", "Jitter of each elevation, ±", "°", 0),
   field("rate_hz", "Sample rate", "Hz", 200, { whole: true }),
   field("target_std_deg", "Dwell until standard error", "°", null, { hint: "fixed dwell" }),
-  field("expanded_uncertainty_deg", "End once the expanded uncertainty is", "°", null, { hint: "whole plan" }),
+  field("expanded_uncertainty_deg", "Expanded uncertainty, to end at", "°", null, { hint: "whole plan" }),
   field("velocity_dps", "Stage velocity", "°/s", null, { hint: "stage default" }),
   field("wait_s", "Wait before each sweep", "s", 0),
   field("wait_temperature_c", "Wait for temperature", "°C", null, { hint: "do not wait" }),

@@ -30,7 +30,7 @@ def no_thread_free(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> Ite
         release.wait(60)
         return [], None
 
-    monkeypatch.setattr(Store, "runs", never_ending)
+    monkeypatch.setattr(Store, "sought_runs", never_ending)
     with ThreadPoolExecutor(THREADS + 5) as others:
         for _ in range(THREADS + 5):
             others.submit(httpx.get, f"{client.base_url}/api/runs", timeout=60, verify=NO_TLS)

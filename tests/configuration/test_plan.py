@@ -61,6 +61,7 @@ def test_defaults_are_those_of_the_contract() -> None:
         "mounts_deg": [0.0],
         "mount_axis": "x",
         "revision": None,
+        "until": None,
         "seed": 0,
     }
     assert Plan().elevations() == list(range(-60, 61, 10))
