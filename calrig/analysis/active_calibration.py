@@ -21,8 +21,10 @@ from calrig.calibration.result import (
     GyroFigures,
     Result,
     apply_calibration,
+    as_clamped,
     corrected_residuals_deg,
 )
+from calrig.estimation.angles import FloatArray
 from calrig.export.calibration_json import line_of
 from calrig.store import Run, Store
 from calrig.store.issued import Revision
@@ -71,7 +73,8 @@ def newest_of_run(store: Store, run_id: str) -> Revision:
 class ActiveCalibration:
     """A revision as a verification applies it, on the rig that the verification is made on.
 
-    `of_rig` are the errors of that rig, taken out beside where its stage's map does not have them already.
+    `of_rig` are the errors of that rig, taken out beside where its stage's map does not have them already;
+    `clamped_anew` says that a joint solution knows nothing of how the unit is clamped.
     """
 
     revision: int
@@ -80,13 +83,21 @@ class ActiveCalibration:
     effects: Sequence[AppliedEffect]
     reference: ReferenceFigures | None
     of_rig: Sequence[AppliedEffect] = ()
+    clamped_anew: bool = False
 
     def result(self, poses: Sequence[Pose], gyro: GyroFigures | None) -> Result:
         """What it leaves of fresh poses; without the effects where the poses lack what they need."""
         try:
-            return apply_calibration(poses, gyro, self.line, self._beside(poses), self.reference)
+            return self._applied(poses, gyro, self._beside(poses))
         except ApplyError:
-            return apply_calibration(poses, gyro, self.line, (), self.reference)
+            return self._applied(poses, gyro, ())
+
+    def _applied(
+        self, poses: Sequence[Pose], gyro: GyroFigures | None, effects: Sequence[AppliedEffect]
+    ) -> Result:
+        return apply_calibration(
+            poses, gyro, self.line, effects, self.reference, clamped_anew=self.clamped_anew
+        )
 
     def _beside(self, poses: Sequence[Pose]) -> Sequence[AppliedEffect]:
         return self.effects if rest_on_map(poses) else [*self.effects, *self.of_rig]
@@ -98,10 +109,14 @@ class ActiveCalibration:
     def left_deg(self, poses: Sequence[Pose]) -> list[float | None]:
         """As found against the document: calibrated elevation less the stage's, of each pose."""
         try:
-            left = corrected_residuals_deg(poses, self.line, self._beside(poses))
+            left = self._left_deg(poses, self._beside(poses))
         except ApplyError:
-            left = corrected_residuals_deg(poses, self.line, ())
+            left = self._left_deg(poses, ())
         return [value if math.isfinite(value) else None for value in left.tolist()]
+
+    def _left_deg(self, poses: Sequence[Pose], effects: Sequence[AppliedEffect]) -> FloatArray:
+        line = as_clamped(poses, self.line, effects) if self.clamped_anew else self.line
+        return corrected_residuals_deg(poses, line, effects)
 
 
 def active_calibration(store: Store, unit: str, rig: str | None, number: int | None) -> ActiveCalibration:
@@ -126,7 +141,9 @@ def active_calibration(store: Store, unit: str, rig: str | None, number: int | N
     of_unit = [(e["name"], numbers_of(e["parameters"])) for e in document["effects"]]
     of_rig = as_applied([e for e in store.effects_in_force(unit, rig) if e.unit is None])
     reference = _reference(document)
-    return ActiveCalibration(found.revision, found.run_id, line_of(document), of_unit, reference, of_rig)
+    solved = "solution" in document["provenance"] and not document["level_known"]
+    line = line_of(document)
+    return ActiveCalibration(found.revision, found.run_id, line, of_unit, reference, of_rig, solved)
 
 
 def _reference(document: Document) -> ReferenceFigures | None:

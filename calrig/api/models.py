@@ -172,7 +172,9 @@ class ResultAnswer(LineAnswer):
     reference: ReferenceAnswer | None = None  # of runs stored before it was computed: null
     over_range: OverRange | None = None  # likewise
     stopped_by: Literal["plan", "until"] = "plan"
-    reference_says: str | None = Field(None, description="Why the stage's map in force was not used.")
+    reference_says: str | None = Field(
+        None, description="Why the stage's map was not used, or what errors are relative to."
+    )
 
 
 class VoidedAnswer(Answer):

@@ -32,6 +32,11 @@ AppliedEffect = tuple[str, Mapping[str, float]]
 PerAxis = tuple[float | None, float | None, float | None]
 
 
+RELATIVE = (
+    "The solution that was verified does not know the level: errors are less their mean over the poses."
+)
+
+
 @dataclass(frozen=True, slots=True)
 class GyroFigures:
     """What the run says of the gyro: bias about x, y, z; scale, stage rotation over integrated rate."""
@@ -57,7 +62,7 @@ class Result:
     Attributes:
         reference: the stage's part of bias and scale, beside their own standard errors; None where nobody
             has said what the stage is worth.
-        reference_says: why the stage's map in force was not used; None where it was, or there is none.
+        reference_says: why the stage's map in force was not used, or what the errors are relative to.
         over_range: the error that is left over the range after everything accepted; None where the reading
             does not follow the stage.
         line: the fit itself, with covariance and residual scatter, for the unit's calibration.
@@ -164,6 +169,8 @@ def apply_calibration(
     line: Line,
     effects: Sequence[AppliedEffect],
     reference: ReferenceFigures | None = None,
+    *,
+    clamped_anew: bool = False,
 ) -> Result:
     """What a calibration made earlier leaves of a run's poses: nothing is fitted, all of it is verified.
 
@@ -173,14 +180,17 @@ def apply_calibration(
         line: bias and scale in force, fitted together with the effects.
         effects: in force.
         reference: the stage's part of that bias and scale, from the run that they were fitted to.
+        clamped_anew: the calibration says nothing of how the unit is clamped: errors are less their mean.
 
     Raises:
         ApplyError: the poses lack what an effect is a function of.
     """
     poses = of_first_mount(poses)
     theta, reading = _angles(poses)
-    without = _without_effects_deg(poses, line, effects)
-    left_deg = residuals_deg(theta, without, line.bias_deg, line.scale)
+    applied = as_clamped(poses, line, effects) if clamped_anew else line
+    bare = as_clamped(poses, line, ()) if clamped_anew else line
+    without = _without_effects_deg(poses, applied, effects)
+    left_deg = residuals_deg(theta, without, applied.bias_deg, applied.scale)
     fresh = build_result(poses, gyro)
     return replace(
         fresh,
@@ -188,7 +198,7 @@ def apply_calibration(
         bias_std_deg=line.bias_std_deg,
         scale=line.scale,
         scale_std=line.scale_std,
-        rms_calibrated_deg=_known(rms(residuals_deg(theta, reading, line.bias_deg, line.scale))),
+        rms_calibrated_deg=_known(rms(residuals_deg(theta, reading, bare.bias_deg, bare.scale))),
         rms_with_effects_deg=_known(rms(left_deg)) if effects else None,
         reference=reference,
         over_range=over_range(
@@ -199,7 +209,20 @@ def apply_calibration(
             fresh.noise_deg,
         ),
         line=line,
+        reference_says=RELATIVE if clamped_anew else None,
     )
+
+
+def as_clamped(poses: Sequence[Pose], line: Line, effects: Sequence[AppliedEffect]) -> Line:
+    """The line with the angle at which the unit is clamped in its bias, so that poses are right on average.
+
+    Of a calibration that does not know the level (CONTRACT section 8): its elevations are relative to their
+    mean. Errors as of `corrected_residuals_deg`.
+    """
+    for _ in range(4):  # effects act at the elevation that the sensor feels, which each step knows better
+        left_deg = corrected_residuals_deg(poses, line, effects)
+        line = replace(line, bias_deg=line.bias_deg + (line.scale or 1.0) * float(left_deg.mean()))
+    return line
 
 
 def corrected_residuals_deg(

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from support import DATA
 
+from calrig.calibration.fit import Line
 from calrig.calibration.pose import Pose
-from calrig.calibration.result import GyroFigures, build_result, residuals
+from calrig.calibration.result import RELATIVE, GyroFigures, apply_calibration, build_result, residuals
 from calrig.calibration.uncertainty import Reference
 
 
@@ -172,3 +173,23 @@ def test_measured_warm_up_at_one_angle():
     assert result.scale is None
     assert result.rms_calibrated_deg == pytest.approx(0.062, abs=0.0005)
     assert result.rms_raw_deg == pytest.approx(math.hypot(result.bias_deg, result.rms_calibrated_deg))
+
+
+def test_a_calibration_that_does_not_know_the_level_is_verified_however_the_unit_is_clamped():
+    offset = [("accelerometer_offset", {"y_mg": 20.0, "z_mg": -30.0})]
+    elevations = np.arange(-60.0, 61.0, 10.0)
+    line = Line(0.0, 1.0, 0.0, 0.0, ((0.0, 0.0), (0.0, 0.0)), 0.0)
+    for clamped_deg in (0.0, 0.9, -3.0):
+        felt = np.radians(elevations + clamped_deg)
+        readings = np.degrees(np.arctan2(np.sin(felt) + 0.020, np.cos(felt) - 0.030))
+        poses = [
+            Pose(target_deg=t, reading_deg=r, sweep=k % 2)
+            for k, (t, r) in enumerate(zip(elevations, readings, strict=True))
+        ]
+        known = apply_calibration(poses, None, line, offset)
+        found = apply_calibration(poses, None, line, offset, clamped_anew=True)
+        assert found.rms_with_effects_deg < 1e-3
+        assert known.rms_with_effects_deg == pytest.approx(
+            abs(clamped_deg), abs=0.02 + 0.05 * abs(clamped_deg)
+        )
+        assert (found.bias_deg, found.reference_says) == (0.0, RELATIVE)
