@@ -35,6 +35,7 @@ def test_the_rigs_of_a_centre_are_those_of_its_benches(centre: CentreService, be
             "simulated": False,
             "state": "idle",
             "run_id": None,
+            "clamp": None,
             "bench": "hall-2",
             "hall": "north",
             "last_seen_at": None,
