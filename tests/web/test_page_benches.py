@@ -161,7 +161,7 @@ def test_a_stop_reaches_the_bench_and_one_that_cannot_is_said_in_its_own_words(
     lab.busy("rig-31", "AS-31")
     lab.beat("bench-7", ago_s=40)
     page = show(40)
-    expect(page.locator("button.stop:visible")).to_have_count(4)  # the busy ones', the header's, and that of all
+    expect(page.locator("button.stop:visible")).to_have_count(4)  # the busy ones', the header's, all
     page.get_by_role("button", name="Stop rig-01").last.click()
     wait_for(lab.answer_commands, "the command")
     expect(page.locator("#stop-line")).to_contain_text("rig-01: the stage was told to stop.")
