@@ -22,14 +22,3 @@ def slow_trace(*poses: Any, progress: Callable[[float], None], **asked: Any) -> 
     while not LET_GO.exists():
         time.sleep(0.02)
     return trace(*poses, **asked)
-
-
-LONGEST_S = 20.0
-"""So that work which nobody came to cancel does not keep other tests' work waiting for long."""
-
-
-def for_ever(*_: Any) -> None:
-    """Work that somebody has to cancel."""
-    give_up_s = time.monotonic() + LONGEST_S
-    while time.monotonic() < give_up_s:
-        time.sleep(0.02)

@@ -7,10 +7,7 @@ import json
 import pytest
 from clamped import clamped
 
-from calrig.api import heavy, solve
-
 from .page_help import figures_of, row_of
-from .slow_work import for_ever
 
 pytestmark = pytest.mark.browser
 
@@ -74,17 +71,3 @@ def test_one_mount_leads_to_a_run_with_those_that_help(page, client, go, expect)
     go("#/rigs/bench-1")
     page.get_by_role("link", name="Solve its stage and its units together").click()
     expect(page.locator("#solutions-table tbody tr").first).to_contain_text("CLAMPED-1")
-
-
-def test_what_takes_long_is_cancelled_and_keeps_nothing(page, client, go, expect, runs, monkeypatch):
-    monkeypatch.setattr(heavy, "AT_ONCE_S", 0.0)
-    monkeypatch.setattr(solve, "answer", for_ever)
-    before = client.get("/api/solve").json()
-    go(f"#/solve?rig=bench-1&run={runs[0]}")
-    page.click("#solve")
-    page.wait_for_function("sessionStorage.getItem('/api/solve')")  # the service has named it
-    page.reload()
-    expect(page.locator("#solve-says")).to_contain_text("Solving for the stage's map")
-    page.click("#solve-cancel")
-    expect(page.locator("#solve-suggestion")).to_have_text("Cancelled: nothing was kept of it.")
-    assert client.get("/api/solve").json() == before
