@@ -9,7 +9,8 @@ from typing import Any
 from alembic import context
 from sqlalchemy import Connection, text
 
-from calrig.store import bench_tables  # noqa: F401 (its tables belong to the metadata)
+# their tables belong to the metadata
+from calrig.store import bench_tables, finding_tables, queue_tables  # noqa: F401
 from calrig.store.tables import SQLModel
 
 TEXT_OF_A_LANGUAGE = """

@@ -11,7 +11,7 @@ from typing import Any
 from sqlmodel import Column, Field, Index, LargeBinary, SQLModel
 
 from calrig.store.checksums import CheckedJson
-from calrig.store.tables import Sha256, UtcText
+from calrig.store.column_types import Sha256, UtcText
 
 
 class BenchTable(SQLModel, table=True):

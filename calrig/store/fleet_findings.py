@@ -8,8 +8,8 @@ from datetime import UTC, datetime
 import sqlalchemy
 
 from calrig.store.database import Part
+from calrig.store.finding_tables import FleetFindingTable
 from calrig.store.records import Document
-from calrig.store.tables import FleetFindingTable
 
 _FINDING = sqlalchemy.inspect(FleetFindingTable).local_table.c
 _LISTED = (

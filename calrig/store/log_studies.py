@@ -11,8 +11,8 @@ import sqlalchemy
 from sqlmodel import col, select
 
 from calrig.store.database import Part
+from calrig.store.finding_tables import LogStudyTable
 from calrig.store.records import Document
-from calrig.store.tables import LogStudyTable
 
 StudyKind = Literal["noise", "filters"]
 MOST_LISTED = 200

@@ -9,8 +9,8 @@ from sqlmodel import Session, col, select
 
 from calrig.store.database import Part
 from calrig.store.errors import NotFound
+from calrig.store.finding_tables import StageMapTable
 from calrig.store.records import Document
-from calrig.store.tables import StageMapTable
 from calrig.store.trail import Act, append
 
 

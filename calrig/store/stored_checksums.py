@@ -11,10 +11,10 @@ from sqlalchemy.engine.interfaces import Dialect
 
 from calrig.canonical_json import sha256_of
 from calrig.store import checksums
+from calrig.store.column_types import UtcText
 from calrig.store.convert import FIGURES, POSE_NUMBERS, unpacked_block
 from calrig.store.errors import Unreadable
 from calrig.store.raw_rows import Row, row_name
-from calrig.store.tables import UtcText
 from calrig.store.trail import FIRST, chained
 
 _Checked = dict[str, Any]

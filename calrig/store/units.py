@@ -9,6 +9,7 @@ import sqlalchemy
 from sqlmodel import Session, col, delete, func, or_, select
 
 from calrig.store.checksums import check_numbers
+from calrig.store.column_types import UtcText
 from calrig.store.convert import FIGURES, result_part, run_of
 from calrig.store.database import Part
 from calrig.store.errors import NotFound, Refused
@@ -21,7 +22,6 @@ from calrig.store.tables import (
     ItemTable,
     RunTable,
     UnitTable,
-    UtcText,
 )
 from calrig.store.trail import Act, append
 
