@@ -19,7 +19,7 @@ from calrig.simulator.vibration import Vibration
 TURN_STEP_S = 0.05
 """Half the span over which the package's slow turn with temperature is differentiated."""
 SWING_STEP_S = 5e-4
-"""Half the span over which the table's rate is differentiated: short against any ramp."""
+"""Over which the table's rate is differentiated, short against any ramp: what comes is not commanded yet."""
 
 
 class _Motion(NamedTuple):
@@ -125,10 +125,8 @@ class Bench:
         force_g = self._mount.specific_force_g(turn.angle_deg, times_s)
         if not self._swings:
             return force_g
-        before, now, after = (
-            self.mechanics.table(times_s + step_s).rate_dps for step_s in (-SWING_STEP_S, 0.0, SWING_STEP_S)
-        )
-        return force_g + self._mount.swing_g(now, (after - before) / (2 * SWING_STEP_S), times_s)
+        before, now = (self.mechanics.table(times_s - ago_s).rate_dps for ago_s in (SWING_STEP_S, 0.0))
+        return force_g + self._mount.swing_g(now, (now - before) / SWING_STEP_S, times_s)
 
     def _motion(self, times_s: FloatArray) -> _Motion:
         turn = self.sensor(times_s)
