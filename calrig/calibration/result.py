@@ -257,7 +257,7 @@ def circumstances(poses: Sequence[Pose]) -> Circumstances:
         approach=approach,
         temperature_c=column([pose.temperature_c for pose in poses]),
         time_s=column([pose.time_s for pose in poses]),
-        move_deg=move_deg,
+        move_deg=np.where([pose.settled for pose in poses], move_deg, np.nan),
         travel_deg=travel_deg(move_deg, approach, starts),
         velocity_dps=motion.velocity_dps if motion else None,
         kappa=filter_share(poses),
