@@ -140,9 +140,7 @@ def _title(problem: Problem, place: int) -> str:
         return TITLES[NAMES[place % len(NAMES)]]
     if place < problem.first_order:
         return f"mount {problem.table.mounts[place - problem.first_mount].name}"
-    if place == problem.size - 1:
-        return "the play"
-    return f"order {problem.orders[(place - problem.first_order) // 2]:g} of the stage"
+    return problem.title_on_map(place)
 
 
 def _of_linear(solution: Solution) -> list[str]:
