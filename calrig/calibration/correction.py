@@ -20,6 +20,9 @@ from calrig.estimation.angles import FloatArray, wrap_deg
 
 BoolArray = npt.NDArray[np.bool_]
 
+AppliedEffect = tuple[str, Parameters]
+"""An accepted effect: its name and the values of its parameters."""
+
 ITERATIONS = 60
 CONVERGED_DEG = 1e-10
 DERIVATIVE_STEP_DEG = 1e-3
@@ -41,7 +44,7 @@ def effect_on_reading_deg(
 
 
 def effects_on_reading_deg(
-    effects: Sequence[tuple[str, Parameters]],
+    effects: Sequence[AppliedEffect],
     theta_deg: FloatArray,
     given: Circumstances | None = None,
     felt_deg: FloatArray | None = None,
@@ -83,7 +86,7 @@ def effects_on_reading_deg(
 def fit_line_with_effects(
     theta_deg: FloatArray,
     reading_deg: FloatArray,
-    effects: Sequence[tuple[str, Parameters]],
+    effects: Sequence[AppliedEffect],
     given: Circumstances | None = None,
 ) -> Line:
     """Bias and scale of what is left of the readings once the effects are taken out."""
@@ -106,7 +109,7 @@ def calibrated_elevation_deg(
     reading_deg: FloatArray,
     bias_deg: float,
     scale: float | None,
-    effects: Sequence[tuple[str, Parameters]],
+    effects: Sequence[AppliedEffect],
     given: Circumstances | None = None,
 ) -> FloatArray:
     """(n,) the θ with reading = bias + scale·θ + effects(θ), to 1e-9°, on the turn about 0.
@@ -126,7 +129,7 @@ def elevation_where_known_deg(
     reading_deg: FloatArray,
     bias_deg: float,
     scale: float | None,
-    effects: Sequence[tuple[str, Parameters]],
+    effects: Sequence[AppliedEffect],
     given: Circumstances | None = None,
 ) -> FloatArray:
     """The same, NaN for each reading that stands for many elevations.
@@ -142,7 +145,7 @@ def _inverted(
     reading_deg: FloatArray,
     bias_deg: float,
     scale: float | None,
-    effects: Sequence[tuple[str, Parameters]],
+    effects: Sequence[AppliedEffect],
     given: Circumstances | None,
 ) -> tuple[FloatArray, BoolArray]:
     """(n,) elevations, and (n,) which readings stand for many.

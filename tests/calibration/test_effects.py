@@ -27,9 +27,9 @@ from calrig.calibration.effect import Circumstances, EffectError, NotInFlight
 from calrig.calibration.effects import CATALOGUE, EFFECTS
 from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import fit
+from calrig.calibration.pose_errors import circumstances
 from calrig.calibration.report import effect_documents
 from calrig.calibration.responses import responses_of
-from calrig.calibration.result import circumstances
 from calrig.calibration.run_changes import RUN
 from calrig.calibration.search import search
 from calrig.export.c_header import c_header
