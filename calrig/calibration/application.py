@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.correction import AppliedEffect, elevation_where_known_deg, numbers_of
+from calrig.calibration.correction import AppliedEffect, calibrated_elevation_deg, numbers_of
 from calrig.calibration.effect import TEMPERATURE, ApplyError, Circumstances, NotInFlight
 from calrig.calibration.effects import EFFECTS, UNNAMED, effect_of
 from calrig.calibration.fit import MIN_SCALE
@@ -133,7 +133,7 @@ class Application:
             ApplyError: an effect lacks the temperature or a parameter.
         """
         given = Circumstances(temperature_c=temperature_c)
-        return elevation_where_known_deg(reading_deg, self.bias_deg, self.scale, self.effects, given)
+        return calibrated_elevation_deg(reading_deg, self.bias_deg, self.scale, self.effects, given)
 
     def std_deg(self, elevation_deg: FloatArray) -> FloatArray:
         """(n,) standard uncertainty (k = 1) of elevations relative to their mean over the range.
