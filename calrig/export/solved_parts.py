@@ -13,7 +13,7 @@ from calrig.calibration.effects import effect_of
 from calrig.calibration.fit import rms
 from calrig.calibration.joint.elevation import Worth
 from calrig.calibration.joint.mapped import mapped
-from calrig.calibration.joint.report import Value
+from calrig.calibration.joint.report_parts import Value, map_document, worth_document
 from calrig.calibration.joint.solution import Solution
 from calrig.calibration.joint.table import Table
 from calrig.calibration.joint.three_axis_solution import ThreeAxisSolution
@@ -66,7 +66,7 @@ def calibration(
         "run_id": None,
         "calibrated_at": None,
         "rig": rig,
-        "range_deg": worth.elevation_deg[[0, -1]].tolist(),
+        **worth_document(worth),
         "model": MODEL,
         "bias_deg": 0.0,
         "scale": 1.0,
@@ -86,10 +86,6 @@ def calibration(
             "type_a_deg": solution.noise_deg,
             "type_b_deg": uncertainty_deg,
             "reference_deg": uncertainty_deg,
-        },
-        "elevation_std_deg": {
-            "elevation_deg": worth.elevation_deg.tolist(),
-            "std_deg": worth.std_deg.tolist(),
         },
         "temperature_c": _temperatures(table, unit),
         "provenance": {
@@ -135,11 +131,7 @@ def stage_map(solution: Solved, separable: bool, rig: str | None) -> dict[str, A
         "orders": list(solution.fit.problem.orders),
         "coefficients_deg": on_stage.coefficients.tolist(),
         "covariance_deg2": on_stage.covariance.tolist(),
-        "map": {
-            "stage_deg": on_stage.stage_deg.tolist(),
-            "error_deg": on_stage.error_deg.tolist(),
-            "std_deg": on_stage.std_deg.tolist(),
-        },
+        "map": map_document(on_stage),
         "units": list(solution.table.units),
         "solved_from": list(solution.table.sources),
         "separable": separable,
