@@ -185,9 +185,8 @@ class Sweeping:
         worst = disturbing(self.ends, CHANCE_SHAKEN if shaken else CHANCE)
         if worst is not None:
             raise StageError(
-                f"the motor biases the accelerometer while it turns: at {worst.elevation_deg:g}° the unit reads "
-                f"{worst.difference_deg:+.3f}° ± {2 * worst.std_deg:.3f}° "
-                f"more at {self.plan.turn_dps:g}°/s than standing, and scatters by {1000 * turning_g:.1f} mg "
+                f"the motor biases the accelerometer: at {worst.elevation_deg:g}° the unit reads "
+                f"{worst.difference_deg:+.3f}° ± {2 * worst.std_deg:.3f}° more while the stage turns at {self.plan.turn_dps:g}°/s than standing, and scatters by {1000 * turning_g:.1f} mg "
                 f"instead of {1000 * standing_g:.1f} mg; take a plan of dwells, or another velocity"
             )
 
