@@ -27,12 +27,14 @@ from calrig.runs.errands import Errand
 from calrig.runs.follow_up import FollowUpRun
 from calrig.runs.good_enough import require_a_reference
 from calrig.runs.meter import Meter
+from calrig.runs.mounting import Mount
 from calrig.runs.new_run import NewRun
 from calrig.runs.planned import planned_poses
 from calrig.runs.queue import RunQueue
 from calrig.runs.references import require_in_date
 from calrig.runs.resume import resumed_task, waiting_task
 from calrig.runs.rig_states import RigState, state_of
+from calrig.runs.sightings import Sighting, Sightings
 from calrig.runs.stage_place import leave_at
 from calrig.runs.states import check_transition
 from calrig.runs.stopping import BY_REQUEST, Stops
@@ -82,6 +84,7 @@ class RunService:
             store, self.bus, self.meter, self._beginning, self._require_ready, self._begin_waiting
         )
         self._clamps = Clamps(self._crew, self._queue.next)
+        self._sightings = Sightings(store, self._crew)
         self._record = record
 
     def rigs(self) -> list[RigState]:
@@ -211,6 +214,7 @@ class RunService:
         worker = Worker(task, self.store, self.issuer, self.bus, self.meter, left, self._ended, self._record)
         if self._crew.take(worker):
             worker.control.end(BY_REQUEST)
+        self._sightings.let_go(worker.rig.name)
         worker.start()
 
     def _ended(self, worker: Worker) -> None:
@@ -291,6 +295,14 @@ class RunService:
         with self._beginning:
             return self._clamps.turn(rig, mount_deg, axis, lambda: self._state_of(rig))
 
+    def look(self, rig_name: str, mount: Mount) -> None:
+        """Has an idle rig's board looked at for a while: whether a unit is there, and which. Or Unknown."""
+        self._sightings.look(self._rig(rig_name), mount)
+
+    def seen(self, rig_name: str) -> Sighting | None:
+        """What was seen of the unit on a rig; None where nobody looks."""
+        return self._sightings.of(rig_name)
+
     def _state_of(self, rig: RigSettings) -> RigState:
         return next(state for state in self.rigs() if state.name == rig.name)
 
@@ -348,6 +360,7 @@ class RunService:
         end = End("interrupted", "the service was stopped during the run")
         with self._beginning:
             workers = self._crew.close()
+        self._sightings.close()
         for worker in workers:
             worker.control.end(end)
         deadlines_s = [worker.clock.now_s() + CLOSE_S for worker in workers]

@@ -1,0 +1,45 @@
+// The units of a list in a table, and how many there are of each kind.
+
+import { fill, h, headings, runLink, tableBox, unitLink } from "./dom.js";
+import { may } from "./me.js";
+
+export class UnitsTable {
+  /** `take(unit)` takes a unit out that waits. */
+  constructor(take) {
+    this.take = take;
+    this.element = h("section", { class: "card", "aria-labelledby": "queue-units-title" });
+  }
+
+  show({ units, closed_at: closed }) {
+    const shown = JSON.stringify([units, closed]);
+    if (shown === this.shown) return; // a button in the table keeps the focus
+    this.shown = shown;
+    const names = headings("Unit", "State", "Rig", "Run", "Why", "Change");
+    const table = h("table", { id: "queue-units" }, names, h("tbody", {}, units.map((turn) => this.#row(turn, closed))));
+    fill(this.element, h("h2", { id: "queue-units-title" }, "Units"), tableBox("Units of this list", table));
+  }
+
+  #row(turn, closed) {
+    const canGo = !closed && turn.state === "waiting" && may("operator");
+    const take = { type: "button", class: "small", "aria-label": `Take ${turn.unit} out`, on: { click: () => this.take(turn.unit) } };
+    return h(
+      "tr",
+      {},
+      h("th", { scope: "row" }, unitLink(turn.unit)),
+      h("td", {}, h("span", { class: `pill turn-${turn.word ?? turn.state}` }, (turn.word ?? turn.state).replace("_", "-"))),
+      h("td", {}, turn.rig ?? "–"),
+      h("td", {}, turn.run_id ? runLink(turn.run_id) : "–"),
+      h("td", { class: "wrap" }, turn.why),
+      h("td", { class: "plain" }, canGo && h("button", take, "Take out")),
+    );
+  }
+}
+
+/** Units, each by its last turn: one that failed first and passed then has passed. */
+export function counted(units) {
+  const last = new Map(units.map(({ unit, state, word }) => [unit, ["done", "failed"].includes(state) ? (word ?? "fail") : "left"]));
+  const words = [...last.values()];
+  const poor = words.filter((word) => word === "fail").length;
+  const left = words.filter((word) => word === "left").length;
+  return { left, poor, good: words.length - left - poor };
+}
