@@ -79,7 +79,7 @@ class QueuePage {
       this.rigs,
       this.error.element,
       this.said,
-      !answer.closed_at && this.form,
+      this.form,
       h("div", { class: "queue-line" }, this.facts, this.bell.buttons, this.#closing(answer)),
       this.units.element,
     );
@@ -137,23 +137,27 @@ class QueuePage {
   #show(list) {
     this.list = list;
     const waiting = new Set(list.units.filter(({ state }) => state === "waiting").map(({ unit }) => unit));
-    const several = list.rigs.length > 1;
+    const counts = counted(list.units);
+    const closed = Boolean(list.closed_at);
+    const standing = { several: list.rigs.length > 1, closed, waiting, counts };
+    this.form.hidden = closed;
+    if (closed) document.getElementById("close-list")?.remove();
     for (const rig of list.rigs) {
       if (!this.cards.has(rig.name)) {
         const begin = (turn) => this.#ask(async () => this.#show(await post(`${this.path}/start`, turn)));
         const ask = (verb, run) => this.#ask(() => post(`/api/runs/${encodeURIComponent(run)}/${verb}`));
-        const card = new RigCard(rig.name, { begin, ask, tell: (text) => this.#tell(text) });
+        const card = new RigCard(rig.name, { begin, ask, tell: (text, about) => this.#tell(text, about) });
         this.cards.set(rig.name, card);
         this.rigs.append(card.element);
       }
-      this.cards.get(rig.name).show(rig, { several, closed: Boolean(list.closed_at), waiting });
+      this.cards.get(rig.name).show(rig, standing);
     }
+    if (this.saidOf && this.saidOf.card.rig.seen?.says !== this.saidOf.says) this.#tell("");
     this.#choose();
     this.bell.heed(list.rigs);
-    const { left, good, poor } = counted(list.units);
     fill(
       this.facts,
-      h("span", { id: "queue-counts" }, `${left} to go, ${good} done, ${poor} failed`),
+      h("span", { id: "queue-counts" }, `${counts.left} to go, ${counts.good} done, ${counts.poor} failed`),
       list.operator && h("span", {}, `by ${list.operator}`),
       list.note && h("span", { class: "note" }, list.note),
     );
@@ -222,8 +226,10 @@ class QueuePage {
     }
   }
 
-  #tell(text) {
+  /** Says a line; one about what was seen on a rig holds as long as that is. */
+  #tell(text, about = null) {
     this.said.textContent = text;
+    this.saidOf = about && { card: about, says: about.rig.seen?.says };
   }
 
   #say(problem) {

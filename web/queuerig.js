@@ -60,10 +60,10 @@ export class RigCard {
     return this.does();
   }
 
-  /** `standing`: whether the list has `several` rigs, is `closed`, and which units wait, as a Set. */
-  show(rig, { several, closed, waiting }) {
+  /** `standing`: whether the list has `several` rigs, is `closed`, which units wait, as a Set, and how many are what. */
+  show(rig, { several, closed, waiting, counts }) {
     this.rig = rig;
-    const { text, button, does, unit } = closed ? { text: "This list is closed" } : this.#now(rig, waiting);
+    const { text, button, does, unit } = this.#now(rig, { closed, waiting, counts });
     if (text !== this.text) this.calm();
     this.text = text;
     this.unit = unit ?? rig.on?.unit;
@@ -76,14 +76,16 @@ export class RigCard {
     this.result.hidden = !word;
     this.result.className = `big-word ${word}`;
     fill(this.result, word && [h("span", { "aria-hidden": "true" }, SHAPES[word]), ` ${word.toUpperCase()}`]);
-    fill(this.of, word && [`${rig.last.unit} `, runLink(rig.last.run_id, "run "), rig.last_says.length > 0 && h("small", {}, rig.last_says[0])]);
-    const why = under_way ? null : rig.on?.why;
+    const says = rig.last_says[0] ?? rig.last?.why;
+    fill(this.of, word && [`${rig.last.unit} `, runLink(rig.last.run_id, "run "), says && h("small", {}, says)]);
+    const why = under_way || closed ? null : rig.on?.why;
     this.#look(closed || (why && rig.seen?.says.includes(why)) ? null : rig.seen, rig.last);
     this.why.hidden = !why;
+    this.why.className = rig.on?.run_id ? "error" : "muted";
     fill(this.why, why && [why, rig.on.run_id && [" ", runLink(rig.on.run_id, "Run ")]]);
     this.bar.hidden = !under_way;
     this.bar.value = rig.progress?.fraction ?? 0;
-    fill(this.more, under_way ? left(rig) : rig.next && `Then ${rig.next.unit}`);
+    fill(this.more, under_way ? [`${left(rig)}. `, runLink(rig.on.run_id, "Run ")] : !closed && rig.next && `Then ${rig.next.unit}`);
     this.go.hidden = !this.does;
     this.go.textContent = button ?? "";
     this.abort.hidden = !under_way || !may("operator");
@@ -107,15 +109,16 @@ export class RigCard {
   }
 
   /** The instruction, the button, what both do, and the unit that they are about. */
-  #now({ name, state, busy_with: busy, on, seen, last, waiting_for: waits }, waiting) {
+  #now({ name, state, status, busy_with: busy, on, seen, last, waiting_for: waits }, { closed, waiting, counts }) {
     if (on?.state === "running" && waits) {
       const text = `Turn ${on.unit} to ${fixed(waits.mount_deg, Number.isInteger(waits.mount_deg) ? 0 : 2, "°")}, press Enter`;
       return { text, button: "It sits: go on", does: () => this.ask("resume", on.run_id) };
     }
-    if (on?.state === "running") return { text: `${on.unit} is being measured` };
+    if (on?.state === "running") return { text: `${on.unit} is ${status === "paused" ? "paused" : "being measured"}` };
+    if (closed) return { text: "This list is closed" };
     if (busy) return { text: `Rig ${name} is busy` };
     if (state === "offline") return { text: `Rig ${name} is offline` };
-    if (!on) return { text: "No unit left" };
+    if (!on) return { text: `No unit left: ${counts.good} done, ${counts.poor} failed` };
     const start = (unit) => () => this.begin({ rig: name, unit });
     const button = `Start ${on.unit}`;
     if (on.state === "follow_up") return { text: `Leave ${on.unit} mounted, press Enter: another run tells why`, button, does: start(on.unit) };
@@ -125,7 +128,7 @@ export class RigCard {
       // its board says so, and it waits as well: nobody need take it off again
       return { text: `${seen.serial} is mounted, press Enter`, button: `Start ${seen.serial}`, does: start(seen.serial), unit: seen.serial };
     }
-    return { text, button, does: () => this.tell(`Not started. ${seen.says}`) };
+    return { text, button, does: () => this.tell(`Not started. ${seen.says}`, this) };
   }
 }
 

@@ -35,11 +35,14 @@ export class UnitsTable {
   }
 }
 
-/** Units, each by its last turn: one that failed first and passed then has passed. */
+/** Units: those with a turn to come, and the others and they by their last word. One may be to go and have failed. */
 export function counted(units) {
-  const last = new Map(units.map(({ unit, state, word }) => [unit, ["done", "failed"].includes(state) ? (word ?? "fail") : "left"]));
-  const words = [...last.values()];
-  const poor = words.filter((word) => word === "fail").length;
-  const left = words.filter((word) => word === "left").length;
-  return { left, poor, good: words.length - left - poor };
+  const words = new Map();
+  const left = new Set();
+  for (const { unit, state, word } of units) {
+    if (word || state === "failed") words.set(unit, word ?? "fail");
+    if (!["done", "failed"].includes(state)) left.add(unit);
+  }
+  const poor = [...words.values()].filter((word) => word === "fail").length;
+  return { left: left.size, poor, good: words.size - poor };
 }

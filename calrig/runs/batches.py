@@ -138,7 +138,9 @@ class RunBatches:
         except Conflict as error:
             if turn.rig in {state.name for state in self._service.rigs() if state.state == "busy"}:
                 raise
-            self._write(standing, replace(turn, state="failed", why=str(error)))
+            self._write(
+                standing, replace(turn, state="failed", why=str(error).removeprefix(f"run {turn.run_id}: "))
+            )
             raise
 
     def look(self, batch_id: str) -> None:
