@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -46,6 +45,9 @@ CLOSE_S = 4.0
 class RunService:
     """Starts runs and passes requests on to them. Thread-safe.
 
+    Attributes:
+        crew: which runs are on which rigs.
+
     Args:
         store: where runs are kept.
         rigs: those there are.
@@ -68,15 +70,15 @@ class RunService:
         self.bus = Bus()
         self._rigs = {rig.name: rig for rig in rigs}
         self.meter = Meter(self._rigs)
-        self._crew = Crew()
-        self._stops = Stops(self._crew)
+        self.crew = Crew()
+        self._stops = Stops(self.crew)
         self._starts = Starts(
-            store, self._rigs, self._crew, self.bus, self.meter, self.issuer, self.maps, record
+            store, self._rigs, self.crew, self.bus, self.meter, self.issuer, self.maps, record
         )
 
     def rigs(self) -> list[RigState]:
         """Every configured rig and what it is doing. Looks at no port that would notice."""
-        busy, unreachable = self._crew.look()
+        busy, unreachable = self.crew.look()
         return [
             state_of(rig, busy.get(rig.name), unreachable=rig.name in unreachable)
             for rig in self._rigs.values()
@@ -128,23 +130,9 @@ class RunService:
         """
         return self.run(self._starts.begin(settings, wanted, waits=waits).id)
 
-    def is_free(self, rig_name: str) -> bool:
-        """Whether no run is on a rig, and none is about to be."""
-        return rig_name not in self._crew.look()[0]
-
-    @contextmanager
-    def keeping(self, rig_name: str, run_id: str) -> Iterator[bool]:
-        """Keeps a rig for a run that is about to begin, and no longer; gives whether the rig was free."""
-        kept = self._crew.keep(rig_name, run_id)
-        try:
-            yield kept
-        finally:
-            if kept:
-                self._crew.let_go(rig_name, run_id)
-
     def run(self, run_id: str) -> Run:
         """The run, or Unknown. One whose end the store could not be told of yet is as it ended."""
-        worker = self._crew.of_run(run_id)  # before the store is asked: it is let go once that is told
+        worker = self.crew.of_run(run_id)  # before the store is asked: it is let go once that is told
         untold = None if worker is None else worker.untold
         run = stored_run(self.store, run_id)
         return run if untold is None else replace(run, **untold)
@@ -164,7 +152,7 @@ class RunService:
             if self._starts.queue.take_out(run_id):
                 return self.run(run_id)
             run = self.run(run_id)
-            if run.status == "interrupted" and self._crew.of_run(run_id) is None:
+            if run.status == "interrupted" and self.crew.of_run(run_id) is None:
                 aborted = self.store.update_run(run_id, status="aborted")
                 self.bus.wake(run_id)
                 return aborted
@@ -172,7 +160,7 @@ class RunService:
 
     def begin_abort(self, run_id: str) -> Errand[Run] | None:
         """As `abort`, in a thread of its own; None where nobody carries the run out. Asks no store before."""
-        worker = self._crew.of_run(run_id)
+        worker = self.crew.of_run(run_id)
         return None if worker is None else self._stops.abort(worker, lambda: self._aborted(worker))
 
     def _aborted(self, worker: Worker) -> Run:
@@ -200,7 +188,7 @@ class RunService:
     def begin_stop(self, rig_name: str) -> Errand[RigState]:
         """As `stop`, in a thread that is this rig's alone; who asks while it is being told shares that."""
         rig = self._rig(rig_name)
-        self._crew.call_off(rig_name)
+        self.crew.call_off(rig_name)
         telling = threading.Thread(
             target=self._starts.queue.call_off(rig_name), name=f"waited for {rig_name}"
         )
@@ -259,21 +247,21 @@ class RunService:
         require_in_date(settings)
         task = resumed_task(self.store, run, settings)
         with self._starts.lock:
-            self._crew.require_free(settings.name, run.id)
+            self.crew.require_free(settings.name, run.id)
             check_transition(run.id, self.run(run.id).status, "queued")  # somebody else may have been first
             self.store.update_run(run.id, status="queued", error=None)
             self._starts.employ(task)
         return self.run(run.id)
 
     def _worker(self, run_id: str, wish: str) -> Worker:
-        worker = self._crew.of_run(run_id)
+        worker = self.crew.of_run(run_id)
         if worker is None:
             raise Conflict(f"run {run_id} is {self.run(run_id).status} and cannot be {wish}")
         return worker
 
     def wait(self, run_id: str, timeout_s: float | None = None) -> Run:
         """The run once it has ended, or as it is after timeout_s."""
-        worker = self._crew.of_run(run_id)
+        worker = self.crew.of_run(run_id)
         if worker is not None:
             worker.join(timeout_s)
         return self.run(run_id)
@@ -282,7 +270,7 @@ class RunService:
         """Stops every stage and ends every run as `interrupted`, within five seconds."""
         end = End("interrupted", "the service was stopped during the run")
         with self._starts.lock:
-            workers = self._crew.close()
+            workers = self.crew.close()
         self._starts.sightings.close()
         for worker in workers:
             worker.control.end(end)
