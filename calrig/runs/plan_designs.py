@@ -22,10 +22,9 @@ from calrig.calibration.plan_design.rig_figures import NOT_MEASURED, Pace, Preci
 from calrig.calibration.plan_design.settling import SHARE, forgotten_s
 from calrig.calibration.stage_reference import StageMap
 from calrig.calibration.uncertainty import Reference
-from calrig.instruments.axis_goal import travel_time_s
 from calrig.plan import Plan, Until
 from calrig.run_ids import short_name
-from calrig.runs.planned import HOMING_AND_START_S, QUESTIONS_S, speed
+from calrig.runs.rig_pace import rig_pace
 from calrig.runs.settling import Settling, settling_of
 from calrig.settings import RigSettings
 from calrig.store import Run, Store
@@ -152,11 +151,9 @@ def _settled(task: Task, wanted: Wanted, settling: Settling) -> tuple[Task, Desi
 
 
 def _pace(plan: Plan, rig: RigSettings, settle_s: float, store: Store | None) -> Pace:
-    velocity_dps, acceleration_dps2 = speed(rig, store)
-    moves = partial(
-        travel_time_s, velocity_dps=plan.velocity_dps or velocity_dps, acceleration_dps2=acceleration_dps2
-    )
-    return Pace(moves, settle_s, QUESTIONS_S, HOMING_AND_START_S)
+    known = rig_pace(rig, store)
+    travel_s = partial(known.travel_s, velocity_dps=plan.velocity_dps)
+    return Pace(travel_s, settle_s, known.questions_s, known.begin_s, known.stands_deg)
 
 
 def _precision(rig: RigSettings, unit: str, store: Store | None) -> Precision:

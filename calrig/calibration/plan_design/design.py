@@ -211,7 +211,7 @@ def _of_time(task: Task, time_s: float) -> Iterator[Design]:
 
 def _overhead_s(task: Task, order: list[float]) -> float:
     pace = task.pace
-    first_s = pace.travel_s(abs(order[0]))  # from about its home
+    first_s = pace.travel_s(abs(order[0] - pace.stands_deg))
     return pace.begin_s + first_s + way_s(order, pace) + len(order) * (pace.settle_s + pace.questions_s)
 
 
