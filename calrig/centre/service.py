@@ -25,6 +25,7 @@ from calrig.processes.pool import Apart, run_apart
 from calrig.runs.bus import Bus
 from calrig.runs.errands import Errand, Errands
 from calrig.runs.follow_up import FollowUpRun
+from calrig.runs.good_enough import require_a_reference
 from calrig.runs.meter import Meter
 from calrig.runs.ordered import order_part
 from calrig.runs.planned import planned_poses
@@ -141,6 +142,7 @@ class CentreService:
         queue: bool = False,
     ) -> Run:
         planned = planned_poses(plan, on.settings)
+        require_a_reference(plan, on.settings, self.store)
         verifies: ActiveCalibration | None = None
         if plan.kind == "verification":
             verifies = active_calibration(self.store, unit, on.settings.name, plan.revision)
