@@ -21,6 +21,7 @@ from calrig.plan import MountAxis, Plan
 from calrig.processes.pool import Apart, run_apart
 from calrig.runs.bus import Bus
 from calrig.runs.errands import Errand, Errands
+from calrig.runs.good_enough import require_a_reference
 from calrig.runs.meter import Meter
 from calrig.runs.mounting import Mount
 from calrig.runs.new_run import NewRun, rig_followed_up_on
@@ -124,6 +125,7 @@ class CentreService:
 
     def _order(self, on: BenchRig, wanted: NewRun, *, waits: bool = False) -> Run:
         planned = planned_poses(wanted.plan, on.settings)
+        require_a_reference(wanted.plan, on.settings, self.store)
         wanted = wanted.as_of_now(self.store, on.settings.name, self.maps)
         if on.is_offline and not waits:
             said = f"rig {on.settings.name!r}: bench {on.bench.name} {seen(on.bench)}"
