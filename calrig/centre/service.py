@@ -21,11 +21,14 @@ from calrig.plan import MountAxis, Plan
 from calrig.processes.pool import Apart, run_apart
 from calrig.runs.bus import Bus
 from calrig.runs.errands import Errand, Errands
+from calrig.runs.good_enough import require_a_reference
 from calrig.runs.meter import Meter
+from calrig.runs.mounting import Mount
 from calrig.runs.new_run import NewRun, rig_followed_up_on
 from calrig.runs.ordered import order_part
 from calrig.runs.planned import planned_poses
 from calrig.runs.rig_states import RigState
+from calrig.runs.sightings import Sighting
 from calrig.runs.stopping import BY_REQUEST
 from calrig.settings import RigSettings
 from calrig.store import AT_REST, Run, Store, StoreError
@@ -122,6 +125,7 @@ class CentreService:
 
     def _order(self, on: BenchRig, wanted: NewRun, *, waits: bool = False) -> Run:
         planned = planned_poses(wanted.plan, on.settings)
+        require_a_reference(wanted.plan, on.settings, self.store)
         wanted = wanted.as_of_now(self.store, on.settings.name, self.maps)
         if on.is_offline and not waits:
             said = f"rig {on.settings.name!r}: bench {on.bench.name} {seen(on.bench)}"
@@ -199,6 +203,13 @@ class CentreService:
         raise Conflict(
             f"rig {rig_name!r} is on bench {bench.name}: turn its unit there, by hand or at its page"
         )
+
+    def look(self, rig_name: str, mount: Mount) -> None:
+        """Looks at nothing: the boards are its benches'."""
+
+    def seen(self, rig_name: str) -> Sighting | None:  # noqa: ARG002
+        """None: nobody looks."""
+        return None
 
     def pause(self, run_id: str) -> Run:
         """Has the run hold after the pose in hand."""

@@ -1,4 +1,4 @@
-"""Work that takes long: a diagnosis that tells that two fifths are done, and what has to be cancelled.
+"""Work that takes long: a diagnosis, a plan that is looked for, of which two fifths are said to be done.
 
 Its process imports little.
 """
@@ -22,3 +22,13 @@ def slow_trace(*poses: Any, progress: Callable[[float], None], **asked: Any) -> 
     while not LET_GO.exists():
         time.sleep(0.02)
     return trace(*poses, **asked)
+
+
+def slow_answer(asked: Any, progress: Callable[[float], None]) -> Any:
+    """As `calrig.runs.plan_answers.answer`, once LET_GO is there."""
+    from calrig.runs.plan_answers import answer
+
+    progress(0.4)
+    while not LET_GO.exists():
+        time.sleep(0.02)
+    return answer(asked)
