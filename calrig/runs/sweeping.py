@@ -185,8 +185,8 @@ class Sweeping:
         worst = disturbing(self.ends, CHANCE_SHAKEN if shaken else CHANCE)
         if worst is not None:
             said = (
-                f"reads {worst.difference_deg:+.3f}° ± {2 * worst.std_deg:.3f}° more than standing and scatters "
-                f"by {1000 * turning_g:.1f} mg, not {1000 * standing_g:.1f} mg"
+                f"reads {worst.difference_deg:+.3f}° ± {2 * worst.std_deg:.3f}° more than standing, and "
+                f"scatters by {1000 * turning_g:.1f} mg, not {1000 * standing_g:.1f} mg"
             )
             raise StageError(
                 f"the motor biases the accelerometer while it turns at {self.plan.turn_dps:g}°/s: at "
