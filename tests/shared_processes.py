@@ -1,7 +1,7 @@
 """Processes for heavy work that the services of a test worker share.
 
-To start one that loads numpy and scipy takes half a second of processor time. A service in use has its own for
-as long as it lives; one in a test lives for a few requests.
+To start one that loads numpy and scipy takes half a second of processor time. A service in use has its own
+for as long as it lives; one in a test lives for a few requests.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class SharedProcesses(Processes):
         try:
             await over.wait()
         except asyncio.CancelledError:
-            self._loop.call_soon_threadsafe(lambda: tasks[0].cancel())
+            self._loop.call_soon_threadsafe(lambda: tasks[0].cancel())  # noqa: PLW0108 (it may yet begin)
             await over.wait()
             raise
         return tasks[0].result()

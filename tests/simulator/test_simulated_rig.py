@@ -60,7 +60,7 @@ def read_samples(board: serial.SerialBase, n: int) -> list[tuple[int, ...]]:
 
 
 def open_port(url: str, baudrate: int) -> serial.SerialBase:
-    """Locked, as calrig's own are: a service elsewhere, whose rig had this terminal's name, may yet stop it."""
+    """Locked, as calrig's own are: a service whose rig had this terminal's name before may yet stop it."""
     locked = {} if "://" in url else {"exclusive": True}
     return serial.serial_for_url(url, baudrate=baudrate, timeout=PATIENCE_S, **locked)
 
