@@ -107,7 +107,7 @@ def test_both_ports_can_be_closed_and_opened_again(kind):
 
 def test_a_board_that_nobody_reads_does_not_hold_up_the_stage():
     with (
-        rig() as simulated,
+        rig(time_scale=100.0) as simulated,
         open_stage(simulated.stage_port) as stage,
         open_board(simulated.imu_port) as board,
     ):
