@@ -50,10 +50,6 @@ export async function put(path, body) {
   });
 }
 
-export async function postForm(path, form) {
-  return request(path, { method: "POST", body: form });
-}
-
 export async function remove(path) {
   const response = await sent(path, { method: "DELETE" });
   return response.status === 204 ? null : response.json();
@@ -62,7 +58,21 @@ export async function remove(path) {
 /** As `post` for what may take long: `{ answer }`, or `{ job }` where the service goes on with it by that path. */
 export async function begin(path, body, signal) {
   const options = { signal, method: "POST", headers: JSON_BODY, body: JSON.stringify(body) };
-  const response = await sent(`${path}?wait=false`, options);
+  return begun(await sent(`${path}?wait=false`, options));
+}
+
+/** The same of what a GET computes. */
+export async function beginGet(path, signal) {
+  return begun(await sent(`${path}?wait=false`, { signal }));
+}
+
+/** The same of a form with a file; `told(share)` as it goes. */
+export async function beginUpload(path, form, signal, told) {
+  const { upload } = await import("./upload.js");
+  return begun(await answered(path, () => upload(`${path}?wait=false`, form, signal, told)));
+}
+
+async function begun(response) {
   if (response.status === 202) return { job: response.headers.get("Location") };
   return { answer: await response.json() };
 }
@@ -76,10 +86,14 @@ async function request(path, options) {
   return (await sent(path, options)).json();
 }
 
-async function sent(path, options) {
+function sent(path, options) {
+  return answered(path, () => fetch(path, options));
+}
+
+async function answered(path, ask) {
   let response;
   try {
-    response = await fetch(path, options);
+    response = await ask();
   } catch (error) {
     if (error.name === "AbortError") throw error;
     window.dispatchEvent(new Event("calrig:lost"));

@@ -64,6 +64,7 @@ LATER = {
     "import.js",
     "limits.js",
     "noise.js",
+    "noisefile.js",
     "paper.js",
     "plandesign.js",
     "queue.js",
@@ -76,6 +77,7 @@ LATER = {
     "solveruns.js",
     "trail.js",
     "units.js",
+    "upload.js",
     "users.js",
     "waiting.js",
 }

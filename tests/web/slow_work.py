@@ -1,4 +1,4 @@
-"""Work that takes long: a diagnosis that tells that two fifths are done, and what has to be cancelled.
+"""Work that takes long: a diagnosis and a log that tell that two fifths are done; what has to be cancelled.
 
 Its process imports little.
 """
@@ -19,6 +19,17 @@ def slow_trace(*poses: Any, progress: Callable[[float], None], **asked: Any) -> 
     from calrig.calibration.diagnosis import trace
 
     progress(0.4)
+    held()
+    return trace(*poses, **asked)
+
+
+def slow_study(*_: Any, progress: Callable[[float], None], **__: Any) -> None:
+    """In the place of `calrig.analysis.log_studies.study_file`; ends with LET_GO."""
+    progress(0.4)
+    held()
+
+
+def held(*_: Any) -> None:
+    """Work that somebody has to cancel; ends with LET_GO."""
     while not LET_GO.exists():
         time.sleep(0.02)
-    return trace(*poses, **asked)
