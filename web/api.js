@@ -22,6 +22,12 @@ export async function get(path, signal) {
   return request(path, { signal });
 }
 
+/** A page of runs, with the time of the oldest run that was looked at for it. */
+export async function getRuns(query, signal) {
+  const response = await sent(`/api/runs?${query}`, { signal });
+  return { ...(await response.json()), backTo: response.headers.get("Calrig-Back-To") };
+}
+
 export async function getText(path) {
   return (await sent(path, {})).text();
 }

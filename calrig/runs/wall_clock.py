@@ -15,7 +15,7 @@ LATEST = 5
 
 
 def wall_pace(rig: RigSettings, store: Store) -> float:
-    """Seconds on the wall for one that `estimate` says, over the rig's last runs; before any, by its settings.
+    """Seconds on the wall for one that `estimate` says, over the rig's last runs; before any, as set.
 
     A run tells where its plan says how long it takes and nobody is waited for: not one whose dwells end by
     themselves, a wait for a temperature, several mounts, a follow-up, or one that was interrupted.
