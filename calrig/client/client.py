@@ -189,6 +189,7 @@ class Client(Transport):
         until: Mapping[str, float] | None = None,
         trace: bool = True,
         keep: Plan | Mapping[str, Any] | None = None,
+        told: Told = unheard,
     ) -> PlanDesign:
         """The plan that reaches an uncertainty soonest, or the best one for a time; nothing moves.
 
@@ -200,6 +201,7 @@ class Client(Transport):
             until: what else is to be reached: `bias_std_deg`, `scale_std`, `expanded_uncertainty_deg`.
             trace: whether effects are to be found in it.
             keep: a plan whose range, settling and rate are kept.
+            told: is told the share that is done.
 
         Raises:
             Invalid: no plan reaches it; says what would.
@@ -217,7 +219,7 @@ class Client(Transport):
         }
         if keep is not None:
             body["plan"] = _plain(keep)
-        return PlanDesign.of(outcome(self, self.post("/api/plans/design", body)))
+        return PlanDesign.of(outcome(self, self.post("/api/plans/design?wait=false", body), told))
 
 
 def _plain(plan: Plan | PlanDesign | Mapping[str, Any]) -> dict[str, Any]:

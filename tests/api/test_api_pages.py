@@ -80,6 +80,7 @@ LATER = {
     "queuebell.js",
     "queueform.js",
     "queuerig.js",
+    "queuetable.js",
     "result.js",
     "rig.js",
     "run.js",

@@ -1,4 +1,4 @@
-"""Work that takes long: a diagnosis and a log that tell that two fifths are done; what has to be cancelled.
+"""Work that takes long: of a diagnosis, a plan, a log two fifths are said to be done; what has to be cancelled.
 
 Its process imports little.
 """
@@ -33,3 +33,12 @@ def held(*_: Any) -> None:
     """Work that somebody has to cancel; ends with LET_GO."""
     while not LET_GO.exists():
         time.sleep(0.02)
+
+
+def slow_answer(asked: Any, progress: Callable[[float], None]) -> Any:
+    """As `calrig.runs.plan_answers.answer`, once LET_GO is there."""
+    from calrig.runs.plan_answers import answer
+
+    progress(0.4)
+    held()
+    return answer(asked)
