@@ -1,17 +1,20 @@
-"""Work that takes long: of a diagnosis, a plan, a log two fifths are said to be done; what has to be cancelled.
+"""Work that takes long: diagnosis, plan and log say that two fifths are done; what has to be cancelled.
 
 Its process imports little.
 """
 
 from __future__ import annotations
 
+import os
 import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-LET_GO = Path(tempfile.gettempdir()) / "calrig-test-of-slow-work"
+_OF_THESE_TESTS = f"{tempfile.gettempdir()}/calrig-slow-{os.getpid()}"
+LET_GO = Path(os.environ.setdefault("CALRIG_TEST_LET_GO", _OF_THESE_TESTS))
+"""Of this process of tests, and of those that its service starts: others beside it have one of their own."""
 
 
 def slow_trace(*poses: Any, progress: Callable[[float], None], **asked: Any) -> dict[str, Any]:
