@@ -149,6 +149,7 @@ def test_stopping_twice_is_no_error_and_closes_the_ports():
 
 def test_a_launched_rig_answers_and_ends_when_stopped():
     with launch({"preset": "demo", "time_scale": 50}) as process:
+        assert process.time_scale == 50.0  # which the form on the page reckons with until a run has told
         with open_stage(process.stage_port) as stage, open_board(process.imu_port) as board:
             assert ask(stage, "1TS") == "1TS00000A"
             board.write(b"ID\n")
