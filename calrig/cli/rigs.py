@@ -30,10 +30,12 @@ def rigs(
 
     there = None if config else running_service(server, db)
     if there is not None:
+        from calrig.client.transport import part
+
         output.print_rigs_there(there.rigs())
         if scan:
             looked = there.post("/api/rigs/scan", {})
-            output.print_ports(looked["found"], looked["stanza"])
+            output.print_ports(part(looked, "found"), part(looked, "stanza"))
         return
 
     from calrig.settings import load_settings

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
+from urllib.parse import quote
 
 from calrig.client.documents import AT_REST, Diagnosis, Result, RunEvent, RunRecord
 from calrig.client.errors import RunFailed
@@ -11,6 +12,7 @@ from calrig.client.events import run_events
 from calrig.client.jobs import Told, outcome, unheard
 
 if TYPE_CHECKING:
+    from calrig.client.log_documents import FiltersStudy, NoiseStudy
     from calrig.client.transport import Transport
 
 
@@ -26,6 +28,11 @@ class Run:
         self._link, self._record = link, record
         self.id, self.unit = record.id, record.unit
         self._path = f"/api/runs/{record.id}"
+
+    @classmethod
+    def of_id(cls, link: Transport, run_id: str) -> Self:
+        """The run of a whole id."""
+        return cls(link, RunRecord.of(link.get(f"/api/runs/{quote(run_id, safe='')}")))
 
     def __repr__(self) -> str:
         return f"<calrig run {self.id} of {self.unit!r}, {self._record.status}>"
@@ -89,6 +96,22 @@ class Run:
         """
         asked = self._link.post(f"{self._path}/diagnosis?wait=false", {"runs": list(more)})
         return Diagnosis.of(outcome(self._link, asked, told))
+
+    def noise(self, *, told: Told = unheard) -> NoiseStudy:
+        """The noise in the log of a static run.
+
+        Args:
+            told: is told the share that is done, where the service can say.
+        """
+        from calrig.client.log_documents import NoiseStudy
+
+        return NoiseStudy.of(outcome(self._link, self._link.get(f"{self._path}/noise?wait=false"), told))
+
+    def filters(self, *, told: Told = unheard) -> FiltersStudy:
+        """The filters side by side on its samples; `told` as of `noise`."""
+        from calrig.client.log_documents import FiltersStudy
+
+        return FiltersStudy.of(outcome(self._link, self._link.get(f"{self._path}/filters?wait=false"), told))
 
     def poses(self) -> list[dict[str, Any]]:
         """Its poses, in the columns of docs/poses.md."""
