@@ -27,7 +27,8 @@ from calrig.api.lingering import CLOSE
 JSON_BYTES = 1_000_000
 LOGIN_BYTES = 10_000
 """Of what strangers send: it is held in memory for as many as there are connections."""
-UPLOAD_BYTES = 50_000_000
+UPLOAD_BYTES = 150_000_000
+"""Two million samples of seven columns."""
 LOGIN_PATH = "/api/login"
 ENROLL_PATH = "/api/benches/enroll"
 UPLOAD_PATHS = frozenset({"/api/imports", "/api/noise", "/api/filters"})

@@ -229,7 +229,8 @@ async def _of_run(study: Study, run: Run, context: ApiContext, heavy: HeavyWork,
     async def work(job: Job) -> dict[str, Any]:
         async with on_disk(partial(lay_samples, context.store, run.id)) as path:
             try:
-                return await job.run(partial(study_samples, study, path, NAMES, gyro_scale_of(run)))
+                studied = partial(study_samples, study, path, NAMES, gyro_scale_of(run))
+                return await job.run(studied, tells_progress=True)
             except ValueError as error:
                 raise Invalid(f"run {run.id}: {error}") from error
 
@@ -247,13 +248,20 @@ async def _of_file(
     accel_range_g: float | None,
     gyro_range_dps: float | None,
 ) -> Any:
-    given = {"rate_hz": rate_hz, "accel_range_g": accel_range_g, "gyro_range_dps": gyro_range_dps}
     name = name_of(file)
 
     async def work(job: Job) -> dict[str, Any]:
         async with on_disk(copied(file)) as path:
+            studied = partial(
+                study_file,
+                study,
+                path,
+                rate_hz=rate_hz,
+                accel_range_g=accel_range_g,
+                gyro_range_dps=gyro_range_dps,
+            )
             try:
-                found = await job.run(partial(study_file, study, path, **given))
+                found = await job.run(studied, tells_progress=True)
             except ValueError as error:
                 raise Invalid(f"{name}: {error}") from error
         if keeper is None:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 LARGEST_LOG = 1_500_000_000
 """Bytes; more than a day at 200 Hz."""
-LARGEST_POSES = 50_000_000
+LARGEST_POSES = 150_000_000
 LARGEST_PLAN = 1_000_000
 """Bytes: ten thousand elevations take a tenth of them."""
 

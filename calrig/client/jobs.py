@@ -38,8 +38,7 @@ def outcome(link: Transport, answer: Any, told: Told = unheard) -> Any:
         while job.state in ("queued", "running"):
             nap(LOOK_S)
             job = JobState.of(link.get(f"/api/jobs/{job.id}"))
-            if job.fraction is not None:
-                told(job.fraction)
+            told(job.fraction or 0.0)
     except BaseException as left:  # whoever does not wait any more does not want it done
         with suppress(ServiceError):
             ended = JobState.of(link.delete(f"/api/jobs/{job.id}"))

@@ -8,7 +8,8 @@ from urllib.parse import quote
 
 from calrig.client.documents import AT_REST, Diagnosis, Result, RunEvent, RunRecord
 from calrig.client.errors import RunFailed
-from calrig.client.events import run_events
+from calrig.client.events import Away, run_events
+from calrig.client.events import unheard as unheard_away
 from calrig.client.jobs import Told, outcome, unheard
 
 if TYPE_CHECKING:
@@ -47,13 +48,20 @@ class Run:
         self._record = RunRecord.of(self._link.get(self._path))
         return self._record
 
-    def events(self, after: int = 0) -> Iterator[RunEvent]:
+    def events(self, after: int = 0, *, away: Away = unheard_away) -> Iterator[RunEvent]:
         """What happened since an event, then what happens, until the run has ended; each once, in order.
 
         A line that breaks is taken up again. A run of several mounts is `paused` where its `progress` has
         `waiting_for`: it goes on by `resume`.
+
+        Args:
+            after: `id` of the last event known; 0 for all.
+            away: is told why, once, each time that the service does not answer and is waited for.
+
+        Raises:
+            Unreachable: it has been away for two minutes.
         """
-        return run_events(self._link, self.id, after)
+        return run_events(self._link, self.id, after, away)
 
     def wait(self) -> RunRecord:
         """The run once it has ended, however."""

@@ -193,7 +193,9 @@ def test_a_run_of_another_program_is_watched_in_the_file(folder):
         watcher.start()
         store.update_run(run.id, status="interrupted", error="the power went")
         watcher.join()
-    assert said == [f"calrig: run {run.id} interrupted: the power went"]
+    assert said == [
+        f"calrig: run {run.id} interrupted: the power went; `calrig resume {run.id}` goes on with it"
+    ]
 
 
 def test_a_task_that_is_cancelled_cancels_the_work_that_it_waits_for(there, served, monkeypatch, caplog):
