@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from calrig.cli.printing import number, print_line, print_parameter, print_table, print_warnings
+from calrig.cli.printing import (
+    number,
+    print_line,
+    print_parameter,
+    print_sentence,
+    print_table,
+    print_warnings,
+)
 from calrig.errors import printable
 
 if TYPE_CHECKING:
@@ -251,12 +258,12 @@ def _print_effect(effect: dict[str, Any]) -> None:
             unit = covariate.unit if one.unit is None else one.unit
             print_parameter(one.title, effect["parameters"].get(one.name), unit)
     for sentence in (*effect["evidence"], effect["remedy"]):
-        print_line(f"  · {sentence}")
+        print_sentence(f"  · {sentence}")
 
 
 def _print_sentences(sentences: Iterable[str]) -> None:
     for sentence in sentences:
-        print_line(f"· {sentence}")
+        print_sentence(f"· {sentence}")
 
 
 def _signed(value: float | None, unit: str = "", decimals: int = 2) -> str:

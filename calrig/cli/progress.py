@@ -31,6 +31,8 @@ PERCENT = 100
 """Of a static log, which has no poses to be counted."""
 
 
+NEARLY = 0.9999
+"""Shown as 100 %; at 1 the clock beside it would stop, and there may be a step to come."""
 SHORT = 24
 """Characters of a serial number that leave room for the bar beside it."""
 
@@ -67,7 +69,9 @@ def run_bar(run: Watched, unit: str) -> Iterator[Callable[[Happened], None]]:
             elif event.type == "state":
                 progress.update(bar, left=data["status"])
             elif event.type == "notice":
-                console.print(f"calrig: {printable(data['says'])}", soft_wrap=True, **PLAIN)
+                console.print(
+                    f"calrig: {printable(data['says'])}", soft_wrap=not console.is_terminal, **PLAIN
+                )
 
         yield show
 
@@ -103,7 +107,7 @@ def late_bars(patience_s: float = PATIENCE_S) -> Iterator[Callable[[str], Callab
 
         def show(share: float) -> None:
             total = 1.0 if share > 0.0 else None
-            progress.update(bar, description=described, total=total, completed=share)
+            progress.update(bar, description=described, total=total, completed=min(share, NEARLY))
             if console.is_terminal and time.monotonic() - begun_s > patience_s:
                 progress.start()
 

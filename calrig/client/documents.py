@@ -109,6 +109,7 @@ class RunRecord(Document):
     diagnosis: dict[str, Any] | None
     faults: dict[str, int]
     follows: str | None
+    provenance: dict[str, Any]
     operator: str | None
     note: str | None
     created_at: datetime

@@ -49,6 +49,22 @@ def read_run(
     return ordered, axis, [*warnings, *([of_time] if of_time else [])]
 
 
+def read_about_x(data: bytes) -> tuple[list[Pose], list[str]]:
+    """The poses of a file that are one unit's, about its x, in the order measured, and what is to be said.
+
+    Raises:
+        CsvError: the file is no table of poses, or they are of several units or about another axis.
+    """
+    poses, texts, warnings = read_labelled_columns(data, ("unit", AXIS))
+    if "unit" in texts:
+        _one(texts["unit"], "unit")
+    axis = _axis(texts[AXIS]) if AXIS in texts else "x"
+    if axis != "x":
+        raise CsvError(f"is {axis}, and this is of elevations about x; `calrig solve` takes it", column=AXIS)
+    ordered, of_time = poses.in_time()
+    return ordered[:], [*warnings, *([of_time] if of_time else [])]
+
+
 def _one(column: Texts, name: str) -> str:
     """The text of every cell; blank cells are of any."""
     first = next((text for text in column.texts if text), "")
