@@ -137,6 +137,8 @@ def _store(db: str | None) -> Store:
     try:
         return Store.open(store_url(db), writer="users")
     except Taken as error:
+        if "--server" in str(error):
+            raise
         raise WorkError(f"{error}; or ask a service that holds it: --server http://HOST:PORT") from error
 
 
