@@ -19,8 +19,6 @@ from calrig.cli.printing import (
 from calrig.errors import printable
 
 if TYPE_CHECKING:
-    from calrig.client import RigState
-    from calrig.settings import RigSettings
     from calrig.store.moving import Moved
 
 
@@ -69,15 +67,15 @@ def print_says(sentences: Iterable[str]) -> None:
         typer.echo(f"· {printable(sentence)}", err=True)
 
 
-def print_rigs(rigs: Iterable[RigSettings]) -> None:
+def print_rigs(rigs: Iterable[dict[str, Any]]) -> None:
     """Prints the rigs that are configured."""
     rows = (
         (
-            rig.name,
-            f"{rig.limits_deg[0]:g}° to {rig.limits_deg[1]:g}°",
+            rig["name"],
+            f"{rig['limits_deg'][0]:g}° to {rig['limits_deg'][1]:g}°",
             *(
-                "simulated" if rig.simulated is not None or part is None else f"{part.driver} on {part.port}"
-                for part in (rig.stage, rig.imu)
+                "simulated" if part is None else f"{part['driver']} on {part['port']}"
+                for part in (rig["stage"], rig["imu"])
             ),
         )
         for rig in rigs
@@ -85,13 +83,13 @@ def print_rigs(rigs: Iterable[RigSettings]) -> None:
     print_table(("rig", "elevation", "stage", "imu"), rows, justify="left")
 
 
-def print_rigs_there(rigs: Iterable[RigState]) -> None:
+def print_rigs_there(rigs: Iterable[dict[str, Any]]) -> None:
     """Prints the rigs of a running service and what they are doing."""
     rows = (
         (
-            rig.name,
-            rig.state + (f", run {rig.run_id[:8]}" if rig.run_id else ""),
-            *("simulated" if rig.simulated else driver for driver in (rig.stage, rig.imu)),
+            rig["name"],
+            rig["state"] + (f", run {rig['run_id'][:8]}" if rig["run_id"] else ""),
+            *("simulated" if rig["simulated"] else driver for driver in (rig["stage"], rig["imu"])),
         )
         for rig in rigs
     )

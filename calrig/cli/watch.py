@@ -47,7 +47,7 @@ def _watch(run: Watched, unit: str, *, as_json: bool) -> None:
                     show(event)
                     _say_what_it_waits_for(run.id, event)
     except KeyboardInterrupt as left:
-        left.add_note(f"run {run.id} goes on: `calrig watch {run.id[:8]}` follows it again")
+        left.add_note(f"run {run.id} was not touched: `calrig watch {run.id[:8]}` follows it again")
         raise
     print_end(run.document(), as_json=as_json)
 
