@@ -84,7 +84,7 @@ class QueuePage {
       this.units.element,
     );
     this.#show(answer);
-    this.#focus();
+    if (HAS_KEYS.matches) this.#focus();
     this.#soon(LOOK_MS);
   }
 
@@ -169,10 +169,8 @@ class QueuePage {
     const asking = [...this.cards.values()].filter((card) => card.asks);
     const sure = asking.filter((card) => card.isSure);
     this.sure = [...(this.sure ?? []).filter((card) => sure.includes(card)), ...sure.filter((card) => !this.sure?.includes(card))];
-    const meant = asking.length === 1 ? asking[0] : this.sure.at(-1);
-    if (meant && this.meant !== meant) meant.calm();
-    this.meant = meant;
-    for (const card of this.cards.values()) card.element.classList.toggle("meant", asking.length > 1 && card === meant);
+    this.meant = asking.length === 1 ? asking[0] : this.sure.at(-1);
+    for (const card of this.cards.values()) card.point(card === this.meant, asking.length > 1);
   }
 
   /** Enter alone, or a serial and Enter: what a bar-code reader types, faster than the service answers. */
