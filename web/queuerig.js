@@ -47,7 +47,7 @@ export class RigCard {
 
   /** Whether its board has said that the unit asked for is there. */
   get isSure() {
-    return this.asks && this.rig.seen?.state === "there" && this.rig.seen.serial === this.unit;
+    return this.asks && ["there", "wrong"].includes(this.rig.seen?.state) && this.rig.seen.serial === this.unit;
   }
 
   /** The unit that Enter is about: that of the instruction. */
@@ -102,10 +102,13 @@ export class RigCard {
   /** Whether the unit is there, as its board and gravity have it. */
   #look(seen, last) {
     const stays = seen?.state === "wrong" && seen.serial === last?.unit; // as it does until it is taken off
+    const isTaken = seen?.state === "wrong" && seen.serial === this.unit; // another one than was asked for, as good
     const isNews = seen && !stays && (seen.state !== "there" || seen.serial); // a nameless unit may be any
     this.sight.hidden = !seen;
-    this.sight.className = `sight ${isNews ? seen.state : ""}`;
-    const says = stays ? `${seen.serial} is still mounted.` : seen ? `${SIGHTS[seen.state]} ${seen.says}` : "";
+    this.sight.className = `sight ${isTaken ? "there" : isNews ? seen.state : ""}`;
+    let says = seen ? `${SIGHTS[seen.state]} ${seen.says}` : "";
+    if (stays) says = `${seen.serial} is still mounted.`;
+    if (isTaken) says = `${SIGHTS.there} ${seen.serial} is there, says its board; ${this.rig.on.unit} stays in the list.`;
     this.sight.textContent === says || fill(this.sight, says);
   }
 
