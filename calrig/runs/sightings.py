@@ -209,13 +209,14 @@ def judged(identity: BoardIdentity, samples: Samples, mount: Mount, stage_deg: f
     if np.isnan(accel_g).any():  # it sends an angle of its own, whose zero may be anywhere
         turns = np.exp(1j * np.radians(samples.angle_deg))
         off_deg = np.degrees(np.angle(turns / turns.mean()))
-        return _at(identity, float(np.degrees(np.angle(turns.mean()))), moves=off_deg.std() > MOVES_DEG)
+        own_deg = float(np.degrees(np.angle(turns.mean())))
+        return _at(identity, own_deg, "its own reckoning", moves=off_deg.std() > MOVES_DEG)
     weight_g = float(np.linalg.norm(accel_g))
     spread_dps = float(np.nan_to_num(samples.gyro_dps.std(axis=0)).max())
     moves = samples.accel_g.std(axis=0).max() > MOVES_G or spread_dps > MOVES_DPS
     angle_deg = angle_about_deg(mount.axis, accel_g)
     if moves:
-        return _at(identity, angle_deg, moves=True)
+        return _at(identity, angle_deg, "gravity", moves=True)
     if not WEIGHT_G[0] < weight_g < WEIGHT_G[1]:
         return Sighting(
             "askew",
@@ -233,13 +234,13 @@ def judged(identity: BoardIdentity, samples: Samples, mount: Mount, stage_deg: f
             f"{wrap_deg(mount.felt_at(stage_deg)):.1f}°, if the stage still stands at {stage_deg:.1f}° where "
             "the last run left it.",
         )
-    return _at(identity, angle_deg, moves=False)
+    return _at(identity, angle_deg, "gravity", moves=False)
 
 
-def _at(identity: BoardIdentity, angle_deg: float, *, moves: bool) -> Sighting:
+def _at(identity: BoardIdentity, angle_deg: float, by: str, *, moves: bool) -> Sighting:
     if moves:
         return Sighting("moving", identity.serial, "The unit is being moved.")
-    return Sighting("there", identity.serial, f"It sits still, by gravity at {angle_deg:.1f}°.")
+    return Sighting("there", identity.serial, f"It sits still, by {by} at {angle_deg:z.1f}°.")
 
 
 def _samples(board: Board, identity: BoardIdentity) -> Samples:
