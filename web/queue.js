@@ -21,14 +21,16 @@ const HAS_KEYS = matchMedia("(pointer: fine)"); // on a phone the focus brings a
 export async function queueView({ root, parts: [id], signal }) {
   await styled();
   if (id && id !== "new") return new QueuePage(root, id, signal).begin();
-  const open = (await get("/api/batches", signal)).filter(({ closed_at: closed }) => !closed);
+  const lists = await get("/api/batches", signal);
+  const open = lists.filter(({ closed_at: closed }) => !closed);
   if (open.length && !id) return new QueuePage(root, open[0].id, signal).begin();
-  const form = await listForm(signal);
+  const last = lists.length ? await get(`/api/batches/${encodeURIComponent(lists[0].id)}`, signal) : null;
+  const form = await listForm(last, signal);
   fill(root, h("h1", {}, "Queue"), open.length > 0 && openLists(open), form);
 }
 
 function openLists(open) {
-  const line = ({ id, rigs, note, created_at: made }) => h("li", {}, h("a", { href: `#/queue/${encodeURIComponent(id)}` }, `List of ${moment(made)}`), ` on ${rigs.join(", ")}${note ? `: ${note}` : ""}`);
+  const line = ({ id, rigs, note, created_at: made }) => h("li", {}, h("a", { href: `#/queue/${encodeURIComponent(id)}` }, "List of ", moment(made)), ` on ${rigs.join(", ")}${note ? `: ${note}` : ""}`);
   return h("section", { class: "card", "aria-label": "Open lists" }, h("p", {}, `${plural(open.length, "list")} open:`), h("ul", {}, open.map(line)));
 }
 

@@ -56,7 +56,7 @@ export class RigCard {
   /** What Enter means here; nothing in the moment after it has changed, unless the unit was named. */
   press({ named = false } = {}) {
     if (!this.does) return null;
-    if (this.isCalm && !named) return this.tell(`That was sooner than the instruction could be read: once more, to start ${this.unit}.`);
+    if (this.isCalm && !named) return this.tell("That was sooner than the instruction could be read: press Enter once more.");
     return this.does();
   }
 
