@@ -86,7 +86,6 @@ class _Unwanted(Exception):  # noqa: N818 (nobody asks any more, or the rig is n
 class _Watch:
     rig: RigSettings
     mount: Mount
-    stage_deg: float | None
     until_s: float
     let_go: Event
     over: Event
@@ -119,7 +118,7 @@ class Sightings:
             if self._is_closing:
                 return
             clock, until_s = clock_of(rig.imu.port), time.monotonic() + LEASE_S
-            watch = _Watch(rig, mount, self._left_at(rig.name), until_s, clock.event(), clock.event())
+            watch = _Watch(rig, mount, until_s, clock.event(), clock.event())
             self._watches[rig.name] = watch
             clock.thread(lambda: self._watch(watch), f"look at {rig.name}").start()
 
@@ -153,8 +152,8 @@ class Sightings:
         """The elevation at which the last run left the stage; None where that is not known."""
         try:
             runs, _ = self._store.runs(rig=rig_name, limit=1)
-            if not runs or runs[0].status != "completed":
-                return None
+            if not runs or runs[0].status != "completed" or "stage" not in runs[0].provenance:
+                return None  # stopped on its way, or imported
             poses = self._store.poses(runs[0].id)
         except StoreError:
             return None
@@ -181,11 +180,12 @@ class Sightings:
             watch.over.set()
 
     def _look_on(self, watch: _Watch, settings: BoardSettings) -> None:
+        stage_deg = self._left_at(watch.rig.name)
         board = open_board(settings.driver, settings.port, baudrate=settings.baudrate)
         with closing(board), while_wanted(lambda: self._require(watch)):
             while True:
                 identity = board.identify()  # again each time: another one may be on the wire
-                watch.seen = judged(identity, _samples(board, identity), watch.mount, watch.stage_deg)
+                watch.seen = judged(identity, _samples(board, identity), watch.mount, stage_deg)
                 watch.let_go.wait(EVERY_S)
                 self._require(watch)
 
