@@ -121,6 +121,7 @@ class QueuePage {
         this.tag = news.tag;
         this.#show(news.answer);
       }
+      if (this.refused?.status === 0) this.refused = null; // it answers again
       this.error.say(this.refused ?? null);
     } catch (problem) {
       this.#say(problem);
