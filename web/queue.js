@@ -66,7 +66,9 @@ class QueuePage {
       h("label", { for: "scan" }, "Enter starts the unit that is mounted. A serial, scanned or typed, starts it where it is asked for, or joins the list."),
       h("div", { class: "scan-line" }, this.scan, this.add),
     );
-    signal.addEventListener("abort", () => clearTimeout(this.timer));
+    this.clock = new Worker(new URL("./queueclock.js", import.meta.url));
+    this.clock.addEventListener("message", () => this.#look());
+    signal.addEventListener("abort", () => this.clock.terminate());
     document.addEventListener("visibilitychange", () => this.#soon(0), { signal });
     document.addEventListener("keydown", () => document.activeElement.closest(TAKES_KEYS) || this.#focus(), { signal });
     for (const part of [this.rigs, ...this.bell.buttons]) part.addEventListener("click", () => HAS_KEYS.matches && this.#focus(), { signal });
@@ -109,8 +111,7 @@ class QueuePage {
   }
 
   #soon(after) {
-    clearTimeout(this.timer);
-    if (!this.signal.aborted) this.timer = setTimeout(() => this.#look(), after);
+    this.clock.postMessage(after);
   }
 
   async #look() {

@@ -68,6 +68,7 @@ LATER = {
     "plandesign.js",
     "queue.js",
     "queuebell.js",
+    "queueclock.js",
     "queueform.js",
     "queuerig.js",
     "queuetable.js",
