@@ -23,10 +23,12 @@ from calrig.runs.bus import Bus
 from calrig.runs.errands import Errand, Errands
 from calrig.runs.good_enough import require_a_reference
 from calrig.runs.meter import Meter
+from calrig.runs.mounting import Mount
 from calrig.runs.new_run import NewRun, rig_followed_up_on
 from calrig.runs.ordered import order_part
 from calrig.runs.planned import planned_poses
 from calrig.runs.rig_states import RigState
+from calrig.runs.sightings import Sighting
 from calrig.runs.stopping import BY_REQUEST
 from calrig.settings import RigSettings
 from calrig.store import AT_REST, Run, Store, StoreError
@@ -201,6 +203,13 @@ class CentreService:
         raise Conflict(
             f"rig {rig_name!r} is on bench {bench.name}: turn its unit there, by hand or at its page"
         )
+
+    def look(self, rig_name: str, mount: Mount) -> None:
+        """Looks at nothing: the boards are its benches'."""
+
+    def seen(self, rig_name: str) -> Sighting | None:  # noqa: ARG002
+        """None: nobody looks."""
+        return None
 
     def pause(self, run_id: str) -> Run:
         """Has the run hold after the pose in hand."""

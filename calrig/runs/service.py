@@ -20,10 +20,12 @@ from calrig.runs.control import End
 from calrig.runs.crew import Crew
 from calrig.runs.errands import Errand
 from calrig.runs.meter import Meter
+from calrig.runs.mounting import Mount
 from calrig.runs.new_run import NewRun, rig_followed_up_on
 from calrig.runs.references import require_in_date
 from calrig.runs.resume import resumed_task
 from calrig.runs.rig_states import RigState, state_of
+from calrig.runs.sightings import Sighting
 from calrig.runs.starts import Starts
 from calrig.runs.states import check_transition
 from calrig.runs.stopping import Stops
@@ -204,6 +206,14 @@ class RunService:
         with self._starts.lock:
             return self._starts.clamps.turn(rig, mount_deg, axis, lambda: self._state_of(rig))
 
+    def look(self, rig_name: str, mount: Mount) -> None:
+        """Has an idle rig's board looked at for a while: whether a unit is there, and which. Or Unknown."""
+        self._starts.sightings.look(self._rig(rig_name), mount)
+
+    def seen(self, rig_name: str) -> Sighting | None:
+        """What was seen of the unit on a rig; None where nobody looks."""
+        return self._starts.sightings.of(rig_name)
+
     def _state_of(self, rig: RigSettings) -> RigState:
         return next(state for state in self.rigs() if state.name == rig.name)
 
@@ -261,6 +271,7 @@ class RunService:
         end = End("interrupted", "the service was stopped during the run")
         with self._starts.lock:
             workers = self.crew.close()
+        self._starts.sightings.close()
         for worker in workers:
             worker.control.end(end)
         deadlines_s = [worker.clock.now_s() + CLOSE_S for worker in workers]

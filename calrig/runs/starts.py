@@ -18,6 +18,7 @@ from calrig.runs.planned import planned_poses
 from calrig.runs.queue import RunQueue
 from calrig.runs.references import require_in_date
 from calrig.runs.resume import waiting_task
+from calrig.runs.sightings import Sightings
 from calrig.runs.stage_place import leave_at
 from calrig.runs.stopping import BY_REQUEST
 from calrig.runs.task import Task
@@ -34,6 +35,7 @@ class Starts:
         lock: held while the store is told of a run that takes a rig.
         queue: of runs that wait for a rig.
         clamps: of the rigs; while one turns, no run begins there.
+        sightings: of the units on idle rigs, which end where a run begins.
 
     Args:
         store: where runs are kept.
@@ -61,6 +63,7 @@ class Starts:
         self.lock = threading.Lock()
         self.queue = RunQueue(store, bus, meter, self.lock, self._require_ready, self._begin_waiting)
         self.clamps = Clamps(crew, self.queue.next)
+        self.sightings = Sightings(store, crew)
 
     def begin(self, settings: RigSettings, wanted: NewRun, *, waits: bool) -> Run:
         """Begins a run on a rig, which is free or kept for it, or has it wait; as of `RunService.begin`."""
@@ -92,6 +95,7 @@ class Starts:
         )
         if self._crew.take(worker):
             worker.control.end(BY_REQUEST)
+        self.sightings.let_go(worker.rig.name)
         worker.start()
 
     def _wait_in_turn(self, rig_name: str, wanted: NewRun, n_poses: int) -> Run:

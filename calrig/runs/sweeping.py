@@ -184,10 +184,13 @@ class Sweeping:
         self.ends = end_differences(self.taking.poses)
         worst = disturbing(self.ends, CHANCE_SHAKEN if shaken else CHANCE)
         if worst is not None:
+            said = (
+                f"reads {worst.difference_deg:+.3f}° ± {2 * worst.std_deg:.3f}° more than standing, and "
+                f"scatters by {1000 * turning_g:.1f} mg, not {1000 * standing_g:.1f} mg"
+            )
             raise StageError(
-                f"the motor biases the accelerometer: at {worst.elevation_deg:g}° the unit reads "
-                f"{worst.difference_deg:+.3f}° ± {2 * worst.std_deg:.3f}° more while the stage turns at {self.plan.turn_dps:g}°/s than standing, and scatters by {1000 * turning_g:.1f} mg "
-                f"instead of {1000 * standing_g:.1f} mg; take a plan of dwells, or another velocity"
+                f"the motor biases the accelerometer while it turns at {self.plan.turn_dps:g}°/s: at "
+                f"{worst.elevation_deg:g}° the unit {said}; take a plan of dwells, or another velocity"
             )
 
     def provenance(self) -> dict[str, Any]:

@@ -70,6 +70,7 @@ LATER = {
     "queuebell.js",
     "queueform.js",
     "queuerig.js",
+    "queuetable.js",
     "rig.js",
     "solution.js",
     "solve.js",

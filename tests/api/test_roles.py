@@ -29,6 +29,8 @@ NEEDED = {
     "/api/batches/{batch_id}/remove": "operator",
     "/api/batches/{batch_id}/start": "operator",
     "/api/batches/{batch_id}/close": "operator",
+    "/api/batches/{batch_id}/look": "operator",
+    "/api/batches/read": "operator",
     "/api/runs/{run_id}/pause": "operator",
     "/api/runs/{run_id}/resume": "operator",
     "/api/runs/{run_id}/void": "releaser",
