@@ -10,10 +10,11 @@ import sys
 
 import numpy as np
 
-from calrig.calibration.plan_design.design import Design, limit_s, quickest
+from calrig.calibration.plan_design.design import quickest
 from calrig.calibration.plan_design.goals import Goals
 from calrig.calibration.plan_design.layout import layout
-from calrig.calibration.plan_design.suspects import suspects
+from calrig.calibration.plan_design.limit import limit_s
+from calrig.calibration.plan_design.suspects import imagined_dwells, suspects
 from calrig.calibration.uncertainty import Reference
 from calrig.plan import Plan
 from tests.blind import causes
@@ -46,7 +47,7 @@ def times() -> None:
                     design.duration_s,
                     fixed_s / design.duration_s,
                     over,
-                    trial.kept(trial.laid_out(design), reference, RUNS),
+                    trial.kept(trial.laid_out(design.elevations_deg, design.dwell_s), reference, RUNS),
                 )
 
 
@@ -88,7 +89,7 @@ def found(runs: int) -> None:
     _say("| --- | --- | --- | --- |")
     for name, plan in _plans():
         scatter_deg = trial.PRECISION.scatter_deg(plan.dwell_s)
-        said = suspects(plan.target_deg.tolist(), plan.dwell_s, scatter_deg, trial.PACE)
+        said = suspects(imagined_dwells(plan.target_deg.tolist(), plan.dwell_s, trial.PACE), scatter_deg)
         size = {one.name: one.value or 0.0 for one in said}
         drawn = {
             "backlash": causes.backlash(size["backlash"]),
@@ -102,8 +103,8 @@ def found(runs: int) -> None:
 def _plans() -> list[tuple[str, Layout]]:
     made = [("fixed, 52 poses", trial.fixed())]
     for n in (36, 28):
-        order = tuple(layout((-60.0, 60.0), n, 2, 0.0, np.random.default_rng(1)))
-        made.append((f"designed, {n} poses", trial.laid_out(Design(order, 2.0, 0.0, None, 0.0, 0.0, 2))))
+        order = layout((-60.0, 60.0), n, 2, 0.0, np.random.default_rng(1))
+        made.append((f"designed, {n} poses", trial.laid_out(order, 2.0)))
     return made
 
 
