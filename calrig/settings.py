@@ -109,6 +109,8 @@ class RigSettings(Strict):
     overdue: Overdue = "flag"
     filter: FilterSettings = FilterSettings()
     simulated: dict[str, Any] | None = None
+    time_scale: float = Field(default=1.0, gt=0)
+    """Seconds of its clocks for one on the wall; a simulated rig tells its own."""
 
     @property
     def devices(self) -> list[StageSettings | BoardSettings | ClampSettings]:

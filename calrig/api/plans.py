@@ -46,9 +46,7 @@ class EstimateAnswer(Answer):
     n_poses: int
     elevations_deg: list[float]
     duration_s: float = Field(description="About, by the board's clock; without a wait for a temperature.")
-    wall_s: float | None = Field(
-        description="The same by the clock on the wall, as the rig's last runs took; null before any."
-    )
+    wall_s: float = Field(description="The same by the clock on the wall, as the rig's last runs took.")
     warnings: list[str] = Field(description="What is known to fail before it has begun, in sentences.")
 
 
@@ -68,8 +66,7 @@ def estimate_plan(body: PlanOnRig, context: Context) -> EstimateAnswer:
     said = estimate(body.plan, rig, context.store)
     cannot = cannot_pass_on(rig, body.unit, body.plan, context.store, context.service.maps)
     warnings = [*overdue_says(rig), *grid_says(body.plan), *cannot]
-    pace = wall_pace(rig, context.store)
-    wall_s = None if pace is None else pace * said.duration_s
+    wall_s = wall_pace(rig, context.store) * said.duration_s
     return EstimateAnswer(**asdict(said), wall_s=wall_s, warnings=warnings)
 
 

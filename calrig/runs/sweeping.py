@@ -70,7 +70,7 @@ class Sweeping:
         pace.recorder.poses_begin()
         if not taking.poses:
             wait_before_sweep(self.plan, pace)
-            taking.take(planned[0])
+            taking.take(planned[0], self.plan.first_settle_s)
             pace.hold_while_paused()
         for passed in self._passes(planned):
             if passed[0].sweep > 0:
@@ -96,7 +96,9 @@ class Sweeping:
         for _ in range(DWELL_TRIES):
             self._go_to(from_deg)
             seen = self._turn(end.target_deg)
-            start_s, end_s, reading = self.taking.measure(f"pose {end.index}", end.target_deg)
+            start_s, end_s, reading = self.taking.measure(
+                f"pose {end.index}", end.target_deg, self.plan.settle_s
+            )
             self.pace.see_that_it_stands()
             turned = self._turned(seen, passed, (start_s, end_s))
             if turned is not None:

@@ -14,15 +14,15 @@ LATEST = 5
 """Of a rig's completed runs, whose median counts: one may have been paused, or its machine busy."""
 
 
-def wall_pace(rig: RigSettings, store: Store) -> float | None:
-    """Seconds on the wall for one that `estimate` says, over the rig's last runs; None before there are any.
+def wall_pace(rig: RigSettings, store: Store) -> float:
+    """Seconds on the wall for one that `estimate` says, over the rig's last runs; before any, as set.
 
     A run tells where its plan says how long it takes and nobody is waited for: not one that may end early or
     whose dwells do, a wait for a temperature, several mounts, a follow-up, or one that was interrupted.
     """
     latest, _ = store.runs(rig=rig.name, status="completed", limit=LATEST)
     paces = [pace for run in latest if (pace := _pace_of(run, rig, store)) is not None]
-    return median(paces) if paces else None
+    return median(paces) if paces else 1.0 / rig.time_scale
 
 
 def _pace_of(run: Run, rig: RigSettings, store: Store) -> float | None:
