@@ -19,7 +19,7 @@ export async function noiseView({ root, parts: [id], query, signal }) {
   if (id !== undefined) return ofRun(root, id, signal);
   if (query.has("study")) return ofStudy(root, query.get("study"), signal);
   const rigs = await get("/api/rigs", signal);
-  const kept = h("section", { class: "card", id: "studies", "aria-labelledby": "studies-title" });
+  const kept = h("section", { class: "card", id: "studies", "aria-labelledby": "studies-title", hidden: true });
   const list = () => listStudies(kept, signal);
   const shown = h("div", { id: "noise-result", class: "run", "aria-live": "polite" });
   const found = (what, answer) => {
@@ -74,6 +74,7 @@ async function listStudies(place, signal) {
       ? tableBox("Files analysed", h("table", { id: "studies-table" }, headings("File", "Analysis", "When", "By"), h("tbody", {}, rows)))
       : h("p", { class: "muted" }, "None yet: what is found in a file is kept here, the file itself is not."),
   );
+  place.hidden = false; // empty, it has no name
 }
 
 async function ofRun(root, id, signal) {
