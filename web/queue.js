@@ -1,23 +1,37 @@
 // A list of units, one after the other: mount what is said, press Enter, read the result from across the room.
 
 import { ApiError, get, getNews, post } from "./api.js";
-import { errorLine, fill, h, runLink, tableBox, headings, unitLink } from "./dom.js";
+import { askConfirmation } from "./ask.js";
+import { errorLine, fill, h } from "./dom.js";
+import { moment, plural } from "./format.js";
 import { may } from "./me.js";
 import { Bell } from "./queuebell.js";
 import { listForm } from "./queueform.js";
 import { RigCard } from "./queuerig.js";
+import { UnitsTable, counted } from "./queuetable.js";
 
 const LOOK_MS = 500;
 const HIDDEN_LOOK_MS = 2000;
+const BOARDS_MS = 2000; // how often the service is asked to look at the boards of idle rigs
+const SCANNER_MS = 400; // an Enter so soon after a serial is the line feed of the scanner that sent it
+const TAKES_KEYS = "input, button, a, dialog, select, textarea, summary";
+const HAS_KEYS = matchMedia("(pointer: fine)"); // on a phone the focus brings a keyboard up over the instruction
 
 /** The newest open list, the one that the address names, or the form for another one (`#/queue/new`). */
 export async function queueView({ root, parts: [id], signal }) {
   await styled();
   if (id && id !== "new") return new QueuePage(root, id, signal).begin();
-  const open = (await get("/api/batches", signal)).find(({ closed_at: closed }) => !closed);
-  if (open && !id) return new QueuePage(root, open.id, signal).begin();
-  const form = await listForm(signal);
-  fill(root, h("h1", {}, "Queue"), open && h("p", {}, h("a", { href: "#/queue" }, "The list that is open")), form);
+  const lists = await get("/api/batches", signal);
+  const open = lists.filter(({ closed_at: closed }) => !closed);
+  if (open.length && !id) return new QueuePage(root, open[0].id, signal).begin();
+  const last = lists.length ? await get(`/api/batches/${encodeURIComponent(lists[0].id)}`, signal) : null;
+  const form = await listForm(last, signal);
+  fill(root, h("h1", {}, "Queue"), open.length > 0 && openLists(open), form);
+}
+
+function openLists(open) {
+  const line = ({ id, rigs, note, created_at: made }) => h("li", {}, h("a", { href: `#/queue/${encodeURIComponent(id)}` }, "List of ", moment(made)), ` on ${rigs.join(", ")}${note ? `: ${note}` : ""}`);
+  return h("section", { class: "card", "aria-label": "Open lists" }, h("p", {}, `${plural(open.length, "list")} open:`), h("ul", {}, open.map(line)));
 }
 
 /** Its style comes with it: nobody else's page waits for it. */
@@ -40,18 +54,24 @@ class QueuePage {
     this.bell = new Bell();
     this.said = h("p", { id: "queue-said", role: "status", "aria-live": "polite" });
     this.rigs = h("div", { class: "turns" });
-    this.units = h("section", { class: "card", "aria-labelledby": "queue-units-title" });
+    this.units = new UnitsTable((unit) => this.#ask(async () => this.#show(await post(`${this.path}/remove`, { unit }))));
+    this.scans = Promise.resolve();
+    this.scannedAt = this.lookedAt = -Infinity;
     this.scan = h("input", { id: "scan", type: "text", autocomplete: "off", spellcheck: "false", disabled: !may("operator") });
     this.add = h("button", { type: "submit" }, "Enter");
     this.facts = h("p", { class: "facts" });
     this.form = h(
       "form",
       { class: "scan", on: { submit: (event) => this.#entered(event), keydown: (event) => event.repeat && event.key === "Enter" && event.preventDefault() } },
-      h("label", { for: "scan" }, "Enter starts the unit that is mounted. A serial, scanned or typed, starts it where it is asked for, or joins the list"),
+      h("label", { for: "scan" }, "Enter starts the unit that is mounted. A serial, scanned or typed, starts it where it is asked for, or joins the list."),
       h("div", { class: "scan-line" }, this.scan, this.add),
     );
-    signal.addEventListener("abort", () => clearTimeout(this.timer));
+    this.clock = new Worker(new URL("./queueclock.js", import.meta.url));
+    this.clock.addEventListener("message", () => this.#look());
+    signal.addEventListener("abort", () => this.clock.terminate());
     document.addEventListener("visibilitychange", () => this.#soon(0), { signal });
+    document.addEventListener("keydown", () => document.activeElement.closest(TAKES_KEYS) || this.#focus(), { signal });
+    for (const part of [this.rigs, ...this.bell.buttons]) part.addEventListener("click", () => HAS_KEYS.matches && this.#focus(), { signal });
   }
 
   async begin() {
@@ -63,34 +83,46 @@ class QueuePage {
       this.rigs,
       this.error.element,
       this.said,
-      !answer.closed_at && this.form,
+      this.form,
       h("div", { class: "queue-line" }, this.facts, this.bell.buttons, this.#closing(answer)),
-      this.units,
+      this.units.element,
     );
     this.#show(answer);
-    this.scan.focus();
+    if (HAS_KEYS.matches) this.#focus();
     this.#soon(LOOK_MS);
+  }
+
+  /** The keyboard, and with it a scanner, goes here; the page stays where it is. */
+  #focus() {
+    this.scan.focus({ preventScroll: true });
   }
 
   #closing({ closed_at: closed }) {
     const other = h("a", { href: "#/queue/new" }, "Make another list");
     if (closed || !may("operator")) return other;
-    const close = () => this.#ask(async () => this.#show(await post(`${this.path}/close`)));
+    const end = async () => this.#show(await post(`${this.path}/close`));
+    const close = () => {
+      const { left } = counted(this.list.units);
+      if (!left) return this.#ask(end);
+      const text = `${plural(left, "unit")} of it not measured. A list that is closed stays so; a run under way goes on.`;
+      return askConfirmation({ title: "Close this list?", text, action: "Close it" }, end);
+    };
     return [other, h("button", { id: "close-list", type: "button", class: "small", on: { click: close } }, "Close this list")];
   }
 
   #soon(after) {
-    clearTimeout(this.timer);
-    if (!this.signal.aborted) this.timer = setTimeout(() => this.#look(), after);
+    this.clock.postMessage(after);
   }
 
   async #look() {
     try {
+      await this.#haveBoardsLookedAt();
       const news = await getNews(this.path, this.tag, this.signal);
       if (news && !this.asking) {
         this.tag = news.tag;
         this.#show(news.answer);
       }
+      if (this.refused?.status === 0) this.refused = null; // it answers again
       this.error.say(this.refused ?? null);
     } catch (problem) {
       this.#say(problem);
@@ -98,77 +130,88 @@ class QueuePage {
     this.#soon(document.hidden ? HIDDEN_LOOK_MS : LOOK_MS);
   }
 
+  /** Whoever watches an open list has the boards of its idle rigs looked at. */
+  async #haveBoardsLookedAt() {
+    const waits = !this.list.closed_at && this.list.rigs.some(({ on, busy_with: busy }) => on && on.state !== "running" && !busy);
+    if (!waits || document.hidden || !may("operator") || performance.now() - this.lookedAt < BOARDS_MS) return;
+    this.lookedAt = performance.now();
+    await post(`${this.path}/look`, {}, this.signal);
+  }
+
   #show(list) {
     this.list = list;
+    const waiting = new Set(list.units.filter(({ state }) => state === "waiting").map(({ unit }) => unit));
+    const counts = counted(list.units);
+    const closed = Boolean(list.closed_at);
+    const standing = { several: list.rigs.length > 1, closed, waiting, counts };
+    this.form.hidden = closed;
+    if (closed) document.getElementById("close-list")?.remove();
     for (const rig of list.rigs) {
       if (!this.cards.has(rig.name)) {
-        const card = new RigCard(rig.name, (turn) => this.#begin(turn), (verb, run) => this.#ask(() => post(`/api/runs/${encodeURIComponent(run)}/${verb}`)));
+        const begin = (turn) => this.#ask(async () => this.#show(await post(`${this.path}/start`, turn)));
+        const ask = (verb, run) => this.#ask(() => post(`/api/runs/${encodeURIComponent(run)}/${verb}`));
+        const card = new RigCard(rig.name, { begin, ask, tell: (text, about) => this.#tell(text, about) });
         this.cards.set(rig.name, card);
         this.rigs.append(card.element);
       }
-      this.cards.get(rig.name).show(rig, list.rigs.length > 1, Boolean(list.closed_at));
+      this.cards.get(rig.name).show(rig, standing);
     }
+    if (this.saidOf && this.saidOf.card.rig.seen?.says !== this.saidOf.says) this.#tell("");
+    this.#choose();
     this.bell.heed(list.rigs);
-    const left = list.units.filter(({ state }) => ["waiting", "follow_up"].includes(state)).length;
-    const good = list.units.filter(({ word }) => word === "pass" || word === "done").length;
-    const poor = list.units.filter(({ word }) => word === "fail").length;
     fill(
       this.facts,
-      h("span", { id: "queue-counts" }, `${left} to go, ${good} done, ${poor} failed`),
+      h("span", { id: "queue-counts" }, `${counts.left} to go, ${counts.good} done, ${counts.poor} failed`),
       list.operator && h("span", {}, `by ${list.operator}`),
       list.note && h("span", { class: "note" }, list.note),
     );
-    const shown = JSON.stringify([list.units, list.closed_at]);
-    if (shown === this.shown) return; // a button in the table keeps the focus
-    this.shown = shown;
-    fill(this.units, h("h2", { id: "queue-units-title" }, "Units"), tableBox("Units of this list", this.#table(list)));
+    this.units.show(list);
   }
 
-  #table({ units, closed_at: closed }) {
-    const take = (unit) => this.#ask(async () => this.#show(await post(`${this.path}/remove`, { unit })));
-    const rows = units.map((turn) =>
-      h(
-        "tr",
-        {},
-        h("th", { scope: "row" }, unitLink(turn.unit)),
-        h("td", {}, h("span", { class: `pill turn-${turn.word ?? turn.state}` }, (turn.word ?? turn.state).replace("_", "-"))),
-        h("td", {}, turn.rig ?? "–"),
-        h("td", {}, turn.run_id ? runLink(turn.run_id) : "–"),
-        h("td", { class: "wrap" }, turn.why),
-        h("td", { class: "plain" }, !closed && turn.state === "waiting" && may("operator") && h("button", { type: "button", class: "small", "aria-label": `Take ${turn.unit} out`, on: { click: () => take(turn.unit) } }, "Take out")),
-      ),
-    );
-    return h("table", { id: "queue-units" }, headings("Unit", "State", "Rig", "Run", "Why", "Change"), h("tbody", {}, rows));
+  /** Which rig Enter means: the only one that asks, or the one whose board has said last that its unit is there. */
+  #choose() {
+    const asking = [...this.cards.values()].filter((card) => card.asks);
+    const sure = asking.filter((card) => card.isSure);
+    this.sure = [...(this.sure ?? []).filter((card) => sure.includes(card)), ...sure.filter((card) => !this.sure?.includes(card))];
+    this.meant = asking.length === 1 ? asking[0] : this.sure.at(-1);
+    for (const card of this.cards.values()) card.point(card === this.meant, asking.length > 1);
   }
 
-  /** Enter alone, or a serial and Enter: what a bar-code reader types. */
-  async #entered(event) {
+  /** Enter alone, or a serial and Enter: what a bar-code reader types, faster than the service answers. */
+  #entered(event) {
     event.preventDefault();
-    if (this.asking) return;
     const serial = this.scan.value.trim();
     this.scan.value = "";
-    const cards = [...this.cards.values()];
-    if (!serial) {
-      const ready = cards.filter((card) => card.asks);
-      if (ready.length > 1) return this.#tell("Several rigs are ready: scan the unit that is mounted, or press its button.");
-      return ready[0]?.press();
+    if (serial) {
+      this.scannedAt = performance.now();
+      this.scans = this.scans.then(() => this.#scanned(serial));
+    } else if (!this.asking && performance.now() - this.scannedAt > SCANNER_MS) {
+      if (this.meant) this.meant.press();
+      else if ([...this.cards.values()].some((card) => card.asks)) this.#tell("Several rigs are ready: scan the unit that is mounted, or press its button.");
     }
-    const asked = cards.find((card) => card.asks && card.unit === serial);
-    if (asked) return asked.press();
-    await this.#ask(async () => {
+  }
+
+  async #scanned(typed) {
+    await this.asked;
+    const known = this.list.units.map(({ unit }) => unit);
+    const alike = (unit) => unit.toLowerCase() === typed.toLowerCase();
+    const serial = known.includes(typed) ? typed : (known.find(alike) ?? typed); // a reader may send other case
+    const card = [...this.cards.values()].find((one) => one.asks && one.unit === serial);
+    if (card) return card.press({ named: true });
+    return this.#ask(async () => {
       const list = await post(`${this.path}/units`, { units: [serial] });
       this.#show(list);
       this.#tell(list.known.length ? `${serial} is in the list already.` : `${serial} was added.`);
     });
   }
 
-  #begin({ rig, unit }) {
-    return this.#ask(async () => this.#show(await post(`${this.path}/start`, { rig, unit })));
+  /** One question at a time; what is refused stays in view until the next. */
+  #ask(work) {
+    if (!this.asking) this.asked = this.#answered(work);
+    return this.asked;
   }
 
-  /** One question at a time; what is refused stays in view until the next. */
-  async #ask(work) {
-    if (this.asking) return;
+  async #answered(work) {
     this.asking = true;
     this.refused = null;
     this.error.say(null);
@@ -185,8 +228,10 @@ class QueuePage {
     }
   }
 
-  #tell(text) {
+  /** Says a line; one about what was seen on a rig holds as long as that is. */
+  #tell(text, about = null) {
     this.said.textContent = text;
+    this.saidOf = about && { card: about, says: about.rig.seen?.says };
   }
 
   #say(problem) {

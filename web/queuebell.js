@@ -27,13 +27,13 @@ export class Bell {
     for (const rig of rigs.filter(({ name }) => before.get(name) !== now.get(name) && before.has(name))) this.#tell(rig, before.get(rig.name));
   }
 
-  #tell({ last, on }, before) {
+  #tell({ name, last, on }, before) {
     const ended = last && !before.startsWith(last.run_id);
     if (!ended && !on?.why) return;
     const [word, unit] = ended ? [last.word, last.unit] : ["stopped", on.unit];
     document.title = `${word.toUpperCase()} ${unit} · calrig`;
     if (!this.muted) sound(TONES_HZ[word]);
-    if ("Notification" in window && Notification.permission === "granted") new Notification(`${word.toUpperCase()} ${unit}`, { tag: "calrig-queue" });
+    if ("Notification" in window && Notification.permission === "granted") notify(`${word.toUpperCase()} ${unit}`, name);
   }
 
   get muted() {
@@ -53,6 +53,15 @@ export class Bell {
 
   async #allow() {
     this.ask.hidden = (await Notification.requestPermission()) !== "default";
+  }
+}
+
+/** The last of each rig stays in view. */
+function notify(text, rig) {
+  try {
+    new Notification(text, { tag: `calrig-queue-${rig}`, renotify: true });
+  } catch (problem) {
+    if (!(problem instanceof TypeError)) throw problem; // phones have none without a service worker
   }
 }
 

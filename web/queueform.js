@@ -7,12 +7,14 @@ import { planForm } from "./plan.js";
 
 const OPERATOR_KEY = "calrig.operator";
 
-export async function listForm(signal) {
+/** `last` is the list made before, null without one: rigs and plan are those until somebody says otherwise. */
+export async function listForm(last, signal) {
   const rigs = await get("/api/rigs", signal);
   const units = h("textarea", { id: "units", rows: "10", spellcheck: "false", autocomplete: "off" });
   const file = h("input", { id: "csv", type: "file", accept: ".csv,text/csv,text/plain" });
+  const skipped = h("p", { id: "csv-says", class: "muted", role: "status", "aria-live": "polite" });
   const count = h("p", { id: "units-count", class: "muted", "aria-live": "polite" }, "Scan or paste: one a line.");
-  const ticks = rigs.map(({ name }, k) => h("input", { type: "checkbox", name: "rigs", value: name, id: `rig-${name}`, checked: k === 0 }));
+  const ticks = rigs.map(({ name }, k) => h("input", { type: "checkbox", name: "rigs", value: name, id: `rig-${name}`, checked: last ? last.rigs.some((rig) => rig.name === name) : k === 0 }));
   const operator = h("input", { id: "operator", type: "text", autocomplete: "name", value: localStorage.getItem(OPERATOR_KEY) });
   const note = h("input", { id: "note", type: "text", autocomplete: "off" });
   const failed = h(
@@ -23,6 +25,7 @@ export async function listForm(signal) {
   );
   const chosen = () => ticks.filter(({ checked }) => checked).map(({ value }) => value);
   const plan = planForm(() => ({ rig: chosen()[0] ?? null, unit: "" }), signal);
+  if (last) again(last, plan, failed);
   const error = errorLine("queue-form-error");
   const make = h("button", { id: "make-list", type: "submit", class: "primary" }, "Begin the list");
   const form = h(
@@ -30,22 +33,39 @@ export async function listForm(signal) {
     { class: "card start" },
     field("units", "Serial numbers, one a line", units),
     count,
-    field("csv", "or a CSV: its column “unit” or “serial”, else the first", file),
+    field("csv", "or from a CSV: its column “unit” or “serial”, else the first", file),
+    skipped,
     h("fieldset", {}, h("legend", {}, "Rigs, side by side"), h("div", { class: "choice" }, ticks.map((tick) => h("label", { for: tick.id }, tick, tick.value)))),
     h("div", { class: "fields two" }, field("operator", "Operator (optional)", operator), field("note", "Note (optional)", note), field("failed", "A unit that fails", failed)),
     plan.element,
     error.element,
     h("div", { class: "buttons" }, make),
   );
-  units.addEventListener("input", () => {
+  const counted = () => {
     const serials = lines(units.value);
-    count.textContent = `${plural(new Set(serials).size, "unit")}${new Set(serials).size < serials.length ? ", some scanned twice" : ""}`;
+    const different = new Set(serials).size;
+    count.textContent = `${plural(different, "unit")}${different < serials.length ? ", some named twice: each has one turn" : ""}`;
+  };
+  units.addEventListener("input", counted);
+  file.addEventListener("change", async () => {
+    error.say(null);
+    skipped.textContent = "";
+    const [table] = file.files;
+    if (!table) return;
+    try {
+      const { units: serials, left_out: empty } = await post("/api/batches/read", { csv: await text(table) }, signal);
+      units.value = [...lines(units.value), ...serials].join("\n");
+      skipped.textContent = `${table.name}: ${plural(serials.length, "serial")} added above${empty ? `; ${plural(empty, "row")} without one left out` : ""}.`;
+      counted();
+    } catch (problem) {
+      error.say(problem);
+    }
+    file.value = ""; // it has been read, and may be chosen again
   });
   onSubmit(form, make, error, async () => {
     localStorage.setItem(OPERATOR_KEY, operator.value);
     const { id } = await post("/api/batches", {
       units: lines(units.value),
-      csv: file.files[0] ? await file.files[0].text() : null,
       rigs: chosen(),
       plan: plan.value(),
       operator: operator.value || null,
@@ -56,6 +76,31 @@ export async function listForm(signal) {
   });
   setTimeout(() => units.focus());
   return form;
+}
+
+/** The form says what the last list did. */
+function again({ plan, failed: then }, form, failed) {
+  failed.value = then;
+  if (plan.kind !== "calibration") return;
+  const said = { ...plan, expanded_uncertainty_deg: plan.until?.expanded_uncertainty_deg };
+  for (const input of form.element.querySelectorAll("input, select")) {
+    const value = said[input.id];
+    if (input.id in said) input.value = Array.isArray(value) ? value.join(", ") : (value ?? "");
+  }
+  form.element.querySelector(plan.elevations_deg ? "#as-list" : "#as-range").checked = true;
+  form.element.dispatchEvent(new Event("input"));
+}
+
+/** A file as text: UTF-8 or UTF-16 by its mark, else what older spreadsheets write. */
+async function text(file) {
+  const bytes = await file.arrayBuffer();
+  const [first, second] = new Uint8Array(bytes);
+  if (first === 0xff && second === 0xfe) return new TextDecoder("utf-16le").decode(bytes);
+  try {
+    return new TextDecoder("utf-8", { fatal: true }).decode(bytes);
+  } catch {
+    return new TextDecoder("windows-1252").decode(bytes);
+  }
 }
 
 function lines(text) {

@@ -6,22 +6,24 @@ import { may } from "./me.js";
 
 const CALM_MS = 700; // an Enter meant for what stood here before starts nothing
 const SHAPES = { pass: "✓", fail: "✗", done: "●" };
+const SIGHTS = { there: "✓", wrong: "✗", askew: "✗", absent: "–", moving: "…", looking: "…" };
 
-/** `begin({ rig, unit })` starts a turn; `ask(verb, run)` posts resume or abort. */
+/** `begin({ rig, unit })` starts a turn; `ask(verb, run)` posts resume or abort; `tell(text)` says why nothing began. */
 export class RigCard {
-  constructor(name, begin, ask) {
+  constructor(name, { begin, ask, tell }) {
     this.name = name;
     this.begin = begin;
-    this.ask = ask;
+    this.tell = tell;
     this.title = h("h2", {});
     this.result = h("p", { class: "big-word", hidden: true });
     this.of = h("p", { class: "big-unit" });
     this.todo = h("p", { class: "todo", role: "status", "aria-live": "assertive" });
+    this.sight = h("p", { class: "sight", role: "status", "aria-live": "polite", hidden: true });
     this.why = h("p", { class: "error", hidden: true });
     this.bar = h("progress", { max: "1", value: "0", "aria-label": `Progress on ${name}`, hidden: true });
     this.more = h("p", { class: "muted" });
     this.go = h("button", { type: "button", class: "primary", "data-go": name, on: { click: () => this.press() } });
-    this.abort = h("button", { type: "button", class: "danger", on: { click: () => this.ask("abort", this.rig.on.run_id) } }, "Abort");
+    this.abort = h("button", { type: "button", class: "danger", on: { click: () => ask("abort", this.rig.on.run_id) } }, "Abort");
     this.element = h(
       "section",
       { class: "card turn", "aria-label": `Rig ${name}`, "data-rig-turn": name },
@@ -29,11 +31,13 @@ export class RigCard {
       this.result,
       this.of,
       this.todo,
+      this.sight,
       this.why,
       this.bar,
       this.more,
       h("div", { class: "buttons" }, this.go, this.abort),
     );
+    this.ask = ask;
   }
 
   /** Whether Enter does something here. */
@@ -41,60 +45,100 @@ export class RigCard {
     return Boolean(this.does);
   }
 
-  /** The unit that it is about. */
-  get unit() {
-    return this.rig?.on?.unit;
+  /** Whether its board has said that the unit asked for is there. */
+  get isSure() {
+    return this.asks && ["there", "wrong"].includes(this.rig.seen?.state) && this.rig.seen.serial === this.unit;
   }
 
-  /** What Enter means here; nothing in the moment after it has changed. */
-  press() {
-    return this.does && !this.go.disabled ? this.does() : null;
+  /** The unit that Enter is about: that of the instruction. */
+  unit = null;
+
+  /** What Enter means here; nothing in the moment after it has changed, unless the unit was named. */
+  press({ named = false } = {}) {
+    if (!this.does) return null;
+    if (this.isCalm && !named) return this.tell("That was sooner than the instruction could be read: press Enter once more.");
+    return this.does();
   }
 
-  show(rig, named, closed) {
+  /** `standing`: whether the list has `several` rigs, is `closed`, which units wait, as a Set, and how many are what. */
+  show(rig, { several, closed, waiting, counts }) {
     this.rig = rig;
-    const [text, button, does] = closed ? ["This list is closed", null, null] : this.#now(rig);
-    if (text !== this.text) this.#calm();
-    this.text = text;
+    const { says, button, does, unit } = this.#now(rig, { closed, waiting, counts });
+    this.instruction = says;
+    this.unit = unit ?? rig.on?.unit;
     this.does = may("operator") ? does : null;
-    fill(this.title, named && `Rig ${rig.name}`);
-    this.title.hidden = !named;
-    this.todo.textContent === text || fill(this.todo, text);
+    fill(this.title, several && `Rig ${rig.name}`);
+    this.title.hidden = !several;
     const under_way = rig.on?.state === "running";
     const word = under_way ? null : rig.last?.word;
     this.result.hidden = !word;
     this.result.className = `big-word ${word}`;
     fill(this.result, word && [h("span", { "aria-hidden": "true" }, SHAPES[word]), ` ${word.toUpperCase()}`]);
-    fill(this.of, word && [`${rig.last.unit} `, runLink(rig.last.run_id, "run "), rig.last_says.length > 0 && h("small", {}, rig.last_says[0])]);
-    const why = under_way ? null : rig.on?.why;
+    const verdict = rig.last_says[0] ?? rig.last?.why;
+    fill(this.of, word && [`${rig.last.unit} `, runLink(rig.last.run_id, "run "), verdict && h("small", {}, verdict)]);
+    const why = under_way || closed ? null : rig.on?.why;
+    this.#look(closed || (why && rig.seen?.says.includes(why)) ? null : rig.seen, rig.last);
     this.why.hidden = !why;
+    this.why.className = rig.on?.run_id ? "error" : "muted";
     fill(this.why, why && [why, rig.on.run_id && [" ", runLink(rig.on.run_id, "Run ")]]);
     this.bar.hidden = !under_way;
     this.bar.value = rig.progress?.fraction ?? 0;
-    fill(this.more, under_way ? left(rig) : rig.next && `Then ${rig.next.unit}`);
+    fill(this.more, under_way ? [`${left(rig)}. `, runLink(rig.on.run_id, "Run ")] : !closed && rig.next && `Then ${rig.next.unit}`);
     this.go.hidden = !this.does;
     this.go.textContent = button ?? "";
     this.abort.hidden = !under_way || !may("operator");
   }
 
-  #calm() {
-    this.go.disabled = true;
-    clearTimeout(this.timer);
-    this.timer = setTimeout(() => (this.go.disabled = false), CALM_MS);
+  /** Says what to do; `isMeant`: whether Enter means this rig, which is marked where there are `others` it might. */
+  point(isMeant, others) {
+    const text = this.instruction(isMeant ? "press Enter" : "scan it");
+    const isNew = this.todo.textContent !== text;
+    if (isNew) fill(this.todo, text);
+    if (isNew || (isMeant && !this.isMeant)) this.#calm();
+    this.isMeant = isMeant;
+    this.element.classList.toggle("meant", isMeant && others);
   }
 
-  /** The instruction, the button, and what both do. */
-  #now({ name, state, busy_with: busy, on, waiting_for: waits }) {
+  /** Whether the unit is there, as its board and gravity have it. */
+  #look(seen, last) {
+    const stays = seen?.state === "wrong" && seen.serial === last?.unit; // as it does until it is taken off
+    const isTaken = seen?.state === "wrong" && seen.serial === this.unit; // another one than was asked for, as good
+    const isNews = seen && !stays && (seen.state !== "there" || seen.serial); // a nameless unit may be any
+    this.sight.hidden = !seen;
+    this.sight.className = `sight ${isTaken ? "there" : isNews ? seen.state : ""}`;
+    let says = seen ? `${SIGHTS[seen.state]} ${seen.says}` : "";
+    if (stays) says = `${seen.serial} is still mounted.`;
+    if (isTaken) says = `${SIGHTS.there} ${seen.serial} is there, says its board; ${this.rig.on.unit} stays in the list.`;
+    this.sight.textContent === says || fill(this.sight, says);
+  }
+
+  /** From now on, for a moment, Enter starts nothing here. */
+  #calm() {
+    this.isCalm = this.go.disabled = true;
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => (this.isCalm = this.go.disabled = false), CALM_MS);
+  }
+
+  /** What to do, by which key; the button, what both do, and the unit that they are about. */
+  #now({ name, state, status, busy_with: busy, on, seen, last, waiting_for: waits }, { closed, waiting, counts }) {
     if (on?.state === "running" && waits) {
-      const text = `Turn ${on.unit} to ${fixed(waits.mount_deg, Number.isInteger(waits.mount_deg) ? 0 : 2, "°")}, press Enter`;
-      return [text, "It sits: go on", () => this.ask("resume", on.run_id)];
+      const angle = fixed(waits.mount_deg, Number.isInteger(waits.mount_deg) ? 0 : 2, "°");
+      return { says: (key) => `Turn ${on.unit} to ${angle}, ${key}`, button: "It sits: go on", does: () => this.ask("resume", on.run_id) };
     }
-    if (on?.state === "running") return [`${on.unit} is being measured`, null, null];
-    if (busy) return [`Rig ${name} is busy`, null, null];
-    if (state === "offline") return [`Rig ${name} is offline`, null, null];
-    if (!on) return ["No unit left", null, null];
-    const text = on.state === "follow_up" ? `Leave ${on.unit} mounted, press Enter: another run tells why` : `Mount ${on.unit}, press Enter`;
-    return [text, `Start ${on.unit}`, () => this.begin({ rig: name, unit: on.unit })];
+    if (on?.state === "running") return { says: () => `${on.unit} is ${status === "paused" ? "paused" : "being measured"}` };
+    if (closed) return { says: () => "This list is closed" };
+    if (busy) return { says: () => `Rig ${name} is busy` };
+    if (state === "offline") return { says: () => `Rig ${name} is offline` };
+    if (!on) return { says: () => `No unit left: ${counts.good} done, ${counts.poor} failed` };
+    const start = (unit) => ({ button: `Start ${unit}`, does: () => this.begin({ rig: name, unit }), unit });
+    if (on.state === "follow_up") return { ...start(on.unit), says: (key) => `Leave ${on.unit} mounted, ${key}: another run tells why` };
+    const says = (key) => `Mount ${on.unit}, ${key}`;
+    if (seen?.state !== "wrong") return { ...start(on.unit), says };
+    if (seen.serial !== last?.unit && waiting.has(seen.serial)) {
+      // its board says so, and it waits as well: nobody need take it off again
+      return { ...start(seen.serial), says: (key) => `${seen.serial} is mounted, ${key}` };
+    }
+    return { ...start(on.unit), says, does: () => this.tell(`Not started. ${seen.says}`, this) };
   }
 }
 

@@ -17,9 +17,6 @@ from calrig.export.static_csv import read_static
 Study = Literal["noise", "filters"]
 Answer = dict[str, Any]
 """The report of a log, and its pictures with their captions."""
-Progress = Callable[[float], None]
-READING = 0.4
-"""Share of a study of a file that goes into reading it."""
 
 MOST_SAMPLES = 2_000_000
 """Of a log; the command line takes a longer one, on the memory of whoever asks."""
@@ -32,9 +29,9 @@ def study_file(
     rate_hz: float | None,
     accel_range_g: float | None,
     gyro_range_dps: float | None,
-    progress: Progress | None = None,
+    progress: Callable[[float], None],
 ) -> Answer:
-    """A log that somebody brought; `progress` is told the share done, 0 to 1.
+    """A log that somebody brought; `progress` is told the share done, reading it being half.
 
     Raises:
         CsvError: it is no such log; says line and column.
@@ -45,32 +42,22 @@ def study_file(
         accel_range_g=accel_range_g,
         gyro_range_dps=gyro_range_dps,
         max_samples=MOST_SAMPLES,
-        progress=_part(progress, 0.0, READING),
+        progress=lambda share: progress(share / 2),
     )
     if study == "noise":
-        left = _part(progress, READING, 1.0)
-        return _noise(log.channels, log.time_s, rate_hz, log.warnings, left)
+        found = log.channels, log.time_s, rate_hz, log.warnings
+        return _noise(*found, progress=lambda share: progress((1 + share) / 2))
     return _filters(log.channels, log.time_s, rate_hz, warnings=log.warnings)
 
 
-def _part(progress: Progress | None, first: float, last: float) -> Progress | None:
-    return progress and (lambda share: progress(first + (last - first) * share))
-
-
-def study_samples(
-    study: Study, path: Path, names: Sequence[str], gyro_scale: float, progress: Progress | None = None
-) -> Answer:
+def study_samples(study: Study, path: Path, names: Sequence[str], gyro_scale: float) -> Answer:
     """The samples of a run: rows of float64 in a file, `time_s` first; what is never known is left out.
-
-    `progress` is told the share done of a study of noise, 0 to 1; that of filters tells none.
 
     Raises:
         ValueError: they cannot be studied, and why.
     """
     known, time_s = _columns(path, names)
-    if study == "noise":
-        return _noise(known, time_s, progress=progress)
-    return _filters(known, time_s, gyro_scale=gyro_scale)
+    return _noise(known, time_s) if study == "noise" else _filters(known, time_s, gyro_scale=gyro_scale)
 
 
 def noise_of_samples(path: Path, names: Sequence[str]) -> Answer:
@@ -92,7 +79,7 @@ def _noise(
     time_s: FloatArray | None,
     rate_hz: float | None = None,
     warnings: Sequence[str] = (),
-    progress: Progress | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> Answer:
     from calrig.figures.noise import noise_figures
     from calrig.noise.analysis import analyse

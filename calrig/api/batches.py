@@ -4,118 +4,38 @@
 
 import hashlib
 from datetime import datetime
-from typing import Annotated, Literal
+from typing import Annotated
 
 from fastapi import APIRouter, Header
 from fastapi.responses import Response
-from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
+from calrig.api.batch_models import (
+    BatchAnswer,
+    BatchRigAnswer,
+    ListedBatch,
+    LookAnswer,
+    MakeBatch,
+    NameUnit,
+    SeenAnswer,
+    SerialsAnswer,
+    StartTurn,
+    Table,
+    TurnAnswer,
+    UnitsBody,
+)
 from calrig.api.callers import Who, requires
 from calrig.api.context import ApiContext, Context
 from calrig.api.errors import problems
 from calrig.api.heavy import Heavy
-from calrig.api.models import Answer, Body, MountAnswer, ProgressAnswer, Status
-from calrig.plan import Plan
+from calrig.api.models import ProgressAnswer
 from calrig.runs.batch_turns import word_of
 from calrig.runs.batches import Standing, serials_in
+from calrig.runs.sightings import Sighting
 from calrig.store import Run
 from calrig.store.batches import Turn
 
 router = APIRouter(tags=["batches"])
-LONGEST_CSV = 200_000
-Serials = Annotated[list[Annotated[str, Field(max_length=1000)]], Field(max_length=10_000)]
-
-
-class UnitsBody(Body):
-    """Serials, one an entry, or a CSV: its column `unit` or `serial`, else its first."""
-
-    units: Serials = Field(default_factory=list)
-    csv: Annotated[str, Field(max_length=LONGEST_CSV)] | None = None
-
-    def serials(self) -> list[str]:
-        """All of them, in order."""
-        return [*self.units, *(serials_in(self.csv) if self.csv else ())]
-
-
-class MakeBatch(UnitsBody):
-    """A list: its units, the rigs side by side that they go to (without any, the first), and how."""
-
-    rigs: Annotated[list[str], Field(max_length=50)] | None = None
-    plan: Plan = Plan()
-    operator: Annotated[str, Field(max_length=200)] | None = None
-    note: Annotated[str, Field(max_length=10_000)] | None = None
-    failed: Literal["end", "follow_up"] = Field(
-        default="end",
-        description="A unit that fails gets another turn at the end, or at once the run that tells why.",
-    )
-
-
-class NameUnit(Body):
-    """A unit of the list."""
-
-    unit: str
-
-
-class StartTurn(Body):
-    """What a person has mounted, and where."""
-
-    rig: str
-    unit: str
-    stage_at_deg: Annotated[float, Field(ge=-360, le=360)] | None = None
-
-
-class TurnAnswer(Answer):
-    """A unit's turn. `word`: pass or fail by its limits, `done` without any; null before it was measured."""
-
-    position: int
-    unit: str
-    state: Literal["waiting", "follow_up", "running", "done", "failed", "removed"]
-    rig: str | None
-    run_id: str | None
-    word: Literal["pass", "fail", "done"] | None
-    why: str | None
-
-
-class BatchRigAnswer(Answer):
-    """A rig of the list. `on` is under way or to be mounted, `next` comes then, `last` ended last."""
-
-    name: str
-    state: Literal["idle", "busy", "unreachable", "offline"]
-    busy_with: str | None
-    on: TurnAnswer | None
-    status: Status | None = Field(description="Of the run under way.")
-    progress: ProgressAnswer | None
-    waiting_for: MountAnswer | None
-    next: TurnAnswer | None
-    last: TurnAnswer | None
-    last_says: list[str]
-
-
-class BatchAnswer(Answer):
-    """A list as it stands."""
-
-    id: str
-    created_at: datetime
-    closed_at: datetime | None
-    plan: Plan
-    operator: str | None
-    note: str | None
-    failed: Literal["end", "follow_up"]
-    rigs: list[BatchRigAnswer]
-    units: list[TurnAnswer]
-    known: list[str] = Field(description="Of units just added, those that the list had already.")
-
-
-class ListedBatch(Answer):
-    """A list among the others."""
-
-    id: str
-    created_at: datetime
-    closed_at: datetime | None
-    rigs: list[str]
-    operator: str | None
-    note: str | None
 
 
 @router.get("/api/batches", response_model=list[ListedBatch], summary="Lists of units, the newest first")
@@ -154,6 +74,19 @@ def make_batch(body: MakeBatch, context: Context, who: Who) -> object:
         note=body.note,
     )
     return _answer(context, made.id)
+
+
+@router.post(
+    "/api/batches/read",
+    dependencies=[requires("operator")],
+    response_model=SerialsAnswer,
+    responses=problems(413, 422),
+    summary="The serials of a CSV, to be looked at before a list is made of them",
+)
+def read_serials(body: Table) -> object:
+    """Keeps nothing. 422 names the line that is wrong."""
+    units, left_out = serials_in(body.csv)
+    return SerialsAnswer(units=units, left_out=left_out)
 
 
 @router.get(
@@ -223,6 +156,21 @@ async def start_turn(batch_id: str, body: StartTurn, context: Context, heavy: He
 
 
 @router.post(
+    "/api/batches/{batch_id}/look",
+    dependencies=[requires("operator")],
+    response_model=LookAnswer,
+    responses=problems(404),
+    summary="Look whether the units asked for are there",
+)
+def look(batch_id: str, context: Context) -> object:
+    """For six seconds the boards of idle rigs are opened and listened to; nothing moves.
+
+    `seen` of each rig tells what came of it. Whoever watches asks again every few seconds.
+    """
+    return LookAnswer(rigs=_rigs(context, context.batches.look(batch_id)))
+
+
+@router.post(
     "/api/batches/{batch_id}/close",
     dependencies=[requires("operator")],
     response_model=BatchAnswer,
@@ -237,7 +185,6 @@ def close_batch(batch_id: str, context: Context) -> object:
 
 def _answer(context: ApiContext, batch_id: str, known: list[str] | None = None) -> BatchAnswer:
     standing = context.batches.standing(batch_id)
-    states = {rig.name: rig for rig in context.service.rigs()}
     document = standing.batch.document
     return BatchAnswer(
         id=standing.batch.id,
@@ -247,13 +194,21 @@ def _answer(context: ApiContext, batch_id: str, known: list[str] | None = None) 
         operator=document["operator"],
         note=document["note"],
         failed=document["failed"],
-        rigs=[_rig(standing, name, states.get(name)) for name in document["rigs"]],
+        rigs=_rigs(context, standing),
         units=[_turn(standing, turn) for turn in standing.now.turns if turn.state != "removed"],
         known=known or [],
     )
 
 
-def _rig(standing: Standing, name: str, state: object) -> BatchRigAnswer:
+def _rigs(context: ApiContext, standing: Standing) -> list[BatchRigAnswer]:
+    states = {rig.name: rig for rig in context.service.rigs()}
+    return [
+        _rig(standing, name, states.get(name), context.service.seen(name))
+        for name in standing.batch.document["rigs"]
+    ]
+
+
+def _rig(standing: Standing, name: str, state: object, seen: Sighting | None) -> BatchRigAnswer:
     on, then = standing.now.on[name], standing.now.then[name]
     run = standing.runs.get(on.run_id or "") if on is not None and on.state == "running" else None
     last = _last(standing, name)
@@ -267,10 +222,18 @@ def _rig(standing: Standing, name: str, state: object) -> BatchRigAnswer:
         status=None if run is None else run.status,
         progress=None if progress is None else ProgressAnswer.model_validate(progress),
         waiting_for=None if progress is None else progress.get("waiting_for"),
+        seen=_seen(seen, on),
         next=None if then is None else _turn(standing, then),
         last=None if last is None else _turn(standing, last),
         last_says=[] if ended is None or ended.verdict is None else ended.verdict.says,
     )
+
+
+def _seen(seen: Sighting | None, on: Turn | None) -> SeenAnswer | None:
+    if seen is None or on is None or on.state == "running":
+        return None
+    told = seen.of_unit(on.unit)
+    return SeenAnswer(state=told.state, serial=told.serial, says=told.says)
 
 
 def _last(standing: Standing, rig: str) -> Turn | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import time
 
 from starlette.requests import HTTPConnection
@@ -13,6 +14,8 @@ from calrig.api.callers import caller_of
 log = logging.getLogger(__name__)
 
 READING = frozenset({"GET", "HEAD", "OPTIONS"})
+LOOKING = re.compile(r"/api/batches/[^/]+/look")
+"""What a page asks for every few seconds, and changes nothing that is kept."""
 REFUSED = frozenset({401, 403})
 
 
@@ -39,7 +42,8 @@ class RequestLog:
         try:
             await self.app(scope, receive, noted)
         finally:
-            if scope["method"] not in READING or status in REFUSED or status >= 500:
+            reads = scope["method"] in READING or LOOKING.fullmatch(scope["path"])
+            if not reads or status in REFUSED or status >= 500:
                 _say(scope, status, time.monotonic() - began_s)
 
 

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from calrig.client import Client
     from calrig.plan import Plan
 
+DOING = "looking for the plan"
+
 
 def plan(
     target_u: Annotated[
@@ -30,6 +32,9 @@ def plan(
     ] = "",
     trace: Annotated[
         bool, typer.Option(" /--no-trace", help="Without variety for the tracing of effects: sooner.")
+    ] = True,
+    sweep: Annotated[
+        bool, typer.Option(" /--no-sweep", help="Stopping for each pose, though turning on were sooner.")
     ] = True,
     until: Annotated[
         bool, typer.Option("--until", help="Its run ends as soon as the uncertainty is reached.")
@@ -52,7 +57,7 @@ def plan(
     if until and target_u is None:
         raise InputError("plan: --until goes with --target-u, which the run is to end at")
     kept = read_plan_file(keep) if keep else Plan()
-    asked = _Asked(target_u, time, rig, unit, trace, until, kept)
+    asked = _Asked(target_u, time, rig, unit, trace, sweep, until, kept)
     there = None if config else running_service(server, db)
     document = _designed_here(asked, db, config) if there is None else _designed_there(there, asked)
     if as_json:
@@ -68,23 +73,28 @@ class _Asked:
     rig: str | None
     unit: str
     trace: bool
+    sweep: bool
     until: bool
     kept: Plan
 
 
 def _designed_there(there: Client, asked: _Asked) -> dict[str, Any]:
+    from calrig.cli.progress import late_bar
     from calrig.client import Invalid
 
     try:
-        found = there.plan(
-            target_u_deg=asked.target_u_deg,
-            time_s=asked.time_s,
-            rig=asked.rig,
-            unit=asked.unit,
-            until={"expanded_uncertainty_deg": asked.target_u_deg or 0.0} if asked.until else None,
-            trace=asked.trace,
-            keep=asked.kept,
-        )
+        with late_bar(DOING) as show:
+            found = there.plan(
+                target_u_deg=asked.target_u_deg,
+                time_s=asked.time_s,
+                rig=asked.rig,
+                unit=asked.unit,
+                until={"expanded_uncertainty_deg": asked.target_u_deg or 0.0} if asked.until else None,
+                trace=asked.trace,
+                sweep=asked.sweep,
+                keep=asked.kept,
+                told=show,
+            )
     except Invalid as error:
         raise WorkError(str(error)) from error
     return found.model_dump(mode="json")
@@ -92,9 +102,12 @@ def _designed_there(there: Client, asked: _Asked) -> dict[str, Any]:
 
 def _designed_here(asked: _Asked, db: str | None, config: str | None) -> dict[str, Any]:
     from calrig.analysis.errors import Invalid
+    from calrig.analysis.stage_maps import configured_maps
     from calrig.calibration.plan_design.goals import Goals
+    from calrig.cli.progress import late_bar
     from calrig.plan import Until
-    from calrig.runs.plan_designs import Wanted, designed
+    from calrig.runs.plan_answers import answer
+    from calrig.runs.plan_designs import Wanted, question
     from calrig.settings import load_settings, store_url
     from calrig.store import Store
     from calrig.store.errors import NoStore
@@ -105,15 +118,23 @@ def _designed_here(asked: _Asked, db: str | None, config: str | None) -> dict[st
         configured = ", ".join(one.name for one in settings.rig)
         raise InputError(f"--rig: there is no rig {asked.rig!r}; configured: {configured}")
     ends_at = Until(expanded_uncertainty_deg=asked.target_u_deg) if asked.until else None
-    wanted = Wanted(Goals(expanded_deg=asked.target_u_deg), asked.time_s, asked.trace, ends_at)
+    wanted = Wanted(Goals(expanded_deg=asked.target_u_deg), asked.time_s, asked.trace, ends_at, asked.sweep)
     with ExitStack() as stack:
         store = None
         with suppress(NoStore):  # nothing has run yet: noise and pace are assumed, and said to be
             store = stack.enter_context(Store.open(store_url(db), writer=None))
         try:
-            return designed(wanted, asked.kept, chosen, asked.unit, store).document()
+            known = question(wanted, asked.kept, chosen, asked.unit, store, configured_maps(settings))
+            with late_bar(DOING) as show:
+                return answer(known, show).document()
         except Invalid as error:
             raise WorkError(str(error)) from error
+
+
+def _poses(plan: dict[str, Any]) -> str:
+    if plan["kind"] == "sweep":
+        return f"{plan['sweeps']} passes at {plan['velocity_dps']:.3g}°/s, stretches of {plan['dwell_s']:g} s"
+    return f"{len(plan['elevations_deg'])} of {plan['dwell_s']:g} s"
 
 
 def _print(document: dict[str, Any]) -> None:
@@ -122,9 +143,9 @@ def _print(document: dict[str, Any]) -> None:
     expected: dict[str, Any] = document["expected"]
     limit: dict[str, Any] | None = document["limit"]
     rows = [
-        ("poses", f"{len(document['plan']['elevations_deg'])} of {document['plan']['dwell_s']:g} s"),
+        ("poses", _poses(document["plan"])),
         ("duration", f"{expected['duration_s']:.0f} s"),
-        ("no plan of dwells is under", "–" if limit is None else f"{limit['duration_s']:.0f} s"),
+        ("no plan is under", "–" if limit is None else f"{limit['duration_s']:.0f} s"),
         ("expanded uncertainty", number(expected["expanded_uncertainty_deg"], "°")),
         ("bias, standard error", number(expected["bias_std_deg"], "°")),
         ("scale, standard error", number(expected["scale_std"], "", 6)),

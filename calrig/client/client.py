@@ -8,7 +8,7 @@ from urllib.parse import urlencode
 
 from calrig.client.documents import Estimate, PlanDesign, RigState, RunRecord, Status
 from calrig.client.issued import Issued
-from calrig.client.jobs import outcome
+from calrig.client.jobs import Told, outcome, unheard
 from calrig.client.run import Run
 from calrig.client.studies import Studies
 from calrig.client.transport import part
@@ -115,7 +115,9 @@ class Client(Studies, Issued):
         unit: str = "",
         until: Mapping[str, float] | None = None,
         trace: bool = True,
+        sweep: bool = True,
         keep: Plan | Mapping[str, Any] | None = None,
+        told: Told = unheard,
     ) -> PlanDesign:
         """The plan that reaches an uncertainty soonest, or the best one for a time; nothing moves.
 
@@ -126,7 +128,9 @@ class Client(Studies, Issued):
             unit: whose earlier runs tell the noise.
             until: what else is to be reached: `bias_std_deg`, `scale_std`, `expanded_uncertainty_deg`.
             trace: whether effects are to be found in it.
+            sweep: whether it may turn without stopping.
             keep: a plan whose range, settling and rate are kept.
+            told: is told the share that is done.
 
         Raises:
             Invalid: no plan reaches it; says what would.
@@ -140,11 +144,12 @@ class Client(Studies, Issued):
         body: dict[str, Any] = {
             "unit": unit,
             "trace": trace,
+            "sweep": sweep,
             **{k: v for k, v in wanted.items() if v is not None},
         }
         if keep is not None:
             body["plan"] = _plain(keep)
-        return PlanDesign.of(outcome(self, self.post("/api/plans/design", body)))
+        return PlanDesign.of(outcome(self, self.post("/api/plans/design?wait=false", body), told))
 
 
 def _plain(plan: Plan | PlanDesign | Mapping[str, Any]) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -13,6 +14,7 @@ from calrig.analysis.origin import check_serial
 from calrig.plan import Plan
 from calrig.processes.pool import Apart
 from calrig.runs.batch_turns import Settled, settled
+from calrig.runs.mounting import Mount
 from calrig.runs.planned import planned_poses
 from calrig.runs.services import Service
 from calrig.store import Run
@@ -136,8 +138,21 @@ class RunBatches:
         except Conflict as error:
             if turn.rig in {state.name for state in self._service.rigs() if state.state == "busy"}:
                 raise
-            self._write(standing, replace(turn, state="failed", why=str(error)))
+            self._write(
+                standing, replace(turn, state="failed", why=str(error).removeprefix(f"run {turn.run_id}: "))
+            )
             raise
+
+    def look(self, batch_id: str) -> Standing:
+        """Has the boards of idle rigs looked at: whether the unit asked for is there. Moves nothing."""
+        standing = self.standing(batch_id)
+        if standing.batch.closed_at is not None:
+            return standing
+        plan = Plan.model_validate(standing.batch.document["plan"])
+        for rig, turn in standing.now.on.items():
+            if turn is not None and turn.state != "running":
+                self._service.look(rig, Mount(plan.mounts_deg[0], plan.mount_axis))
+        return standing
 
     def close(self, batch_id: str) -> None:
         """Ends a list; what is under way goes on."""
@@ -174,27 +189,50 @@ def checked(units: Sequence[str]) -> list[str]:
     if len(serials) > MOST_UNITS:
         raise Invalid(f"a list has at most {MOST_UNITS} units, not {len(serials)}", ["units"])
     for number, serial in enumerate(serials, start=1):
-        try:
-            check_serial(serial)
-        except Invalid as error:
-            raise Invalid(f"serial {number}, {serial[:40]!a}: {error}", ["units"]) from error
+        _check(serial, f"serial {number}", "units")
     return serials
 
 
-def serials_in(table: str) -> list[str]:
-    """The serials of a CSV: the column headed `unit` or `serial`, else the first, whose first row counts."""
+def serials_in(table: str) -> tuple[list[str], int]:
+    """The serials of a CSV, and how many rows have none.
+
+    They are in the column headed `unit` or `serial`, else in the first, whose first row counts. A line
+    `sep=;` before all others, which spreadsheets write, names the delimiter.
+
+    Raises:
+        Invalid: it is no CSV, or one is no serial; says in which line.
+    """
     text = table.removeprefix("\ufeff")
-    first = text.splitlines()[0] if text.strip() else ""
-    delimiter = max(",;\t", key=first.count)
+    if "\ufffd" in text:
+        raise Invalid("the file is not UTF-8: save it as “CSV UTF-8”", ["csv"])
+    lines = list(io.StringIO(text, newline="")) or [""]
+    named = re.fullmatch(r"sep=(.)\s*", lines[0])
+    n_skipped = 1 if named else 0
+    delimiter = named[1] if named else max(",;\t", key=lines[0].count)
+    reader = csv.reader(lines[n_skipped:], delimiter=delimiter)
     try:
-        rows = [row for row in csv.reader(io.StringIO(text), delimiter=delimiter) if row]
+        rows = [(n_skipped + reader.line_num, row) for row in reader if row]
     except csv.Error as error:
         raise Invalid(f"the file is no CSV: {error}", ["csv"]) from error
-    headings = [cell.strip().casefold() for cell in rows[0]] if rows else []
+    headings = [cell.strip().casefold() for cell in rows[0][1]] if rows else []
     column = next((headings.index(name) for name in NAMES if name in headings), None)
     if column is None:
-        return [row[0] for row in rows]
-    return [row[column] for row in rows[1:] if len(row) > column]
+        column = 0
+    else:
+        del rows[0]
+    found = [(line, row[column].strip() if len(row) > column else "") for line, row in rows]
+    for line, serial in found:
+        if serial:
+            _check(serial, f"line {line}", "csv")
+    serials = [serial for _, serial in found if serial]
+    return serials, len(found) - len(serials)
+
+
+def _check(serial: str, where: str, field: str) -> None:
+    try:
+        check_serial(serial)
+    except Invalid as error:
+        raise Invalid(f"{where}, {serial[:40]!a}: {error}", [field]) from error
 
 
 def _waiting(standing: Standing, unit: str) -> Turn:

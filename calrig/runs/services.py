@@ -11,7 +11,9 @@ from calrig.processes.pool import Apart, run_apart
 from calrig.runs.bus import Bus
 from calrig.runs.errands import Errand
 from calrig.runs.meter import Meter
+from calrig.runs.mounting import Mount
 from calrig.runs.rig_states import RigState
+from calrig.runs.sightings import Sighting
 from calrig.settings import RigSettings
 from calrig.store import Run, Store
 from calrig.store.records import Document
@@ -65,6 +67,12 @@ class Service(Protocol):
 
     def begin_clamp(self, rig_name: str, mount_deg: float, axis: MountAxis) -> Errand[RigState]:
         """Has a rig's clamp turn the unit, in a thread of its own."""
+
+    def look(self, rig_name: str, mount: Mount) -> None:
+        """Has an idle rig's board looked at for a while, where this process can."""
+
+    def seen(self, rig_name: str) -> Sighting | None:
+        """What was seen of the unit on a rig; None where nobody looks."""
 
     def pause(self, run_id: str) -> Run:
         """Has a run hold."""

@@ -144,7 +144,7 @@ class Webhook:
         if error is not None:
             self._failures.inc()
             if delivery.tries < len(AGAIN_S):
-                again_at = now + timedelta(seconds=AGAIN_S[delivery.tries])
+                again_at = self._now() + timedelta(seconds=AGAIN_S[delivery.tries])
             word = "given up" if again_at is None else f"tried again at {again_at:%Y-%m-%d %H:%M:%S} UTC"
             log.warning("the end of run %s could not be told (%s): %s", delivery.run_id, error, word)
         self._store.settle_delivery(delivery, error, again_at)

@@ -3,18 +3,37 @@
 from __future__ import annotations
 
 import threading
+from typing import NamedTuple
 
 import numpy as np
 
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.environment import Environment
 from calrig.simulator.imu import Counts, Imu, NoiseSource, Surroundings
+from calrig.simulator.low_pass import LowPass, low_passes
 from calrig.simulator.mechanics import Mechanics
 from calrig.simulator.mount import Mount
 from calrig.simulator.trajectory import FloatArray, Turn
+from calrig.simulator.vibration import Vibration
 
 TURN_STEP_S = 0.05
 """Half the span over which the package's slow turn with temperature is differentiated."""
+SWING_STEP_S = 5e-4
+"""Over which the table's rate is differentiated, short against any ramp: what comes is not commanded yet."""
+
+
+class _Motion(NamedTuple):
+    """What the sensor lives through at n instants, along its axes.
+
+    Attributes:
+        force_g: specific force (n, 3); where the motor shakes it (k, n, 3), over the step that begins there.
+        rate_dps: angular rate (n, 3).
+        step_hz: steps of the motor per second (n,).
+    """
+
+    force_g: FloatArray
+    rate_dps: FloatArray
+    step_hz: FloatArray
 
 
 class Bench:
@@ -36,6 +55,9 @@ class Bench:
         self._environment = Environment(settings.environment)
         self._nominal_v = settings.environment.supply_v
         self._imu = Imu(settings.imu)
+        self._low_passes = low_passes(settings.imu.dlpf_cfg)
+        self._vibration = Vibration(settings.mechanics)
+        self._swings = settings.mount.lever_arm_m > 0
         self._turns_with_temperature = settings.imu.package_turn_deg_per_c != 0
         self._noise = NoiseSource(settings.imu, noise_seed)
 
@@ -62,9 +84,9 @@ class Bench:
         return self.sensor(np.asarray(times_s, dtype=float)).angle_deg
 
     def specific_force_g(self, times_s: FloatArray) -> FloatArray:
-        """The true specific force along the sensor's axes, (n, 3)."""
+        """The true specific force along the sensor's axes, (n, 3), without the motor's vibration."""
         times_s = np.asarray(times_s, dtype=float)
-        return self._mount.specific_force_g(self.sensor(times_s).angle_deg, times_s)
+        return self._force_g(self.sensor(times_s), times_s)
 
     def angular_rate_dps(self, times_s: FloatArray) -> FloatArray:
         """The true angular rate along the sensor's axes, (n, 3)."""
@@ -82,16 +104,44 @@ class Bench:
         instants into other blocks gives the same counts. `rate_hz` sets the noise's bandwidth.
         """
         times_s = np.asarray(times_s, dtype=float)
-        turn = self.sensor(times_s)
         around = Surroundings(
             self._environment.die_c(times_s),
             self._environment.stress_c(times_s),
             self._environment.supply_v(times_s) - self._nominal_v,
         )
         noise = self._noise.draw(times_s, rate_hz)
-        force_g = self._mount.specific_force_g(turn.angle_deg, times_s)
-        accel_g = self._imu.accel_g(force_g, around)
-        gyro_dps = self._imu.gyro_dps(self._mount.angular_rate_dps(turn.rate_dps, times_s), force_g, around)
+        accel, gyro = self._low_passes
+        motion = self._motion(times_s - accel.delay_s)
+        accel_g = self._filtered(accel, self._imu.accel_g(motion.force_g, around), motion)
+        if gyro.delay_s != accel.delay_s:
+            motion = self._motion(times_s - gyro.delay_s)
+        sensed_dps = self._imu.gyro_dps(motion.rate_dps, motion.force_g, around)
+        gyro_dps = self._filtered(gyro, sensed_dps, motion)
         return self._imu.registers(
             accel_g + noise.accel_g, gyro_dps + noise.gyro_dps, around.die_c + noise.temperature_c
         )
+
+    def _force_g(self, turn: Turn, times_s: FloatArray) -> FloatArray:
+        force_g = self._mount.specific_force_g(turn.angle_deg, times_s)
+        if not self._swings:
+            return force_g
+        before, now = (self.mechanics.table(times_s - ago_s).rate_dps for ago_s in (SWING_STEP_S, 0.0))
+        return force_g + self._mount.swing_g(now, (now - before) / SWING_STEP_S, times_s)
+
+    def _motion(self, times_s: FloatArray) -> _Motion:
+        turn = self.sensor(times_s)
+        force_g = self._force_g(turn, times_s)
+        rate_dps = self._mount.angular_rate_dps(turn.rate_dps, times_s)
+        if not self._vibration.on:
+            return _Motion(force_g, rate_dps, np.zeros_like(times_s))
+        motor = self.mechanics.motor(times_s)
+        along = np.broadcast_to(self._vibration.direction, force_g.shape)
+        shaking_g = self._vibration.cycle_g(motor)[..., None] * self._mount.from_table(along, times_s)
+        return _Motion(force_g + shaking_g, rate_dps, self._vibration.frequency_hz(motor))
+
+    def _filtered(self, low_pass: LowPass, sensed: FloatArray, motion: _Motion) -> FloatArray:
+        """What is left in a channel (n, 3) of what its element makes of the motion.
+
+        The element is bent where it is shaken, before any filter: what it rectifies of a vibration stays.
+        """
+        return low_pass.of_cycle(sensed, motion.step_hz) if self._vibration.on else sensed

@@ -6,15 +6,21 @@ import difflib
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, Field, ValidationError, model_validator
 
 from calrig.simulator.dialects import SKETCHES, STAGES
+from calrig.simulator.motion_options import (
+    ZERO,
+    MechanicsOptions,
+    MountOptions,
+    NotNegative,
+    Options,
+    Positive,
+    StageHarmonic,
+    Vector,
+)
 from calrig.simulator.presets import PRESETS
 
-Vector = tuple[float, float, float]
-NotNegative = Annotated[float, Field(ge=0)]
-Positive = Annotated[float, Field(gt=0)]
-MountAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
 StageFault = Literal["hang", "garbage", "echo"]
 BoardFault = Literal[
     "silent", "garbage", "corrupt", "gaps", "frozen", "zeros", "clone", "half_lines", "reset"
@@ -23,7 +29,6 @@ NOT_OF_PACKETS = {"zeros", "clone", "half_lines", "reset"}
 NOT_OF_TEXT = {"corrupt", "gaps"}
 
 Pair = Literal["xy", "xz", "yx", "yz", "zx", "zy"]
-ZERO: Vector = (0.0, 0.0, 0.0)
 
 
 def _one_of(names: Sequence[str]) -> AfterValidator:
@@ -35,11 +40,7 @@ def _one_of(names: Sequence[str]) -> AfterValidator:
     return AfterValidator(known)
 
 
-class _Options(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class StageOptions(_Options):
+class StageOptions(Options):
     """The stage's controller. `fault` makes it hang, answer garbage, or echo what it hears.
 
     `driver` is the dialect it speaks, `firmware` what it calls itself (without: the dialect's own), `homing`
@@ -54,96 +55,12 @@ class StageOptions(_Options):
     acceleration_dps2: Positive = 80.0
     homing_velocity_dps: Positive = 10.0
     limits_deg: tuple[Annotated[float, Field(le=0)], NotNegative] = (-175.0, 175.0)
+    report_delay_s: NotNegative = 0.0
+    """How old an angle is when the controller says it; whether it turns, it says at once."""
     fault: StageFault | None = None
 
 
-class StageHarmonic(_Options):
-    """amplitude·sin(order·φ + phase) at the table's angle φ."""
-
-    order: int = Field(ge=1, le=1000)
-    amplitude_deg: float = Field(ge=-5, le=5)
-    phase_deg: float = 0.0
-
-
-class MechanicsOptions(_Options):
-    """From the motor to the table. Angles are the stage's own, zero at its home.
-
-    `encoder_on = "motor"` sees no fault of the gear; `"table"` sees worm and backlash, but neither its own
-    eccentricity nor what bends beyond it.
-    """
-
-    power_up_deg: float = Field(default=4.0, ge=-170, le=170)
-    homing_std_deg: NotNegative = 0.0
-    scale_error_pct: float = Field(default=0.0, gt=-50, lt=50)
-    backlash_deg: NotNegative = 0.0
-    eccentricity_deg: float = Field(default=0.0, ge=-5, le=5)
-    eccentricity_phase_deg: float = 0.0
-    worm_deg: float = 0.0
-    worm_period_deg: Positive = 7.2
-    worm_phase_deg: float = 0.0
-    harmonics: tuple[StageHarmonic, ...] = ()
-    """Further errors of the table that close on a turn."""
-    motor_step_deg: Positive = 1.8
-    """Full step of the motor, at the table: step angle over the gear's ratio."""
-    detent_share: float = Field(default=0.0, ge=0, le=0.2)
-    """Torque of the motor's detents over its holding torque; a microstepped motor stands off by it."""
-    following_lag_s: NotNegative = 0.0
-    following_std_deg: NotNegative = 0.0
-    creep_fraction: float = Field(default=0.0, ge=0, lt=1)
-    creep_s: Positive = 1.5
-    encoder_on: Literal["motor", "table"] = "motor"
-    encoder_resolution_deg: NotNegative = 0.0
-    obstruction_deg: float | None = None
-    """A motor angle that the stage cannot pass: it stalls there."""
-
-    @model_validator(mode="after")
-    def _worm_never_runs_backwards(self) -> Self:
-        if abs(self.worm_deg) * 2 * 3.1416 > 0.5 * self.worm_period_deg:
-            raise ValueError("worm_deg is so large for its worm_period_deg that the table would turn back")
-        return self
-
-    @model_validator(mode="after")
-    def _table_never_runs_backwards(self) -> Self:
-        if sum(abs(wave.amplitude_deg) * wave.order for wave in self.harmonics) * 3.1416 / 180 > 0.5:
-            raise ValueError("the harmonics are so large that the table would turn back")
-        return self
-
-
-class MountOptions(_Options):
-    """From the table to the sensor's package: how it sits, slips and sags, and how level the axis is.
-
-    A cable of mass `cable_mass_kg` hangs on an arm `cable_arm_m` that is horizontal at
-    `cable_horizontal_deg`, and winds up with `cable_stiffness_nm_per_deg`; what its torque bends is
-    `compliance_deg_per_nm`. Under the clamp's own load, from `creep_began_s` on, the joint gives way by
-    `creep_deg_per_decade` in each tenfold of time.
-    """
-
-    offset_deg: float = 0.0
-    """The base is turned about the stage's axis, whichever face is clamped."""
-    roll_deg: float = Field(default=0.0, ge=-45, le=45)
-    """The sensor is turned about x in its case, and comes along into every clamping, as yaw and pitch do."""
-    yaw_deg: float = Field(default=0.0, ge=-45, le=45)
-    pitch_deg: float = Field(default=0.0, ge=-45, le=45)
-    axis_tilt_deg: float = Field(default=0.0, ge=-45, le=45)
-    clamped_deg: float = Field(default=0.0, ge=-360, le=360)
-    """The angle at which the unit sits in its clamp when the rig is switched on."""
-    clamped_axis: MountAxis = "x"
-    """Which of the unit's axes lies along the stage's then."""
-    seat_std_deg: NotNegative = 0.0
-    """How far each clamping is off, about each of three axes, drawn anew every time."""
-    slip_deg: float = 0.0
-    slip_at_s: NotNegative = 0.0
-    slip_s: Positive = 0.05
-    creep_deg_per_decade: float = 0.0
-    creep_began_s: float = 0.0
-    cable_mass_kg: NotNegative = 0.0
-    cable_arm_m: NotNegative = 0.05
-    cable_horizontal_deg: float = 0.0
-    cable_stiffness_nm_per_deg: NotNegative = 0.0
-    compliance_deg_per_nm: NotNegative = 0.0
-
-
-class EnvironmentOptions(_Options):
+class EnvironmentOptions(Options):
     """Die temperature and supply voltage over simulated time."""
 
     start_c: float = Field(default=25.0, ge=-40, le=85)
@@ -161,17 +78,20 @@ class EnvironmentOptions(_Options):
     supply_waveform: Literal["sine", "square"] = "sine"
 
 
-class ImuOptions(_Options):
+class ImuOptions(Options):
     """An MPU-6050: noise densities, ranges and registers are its data sheet's (PS-MPU-6000A rev. 3.4)."""
 
     accel_range_g: Literal[2, 4, 8, 16] = 2
     gyro_range_dps: Literal[250, 500, 1000, 2000] = 250
+    dlpf_cfg: int | None = Field(default=None, ge=0, le=6)
+    """The digital low-pass filter of the register map (`low_pass`), on motion and vibration but not on noise;
+    None for neither delay nor attenuation."""
     accel_noise_ug_per_rthz: NotNegative = 400.0
     gyro_noise_dps_per_rthz: NotNegative = 0.005
     temperature_noise_c: NotNegative = 0.0
     accel_bias_mg: Vector = ZERO
     accel_gain_error_pct: Vector = ZERO
-    accel_cross_axis_deg: dict[Pair, float] = {}
+    accel_cross_axis_deg: dict[Pair, float] = Field(default_factory=dict)
     """`{"yz": 0.2}`: y measures a_y + a_z·sin 0.2°, and so on for each pair."""
     accel_quadratic_mg_per_g2: Vector = ZERO
     accel_cubic_mg_per_g3: Vector = ZERO
@@ -181,7 +101,7 @@ class ImuOptions(_Options):
     accel_walk_mg_per_rts: NotNegative = 0.0
     gyro_bias_dps: Vector = ZERO
     gyro_scale_error_pct: Vector = ZERO
-    gyro_cross_axis_deg: dict[Pair, float] = {}
+    gyro_cross_axis_deg: dict[Pair, float] = Field(default_factory=dict)
     """As the accelerometer's."""
     gyro_dps_per_g: tuple[Vector, Vector, Vector] = (ZERO, ZERO, ZERO)
     """Of each axis, what specific force along x, y, z adds."""
@@ -191,7 +111,7 @@ class ImuOptions(_Options):
     reference_c: float = 25.0
 
 
-class BoardOptions(_Options):
+class BoardOptions(Options):
     """The board around the sensor. `fault` breaks it on purpose.
 
     `sketch` is the public sketch that it runs instead of calrig's own; it then tells no serial number and has
@@ -220,14 +140,14 @@ class BoardOptions(_Options):
         return self
 
 
-class ClampOptions(_Options):
+class ClampOptions(Options):
     """A motorised dividing head that the unit is clamped in. `fault` makes it answer nothing."""
 
     firmware: str = "INDEX calrig simulated"
     fault: Literal["hang"] | None = None
 
 
-class SimulatorSettings(_Options):
+class SimulatorSettings(Options):
     """One simulated rig. Without options: an MPU-6050 with its data sheet's noise on a perfect stage."""
 
     preset: str | None = None

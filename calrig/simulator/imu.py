@@ -90,7 +90,7 @@ class Imu:
         return self._options.package_turn_deg_per_c * (stress_c - self._options.reference_c)
 
     def accel_g(self, force_g: FloatArray, around: Surroundings) -> FloatArray:
-        """What the accelerometer makes of a specific force (n, 3).
+        """What the accelerometer makes of a specific force (..., n, 3).
 
         Per axis: gain·(a + crosstalk) + quadratic + cubic term + bias, gain and bias moving with temperature
         and the bias with the supply.
@@ -111,7 +111,7 @@ class Imu:
         return measured
 
     def gyro_dps(self, rate_dps: FloatArray, force_g: FloatArray, around: Surroundings) -> FloatArray:
-        """What the gyro makes of an angular rate (n, 3) under a specific force (n, 3)."""
+        """What the gyro makes of an angular rate (n, 3) under a specific force (..., n, 3)."""
         options = self._options
         drift_c = (around.stress_c - options.reference_c)[:, None]
         bias = np.asarray(options.gyro_bias_dps) + drift_c * np.asarray(options.gyro_bias_dps_per_c)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calrig.simulator.config import MechanicsOptions
+from calrig.simulator.motion_options import MechanicsOptions
 from calrig.simulator.trajectory import FloatArray, Segment, Trajectory, Turn, braking, trapezoid
 
 HOMING_RUN_UP_DEG = 1.0
@@ -78,10 +78,13 @@ class Mechanics:
         self._references = [reference for reference in self._references if reference.from_s <= at_s]
         return self._drive(braking(begin_s, *self._motor.state(begin_s), acceleration_dps2)).at_s
 
-    def encoder_deg(self, times_s: FloatArray) -> FloatArray:
-        """The counted angle that the controller reports, in steps of the encoder's resolution."""
+    def encoder_deg(self, times_s: FloatArray, age_s: float = 0.0) -> FloatArray:
+        """The counted angle that the controller reports, in steps of the encoder's resolution.
+
+        Told at `times_s`, it is where the encoder was `age_s` before, counted from the home known by then.
+        """
         starts, _, zeros = np.array(self._references).T
-        counted = self._encoder(times_s) - zeros[np.searchsorted(starts, times_s, side="right") - 1]
+        counted = self._encoder(times_s - age_s) - zeros[np.searchsorted(starts, times_s, side="right") - 1]
         step = self._options.encoder_resolution_deg
         reported: FloatArray = np.round(counted / step) * step if step else counted
         return reported

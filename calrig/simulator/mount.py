@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calrig.simulator.config import MountOptions
+from calrig.simulator.motion_options import MountOptions
 from calrig.simulator.trajectory import FloatArray, Trajectory, Turn, trapezoid
 
 STANDARD_GRAVITY_MPS2 = 9.80665
@@ -97,6 +97,24 @@ class Mount:
         """The turn about the stage's axis along the sensor's axes, (n, 3)."""
         rates: FloatArray = rate_dps[..., None] * self._to_sensor(times_s)[..., 0]
         return rates
+
+    def from_table(self, vectors: FloatArray, times_s: FloatArray) -> FloatArray:
+        """Vectors (..., n, 3) that turn with the table, along the sensor's axes.
+
+        They are given along the stage's axis, tangential, and radial, upward where the table stands at 0.
+        """
+        turned = np.radians(self._clamp.at(times_s).angle_deg)
+        along, tangential, radial = np.moveaxis(vectors, -1, 0)
+        s, c = np.sin(turned), np.cos(turned)
+        in_clamp = np.stack([along, c * tangential + s * radial, c * radial - s * tangential], axis=-1)
+        felt: FloatArray = np.einsum("...ij,...j->...i", self._to_sensor(times_s), in_clamp)
+        return felt
+
+    def swing_g(self, rate_dps: FloatArray, rate_change_dps2: FloatArray, times_s: FloatArray) -> FloatArray:
+        """What turning on an arm adds to the specific force (n, 3): tangential and centripetal."""
+        arm = self._options.lever_arm_m / STANDARD_GRAVITY_MPS2
+        tangential, radial = -arm * np.radians(rate_change_dps2), -arm * np.radians(rate_dps) ** 2
+        return self.from_table(np.stack([np.zeros_like(radial), tangential, radial], axis=-1), times_s)
 
     def _sag(self, table: Turn) -> Turn:
         """What the cable bends: its weight on its arm, and its winding up, each against the motion upward."""

@@ -45,8 +45,12 @@ class Stage(ABC):
         """What it says unasked: nothing, in most dialects."""
         return b""
 
-    def _encoder_deg(self, at_s: float) -> float:
-        return float(self._bench.mechanics.encoder_deg(np.array([at_s]))[0])
+    def _encoder_deg(self, at_s: float, age_s: float = 0.0) -> float:
+        return float(self._bench.mechanics.encoder_deg(np.array([at_s]), age_s)[0])
+
+    def _reported_deg(self, at_s: float) -> float:
+        """What it says of where it is: it says so late."""
+        return self._encoder_deg(at_s, self._options.report_delay_s)
 
 
 class LineStage(Stage):

@@ -35,6 +35,16 @@ def finished(client, batch, unit, rig="bench-1"):
     return looked(client, batch)
 
 
+def seen(client, batch, state):
+    """What is said of the unit on the first rig once a look has found it so."""
+
+    def look():
+        sight = client.post(f"/api/batches/{batch['id']}/look").raise_for_status().json()["rigs"][0]["seen"]
+        return sight if sight and sight["state"] == state else None
+
+    return wait_for(look, f"unit that is {state}")
+
+
 def states(batch):
     return [(turn["unit"], turn["word"] or turn["state"]) for turn in batch["units"]]
 
@@ -57,12 +67,15 @@ def test_units_go_one_after_the_other_and_one_that_fails_once_more_at_the_end(sh
 
 def test_of_two_who_press_enter_at_once_one_begins_the_run(shared_client):
     batch = made(shared_client, ["E-1", "E-2"], plan=LONG)
+    assert looked(shared_client, batch)["rigs"][0]["seen"] is None, "nobody has asked for a look"
+    assert "see that it is E-1. It sits still" in seen(shared_client, batch, "there")["says"]
     with ThreadPoolExecutor(2) as both:
         answers = list(both.map(lambda _: begun(shared_client, batch, "E-1"), range(2)))
     assert sorted(answer.status_code for answer in answers) == [200, 409]
     assert len(shared_client.get("/api/runs?unit=E-1").json()["items"]) == 1
     now = looked(shared_client, batch)
     run_id = now["rigs"][0]["on"]["run_id"]
+    assert now["rigs"][0]["seen"] is None, "the board is the run's"
     assert (now["rigs"][0]["status"], now["rigs"][0]["next"]["unit"]) in [
         ("running", "E-2"),
         ("queued", "E-2"),
@@ -108,6 +121,9 @@ def test_a_board_of_another_unit_fails_before_anything_moves_and_the_unit_stays_
     rig = launch_rig("bench-1", board={"serial": "OTHER-9"})
     with running_service(store_path, rig) as service, serving(service) as c:
         batch = made(c, ["MINE-1", "MINE-2"])
+        sight = seen(c, batch, "wrong")
+        assert sight["serial"] == "OTHER-9" and "OTHER-9, not MINE-1" in sight["says"]
+        assert c.get("/api/rigs").json()[0]["state"] == "idle" and not c.get("/api/runs").json()["items"]
         ended(c, begun(c, batch, "MINE-1").json()["rigs"][0]["on"]["run_id"])
         (place,) = looked(c, batch)["rigs"]
         assert (place["on"]["unit"], place["next"]["unit"]) == ("MINE-1", "MINE-2")
@@ -115,16 +131,18 @@ def test_a_board_of_another_unit_fails_before_anything_moves_and_the_unit_stays_
 
 
 @pytest.mark.parametrize(
-    ("table", "serials"),
+    ("table", "serials", "left_out"),
     [
-        ("\ufefflot;Serial\r\n7;A-1\r\n7;A-2\r\n", ["A-1", "A-2"]),
-        ("A-1,red\nA-2,blue\n", ["A-1", "A-2"]),
-        ('unit\n"Ä ""1"", b"\n', ['Ä "1", b']),
+        ("\ufefflot;Serial\r\n7;A-1\r\n7;A-2\r\n", ["A-1", "A-2"], 0),
+        ("sep=;\r\nunit;was\r\nA-1;red,\r\n", ["A-1"], 0),
+        ("A-1,red\nA-2,blue\n", ["A-1", "A-2"], 0),
+        ("lot,unit\n7\n7,\n\n7, A-1\n7,A-1\n", ["A-1", "A-1"], 2),
+        ('unit,of\n"Ä ""1"", b","two\nlines"\n', ['Ä "1", b'], 0),
     ],
 )
-def test_serials_come_from_a_table(shared_client, table, serials):
-    batch = shared_client.post("/api/batches", json={"csv": table}).raise_for_status().json()
-    assert [turn["unit"] for turn in batch["units"]] == serials
+def test_serials_come_from_a_table(shared_client, table, serials, left_out):
+    read = shared_client.post("/api/batches/read", json={"csv": table}).raise_for_status().json()
+    assert read == {"units": serials, "left_out": left_out}
 
 
 @pytest.mark.parametrize(
@@ -135,6 +153,8 @@ def test_serials_come_from_a_table(shared_client, table, serials):
         ({"units": [f"U{k}" for k in range(2001)]}, "at most 2000"),
         ({"units": ["A"], "plan": {"stop_deg": 100}}, "beyond"),
         ({"csv": "unit\n"}, "no serial number"),
+        ({"csv": "sep=;\nunit\nA\nB\u0007\n"}, "line 4, 'B\\x07'"),
+        ({"csv": "unit\n\ufffd-1\n"}, "UTF-8"),
     ],
 )
 def test_what_is_no_list_is_refused_with_the_reason(shared_client, body, says):

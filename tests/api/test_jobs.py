@@ -146,7 +146,7 @@ def test_no_job_of_another_life_of_the_service_is_known(rig, store_path, monkeyp
     monkeypatch.setattr(heavy, "AT_ONCE_S", 0.0)
     monkeypatch.setattr(diagnoses, "trace", for_ever)
     with running_service(store_path, rig) as service:
-        with serving(service) as client:
+        with serving(service, own_processes=True) as client:
             run_id = imported(client, "AS-1")["id"]
             path = begun(client, f"/api/runs/{run_id}/diagnosis", json={})
             wait_for(working, "its beginning")

@@ -43,6 +43,8 @@ def test_the_demo_board_names_no_serial_and_streams_at_200_hz():
         ({"imu": {"accel_cross_axis_deg": {"xx": 1}}}, "imu.accel_cross_axis_deg.xx"),
         ({"mechanics": "much"}, "mechanics"),
         ({"mechanics": {"worm_deg": 3}}, "mechanics: worm_deg is so large"),
+        ({"mechanics": {"vibration_direction": [0, 0, 0]}}, "mechanics: vibration_direction is 0, 0, 0"),
+        ({"imu": {"dlpf_cfg": 7}}, "imu.dlpf_cfg: Input should be less than or equal to 6"),
         ({"environment": {"start_c": float("nan")}}, "environment.start_c"),
         ({"board": {"default_rate_hz": 2000}}, "board: default_rate_hz is above max_rate_hz"),
     ],

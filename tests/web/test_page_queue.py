@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from support import LONG, running_service, serving
 
 pytestmark = pytest.mark.browser
 SHORT = {"elevations_deg": [0, 20], "sweeps": 1, "settle_s": 0.2, "dwell_s": 0.5}
@@ -18,8 +19,8 @@ def pressed(page, expect, instruction):
     """Enter, as soon as it means something."""
     expect(page.locator(".todo").first).to_have_text(instruction)
     expect(
-        page.locator("[data-go]")
-    ).to_be_enabled()  # an Enter meant for what stood there before does nothing
+        page.locator("[data-go]").first
+    ).to_be_enabled()  # an Enter meant for what stood there does nothing
     page.keyboard.press("Enter")
 
 
@@ -27,9 +28,12 @@ def test_a_list_goes_unit_by_unit_with_one_key_and_is_the_same_in_another_tab(pa
     axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe is not installed").Axe()
     go("#/queue/new")
     page.locator("#units").press_sequentially("PQ-1\nPQ-1\n")
-    expect(page.locator("#units-count")).to_have_text("1 unit, some scanned twice")
-    file = {"name": "tray.csv", "mimeType": "text/csv", "buffer": b"lot,serial\n7,PQ-2\n7,PQ-3\n"}
+    expect(page.locator("#units-count")).to_have_text("1 unit, some named twice: each has one turn")
+    file = {"name": "tray.csv", "mimeType": "text/csv", "buffer": b"lot,serial,\xfcber\n7,PQ-2\n7\n7,PQ-3\n"}
     page.locator("#csv").set_input_files(file)
+    expect(page.locator("#csv-says")).to_have_text(
+        "tray.csv: 2 serials added above; 1 row without one left out."
+    )
     page.get_by_label("List").check()
     page.locator("#elevations_deg").fill("0, 20")
     for name, value in {"sweeps": 1, "settle_s": 0.2, "dwell_s": 0.5, "mounts_deg": "0"}.items():
@@ -37,6 +41,7 @@ def test_a_list_goes_unit_by_unit_with_one_key_and_is_the_same_in_another_tab(pa
     page.click("#make-list")
     expect(page.locator("#queue-units tbody tr")).to_have_count(3)
     expect(page.locator("#scan")).to_be_focused()
+    expect(page.locator(".sight")).to_contain_text("see that it is PQ-1. It sits still")
     pressed(page, expect, "Mount PQ-1, press Enter")
     batch = page.url.split("/")[-1]
     word = page.locator(".big-word")
@@ -50,9 +55,13 @@ def test_a_list_goes_unit_by_unit_with_one_key_and_is_the_same_in_another_tab(pa
     page.locator("#scan").fill(ODD.replace("\u202e", ""))
     page.keyboard.press("Enter")
     expect(page.locator("#queue-units tbody tr")).to_have_count(4)
-    page.locator("#scan").fill("PQ-3")
-    page.keyboard.press("Enter")
+    page.click("#queue-units-title")
+    page.keyboard.type(
+        "PX-9\n\npq-3\n\n"
+    )  # a scanner that ends in two Enters, twice, and nobody chose the field
     expect(page.locator("#queue-said")).to_have_text("PQ-3 is in the list already.")
+    page.get_by_role("button", name="Take PX-9 out").click()
+    expect(page.locator("#queue-units tbody tr")).to_have_count(4)
 
     with page.context.expect_page() as opened:
         page.evaluate("open(location.href)")
@@ -74,7 +83,10 @@ def test_a_list_goes_unit_by_unit_with_one_key_and_is_the_same_in_another_tab(pa
     go("#/queue")
     expect(page.locator(".todo")).to_have_text("Mount PQ-3, press Enter")
     page.get_by_role("button", name="Take PQ-3 out").click()
+    expect(page.locator("#queue-units tbody tr")).to_have_count(3)
     page.click("#close-list")
+    expect(page.locator("dialog")).to_contain_text("1 unit of it not measured")
+    page.get_by_test_id("confirm").click()
     expect(page.locator(".todo")).to_have_text("This list is closed")
     assert client.get(f"/api/batches/{batch}").json()["closed_at"]
 
@@ -94,3 +106,25 @@ def test_what_stops_a_unit_is_said_and_a_unit_that_is_to_be_turned_asks_in_the_s
     expect(page.locator(".turn .error")).to_contain_text("its run was aborted")
     expect(page.locator(".todo")).to_have_text("Mount PT-1, press Enter")
     client.post(f"/api/batches/{batch['id']}/close").raise_for_status()
+
+
+def test_of_several_rigs_enter_means_the_one_whose_board_knows_its_unit(
+    fresh_page, expect, launch_rig, store_path
+):
+    page, rigs = fresh_page, [launch_rig("left", board={"serial": "TW-2"}), launch_rig("right")]
+    body = {"units": ["TW-1", "TW-2", "TW-3"], "rigs": ["left", "right"], "plan": LONG}
+    with running_service(store_path, *rigs) as service, serving(service) as client:
+        batch = client.post("/api/batches", json=body).raise_for_status().json()
+        page.goto(f"{client.base_url}/#/queue/{batch['id']}")
+        left, right = (page.locator(f"[data-rig-turn={name}]") for name in ("left", "right"))
+        expect(left.locator(".todo")).to_have_text("TW-2 is mounted, press Enter")
+        expect(left.locator(".sight")).to_contain_text(
+            "TW-2 is there, says its board; TW-1 stays in the list."
+        )
+        expect(right.locator(".todo")).to_have_text("Mount TW-2, scan it")
+        pressed(page, expect, "TW-2 is mounted, press Enter")
+        expect(left.locator(".todo")).to_have_text("TW-2 is being measured")
+        expect(right.locator(".todo")).to_have_text(
+            "Mount TW-3, press Enter"
+        )  # TW-1 stays where it was asked for
+        page.goto("about:blank")

@@ -59,6 +59,14 @@ NOT_MEASURED = Precision(
 
 
 @dataclass(frozen=True, slots=True)
+class Turning:
+    """What a stage turns at without stopping: at most so fast, and how soon it has come up to that."""
+
+    velocity_dps: float
+    acceleration_dps2: float
+
+
+@dataclass(frozen=True, slots=True)
 class Pace:
     """What a rig takes for each thing that a plan asks of it.
 
@@ -67,9 +75,11 @@ class Pace:
         settle_s: after each move.
         questions_s: at each pose, to the stage and the board.
         begin_s: before the first move.
+        stands_deg: elevation from which the first move begins.
     """
 
     travel_s: Callable[[float], float]
     settle_s: float
     questions_s: float
     begin_s: float
+    stands_deg: float = 0.0

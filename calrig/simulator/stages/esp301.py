@@ -54,7 +54,7 @@ class Esp301(LineStage):
         self._zero_deg = 0.0  # where it counts from: its home, or where it was switched on
         low, high = options.limits_deg
         self._queries: dict[str, Callable[[float], str]] = {
-            "TP": lambda now_s: f"{self._position(now_s):.4f}",
+            "TP": lambda now_s: f"{self._reported_deg(now_s) - self._zero_deg + 0.0:.4f}",
             "MD": lambda _: str(int(self._ends is None)),
             "MO": lambda _: str(int(self._motor_is_on)),
             "PA": lambda _: f"{self._setpoint_deg:.4f}",

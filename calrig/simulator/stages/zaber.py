@@ -85,7 +85,7 @@ class Zaber(LineStage):
             case []:
                 return "0"
             case ["get", "pos"]:
-                return str(round(self._encoder_deg(now_s) * MICROSTEPS_PER_DEG))
+                return str(round(self._reported_deg(now_s) * MICROSTEPS_PER_DEG))
             case ["get", "version"]:
                 return self._options.firmware or FIRMWARE
             case ["get", name] if name in self._settings:

@@ -144,7 +144,7 @@ class Grbl(Stage):
             return
         elif byte == b"?":
             angles = ["0.000"] * max(3, self._index + 1)
-            angles[self._index] = f"{self._count_deg():.3f}"
+            angles[self._index] = f"{self._counted(self._reported_deg(self._now())):.3f}"
             self._say(self._words.report(self._state, angles))
         elif byte == b"!" and self._state == State.RUN:
             rest_s = self._bench.mechanics.halt(self._now(), self._options.acceleration_dps2)
@@ -285,8 +285,10 @@ class Grbl(Stage):
             self._hear(bytes([byte]))
 
     def _count_deg(self, at_s: float | None = None) -> float:
-        counted = self._encoder_deg(self._now() if at_s is None else at_s) + self._lost_deg
-        return round(counted * STEPS_PER_DEG) / STEPS_PER_DEG + 0.0
+        return self._counted(self._encoder_deg(self._now() if at_s is None else at_s))
+
+    def _counted(self, encoder_deg: float) -> float:
+        return round((encoder_deg + self._lost_deg) * STEPS_PER_DEG) / STEPS_PER_DEG + 0.0
 
 
 STAGE = Grbl

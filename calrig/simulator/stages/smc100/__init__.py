@@ -51,7 +51,7 @@ class Smc100(LineStage):
             "OR": self._home,
             "PA": self._move_to,
             "PR": self._move_by,
-            "TP": lambda now_s, _: _number(self._encoder_deg(now_s)),
+            "TP": lambda now_s, _: _number(self._reported_deg(now_s)),
             "TS": lambda *_: f"{self._errors:04X}{self._state:02X}",
             "TE": self._take_error,
             "TB": lambda _, letter: self._error_text(letter),
