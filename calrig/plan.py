@@ -20,6 +20,9 @@ MOST_MOUNTS = 36
 SAME_MOUNT_DEG = 1e-6
 LONGEST_STRETCH_DEG = 20.0
 """Of a turn that is taken for one pose: an error of 1° that goes with sin θ bends by 0.005° over it."""
+FIRST_SETTLE_S = 3.0
+"""Before the first dwell of a sweep, to which the stage comes as fast as it can: after so long the filter has
+forgotten what a gyro wrong by 1 % made of 60°, to 0.0001°. The moves into the others are slow and known."""
 SHORTEST_STRETCH_S = 0.5
 """A standard error from less is itself a guess."""
 
@@ -171,6 +174,11 @@ class Plan(BaseModel):
     def turn_dps(self) -> float:
         """The velocity of a sweep: without one given, a stretch takes as long as a dwell."""
         return self.velocity_dps or self.step_deg / self.dwell_s
+
+    @property
+    def first_settle_s(self) -> float:
+        """Before the first dwell."""
+        return max(self.settle_s, FIRST_SETTLE_S) if self.kind == "sweep" else self.settle_s
 
     def _stretch_deg(self) -> float:
         return abs(self.stop_deg - self.start_deg) / self._n_steps()

@@ -45,7 +45,7 @@ async def import_poses(
         async with on_disk(copied(file)) as path:
             question = await run_in_threadpool(context.records.question, unit, rig, path)
             try:
-                imported = await job.run(question)
+                imported = await job.run(question, tells_progress=True)
             except CsvError as error:
                 raise Invalid(f"{name}: {error}", ["file"]) from error
         by = who or operator

@@ -28,8 +28,8 @@ JSON_BYTES = 1_000_000
 LOGIN_BYTES = 10_000
 """Of what strangers send: it is held in memory for as many as there are connections."""
 POSES_BYTES = 50_000_000
-LOG_BYTES = 110_000_000
-"""100 MB in whichever units, and the form around them: two hours of seven channels at 200 Hz."""
+LOG_BYTES = 150_000_000
+"""100 MB in whichever units, and more: two million samples of seven columns."""
 LOGIN_PATH = "/api/login"
 ENROLL_PATH = "/api/benches/enroll"
 UPLOADS = {"/api/imports": POSES_BYTES, "/api/noise": LOG_BYTES, "/api/filters": LOG_BYTES}

@@ -18,6 +18,8 @@ import numpy as np
 from calrig.calibration.pose import Pose
 from calrig.estimation.angles import FloatArray, wrap_deg
 
+OWN_DEG = 0.01
+"""What a step of the accelerometer (0.0035° at ±2 g) and the reckoning leave, with no motor running."""
 SINGULAR = 1e-9
 FEWEST_A_COLUMN = 2
 """Stretches of one pass."""
@@ -87,9 +89,9 @@ def end_differences(poses: Sequence[Pose]) -> list[EndDifference]:
 
 
 def disturbing(ends: Sequence[EndDifference], chance: float) -> EndDifference | None:
-    """The end that is less probable than `chance`, if any; of two the worse."""
-    worst = min(ends, key=lambda end: end.p_value, default=None)
-    return worst if worst is not None and worst.p_value * len(ends) < chance else None
+    """The end that differs by more than chance, and the method's own error, allow; of two the worse."""
+    found = [end for end in ends if end.p_value * len(ends) < chance and abs(end.difference_deg) > OWN_DEG]
+    return min(found, key=lambda end: end.p_value, default=None)
 
 
 def _is_end(pose: Pose, sense: int, low_deg: float, high_deg: float) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 from calrig.analysis.errors import Invalid
 from calrig.plan import Plan, PlanError, PlannedPose
@@ -73,10 +74,16 @@ def estimate(plan: Plan, rig: RigSettings, store: Store) -> PlanEstimate:
     require_a_reference(plan, rig, store)
     static = plan.kind == "static"
     pace = rig_pace(rig, store)
+    dwells = [pose for pose in planned if pose.stretch_deg is None]
+    swept = plan.kind == "sweep"  # which goes to its first end as fast as the stage can
+    first_dps, turn_dps = (None, plan.turn_dps) if swept else (plan.velocity_dps, plan.velocity_dps)
+    first_s = pace.begin_s + pace.way_s([planned[0].target_deg], first_dps) if planned else 0.0
+    ways = pairwise([pose.target_deg for pose in dwells])
     duration_s = (
-        (pace.begin_s if planned else 0.0)
-        + pace.way_s([pose.target_deg for pose in planned], plan.velocity_dps)
-        + (1 if static else len(planned)) * (plan.settle_s + plan.dwell_s + pace.questions_s)
+        first_s
+        + sum(pace.travel_s(after - before, turn_dps) for before, after in ways)
+        + (1 if static else len(dwells)) * (plan.settle_s + plan.dwell_s + pace.questions_s)
+        + (plan.first_settle_s - plan.settle_s)
         + (0 if static else plan.sweeps * len(plan.mounts_deg)) * plan.wait_s
     )
     elevations_deg = [pose.target_deg for pose in planned] if static else plan.elevations()

@@ -70,7 +70,8 @@ class PoseTaking:
             before_deg = self.pace.stage_deg
             self.pace.move(elevation_deg)
             self.note_approach(before_deg)
-        _, end_s, reading = self.measure(f"pose {len(self.poses) - 1}, measured again", last.target_deg)
+        name = f"pose {len(self.poses) - 1}, measured again"
+        _, end_s, reading = self.measure(name, last.target_deg, self.plan.settle_s)
         returned = Returned(last, reading)
         returned.require_same_unit()
         self.returned = returned
@@ -88,17 +89,20 @@ class PoseTaking:
             self.pace.move(first_deg + math.copysign(min(MOVE_OFF_DEG, abs(away_deg)), away_deg))
             self.pace.stood_at_s = self.pace.synchronise()
 
-    def take(self, planned: PlannedPose) -> None:
-        """One pose, its dwell repeated where too few valid samples came."""
+    def take(self, planned: PlannedPose, settle_s: float | None = None) -> None:
+        """One pose, its dwell repeated where too few valid samples came; `settle_s` else as in the plan."""
+        settle_s = self.plan.settle_s if settle_s is None else settle_s
         before_deg = self.pace.stage_deg
         self.pace.move(planned.target_deg)
         self.note_approach(before_deg)
-        self.keep_dwell(planned, before_deg, *self.measure(f"pose {planned.index}", planned.target_deg))
+        measured = self.measure(f"pose {planned.index}", planned.target_deg, settle_s)
+        self.keep_dwell(planned, before_deg, settle_s, *measured)
 
-    def measure(self, name: str, target_deg: float) -> tuple[float, float, Reading]:
+    def measure(self, name: str, target_deg: float, settle_s: float) -> tuple[float, float, Reading]:
         """Settles and dwells; begin and end of the dwell, and its reading."""
         for _ in range(DWELL_TRIES):
-            start_s = self._settle()
+            start_s = self.pace.synchronise() + settle_s
+            self.pace.wait_until(start_s)
             end_s, reading = self._dwell(start_s)
             if reading is not None:
                 return start_s, end_s, reading
@@ -107,11 +111,6 @@ class PoseTaking:
             f"{name} at {target_deg:g}°: fewer than half of the samples of the dwell "
             f"were valid, {DWELL_TRIES} times over; check the cable and the board's rate"
         )
-
-    def _settle(self) -> float:
-        start_s = self.pace.synchronise() + self.plan.settle_s
-        self.pace.wait_until(start_s)
-        return start_s
 
     def _dwell(self, start_s: float) -> tuple[float, Reading | None]:
         """Dwells from start_s; returns when it ended and its reading, or None where samples are missing."""
@@ -150,11 +149,17 @@ class PoseTaking:
             self.approach = 1 if turned_deg > 0 else -1
 
     def keep_dwell(
-        self, planned: PlannedPose, before_deg: float | None, start_s: float, end_s: float, reading: Reading
+        self,
+        planned: PlannedPose,
+        before_deg: float | None,
+        settle_s: float,
+        start_s: float,
+        end_s: float,
+        reading: Reading,
     ) -> None:
         """Makes a pose of a dwell, stores it with its samples, and lets go of them.
 
-        `before_deg` is what the stage reported before the move into it.
+        `before_deg` is what the stage reported before the move into it, `settle_s` how long it settled.
         """
         self.pace.see_that_it_stands()
         stretch = self.pace.stream.kept()
@@ -176,7 +181,7 @@ class PoseTaking:
             time_s=(start_s + end_s) / 2,
             stage_deg=self.pace.stage_deg,
             gyro_move_deg=self.gyro.felt_deg(move, *times_s),
-            settle_s=self.plan.settle_s,
+            settle_s=settle_s,
             covariates=of_mounts,
             filtering=Filtering(self.noise, self.pace.rate_hz, self.plan.dwell_s),
         )

@@ -70,7 +70,7 @@ class Sweeping:
         pace.recorder.poses_begin()
         if not taking.poses:
             wait_before_sweep(self.plan, pace)
-            taking.take(planned[0])
+            taking.take(planned[0], self.plan.first_settle_s)
             pace.hold_while_paused()
         for passed in self._passes(planned):
             if passed[0].sweep > 0:
@@ -96,7 +96,9 @@ class Sweeping:
         for _ in range(DWELL_TRIES):
             self._go_to(from_deg)
             seen = self._turn(end.target_deg)
-            start_s, end_s, reading = self.taking.measure(f"pose {end.index}", end.target_deg)
+            start_s, end_s, reading = self.taking.measure(
+                f"pose {end.index}", end.target_deg, self.plan.settle_s
+            )
             self.pace.see_that_it_stands()
             turned = self._turned(seen, passed, (start_s, end_s))
             if turned is not None:
@@ -185,8 +187,8 @@ class Sweeping:
         worst = disturbing(self.ends, CHANCE_SHAKEN if shaken else CHANCE)
         if worst is not None:
             said = (
-                f"reads {worst.difference_deg:+.3f}° ± {2 * worst.std_deg:.3f}° more than standing and scatters "
-                f"by {1000 * turning_g:.1f} mg, not {1000 * standing_g:.1f} mg"
+                f"reads {worst.difference_deg:+.3f}° ± {2 * worst.std_deg:.3f}° more than standing, and "
+                f"scatters by {1000 * turning_g:.1f} mg, not {1000 * standing_g:.1f} mg"
             )
             raise StageError(
                 f"the motor biases the accelerometer while it turns at {self.plan.turn_dps:g}°/s: at "
