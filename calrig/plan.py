@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import random
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
@@ -18,10 +18,22 @@ FEWEST_UNTIL = 8
 MOST_MOUNTS = 36
 """As often does nobody turn a unit by hand in one run."""
 SAME_MOUNT_DEG = 1e-6
+LONGEST_STRETCH_DEG = 20.0
+"""Of a turn that is taken for one pose: an error of 1° that goes with sin θ bends by 0.005° over it."""
+FIRST_SETTLE_S = 3.0
+"""Before the first dwell of a sweep, to which the stage comes as fast as it can: after so long the filter has
+forgotten what a gyro wrong by 1 % made of 60°, to 0.0001°. The moves into the others are slow and known."""
+SHORTEST_STRETCH_S = 0.5
+"""A standard error from less is itself a guess."""
 
 ElevationDeg = Annotated[float, Field(ge=-360, le=360)]
 MountAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
 """Which of the unit's axes lies along the stage's."""
+
+
+def calibrates(kind: str) -> bool:
+    """Whether a run of a plan of this kind gives a calibration of its unit."""
+    return kind in ("calibration", "sweep")
 
 
 class PlanError(ValueError):
@@ -32,13 +44,15 @@ class PlanError(ValueError):
 class PlannedPose:
     """One pose to visit: its index in the run from 0, its sweep from 0, its commanded angle of the dial.
 
-    `mount_deg` is the angle at which the unit is clamped for it.
+    `mount_deg` is the angle at which the unit is clamped for it. Of a sweep that does not stop, a pose may be
+    a stretch: `stretch_deg` are its two ends in the order turned, and the target is its middle.
     """
 
     index: int
     sweep: int
     target_deg: float
     mount_deg: float = 0.0
+    stretch_deg: tuple[float, float] | None = None
 
 
 class Until(BaseModel):
@@ -62,7 +76,7 @@ class Plan(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    kind: Literal["calibration", "verification", "static"] = "calibration"
+    kind: Literal["calibration", "verification", "static", "sweep"] = "calibration"
     elevations_deg: list[ElevationDeg] | None = Field(default=None, min_length=1, max_length=MAX_POSES)
     start_deg: ElevationDeg = -60.0
     stop_deg: ElevationDeg = 60.0
@@ -93,7 +107,7 @@ class Plan(BaseModel):
 
     @model_validator(mode="after")
     def _is_of_a_size_one_can_run(self) -> Self:
-        count = len(self.mounts_deg) * self.sweeps * self._n_elevations()
+        count = self._n_poses()
         if count > MAX_POSES:
             raise ValueError(f"the plan has {count} poses; the most a run takes is {MAX_POSES}")
         if self.revision is not None and self.kind != "verification":
@@ -106,6 +120,8 @@ class Plan(BaseModel):
             raise ValueError("a static plan stands still: it has one mount")
         if self.kind == "verification" and self.mount_axis != "x":
             raise ValueError("a verification is of elevations about x: its mount_axis is x")
+        if self.kind == "sweep":
+            self._can_be_swept()
         if self.until is not None:
             self._can_end_early(count)
         if self.dwell_s * self.rate_hz < 2:
@@ -115,8 +131,31 @@ class Plan(BaseModel):
             )
         return self
 
+    def _can_be_swept(self) -> None:
+        """A sweep goes there and back between two ends; whatever it cannot do it says."""
+        if self.elevations_deg is not None or self.order != "sweep" or self.target_std_deg is not None:
+            raise ValueError(
+                "a sweep turns from start_deg to stop_deg without stopping: it takes no elevations_deg, no "
+                "other order, no target_std_deg"
+            )
+        if self.asks_for_mounts:
+            raise ValueError("a sweep is of one mount, 0, about x")
+        if self.sweeps < 2:
+            raise ValueError("a sweep goes through the range in both directions: sweeps is 2 or more")
+        if self._n_steps() < 2 or self.step_deg > LONGEST_STRETCH_DEG:
+            raise ValueError(
+                f"a sweep has stretches of step_deg, two or more, none longer than {LONGEST_STRETCH_DEG:g}°"
+            )
+        if self.jitter_deg > self._stretch_deg() / 4:
+            raise ValueError("the jitter of a sweep is of its stretches' ends: a quarter of one at most")
+        if self._stretch_deg() / self.turn_dps < SHORTEST_STRETCH_S:
+            raise ValueError(
+                f"stretches of {self._stretch_deg():g}° at {self.turn_dps:g}°/s are shorter than "
+                f"{SHORTEST_STRETCH_S:g} s: turn slower"
+            )
+
     def _can_end_early(self, count: int) -> None:
-        if self.kind != "calibration" or len(self.mounts_deg) > 1 or self.mount_axis != "x":
+        if self.kind not in ("calibration", "sweep") or len(self.mounts_deg) > 1 or self.mount_axis != "x":
             raise ValueError("until is for calibrations of one mount about x")
         if count < FEWEST_UNTIL or len(set(self.elevations())) == 1:
             raise ValueError(f"until is for plans of {FEWEST_UNTIL} poses and more, at several elevations")
@@ -125,6 +164,29 @@ class Plan(BaseModel):
     def asks_for_mounts(self) -> bool:
         """Whether gravity is to show how the unit is clamped; a plan that says nothing asks nothing."""
         return self.mounts_deg != [0.0] or self.mount_axis != "x"
+
+    @property
+    def calibrates(self) -> bool:
+        """Whether its run gives a calibration of its unit."""
+        return calibrates(self.kind)
+
+    @property
+    def turn_dps(self) -> float:
+        """The velocity of a sweep: without one given, a stretch takes as long as a dwell."""
+        return self.velocity_dps or self.step_deg / self.dwell_s
+
+    @property
+    def first_settle_s(self) -> float:
+        """Before the first dwell."""
+        return max(self.settle_s, FIRST_SETTLE_S) if self.kind == "sweep" else self.settle_s
+
+    def _stretch_deg(self) -> float:
+        return abs(self.stop_deg - self.start_deg) / self._n_steps()
+
+    def _n_poses(self) -> int:
+        if self.kind == "sweep":
+            return 1 + self.sweeps * (self._n_steps() + 1)
+        return len(self.mounts_deg) * self.sweeps * self._n_elevations()
 
     def _n_elevations(self) -> int:
         if self.elevations_deg is not None:
@@ -138,9 +200,15 @@ class Plan(BaseModel):
         return max(steps, int(way_deg > 0))
 
     def elevations(self) -> list[float]:
-        """The elevations of one sweep in degrees, as given, or the grid with both of its ends."""
+        """The elevations of one sweep in degrees, as given, or the grid with both of its ends.
+
+        Of a sweep that does not stop, those are the ends of its stretches.
+        """
         if self.elevations_deg is not None:
             return list(self.elevations_deg)
+        if self.kind == "sweep":  # stretches of one length: of a short one no more than noise is left
+            way_deg = (self.stop_deg - self.start_deg) / self._n_steps()
+            return [*(self.start_deg + k * way_deg for k in range(self._n_steps())), self.stop_deg]
         step_deg = math.copysign(self.step_deg, self.stop_deg - self.start_deg)
         return [*(self.start_deg + k * step_deg for k in range(self._n_steps())), self.stop_deg]
 
@@ -165,6 +233,8 @@ class Plan(BaseModel):
                     "nothing was moved"
                 )
         rng = random.Random(self.seed)  # noqa: S311 (an experiment's order, not a secret)
+        if self.kind == "sweep":
+            return self._swept(elevations, rng)
         poses: list[PlannedPose] = []
         sweeps = self.sweeps if self.kind != "static" else 1
         for place, mount_deg in enumerate(self.mounts_deg):
@@ -173,6 +243,17 @@ class Plan(BaseModel):
                     jittered = round(elevation + rng.uniform(-self.jitter_deg, self.jitter_deg), 6)
                     target = min(max(jittered, low), high) if self.jitter_deg else elevation
                     poses.append(PlannedPose(len(poses), place * sweeps + sweep, target, mount_deg))
+        return poses
+
+    def _swept(self, ends_deg: list[float], rng: random.Random) -> list[PlannedPose]:
+        """A dwell, and of each pass its stretches and the dwell at its end; inner ends are jittered."""
+        poses = [PlannedPose(0, 0, min(ends_deg))]
+        for sweep in range(self.sweeps):
+            first, *inner, last = self._ordered(ends_deg, sweep, rng)
+            inner = [round(one + rng.uniform(-self.jitter_deg, self.jitter_deg), 6) for one in inner]
+            for ends in pairwise([first, *inner, last]):
+                poses.append(PlannedPose(len(poses), sweep, sum(ends) / 2, stretch_deg=ends))
+            poses.append(PlannedPose(len(poses), sweep, last))
         return poses
 
     def _ordered(self, elevations: list[float], sweep: int, rng: random.Random) -> list[float]:

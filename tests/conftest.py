@@ -23,6 +23,7 @@ from postgresql_server import (  # noqa: F401 (fixtures)
     postgresql_server,
     postgresql_template,
 )
+from shared_processes import shared_processes
 from support import QUICK, fast, known_as, running_service, serving
 
 from calrig.plan import Plan
@@ -47,6 +48,11 @@ def pytest_configure(config: pytest.Config) -> None:
     config.option.loadscopereorder = False
 
 
+def pytest_xdist_auto_num_workers() -> int:
+    """One worker more than there are cores: a test that waits leaves its core to another one."""
+    return (os.cpu_count() or 1) + 1
+
+
 @pytest.hookimpl(tryfirst=True)  # before the marks are chosen from
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Marks what needs a PostgreSQL server; the page's files, few and long, come first: no worker idles."""
@@ -59,6 +65,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_collection_finish() -> None:
     """What was imported stays as long as the worker: the garbage collector need not look at it ever again."""
     gc.freeze()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _shared_processes_end() -> Iterator[None]:
+    """Once all services are gone."""
+    yield
+    if shared_processes.cache_info().currsize:
+        shared_processes().end()
 
 
 @pytest.fixture(scope="session")

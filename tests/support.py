@@ -10,12 +10,14 @@ import time
 from collections.abc import Callable, Coroutine, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from http.client import HTTPConnection
 from pathlib import Path
 from typing import Any, TypeVar
 
 import httpx
 from postgresql_server import store_at
+from shared_processes import shared_processes
 
 from calrig.settings import BoardSettings, ClampSettings, ReferenceSettings, RigSettings, StageSettings
 from calrig.simulator.config import SimulatorSettings
@@ -130,10 +132,13 @@ def running_service(store_path: Path, *rigs: RigSettings) -> Iterator[Any]:
 
 
 @contextmanager
-def serving(service: Any, **options: Any) -> Iterator[httpx.Client]:
+def serving(service: Any, *, own_processes: bool = False, **options: Any) -> Iterator[httpx.Client]:
     """The real application on a free port, served by uvicorn in a thread; a client of it.
 
-    The options are those of `create_app`.
+    Args:
+        service: carries out what is asked.
+        own_processes: whether it has processes for heavy work that end with it, not those of all services.
+        **options: those of `create_app`.
     """
     from calrig.api.address import listen
     from calrig.api.app import create_app
@@ -142,7 +147,10 @@ def serving(service: Any, **options: Any) -> Iterator[httpx.Client]:
     ready = threading.Event()
     socket = listen("127.0.0.1", 0)
     url = f"http://127.0.0.1:{socket.getsockname()[1]}"
-    server = Server(create_app(service, **options), ready.set)
+    app = create_app(service, **options)
+    if not own_processes:
+        app.state.context = replace(app.state.context, processes=shared_processes())
+    server = Server(app, ready.set)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [socket]}, name="server")
     thread.start()
     try:

@@ -8,8 +8,9 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 
 from calrig.invalid_fields import SHOWN, TITLES, in_words, path_of, sentence
+from calrig.limit_settings import LimitSettings
 from calrig.plan import Plan
-from calrig.settings import LimitSettings, packed
+from calrig.settings import packed
 
 
 def problems(kind, given):

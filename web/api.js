@@ -22,6 +22,12 @@ export async function get(path, signal) {
   return request(path, { signal });
 }
 
+/** A page of runs, with the time of the oldest run that was looked at for it. */
+export async function getRuns(query, signal) {
+  const response = await sent(`/api/runs?${query}`, { signal });
+  return { ...(await response.json()), backTo: response.headers.get("Calrig-Back-To") };
+}
+
 export async function getText(path) {
   return (await sent(path, {})).text();
 }
@@ -50,10 +56,6 @@ export async function put(path, body) {
   });
 }
 
-export async function postForm(path, form) {
-  return request(path, { method: "POST", body: form });
-}
-
 export async function remove(path) {
   const response = await sent(path, { method: "DELETE" });
   return response.status === 204 ? null : response.json();
@@ -62,7 +64,21 @@ export async function remove(path) {
 /** As `post` for what may take long: `{ answer }`, or `{ job }` where the service goes on with it by that path. */
 export async function begin(path, body, signal) {
   const options = { signal, method: "POST", headers: JSON_BODY, body: JSON.stringify(body) };
-  const response = await sent(`${path}?wait=false`, options);
+  return begun(await sent(`${path}?wait=false`, options));
+}
+
+/** The same of what a GET computes. */
+export async function beginGet(path, signal) {
+  return begun(await sent(`${path}?wait=false`, { signal }));
+}
+
+/** The same of a form with a file; `told(share)` as it goes. */
+export async function beginUpload(path, form, signal, told) {
+  const { upload } = await import("./upload.js");
+  return begun(await answered(path, () => upload(`${path}?wait=false`, form, signal, told)));
+}
+
+async function begun(response) {
   if (response.status === 202) return { job: response.headers.get("Location") };
   return { answer: await response.json() };
 }
@@ -76,10 +92,14 @@ async function request(path, options) {
   return (await sent(path, options)).json();
 }
 
-async function sent(path, options) {
+function sent(path, options) {
+  return answered(path, () => fetch(path, options));
+}
+
+async function answered(path, ask) {
   let response;
   try {
-    response = await fetch(path, options);
+    response = await ask();
   } catch (error) {
     if (error.name === "AbortError") throw error;
     window.dispatchEvent(new Event("calrig:lost"));

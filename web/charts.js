@@ -64,7 +64,9 @@ export class Chart {
       const Plotly = await plotly();
       if (this.signal?.aborted || !this.plot.isConnected) return;
       this.problem.hidden = true;
-      this.empty.hidden = figure.data.some(hasPoints);
+      this.plot.hidden = !figure.data.some(hasPoints); // axes of nothing tell nothing
+      this.empty.hidden = !this.plot.hidden;
+      if (this.plot.hidden) return;
       const { data, layout } = inLocalTime(figure);
       await Plotly.react(this.plot, data, themed(layout), CONFIG);
     } catch (error) {

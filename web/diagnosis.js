@@ -4,7 +4,7 @@ import { ApiError, get } from "./api.js";
 import { Chart } from "./charts.js";
 import { errorLine, fill, h, runName } from "./dom.js";
 import { plural, significant } from "./format.js";
-import { LongWork } from "./longwork.js";
+import { CANCELLED, LongWork } from "./longwork.js";
 import { Together } from "./together.js";
 
 const SEARCH = {
@@ -82,7 +82,7 @@ export class DiagnosisPanel {
     let says = "";
     try {
       if (await carryOut()) await this.reread(); // its verdict has changed with it
-      else says = "Cancelled: nothing was kept of it.";
+      else says = CANCELLED;
     } catch (error) {
       if (!(error instanceof ApiError)) throw error;
       this.error.say(error);

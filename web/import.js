@@ -1,7 +1,11 @@
 // A CSV of poses measured elsewhere becomes a run.
 
-import { get, postForm } from "./api.js";
+import { get } from "./api.js";
 import { errorLine, field, fill, h, onSubmit, runHref } from "./dom.js";
+import { CANCELLED, LongWork } from "./longwork.js";
+
+const ADDRESS = "/api/imports";
+const WORDS = { doing: "The service reads the file and fits its poses.", share: "it is done" };
 
 export async function importView({ root, signal }) {
   const rigs = await get("/api/rigs", signal);
@@ -26,6 +30,8 @@ export async function importView({ root, signal }) {
     rigs.map(({ name }) => h("option", { value: name }, name)),
   );
   const error = errorLine("import-error");
+  const work = new LongWork("import", WORDS, signal);
+  const told = h("p", { id: "import-told", class: "muted", role: "status" });
   const submit = h("button", { id: "import", type: "submit", class: "primary" }, "Import");
   const form = h(
     "form",
@@ -37,19 +43,29 @@ export async function importView({ root, signal }) {
       field("unit", "Unit's serial number", unit),
       field("rig", "Measured on rig", rig),
     ),
+    work.element,
     error.element,
-    h("div", { class: "buttons" }, submit),
+    h("div", { class: "buttons" }, submit, told),
   );
-  onSubmit(form, submit, error, async () => {
+  const carryOut = async (begun) => {
+    told.textContent = "";
+    if (await begun) location.hash = runHref(work.answer?.id ?? work.result.split("/").at(-1));
+    else if (!signal.aborted) told.textContent = CANCELLED;
+  };
+  onSubmit(form, submit, error, () => {
     const body = new FormData();
     body.set("file", file.files[0]);
     body.set("unit", unit.value);
     if (rig.value) body.set("rig", rig.value);
-    const run = await postForm("/api/imports", body);
-    location.hash = runHref(run.id);
+    return carryOut(work.send(ADDRESS, body));
   });
   for (const input of [file, unit, rig]) input.addEventListener("input", () => error.say(null));
   fill(root, h("h1", {}, "Import measured poses"), form, help());
+  if (!LongWork.isUnderWay(ADDRESS)) return;
+  submit.disabled = true;
+  carryOut(work.resume(ADDRESS))
+    .catch((problem) => error.say(problem))
+    .finally(() => (submit.disabled = false));
 }
 
 function help() {

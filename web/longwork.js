@@ -1,10 +1,12 @@
 // Work that takes long: the service goes on with it, the page shows how far it is, a person may cancel it.
 
-import { ApiError, begin, get, remove } from "./api.js";
+import { ApiError, begin, beginGet, beginUpload, get, remove } from "./api.js";
 import { h } from "./dom.js";
 
 const LOOK_MS = 400;
 const UNDER_WAY = new Set(["queued", "running"]);
+
+export const CANCELLED = "Cancelled: nothing was kept of it.";
 
 /**
  * A line to be put where the work is asked for. `doing` says what is done, `share` what the fraction is one of;
@@ -31,10 +33,27 @@ export class LongWork {
 
   /** Asks for it. Whether it was done: false where it was cancelled or the view left, in which case it goes on. */
   carryOut(path, body) {
+    return this.#take(path, (given) => begin(path, body, given));
+  }
+
+  /** The same of what a GET computes. */
+  compute(path) {
+    return this.#take(path, (given) => beginGet(path, given));
+  }
+
+  /** The same of a form with a file; whoever leaves before the service has all of it gives it up. */
+  send(path, form) {
+    return this.#take(path, (given) => {
+      this.#sent(0);
+      return beginUpload(path, form, AbortSignal.any([given, this.signal]), (share) => this.#sent(share));
+    });
+  }
+
+  #take(path, ask) {
     this.asked = new AbortController();
     this.#show({ state: "running", fraction: null });
     return this.#untilEnd(async () => {
-      const { job, answer } = await begin(path, body, this.asked.signal);
+      const { job, answer } = await ask(this.asked.signal);
       this.answer = answer;
       if (job) sessionStorage.setItem(path, job);
       return job ? this.#follow(path) : true;
@@ -88,6 +107,12 @@ export class LongWork {
       state === "queued" ? "Waiting: the service does other such work first." : `${this.words.doing}${share}`;
     if (fraction === null) this.bar.removeAttribute("value");
     else this.bar.value = fraction;
+  }
+
+  #sent(share) {
+    if (share === 1) return this.#show({ state: "running", fraction: null });
+    this.says.textContent = `Sending the file: ${Math.floor(100 * share)}\u00a0% of it is sent.`;
+    this.bar.value = share;
   }
 
   async #cancel() {

@@ -7,13 +7,12 @@ import { loginState, loginView, logOut } from "./login.js";
 import { iAm, may } from "./me.js";
 import { onRigs, watchRigs } from "./rigs.js";
 import { startView } from "./start.js";
-import { runView } from "./run.js";
 import { preferRig, stopButtons } from "./stop.js";
 
 const ROUTES = [
   [/^\/$/, startView],
-  [/^\/runs\/([^/]+)$/, runView],
   // fetched when somebody goes there
+  [/^\/runs\/([^/]+)$/, async (shown) => (await import("./run.js")).runView(shown)],
   [/^\/units$/, async (shown) => (await import("./units.js")).unitsView(shown)],
   [/^\/units\/([^/]+)$/, async (shown) => (await import("./units.js")).unitView(shown)],
   [/^\/compare$/, async (shown) => (await import("./compare.js")).compareView(shown)],

@@ -1,11 +1,13 @@
 // Noise and filters: of a log from anybody's sensor, or of a run's samples.
 
-import { get, post, postForm, remove } from "./api.js";
+import { get, post, remove } from "./api.js";
 import { askConfirmation } from "./ask.js";
 import { Chart } from "./charts.js";
 import { errorLine, field, fill, h, headings, onSubmit, runHref, runLink, tableBox } from "./dom.js";
 import { NOT_KNOWN, fixed, isKnown, moment, significant } from "./format.js";
+import { CANCELLED, LongWork } from "./longwork.js";
 import { may } from "./me.js";
+import { logForm } from "./noisefile.js";
 
 const STUDIES = "/api/log-studies";
 
@@ -20,13 +22,14 @@ export async function noiseView({ root, parts: [id], query, signal }) {
   const kept = h("section", { class: "card", id: "studies", "aria-labelledby": "studies-title" });
   const list = () => listStudies(kept, signal);
   const shown = h("div", { id: "noise-result", class: "run", "aria-live": "polite" });
-  fill(
-    root,
-    h("h1", {}, "Noise and filters"),
-    h("div", { class: "columns" }, fileForm(shown, signal, list), rigForm(rigs)),
-    shown,
-    kept,
-  );
+  const found = (what, answer) => {
+    fill(shown);
+    if (answer) show(shown, answer, TABLES[what], signal);
+    return answer && list();
+  };
+  const { form, resume } = logForm(found, signal);
+  fill(root, h("h1", {}, "Noise and filters"), h("div", { class: "columns" }, form, rigForm(rigs)), shown, kept);
+  resume();
   await list();
 }
 
@@ -47,8 +50,7 @@ async function ofStudy(root, id, signal) {
     shown,
     may("operator") && h("p", {}, drop),
   );
-  if (noise) show(shown, noise, noiseTable, signal);
-  else show(shown, filters, filterTable, signal);
+  show(shown, noise ?? filters, TABLES[study.kind], signal);
 }
 
 const KINDS = { noise: "Noise", filters: "Filters" };
@@ -80,58 +82,12 @@ async function ofRun(root, id, signal) {
   const shown = h("div", { id: "noise-result", class: "run" });
   const still = run.plan?.kind === "static";
   const heading = still ? `Noise of unit ${run.unit}` : `Filters on unit ${run.unit}`;
-  const busy = h("p", { class: "muted" }, "Computing…");
-  fill(root, h("h1", {}, heading), h("p", {}, runLink(id, "Run ")), busy, shown);
-  if (still) show(shown, await get(`${path}/noise`, signal), noiseTable, signal);
-  else show(shown, await get(`${path}/filters`, signal), filterTable, signal);
-  busy.remove();
-}
-
-function fileForm(shown, signal, list) {
-  const file = h("input", { id: "log", type: "file", accept: ".csv,text/csv", required: true });
-  const what = h(
-    "select",
-    { id: "what" },
-    h("option", { value: "noise" }, "noise (static log)"),
-    h("option", { value: "filters" }, "filters (log with rest and rotation)"),
-  );
-  const number = ([id, name]) =>
-    h("input", { id, name, type: "number", min: "0", step: "any", inputmode: "decimal" });
-  const [rate, accel, gyro] = [
-    ["rate", "rate_hz"],
-    ["accel-range", "accel_range_g"],
-    ["gyro-range", "gyro_range_dps"],
-  ].map(number);
-  const error = errorLine("noise-error");
-  const submit = h("button", { id: "analyse", type: "submit", class: "primary" }, "Analyse");
-  const form = h(
-    "form",
-    { class: "card start", "aria-labelledby": "file-title" },
-    h("h2", { id: "file-title" }, "Analyse a log file"),
-    field("log", "CSV file, one row per sample", file),
-    h(
-      "div",
-      { class: "fields two" },
-      field("what", "Analysis", what),
-      field("rate", "Sample rate, Hz (if there is no time_s)", rate),
-      field("accel-range", "Accelerometer full scale, g (raw counts)", accel),
-      field("gyro-range", "Gyro full scale, °/s (raw counts)", gyro),
-    ),
-    error.element,
-    h("div", { class: "buttons" }, submit),
-  );
-  const send = async () => {
-    fill(shown, h("p", { class: "muted" }, "Computing…"));
-    const body = new FormData();
-    body.set("file", file.files[0]);
-    const given = { rate_hz: rate, accel_range_g: accel, gyro_range_dps: gyro };
-    for (const [name, input] of Object.entries(given)) if (input.value) body.set(name, input.value);
-    const answer = await postForm(`/api/${what.value}`, body);
-    if (!signal.aborted) show(shown, answer, what.value === "noise" ? noiseTable : filterTable, signal);
-    await list();
-  };
-  onSubmit(form, submit, error, send, () => fill(shown));
-  return form;
+  const what = still ? "noise" : "filters";
+  const work = new LongWork("study", { doing: "Computing.", share: "it is done" }, signal);
+  fill(root, h("h1", {}, heading), h("p", {}, runLink(id, "Run ")), work.element, shown);
+  if (await work.compute(`${path}/${what}`)) {
+    show(shown, work.answer ?? (await get(work.result, signal)), TABLES[what], signal);
+  } else if (!signal.aborted) fill(shown, h("p", { class: "muted" }, CANCELLED));
 }
 
 function rigForm(rigs) {
@@ -209,6 +165,7 @@ function show(place, answer, table, signal) {
   for (const [chart, figure] of charts) chart.draw(figure);
 }
 
+const TABLES = { noise: noiseTable, filters: filterTable };
 const told = (value, words) => (isKnown(value) ? words(value) : NOT_KNOWN);
 const cell = (text) => h("td", { class: "number" }, text);
 

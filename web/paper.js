@@ -1,6 +1,4 @@
-// The page on paper: its own stylesheet, and charts that shrink as a whole and take their own size again afterwards.
-
-import { h } from "./dom.js";
+// Charts on paper: they shrink as a whole, and take their own size again afterwards.
 
 const charts = () => document.querySelectorAll(".plot .main-svg");
 
@@ -12,4 +10,3 @@ window.addEventListener("beforeprint", () => {
 window.addEventListener("afterprint", () => {
   for (const svg of charts()) svg.removeAttribute("viewBox");
 });
-document.head.append(h("link", { rel: "stylesheet", media: "print", href: new URL("./print.css", import.meta.url).href }));

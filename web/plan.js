@@ -222,7 +222,7 @@ function number(input) {
 }
 
 /** How much a plan is, in words, as the service has computed it. */
-function estimateText(plan, { n_poses: poses, duration_s: seconds, wall_s: wall }) {
+function estimateText(plan, { n_poses: poses, wall_s: seconds }) {
   const upTo = plan.target_std_deg || plan.until ? "at most about" : "about";
   const turns = plan.mounts_deg.length - 1;
   const more = [
@@ -231,6 +231,6 @@ function estimateText(plan, { n_poses: poses, duration_s: seconds, wall_s: wall 
   ].join("");
   return [
     h("strong", {}, plural(poses, "pose")),
-    `, ${upTo} ${wall === null ? `${duration(seconds)} by the board's clock` : duration(wall)}${more}`,
+    `, ${upTo} ${duration(seconds)}${more}`,
   ];
 }

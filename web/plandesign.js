@@ -1,8 +1,12 @@
 // "How good must it be?": the service designs the plan that gets there soonest, and the form takes it.
 
-import { ApiError, post } from "./api.js";
+import { ApiError, get } from "./api.js";
 import { fill, h, headings, tableBox } from "./dom.js";
 import { duration, plural, significant } from "./format.js";
+import { LongWork } from "./longwork.js";
+
+const ADDRESS = "/api/plans/design";
+const WORDS = { doing: "Looking for it.", share: "the designs are tried" };
 
 /**
  * What is asked, and what comes of it. `of()` is rig, unit and the plan that is kept; `take(plan)` has the form take
@@ -13,6 +17,7 @@ export function planDesigner(of, take, signal) {
   const time = input("time_s", "number", { step: "any", placeholder: "as long as it takes" });
   const trace = input("trace", "checkbox", { checked: true });
   const early = input("stop-early", "checkbox");
+  const work = new LongWork("design", WORDS, signal);
   const answer = h("div", { id: "designed", role: "status", "aria-live": "polite" });
   const ask = h("button", { type: "button", id: "design", on: { click: () => design() } }, "Find the plan");
   const fields = h(
@@ -33,24 +38,29 @@ export function planDesigner(of, take, signal) {
     fill(answer);
   });
 
-  async function design() {
+  function design() {
     const wanted = target.value === "" ? null : Number(target.value);
     const stops = early.checked && !early.disabled && wanted !== null;
+    return answered(() =>
+      work.carryOut(ADDRESS, {
+        ...of(),
+        target_u_deg: wanted,
+        until: stops ? { expanded_uncertainty_deg: wanted } : null,
+        time_s: time.value === "" ? null : Number(time.value),
+        trace: trace.checked,
+      }),
+    );
+  }
+
+  async function answered(carriedOut) {
+    if (ask.disabled) return; // it is being looked for
     ask.disabled = true;
-    fill(answer, h("p", { class: "muted" }, "Looking for it …"));
+    fill(answer);
     try {
-      const said = await post(
-        "/api/plans/design",
-        {
-          ...of(),
-          target_u_deg: wanted,
-          until: stops ? { expanded_uncertainty_deg: wanted } : null,
-          time_s: time.value === "" ? null : Number(time.value),
-          trace: trace.checked,
-        },
-        signal,
-      );
-      fill(answer, shown(said, stops), useIt(said.plan));
+      if (await carriedOut()) {
+        const said = work.answer ?? (await get(work.result, signal));
+        fill(answer, shown(said), useIt(said.plan));
+      } else if (!signal.aborted) fill(answer, h("p", { class: "muted" }, "Cancelled."));
     } catch (problem) {
       if (problem.name === "AbortError") return;
       if (!(problem instanceof ApiError)) throw problem;
@@ -72,7 +82,8 @@ export function planDesigner(of, take, signal) {
     );
   }
 
-  return h("div", { id: "plan-design" }, fields, h("div", { class: "buttons" }, ask), answer);
+  if (LongWork.isUnderWay(ADDRESS)) answered(() => work.resume(ADDRESS));
+  return h("div", { id: "plan-design" }, fields, h("div", { class: "buttons" }, ask), work.element, answer);
 }
 
 /** An input that belongs to no form: what is asked here is no part of the run. */
@@ -80,9 +91,9 @@ function input(id, type, props = {}) {
   return h("input", { id, type, form: "no-form", ...props });
 }
 
-function shown({ plan, expected, limit, suspects, says }, stops) {
+function shown({ plan, expected, limit, suspects, says }) {
   const rows = [
-    ["Poses", `${plural(plan.elevations_deg.length, "pose")} of ${plan.dwell_s}\u00a0s${stops ? " at most" : ""}`],
+    ["Poses", `${plural(plan.elevations_deg.length, "pose")} of ${plan.dwell_s}\u00a0s${plan.until ? " at most" : ""}`],
     ["Time on the rig", `about ${duration(expected.duration_s)}`],
     ["Expanded uncertainty", significant(expected.expanded_uncertainty_deg, 3, "°")],
     ["Bias, standard error", significant(expected.bias_std_deg, 2, "°")],

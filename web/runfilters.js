@@ -12,11 +12,18 @@ const CHOICES = {
     ["conditional_fail", "conditional fail"],
     ["fail", "fail"],
     ["no_limits", "no limits"],
-    ["noise", "noise is left"],
-    ["more_than_noise", "more than noise is left"],
+    ["noise", "only noise left"],
+    ["more_than_noise", "more than noise left"],
   ],
 };
 const TYPING_MS = 250;
+
+/** A verdict in as few words as it is sought by. */
+export function verdictWords(verdict) {
+  if (!verdict) return "–";
+  const said = verdict.answer === "no_limits" ? (verdict.left ?? verdict.answer) : verdict.answer;
+  return CHOICES.verdict.find(([value]) => value === said)[1];
+}
 
 /** `element`, `asked()` as the API's query, `isAny()`; `changed()` is called when somebody wants others. */
 export function runFilters(rigs, query, changed, signal) {

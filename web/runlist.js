@@ -1,9 +1,9 @@
 // Runs, newest first, and those of them that somebody looks for.
 
-import { get } from "./api.js";
+import { getRuns } from "./api.js";
 import { errorLine, fill, h, headings, runLink, statusPill, suspectTag, tableBox, unitLink } from "./dom.js";
 import { moment, plusMinus, significant } from "./format.js";
-import { runFilters } from "./runfilters.js";
+import { runFilters, verdictWords } from "./runfilters.js";
 
 const PAGE = 20;
 const KINDS = { verification: "verification", static: "static log" };
@@ -30,6 +30,7 @@ export function runRow(run, { withUnit = true } = {}) {
       run.voided && h("span", { class: "tag", title: run.voided.reason }, "voided"),
       suspectTag(run.suspect),
     ),
+    h("td", {}, verdictWords(run.verdict)),
     h("td", {}, moment(run.finished_at ?? run.started_at ?? run.created_at)),
     h("td", { class: "number" }, run.result ? plusMinus(result.bias_deg, result.bias_std_deg, "°") : "–"),
     h("td", { class: "number" }, run.result ? plusMinus(result.scale, result.scale_std) : "–"),
@@ -44,6 +45,7 @@ export function runHeadings({ withUnit = true } = {}) {
     withUnit && "Unit",
     "Rig",
     "Status",
+    "Verdict",
     "When",
     "#Bias",
     "#Scale",
@@ -55,42 +57,58 @@ export function runHeadings({ withUnit = true } = {}) {
 
 /** The list with its filters; `refresh()` fetches the first page again. */
 export function runList(rigs, query, signal) {
-  const filters = runFilters(rigs, query, () => refresh(), signal);
+  const filters = runFilters(rigs, query, () => load(null), signal);
   const body = h("tbody");
   const told = h("p", { id: "runs-told", class: "muted", role: "status" });
   const more = h("button", { type: "button", hidden: true }, "Show older runs");
+  const stop = h("button", { type: "button", id: "runs-stop", hidden: true, on: { click: () => (isStopped = true) } }, "Stop looking");
   const error = errorLine("runs-error");
   let cursor = null;
   let asked = 0;
+  let isStopped = false;
 
-  /** A verdict is looked for a few hundred runs at a time: on until there is a page of them, or no older run. */
+  /** A verdict is looked for some runs at a time: on until there is a page of them, no older run, or somebody's stop. */
   async function load(from) {
     const mine = ++asked;
     const wanted = filters.asked();
     if (!from) fill(body);
     const before = body.childElementCount;
     cursor = from;
+    isStopped = false;
     more.hidden = true;
-    told.textContent = wanted.verdict ? "Judging older and older runs…" : "";
+    stop.hidden = true;
+    fill(told, wanted.verdict && "Judging runs, the newest first…");
+    let seen;
     try {
       do {
         const left = PAGE - body.childElementCount + before;
-        const page = await get(`/api/runs?${new URLSearchParams({ ...wanted, limit: left, ...(cursor && { cursor }) })}`, signal);
+        seen = await getRuns(new URLSearchParams({ ...wanted, limit: left, ...(cursor && { cursor }) }), signal);
         if (mine !== asked) return; // a later question has been asked meanwhile
-        body.append(...page.items.map((run) => runRow(run)));
-        cursor = page.next_cursor;
-      } while (cursor && body.childElementCount - before < PAGE);
+        body.append(...seen.items.map((run) => runRow(run)));
+        cursor = seen.next_cursor;
+        stop.hidden = false;
+        fill(told, "Judging older and older runs, back to ", moment(seen.backTo), ".");
+      } while (cursor && !isStopped && body.childElementCount - before < PAGE);
+      stop.hidden = true;
       more.hidden = !cursor;
-      told.textContent = body.childElementCount ? "" : filters.isAny() ? "No runs yet." : "No run matches.";
+      fill(told, outcome(seen));
       error.say(null);
     } catch (problem) {
       if (signal.aborted || mine !== asked) return;
+      stop.hidden = true;
       told.textContent = "";
       error.say(problem);
     }
   }
 
-  const refresh = () => load(null);
+  function outcome({ backTo }) {
+    if (cursor && isStopped) return ["Looked no further back than ", moment(backTo), "."];
+    if (body.childElementCount) return null;
+    return filters.isAny() ? "No runs yet." : "No run matches.";
+  }
+
+  /** The first page anew, unless somebody waits for it: what is looked for far back would never be found. */
+  const refresh = () => stop.hidden && load(null);
   more.addEventListener("click", () => load(cursor));
   const element = h(
     "section",
@@ -100,6 +118,7 @@ export function runList(rigs, query, signal) {
     error.element,
     tableBox("Runs", h("table", { id: "runs-table" }, runHeadings(), body)),
     told,
+    stop,
     more,
   );
   return { element, refresh };

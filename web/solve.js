@@ -3,7 +3,7 @@
 import { get } from "./api.js";
 import { errorLine, field, fill, h, headings, onSubmit, runLink, tableBox, unitLink } from "./dom.js";
 import { moment, significant } from "./format.js";
-import { LongWork } from "./longwork.js";
+import { CANCELLED, LongWork } from "./longwork.js";
 import { may } from "./me.js";
 import { anglesOf, suggested } from "./solveruns.js";
 
@@ -122,7 +122,7 @@ class SolveForm {
   }
 
   async #carryOut(work) {
-    if (!(await work())) return this.signal.aborted || fill(this.says, "Cancelled: nothing was kept of it.");
+    if (!(await work())) return this.signal.aborted || fill(this.says, CANCELLED);
     location.hash = `#/solve/${this.work.answer?.id ?? this.work.result.split("/").at(-1)}`;
   }
 }

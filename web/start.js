@@ -37,6 +37,7 @@ export async function startView({ root, query, signal }) {
   );
   if (!TOUCH.matches) unit.focus({ preventScroll: true }); // a reader of bar codes types where the focus is
   await Promise.all([runs.refresh(), rigs.length > 0 && place.look()]);
+  import("./run.js"); // where Start leads
   keepFresh(rigList, runs, rigs, signal);
 }
 

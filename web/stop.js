@@ -5,6 +5,7 @@ import { fill, h, runName } from "./dom.js";
 import { onRigs } from "./rigs.js";
 
 const BUTTONS = 3;
+const CHOSEN_KEY = "calrig.stop-rig";
 const CALM_MS = 15_000;
 const CUT = "If the stage still moves, cut its motor power.";
 const CUT_EACH = "Where a stage still moves, cut its motor power.";
@@ -20,19 +21,17 @@ export function preferRig(name) {
 
 /**
  * Fills `place` with a button for each rig, and one for all: in the order configured, a page's own rig first. While
- * a page is shown no button becomes another rig's under the pointer. Of many rigs one is chosen from a list. What
- * came of it is said in `line`.
+ * a page is shown no button becomes another rig's under the pointer. Of many rigs one is chosen from a list; where
+ * they stand in several halls, the last button stops those of its hall: nobody sees more stages than that. What came
+ * of it is said in `line`.
  */
 export function stopButtons(place, line) {
   let known = [];
   const draw = () => {
     const first = known.filter(({ name }) => name === preferred);
     const rigs = [...first, ...known.filter(({ name }) => name !== preferred)];
-    fill(
-      place,
-      rigs.length > BUTTONS ? chosenRig(rigs, line) : rigs.map(({ name }) => button(name, line)),
-      rigs.length > 1 && allButton(() => known, line),
-    );
+    if (rigs.length > BUTTONS) return fill(place, chosenRig(rigs, () => known, line));
+    fill(place, rigs.map(({ name }) => button(name, line)), rigs.length > 1 && allButton(() => known, line));
   };
   window.addEventListener("calrig:prefer", () => known.length > 1 && draw());
   onRigs((rigs) => {
@@ -47,7 +46,7 @@ export function stopButtons(place, line) {
   window.addEventListener("calrig:there", () => line.lost && back(line));
 }
 
-const named = (rigs) => rigs.map(({ name }) => name).join("\n");
+const named = (rigs) => rigs.map(({ name, hall }) => `${name} ${hall ?? ""}`).join("\n");
 
 /** One for a rig in a list, which is heard as its own; what comes of it is said in the page's header. */
 export function stopButton(name) {
@@ -69,22 +68,33 @@ function allButton(rigs, line) {
   return element;
 }
 
-function chosenRig(rigs, line) {
-  const choice = h(
-    "select",
-    { id: "stop-rig", "aria-label": "Rig to stop" },
-    rigs.map(({ name }) => h("option", { value: name }, name)),
-  );
-  const element = button(rigs[0].name, line);
+/** The list, the button of the rig that is chosen from it, and the one of all rigs, or of all in that rig's hall. */
+function chosenRig(rigs, known, line) {
+  const option = ({ name }) => h("option", { value: name }, name);
+  const halls = [...new Set(rigs.map(({ hall }) => hall))];
+  const ofHall = (hall) => rigs.filter((rig) => rig.hall === hall);
+  const groups = halls.map((hall) => h("optgroup", { label: hallName(hall) }, ofHall(hall).map(option)));
+  const choice = h("select", { id: "stop-rig", "aria-label": "Rig to stop" }, halls.length > 1 ? groups : rigs.map(option));
+  const one = button(rigs[0].name, line);
+  const hallOf = (name) => rigs.find((rig) => rig.name === name).hall;
+  const all = allButton(() => known().filter(({ hall }) => halls.length === 1 || hall === hallOf(choice.value)), line);
   const choose = (name) => {
     choice.value = name;
-    element.dataset.rig = name;
-    element.querySelector("span").textContent = name;
+    one.dataset.rig = name;
+    one.querySelector("span").textContent = name;
+    if (halls.length > 1) fill(all, `Stop all, ${hallName(hallOf(name))}`);
   };
-  choice.addEventListener("change", () => choose(choice.value));
-  choose(preferred === rigs[0].name ? preferred : (rigs.find(({ state }) => state === "busy") ?? rigs[0]).name);
-  return [choice, element];
+  choice.addEventListener("change", () => {
+    choose(choice.value);
+    localStorage.setItem(CHOSEN_KEY, choice.value); // a screen in a hall stays that hall's
+  });
+  const kept = rigs.find(({ name }) => name === localStorage.getItem(CHOSEN_KEY));
+  const usual = kept ?? rigs.find(({ state }) => state === "busy") ?? rigs[0];
+  choose(preferred === rigs[0].name ? preferred : usual.name);
+  return [choice, one, all];
 }
+
+const hallName = (hall) => hall ?? "no hall";
 
 async function stop(name, line) {
   say(line, `Stopping ${name}…`, "muted");

@@ -83,7 +83,7 @@ class RigOrders:
             LinkDown: the centre is away; of an order in hand it is not known whether it was taken.
         """
         is_due = self._wake.is_set() or time.monotonic() >= self._look_at_s
-        if not (is_due and self._service.is_free(self._rig.name) and self._lease.is_held()):
+        if not (is_due and self._service.crew.is_free(self._rig.name) and self._lease.is_held()):
             return
         if self._in_doubt:
             self._settle()
@@ -95,7 +95,7 @@ class RigOrders:
         if order is None:
             return
         self._wake.set()  # there may be another one after it, or the rig is busy
-        with self._service.keeping(self._rig.name, order.run_id) as is_free:
+        with self._service.crew.keeping(self._rig.name, order.run_id) as is_free:
             if is_free and self._lease.is_held():
                 self._take(order)
 

@@ -14,6 +14,7 @@ from calrig.analysis.origin import check_serial, provenance
 from calrig.analysis.results import refitted
 from calrig.analysis.stored_runs import checked_reason, counted_poses, ended_run, stored_run
 from calrig.export.poses_csv import CsvError
+from calrig.plan import calibrates
 from calrig.store import Run, Store
 from calrig.store.records import Document
 
@@ -29,22 +30,31 @@ class Records:
         self._issuer = issuer or Issuer(store)
 
     def import_poses(
-        self, *, unit: str, rig: str | None, file_name: str, content: bytes, operator: str | None = None
+        self,
+        *,
+        unit: str,
+        rig: str | None,
+        file_name: str,
+        content: bytes,
+        operator: str | None = None,
+        progress: Callable[[float], None] | None = None,
     ) -> Run:
-        """Makes a completed run of a CSV of poses (CONTRACT section 4).
+        """Makes a completed run of a CSV of poses (CONTRACT section 4); `progress` as of `read_and_fit`.
 
         Raises:
             Invalid: the serial is out of bounds or the file is bad; the message names line and column, and
                 nothing is stored.
         """
         try:
-            imported = self.question(unit, rig, content)()
+            imported = self.question(unit, rig, content)(progress=progress)
         except CsvError as error:
             raise Invalid(f"{file_name}: {error}") from error
         return self.keep_imported(imported, unit=unit, rig=rig, file_name=file_name, operator=operator)
 
-    def question(self, unit: str, rig: str | None, content: bytes | Path) -> Callable[[], Imported]:
+    def question(self, unit: str, rig: str | None, content: bytes | Path) -> Callable[..., Imported]:
         """What reads and fits a file of poses, here or in another process, or raises CsvError.
+
+        It takes `progress`, as of `read_and_fit`.
 
         Raises:
             Invalid: the serial is out of bounds.
@@ -157,7 +167,7 @@ class Records:
         if run.result is None:
             return None
         kind = (run.plan or {}).get("kind", "calibration")
-        if kind != "calibration":
+        if not calibrates(kind):
             raise Conflict(f"run {run_id} is a {kind}: it fits nothing that a pose could be taken out of")
         left = [p.pose for p in poses if (counts if p.index == index else p.excluded is None)]
         if not left:

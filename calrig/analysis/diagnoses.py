@@ -7,7 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from calrig.analysis.errors import Conflict, Unknown
-from calrig.analysis.stored_runs import counted_poses, poses_together, runs_together, stored_run
+from calrig.analysis.stored_runs import counted_poses, limits_of, poses_together, runs_together, stored_run
 from calrig.calibration.diagnosis import trace
 from calrig.calibration.partial_residuals import PartialResidual, partial_residuals
 from calrig.calibration.pose import DiagnosisError
@@ -42,7 +42,7 @@ class Diagnoses:
             poses_together(self._store, runs),
             [run.id for run in runs],
             plan=latest.plan,
-            limits_deg=_limits_of(latest),
+            limits_deg=limits_of(latest),
             deciding=self._deciding(latest) if len(runs) > 1 else None,
         )
 
@@ -96,9 +96,3 @@ def _keep_accepted(before: dict[str, Any] | None, found: dict[str, Any]) -> None
         for effect in found["effects"]:
             if all(effect[key] == earlier[key] for key in ("name", "parameters")):
                 effect["accepted_at"] = earlier.get("accepted_at")
-
-
-def _limits_of(run: Run) -> tuple[float, float] | None:
-    """The soft limits a run was made under; None for an imported one."""
-    limits = (run.provenance.get("rig") or {}).get("limits_deg")
-    return None if limits is None else (float(limits[0]), float(limits[1]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +12,9 @@ from calrig.export.calibration_json import calibration_content
 from calrig.export.mounted_csv import read_run
 from calrig.export.poses_csv import PoseColumns
 from calrig.store.records import AcceptedEffect, Document
+
+READING = 0.25
+"""Share of an import that goes into reading its file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +34,11 @@ class Imported:
 
 
 def read_and_fit(
-    file: bytes | Path, unit: str, rig: str | None, accepted: Sequence[AcceptedEffect]
+    file: bytes | Path,
+    unit: str,
+    rig: str | None,
+    accepted: Sequence[AcceptedEffect],
+    progress: Callable[[float], None] | None = None,
 ) -> Imported:
     """Reads a CSV of poses (CONTRACT section 4) and fits them.
 
@@ -40,16 +47,19 @@ def read_and_fit(
         unit: serial number.
         rig: that the poses were taken on; None where none is known.
         accepted: effects in force for its unit and rig.
+        progress: told the share of the import that is done, 0 to 1; fitting and keeping tell nothing.
 
     Raises:
         CsvError: the file is bad; says line and column.
     """
-    columns, axis, warnings = read_run(file.read_bytes() if isinstance(file, Path) else file, unit)
+    content = file.read_bytes() if isinstance(file, Path) else file
+    told = progress and (lambda share: progress(READING * share))
+    columns, axis, warnings = read_run(content, unit, told)
     if axis != "x":
         return Imported(columns, axis, warnings, None, None, accepted)
     poses = columns[:]
     result = build_result(poses, None, as_applied(accepted))
-    content = None
+    issued = None
     if result.scale is not None:
-        content = calibration_content(unit=unit, rig=rig, poses=poses, result=result, accepted=accepted)
-    return Imported(columns, axis, warnings, result.to_dict(), content, accepted)
+        issued = calibration_content(unit=unit, rig=rig, poses=poses, result=result, accepted=accepted)
+    return Imported(columns, axis, warnings, result.to_dict(), issued, accepted)

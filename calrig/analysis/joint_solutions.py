@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.analysis.gyro_columns import poses_with_gyro
 from calrig.analysis.mounts import axis_of
-from calrig.analysis.stored_runs import counted_poses, ended_run
+from calrig.analysis.stored_runs import counted_poses, ended_run, limits_of
 from calrig.calibration.joint.table import Mounted
 from calrig.calibration.pose import MOUNT_DEG, Pose
 from calrig.run_ids import short_name
@@ -82,7 +82,7 @@ def question(store: Store, wanted: Wanted) -> Question:
             ["runs"],
         )
     basis = wanted.basis([run.id for run in runs], sorted({run.unit for run in runs}))
-    limits_deg = wanted.limits_deg or _limits_of(max(runs, key=lambda run: run.created_at))
+    limits_deg = wanted.limits_deg or limits_of(max(runs, key=lambda run: run.created_at))
     return Question(runs[0].rig, basis, mounted(store, runs), limits_deg)
 
 
@@ -159,12 +159,6 @@ def _runs(store: Store, wanted: Wanted) -> list[Run]:
                 "has a map of its own, solve them one by one"
             )
     return runs
-
-
-def _limits_of(run: Run) -> tuple[float, float] | None:
-    """The soft limits that a run was made under; None of an imported one."""
-    limits = (run.provenance.get("rig") or {}).get("limits_deg")
-    return None if limits is None else (float(limits[0]), float(limits[1]))
 
 
 def _named(wanted: Wanted) -> str:

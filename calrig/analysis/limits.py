@@ -12,8 +12,9 @@ from calrig.analysis.stage_maps import kept_of
 from calrig.calibration.conformity import Limit, cannot_pass, limit_for
 from calrig.calibration.stage_reference import StageMap, map_reference
 from calrig.calibration.uncertainty import Reference
+from calrig.limit_settings import LimitSettings
 from calrig.plan import Plan
-from calrig.settings import LimitSettings, RigSettings, Settings
+from calrig.settings import RigSettings, Settings
 from calrig.store import Store
 from calrig.store.records import Document
 

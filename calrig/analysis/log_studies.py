@@ -5,7 +5,7 @@ What computes is imported where it is used: the process that only asks needs no 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -29,8 +29,9 @@ def study_file(
     rate_hz: float | None,
     accel_range_g: float | None,
     gyro_range_dps: float | None,
+    progress: Callable[[float], None],
 ) -> Answer:
-    """A log that somebody brought.
+    """A log that somebody brought; `progress` is told the share done, reading it being half.
 
     Raises:
         CsvError: it is no such log; says line and column.
@@ -41,9 +42,11 @@ def study_file(
         accel_range_g=accel_range_g,
         gyro_range_dps=gyro_range_dps,
         max_samples=MOST_SAMPLES,
+        progress=lambda share: progress(share / 2),
     )
     if study == "noise":
-        return _noise(log.channels, log.time_s, rate_hz, log.warnings)
+        found = log.channels, log.time_s, rate_hz, log.warnings
+        return _noise(*found, progress=lambda share: progress((1 + share) / 2))
     return _filters(log.channels, log.time_s, rate_hz, warnings=log.warnings)
 
 
@@ -76,12 +79,13 @@ def _noise(
     time_s: FloatArray | None,
     rate_hz: float | None = None,
     warnings: Sequence[str] = (),
+    progress: Callable[[float], None] | None = None,
 ) -> Answer:
     from calrig.figures.noise import noise_figures
     from calrig.noise.analysis import analyse
     from calrig.noise.report import noise_document, said_first
 
-    found = analyse(channels, time_s, rate_hz)
+    found = analyse(channels, time_s, rate_hz, progress)
     document = said_first(warnings, noise_document(found))
     return {**_answer(document, noise_figures(found)), "stated": _stated(document)}
 

@@ -55,6 +55,12 @@ def checked_reason(reason: str) -> str:
     return reason.strip()
 
 
+def limits_of(run: Run) -> tuple[float, float] | None:
+    """The soft limits that a run was made under; None of an imported one."""
+    limits = (run.provenance.get("rig") or {}).get("limits_deg")
+    return None if limits is None else (float(limits[0]), float(limits[1]))
+
+
 def counted_poses(store: Store, run_id: str) -> list[Pose]:
     """The poses of a run that nobody has excluded."""
     return [stored.pose for stored in store.poses(run_id, include_excluded=False)]

@@ -11,7 +11,7 @@ from calrig.api.context import Context
 from calrig.api.errors import problems
 from calrig.api.heavy import ACCEPTED, Heavy, Wait
 from calrig.api.job import Job
-from calrig.api.limits import UPLOAD_BYTES, copied, name_of, on_disk
+from calrig.api.limits import POSES_BYTES, copied, name_of, on_disk
 from calrig.api.models import RunAnswer
 from calrig.export.cells import CsvError
 from calrig.store import Run
@@ -22,7 +22,7 @@ router = APIRouter(tags=["runs"])
 @router.post(
     "/api/imports",
     dependencies=[requires("operator")],
-    max_body_size=UPLOAD_BYTES,
+    max_body_size=POSES_BYTES,
     status_code=201,
     response_model=RunAnswer,
     responses=ACCEPTED | problems(408, 413, 422, 503),
@@ -45,7 +45,7 @@ async def import_poses(
         async with on_disk(copied(file)) as path:
             question = await run_in_threadpool(context.records.question, unit, rig, path)
             try:
-                imported = await job.run(question)
+                imported = await job.run(question, tells_progress=True)
             except CsvError as error:
                 raise Invalid(f"{name}: {error}", ["file"]) from error
         by = who or operator

@@ -12,7 +12,7 @@ from calrig.api.context import Context
 from calrig.api.errors import problems
 from calrig.api.models import Answer
 from calrig.calibration.conformity import Limit
-from calrig.settings import LimitSettings
+from calrig.limit_settings import LimitSettings
 
 MOST_LIMITS = 100
 

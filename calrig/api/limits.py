@@ -27,10 +27,12 @@ from calrig.api.lingering import CLOSE
 JSON_BYTES = 1_000_000
 LOGIN_BYTES = 10_000
 """Of what strangers send: it is held in memory for as many as there are connections."""
-UPLOAD_BYTES = 50_000_000
+POSES_BYTES = 50_000_000
+LOG_BYTES = 150_000_000
+"""100 MB in whichever units, and more: two million samples of seven columns."""
 LOGIN_PATH = "/api/login"
 ENROLL_PATH = "/api/benches/enroll"
-UPLOAD_PATHS = frozenset({"/api/imports", "/api/noise", "/api/filters"})
+UPLOADS = {"/api/imports": POSES_BYTES, "/api/noise": LOG_BYTES, "/api/filters": LOG_BYTES}
 MOST_UPLOADS = 16
 """In hand at once. Each may lie on the disk, in a temporary file, until its turn has come."""
 GRACE_S = 10.0
@@ -52,7 +54,7 @@ class BodyPatience:
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        is_upload = scope["path"] in UPLOAD_PATHS
+        is_upload = scope["path"] in UPLOADS
         body = _Body(receive)
         if is_upload and not self._has_room():
             reason = f"{MOST_UPLOADS} uploads are in hand: try again later"
@@ -146,13 +148,7 @@ class _Body:
 
 def _most(path: str) -> int:
     """Bytes that a path takes, as its route says."""
-    return (
-        UPLOAD_BYTES
-        if path in UPLOAD_PATHS
-        else LOGIN_BYTES
-        if path in {LOGIN_PATH, ENROLL_PATH}
-        else JSON_BYTES
-    )
+    return UPLOADS.get(path, LOGIN_BYTES if path in {LOGIN_PATH, ENROLL_PATH} else JSON_BYTES)
 
 
 def name_of(file: UploadFile) -> str:

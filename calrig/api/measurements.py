@@ -15,7 +15,7 @@ from calrig.api.context import ApiContext, Context, KnownRun
 from calrig.api.errors import problems, problems_in_json
 from calrig.api.models import PoseAnswer
 from calrig.calibration.pose import Pose
-from calrig.calibration.result import raw_error_deg
+from calrig.calibration.pose_errors import raw_error_deg
 from calrig.export.poses_csv import write_pose_batches
 from calrig.export.samples_csv import write_samples_csv, write_samples_npz
 from calrig.store import Run, Store, StoredPose

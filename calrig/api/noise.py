@@ -17,7 +17,7 @@ from calrig.api.context import ApiContext, Context, KnownRun
 from calrig.api.errors import problems
 from calrig.api.heavy import ACCEPTED, Heavy, HeavyWork, Wait
 from calrig.api.job import Job
-from calrig.api.limits import UPLOAD_BYTES, copied, name_of, on_disk
+from calrig.api.limits import LOG_BYTES, copied, name_of, on_disk
 from calrig.api.models import Answer
 from calrig.api.models import Figure as FigureAnswer
 from calrig.store import Run
@@ -182,7 +182,7 @@ async def run_filters(run: KnownRun, context: Context, heavy: Heavy, wait: Wait 
 
 @router.post(
     "/api/noise",
-    max_body_size=UPLOAD_BYTES,
+    max_body_size=LOG_BYTES,
     response_model=NoiseAnswer,
     responses=ACCEPTED | problems(408, 413, 422, 503),
     summary="The noise in a log from anybody's sensor",
@@ -204,7 +204,7 @@ async def log_noise(
 
 @router.post(
     "/api/filters",
-    max_body_size=UPLOAD_BYTES,
+    max_body_size=LOG_BYTES,
     response_model=FiltersAnswer,
     responses=ACCEPTED | problems(408, 413, 422, 503),
     summary="The filters side by side on a log from anybody's sensor",
@@ -247,13 +247,15 @@ async def _of_file(
     accel_range_g: float | None,
     gyro_range_dps: float | None,
 ) -> Any:
-    given = {"rate_hz": rate_hz, "accel_range_g": accel_range_g, "gyro_range_dps": gyro_range_dps}
+    question = partial(
+        study_file, study, rate_hz=rate_hz, accel_range_g=accel_range_g, gyro_range_dps=gyro_range_dps
+    )
     name = name_of(file)
 
     async def work(job: Job) -> dict[str, Any]:
         async with on_disk(copied(file)) as path:
             try:
-                found = await job.run(partial(study_file, study, path, **given))
+                found = await job.run(partial(question, path), tells_progress=True)
             except ValueError as error:
                 raise Invalid(f"{name}: {error}") from error
         if keeper is None:

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Any
 
-from calrig.api.app import api
-
-KEPT = Path(__file__).parent.parent / "docs" / "openapi.json"
+from calrig.api.app import DOCUMENT, api
 
 
 def document() -> dict[str, Any]:
@@ -18,7 +15,7 @@ def document() -> dict[str, Any]:
 
 def main() -> None:
     """Writes the document to where it is kept."""
-    KEPT.write_text(json.dumps(document(), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    DOCUMENT.write_text(json.dumps(document(), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -3,19 +3,25 @@
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
 from dataclasses import asdict, replace
+from functools import partial
+from typing import Any
 
 from fastapi import APIRouter
 from pydantic import Field
+from starlette.concurrency import run_in_threadpool
 
 from calrig.analysis.errors import Invalid
 from calrig.analysis.limits import cannot_pass_on
-from calrig.api.context import Context
+from calrig.api.context import ApiContext, Context
 from calrig.api.errors import problems
+from calrig.api.heavy import ACCEPTED, Heavy, Wait
+from calrig.api.job import Job
 from calrig.api.models import Answer, Body
 from calrig.calibration.plan_design.goals import Goals
 from calrig.plan import Plan, Until
 from calrig.runs.good_enough import goals_of
-from calrig.runs.plan_designs import Wanted, designed
+from calrig.runs.plan_answers import answer
+from calrig.runs.plan_designs import Question, Wanted, question
 from calrig.runs.planned import estimate, grid_says
 from calrig.runs.references import overdue_says
 from calrig.runs.wall_clock import wall_pace
@@ -40,9 +46,7 @@ class EstimateAnswer(Answer):
     n_poses: int
     elevations_deg: list[float]
     duration_s: float = Field(description="About, by the board's clock; without a wait for a temperature.")
-    wall_s: float | None = Field(
-        description="The same by the clock on the wall, as the rig's last runs took; null before any."
-    )
+    wall_s: float = Field(description="The same by the clock on the wall, as the rig's last runs took.")
     warnings: list[str] = Field(description="What is known to fail before it has begun, in sentences.")
 
 
@@ -62,8 +66,7 @@ def estimate_plan(body: PlanOnRig, context: Context) -> EstimateAnswer:
     said = estimate(body.plan, rig, context.store)
     cannot = cannot_pass_on(rig, body.unit, body.plan, context.store, context.service.maps)
     warnings = [*overdue_says(rig), *grid_says(body.plan), *cannot]
-    pace = wall_pace(rig, context.store)
-    wall_s = None if pace is None else pace * said.duration_s
+    wall_s = wall_pace(rig, context.store) * said.duration_s
     return EstimateAnswer(**asdict(said), wall_s=wall_s, warnings=warnings)
 
 
@@ -126,11 +129,24 @@ class DesignAnswer(Answer):
 @router.post(
     "/api/plans/design",
     response_model=DesignAnswer,
-    responses=problems(404, 413, 422),
+    responses=ACCEPTED | problems(404, 413, 422),
     summary="The plan that gets there soonest",
 )
-def design_plan(body: WantedPlan, context: Context) -> object:
-    """Nothing moves. 422 says why no plan reaches what is wanted, and what would."""
+async def design_plan(body: WantedPlan, context: Context, heavy: Heavy, wait: Wait = True) -> Any:
+    """Nothing moves. 422 says why no plan reaches what is wanted, and what would.
+
+    It is given up where its client leaves; 429 where much is waiting already.
+    """
+
+    async def work(job: Job) -> dict[str, Any]:
+        asked = await run_in_threadpool(_question, body, context)
+        found = await job.run(partial(answer, asked), tells_progress=True)
+        return found.document()
+
+    return await heavy.answer(work, wait=wait)
+
+
+def _question(body: WantedPlan, context: ApiContext) -> Question:
     rig = context.service.known_rig(body.rig)
     goals = Goals() if body.until is None else goals_of(body.until)
     goals = replace(goals, expanded_deg=body.target_u_deg or goals.expanded_deg)
@@ -139,4 +155,4 @@ def design_plan(body: WantedPlan, context: Context) -> object:
             "Give either what is to be reached (target_u_deg, until) or a time (time_s)", ["time_s"]
         )
     wanted = Wanted(goals, body.time_s, body.trace, body.until)
-    return designed(wanted, body.plan, rig, body.unit, context.store).document()
+    return question(wanted, body.plan, rig, body.unit, context.store, context.service.maps)

@@ -7,7 +7,7 @@ from datetime import UTC, datetime, timedelta
 from functools import partial
 from typing import Annotated
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Query, Response
 from pydantic import Field
 
 import calrig
@@ -25,9 +25,11 @@ from calrig.instruments.scan import Kind
 from calrig.instruments.scan_stanza import stanza
 from calrig.run_ids import FEWEST
 from calrig.store import Run
+from calrig.store.convert import iso_utc
 from calrig.store.run_search import RunKind, Sought
 
 router = APIRouter(tags=["runs"])
+BACK_TO = "Calrig-Back-To"
 Begins = Annotated[str | None, Query(min_length=FEWEST, description="First characters of the run's UUID.")]
 Text = Annotated[
     str | None, Query(max_length=200, description="Part of the serial number or the note, in any case.")
@@ -129,6 +131,7 @@ def start_run(body: StartRun, context: Context, who: Who) -> Run:
 @router.get("/api/runs", response_model=RunList, responses=problems(422), summary="Runs, newest first")
 def list_runs(
     context: Context,
+    response: Response,
     unit: str | None = None,
     rig: str | None = None,
     status: Status | None = None,
@@ -145,7 +148,8 @@ def list_runs(
     """A page of runs; `next_cursor` of the answer is `cursor` of the next question.
 
     A verdict is judged anew for each run that may have it: a page of them may hold fewer than `limit`, even
-    none, and there are more as long as there is a `next_cursor`.
+    none, and there are more as long as there is a `next_cursor`. The header `Calrig-Back-To` tells when the
+    oldest run was made that was looked at.
     """
     sought = Sought(
         unit=unit,
@@ -159,10 +163,12 @@ def list_runs(
         follows=follows,
     )
     try:
-        items, next_cursor = found_runs(context.store, sought, verdict, limit, cursor)
+        found = found_runs(context.store, sought, verdict, limit, cursor)
     except ValueError as error:
         raise Invalid(str(error)) from error
-    return {"items": with_doubts(context.store, items), "next_cursor": next_cursor}
+    if found.back_to is not None:
+        response.headers[BACK_TO] = iso_utc(found.back_to)
+    return {"items": with_doubts(context.store, found.items), "next_cursor": found.next_cursor}
 
 
 def _moment(said: str | None, name: str) -> datetime | None:

@@ -13,26 +13,25 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.correction import elevation_where_known_deg, numbers_of
+from calrig.calibration.correction import AppliedEffect, calibrated_elevation_deg, numbers_of
 from calrig.calibration.effect import TEMPERATURE, ApplyError, Circumstances, NotInFlight
 from calrig.calibration.effects import EFFECTS, UNNAMED, effect_of
 from calrig.calibration.fit import MIN_SCALE
 from calrig.estimation.angles import FloatArray, elevation_deg
 
-AppliedEffects = Sequence[tuple[str, Mapping[str, float]]]
 WITHIN_STDS, WITHIN_SHARE = 2.0, 0.01
 """Of standard uncertainties, or of the range: beyond its end by no more, an elevation is as good as there."""
 HELD_BY_MATRIX = frozenset({"accelerometer_offset", "axis_mismatch", "axis_nonlinearity"})
 """Effects that say of the axes what an accelerometer's bias and matrix say."""
 
 
-def effects_at_rest(document: Mapping[str, Any]) -> tuple[list[tuple[str, Mapping[str, float]]], list[str]]:
+def effects_at_rest(document: Mapping[str, Any]) -> tuple[list[AppliedEffect], list[str]]:
     """The effects that a unit at rest shows, with their values, and the names of those that it does not.
 
     Raises:
         ApplyError: an effect has no formula.
     """
-    taken: list[tuple[str, Mapping[str, float]]] = []
+    taken: list[AppliedEffect] = []
     left_out: list[str] = []
     for effect in document["effects"]:
         name = str(effect["name"])
@@ -67,7 +66,7 @@ class Application:
 
     bias_deg: float
     scale: float
-    effects: AppliedEffects
+    effects: Sequence[AppliedEffect]
     accelerometer: tuple[FloatArray, FloatArray] | None
     range_deg: tuple[float, float]
     temperature_c: tuple[float, float] | None
@@ -134,7 +133,7 @@ class Application:
             ApplyError: an effect lacks the temperature or a parameter.
         """
         given = Circumstances(temperature_c=temperature_c)
-        return elevation_where_known_deg(reading_deg, self.bias_deg, self.scale, self.effects, given)
+        return calibrated_elevation_deg(reading_deg, self.bias_deg, self.scale, self.effects, given)
 
     def std_deg(self, elevation_deg: FloatArray) -> FloatArray:
         """(n,) standard uncertainty (k = 1) of elevations relative to their mean over the range.
@@ -177,7 +176,7 @@ class Application:
 
 
 def _accelerometer(
-    document: Mapping[str, Any], effects: AppliedEffects
+    document: Mapping[str, Any], effects: Sequence[AppliedEffect]
 ) -> tuple[FloatArray, FloatArray] | None:
     """The matrix, unless line and effects hold the axes' errors already: they are taken out once."""
     found = document.get("accelerometer")

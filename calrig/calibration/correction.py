@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from calrig.calibration.effect import Applied, ApplyError, Circumstances, Effect, Parameters
 from calrig.calibration.effects import effect_of
@@ -18,7 +17,8 @@ from calrig.calibration.fit import MIN_SCALE, Line, fit_line
 from calrig.calibration.sensor_vector import TURNS_THE_SENSOR, turned_vector
 from calrig.estimation.angles import FloatArray, wrap_deg
 
-BoolArray = npt.NDArray[np.bool_]
+AppliedEffect = tuple[str, Parameters]
+"""An accepted effect: its name and the values of its parameters."""
 
 ITERATIONS = 60
 CONVERGED_DEG = 1e-10
@@ -33,15 +33,8 @@ def numbers_of(parameters: Mapping[str, Any]) -> dict[str, float]:
     return {name: float(value) for name, value in values.items() if value is not None}
 
 
-def effect_on_reading_deg(
-    name: str, parameters: Parameters, theta_deg: FloatArray, given: Circumstances | None = None
-) -> FloatArray:
-    """(n,) what an effect by itself adds to the readings of n poses; as `effects_on_reading_deg`."""
-    return effects_on_reading_deg([(name, parameters)], theta_deg, given)
-
-
 def effects_on_reading_deg(
-    effects: Sequence[tuple[str, Parameters]],
+    effects: Sequence[AppliedEffect],
     theta_deg: FloatArray,
     given: Circumstances | None = None,
     felt_deg: FloatArray | None = None,
@@ -83,7 +76,7 @@ def effects_on_reading_deg(
 def fit_line_with_effects(
     theta_deg: FloatArray,
     reading_deg: FloatArray,
-    effects: Sequence[tuple[str, Parameters]],
+    effects: Sequence[AppliedEffect],
     given: Circumstances | None = None,
 ) -> Line:
     """Bias and scale of what is left of the readings once the effects are taken out."""
@@ -106,48 +99,16 @@ def calibrated_elevation_deg(
     reading_deg: FloatArray,
     bias_deg: float,
     scale: float | None,
-    effects: Sequence[tuple[str, Parameters]],
+    effects: Sequence[AppliedEffect],
     given: Circumstances | None = None,
 ) -> FloatArray:
     """(n,) the θ with reading = bias + scale·θ + effects(θ), to 1e-9°, on the turn about 0.
 
-    Raises:
-        ApplyError: the scale is 0, or the effects are so large that one reading stands for many elevations.
-    """
-    theta, stands_for_many = _inverted(reading_deg, bias_deg, scale, effects, given)
-    if stands_for_many.any():
-        raise ApplyError(
-            "the effects are too large for the scale: one reading would stand for many elevations"
-        )
-    return theta
-
-
-def elevation_where_known_deg(
-    reading_deg: FloatArray,
-    bias_deg: float,
-    scale: float | None,
-    effects: Sequence[tuple[str, Parameters]],
-    given: Circumstances | None = None,
-) -> FloatArray:
-    """The same, NaN for each reading that stands for many elevations.
+    NaN where one reading stands for many elevations. Newton's iteration from the θ without effects; those
+    that depend on the elevation are read at θ itself.
 
     Raises:
         ApplyError: the scale is 0.
-    """
-    theta, stands_for_many = _inverted(reading_deg, bias_deg, scale, effects, given)
-    return np.where(stands_for_many, np.nan, theta)
-
-
-def _inverted(
-    reading_deg: FloatArray,
-    bias_deg: float,
-    scale: float | None,
-    effects: Sequence[tuple[str, Parameters]],
-    given: Circumstances | None,
-) -> tuple[FloatArray, BoolArray]:
-    """(n,) elevations, and (n,) which readings stand for many.
-
-    Newton's iteration from the θ without effects. Effects that depend on the elevation are read at θ itself.
     """
     factor = 1.0 if scale is None else scale
     if abs(factor) < MIN_SCALE:
@@ -169,5 +130,5 @@ def _inverted(
         theta = theta + step
         moving = np.abs(step) > CONVERGED_DEG
         if not moving.any():
-            return theta, stands_for_many
-    return theta, stands_for_many | moving
+            break
+    return np.where(stands_for_many | moving, np.nan, theta)

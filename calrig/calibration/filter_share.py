@@ -40,7 +40,7 @@ def filter_share(poses: Sequence[Pose]) -> FloatArray:
     for noise, rate_hz in {(f.noise, f.rate_hz) for f in known}:
         of_filter = np.array([(f.noise, f.rate_hz) == (noise, rate_hz) for f in known])
         share[of_filter] = _share(noise, rate_hz, settle_s[of_filter], dwell_s[of_filter], move_s[of_filter])
-    return share
+    return np.where([f.remembers for f in known], share, 0.0)
 
 
 def _dwell_s(pose: Pose, filtering: Filtering) -> float:

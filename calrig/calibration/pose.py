@@ -43,11 +43,15 @@ class DiagnosisError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Filtering:
-    """The filter that poses were read by, its rate, and how long a dwell was; the contract's by default."""
+    """The filter that poses were read by, its rate, and how long a dwell was; the contract's by default.
+
+    `remembers` is False where what it still shows of the moves has been taken off the readings.
+    """
 
     noise: KalmanNoise = field(default_factory=KalmanNoise)
     rate_hz: float = 200.0
     dwell_s: float = 2.0
+    remembers: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +89,11 @@ class Pose:
     covariates: dict[str, float | None] = field(default_factory=dict)
     filtering: Filtering | None = field(default=None, compare=False, repr=False)
     map_deg: float | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def settled(self) -> bool:
+        """Whether it is a dwell after a move, as far as is known; a stretch of a turn tells no settling."""
+        return self.settle_s is not None or self.filtering is None or self.filtering.remembers
 
     @property
     def dial_deg(self) -> float:

@@ -66,6 +66,7 @@ class Responses:
         run: (n,) index of the run that each pose is of, into `run_ids`.
         theta_deg: (n,) elevation that each pose stands for.
         move_deg: (n,) θ less that of the pose before; 0 where it is not known.
+        settled: (n,) whether the pose is a dwell after its move: in a stretch of a turn nothing settles.
         travel_deg: (n,) way since the stage last turned; infinite where nothing says that it is short.
         starts: (n,) whether a pose follows on nothing: the first of its run, or any in a table by angle.
         approach, time_s, temperature_c: (n,) or None where not known of every pose.
@@ -88,6 +89,7 @@ class Responses:
     run_ids: tuple[str, ...]
     theta_deg: FloatArray
     move_deg: FloatArray
+    settled: BoolArray
     travel_deg: FloatArray
     starts: BoolArray
     approach: FloatArray | None
@@ -112,6 +114,11 @@ class Responses:
     def __len__(self) -> int:
         return len(self.theta_deg)
 
+    @property
+    def settling_deg(self) -> FloatArray:
+        """(n,) the move that each pose had to settle after."""
+        return np.where(self.settled, self.move_deg, 0.0)
+
     def rows(self, chosen: npt.NDArray[np.intp]) -> Responses:
         """Some of the poses, with what their neighbours said of moves and approach."""
 
@@ -124,6 +131,7 @@ class Responses:
             run=run,
             theta_deg=self.theta_deg[chosen],
             move_deg=self.move_deg[chosen],
+            settled=self.settled[chosen],
             travel_deg=self.travel_deg[chosen],
             starts=self.starts[chosen] | (np.diff(run, prepend=run[:1]) != 0),
             approach=pick(self.approach),
@@ -197,6 +205,7 @@ def responses_of(runs: Sequence[Sequence[Pose]], run_ids: Sequence[str] | None =
         run_ids=names_of(runs, kept, run_ids),
         theta_deg=theta,
         move_deg=move,
+        settled=np.array([pose.settled for pose in poses]),
         travel_deg=travel_deg(move, approach, starts),
         starts=starts,
         approach=approach,

@@ -3,34 +3,30 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from calrig.calibration.correction import (
-    effects_on_reading_deg,
-    felt_elevation_deg,
-    fit_line_with_effects,
-)
+from calrig.calibration.correction import AppliedEffect, fit_line_with_effects
 from calrig.calibration.early_end import AS_PLANNED, Ending, StoppedBy, cautious
-from calrig.calibration.effect import ApplyError, Circumstances
-from calrig.calibration.filter_share import filter_share
+from calrig.calibration.effect import ApplyError
 from calrig.calibration.fit import Line, fit_line, residuals_deg, rms
-from calrig.calibration.motion import approach_of, motion_of, moves_deg
 from calrig.calibration.over_range import OverRange, over_range
-from calrig.calibration.play import travel_deg
 from calrig.calibration.pose import Pose, of_first_mount
+from calrig.calibration.pose_errors import (
+    angles_deg,
+    as_clamped,
+    circumstances,
+    raw_error_deg,
+    without_effects_deg,
+)
 from calrig.calibration.reference_figures import ReferenceFigures
 from calrig.calibration.uncertainty import Reference
-from calrig.estimation.angles import FloatArray, wrap_deg
-
-AppliedEffect = tuple[str, Mapping[str, float]]
-"""An accepted effect: its name and the values of its parameters."""
+from calrig.estimation.angles import FloatArray
 
 PerAxis = tuple[float | None, float | None, float | None]
-
 
 RELATIVE = (
     "The solution that was verified does not know the level: errors are less their mean over the poses."
@@ -131,7 +127,7 @@ def build_result(
         ValueError: no pose, or one whose angle or reading is not finite.
     """
     poses = of_first_mount(poses)
-    theta, reading = _angles(poses)
+    theta, reading = angles_deg(poses)
     one_angle = len({pose.target_deg for pose in poses}) == 1
     line = fit_line(theta, reading, one_angle=one_angle)
     with_effects = _line_with_effects(poses, theta, reading, effects)
@@ -186,10 +182,10 @@ def apply_calibration(
         ApplyError: the poses lack what an effect is a function of.
     """
     poses = of_first_mount(poses)
-    theta, reading = _angles(poses)
+    theta, reading = angles_deg(poses)
     applied = as_clamped(poses, line, effects) if clamped_anew else line
     bare = as_clamped(poses, line, ()) if clamped_anew else line
-    without = _without_effects_deg(poses, applied, effects)
+    without = without_effects_deg(poses, applied, effects)
     left_deg = residuals_deg(theta, without, applied.bias_deg, applied.scale)
     fresh = build_result(poses, gyro)
     return replace(
@@ -213,57 +209,6 @@ def apply_calibration(
     )
 
 
-def as_clamped(poses: Sequence[Pose], line: Line, effects: Sequence[AppliedEffect]) -> Line:
-    """The line with the angle at which the unit is clamped in its bias, so that poses are right on average.
-
-    Of a calibration that does not know the level (CONTRACT section 8): its elevations are relative to their
-    mean. Errors as of `corrected_residuals_deg`.
-    """
-    for _ in range(4):  # effects act at the elevation that the sensor feels, which each step knows better
-        left_deg = corrected_residuals_deg(poses, line, effects)
-        line = replace(line, bias_deg=line.bias_deg + (line.scale or 1.0) * float(left_deg.mean()))
-    return line
-
-
-def corrected_residuals_deg(
-    poses: Sequence[Pose], line: Line, effects: Sequence[AppliedEffect]
-) -> FloatArray:
-    """(n,) calibrated elevation of each pose, effects taken out, less the stage's.
-
-    NaN where the scale is smaller than `MIN_SCALE`.
-
-    Raises:
-        ApplyError: the poses lack what an effect is a function of.
-    """
-    theta, _ = _angles(poses)
-    return residuals_deg(theta, _without_effects_deg(poses, line, effects), line.bias_deg, line.scale)
-
-
-def _without_effects_deg(poses: Sequence[Pose], line: Line, effects: Sequence[AppliedEffect]) -> FloatArray:
-    theta, reading = _angles(poses)
-    felt = felt_elevation_deg(theta, line.bias_deg, line.scale)
-    return reading - effects_on_reading_deg(effects, theta, circumstances(poses), felt)
-
-
-def circumstances(poses: Sequence[Pose]) -> Circumstances:
-    """What effects are functions of, as far as it is known of every pose."""
-
-    def column(values: list[float | None]) -> FloatArray | None:
-        return None if None in values else np.array(values, dtype=np.float64)
-
-    motion, approach, move_deg = motion_of(poses), approach_of(poses), moves_deg(poses)
-    starts = np.arange(len(poses)) == 0
-    return Circumstances(
-        approach=approach,
-        temperature_c=column([pose.temperature_c for pose in poses]),
-        time_s=column([pose.time_s for pose in poses]),
-        move_deg=move_deg,
-        travel_deg=travel_deg(move_deg, approach, starts),
-        velocity_dps=motion.velocity_dps if motion else None,
-        kappa=filter_share(poses),
-    )
-
-
 def _line_with_effects(
     poses: Sequence[Pose], theta: FloatArray, reading: FloatArray, effects: Sequence[AppliedEffect]
 ) -> tuple[Line, FloatArray] | None:
@@ -273,35 +218,10 @@ def _line_with_effects(
     given = circumstances(poses)
     try:
         line = fit_line_with_effects(theta, reading, effects, given)
-        felt = felt_elevation_deg(theta, line.bias_deg, line.scale)
-        without = reading - effects_on_reading_deg(effects, theta, given, felt)
+        without = without_effects_deg(poses, line, effects, given)
     except ApplyError:
         return None
     return line, residuals_deg(theta, without, line.bias_deg, line.scale)
-
-
-def raw_error_deg(pose: Pose, sense: int = 1) -> float:
-    """Reading less what the stage said, its map or no map, degrees, on the turn about 0.
-
-    `sense` is −1 of a unit whose face was turned about the vertical: it reads the elevation's negative.
-    """
-    return float(wrap_deg(pose.reading_deg - sense * (pose.theta_deg - (pose.map_deg or 0.0))))
-
-
-def residuals(poses: Sequence[Pose], bias_deg: float, scale: float | None) -> list[float | None]:
-    """What calibration leaves of each pose, (reading − bias)/scale − θ in degrees, in their order.
-
-    None throughout where the reading does not follow the stage (`MIN_SCALE`).
-    """
-    if not poses:
-        return []
-    theta, reading = _angles(poses)
-    return [_known(left) for left in residuals_deg(theta, reading, bias_deg, scale).tolist()]
-
-
-def _angles(poses: Sequence[Pose]) -> tuple[FloatArray, FloatArray]:
-    theta = np.array([pose.theta_deg for pose in poses], dtype=np.float64)
-    return theta, np.array([pose.reading_deg for pose in poses], dtype=np.float64)
 
 
 def _pooled_noise_deg(poses: Sequence[Pose]) -> float | None:

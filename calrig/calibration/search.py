@@ -48,7 +48,6 @@ class Findings:
     found: tuple[Found, ...]
     fitted: Fit
     columns: FloatArray
-    p_value_left: float
     least_p_value: float
     """What the bootstrap could have told at best."""
     noises: Noises = field(default_factory=dict)
@@ -209,8 +208,7 @@ def _search(
         elif not _is_full(accepted, len(known)):
             steps = hidden(r, model, verdict, judged)
         if not steps:
-            p_values = verdict.p_value, verdict.least_p_value
-            return Findings(r, kept, tuple(found), model.fitted, model.columns, *p_values, drawn)
+            return Findings(r, kept, tuple(found), model.fitted, model.columns, verdict.least_p_value, drawn)
         fresh = steps[0] if rivals is not None and len(steps) == 1 else None
         entered = reconsidered(r, candidates, [*found, *steps], len(known), rivals, fresh=fresh)
         entered = on_their_places(r, candidates, entered)

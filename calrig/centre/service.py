@@ -7,13 +7,10 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from types import MappingProxyType
 
-from calrig.analysis.active_calibration import ActiveCalibration, active_calibration
 from calrig.analysis.errors import Conflict, Unknown
 from calrig.analysis.issuing import Issuer
-from calrig.analysis.origin import check_serial, provenance
-from calrig.analysis.stage_maps import provenance_part
+from calrig.analysis.origin import check_serial
 from calrig.analysis.stored_runs import stored_run
-from calrig.analysis.unresolved import unresolved
 from calrig.centre.asking import Asking, seen
 from calrig.centre.bench_counts import BenchCounts
 from calrig.centre.bench_rigs import BenchRig, BenchRigs
@@ -24,9 +21,10 @@ from calrig.plan import MountAxis, Plan
 from calrig.processes.pool import Apart, run_apart
 from calrig.runs.bus import Bus
 from calrig.runs.errands import Errand, Errands
-from calrig.runs.follow_up import FollowUpRun
+from calrig.runs.good_enough import require_a_reference
 from calrig.runs.meter import Meter
 from calrig.runs.mounting import Mount
+from calrig.runs.new_run import NewRun, rig_followed_up_on
 from calrig.runs.ordered import order_part
 from calrig.runs.planned import planned_poses
 from calrig.runs.rig_states import RigState
@@ -114,60 +112,30 @@ class CentreService:
             Refused: the rig is busy.
         """
         check_serial(unit)
-        on = self._rigs.known(rig)
-        return self._begin(on, unit, plan, operator, operator, note, stage_at_deg=stage_at_deg, queue=queue)
+        wanted = NewRun(
+            unit=unit, plan=plan, operator=operator, who=operator, note=note, stage_at_deg=stage_at_deg
+        )
+        return self._order(self._rigs.known(rig), wanted, waits=queue)
 
     def follow_up(self, run_id: str, apart: Apart = run_apart, who: str | None = None) -> Run:
         """As `RunService.follow_up`."""
         run = stored_run(self.store, run_id)
-        if run.rig is None:
-            raise Conflict(f"run {run_id} was imported: no rig is known to follow it up on")
-        on = self._rigs.known(run.rig)
-        earlier = unresolved(self.store, run_id, apart)
-        designed = FollowUpRun.designed(earlier, run, on.settings.limits_deg, apart)
-        operator = who or run.operator
-        return self._begin(on, run.unit, designed.plan, operator, who, follows=run_id, follow_up=designed)
+        on = self._rigs.known(rig_followed_up_on(run))
+        return self._order(on, NewRun.following(self.store, run, on.settings, apart, who))
 
-    def _begin(
-        self,
-        on: BenchRig,
-        unit: str,
-        plan: Plan,
-        operator: str | None,
-        who: str | None,
-        note: str | None = None,
-        *,
-        follows: str | None = None,
-        follow_up: FollowUpRun | None = None,
-        stage_at_deg: float | None = None,
-        queue: bool = False,
-    ) -> Run:
-        planned = planned_poses(plan, on.settings)
-        verifies: ActiveCalibration | None = None
-        if plan.kind == "verification":
-            verifies = active_calibration(self.store, unit, on.settings.name, plan.revision)
-        if on.is_offline and not queue:
+    def _order(self, on: BenchRig, wanted: NewRun, *, waits: bool = False) -> Run:
+        planned = planned_poses(wanted.plan, on.settings)
+        require_a_reference(wanted.plan, on.settings, self.store)
+        wanted = wanted.as_of_now(self.store, on.settings.name, self.maps)
+        if on.is_offline and not waits:
             said = f"rig {on.settings.name!r}: bench {on.bench.name} {seen(on.bench)}"
             raise Conflict(f'{said}: ask with "queue": true to wait until it is there')
         return self.store.order_run(
             bench=on.bench.name,
             rig=on.settings.name,
-            unit=unit,
-            plan=plan.model_dump(mode="json"),
-            operator=operator,
-            who=who,
-            note=note,
-            follows=follows,
-            provenance={
-                **provenance(operator),
-                "seed": plan.seed,
-                **provenance_part(self.store, on.settings.name, self.maps),
-                **({} if verifies is None else verifies.provenance()),
-                **({} if follow_up is None else {"follow_up": follow_up.provenance()}),
-            },
-            poses_total=0 if plan.kind == "static" else len(planned),
-            more=order_part(stage_at_deg=stage_at_deg, verifies=verifies, follow_up=follow_up),
-            waits=queue,
+            more=order_part(wanted),
+            waits=waits,
+            **wanted.columns(len(planned)),
         )
 
     def run(self, run_id: str) -> Run:

@@ -36,7 +36,9 @@ def add(
 ) -> None:
     """Let a bench join and print its code, for `calrig agent enroll`; it works once, within a day."""
     if server:
-        code = _client(server).post("/api/benches", {"name": name, "hall": hall})["code"]
+        from calrig.client.transport import part
+
+        code = part(_client(server).post("/api/benches", {"name": name, "hall": hall}), "code")
     else:
         with _writing(db) as store:
             _, code = store.add_bench(name, hall)

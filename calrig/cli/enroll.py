@@ -32,6 +32,7 @@ def enroll(
 ) -> None:
     """Join a centre, and keep the URL of its database, which has this bench's password, in a file."""
     from calrig.client import Client
+    from calrig.client.transport import part
     from calrig.settings import centre_url_file
 
     _require_private(centre)
@@ -39,13 +40,13 @@ def enroll(
     path = out or centre_url_file()
     with _secret(path) as file:  # which can be written: the code is not spent for nothing
         joined = service.post("/api/benches/enroll", {"code": code})
-        file.write(checked_by(joined["db"], ca) + "\n")
-    typer.echo(f"this is bench {joined['bench']} now; the URL of the centre's database is in {path}")
+        file.write(checked_by(part(joined, "db"), ca) + "\n")
+    typer.echo(f"this is bench {part(joined, 'bench')} now; the URL of the centre's database is in {path}")
 
 
 def _require_private(centre: str) -> None:
     """Refuses an address at which code and password could be read on the way."""
-    from calrig.client.transport import is_loopback
+    from calrig.client.address import is_loopback
 
     named = urlsplit(centre)
     if named.scheme == "http" and not is_loopback(named.hostname or ""):

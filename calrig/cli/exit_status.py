@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 from typing import Any, NoReturn
 
@@ -10,6 +11,8 @@ from typer.core import TyperGroup
 
 from calrig.errors import printable
 
+NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+"""Of a disk; what writes files of its own says which."""
 STATUS = {
     "calrig.errors.WorkError": 1,
     "calrig.errors.InputError": 2,
@@ -29,9 +32,16 @@ class Commands(TyperGroup):
     def invoke(self, ctx: Any) -> Any:
         """Carries a command out."""
         try:
-            return super().invoke(ctx)
-        except KeyboardInterrupt:
-            _leave("interrupted", 1)
+            done = super().invoke(ctx)
+            if sys.stdout:  # none where the shell has closed it
+                sys.stdout.flush()
+            return done
+        except KeyboardInterrupt as left:
+            _leave("; ".join(["interrupted", *getattr(left, "__notes__", [])]), 1)
+        except OSError as error:
+            if error.errno not in NO_ROOM:
+                raise
+            _leave(f"standard output takes no more ({error.strerror})", 1)
         except Exception as error:
             status = _exit_status(error)
             if status is None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 from calrig.errors import WorkError
@@ -23,6 +24,19 @@ class Happened(Protocol):
     @property
     def data(self) -> dict[str, Any]:
         """CONTRACT section 2."""
+
+
+@dataclass(frozen=True, slots=True)
+class Notice:
+    """Something to be said beside the run's own events."""
+
+    says: str
+    type: str = "notice"
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """As of an event."""
+        return {"says": self.says}
 
 
 class Refusal(Exception):  # noqa: N818 (read as words: raise Refusal)
@@ -112,6 +126,7 @@ def follow(
             return
         if asked.is_made and not is_aborted:
             is_aborted = True
+            show(Notice("stopping the stage and ending the run; the poses measured so far are kept"))
             try:
                 run.abort()
             except Refusal:
@@ -136,7 +151,7 @@ def carry_out(begin: Callable[[], Followed], unit: str, *, as_json: bool) -> Non
 
     with stop_request() as asked:
         run = begin()
-        with run_bar(unit, run.progress["poses_total"]) as show:
+        with run_bar(run, unit) as show:
             follow(run, asked, show, MountPrompt().look)
     print_end(run.document(), as_json=as_json)
 
@@ -155,4 +170,5 @@ def print_end(ended: dict[str, Any], *, as_json: bool) -> None:
         output.print_result(ended)
     if ended["status"] != "completed":
         why = f": {ended['error']}" if ended["error"] else ""
-        raise WorkError(f"run {ended['id']} {ended['status']}{why}")
+        on = f"; `calrig resume {ended['id']}` goes on with it" if ended["status"] == "interrupted" else ""
+        raise WorkError(f"run {ended['id']} {ended['status']}{why}{on}")

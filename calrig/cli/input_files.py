@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 LARGEST_LOG = 1_500_000_000
 """Bytes; more than a day at 200 Hz."""
-LARGEST_POSES = 50_000_000
+LARGEST_POSES = 150_000_000
 LARGEST_PLAN = 1_000_000
 """Bytes: ten thousand elevations take a tenth of them."""
 
@@ -47,14 +47,14 @@ def read_bytes(file: Path, limit: int = LARGEST_POSES) -> bytes:
 
 
 def read_poses_file(file: Path) -> tuple[list[Pose], list[str]]:
-    """Poses of one unit, and what is to be said of them."""
-    from calrig.export.poses_csv import CsvError, read_poses
+    """Poses of one unit about its x, to be diagnosed, and what is to be said of them."""
+    from calrig.export.mounted_csv import read_about_x
+    from calrig.export.poses_csv import CsvError
 
     try:
-        imported = read_poses(read_bytes(file))
+        return read_about_x(read_bytes(file))
     except CsvError as error:
         raise InputError(f"{file}: {error}") from error
-    return imported.poses, imported.warnings
 
 
 def read_log_file(

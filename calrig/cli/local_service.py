@@ -122,4 +122,4 @@ def _with_ports(rig: RigSettings) -> Iterator[RigSettings]:
             "imu": imu.model_copy(update={"port": process.imu_port}),
             "clamp": process.clamp and ClampSettings.model_validate(process.clamp),
         }
-        yield rig.model_copy(update=ports)
+        yield rig.model_copy(update={**ports, "time_scale": process.time_scale})

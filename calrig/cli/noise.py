@@ -2,21 +2,37 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from calrig.cli.input_files import names_a_file, read_log_file
 from calrig.cli.options import COLUMNS, SHORTENED, AccelRange, Db, GyroRange, Json, Plot, Rate
+from calrig.cli.running_service import NAMED, running_service, whole_id_there
 from calrig.cli.typed_ids import whole_id
 from calrig.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from calrig.client import Client
+    from calrig.client.log_documents import FiltersStudy, NoiseStudy
+    from calrig.figures.files import Rows
     from calrig.noise.filters import FilterStudy
+
+    Found = tuple[dict[str, Any], Callable[[], Rows]]
+    """A document, and what draws it."""
 
 READING = 0.4
 """Share of an analysis of noise that goes into reading its file."""
+Keeper = Annotated[
+    str | None,
+    typer.Option(
+        "--server", metavar="URL", help="A running service that analyses the file, and keeps what it finds."
+    ),
+]
 
 
 def noise(
@@ -26,28 +42,18 @@ def noise(
     gyro_range: GyroRange = None,
     as_json: Json = False,
     plot: Plot = None,
+    server: Keeper = None,
 ) -> None:
     """Characterise the noise of a sensor at rest: Allan deviation, spectrum, distribution."""
     from calrig.cli import output
-    from calrig.cli.progress import late_bar
     from calrig.figures.files import writer_of
-    from calrig.noise.analysis import analyse
-    from calrig.noise.report import noise_document, said_first
 
     write = None if plot is None else writer_of(plot)
-    with late_bar(file.name) as show:
-        log = read_log_file(file, accel_range, gyro_range, lambda share: show(READING * share))
-        try:
-            found = analyse(
-                log.channels, log.time_s, rate, lambda share: show(READING + (1.0 - READING) * share)
-            )
-        except ValueError as error:
-            raise InputError(f"{file}: {error}") from error
-    document = said_first(log.warnings, noise_document(found))
+    given = rate, accel_range, gyro_range
+    there = running_service(server, None) if server else None
+    document, draw = _noise_here(file, *given) if there is None else _noise_there(there, file, *given)
     if write is not None:
-        from calrig.figures.noise import noise_figures
-
-        write(file.name, noise_figures(found))
+        write(file.name, draw())
     if as_json:
         output.print_json(document)
     else:
@@ -67,45 +73,136 @@ def filters(
     rate: Rate = None,
     plot: Plot = None,
     db: Db = None,
+    server: Keeper = None,
 ) -> None:
     """Compare filters on one log by jitter and lag, with a Kalman filter tuned to the unit's noise."""
     from calrig.cli import output
     from calrig.figures.files import writer_of
-    from calrig.noise.filters import filters_document
-    from calrig.noise.report import said_first
 
     write = None if plot is None else writer_of(plot)
-    if names_a_file(source):
-        found, warnings = _filters_of_file(Path(source), accel_range, gyro_range, rate)
+    is_file = names_a_file(source)
+    asked = server if is_file else server or os.environ.get(NAMED)
+    there = None if is_file and not server else running_service(asked, db)
+    given = rate, accel_range, gyro_range
+    if there is None:
+        document, draw = _filters_of_file(Path(source), *given) if is_file else _filters_of_run(source, db)
     else:
-        found, warnings = _filters_of_run(source, db), ()
-    document = said_first(warnings, filters_document(found))
+        document, draw = _filters_there(there, source, *given, is_file=is_file)
     if write is not None:
-        from calrig.figures.filters import filters_figures
-
-        write(source, filters_figures(found))
+        write(source, draw())
     if as_json:
         output.print_json(document)
     else:
         output.print_filters(document)
 
 
+def _noise_here(
+    file: Path, rate_hz: float | None, accel_range_g: int | None, gyro_range_dps: int | None
+) -> Found:
+    from calrig.cli.progress import late_bar
+    from calrig.noise.analysis import analyse
+    from calrig.noise.report import noise_document, said_first
+
+    with late_bar(file.name) as show:
+        log = read_log_file(file, accel_range_g, gyro_range_dps, lambda share: show(READING * share))
+        try:
+            found = analyse(
+                log.channels, log.time_s, rate_hz, lambda share: show(READING + (1.0 - READING) * share)
+            )
+        except ValueError as error:
+            raise InputError(f"{file}: {error}") from error
+
+    def draw() -> Rows:
+        from calrig.figures.noise import noise_figures
+
+        return noise_figures(found)
+
+    return said_first(log.warnings, noise_document(found)), draw
+
+
+def _noise_there(
+    client: Client,
+    file: Path,
+    rate_hz: float | None,
+    accel_range_g: int | None,
+    gyro_range_dps: int | None,
+) -> Found:
+    from calrig.cli.progress import late_bars
+
+    with late_bars() as step:
+        study = client.noise(
+            file,
+            rate_hz=rate_hz,
+            accel_range_g=accel_range_g,
+            gyro_range_dps=gyro_range_dps,
+            sent=step(f"sending {file.name}"),
+            told=step(file.name),
+        )
+    return study.report.model_dump(mode="json"), lambda: _drawn(study)
+
+
 def _filters_of_file(
-    file: Path, accel_range_g: int | None, gyro_range_dps: int | None, rate_hz: float | None
-) -> tuple[FilterStudy, tuple[str, ...]]:
+    file: Path, rate_hz: float | None, accel_range_g: int | None, gyro_range_dps: int | None
+) -> Found:
+    from calrig.cli.progress import late_bar
     from calrig.noise.filters import study_filters
 
-    log = read_log_file(file, accel_range_g, gyro_range_dps)
-    try:
-        return study_filters(log.channels, log.time_s, rate_hz), log.warnings
-    except ValueError as error:
-        raise InputError(f"{file}: {error}") from error
+    with late_bar(file.name) as show:
+        log = read_log_file(file, accel_range_g, gyro_range_dps, lambda share: show(READING * share))
+        try:
+            found = study_filters(log.channels, log.time_s, rate_hz)
+        except ValueError as error:
+            raise InputError(f"{file}: {error}") from error
+    return _of_study(found, log.warnings)
 
 
-def _filters_of_run(run_id: str, db: str | None) -> FilterStudy:
+def _filters_of_run(run_id: str, db: str | None) -> Found:
     from calrig.analysis.noise_studies import filters_of_run
+    from calrig.cli.progress import late_bar
     from calrig.settings import store_url
     from calrig.store import Store
 
-    with Store.open(store_url(db), writer=None) as store:
-        return filters_of_run(store, whole_id(store, run_id))
+    with Store.open(store_url(db), writer=None) as store, late_bar("comparing filters"):
+        return _of_study(filters_of_run(store, whole_id(store, run_id)), ())
+
+
+def _of_study(found: FilterStudy, warnings: Sequence[str]) -> Found:
+    from calrig.noise.filters import filters_document
+    from calrig.noise.report import said_first
+
+    def draw() -> Rows:
+        from calrig.figures.filters import filters_figures
+
+        return filters_figures(found)
+
+    return said_first(warnings, filters_document(found)), draw
+
+
+def _filters_there(
+    client: Client,
+    source: str,
+    rate_hz: float | None,
+    accel_range_g: int | None,
+    gyro_range_dps: int | None,
+    *,
+    is_file: bool,
+) -> Found:
+    from calrig.cli.progress import late_bars
+
+    with late_bars() as step:
+        if not is_file:
+            study = client.run(whole_id_there(client, source)).filters(told=step("comparing filters"))
+        else:
+            study = client.filters(
+                source,
+                rate_hz=rate_hz,
+                accel_range_g=accel_range_g,
+                gyro_range_dps=gyro_range_dps,
+                sent=step(f"sending {source}"),
+                told=step(source),
+            )
+    return study.report, lambda: _drawn(study)
+
+
+def _drawn(study: NoiseStudy | FiltersStudy) -> Rows:
+    return [[(one.caption, one.figure)] for one in study.figures]

@@ -8,12 +8,17 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from calrig.cli.printing import number, print_line, print_parameter, print_table, print_warnings
+from calrig.cli.printing import (
+    number,
+    print_line,
+    print_parameter,
+    print_sentence,
+    print_table,
+    print_warnings,
+)
 from calrig.errors import printable
 
 if TYPE_CHECKING:
-    from calrig.client import RigState
-    from calrig.settings import RigSettings
     from calrig.store.moving import Moved
 
 
@@ -62,15 +67,15 @@ def print_says(sentences: Iterable[str]) -> None:
         typer.echo(f"· {printable(sentence)}", err=True)
 
 
-def print_rigs(rigs: Iterable[RigSettings]) -> None:
+def print_rigs(rigs: Iterable[dict[str, Any]]) -> None:
     """Prints the rigs that are configured."""
     rows = (
         (
-            rig.name,
-            f"{rig.limits_deg[0]:g}° to {rig.limits_deg[1]:g}°",
+            rig["name"],
+            f"{rig['limits_deg'][0]:g}° to {rig['limits_deg'][1]:g}°",
             *(
-                "simulated" if rig.simulated is not None or part is None else f"{part.driver} on {part.port}"
-                for part in (rig.stage, rig.imu)
+                "simulated" if part is None else f"{part['driver']} on {part['port']}"
+                for part in (rig["stage"], rig["imu"])
             ),
         )
         for rig in rigs
@@ -78,13 +83,13 @@ def print_rigs(rigs: Iterable[RigSettings]) -> None:
     print_table(("rig", "elevation", "stage", "imu"), rows, justify="left")
 
 
-def print_rigs_there(rigs: Iterable[RigState]) -> None:
+def print_rigs_there(rigs: Iterable[dict[str, Any]]) -> None:
     """Prints the rigs of a running service and what they are doing."""
     rows = (
         (
-            rig.name,
-            rig.state + (f", run {rig.run_id[:8]}" if rig.run_id else ""),
-            *("simulated" if rig.simulated else driver for driver in (rig.stage, rig.imu)),
+            rig["name"],
+            rig["state"] + (f", run {rig['run_id'][:8]}" if rig["run_id"] else ""),
+            *("simulated" if rig["simulated"] else driver for driver in (rig["stage"], rig["imu"])),
         )
         for rig in rigs
     )
@@ -251,12 +256,12 @@ def _print_effect(effect: dict[str, Any]) -> None:
             unit = covariate.unit if one.unit is None else one.unit
             print_parameter(one.title, effect["parameters"].get(one.name), unit)
     for sentence in (*effect["evidence"], effect["remedy"]):
-        print_line(f"  · {sentence}")
+        print_sentence(f"  · {sentence}")
 
 
 def _print_sentences(sentences: Iterable[str]) -> None:
     for sentence in sentences:
-        print_line(f"· {sentence}")
+        print_sentence(f"· {sentence}")
 
 
 def _signed(value: float | None, unit: str = "", decimals: int = 2) -> str:

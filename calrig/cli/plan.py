@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from calrig.client import Client
     from calrig.plan import Plan
 
+DOING = "looking for the plan"
+
 
 def plan(
     target_u: Annotated[
@@ -73,18 +75,21 @@ class _Asked:
 
 
 def _designed_there(there: Client, asked: _Asked) -> dict[str, Any]:
+    from calrig.cli.progress import late_bar
     from calrig.client import Invalid
 
     try:
-        found = there.plan(
-            target_u_deg=asked.target_u_deg,
-            time_s=asked.time_s,
-            rig=asked.rig,
-            unit=asked.unit,
-            until={"expanded_uncertainty_deg": asked.target_u_deg or 0.0} if asked.until else None,
-            trace=asked.trace,
-            keep=asked.kept,
-        )
+        with late_bar(DOING) as show:
+            found = there.plan(
+                target_u_deg=asked.target_u_deg,
+                time_s=asked.time_s,
+                rig=asked.rig,
+                unit=asked.unit,
+                until={"expanded_uncertainty_deg": asked.target_u_deg or 0.0} if asked.until else None,
+                trace=asked.trace,
+                keep=asked.kept,
+                told=show,
+            )
     except Invalid as error:
         raise WorkError(str(error)) from error
     return found.model_dump(mode="json")
@@ -92,9 +97,12 @@ def _designed_there(there: Client, asked: _Asked) -> dict[str, Any]:
 
 def _designed_here(asked: _Asked, db: str | None, config: str | None) -> dict[str, Any]:
     from calrig.analysis.errors import Invalid
+    from calrig.analysis.stage_maps import configured_maps
     from calrig.calibration.plan_design.goals import Goals
+    from calrig.cli.progress import late_bar
     from calrig.plan import Until
-    from calrig.runs.plan_designs import Wanted, designed
+    from calrig.runs.plan_answers import answer
+    from calrig.runs.plan_designs import Wanted, question
     from calrig.settings import load_settings, store_url
     from calrig.store import Store
     from calrig.store.errors import NoStore
@@ -111,7 +119,9 @@ def _designed_here(asked: _Asked, db: str | None, config: str | None) -> dict[st
         with suppress(NoStore):  # nothing has run yet: noise and pace are assumed, and said to be
             store = stack.enter_context(Store.open(store_url(db), writer=None))
         try:
-            return designed(wanted, asked.kept, chosen, asked.unit, store).document()
+            known = question(wanted, asked.kept, chosen, asked.unit, store, configured_maps(settings))
+            with late_bar(DOING) as show:
+                return answer(known, show).document()
         except Invalid as error:
             raise WorkError(str(error)) from error
 

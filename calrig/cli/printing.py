@@ -22,6 +22,12 @@ def print_line(text: str, style: str = "") -> None:
     Console(soft_wrap=True, highlight=False).print(Text(printable(text), style))
 
 
+def print_sentence(text: str) -> None:
+    """The same for what is read as prose: a terminal's lines break between words, a pipe's not at all."""
+    console = Console(highlight=False)
+    console.print(Text(printable(text)), soft_wrap=not console.is_terminal)
+
+
 def print_table(
     headings: Sequence[str],
     rows: Iterable[Sequence[str]],
@@ -94,7 +100,7 @@ def print_parameter(title: str, parameter: dict[str, float | None] | None, unit:
 def print_warnings(warnings: Iterable[str]) -> None:
     """Prints what a person should know, a line each."""
     for warning in warnings:
-        print_line(f"warning: {warning}")
+        print_sentence(f"warning: {warning}")
 
 
 def number(value: float | None, unit: str, decimals: int = 4) -> str:

@@ -15,7 +15,6 @@ from calrig.errors import InputError
 
 if TYPE_CHECKING:
     from calrig.client import Client
-    from calrig.plan import Plan
     from calrig.settings import RigSettings, Settings
 
 
@@ -50,8 +49,7 @@ def run(
     there = running_service(server, db)
     if there is not None:
         refuse_own_rigs("run", there, config, record)
-        warnings = there.post("/api/plans/estimate", _on_rig(rig, unit, the_plan))["warnings"]
-        _warn(warnings)
+        _warn(there.estimate(the_plan, rig=rig, unit=unit).warnings)
         from calrig.cli.run_there import RunThere
 
         started = partial(there.calibrate, unit, rig=rig, plan=the_plan, operator=operator, note=note)
@@ -93,10 +91,6 @@ def refuse_own_rigs(command: str, there: Client, config: str | None, record: Pat
                 f"{command}: {option} is for `calrig serve`: the service at {there.server} holds the store, "
                 "and its rigs and wires are its own"
             )
-
-
-def _on_rig(rig: str | None, unit: str, plan: Plan) -> dict[str, object]:
-    return {"rig": rig, "unit": unit, "plan": plan.model_dump(mode="json")}
 
 
 def _warn(warnings: list[str]) -> None:

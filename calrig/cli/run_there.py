@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any
 
-from calrig.cli.followed import LOOK_S, Refusal
+from calrig.cli.followed import LOOK_S, Notice, Refusal
 from calrig.client.errors import CONFLICT, Refused, ServiceError, Unreachable
 from calrig.errors import WorkError
 
@@ -28,13 +28,13 @@ class RunThere:
         self.progress: dict[str, Any] = record.progress.model_dump()
         self.has_clamp = any(rig.clamp for rig in client.rigs() if rig.name == record.rig)
         self._client, self._run, self._rig = client, run, record.rig
-        self._heard: SimpleQueue[RunEvent | Exception | None] = SimpleQueue()
+        self._heard: SimpleQueue[RunEvent | Notice | Exception | None] = SimpleQueue()
         # A daemon: a line that has nothing to tell keeps nobody from leaving.
         threading.Thread(target=self._listen, name=f"events of {run.id}", daemon=True).start()
 
-    def news(self) -> Sequence[RunEvent]:
+    def news(self) -> Sequence[RunEvent | Notice]:
         """Events since the last look."""
-        events: list[RunEvent] = []
+        events: list[RunEvent | Notice] = []
         try:
             heard = self._heard.get(timeout=LOOK_S)
             while True:
@@ -80,13 +80,16 @@ class RunThere:
 
     def _listen(self) -> None:
         try:
-            for event in self._run.events():
+            for event in self._run.events(away=self._say_away):
                 self._heard.put(event)
             self._heard.put(None)
         except ServiceError as error:
             self._heard.put(error)
 
-    def _take(self, event: RunEvent) -> None:
+    def _say_away(self, error: ServiceError) -> None:
+        self._heard.put(Notice(f"{error}; it is waited for, two minutes at most"))
+
+    def _take(self, event: RunEvent | Notice) -> None:
         if event.type == "state":
             self.status = event.data["status"]
         elif event.type == "progress":

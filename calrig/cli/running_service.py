@@ -26,7 +26,7 @@ def running_service(server: str | None, db: str | None) -> Client | None:
     Raises:
         InputError: `server` is no address.
     """
-    if server and not (db and server == os.environ.get(NAMED)):
+    if server and is_named(server, db):
         return _client(server)
     from calrig.settings import store_url
     from calrig.store.engines import is_centre
@@ -36,6 +36,11 @@ def running_service(server: str | None, db: str | None) -> Client | None:
     url = store_url(db)
     address = None if is_centre(url) else answering_at(database_path(url))
     return None if address is None else _client(address)
+
+
+def is_named(server: str | None, db: str | None) -> bool:
+    """Whether a service was named to be asked; a store named by `--db` goes before the variable."""
+    return bool(server) and not (db and server == os.environ.get(NAMED))
 
 
 def whole_id_there(client: Client, typed: str) -> str:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from calrig.calibration.joint.table import Mounted
     from calrig.store.solved import Frame, Solved
 
+NOT_DRAWN = "solve: --plot is of units clamped by one face: leave it out, nothing was solved"
 Units = Annotated[
     list[str] | None,
     typer.Option(
@@ -112,26 +113,23 @@ def solve(
     said: list[str] = []
     if files:
         lots, said = _of_files(files, unit or [])
-        found = _answer(_of_lots(lots, wanted))
+        found = _answer(_of_lots(lots, wanted), is_drawn=draw is not None)
     elif (there := running_service(server, db)) is not None:
         from calrig.cli.solve_there import solved_there
 
         found = solved_there(there, wanted, with_files=out is not None, with_poses=draw is not None)
     else:
-        found = _answer(_of_runs(wanted, db))
+        found = _answer(_of_runs(wanted, db), is_drawn=draw is not None)
     document = {**found.document, "warnings": [*said, *found.document["warnings"]]}
     if out is not None:
         _write(out, found)
-    whole = found.is_whole
     if draw is not None:
         from calrig.figures.joint import joint_figures
 
-        if whole:
-            raise InputError("solve: --plot is of units clamped by one face")
         draw("Stage and units solved together", joint_figures(document, found.poses))
     if as_json:
         output.print_json(document)
-    elif whole:
+    elif found.is_whole:
         from calrig.cli.three_axis_output import print_whole
 
         print_whole(document)
@@ -146,12 +144,17 @@ def _check_options(frame: str, limits: tuple[float, float] | None) -> None:
         raise InputError(f"solve: --limits {limits[0]:g} {limits[1]:g}: the lower comes first")
 
 
-def _answer(asked: Question) -> Solved:
+def _answer(asked: Question, *, is_drawn: bool) -> Solved:
     from calrig.analysis.joint_solutions import answer
+    from calrig.calibration.joint.three_axis_table import whole_units
     from calrig.calibration.pose import DiagnosisError
+    from calrig.cli.progress import late_bar
 
+    if is_drawn and whole_units(asked.lots):
+        raise InputError(NOT_DRAWN)
     try:
-        return answer(asked)
+        with late_bar("solving"):
+            return answer(asked)
     except DiagnosisError as error:
         raise InputError(str(error)) from error
 

@@ -9,8 +9,7 @@ from calrig.cli.printing import number, print_line, print_parameter, print_table
 
 def print_solution(found: dict[str, Any]) -> None:
     """Prints a joint solution: what an elevation is worth, units, mounts, map, the error before and after."""
-    verdict = "stage and units told apart" if found["separable"] else "stage and units not told apart"
-    print_line(f"{verdict}; a pose's noise is {number(found['noise']['std_deg'], '°')}", style="bold")
+    print_verdict(found)
     for unit in found["units"]:
         worst = max(unit["elevation_std_deg"]["std_deg"])
         low, high = unit["range_deg"]
@@ -24,15 +23,28 @@ def print_solution(found: dict[str, Any]) -> None:
         for one in found["mounts"]
     )
     print_table(("mount", "unit", "stated", "found", "±"), mounts)
-    error, orders = found["stage"]["map"]["error_deg"], len(found["stage"]["harmonics"])
+    print_stage(found)
+    if found["advice"] is not None:
+        print_line(f"what would help: {found['advice']['says']}")
+
+
+def print_verdict(found: dict[str, Any]) -> None:
+    """Whether stage and units were told apart, and the noise."""
+    verdict = "stage and units told apart" if found["separable"] else "stage and units not told apart"
+    print_line(f"{verdict}; a pose's noise is {number(found['noise']['std_deg'], '°')}", style="bold")
+
+
+def print_stage(found: dict[str, Any]) -> None:
+    """The stage's map, the error before and after, and what a person should know of it."""
+    stage = found["stage"]
+    error, orders = stage["map"]["error_deg"], len(stage["harmonics"])
     print_line(f"map of the stage: {min(error):+.3f}° to {max(error):+.3f}°, {orders} orders")
-    if found["stage"]["backlash_deg"] is not None:
-        print_parameter("backlash_deg", found["stage"]["backlash_deg"])
+    for name in ("axis_dip_deg", "backlash_deg"):
+        if (parameter := stage.get(name)) is not None:
+            print_parameter(name, parameter)
     before, after = (number(found[model]["held_out_rms_deg"], "°") for model in ("before", "final"))
     print_line(f"RMS of held-out stretches: {before} believing the stage, {after} with its map")
     print_warnings(found["warnings"])
-    if found["advice"] is not None:
-        print_line(f"what would help: {found['advice']['says']}")
 
 
 def _measurand(unit: dict[str, Any]) -> str:

@@ -9,11 +9,13 @@ import typer
 
 from calrig.cli.progress import late_bar
 from calrig.cli.running_service import whole_id_there
+from calrig.cli.solve import NOT_DRAWN
+from calrig.errors import InputError
 from calrig.store.solved import Solved
 
 if TYPE_CHECKING:
     from calrig.analysis.joint_solutions import Wanted
-    from calrig.client import Client
+    from calrig.client import Client, RunRecord
 
 KEPT_BESIDE = ("id", "created_at", "by", "rig", "runs", "linear", "periods_deg", "seat_std_deg", "frame")
 """What an answer has beside the document of CONTRACT section 8."""
@@ -33,6 +35,8 @@ def solved_there(client: Client, wanted: Wanted, *, with_files: bool, with_poses
         WorkError: the service cannot be reached or refuses.
     """
     runs = [whole_id_there(client, typed) for typed in wanted.runs]
+    if with_poses and any(_axis(client.run(run_id).record)[-1] != "x" for run_id in runs):
+        raise InputError(NOT_DRAWN)
     with late_bar("solving") as show:
         found = client.solve(
             *runs,
@@ -58,3 +62,8 @@ def solved_there(client: Client, wanted: Wanted, *, with_files: bool, with_poses
         stage_map=client.get(f"{path}/map") if with_files else {},
         poses=client.get(f"{path}/poses") if with_poses else {},
     )
+
+
+def _axis(run: RunRecord) -> str:
+    """Which of the unit's axes lay along the stage's."""
+    return str((run.plan or run.provenance).get("mount_axis", "x"))

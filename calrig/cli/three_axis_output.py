@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-from calrig.cli.printing import number, print_line, print_parameter, print_table, print_warnings
+from calrig.cli.printing import number, print_line, print_table
+from calrig.cli.solve_output import print_stage, print_verdict
 
 AXES = "xyz"
 
 
 def print_whole(found: dict[str, Any]) -> None:
     """Prints accelerometers, gyros, mounts, map, the error before and after."""
-    verdict = "stage and units told apart" if found["separable"] else "stage and units not told apart"
-    print_line(f"{verdict}; a pose's noise is {number(found['noise']['std_deg'], '°')}", style="bold")
+    print_verdict(found)
     for unit in found["units"]:
         print_line("")
         _print_accelerometer(unit)
@@ -33,15 +33,7 @@ def print_whole(found: dict[str, Any]) -> None:
         for one in found["mounts"]
     )
     print_table(("mount", "unit", "axis", "stated", "found", "±"), mounts)
-    stage = found["stage"]
-    error, orders = stage["map"]["error_deg"], len(stage["harmonics"])
-    print_line(f"map of the stage: {min(error):+.3f}° to {max(error):+.3f}°, {orders} orders")
-    print_parameter("axis_dip_deg", stage["axis_dip_deg"])
-    if stage["backlash_deg"] is not None:
-        print_parameter("backlash_deg", stage["backlash_deg"])
-    before, after = (number(found[model]["held_out_rms_deg"], "°") for model in ("before", "final"))
-    print_line(f"RMS of held-out stretches: {before} believing the stage, {after} with its map")
-    print_warnings(found["warnings"])
+    print_stage(found)
 
 
 def _print_accelerometer(unit: dict[str, Any]) -> None:

@@ -55,8 +55,10 @@ def add(
 ) -> None:
     """Add a user and print the token, which is shown this once."""
     if server:
+        from calrig.client.transport import part
+
         body = {"name": name, "role": role.value, "token": token}
-        made = _client(server).post("/api/users", body)["token"]
+        made = part(_client(server).post("/api/users", body), "token")
     else:
         with _store(db) as store:
             _, made = store.add_user(name, role.value, with_token=token)
@@ -68,7 +70,9 @@ def add(
 def token(name: Name, db: Db = None, server: Server = None) -> None:
     """Give a user a new token and print it; the one before opens nothing any more."""
     if server:
-        made = _client(server).post(f"{_path(name)}/token", {})["token"]
+        from calrig.client.transport import part
+
+        made = part(_client(server).post(f"{_path(name)}/token", {}), "token")
     else:
         with _store(db) as store:
             _, made = store.new_token(name)
@@ -133,6 +137,8 @@ def _store(db: str | None) -> Store:
     try:
         return Store.open(store_url(db), writer="users")
     except Taken as error:
+        if "--server" in str(error):
+            raise
         raise WorkError(f"{error}; or ask a service that holds it: --server http://HOST:PORT") from error
 
 

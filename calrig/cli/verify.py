@@ -1,4 +1,4 @@
-"""`export --format archive` makes a unit's archive; `verify` checks one, without a store."""
+"""`verify`: checks a unit's archive, as `export --format archive` makes it, without a store."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calrig.cli.options import Json
-from calrig.errors import InputError, WorkError, printable
+from calrig.errors import printable
 
 if TYPE_CHECKING:
     from calrig.export.archive.check import Checked
@@ -52,35 +52,3 @@ def _print(file: Path, found: Checked) -> None:
     for number, why in sorted(found.not_refitted.items()):
         print_line(f"revision {number} was not fitted again: {why}")
     print_line(f"{trail['entries']} entries of the trail, whose head is {head['seq']}: {head['sha256']}")
-
-
-def export_archive(unit: str | None, out: Path | None, db: str | None) -> None:
-    """Writes the archive of a unit to a file that is not there yet.
-
-    Raises:
-        InputError: no unit or file is named, or it cannot be made.
-        WorkError: the disk took only a part of it, which is removed.
-    """
-    from calrig.analysis.archives import archive_of
-    from calrig.settings import load_settings, store_url
-    from calrig.store import Store
-
-    if unit is None or out is None:
-        raise InputError("export: an archive is of a unit and goes to a file: --unit SERIAL --out FILE.zip")
-    with Store.open(store_url(db), writer=None) as store:
-        pieces = archive_of(store, unit, load_settings().laboratory)
-        try:
-            file = out.open("xb")
-        except FileExistsError as error:
-            raise InputError(f"export: {out}: exists and is not overwritten: name another file") from error
-        except OSError as error:
-            raise InputError(f"export: {out}: cannot be made ({error.strerror})") from error
-        try:
-            with file:
-                size = sum(file.write(piece) for piece in pieces)
-        except BaseException as error:
-            out.unlink()
-            if isinstance(error, OSError):
-                raise WorkError(f"{out}: cannot be written ({error.strerror})") from error
-            raise
-    typer.echo(f"{out}: {size / 1e6:.1f} MB")

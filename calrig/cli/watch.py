@@ -40,11 +40,15 @@ def _watch(run: Watched, unit: str, *, as_json: bool) -> None:
     from calrig.cli.followed import print_end
     from calrig.cli.progress import run_bar
 
-    with run_bar(unit, run.progress["poses_total"]) as show:
-        while not run.is_over:
-            for event in run.news():
-                show(event)
-                _say_what_it_waits_for(run.id, event)
+    try:
+        with run_bar(run, unit) as show:
+            while not run.is_over:
+                for event in run.news():
+                    show(event)
+                    _say_what_it_waits_for(run.id, event)
+    except KeyboardInterrupt as left:
+        left.add_note(f"run {run.id} was not touched: `calrig watch {run.id[:8]}` follows it again")
+        raise
     print_end(run.document(), as_json=as_json)
 
 

@@ -2,31 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
-from urllib.parse import quote, urlencode
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlencode
 
-from calrig.client.documents import (
-    Comparison,
-    Diagnosis,
-    PlanDesign,
-    RigState,
-    RunRecord,
-    Solution,
-    Status,
-)
+from calrig.client.documents import Estimate, PlanDesign, RigState, RunRecord, Status
+from calrig.client.issued import Issued
 from calrig.client.jobs import Told, outcome, unheard
 from calrig.client.run import Run
-from calrig.client.transport import Transport
-from calrig.client.upload import Upload
+from calrig.client.studies import Studies
+from calrig.client.transport import part
 
 if TYPE_CHECKING:
-    from calrig.loaded import Calibration
     from calrig.plan import Plan
 
 
-class Client(Transport):
+class Client(Studies, Issued):
     """The service at an address: `Client("http://lab-pc:8000").calibrate("AS-0042").result.bias_deg`.
 
     It may be used from several threads. Errors are `calrig.client.ServiceError`, in the service's words.
@@ -34,7 +25,7 @@ class Client(Transport):
 
     def rigs(self) -> list[RigState]:
         """Every rig and what it is doing; the first is what runs take that name none."""
-        return [RigState.of(rig) for rig in self.get("/api/rigs")]
+        return RigState.each(self.get("/api/rigs"))
 
     def calibrate(
         self,
@@ -75,7 +66,7 @@ class Client(Transport):
 
     def run(self, run_id: str) -> Run:
         """A run by its whole id."""
-        return Run(self, RunRecord.of(self.get(f"/api/runs/{quote(run_id, safe='')}")))
+        return Run.of_id(self, run_id)
 
     def runs(
         self,
@@ -97,87 +88,23 @@ class Client(Transport):
         """
         wanted = {"unit": unit, "rig": rig, "status": status, "begins": begins, "limit": limit}
         query = urlencode({key: value for key, value in wanted.items() if value is not None})
-        return [RunRecord.of(item) for item in self.get(f"/api/runs?{query}")["items"]]
+        return RunRecord.each(part(self.get(f"/api/runs?{query}"), "items"))
 
-    def import_poses(
-        self,
-        file: str | Path,
-        unit: str,
-        *,
-        rig: str | None = None,
-        sent: Told = unheard,
-        told: Told = unheard,
-    ) -> Run:
-        """A run of a CSV of poses.
+    def estimate(
+        self, plan: Plan | PlanDesign | Mapping[str, Any], *, rig: str | None = None, unit: str = ""
+    ) -> Estimate:
+        """A plan's poses, its duration on a rig, and what is to be said of it; nothing moves.
 
         Args:
-            file: its path; it is read as it is sent.
-            unit: serial number.
-            rig: where it was measured.
-            sent: is told the share that is sent.
-            told: is told the share that is read, where the service can say.
+            plan: as of `calibrate`.
+            rig: its name; without one the first.
+            unit: whose limits it is held to.
 
         Raises:
-            Invalid: the file is no such CSV; says line and column.
+            Invalid: the plan is wrong.
         """
-        fields = {"unit": unit} | ({} if rig is None else {"rig": rig})
-        answer = self.upload("/api/imports?wait=false", Upload(Path(file), fields, sent))
-        return Run(self, RunRecord.of(outcome(self, answer, told)))
-
-    def diagnose(self, run_id: str, *more: str, told: Told = unheard) -> Diagnosis:
-        """As `Run.diagnose`, by the run's id."""
-        return self.run(run_id).diagnose(*more, told=told)
-
-    def compare(self, *units: str) -> Comparison:
-        """Units side by side; all of them without any."""
-        query = urlencode([("unit", unit) for unit in units])
-        return Comparison.of(self.get(f"/api/compare?{query}"))
-
-    def calibration(self, unit: str, revision: int | None = None) -> Calibration:
-        """A unit's calibration, ready to be applied to readings: the one in force, or the revision."""
-        from calrig.export.calibration_file import checked
-        from calrig.loaded import Calibration
-
-        path = f"/api/units/{quote(unit, safe='')}/calibration"
-        path += "" if revision is None else f"?revision={revision}"
-        return Calibration(checked(self.get(path), self.server + path))
-
-    def solve(
-        self,
-        *runs: str,
-        units: Sequence[str] = (),
-        rig: str | None = None,
-        linear: bool = False,
-        periods_deg: Sequence[float] = (),
-        seat_std_deg: float | None = None,
-        frame: Literal["sensor", "faces"] = "sensor",
-        limits_deg: tuple[float, float] | None = None,
-        told: Told = unheard,
-    ) -> Solution:
-        """Solves the stage's map, the mounts and the units of runs together; the service keeps it.
-
-        Args:
-            runs: ids.
-            units: serial numbers: all their calibrations that count.
-            rig: alone, all calibrations that count on it.
-            linear: whether the units have no quadratic and cubic terms.
-            periods_deg: of gears, where somebody knows them.
-            seat_std_deg: how far one clamping of a face scatters from the next, likewise.
-            frame: of units clamped by several faces, whose their matrix is.
-            limits_deg: of the stage, which advice keeps to; without them those of the last run.
-            told: is told the share that is done, where the service can say.
-        """
-        body = {
-            "runs": list(runs),
-            "units": list(units),
-            "rig": rig,
-            "linear": linear,
-            "periods_deg": list(periods_deg),
-            "seat_std_deg": seat_std_deg,
-            "frame": frame,
-            "limits_deg": limits_deg,
-        }
-        return Solution.of(outcome(self, self.post("/api/solve?wait=false", body), told))
+        body = {"rig": rig, "unit": unit, "plan": _plain(plan)}
+        return Estimate.of(self.post("/api/plans/estimate", body))
 
     def plan(
         self,
@@ -189,6 +116,7 @@ class Client(Transport):
         until: Mapping[str, float] | None = None,
         trace: bool = True,
         keep: Plan | Mapping[str, Any] | None = None,
+        told: Told = unheard,
     ) -> PlanDesign:
         """The plan that reaches an uncertainty soonest, or the best one for a time; nothing moves.
 
@@ -200,6 +128,7 @@ class Client(Transport):
             until: what else is to be reached: `bias_std_deg`, `scale_std`, `expanded_uncertainty_deg`.
             trace: whether effects are to be found in it.
             keep: a plan whose range, settling and rate are kept.
+            told: is told the share that is done.
 
         Raises:
             Invalid: no plan reaches it; says what would.
@@ -217,7 +146,7 @@ class Client(Transport):
         }
         if keep is not None:
             body["plan"] = _plain(keep)
-        return PlanDesign.of(outcome(self, self.post("/api/plans/design", body)))
+        return PlanDesign.of(outcome(self, self.post("/api/plans/design?wait=false", body), told))
 
 
 def _plain(plan: Plan | PlanDesign | Mapping[str, Any]) -> dict[str, Any]:

@@ -38,6 +38,13 @@ class Document(BaseModel):
                 f"the service answers, and not as calrig does ({place}: {first['msg']})"
             ) from error
 
+    @classmethod
+    def each(cls, answer: Any) -> list[Self]:
+        """The answers of a list; Unreachable where it is none."""
+        if not isinstance(answer, list):
+            raise Unreachable("the service answers, and not as calrig does (no list)")
+        return [cls.of(one) for one in answer]
+
 
 class Mount(Document):
     """How the unit is to be clamped before a run goes on."""
@@ -102,6 +109,7 @@ class RunRecord(Document):
     diagnosis: dict[str, Any] | None
     faults: dict[str, int]
     follows: str | None
+    provenance: dict[str, Any]
     operator: str | None
     note: str | None
     created_at: datetime
@@ -212,6 +220,20 @@ class Comparison(Document):
     spread: dict[str, Any]
 
 
+class Revision(Document):
+    """A calibration that was issued; `stale` says what has changed since of what it rests on."""
+
+    revision: int
+    status: Literal["draft", "in_force", "superseded", "withdrawn"]
+    run_id: str
+    effects: list[str]
+    issued_at: datetime
+    reason: str | None
+    sha256: str
+    verdict: Verdict
+    stale: list[str]
+
+
 class Solution(Document):
     """Stage, mounts and units solved together (CONTRACT section 8), as the service keeps it."""
 
@@ -222,6 +244,15 @@ class Solution(Document):
     separable: bool
     before: dict[str, Any]
     final: dict[str, Any]
+    warnings: list[str]
+
+
+class Estimate(Document):
+    """A plan on a rig; `wall_s` is the time by the clock on the wall, where the rig's pace is known."""
+
+    n_poses: int
+    duration_s: float
+    wall_s: float | None
     warnings: list[str]
 
 

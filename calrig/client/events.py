@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from calrig.client.documents import AT_REST, RunEvent
-from calrig.client.errors import Refused, Unreachable
+from calrig.client.errors import Refused, ServiceError, Unreachable
 from calrig.client.given_up import nap
 from calrig.client.transport import Transport
 
@@ -20,13 +20,21 @@ PATIENCE_S = 120.0
 """How long a service may be away: it may be started anew meanwhile."""
 
 
-def run_events(link: Transport, run_id: str, after: int = 0) -> Iterator[RunEvent]:
+Away = Callable[[ServiceError], None]
+
+
+def unheard(_error: ServiceError) -> None:
+    """For who does not want to be told that the service is away."""
+
+
+def run_events(link: Transport, run_id: str, after: int = 0, away: Away = unheard) -> Iterator[RunEvent]:
     """What happened in a run since an event, then what happens, until nobody carries it out any more.
 
     Args:
         link: to the service.
         run_id: whole.
         after: `id` of the last event known; 0 for all.
+        away: is told once each time that the service does not answer any more, and is waited for.
 
     Raises:
         Refused: there is no such run, or the service lets nobody look.
@@ -50,7 +58,9 @@ def run_events(link: Transport, run_id: str, after: int = 0) -> Iterator[RunEven
         except (Unreachable, Refused) as error:
             if error.status not in AWAY:
                 raise
-            away_since_s = away_since_s or time.monotonic()
+            if away_since_s is None:
+                away_since_s = time.monotonic()
+                away(error)
             if time.monotonic() - away_since_s > PATIENCE_S:
                 raise
         if latest is None:

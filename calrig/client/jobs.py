@@ -39,9 +39,11 @@ def outcome(link: Transport, answer: Any, told: Told = unheard) -> Any:
             nap(LOOK_S)
             job = JobState.of(link.get(f"/api/jobs/{job.id}"))
             told(job.fraction or 0.0)
-    except BaseException:  # whoever does not wait any more does not want it done
+    except BaseException as left:  # whoever does not wait any more does not want it done
         with suppress(ServiceError):
-            link.delete(f"/api/jobs/{job.id}")
+            ended = JobState.of(link.delete(f"/api/jobs/{job.id}"))
+            if ended.state == "done":
+                left.add_note(f"it was too late: what came of it is kept at {link.server}{ended.result}")
         raise
     if job.state != "done" or job.result is None:
         kind = Invalid if job.error_status == INVALID else Refused

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
+from urllib.parse import quote
 
 from calrig.client.documents import AT_REST, Diagnosis, Result, RunEvent, RunRecord
 from calrig.client.errors import RunFailed
-from calrig.client.events import run_events
+from calrig.client.events import Away, run_events
+from calrig.client.events import unheard as unheard_away
 from calrig.client.jobs import Told, outcome, unheard
 
 if TYPE_CHECKING:
+    from calrig.client.log_documents import FiltersStudy, NoiseStudy
     from calrig.client.transport import Transport
 
 
@@ -27,6 +30,11 @@ class Run:
         self.id, self.unit = record.id, record.unit
         self._path = f"/api/runs/{record.id}"
 
+    @classmethod
+    def of_id(cls, link: Transport, run_id: str) -> Self:
+        """The run of a whole id."""
+        return cls(link, RunRecord.of(link.get(f"/api/runs/{quote(run_id, safe='')}")))
+
     def __repr__(self) -> str:
         return f"<calrig run {self.id} of {self.unit!r}, {self._record.status}>"
 
@@ -40,13 +48,20 @@ class Run:
         self._record = RunRecord.of(self._link.get(self._path))
         return self._record
 
-    def events(self, after: int = 0) -> Iterator[RunEvent]:
+    def events(self, after: int = 0, *, away: Away = unheard_away) -> Iterator[RunEvent]:
         """What happened since an event, then what happens, until the run has ended; each once, in order.
 
         A line that breaks is taken up again. A run of several mounts is `paused` where its `progress` has
         `waiting_for`: it goes on by `resume`.
+
+        Args:
+            after: `id` of the last event known; 0 for all.
+            away: is told why, once, each time that the service does not answer and is waited for.
+
+        Raises:
+            Unreachable: it has been away for two minutes.
         """
-        return run_events(self._link, self.id, after)
+        return run_events(self._link, self.id, after, away)
 
     def wait(self) -> RunRecord:
         """The run once it has ended, however."""
@@ -89,6 +104,22 @@ class Run:
         """
         asked = self._link.post(f"{self._path}/diagnosis?wait=false", {"runs": list(more)})
         return Diagnosis.of(outcome(self._link, asked, told))
+
+    def noise(self, *, told: Told = unheard) -> NoiseStudy:
+        """The noise in the log of a static run.
+
+        Args:
+            told: is told the share that is done, where the service can say.
+        """
+        from calrig.client.log_documents import NoiseStudy
+
+        return NoiseStudy.of(outcome(self._link, self._link.get(f"{self._path}/noise?wait=false"), told))
+
+    def filters(self, *, told: Told = unheard) -> FiltersStudy:
+        """The filters side by side on its samples; `told` as of `noise`."""
+        from calrig.client.log_documents import FiltersStudy
+
+        return FiltersStudy.of(outcome(self._link, self._link.get(f"{self._path}/filters?wait=false"), told))
 
     def poses(self) -> list[dict[str, Any]]:
         """Its poses, in the columns of docs/poses.md."""

@@ -6,15 +6,23 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
-from http.client import HTTPException, HTTPResponse
-from ipaddress import ip_address
+from http import HTTPStatus
+from http.client import HTTPException, HTTPResponse, IncompleteRead
 from typing import TYPE_CHECKING, Any
-from urllib.error import HTTPError, URLError
+from urllib.error import HTTPError
 from urllib.parse import urlsplit
-from urllib.request import BaseHandler, HTTPSHandler, ProxyHandler, Request, build_opener
+from urllib.request import (
+    BaseHandler,
+    HTTPRedirectHandler,
+    HTTPSHandler,
+    ProxyHandler,
+    Request,
+    build_opener,
+)
 
+from calrig.client.address import checked, is_loopback, why_unreachable
 from calrig.client.errors import INVALID, Invalid, Refused, Unreachable
-from calrig.errors import InputError
+from calrig.errors import InputError, printable
 
 if TYPE_CHECKING:
     import ssl
@@ -23,6 +31,15 @@ if TYPE_CHECKING:
 
 PATIENCE_S = 30.0
 """Without a byte; a stream that has nothing to tell sends a comment every 12 s."""
+PIECE = 1 << 16
+"""Bytes read at once."""
+
+
+class _NoRedirect(HTTPRedirectHandler):
+    """Goes nowhere: who answers elsewhere was not asked for, and a POST would arrive there as a GET."""
+
+    def redirect_request(self, *_: Any) -> None:
+        """Nothing instead."""
 
 
 class Transport:
@@ -33,7 +50,12 @@ class Transport:
     """
 
     def __init__(
-        self, server: str, certificates: ssl.SSLContext | None = None, *, token: str | None = None
+        self,
+        server: str,
+        certificates: ssl.SSLContext | None = None,
+        *,
+        token: str | None = None,
+        follows: bool = False,
     ) -> None:
         """Nothing is sent yet.
 
@@ -41,15 +63,16 @@ class Transport:
             server: `http` or `https`, with whatever path a proxy has it under.
             certificates: whose are believed; without it those that this machine trusts.
             token: shown to this address alone; without it that of CALRIG_TOKEN, where it is set.
+            follows: whether it goes where a redirection leads, without the token.
 
         Raises:
             InputError: it is no such address.
         """
-        if urlsplit(server).scheme not in {"http", "https"} or not urlsplit(server).netloc:
-            raise InputError(f"{server}: is no address such as http://lab-pc:8000")
-        self.server = server.rstrip("/")
-        self._token = token
+        self.server = checked(server)
+        self._given = token
         handlers: list[BaseHandler] = [HTTPSHandler(context=certificates)]
+        if not follows:
+            handlers.append(_NoRedirect())
         if is_loopback(urlsplit(server).hostname or ""):
             handlers.append(ProxyHandler({}))  # nobody else is to see what stays on this machine
         self._open = build_opener(*handlers).open
@@ -66,8 +89,15 @@ class Transport:
 
     def text(self, path: str) -> str:
         """The text at a path; errors as of `get`."""
+        return b"".join(self.pieces(path)).decode()
+
+    def pieces(self, path: str) -> Iterator[bytes]:
+        """What is at a path, as it comes; errors as of `get`, also where it ends too soon."""
         with self._answer(self._request(path)) as answer:
-            return answer.read().decode()
+            while piece := answer.read(PIECE):
+                yield piece
+            if answer.length:  # said by `http.client` of a whole read alone
+                raise IncompleteRead(b"", answer.length)
 
     def post(self, path: str, body: Mapping[str, Any]) -> Any:
         """The answer to a body; errors as of `get`."""
@@ -101,13 +131,15 @@ class Transport:
     def _request(self, path: str, data: Any = None, kind: str = "", method: str | None = None) -> Request:
         headers = {"Content-Type": kind} if kind else {}
         request = Request(self.server + path, data, headers, method=method)  # noqa: S310 (http or https)
-        token = self._token or os.environ.get("CALRIG_TOKEN")
+        token = self._token()
         if token:
             if not (token.isascii() and token.isprintable()):
                 raise InputError("CALRIG_TOKEN: a token is printable ASCII")
-            # not where a redirection leads: the token is for the address that was given
             request.add_unredirected_header("Authorization", f"Bearer {token}")
         return request
+
+    def _token(self) -> str | None:
+        return self._given or os.environ.get("CALRIG_TOKEN")
 
     def _json(self, request: Request) -> Any:
         with self._answer(request) as answer:
@@ -123,25 +155,33 @@ class Transport:
                 yield answer
         except HTTPError as error:
             kind = Invalid if error.code == INVALID else Refused
-            raise kind(f"{self.server}: {_detail(error)}", error.code) from error
-        except (URLError, HTTPException, OSError) as error:
+            raise kind(f"{self.server}: {self._detail(error)}", error.code) from error
+        except (HTTPException, OSError) as error:
             raise self._unreachable(error) from error
 
     def _unreachable(self, error: Exception) -> Unreachable:
-        reason = getattr(error, "reason", None) or error
-        return Unreachable(f"{self.server}: does not answer ({reason})")
+        return Unreachable(f"{self.server}: {why_unreachable(error)}")
+
+    def _detail(self, error: HTTPError) -> str:
+        to = error.headers.get("Location")
+        if to is not None:
+            return f"sends on to {printable(to)}: name that address, if calrig is there"
+        try:
+            said = str(json.load(error)["detail"])
+        except (ValueError, KeyError, TypeError, HTTPException, OSError):
+            said = f"answers {error.code} {error.reason}"
+        if error.code != HTTPStatus.UNAUTHORIZED:
+            return said
+        return f"{said}; calrig shows that of CALRIG_TOKEN" + ("" if self._token() else ", which is not set")
 
 
-def is_loopback(host: str) -> bool:
-    """Whether a host is this machine, whatever names are resolved to."""
+def part(answer: Any, name: str) -> Any:
+    """A field of an answer.
+
+    Raises:
+        Unreachable: it has none: whoever answers is not calrig.
+    """
     try:
-        return host == "localhost" or ip_address(host).is_loopback
-    except ValueError:
-        return False
-
-
-def _detail(error: HTTPError) -> str:
-    try:
-        return str(json.load(error)["detail"])
-    except (ValueError, KeyError, TypeError):
-        return f"answers {error.code} {error.reason}"
+        return answer[name]
+    except (KeyError, TypeError) as error:
+        raise Unreachable(f"the service answers, and not as calrig does (no {name!r})") from error

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import os
 import secrets
+import stat
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
 from pathlib import Path
+from shutil import copyfileobj
+from tempfile import TemporaryFile
+from typing import IO, Self
 
 from calrig.errors import InputError
 
@@ -26,12 +31,18 @@ class Upload:
     """
 
     def __init__(self, file: Path, fields: Mapping[str, str], told: Callable[[float], None]) -> None:
-        self._file, self._told = file, told
-        try:
-            self._n_bytes = file.stat().st_size
-            file.open("rb").close()
-        except OSError as error:
-            raise InputError(f"{file}: cannot be read ({error.strerror})") from error
+        self._name, self._told = str(file), told
+        with ExitStack() as stack:
+            try:
+                self._file: IO[bytes] = stack.enter_context(file.open("rb"))
+                if not stat.S_ISREG(os.fstat(self._file.fileno()).st_mode):
+                    # a pipe does not know its length, which comes first
+                    piped, self._file = self._file, stack.enter_context(TemporaryFile())
+                    copyfileobj(piped, self._file)
+                self._n_bytes = self._file.seek(0, os.SEEK_END)
+            except OSError as error:
+                raise InputError(f"{file}: cannot be read ({error.strerror})") from error
+            self._opened = stack.pop_all()
         boundary = secrets.token_hex(16)
         self.content_type = f"multipart/form-data; boundary={boundary}"
         head = [
@@ -48,15 +59,24 @@ class Upload:
         self._head = "".join(head).encode("utf-8", "surrogateescape")
         self._tail = f"\r\n--{boundary}--\r\n".encode()
 
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._opened.close()
+
     def __len__(self) -> int:
         return len(self._head) + self._n_bytes + len(self._tail)
 
     def __iter__(self) -> Iterator[bytes]:
         yield self._head
+        self._file.seek(0)
         left = self._n_bytes
-        with self._file.open("rb") as opened:
-            while left and (piece := opened.read(min(PIECE, left))):
-                yield piece
-                left -= len(piece)
-                self._told(1.0 - left / self._n_bytes)
+        while left:
+            piece = self._file.read(min(PIECE, left))
+            if not piece:
+                raise InputError(f"{self._name}: has become shorter while it was sent")
+            yield piece
+            left -= len(piece)
+            self._told(1.0 - left / self._n_bytes)
         yield self._tail

@@ -69,8 +69,12 @@ def _from_file(file: Path) -> Any:
 
 
 def _from_service(address: str) -> Any:
-    from calrig.client import Client
+    from calrig.client.transport import Transport
 
-    parts = urlsplit(address)
+    try:
+        parts = urlsplit(address)
+    except ValueError as error:
+        raise InputError(f"{address}: is no address ({error})") from error
     server = urlunsplit((parts.scheme, parts.netloc, "", "", ""))
-    return Client(server).get(urlunsplit(("", "", parts.path or "/", parts.query, "")))
+    # what is issued has its hash in it, and may lie behind a link that lasts
+    return Transport(server, follows=True).get(urlunsplit(("", "", parts.path or "/", parts.query, "")))

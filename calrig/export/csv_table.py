@@ -7,13 +7,13 @@ import csv
 import io
 import re
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from calrig.export.cells import NUMBER, Cells, CsvError, from_spreadsheet
 from calrig.export.csv_dialect import COMMAS, Dialect, dialect_of
 
-MAX_BYTES = 50_000_000
+MAX_BYTES = 150_000_000
 MAX_COLUMNS = 200
 MAX_ROWS = 100_000
 MAX_CELLS = 2_000_000
@@ -22,6 +22,8 @@ MAX_ROW_CHARACTERS = 1_000_000
 MOST_NAMED = 30
 BATCH_CELLS = 50_000
 """Held as texts at once, which take ten times the memory of numbers."""
+TOLD_LINES = 1000
+"""After so many lines again it is told how far the reading is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,10 +42,17 @@ class Table:
         return Cells(self.header[place], texts, self.lines, self.dialect.decimal)
 
 
-def read_tables(data: bytes, required: Sequence[str], *, max_rows: int = MAX_ROWS) -> Iterator[Table]:
+def read_tables(
+    data: bytes,
+    required: Sequence[str],
+    *,
+    max_rows: int = MAX_ROWS,
+    progress: Callable[[float], None] | None = None,
+) -> Iterator[Table]:
     """Reads UTF-8 CSV with a header row; BOM, CRLF and blank lines are accepted.
 
     Cells are separated by commas, or by semicolons or tabs, which allow of decimal commas (`dialect_of`).
+    `progress` is told the share that is read, 0 to 1.
 
     Yields:
         The rows in the order of the file, some at a time, each time under the same header.
@@ -55,7 +64,7 @@ def read_tables(data: bytes, required: Sequence[str], *, max_rows: int = MAX_ROW
     if len(data) > MAX_BYTES:
         raise CsvError(f"the file has {len(data)} bytes; at most {MAX_BYTES} are read")
     dialect = _dialect(data, required)
-    rows = _parsed(data, 0, 1, dialect, "utf-8-sig")
+    rows = _parsed(data, 0, 1, dialect, "utf-8-sig", progress)
     line, names = next(rows, (0, []))
     if not names:
         raise CsvError("the file is empty")
@@ -111,10 +120,15 @@ def _batches(
 
 
 def _parsed(
-    data: bytes, first: int, first_line: int, dialect: Dialect, encoding: str = "utf-8"
+    data: bytes,
+    first: int,
+    first_line: int,
+    dialect: Dialect,
+    encoding: str = "utf-8",
+    progress: Callable[[float], None] | None = None,
 ) -> Iterator[tuple[int, list[str]]]:
     """Rows that are not blank, each with the line it ends in."""
-    lines = _Lines(data, first, first_line, encoding)
+    lines = _Lines(data, first, first_line, encoding, progress)
     reader = csv.reader(lines, delimiter=dialect.separator, strict=True)
     try:
         for row in reader:
@@ -129,7 +143,14 @@ def _parsed(
 class _Lines:
     """The text's lines, decoded as they are asked for; refuses a row that has grown without end."""
 
-    def __init__(self, data: bytes, first: int, first_line: int, encoding: str) -> None:
+    def __init__(
+        self,
+        data: bytes,
+        first: int,
+        first_line: int,
+        encoding: str,
+        progress: Callable[[float], None] | None,
+    ) -> None:
         self._bytes = io.BytesIO(data)  # shares them
         self._bytes.seek(first)
         self._text = io.TextIOWrapper(self._bytes, encoding, newline="")
@@ -137,6 +158,7 @@ class _Lines:
         self._first = first
         self._first_line = first_line
         self.since_row = 0
+        self._progress = progress
 
     def __iter__(self) -> Iterator[str]:
         number = self._first_line
@@ -149,6 +171,8 @@ class _Lines:
                 )
             yield line
             number += 1
+            if self._progress is not None and number % TOLD_LINES == 0:
+                self._progress(self._bytes.tell() / len(self._data))
 
     def _next_line(self) -> str:
         try:

@@ -110,6 +110,8 @@ def header_of(data: bytes, wanted: Callable[[str], bool]) -> tuple[list[str], in
         raise CsvError("the file is empty")
     ends = [end for end in (data.find(b"\n", first), data.find(b"\r", first)) if end >= 0]
     end = min(ends, default=len(data))
+    if end - first > 4 * MAX_ROW_CHARACTERS:  # as bytes of UTF-8; to take it apart would cost many seconds
+        raise CsvError(f"the row is longer than {MAX_ROW_CHARACTERS} characters", line=line)
     begin = end + (2 if data.startswith(b"\r\n", end) else 1)
     names, rows = data[first:end], data[begin : begin + EXAMINED_BYTES]
     dialect = dialect_of(names.decode(errors="replace"), rows, wanted)

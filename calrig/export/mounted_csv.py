@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from calrig.calibration.joint.clamping import FACES
@@ -21,7 +21,9 @@ AXIS = "mount_axis"
 LABELS = ("unit", "mount", AXIS)
 
 
-def read_run(data: bytes, unit: str) -> tuple[PoseColumns, str, list[str]]:
+def read_run(
+    data: bytes, unit: str, progress: Callable[[float], None] | None = None
+) -> tuple[PoseColumns, str, list[str]]:
     """The poses of a file that is to be a run, in the order measured, and how they are clamped.
 
     A run is of one unit, has one of its axes along the stage's, and one clamping at each angle.
@@ -29,6 +31,7 @@ def read_run(data: bytes, unit: str) -> tuple[PoseColumns, str, list[str]]:
     Args:
         data: the file.
         unit: serial number of the run's unit.
+        progress: told the share of the file that is read, 0 to 1.
 
     Returns:
         The poses, the axis along the stage's, and what is to be said.
@@ -36,7 +39,7 @@ def read_run(data: bytes, unit: str) -> tuple[PoseColumns, str, list[str]]:
     Raises:
         CsvError: the file is no table of poses, or they are of several runs.
     """
-    poses, texts, warnings = read_labelled_columns(data, LABELS)
+    poses, texts, warnings = read_labelled_columns(data, LABELS, progress)
     if "unit" in texts and (serial := _one(texts["unit"], "unit")) not in {unit, ""}:
         warnings.append(f"the file says that these poses are of unit {serial}")
     axis = _axis(texts[AXIS]) if AXIS in texts else "x"
@@ -44,6 +47,22 @@ def read_run(data: bytes, unit: str) -> tuple[PoseColumns, str, list[str]]:
         _refuse_two_in_one(texts["mount"], poses.cells(MOUNT_DEG))
     ordered, of_time = poses.in_time()
     return ordered, axis, [*warnings, *([of_time] if of_time else [])]
+
+
+def read_about_x(data: bytes) -> tuple[list[Pose], list[str]]:
+    """The poses of a file that are one unit's, about its x, in the order measured, and what is to be said.
+
+    Raises:
+        CsvError: the file is no table of poses, or they are of several units or about another axis.
+    """
+    poses, texts, warnings = read_labelled_columns(data, ("unit", AXIS))
+    if "unit" in texts:
+        _one(texts["unit"], "unit")
+    axis = _axis(texts[AXIS]) if AXIS in texts else "x"
+    if axis != "x":
+        raise CsvError(f"is {axis}, and this is of elevations about x; `calrig solve` takes it", column=AXIS)
+    ordered, of_time = poses.in_time()
+    return ordered[:], [*warnings, *([of_time] if of_time else [])]
 
 
 def _one(column: Texts, name: str) -> str:

@@ -144,12 +144,12 @@ class Texts:
 
 
 def read_labelled_columns(
-    data: bytes, labels: Sequence[str]
+    data: bytes, labels: Sequence[str], progress: Callable[[float], None] | None = None
 ) -> tuple[PoseColumns, dict[str, Texts], list[str]]:
     """Columns of numbers and of text, in the order of the file, and what was left out."""
     columns: list[_Column] = []
     texts: dict[str, Texts] = {}
-    for table in read_tables(data, REQUIRED):
+    for table in read_tables(data, REQUIRED, progress=progress):
         columns = columns or [_Column(name) for name in table.header]
         for place, column in enumerate(columns):
             if column.name in labels:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from calrig.instruments.axis_goal import Goal, travel_time_s
 from calrig.instruments.clock import WALL, Clock
@@ -23,10 +23,14 @@ OVERSHOOT_DEG = 1.0  # beyond the tolerance: nothing that moves as it was told i
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """One look at an axis: where it is, and whether it is still on its way."""
+    """One look at an axis: where it is, whether it is still on its way, and when it was asked.
+
+    `seen_s` is the clock's time midway between question and answer.
+    """
 
     elevation_deg: float
     moving: bool
+    seen_s: float = field(default=math.nan, compare=False)
 
 
 class Axis:
@@ -140,6 +144,11 @@ class Axis:
         velocity = self._velocity_dps or ASSUMED_VELOCITY_DPS
         return travel_time_s(abs(self._gain * turn_deg), velocity, self._acceleration_dps2 or velocity)
 
+    def run_up_deg(self) -> float:
+        """The way, in elevation, on which the stage comes up to its velocity, by what its controller says."""
+        velocity = self._velocity_dps or ASSUMED_VELOCITY_DPS
+        return velocity**2 / (2.0 * (self._acceleration_dps2 or velocity) * abs(self._gain))
+
     def poll(self) -> Motion:
         """Looks once, waiting for nothing but the stage's answers.
 
@@ -153,12 +162,15 @@ class Axis:
         status = self.stage.status()
         self._require_usable(status)
         if status.state in IN_MOTION:
-            motion = Motion(self._glimpse_deg(), moving=True)
+            asked_s = self._clock.now_s()
+            glimpse_deg = self._glimpse_deg()
+            motion = Motion(glimpse_deg, moving=True, seen_s=(asked_s + self._clock.now_s()) / 2)
             self._check_way(motion.elevation_deg)
             self._check_progress(motion.elevation_deg, status)
             return motion
         elevation = self.elevation_deg()
-        return Motion(elevation, moving=not self._is_in_place(elevation, status))
+        moving = not self._is_in_place(elevation, status)
+        return Motion(elevation, moving, seen_s=self._clock.now_s())
 
     def elevation_deg(self) -> float:
         """Where the standing stage says it is, in elevation."""

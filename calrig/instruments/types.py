@@ -90,7 +90,8 @@ class BoardIdentity:
 class StageIdentity:
     """Who a stage says it is, and what its controller allows, in the stage's own degrees.
 
-    `homes`: it can look for its reference, so that nobody needs to remember where it stands.
+    `homes`: it can look for its reference, so that nobody needs to remember where it stands;
+    `homes_each_time`: it has to, whenever its port was opened.
     """
 
     driver: str
@@ -99,6 +100,7 @@ class StageIdentity:
     velocity_dps: float | None
     acceleration_dps2: float | None
     homes: bool = True
+    homes_each_time: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from calrig.analysis.errors import Conflict
 from calrig.runs.worker import Worker
@@ -32,13 +34,19 @@ class Crew:
             if self._busy.get(rig_name, run_id) != run_id:
                 raise Conflict(f"rig {rig_name!r} is busy with run {self._busy[rig_name]}")
 
-    def keep(self, rig_name: str, run_id: str) -> bool:
-        """Keeps a rig for a run that has no worker yet; False where it is not free."""
-        with self._lock:
-            if self._is_closing or rig_name in self._busy:
-                return False
-            self._busy[rig_name] = run_id
-            return True
+    def is_free(self, rig_name: str) -> bool:
+        """Whether no run is on a rig, and none is about to be."""
+        return rig_name not in self.look()[0]
+
+    @contextmanager
+    def keeping(self, rig_name: str, run_id: str) -> Iterator[bool]:
+        """Keeps a rig for a run that is about to begin, and no longer; gives whether the rig was free."""
+        kept = self._keep(rig_name, run_id)
+        try:
+            yield kept
+        finally:
+            if kept:
+                self._let_go(rig_name, run_id)
 
     def call_off(self, rig_name: str) -> None:
         """Whatever a rig is kept for is not to move it any more."""
@@ -46,13 +54,6 @@ class Crew:
             run_id = self._busy.get(rig_name)
             if run_id is not None and run_id not in self._workers:
                 self._called_off.add(run_id)
-
-    def let_go(self, rig_name: str, run_id: str) -> None:
-        """Keeps a rig no longer, unless the run has got its worker."""
-        with self._lock:
-            self._called_off.discard(run_id)
-            if self._busy.get(rig_name) == run_id and run_id not in self._workers:
-                del self._busy[rig_name]
 
     def take(self, worker: Worker) -> bool:
         """Puts a worker on its rig; returns whether the run has been called off meanwhile."""
@@ -96,3 +97,17 @@ class Crew:
             workers = [] if self._is_closing else list(self._workers.values())
             self._is_closing = True
         return workers
+
+    def _keep(self, rig_name: str, run_id: str) -> bool:
+        with self._lock:
+            if self._is_closing or rig_name in self._busy:
+                return False
+            self._busy[rig_name] = run_id
+            return True
+
+    def _let_go(self, rig_name: str, run_id: str) -> None:
+        """Keeps a rig no longer, unless the run has got its worker."""
+        with self._lock:
+            self._called_off.discard(run_id)
+            if self._busy.get(rig_name) == run_id and run_id not in self._workers:
+                del self._busy[rig_name]

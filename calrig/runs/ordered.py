@@ -17,15 +17,11 @@ from calrig.settings import RigSettings
 from calrig.store.records import Document
 
 
-def order_part(
-    *, stage_at_deg: float | None, verifies: ActiveCalibration | None, follow_up: FollowUpRun | None
-) -> Document:
-    """What an order says of a run beside what is stored of it: `more` of `Store.order_run`.
-
-    Arguments as the attributes of `NewRun`.
-    """
+def order_part(wanted: NewRun) -> Document:
+    """What an order says of a run beside what is stored of it: `more` of `Store.order_run`."""
+    verifies, follow_up = wanted.verifies, wanted.follow_up
     return {
-        "stage_at_deg": stage_at_deg,
+        "stage_at_deg": wanted.stage_at_deg,
         "verifies": None if verifies is None else _calibrations().dump_python(verifies, mode="json"),
         "follow_up": None if follow_up is None else _follow_up_document(follow_up),
     }

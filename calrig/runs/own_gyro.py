@@ -34,11 +34,19 @@ class OwnGyro:
     ) -> float | None:
         """The turn over the move into the last dwell about an axis, by the bias of the dwells beside it."""
         k = self.along if axis is None else axis
-        neighbours_dps = [b for bias in self.biases[-2:] if (b := bias.bias_dps[k]) is not None]
-        if not neighbours_dps:
+        bias_dps = self.bias_beside_dps(k)
+        if bias_dps is None:
             return None
-        bias_dps = sum(neighbours_dps) / len(neighbours_dps)
         return felt_move_deg(move.time_s, move.gyro_dps[:, k], bias_dps, period_s, lasts_s)
+
+    def bias_beside_dps(self, axis: int) -> float | None:
+        """The mean bias of the last two dwells; None where they do not tell."""
+        return _mean_dps(self.biases[-2:], axis)
+
+    def bias_with_dps(self, dwell: Samples) -> float:
+        """About the stage's axis, the mean of the last dwell and of one that has not been taken yet."""
+        biases = [*self.biases[-1:], dwell_bias(dwell.gyro_dps)]
+        return _mean_dps(biases, self.along) or 0.0
 
     def of_all_axes(
         self, dwell: Samples, move: Samples, period_s: float, lasts_s: float
@@ -63,3 +71,8 @@ class OwnGyro:
             None if scale is None else scale.scale,
             None if scale is None else scale.scale_std,
         )
+
+
+def _mean_dps(biases: list[GyroBias], axis: int) -> float | None:
+    known = [bias_dps for bias in biases if (bias_dps := bias.bias_dps[axis]) is not None]
+    return sum(known) / len(known) if known else None

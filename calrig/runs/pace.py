@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from calrig.estimation.kalman import KalmanFilter, KalmanNoise
+from calrig.instruments.axis import Motion
 from calrig.instruments.types import GAP_PERIODS, FloatArray
 from calrig.plan import Plan
 from calrig.runs.control import ENDED, Control, Go
@@ -60,8 +62,8 @@ class Pace:
             self.until_it_stands()
         if moves and mount is not None and not self.rig.stage_identity.homes:
             self._check_gravity(mount)
-        if moves and plan.velocity_dps is not None:  # refused by some controllers before they are referenced
-            self.rig.axis.set_velocity(plan.velocity_dps)
+        if moves and plan.velocity_dps is not None and plan.kind != "sweep":
+            self.rig.axis.set_velocity(plan.velocity_dps)  # refused by some before they are referenced
         self._stands(self.rig.axis.elevation_deg())
         self.stood_at_s = self.synchronise()  # what the gyro felt before is homing's, and no pose's move
 
@@ -121,16 +123,16 @@ class Pace:
         """Without a sample for longer than this, it is not known how far the stage has turned."""
         return GAP_PERIODS / self.rate_hz
 
-    def move(self, target_deg: float) -> None:
-        """Moves to an elevation and waits until the stage stands there."""
+    def move(self, target_deg: float, seen: Callable[[Motion], None] = lambda _motion: None) -> None:
+        """Moves to an elevation and waits until the stage stands there; `seen` is told of each look at it."""
         self._stood_deg = None
         self.rig.place.leaves()
         self.rig.axis.begin_move(target_deg)
-        self.until_it_stands()
+        self.until_it_stands(seen)
         if self.stage_deg is not None:
             self.rig.place.stands(self.stage_deg)
 
-    def until_it_stands(self) -> None:
+    def until_it_stands(self, seen: Callable[[Motion], None] = lambda _motion: None) -> None:
         """Looks until the stage has ended its motion."""
         while True:
             motion = self.rig.axis.poll()
@@ -138,6 +140,7 @@ class Pace:
             if not motion.moving:
                 return self._stands(motion.elevation_deg)
             self.look()
+            seen(motion)
 
     def _stands(self, elevation_deg: float) -> None:
         self.stage_deg = self._stood_deg = elevation_deg

@@ -1,37 +1,25 @@
-"""The plan that gets there soonest on a rig, from what the rig has shown so far: CONTRACT section 9."""
+"""What a plan is designed from: what is asked of it, and what its rig has shown: CONTRACT section 9."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
-from typing import Any
 
 from calrig.analysis.errors import Invalid
-from calrig.calibration.plan_design.design import (
-    Design,
-    OutOfReachError,
-    Task,
-    ended,
-    limit_s,
-    quickest,
-    within,
-)
+from calrig.analysis.stage_maps import kept_of
+from calrig.calibration.plan_design.design import Task
 from calrig.calibration.plan_design.goals import Goals, TypeB
 from calrig.calibration.plan_design.rig_figures import NOT_MEASURED, Pace, Precision, precision_of_run
-from calrig.calibration.plan_design.settling import SHARE, forgotten_s
 from calrig.calibration.stage_reference import StageMap
 from calrig.calibration.uncertainty import Reference
-from calrig.instruments.axis_goal import travel_time_s
 from calrig.plan import Plan, Until
 from calrig.run_ids import short_name
-from calrig.runs.planned import HOMING_AND_START_S, QUESTIONS_S, speed
+from calrig.runs.rig_pace import rig_pace
 from calrig.runs.settling import Settling, settling_of
 from calrig.settings import RigSettings
 from calrig.store import Run, Store
-
-SETTLED_AFTER = 4
-"""Designs, each with the settling that the moves of the one before ask for."""
+from calrig.store.records import Document
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,47 +36,24 @@ class Wanted:
 
 
 @dataclass(frozen=True, slots=True)
-class Designed:
-    """A plan, what is expected of it, the time that none is under, and what to know of it.
+class Question:
+    """What is asked and all that is known: `plan` is what it keeps, `task` what the rig can do."""
 
-    `whole` is the design, `design` as much of it as a run is expected to take.
-    """
-
+    wanted: Wanted
     plan: Plan
-    design: Design
-    whole: Design
-    limit_s: float | None
-    says: tuple[str, ...]
-
-    def document(self) -> dict[str, Any]:
-        """CONTRACT section 9's answer, and `suspects`: what would be found of each."""
-        expected = self.design
-        return {
-            "plan": self.plan.model_dump(mode="json"),
-            "expected": {
-                "duration_s": expected.duration_s,
-                "expanded_uncertainty_deg": expected.expanded_deg,
-                "bias_std_deg": expected.bias_std_deg,
-                "scale_std": expected.scale_std,
-            },
-            "limit": None if self.limit_s is None else {"duration_s": self.limit_s, "why": _why(self)},
-            "suspects": [
-                {
-                    "name": one.name,
-                    "title": one.title,
-                    "rms_deg": one.rms_deg if one.rms_deg < 1e6 else None,
-                    "parameter": one.parameter,
-                    "unit": one.unit,
-                    "value": one.value,
-                }
-                for one in self.whole.suspects
-            ],
-            "says": list(self.says),
-        }
+    task: Task
+    settling: Settling
 
 
-def designed(wanted: Wanted, plan: Plan, rig: RigSettings, unit: str, store: Store | None) -> Designed:
-    """The plan for a rig and a unit.
+def question(
+    wanted: Wanted,
+    plan: Plan,
+    rig: RigSettings,
+    unit: str,
+    store: Store | None,
+    maps: Mapping[str, Document],
+) -> Question:
+    """What `plan_answers.answer` needs to design the plan for a rig and a unit.
 
     Args:
         wanted: what it is to reach.
@@ -96,9 +61,10 @@ def designed(wanted: Wanted, plan: Plan, rig: RigSettings, unit: str, store: Sto
         rig: where it is to run.
         unit: of whose last run on this rig the noise is taken; else that of the last one on the rig.
         store: has the earlier runs; None where there is none yet.
+        maps: of the stages, that files give, by rig.
 
     Raises:
-        Invalid: it cannot be reached, and why.
+        Invalid: the plan that is kept has no range.
     """
     low, high = min(plan.elevations()), max(plan.elevations())
     if high - low < 1.0:
@@ -108,55 +74,18 @@ def designed(wanted: Wanted, plan: Plan, rig: RigSettings, unit: str, store: Sto
         range_deg=(low, high),
         precision=_precision(rig, unit, store),
         pace=_pace(plan, rig, settling.least_s, store),
-        type_b=_type_b(rig, store),
+        type_b=_type_b(rig, store, maps),
         trace=wanted.trace,
         until=wanted.until is not None,
         seed=plan.seed,
     )
-    try:
-        task, whole = _settled(task, wanted, settling)
-    except OutOfReachError as error:
-        field = "time_s" if wanted.time_s is not None else "target_u_deg"
-        raise Invalid(str(error), [field]) from error
-    design = ended(task, wanted.goals, whole)
-    made = plan.model_copy(
-        update={
-            "elevations_deg": list(whole.elevations_deg),
-            "order": "given",
-            "sweeps": 1,
-            "jitter_deg": 0.0,
-            "settle_s": task.pace.settle_s,
-            "dwell_s": whole.dwell_s,
-            "target_std_deg": None,
-            "until": wanted.until,
-        }
-    )
-    least_s = limit_s(task, wanted.goals) if wanted.time_s is None else None
-    return Designed(made, design, whole, least_s, _says(task, design, whole, settling))
-
-
-def _settled(task: Task, wanted: Wanted, settling: Settling) -> tuple[Task, Design]:
-    """The design that waits long enough for the filter to forget its own moves."""
-    for _ in range(SETTLED_AFTER):
-        design = quickest(task, wanted.goals) if wanted.time_s is None else within(task, wanted.time_s)
-        if settling.gyro is None:
-            return task, design
-        pace, order = task.pace, design.elevations_deg
-        moves_s = [pace.travel_s(abs(after - before)) for before, after in pairwise((order[0], *order))]
-        wanted_deg = wanted.goals.expanded_deg or 2.0 * task.precision.scatter_deg(design.dwell_s)
-        needed_s = forgotten_s(order, moves_s, design.dwell_s, settling.gyro, SHARE * wanted_deg)
-        if needed_s <= pace.settle_s:
-            return task, design
-        task = replace(task, pace=replace(pace, settle_s=needed_s))
-    return task, design
+    return Question(wanted, plan, task, settling)
 
 
 def _pace(plan: Plan, rig: RigSettings, settle_s: float, store: Store | None) -> Pace:
-    velocity_dps, acceleration_dps2 = speed(rig, store)
-    moves = partial(
-        travel_time_s, velocity_dps=plan.velocity_dps or velocity_dps, acceleration_dps2=acceleration_dps2
-    )
-    return Pace(moves, settle_s, QUESTIONS_S, HOMING_AND_START_S)
+    known = rig_pace(rig, store)
+    travel_s = partial(known.travel_s, velocity_dps=plan.velocity_dps)
+    return Pace(travel_s, settle_s, known.questions_s, known.begin_s, known.stands_deg)
 
 
 def _precision(rig: RigSettings, unit: str, store: Store | None) -> Precision:
@@ -182,45 +111,11 @@ def _of_run(run: Run) -> Precision | None:
     return precision_of_run(short_name(run.id), plan["dwell_s"], noise_deg, left * (n / (n - 2.0)) ** 0.5)
 
 
-def _type_b(rig: RigSettings, store: Store | None) -> TypeB | None:
-    in_force = None if store is None else store.stage_map(rig.name)
+def _type_b(rig: RigSettings, store: Store | None, maps: Mapping[str, Document]) -> TypeB | None:
+    in_force = maps.get(rig.name) if store is None else kept_of(store, rig.name, maps)
     if in_force is not None:
-        return TypeB(StageMap.from_document(in_force.document).std_deg, None)
+        return TypeB(StageMap.from_document(in_force).std_deg, None)
     stated = rig.reference
     if stated is None or stated.std_deg is None:
         return None
     return TypeB(stated.std_deg, Reference(stated.std_deg, stated.kind, stated.distribution))
-
-
-def _why(made: Designed) -> str:
-    twice = made.whole.suspects and made.plan.until is None
-    ways = "two ways through the range" if twice else "one way through the range"
-    return f"{ways}, and dwells at its two ends alone: less time does not hold the data"
-
-
-def _says(task: Task, design: Design, whole: Design, settling: Settling) -> tuple[str, ...]:
-    said = [f"{task.precision.said[0].upper()}{task.precision.said[1:]}."]
-    waits_s = task.pace.settle_s
-    because = "" if waits_s <= settling.least_s else ", and the filter has forgotten the moves"
-    said.append(f"It waits {waits_s:g} s after each move: {settling.said}{because}.")
-    if task.type_b is None:
-        said.append(
-            "The rig says of no reference what its angle is worth, so that no expanded uncertainty is known."
-        )
-    if task.until:
-        said.append(
-            f"It ends as soon as that is reached: after about {len(design.elevations_deg)} of its "
-            f"{len(whole.elevations_deg)} poses where readings scatter as before, and after "
-            f"{whole.duration_s:.0f} s at most."
-            + (" What it would show of effects is told for all of its poses." if task.trace else "")
-        )
-    shown = [one for one in whole.suspects if one.rms_deg < 1e6]
-    if shown:
-        least = max(shown, key=lambda one: one.rms_deg)
-        said.append(
-            f"Of the effects that moving shows, each that leaves {least.rms_deg:.2g}° (RMS) or more in "
-            f"calibrated readings would be found about four times in five; the hardest is: {least.title}."
-        )
-    elif not task.trace:
-        said.append("Effects are not to be traced: what bends between the ends stays unseen.")
-    return tuple(said)

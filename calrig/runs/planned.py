@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 from calrig.analysis.errors import Invalid
-from calrig.instruments.axis_goal import travel_time_s
 from calrig.plan import Plan, PlanError, PlannedPose
 from calrig.runs.good_enough import require_a_reference
+from calrig.runs.rig_pace import rig_pace
 from calrig.settings import RigSettings
 from calrig.store import Store
 
-ASSUMED_VELOCITY_DPS = 20.0
-"""Of a stage that no run has asked yet; with the acceleration, an ordinary SMC100's."""
-ASSUMED_ACCELERATION_DPS2 = 80.0
-HOMING_AND_START_S = 5.0
-"""Opening both ports and homing, which takes some stages longer and is left out by those referenced."""
 FEW_ANGLES = 30
 """Of the dial: fewer do not tell the dozen orders that real axes have."""
-QUESTIONS_S = 0.12
-"""A pose's questions to stage and board, on simulated rigs of each kind."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +65,7 @@ def _beyond(plan: Plan, limits_deg: tuple[float, float]) -> list[str]:
 
 
 def estimate(plan: Plan, rig: RigSettings, store: Store) -> PlanEstimate:
-    """What a plan comes to on a rig, as fast as its stage was in the last run it completed.
+    """What a plan comes to on a rig, as fast as the last run was that the rig completed.
 
     Raises:
         Invalid: an elevation lies beyond the rig's limits.
@@ -81,30 +73,18 @@ def estimate(plan: Plan, rig: RigSettings, store: Store) -> PlanEstimate:
     planned = planned_poses(plan, rig)
     require_a_reference(plan, rig, store)
     static = plan.kind == "static"
-    velocity_dps, acceleration_dps2 = speed(rig, store)
-    targets_deg = [0.0, *(pose.target_deg for pose in planned)]  # from about its home
+    pace = rig_pace(rig, store)
+    dwells = [pose for pose in planned if pose.stretch_deg is None]
+    swept = plan.kind == "sweep"  # which goes to its first end as fast as the stage can
+    first_dps, turn_dps = (None, plan.turn_dps) if swept else (plan.velocity_dps, plan.velocity_dps)
+    first_s = pace.begin_s + pace.way_s([planned[0].target_deg], first_dps) if planned else 0.0
+    ways = pairwise([pose.target_deg for pose in dwells])
     duration_s = (
-        (HOMING_AND_START_S if planned else 0.0)
-        + _travel_s(targets_deg, plan.velocity_dps or velocity_dps, acceleration_dps2)
-        + (1 if static else len(planned)) * (plan.settle_s + plan.dwell_s + QUESTIONS_S)
+        first_s
+        + sum(pace.travel_s(after - before, turn_dps) for before, after in ways)
+        + (1 if static else len(dwells)) * (plan.settle_s + plan.dwell_s + pace.questions_s)
+        + (plan.first_settle_s - plan.settle_s)
         + (0 if static else plan.sweeps * len(plan.mounts_deg)) * plan.wait_s
     )
     elevations_deg = [pose.target_deg for pose in planned] if static else plan.elevations()
     return PlanEstimate(0 if static else len(planned), elevations_deg, duration_s)
-
-
-def _travel_s(targets_deg: Sequence[float], velocity_dps: float, acceleration_dps2: float) -> float:
-    ways_deg = (abs(after - before) for before, after in pairwise(targets_deg))
-    return sum(travel_time_s(way_deg, velocity_dps, acceleration_dps2) for way_deg in ways_deg)
-
-
-def speed(rig: RigSettings, store: Store | None) -> tuple[float, float]:
-    """Velocity and acceleration of elevation, deg/s and deg/s²; assumed where there is no store yet."""
-    latest = [] if store is None else store.runs(rig=rig.name, status="completed", limit=1)[0]
-    said = latest[0].provenance.get("stage", {}) if latest else {}
-    ratio = rig.stage.ratio if rig.stage else 1.0
-    velocity_dps, acceleration_dps2 = said.get("velocity_dps"), said.get("acceleration_dps2")
-    return (
-        velocity_dps / ratio if velocity_dps else ASSUMED_VELOCITY_DPS,
-        acceleration_dps2 / ratio if acceleration_dps2 else ASSUMED_ACCELERATION_DPS2,
-    )

@@ -9,7 +9,7 @@ from typing import Any, Unpack
 
 from calrig.analysis.mounts import mount_columns
 from calrig.calibration.pose import Pose
-from calrig.calibration.result import raw_error_deg
+from calrig.calibration.pose_errors import raw_error_deg
 from calrig.instruments.clock import Clock
 from calrig.runs.bus import Bus
 from calrig.runs.meter import RunMeter

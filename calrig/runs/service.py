@@ -4,41 +4,31 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
-from calrig.analysis.active_calibration import active_calibration
 from calrig.analysis.errors import Conflict, Unknown
 from calrig.analysis.issuing import Issuer, Releases
 from calrig.analysis.origin import check_serial
-from calrig.analysis.stage_maps import provenance_part
 from calrig.analysis.stored_runs import stored_run
-from calrig.analysis.unresolved import unresolved
 from calrig.plan import MountAxis, Plan
 from calrig.processes.pool import Apart, run_apart
 from calrig.runs.bus import Bus
-from calrig.runs.clamps import Clamps
 from calrig.runs.control import End
 from calrig.runs.crew import Crew
 from calrig.runs.errands import Errand
-from calrig.runs.follow_up import FollowUpRun
-from calrig.runs.good_enough import require_a_reference
 from calrig.runs.meter import Meter
 from calrig.runs.mounting import Mount
-from calrig.runs.new_run import NewRun
-from calrig.runs.planned import planned_poses
-from calrig.runs.queue import RunQueue
+from calrig.runs.new_run import NewRun, rig_followed_up_on
 from calrig.runs.references import require_in_date
-from calrig.runs.resume import resumed_task, waiting_task
+from calrig.runs.resume import resumed_task
 from calrig.runs.rig_states import RigState, state_of
-from calrig.runs.sightings import Sighting, Sightings
-from calrig.runs.stage_place import leave_at
+from calrig.runs.sightings import Sighting
+from calrig.runs.starts import Starts
 from calrig.runs.states import check_transition
-from calrig.runs.stopping import BY_REQUEST, Stops
-from calrig.runs.task import Task
+from calrig.runs.stopping import Stops
 from calrig.runs.worker import Worker
 from calrig.settings import RigSettings
 from calrig.store import Run, Store, StoreError
@@ -54,6 +44,9 @@ CLOSE_S = 4.0
 
 class RunService:
     """Starts runs and passes requests on to them. Thread-safe.
+
+    Attributes:
+        crew: which runs are on which rigs.
 
     Args:
         store: where runs are kept.
@@ -77,19 +70,15 @@ class RunService:
         self.bus = Bus()
         self._rigs = {rig.name: rig for rig in rigs}
         self.meter = Meter(self._rigs)
-        self._beginning = threading.Lock()  # held while the store is told of a run that takes a rig
-        self._crew = Crew()
-        self._stops = Stops(self._crew)
-        self._queue = RunQueue(
-            store, self.bus, self.meter, self._beginning, self._require_ready, self._begin_waiting
+        self.crew = Crew()
+        self._stops = Stops(self.crew)
+        self._starts = Starts(
+            store, self._rigs, self.crew, self.bus, self.meter, self.issuer, self.maps, record
         )
-        self._clamps = Clamps(self._crew, self._queue.next)
-        self._sightings = Sightings(store, self._crew)
-        self._record = record
 
     def rigs(self) -> list[RigState]:
         """Every configured rig and what it is doing. Looks at no port that would notice."""
-        busy, unreachable = self._crew.look()
+        busy, unreachable = self.crew.look()
         return [
             state_of(rig, busy.get(rig.name), unreachable=rig.name in unreachable)
             for rig in self._rigs.values()
@@ -131,99 +120,19 @@ class RunService:
             Conflict: nothing can be separated on this rig, and why; or the rig is busy.
         """
         run = stored_run(self.store, run_id)
-        if run.rig is None:
-            raise Conflict(f"run {run_id} was imported: no rig is known to follow it up on")
-        settings = self._rig(run.rig)
-        earlier = unresolved(self.store, run_id, apart)
-        follow_up = FollowUpRun.designed(earlier, run, settings.limits_deg, apart)
-        wanted = NewRun(
-            unit=run.unit,
-            plan=follow_up.plan,
-            operator=who or run.operator,
-            who=who,
-            follows=run_id,
-            follow_up=follow_up,
-        )
-        return self.begin(settings, wanted)
+        settings = self._rig(rig_followed_up_on(run))
+        return self.begin(settings, NewRun.following(self.store, run, settings, apart, who))
 
     def begin(self, settings: RigSettings, wanted: NewRun, *, waits: bool = False) -> Run:
         """Starts a run on a rig of this service, which is free or kept for that run; errors as of `start`.
 
         With `waits` it is stored as `queued` where the rig is not free, and begins once it is.
         """
-        plan = wanted.plan
-        require_in_date(settings)
-        planned = planned_poses(plan, settings)
-        require_a_reference(plan, settings, self.store)
-        if plan.kind == "verification" and wanted.verifies is None:
-            verifies = active_calibration(self.store, wanted.unit, settings.name, plan.revision)
-            wanted = replace(wanted, verifies=verifies)
-        if "stage_map" not in wanted.origin:  # a centre's order has brought the one in force there
-            kept = provenance_part(self.store, settings.name, self.maps)
-            wanted = replace(wanted, origin={**wanted.origin, **kept})
-        with self._beginning:
-            self._clamps.require_still(settings.name)
-            try:
-                self._crew.require_free(settings.name, wanted.run_id)
-                self._queue.require_nobody(settings.name)
-            except Conflict:
-                if not waits or self._crew.is_closing:
-                    raise
-                return self._wait_in_turn(settings.name, wanted, len(planned))
-            if wanted.stage_at_deg is not None:
-                leave_at(self.store, settings, wanted.stage_at_deg)
-            run = wanted.keep(self.store, settings.name, len(planned))
-            self._employ(Task(run, settings, plan, planned, wanted.follow_up, wanted.verifies))
-        return self.run(run.id)
-
-    def _wait_in_turn(self, rig_name: str, wanted: NewRun, n_poses: int) -> Run:
-        if wanted.stage_at_deg is not None:
-            raise Conflict("where the stage stands cannot be said of a run that waits: others move it before")
-        run = wanted.keep(self.store, rig_name, n_poses)
-        self._queue.add(run)
-        return run
-
-    def _begin_waiting(self, run: Run) -> None:
-        """Begins a run whose turn has come."""
-        settings = self._rigs.get(run.rig or "")
-        if settings is None:
-            raise Conflict(f"rig {run.rig!r} is not configured any more")
-        self._employ(waiting_task(self.store, run, settings, self.maps))
-
-    def _require_ready(self, rig_name: str) -> None:
-        self._crew.require_free(rig_name)
-        self._clamps.require_still(rig_name)
-
-    def is_free(self, rig_name: str) -> bool:
-        """Whether no run is on a rig, and none is about to be."""
-        return rig_name not in self._crew.look()[0]
-
-    @contextmanager
-    def keeping(self, rig_name: str, run_id: str) -> Iterator[bool]:
-        """Keeps a rig for a run that is about to begin, and no longer; gives whether the rig was free."""
-        kept = self._crew.keep(rig_name, run_id)
-        try:
-            yield kept
-        finally:
-            if kept:
-                self._crew.let_go(rig_name, run_id)
-
-    def _employ(self, task: Task) -> None:
-        """Starts a worker; called while nobody else begins a run."""
-        left = self._crew.left_rig
-        worker = Worker(task, self.store, self.issuer, self.bus, self.meter, left, self._ended, self._record)
-        if self._crew.take(worker):
-            worker.control.end(BY_REQUEST)
-        self._sightings.let_go(worker.rig.name)
-        worker.start()
-
-    def _ended(self, worker: Worker) -> None:
-        self._crew.ended(worker)
-        self._queue.next(worker.rig.name)
+        return self.run(self._starts.begin(settings, wanted, waits=waits).id)
 
     def run(self, run_id: str) -> Run:
         """The run, or Unknown. One whose end the store could not be told of yet is as it ended."""
-        worker = self._crew.of_run(run_id)  # before the store is asked: it is let go once that is told
+        worker = self.crew.of_run(run_id)  # before the store is asked: it is let go once that is told
         untold = None if worker is None else worker.untold
         run = stored_run(self.store, run_id)
         return run if untold is None else replace(run, **untold)
@@ -239,11 +148,11 @@ class RunService:
         """
         if errand := self.begin_abort(run_id):
             return errand.result()
-        with self._beginning:
-            if self._queue.take_out(run_id):
+        with self._starts.lock:
+            if self._starts.queue.take_out(run_id):
                 return self.run(run_id)
             run = self.run(run_id)
-            if run.status == "interrupted" and self._crew.of_run(run_id) is None:
+            if run.status == "interrupted" and self.crew.of_run(run_id) is None:
                 aborted = self.store.update_run(run_id, status="aborted")
                 self.bus.wake(run_id)
                 return aborted
@@ -251,7 +160,7 @@ class RunService:
 
     def begin_abort(self, run_id: str) -> Errand[Run] | None:
         """As `abort`, in a thread of its own; None where nobody carries the run out. Asks no store before."""
-        worker = self._crew.of_run(run_id)
+        worker = self.crew.of_run(run_id)
         return None if worker is None else self._stops.abort(worker, lambda: self._aborted(worker))
 
     def _aborted(self, worker: Worker) -> Run:
@@ -279,8 +188,10 @@ class RunService:
     def begin_stop(self, rig_name: str) -> Errand[RigState]:
         """As `stop`, in a thread that is this rig's alone; who asks while it is being told shares that."""
         rig = self._rig(rig_name)
-        self._crew.call_off(rig_name)
-        telling = threading.Thread(target=self._queue.call_off(rig_name), name=f"waited for {rig_name}")
+        self.crew.call_off(rig_name)
+        telling = threading.Thread(
+            target=self._starts.queue.call_off(rig_name), name=f"waited for {rig_name}"
+        )
         telling.start()  # beside the stop, which waits for no store
 
         def stopped() -> RigState:
@@ -292,16 +203,16 @@ class RunService:
     def begin_clamp(self, rig_name: str, mount_deg: float, axis: MountAxis) -> Errand[RigState]:
         """Has a rig's clamp turn the unit, in a thread of its own; errors as of `Clamps.turn`, or Unknown."""
         rig = self._rig(rig_name)
-        with self._beginning:
-            return self._clamps.turn(rig, mount_deg, axis, lambda: self._state_of(rig))
+        with self._starts.lock:
+            return self._starts.clamps.turn(rig, mount_deg, axis, lambda: self._state_of(rig))
 
     def look(self, rig_name: str, mount: Mount) -> None:
         """Has an idle rig's board looked at for a while: whether a unit is there, and which. Or Unknown."""
-        self._sightings.look(self._rig(rig_name), mount)
+        self._starts.sightings.look(self._rig(rig_name), mount)
 
     def seen(self, rig_name: str) -> Sighting | None:
         """What was seen of the unit on a rig; None where nobody looks."""
-        return self._sightings.of(rig_name)
+        return self._starts.sightings.of(rig_name)
 
     def _state_of(self, rig: RigSettings) -> RigState:
         return next(state for state in self.rigs() if state.name == rig.name)
@@ -324,7 +235,7 @@ class RunService:
         run = self.run(run_id)
         if run.status == "interrupted":
             return self._resume_interrupted(run)
-        if self._queue.go(run_id):
+        if self._starts.queue.go(run_id):
             return self.run(run_id)
         self._worker(run_id, "resumed").go_on()
         return self.run(run_id)
@@ -335,22 +246,22 @@ class RunService:
             raise Conflict(f"run {run.id} was on rig {run.rig!r}, which is not configured any more")
         require_in_date(settings)
         task = resumed_task(self.store, run, settings)
-        with self._beginning:
-            self._crew.require_free(settings.name, run.id)
+        with self._starts.lock:
+            self.crew.require_free(settings.name, run.id)
             check_transition(run.id, self.run(run.id).status, "queued")  # somebody else may have been first
             self.store.update_run(run.id, status="queued", error=None)
-            self._employ(task)
+            self._starts.employ(task)
         return self.run(run.id)
 
     def _worker(self, run_id: str, wish: str) -> Worker:
-        worker = self._crew.of_run(run_id)
+        worker = self.crew.of_run(run_id)
         if worker is None:
             raise Conflict(f"run {run_id} is {self.run(run_id).status} and cannot be {wish}")
         return worker
 
     def wait(self, run_id: str, timeout_s: float | None = None) -> Run:
         """The run once it has ended, or as it is after timeout_s."""
-        worker = self._crew.of_run(run_id)
+        worker = self.crew.of_run(run_id)
         if worker is not None:
             worker.join(timeout_s)
         return self.run(run_id)
@@ -358,12 +269,12 @@ class RunService:
     def close(self) -> None:
         """Stops every stage and ends every run as `interrupted`, within five seconds."""
         end = End("interrupted", "the service was stopped during the run")
-        with self._beginning:
-            workers = self._crew.close()
+        with self._starts.lock:
+            workers = self.crew.close()
         for worker in workers:
             worker.control.end(end)
         deadlines_s = [worker.clock.now_s() + CLOSE_S for worker in workers]
-        self._sightings.close()
+        self._starts.sightings.close()
         for worker, deadline_s in zip(workers, deadlines_s, strict=True):
             worker.join(max(0.0, deadline_s - worker.clock.now_s()))
             worker.give_up(self.store, end)

@@ -13,6 +13,8 @@ from calrig.estimation.kalman import KalmanFilter
 from calrig.instruments.types import Board, FloatArray, Samples
 from calrig.store import SampleBlock
 
+Phase = Literal["move", "dwell"]
+
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
@@ -111,7 +113,7 @@ class Stream:
         self._kept = [self.kept().between(before_s, np.inf)]
 
 
-def block_of(index: int, phase: Literal["move", "dwell"], samples: Samples) -> SampleBlock:
+def block_of(index: int, phase: Phase, samples: Samples) -> SampleBlock:
     """The samples as the store takes them, with the board's own angle where it sends one."""
     return SampleBlock(
         index,

@@ -14,15 +14,15 @@ LATEST = 5
 """Of a rig's completed runs, whose median counts: one may have been paused, or its machine busy."""
 
 
-def wall_pace(rig: RigSettings, store: Store) -> float | None:
-    """Seconds on the wall for one that `estimate` says, over the rig's last runs; None before there are any.
+def wall_pace(rig: RigSettings, store: Store) -> float:
+    """Seconds on the wall for one that `estimate` says, over the rig's last runs; before any, as set.
 
-    A run tells where its plan says how long it takes and nobody is waited for: not one whose dwells end by
-    themselves, a wait for a temperature, several mounts, a follow-up, or one that was interrupted.
+    A run tells where its plan says how long it takes and nobody is waited for: not one that may end early or
+    whose dwells do, a wait for a temperature, several mounts, a follow-up, or one that was interrupted.
     """
     latest, _ = store.runs(rig=rig.name, status="completed", limit=LATEST)
     paces = [pace for run in latest if (pace := _pace_of(run, rig, store)) is not None]
-    return median(paces) if paces else None
+    return median(paces) if paces else 1.0 / rig.time_scale
 
 
 def _pace_of(run: Run, rig: RigSettings, store: Store) -> float | None:
@@ -31,7 +31,7 @@ def _pace_of(run: Run, rig: RigSettings, store: Store) -> float | None:
     if run.started_at is None or run.finished_at is None:
         return None
     plan = Plan.model_validate(run.plan)
-    if plan.target_std_deg or plan.wait_temperature_c is not None or len(plan.mounts_deg) > 1:
+    if plan.until or plan.target_std_deg or plan.wait_temperature_c is not None or len(plan.mounts_deg) > 1:
         return None
     try:
         said_s = estimate(plan, rig, store).duration_s

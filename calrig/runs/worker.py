@@ -24,12 +24,14 @@ from calrig.runs.execution import Execution
 from calrig.runs.good_enough import REACHED, GoodEnough
 from calrig.runs.meter import Meter
 from calrig.runs.pace import Pace
+from calrig.runs.pose_taking import PoseTaking
 from calrig.runs.recorder import Recorder
 from calrig.runs.resume import require_same_devices
 from calrig.runs.rig import Rig, open_rig
 from calrig.runs.stage_place import StagePlace
 from calrig.runs.static_log import keep_log
 from calrig.runs.suited import require_suited
+from calrig.runs.sweeping import Sweeping
 from calrig.runs.task import Task
 from calrig.store import Run, RunChanges, Status, Store, StoreError, StoreUnavailableError
 from calrig.store.issued import Draft
@@ -226,20 +228,26 @@ class Worker:
                 rig.place.take_up(rig.axis, homes=rig.stage_identity.homes)
             self._under_way = True
             pace = Pace(rig, self.control, self._recorder, task.earlier.clock_s)
-            execution = Execution(task.plan, pace, task.follow_up, task.earlier, self._good_enough())
+            taking = PoseTaking(task.plan, pace, task.earlier, self._good_enough())
+            sweeping = Sweeping(task.plan, pace, taking)
             try:
                 if task.plan.kind == "static":
                     keep_log(task.plan, task.planned, pace, task.earlier.logged_s)
+                elif task.plan.kind == "sweep":
+                    sweeping.carry_out(task.planned)
                 else:
-                    execution.carry_out(task.planned)
+                    Execution(task.plan, pace, taking, task.follow_up).carry_out(task.planned)
             finally:
                 self._fields["faults"] = rig.faults()
-                self._note_return(execution)
+                self._note_return(taking)
+                if sweeping.felt:
+                    self._origin = {**self._origin, "sweep": sweeping.provenance()}
+                    self._fields["provenance"] = self._origin
         if task.plan.kind != "static":
-            self._note_result(execution)
+            self._note_result(taking)
         if task.follow_up is not None:
             self._fields["provenance"] = {**self._origin, "follow_up": task.follow_up.provenance()}
-            self._fields["diagnosis"] = task.follow_up.diagnosis(self.run_id, execution.poses)
+            self._fields["diagnosis"] = task.follow_up.diagnosis(self.run_id, taking.poses)
 
     def _good_enough(self) -> GoodEnough | None:
         """What tells whether the run may end before its plan does; None of one that may not."""
@@ -263,23 +271,23 @@ class Worker:
             }
         self._recorder.update(provenance=self._origin)
 
-    def _note_return(self, execution: Execution) -> None:
+    def _note_return(self, taking: PoseTaking) -> None:
         """Says with the last interruption what the last pose before it gave once more."""
-        if execution.returned is None:
+        if taking.returned is None:
             return
         *before, last = self._origin["interruptions"]
-        last = {**last, "measured_again": execution.returned.document()}
+        last = {**last, "measured_again": taking.returned.document()}
         self._origin = {**self._origin, "interruptions": [*before, last]}
         self._fields["provenance"] = self._origin
-        self._warnings.extend(execution.returned.warnings())
+        self._warnings.extend(taking.returned.warnings())
 
-    def _note_result(self, execution: Execution) -> None:
+    def _note_result(self, taking: PoseTaking) -> None:
         """The result of the poses stored, and the draft that a calibration makes of its unit.
 
         Neither, where all of the poses were excluded meanwhile, or the unit turned about another axis than
         its x: what it read is no elevation, and for the joint solution alone.
         """
-        run, gyro = self._task.run, execution.gyro.figures(execution.felt.moves)
+        run, gyro = self._task.run, taking.gyro.figures(taking.felt.moves)
         stored = self._store.poses(self.run_id)
         poses = [one.pose for one in stored if one.excluded is None]
         self._fields["result"] = None
@@ -289,7 +297,7 @@ class Worker:
             self._fields["result"] = self._task.verifies.result(poses, gyro).to_dict()
             return
         accepted = self._store.effects_in_force(run.unit, run.rig)
-        ending = REACHED if execution.is_enough else ending_of(run)
+        ending = REACHED if taking.is_enough else ending_of(run)
         result = fitted(poses, accepted, self._origin, gyro, ending)
         self._fields["result"] = result.to_dict()
         excluded = [one.index for one in stored if one.excluded is not None]

@@ -27,6 +27,7 @@ class SimulatedProcess:
         stage_port, imu_port: what `serial.serial_for_url` opens.
         stage_driver, imu_driver: of calrig, that understand them.
         clamp: `driver` and `port` of what turns the unit in its clamp; None where hands do that.
+        time_scale: seconds of its clocks for one on the wall.
     """
 
     def __init__(
@@ -35,10 +36,12 @@ class SimulatedProcess:
         stage: Mapping[str, str],
         imu: Mapping[str, str],
         clamp: Mapping[str, str] | None,
+        time_scale: float,
     ) -> None:
         self.stage_port, self.stage_driver = stage["port"], stage["driver"]
         self.imu_port, self.imu_driver = imu["port"], imu["driver"]
         self.clamp = clamp
+        self.time_scale = time_scale
         self._process = process
 
     @property
@@ -71,7 +74,7 @@ def launch(options: Mapping[str, Any]) -> SimulatedProcess:
         ValueError: an option is unknown or wrong; names the key. Nothing was started.
         LaunchError: the process ended, or gave no ports in time.
     """
-    SimulatorSettings.from_options(options)
+    settings = SimulatorSettings.from_options(options)
     process = subprocess.Popen(  # noqa: S603 (this interpreter, this package)
         [sys.executable, "-m", "calrig.simulator", json.dumps(dict(options))],
         stdin=subprocess.PIPE,
@@ -86,7 +89,7 @@ def launch(options: Mapping[str, Any]) -> SimulatedProcess:
     too_late.cancel()
     try:
         said = json.loads(line)
-        return SimulatedProcess(process, said["stage"], said["imu"], said.get("clamp"))
+        return SimulatedProcess(process, said["stage"], said["imu"], said.get("clamp"), settings.time_scale)
     except (ValueError, KeyError) as error:
         _end(process)
         raise LaunchError(

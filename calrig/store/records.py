@@ -126,7 +126,8 @@ def filtering_of(provenance: Document, plan: Document | None) -> Filtering | Non
         return None
     usual = Filtering()
     rate_hz = board.get("rate_hz") or planned.get("rate_hz", usual.rate_hz)
-    return Filtering(KalmanNoise(**stated), float(rate_hz), float(planned.get("dwell_s", usual.dwell_s)))
+    dwell_s = float(planned.get("dwell_s", usual.dwell_s))
+    return Filtering(KalmanNoise(**stated), float(rate_hz), dwell_s, remembers=planned.get("kind") != "sweep")
 
 
 class RunChanges(TypedDict, total=False):

@@ -79,11 +79,6 @@ def append(session: Session, act: Act, now: datetime | None = None) -> TrailTabl
 class Trail(Part):
     """What was done."""
 
-    def did(self, act: Act) -> None:
-        """Adds an act that changes nothing else in the store."""
-        with self._database.writing() as session:
-            append(session, act)
-
     def trail(
         self,
         *,

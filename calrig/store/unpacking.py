@@ -84,12 +84,6 @@ class Unpacking(Part):
                     stuck[run_uid] = _in_words(error)
         return Kept(stuck, early)
 
-    def count_parcels(self) -> dict[str, int]:
-        """How many wait, by bench."""
-        wanted = select(ParcelTable.bench, func.count()).group_by(col(ParcelTable.bench))
-        with self._database.reading() as session:
-            return dict(session.exec(wanted).all())
-
 
 def _next(but: Kept) -> Select[int, str]:
     """Numbers and runs of the parcels to be tried, in the order delivered."""

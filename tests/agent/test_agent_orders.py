@@ -87,7 +87,7 @@ def test_an_order_taken_back_before_it_is_taken_moves_nothing(
     run_id = centre.order()
     with agent_at(centre.bench_url, spool, rig) as agent:
         wait_for(lambda: centre._one("SELECT epoch FROM run_order") > 1, "withdrawal")
-        wait_for(lambda: agent.service.is_free("bench-1"), "rig that is kept no longer")
+        wait_for(lambda: agent.service.crew.is_free("bench-1"), "rig that is kept no longer")
         assert agent.service.store.run(run_id) is None
     assert centre.taken_epoch(run_id) == 0
     assert not rig.has_moved()
@@ -199,7 +199,7 @@ def test_a_stop_calls_off_what_is_about_to_begin(rig: Rig, spool: Path, centre: 
             "provenance": {},
         }
         run_id = "00000000-0000-4000-8000-000000000001"
-        with service.keeping("bench-1", run_id) as is_free:
+        with service.crew.keeping("bench-1", run_id) as is_free:
             assert is_free
             service.stop("bench-1")
             run = service.begin(rig.settings, ordered_run(run_id, document, rig.settings))

@@ -14,6 +14,7 @@ from calrig.calibration.pose import Filtering, Pose
 from calrig.calibration.reference_figures import ReferenceFigures
 from calrig.plan import Plan
 from calrig.runs.follow_up import FollowUpRun
+from calrig.runs.new_run import NewRun
 from calrig.runs.ordered import order_part, ordered_run
 from calrig.settings import BoardSettings, RigSettings, StageSettings
 
@@ -25,15 +26,8 @@ RUN_ID = "00000000-0000-4000-8000-000000000001"
 
 def ordered(plan: Plan, **part: object):
     """The run as the bench reads it."""
-    nothing = {"stage_at_deg": None, "verifies": None, "follow_up": None}
-    document = {
-        "unit": "AS-1",
-        "plan": plan.model_dump(mode="json"),
-        "operator": "mara",
-        "note": None,
-        "provenance": {"seed": 0},
-        **order_part(**{**nothing, **part}),
-    }
+    wanted = NewRun(unit="AS-1", plan=plan, operator="mara", **part)
+    document = {**wanted.columns(len(plan.elevations())), **order_part(wanted)}
     return ordered_run(RUN_ID, json.loads(json.dumps(document)), RIG)
 
 

@@ -14,7 +14,8 @@ from calrig.analysis import fleet
 from calrig.analysis.fleet import reanalyse
 from calrig.analysis.fleet_workers import Workers, own_processes
 from calrig.calibration.pose import Pose
-from calrig.calibration.result import build_result, residuals
+from calrig.calibration.pose_errors import residuals
+from calrig.calibration.result import build_result
 from calrig.errors import WorkError
 from calrig.export.poses_parquet import write_poses
 from calrig.store import Run, Store

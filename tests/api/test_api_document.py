@@ -10,14 +10,14 @@ from pydantic import TypeAdapter
 from support import QUICK, ended
 
 from calrig.api import heavy
-from calrig.api.app import PARTS
-from calrig.api.openapi import KEPT, document
+from calrig.api.app import DOCUMENT, PARTS
+from calrig.api.openapi import document
 
 CSV = "target_deg,reading_deg,supply_v\n-30,-29.5,3.3\n0,0.4,\n30,30.6,3.2\n"
 
 
 def test_the_document_kept_is_the_applications_own():
-    kept = json.loads(KEPT.read_text(encoding="utf-8"))
+    kept = json.loads(DOCUMENT.read_text(encoding="utf-8"))
     assert kept == document(), "run `python -m calrig.api.openapi` and commit what it writes"
 
 

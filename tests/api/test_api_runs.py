@@ -245,8 +245,10 @@ def test_runs_are_found_over_http(shared_client):
     assert [one["id"] for one in found] == [run["id"]]
     left = run["verdict"]["left"] or "no_limits"
     assert shared_client.get("/api/runs", params={**asked, "verdict": left}).json()["items"] == found
-    none = shared_client.get("/api/runs", params={"q": "seek", "verdict": "fail"}).json()
-    assert none == {"items": [], "next_cursor": None}
+    none = shared_client.get("/api/runs", params={"q": "seek", "verdict": "fail"})
+    assert none.json() == {"items": [], "next_cursor": None}
+    looked_at = datetime.fromisoformat(none.headers["Calrig-Back-To"])
+    assert looked_at == datetime.fromisoformat(run["created_at"])
     before = {"q": "seek", "to": run["created_at"]}
     assert shared_client.get("/api/runs", params=before).json()["items"] == []
     refused = shared_client.get("/api/runs", params={"from": "yesterday"})

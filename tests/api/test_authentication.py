@@ -13,8 +13,8 @@ from starlette.requests import HTTPConnection
 from support import NO_TLS, run_async, running_service, serving
 
 from calrig.api.access import Access
+from calrig.api.app import DOCUMENT
 from calrig.api.authentication import WAITING_EACH, Authentication
-from calrig.api.openapi import KEPT
 from calrig.api.sessions import MOST_SESSIONS, SESSION_S, Sessions
 from calrig.store.users import token_digest
 
@@ -27,7 +27,7 @@ OPEN = {
     ("post", "/api/benches/enroll"),  # by its code, which is the proof
 }
 STRANGER = {"needed": True, "logged_in": False, "name": None, "role": None, "session": False}
-PATHS = json.loads(KEPT.read_text(encoding="utf-8"))["paths"]
+PATHS = json.loads(DOCUMENT.read_text(encoding="utf-8"))["paths"]
 EVERYTHING = [(method, path) for path, item in PATHS.items() for method in item]
 
 

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from support import PATIENCE_S
 
 MB = 1_000_000
 MOST_MB = 200
@@ -113,7 +114,7 @@ def served(tmp_path_factory):
         yield Served(process, int(re.search(r"at http://[^ ]*:(\d+)", line)[1]), temporary)
     finally:
         process.terminate()
-        process.wait(20)
+        process.wait(PATIENCE_S)
         process.stdout.close()
 
 

@@ -73,7 +73,7 @@ def test_a_job_that_is_cancelled_ends_its_process_and_keeps_nothing(shared_clien
     queued = begun(shared_client, "/api/imports", files={"file": ("p.csv", POSES)}, data={"unit": "B"})
     assert shared_client.get(path).json()["state"] == "running"
     assert shared_client.get(queued).json()["state"] == "queued"
-    assert shared_client.get(queued).json()["fraction"] is None, "an import cannot say"
+    assert shared_client.get(queued).json()["fraction"] == 0.0
     for one in (queued, path, path):
         assert shared_client.delete(one).raise_for_status().json()["state"] == "cancelled"
     assert not working()
@@ -146,7 +146,7 @@ def test_no_job_of_another_life_of_the_service_is_known(rig, store_path, monkeyp
     monkeypatch.setattr(heavy, "AT_ONCE_S", 0.0)
     monkeypatch.setattr(diagnoses, "trace", for_ever)
     with running_service(store_path, rig) as service:
-        with serving(service) as client:
+        with serving(service, own_processes=True) as client:
             run_id = imported(client, "AS-1")["id"]
             path = begun(client, f"/api/runs/{run_id}/diagnosis", json={})
             wait_for(working, "its beginning")

@@ -13,7 +13,7 @@ from support import NO_TLS, running_service, serving
 
 from calrig.api import runs
 from calrig.api.access import Access, access_of
-from calrig.api.openapi import KEPT
+from calrig.api.app import DOCUMENT
 from calrig.settings import RigSettings, Settings
 from calrig.store.users import ROLES
 
@@ -74,7 +74,7 @@ BY_CODE = {"/api/benches/enroll"}
 """Open to whoever has a bench's one-time code."""
 CHANGING = [
     (method, path)
-    for path, methods in json.loads(KEPT.read_text(encoding="utf-8"))["paths"].items()
+    for path, methods in json.loads(DOCUMENT.read_text(encoding="utf-8"))["paths"].items()
     for method in methods
     if method != "get" and path not in HARMLESS | BY_CODE
 ]

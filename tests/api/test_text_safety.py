@@ -7,7 +7,7 @@ from http.client import HTTPConnection
 from urllib.parse import quote
 
 import pytest
-from support import imported
+from support import PATIENCE_S, imported
 
 POSES = "target_deg,reading_deg,+5V\n-30,-29.5,5.01\n0,-0.4,4.99\n30,30.6,5.00\n"
 NASTY = (
@@ -35,7 +35,7 @@ def run(shared_client):
 @pytest.mark.parametrize("path", PATHS)
 def test_no_path_or_query_reaches_a_file_or_the_database(shared_client, run, path):
     # Not by httpx, which takes `..` out of a path by itself.
-    connection = HTTPConnection(shared_client.base_url.host, shared_client.base_url.port, timeout=20)
+    connection = HTTPConnection(shared_client.base_url.host, shared_client.base_url.port, timeout=PATIENCE_S)
     for nasty in NASTY:
         for written in (
             quote(nasty, safe=""),

@@ -18,7 +18,6 @@ from calrig.api.app import api
 from calrig.calibration.candidates import candidates_of, documented_forms, rebuilt
 from calrig.calibration.correction import (
     calibrated_elevation_deg,
-    effect_on_reading_deg,
     effects_on_reading_deg,
     numbers_of,
 )
@@ -27,9 +26,9 @@ from calrig.calibration.effect import Circumstances, EffectError, NotInFlight
 from calrig.calibration.effects import CATALOGUE, EFFECTS
 from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import fit
+from calrig.calibration.pose_errors import circumstances
 from calrig.calibration.report import effect_documents
 from calrig.calibration.responses import responses_of
-from calrig.calibration.result import circumstances
 from calrig.calibration.run_changes import RUN
 from calrig.calibration.search import search
 from calrig.export.c_header import c_header
@@ -89,7 +88,7 @@ def test_an_effect_is_found_rebuilt_applied_compiled_and_shown(effect, shown, tm
         forms = documented_forms(r, effect.name, stated["covariate"], values)
         assert effect.name in {form.name for form in forms}
         assert set().union(*(form.shape.stated for form in forms)) == set(values)
-        added = effect_on_reading_deg(effect.name, values, r.theta_deg, circumstances(these))[1:]
+        added = effects_on_reading_deg([(effect.name, values)], r.theta_deg, circumstances(these))[1:]
         whole = fitted_part_deg(min(forms, key=lambda f: fit(r, model_columns(r, [f])).criterion), r)[1:]
         size = np.ptp(beside_a_line(r.theta_deg[1:], whole))
         left = beside_a_line(r.theta_deg[1:], added - whole)

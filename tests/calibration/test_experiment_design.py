@@ -40,7 +40,7 @@ def designed(measured: list[Pose]) -> FollowUp:
     columns = model_columns(r, [play])
     found = Found(play, (moves,), p_value=0.005, lead=1.0)
     kept = np.arange(len(r))
-    findings = Findings(r, kept, (found,), fit(r, columns), columns, p_value_left=0.5, least_p_value=0.005)
+    findings = Findings(r, kept, (found,), fit(r, columns), columns, least_p_value=0.005)
     follow_up = design([measured], findings, LIMITS_DEG)
     assert isinstance(follow_up, FollowUp)
     return follow_up

@@ -14,7 +14,7 @@ from calrig.calibration.reference_figures import ReferenceFigures
 from calrig.calibration.result import apply_calibration, build_result
 from calrig.calibration.uncertainty import Reference
 from calrig.calibration.verdict import verdict
-from calrig.settings import LimitSettings
+from calrig.limit_settings import LimitSettings
 
 STAGE = Reference(0.029, "harmonic")  # a limit of ±0.05°: U = 0.048° alone
 NOISE_DEG = 0.005

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calrig.calibration.candidates import candidates_of
-from calrig.calibration.correction import effect_on_reading_deg
+from calrig.calibration.correction import effects_on_reading_deg
 from calrig.calibration.diagnosis import diagnose, document
 from calrig.calibration.effect import Circumstances
 from calrig.calibration.play import travel_deg
@@ -76,7 +76,9 @@ def test_without_the_way_all_play_is_taken_up() -> None:
     effect = next(c for c in candidates_of(r) if c.name == "backlash").effect
     parameters = {"backlash_deg": -PLAY_DEG}
     known = Circumstances(approach=r.approach, travel_deg=r.travel_deg)
-    whole = effect_on_reading_deg(effect.name, parameters, r.theta_deg, Circumstances(approach=r.approach))
-    there = effect_on_reading_deg(effect.name, parameters, r.theta_deg, known)
+    whole = effects_on_reading_deg(
+        [(effect.name, parameters)], r.theta_deg, Circumstances(approach=r.approach)
+    )
+    there = effects_on_reading_deg([(effect.name, parameters)], r.theta_deg, known)
     assert np.abs(whole) == pytest.approx(PLAY_DEG / 2.0)
     assert (there != whole).sum() == 5

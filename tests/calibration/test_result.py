@@ -12,7 +12,8 @@ from support import DATA
 
 from calrig.calibration.fit import Line
 from calrig.calibration.pose import Pose
-from calrig.calibration.result import RELATIVE, GyroFigures, apply_calibration, build_result, residuals
+from calrig.calibration.pose_errors import residuals
+from calrig.calibration.result import RELATIVE, GyroFigures, apply_calibration, build_result
 from calrig.calibration.uncertainty import Reference
 
 

@@ -34,6 +34,17 @@ def test_a_run_its_order_and_its_job_are_made_together(centre: CentreService, be
     assert [entry.act.what for entry in centre.store.trail(unit="A")] == ["started"]
 
 
+def test_an_uncertainty_that_nobody_could_state_is_not_ordered_as_an_end(
+    centre: CentreService, bench: TableBench, plan: Plan
+):
+    ends = {"sweeps": 4, "until": {"expanded_uncertainty_deg": 0.5}}
+
+    with pytest.raises(Invalid, match="does not say what its angle is worth"):
+        centre.start(unit="A", plan=Plan.model_validate({**QUICK, **ends}))
+
+    assert bench.jobs() == []
+
+
 def test_an_order_is_taken_once(centre: CentreService, bench: TableBench, plan: Plan):
     run_id = centre.start(unit="A", plan=plan).id
 

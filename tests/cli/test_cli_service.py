@@ -7,6 +7,7 @@ import json
 import logging
 import os
 import signal
+import socket
 import threading
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from calrig.calibration.pose import Pose
 from calrig.cli.main import app
 from calrig.settings import store_url
 from calrig.store import Store, back_up
+from calrig.store.sqlite import listener
 from calrig.store.sqlite.lock import answering_at
 
 DOCS = Path(package.__file__).parent / "docs"
@@ -154,7 +156,7 @@ def test_what_a_service_cannot_be_told_is_2_and_rigs_are_its(there, folder):
     assert "certificate" in reason("plan", "--target-u", "0.0001", status=1)
 
 
-def test_a_token_goes_to_nobody_but_this_users_own_service(served, tmp_path):
+def test_a_token_goes_to_nobody_but_this_users_own_service(served, folder, tmp_path, monkeypatch):
     _, client, path = served
     lock = path.with_name("calrig.db.lock")
     address = str(client.base_url)
@@ -172,8 +174,17 @@ def test_a_token_goes_to_nobody_but_this_users_own_service(served, tmp_path):
     assert answering_at(path) == address
     assert answering_at(tmp_path / "absent.db") is None
     with Store.open(store_url(str(tmp_path / "other.db")), writer="serve") as store:
-        store.answers_at("http://127.0.0.1:9")
-        assert answering_at(tmp_path / "other.db") == "http://127.0.0.1:9"
+        with socket.create_server(("127.0.0.1", 0)) as ours:
+            here = f"http://127.0.0.1:{ours.getsockname()[1]}"
+            store.answers_at(here)
+            assert answering_at(tmp_path / "other.db") == here
+            with monkeypatch.context() as context:
+                context.setattr(os, "geteuid", lambda: os.getuid() + 1)
+                assert not listener.is_ours(here), "another user listens there"
+        assert answering_at(tmp_path / "other.db") is None, "the port is anybody's now"
+        assert "by --server http://HOST:PORT, " in reason(
+            "import", folder / "poses.csv", "--unit", "A", "--db", tmp_path / "other.db", status=1
+        )
     assert answering_at(tmp_path / "other.db") is None, "nobody holds it any more"
 
 
@@ -193,7 +204,9 @@ def test_a_run_of_another_program_is_watched_in_the_file(folder):
         watcher.start()
         store.update_run(run.id, status="interrupted", error="the power went")
         watcher.join()
-    assert said == [f"calrig: run {run.id} interrupted: the power went"]
+    assert said == [
+        f"calrig: run {run.id} interrupted: the power went; `calrig resume {run.id}` goes on with it"
+    ]
 
 
 def test_a_task_that_is_cancelled_cancels_the_work_that_it_waits_for(there, served, monkeypatch, caplog):

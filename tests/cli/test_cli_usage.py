@@ -38,7 +38,7 @@ def test_each_error_that_has_a_status_is_one_that_can_be_raised(name):
     assert issubclass(getattr(importlib.import_module(module), kind), Exception)
 
 
-def test_ctrl_c_is_1_and_says_so_and_a_defect_is_not_hidden(monkeypatch):
+def test_ctrl_c_is_1_and_says_so_and_a_defect_is_not_hidden(folder, monkeypatch):
     def interrupted(_):
         raise KeyboardInterrupt
 

@@ -277,3 +277,32 @@ def test_every_mount_is_visited_once_by_sweeps_that_begin_upward() -> None:
 def test_mounts_that_cannot_be_meant_are_refused_by_name(plan: dict[str, Any], words: str) -> None:
     with pytest.raises(ValidationError, match=words):
         Plan.model_validate(plan)
+
+
+def test_a_sweep_dwells_at_its_ends_and_has_stretches_between_them():
+    poses = Plan(kind="sweep", start_deg=-20, stop_deg=20, step_deg=10, sweeps=2).poses((-90.0, 90.0))
+    assert [pose.target_deg for pose in poses] == [-20, -15, -5, 5, 15, 20, 15, 5, -5, -15, -20]
+    assert [k for k, pose in enumerate(poses) if pose.stretch_deg is None] == [0, 5, 10]
+    assert [pose.sweep for pose in poses] == [0] * 6 + [1] * 5
+    for before, after in pairwise(poses[1:5]):
+        assert before.stretch_deg is not None and after.stretch_deg is not None
+        assert before.stretch_deg[1] == after.stretch_deg[0]
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"sweeps": 1}, "both directions"),
+        ({"step_deg": 30}, "none longer than 20°"),
+        ({"velocity_dps": 50}, "turn slower"),
+        ({"mounts_deg": [0, 120]}, "one mount"),
+        ({"mount_axis": "y"}, "one mount"),
+        ({"elevations_deg": [-10, 10]}, "without stopping"),
+        ({"order": "random"}, "without stopping"),
+        ({"target_std_deg": 0.01}, "without stopping"),
+        ({"jitter_deg": 5}, "a quarter"),
+    ],
+)
+def test_what_a_sweep_cannot_do_is_said(given, said):
+    with pytest.raises(ValidationError, match=said):
+        Plan(kind="sweep", **given)

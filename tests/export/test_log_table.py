@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from calrig.export import log_table
 from calrig.export.cells import CsvError
-from calrig.export.csv_table import read_tables
-from calrig.export.log_table import read_log_table
+from calrig.export.csv_table import MAX_ROW_CHARACTERS, read_tables
+from calrig.export.log_table import header_of, read_log_table
 
 LIMITS = {"max_rows": 1000, "max_bytes": 100_000}
 GOOD = ("0", "-1.5", "+2e-3", ".5", "", "nan", "NaN", " 3", '"4"', "1e30")
@@ -105,3 +105,10 @@ def test_what_is_too_long_or_not_text_is_refused(data, says):
     with pytest.raises(CsvError) as bad:
         read_log_table(data, lambda _: True, **LIMITS)
     assert str(bad.value) == says
+
+
+def test_a_header_without_end_is_not_taken_apart():
+    """It would have as many columns as it has bytes."""
+    commas = b"," * (4 * MAX_ROW_CHARACTERS + 1)
+    with pytest.raises(CsvError, match=f"^line 2: the row is longer than {MAX_ROW_CHARACTERS} characters"):
+        header_of(b"\n" + commas, lambda _: True)

@@ -239,7 +239,7 @@ def test_a_file_of_several_runs_is_not_imported_as_one(columns, rows, line, says
 
 
 def test_a_file_beyond_the_size_is_refused_before_it_is_read():
-    with pytest.raises(CsvError, match="at most 50000000 are read"):
+    with pytest.raises(CsvError, match="at most 150000000 are read"):
         read_poses(b"\xff" * (csv_table.MAX_BYTES + 1))
 
 

@@ -13,7 +13,7 @@ import pytest
 from calrig import figures
 from calrig.calibration.partial_residuals import PartialResidual
 from calrig.calibration.pose import Pose
-from calrig.calibration.result import residuals
+from calrig.calibration.pose_errors import residuals
 
 
 def poses(bias_deg=0.8, scale=1.01, sweeps=2):

@@ -32,7 +32,9 @@ def referenced(stage):
 
 
 def test_it_says_who_it_is_and_what_it_allows(stage):
-    assert stage.identify() == StageIdentity("esp301", REPLIES["VE?"], (-170.5, 170.5), 20.0, 80.0)
+    assert stage.identify() == StageIdentity(
+        "esp301", REPLIES["VE?"], (-170.5, 170.5), 20.0, 80.0, homes_each_time=True
+    )
 
 
 def test_what_it_does_not_answer_is_not_known_and_leaves_no_error_behind(controller, stage):

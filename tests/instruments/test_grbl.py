@@ -34,7 +34,9 @@ def referenced(controller, stage):
 def test_it_says_what_its_settings_allow(controller, port, stage):
     controller.settings[20] = "1"
     port.push(BANNER)
-    assert stage.identify() == StageIdentity("grbl", "Grbl 1.1h", (-180.0, 180.0), 20.0, 80.0)
+    assert stage.identify() == StageIdentity(
+        "grbl", "Grbl 1.1h", (-180.0, 180.0), 20.0, 80.0, homes_each_time=True
+    )
 
 
 def test_without_soft_limits_it_has_no_limits_of_its_own(stage):

@@ -12,7 +12,7 @@ from calrig.calibration.plan_design.layout import layout
 from calrig.calibration.plan_design.rig_figures import precision_of_run
 from calrig.calibration.uncertainty import Reference, uncertainty
 from calrig.plan import Plan
-from calrig.runs.planned import HOMING_AND_START_S, QUESTIONS_S
+from calrig.runs.rig_pace import HOMING_AND_START_S, QUESTIONS_S
 
 from . import trial
 

@@ -17,7 +17,7 @@ from calrig.calibration.result import build_result
 from calrig.calibration.uncertainty import Reference, uncertainty
 from calrig.instruments.axis_goal import travel_time_s
 from calrig.plan import Plan
-from calrig.runs.planned import HOMING_AND_START_S, QUESTIONS_S
+from calrig.runs.rig_pace import HOMING_AND_START_S, QUESTIONS_S
 from tests.blind.causes import Draw
 from tests.blind.layout import ACCELERATION_DPS2, Layout, timeline
 from tests.blind.physics import Noise, measure

@@ -6,36 +6,34 @@ import pytest
 from run_rigs import CLOCK, plan
 
 from calrig.analysis.errors import Invalid
-from calrig.runs.planned import HOMING_AND_START_S, estimate
+from calrig.runs.planned import estimate
 
-SLOW = {"velocity_dps": 8.0, "acceleration_dps2": 20.0, "homing_velocity_dps": 8.0}
-
-
-@pytest.fixture
-def slow(make_rig):
-    """A rig that takes its time: a second of the clock is one of the board's."""
-    return make_rig("slow", time_scale=1.0, stage=SLOW)
+PACE = {"velocity_dps": 20.0, "acceleration_dps2": 80.0, "homing_velocity_dps": 10.0}
+SCALE = 3.0
+"""Its questions take three times as much of the board's time as they do in life."""
 
 
-def test_the_duration_is_that_of_the_run(slow, serve):
-    service = serve(slow)
+@pytest.mark.parametrize("driver", ["smc100", "esp301"])  # one keeps its reference, the other homes each time
+def test_the_duration_is_that_of_the_run_once_the_rig_has_shown_its_pace(make_rig, serve, driver):
+    bench = make_rig(f"paced-{driver}", time_scale=SCALE, stage={"driver": driver, **PACE})
+    service = serve(bench)
 
     def done(chosen):
         run = service.wait(service.start(unit="AS-1", plan=chosen).id, 300)
         assert run.status == "completed", run.error
         return run
 
-    done(plan(elevations_deg=[5, 0], order="given", rate_hz=20))  # tells the stage's speed; it ends at home
+    done(plan(elevations_deg=[5, 0, 8, -5, 6], order="given", rate_hz=20))
     for chosen in (
-        plan(elevations_deg=[-10, 10, 0], order="given", sweeps=2, wait_s=2.0, rate_hz=20),
-        plan(elevations_deg=[-8, 0], order="given", velocity_dps=4.0, rate_hz=20),
-        plan(elevations_deg=[10], kind="static", dwell_s=3.0, rate_hz=20),
+        plan(elevations_deg=[-10, 10, 0, 5], order="given", sweeps=2, wait_s=2.0, dwell_s=2.0, rate_hz=20),
+        plan(elevations_deg=[-8, 0, 8, 2, 20, -4], order="given", velocity_dps=4.0, rate_hz=20),
+        plan(elevations_deg=[10], kind="static", dwell_s=20.0, rate_hz=20),
     ):
-        expected, began_s = estimate(chosen, slow.settings, service.store), CLOCK.now_s()
+        expected, began_s = estimate(chosen, bench.settings, service.store), CLOCK.now_s()
         run = done(chosen)
-        took_s = CLOCK.now_s() - began_s
+        took_s = SCALE * (CLOCK.now_s() - began_s)
         assert expected.n_poses == run.progress["poses_total"]
-        assert took_s == pytest.approx(expected.duration_s - HOMING_AND_START_S, abs=1.0)  # homed already
+        assert took_s == pytest.approx(expected.duration_s, rel=0.05)
 
 
 def test_a_stage_that_no_run_has_asked_is_taken_for_an_ordinary_one(make_rig, serve):

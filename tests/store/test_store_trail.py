@@ -7,7 +7,7 @@ from contextlib import closing
 
 import pytest
 
-from calrig.store.trail import Act
+from calrig.store.trail import Act, append
 
 ACTS = [
     Act("voided", who="ada", unit="A", reason="slipped"),
@@ -18,8 +18,9 @@ ACTS = [
 
 @pytest.fixture
 def filled(store):
-    for act in ACTS:
-        store.did(act)
+    with store._database.writing() as session:
+        for act in ACTS:
+            append(session, act)
     return store
 
 

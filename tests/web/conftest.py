@@ -15,6 +15,7 @@ ARGUMENTS = [
     "--headless=new",
     "--no-sandbox",
     "--disable-gpu",
+    "--in-process-gpu",  # what draws without one needs no process of its own
     "--disable-quic",
     "--no-first-run",
     "--disable-background-networking",

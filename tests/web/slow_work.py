@@ -1,17 +1,20 @@
-"""Work that takes long: a diagnosis that tells that two fifths are done, and what has to be cancelled.
+"""Work that takes long: diagnosis, plan and log say that two fifths are done; what has to be cancelled.
 
 Its process imports little.
 """
 
 from __future__ import annotations
 
+import os
 import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-LET_GO = Path(tempfile.gettempdir()) / "calrig-test-of-slow-work"
+_OF_THESE_TESTS = f"{tempfile.gettempdir()}/calrig-slow-{os.getpid()}"
+LET_GO = Path(os.environ.setdefault("CALRIG_TEST_LET_GO", _OF_THESE_TESTS))
+"""Of this process of tests, and of those that its service starts: others beside it have one of their own."""
 
 
 def slow_trace(*poses: Any, progress: Callable[[float], None], **asked: Any) -> dict[str, Any]:
@@ -19,6 +22,26 @@ def slow_trace(*poses: Any, progress: Callable[[float], None], **asked: Any) -> 
     from calrig.calibration.diagnosis import trace
 
     progress(0.4)
+    held()
+    return trace(*poses, **asked)
+
+
+def slow_study(*_: Any, progress: Callable[[float], None], **__: Any) -> None:
+    """In the place of `calrig.analysis.log_studies.study_file`; ends with LET_GO."""
+    progress(0.4)
+    held()
+
+
+def held(*_: Any) -> None:
+    """Work that somebody has to cancel; ends with LET_GO."""
     while not LET_GO.exists():
         time.sleep(0.02)
-    return trace(*poses, **asked)
+
+
+def slow_answer(asked: Any, progress: Callable[[float], None]) -> Any:
+    """As `calrig.runs.plan_answers.answer`, once LET_GO is there."""
+    from calrig.runs.plan_answers import answer
+
+    progress(0.4)
+    held()
+    return answer(asked)

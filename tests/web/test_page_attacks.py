@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support import LONG, QUICK, ended, running_service, serving
+from support import LONG, PATIENCE_S, QUICK, ended, running_service, serving
 
 from calrig.api.access import Access
 
@@ -146,7 +146,7 @@ def elsewhere():
         thread.start()
         yield server.server_port
         server.shutdown()
-        thread.join(10)
+        thread.join(PATIENCE_S)
 
 
 @pytest.mark.parametrize(

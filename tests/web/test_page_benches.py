@@ -162,6 +162,7 @@ def test_a_stop_reaches_the_bench_and_one_that_cannot_is_said_in_its_own_words(
     lab.beat("bench-7", ago_s=40)
     page = show(40)
     expect(page.locator("button.stop:visible")).to_have_count(4)  # the busy ones', the header's, all
+    expect(page.locator("#stop-all")).to_have_text("Stop all, hall 1")  # where the first busy rig stands
     page.get_by_role("button", name="Stop rig-01").last.click()
     wait_for(lab.answer_commands, "the command")
     expect(page.locator("#stop-line")).to_contain_text("rig-01: the stage was told to stop.")
@@ -169,6 +170,10 @@ def test_a_stop_reaches_the_bench_and_one_that_cannot_is_said_in_its_own_words(
     line = page.locator("#stop-line")
     expect(line).to_contain_text("rig-31 was not stopped: bench bench-7 was last seen ")
     expect(line).to_contain_text("go there, or cut its motor power")
+    page.select_option("#stop-rig", "rig-31")
+    expect(page.locator("#stop-all")).to_have_text("Stop all, hall 10")
+    page.click("#stop-all")
+    expect(line).to_contain_text("Stopping all 10 rigs")
 
 
 def test_benches_come_and_go_while_somebody_watches(

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from calrig.api import heavy, plans
+
+from .slow_work import LET_GO, slow_answer
+
 pytestmark = pytest.mark.browser
 
 PHONE = {"width": 390, "height": 800}
@@ -39,3 +43,21 @@ def test_a_plan_is_designed_taken_by_the_form_and_ends_once_it_is_good_enough(
     assert run["plan"]["until"]["expanded_uncertainty_deg"] == 0.55
     assert run["result"]["stopped_by"] == "until"
     assert run["result"]["n_poses"] < 28
+
+
+def test_a_design_that_takes_long_shows_how_far_it_is_and_may_be_cancelled(page, go, expect, monkeypatch):
+    monkeypatch.setattr(heavy, "AT_ONCE_S", 0.0)
+    monkeypatch.setattr(plans, "answer", slow_answer)
+    LET_GO.unlink(missing_ok=True)
+    go("#/")
+    page.locator("#designer summary").click()
+    page.fill("#time_s", "900")
+    page.click("#design")
+    expect(page.locator("#design-says")).to_contain_text("40 % of the designs are tried")
+    page.click("#design-cancel")
+    expect(page.locator("#designed")).to_have_text("Cancelled.")
+    expect(page.locator("#design-progress")).to_be_hidden()
+    LET_GO.touch()
+    page.click("#design")
+    expect(page.locator("#designed")).to_contain_text("Time on the rig")
+    LET_GO.unlink()

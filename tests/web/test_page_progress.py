@@ -1,26 +1,34 @@
-"""A diagnosis that takes long, on the page: how far it is, its end on request, and that it is found again."""
+"""What takes long, on the page: how far it is, its end on request, and that it is found again."""
 
 from __future__ import annotations
 
 import pytest
 
 from calrig.analysis import diagnoses
-from calrig.api import heavy
+from calrig.api import heavy, noise, solve
 
 from .page_help import imported
-from .slow_work import LET_GO, slow_trace
+from .slow_work import LET_GO, held, slow_study, slow_trace
 
 pytestmark = pytest.mark.browser
 
 
 @pytest.fixture
-def slow_run(client, monkeypatch):
-    """A run whose diagnosis goes on until LET_GO is there, and nobody waits for."""
+def slow(monkeypatch):
+    """What goes on until LET_GO is there, and nobody waits for."""
     monkeypatch.setattr(heavy, "AT_ONCE_S", 0.0)
     monkeypatch.setattr(diagnoses, "trace", slow_trace)
+    monkeypatch.setattr(noise, "study_file", slow_study)
+    monkeypatch.setattr(solve, "answer", held)
     LET_GO.unlink(missing_ok=True)
-    yield imported(client, "SLOW-1", poses=30)
+    yield
     LET_GO.unlink(missing_ok=True)
+
+
+@pytest.fixture
+def slow_run(client, slow):
+    """A run whose diagnosis takes so long."""
+    return imported(client, "SLOW-1", poses=30)
 
 
 @pytest.fixture
@@ -73,3 +81,43 @@ def test_one_cancelled_before_the_service_has_named_it_is_given_up(
     LET_GO.touch()
     client.post("/api/imports", files={"file": ("p.csv", "x")}, data={"unit": "SLOW-2"})  # comes behind it
     assert client.get(f"/api/runs/{slow_run['id']}/diagnosis").status_code == 404
+
+
+def test_a_joint_solution_that_a_person_cancels_keeps_nothing(page, client, go, expect, slow_run):
+    before = client.get("/api/solve").json()
+    go(f"#/solve?rig=&run={slow_run['id']}")
+    page.click("#solve")
+    expect(page.locator("#solve-says")).to_contain_text("Solving for the stage's map")
+    page.click("#solve-cancel")  # named by the service or not yet: what is seen of it is the same
+    expect(page.locator("#solve-suggestion")).to_have_text("Cancelled: nothing was kept of it.")
+    expect(page.locator("#solve")).to_be_enabled()
+    assert client.get("/api/solve").json() == before
+
+
+def test_a_log_shows_how_much_of_it_is_done_and_is_cancelled_by_who_comes_back(
+    page, client, go, expect, slow
+):
+    before = client.get("/api/log-studies").json()
+    go("#/noise")
+    page.set_input_files("#log", {"name": "log.csv", "mimeType": "text/csv", "buffer": b"accel_x_g\n0.1\n"})
+    page.click("#analyse")
+    expect(page.locator("#log-says")).to_contain_text("40 % of it is done")
+    page.reload()
+    expect(page.locator("#log-says")).to_contain_text("40 % of it is done")
+    page.click("#log-cancel")
+    expect(page.locator("#log-told")).to_have_text("Cancelled: nothing was kept of it.")
+    assert client.get("/api/log-studies").json() == before
+
+
+def test_a_file_on_its_way_is_taken_back(page, client, go, expect):
+    go("#/import")
+    page.route("**/api/imports?wait=false", lambda route: None)  # a service that is slow to take it
+    page.set_input_files(
+        "#file", {"name": "p.csv", "mimeType": "text/csv", "buffer": b"target_deg,reading_deg\n"}
+    )
+    page.fill("#unit", "TAKEN-BACK")
+    page.click("#import")
+    expect(page.locator("#import-says")).to_contain_text("Sending the file: 0 % of it is sent.")
+    page.click("#import-cancel")
+    expect(page.locator("#import-told")).to_have_text("Cancelled: nothing was kept of it.")
+    expect(page.locator("#import")).to_be_enabled()

@@ -47,14 +47,14 @@ def test_the_first_run_page_comes_in_one_second_and_the_next_in_none(page, clien
     assert 0 < sum(sent.values()) < CHARTLESS_BYTES
 
     go(f"#/runs/{run['id']}")
-    expect(charts).to_have_count(2)
+    expect(charts).to_have_count(1)
     page.wait_for_load_state("networkidle")
     assert [name for name in sent if "plotly" in name]
     assert sum(sent.values()) < FIRST_BYTES
 
     sent.clear()
     page.reload()
-    expect(charts).to_have_count(2)
+    expect(charts).to_have_count(1)
     page.wait_for_load_state("networkidle")
     assert 0 < sum(sent.values()) < NEXT_BYTES
     assert sum(size for name, size in sent.items() if "/web/" in name) == 0

@@ -11,7 +11,7 @@ import sys
 
 import httpx
 import pytest
-from support import LONG, wait_for
+from support import LONG, PATIENCE_S, wait_for
 
 pytestmark = pytest.mark.browser
 
@@ -46,7 +46,7 @@ def serve(tmp_path):
     yield serve
     for process in processes:
         process.terminate()
-        process.wait(10)
+        process.wait(PATIENCE_S)
 
 
 @pytest.fixture
@@ -68,7 +68,7 @@ def test_a_service_that_dies_is_said_to_be_gone_and_its_run_to_be_interrupted_wh
     expect(page.locator("#banner")).to_be_hidden()
 
     os.kill(process.pid, signal.SIGKILL)
-    process.wait(10)
+    process.wait(PATIENCE_S)
     expect(page.locator("#banner")).to_contain_text("Lost connection")
     page.click("#abort")
     expect(page.locator("#run-error")).to_contain_text("does not answer")

@@ -6,6 +6,7 @@ it was not seen. Held-out poses between the others would be interpolation (`cali
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,14 +30,29 @@ class HeldOut:
     n_poses: int
 
 
+Left = Callable[[FloatArray], FloatArray]
+"""(n,) angles measured less those expected, rad, of a fit by weights (n,) of the poses."""
+
+
 def held_out(fit: Fit) -> HeldOut:
     """Foretells every pose that was not left out as wild, once."""
-    folds = stretches(fit.problem.table, fit.kept)
+    problem, believing = fit.problem, _without_map(fit.problem)
+    return foretold(
+        problem.table,
+        fit.kept,
+        lambda shown: fitted(believing, shown).left(),
+        lambda shown: fitted(problem, shown, fit.parameters).left(),
+    )
+
+
+def foretold(table: Table, kept: BoolArray, believing: Left, solved: Left) -> HeldOut:
+    """The same by any two fits of the poses kept: believing the stage, and with its map."""
+    folds = stretches(table, kept)
     return HeldOut(
-        before_deg=_rms_deg(_errors(_without_map(fit.problem), folds, None)),
-        final_deg=_rms_deg(_errors(fit.problem, folds, fit.parameters)),
+        before_deg=_rms_deg(believing, folds),
+        final_deg=_rms_deg(solved, folds),
         stretches=int(folds.max()) + 1,
-        n_poses=int(fit.kept.sum()),
+        n_poses=int(kept.sum()),
     )
 
 
@@ -61,15 +77,9 @@ def stretches(table: Table, kept: BoolArray) -> Intp:
     return folds
 
 
-def _errors(problem: Problem, folds: Intp, start: FloatArray | None) -> FloatArray:
-    """(kept,) rad."""
+def _rms_deg(left: Left, folds: Intp) -> float:
     errors = np.zeros(len(folds))
     for fold in range(int(folds.max()) + 1):
         out = folds == fold
-        shown = (~out & (folds >= 0)).astype(np.float64)
-        errors[out] = fitted(problem, shown, start).left()[out]
-    return errors[folds >= 0]
-
-
-def _rms_deg(errors: FloatArray) -> float:
-    return float(np.degrees(np.sqrt(np.mean(errors**2))))
+        errors[out] = left((~out & (folds >= 0)).astype(np.float64))[out]
+    return float(np.degrees(np.sqrt(np.mean(errors[folds >= 0] ** 2))))

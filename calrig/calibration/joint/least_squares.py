@@ -1,4 +1,4 @@
-"""Gauss and Newton's iteration on the joint model, and the poses that have gone wrong alone.
+"""Gauss and Newton's iteration on the joint model.
 
 What is not known of a parameter before the data is how large it may be in any part that is sold (`widths`).
 Where the data say anything at all that is nothing beside it: it only keeps what they do not say at all from
@@ -14,7 +14,7 @@ import numpy as np
 from calrig.calibration.joint.arrow import Inverse
 from calrig.calibration.joint.problem import Normal, Problem
 from calrig.calibration.joint.table import BoolArray, Intp
-from calrig.calibration.outliers import most_outliers
+from calrig.calibration.joint.wild import without_wild
 from calrig.estimation.angles import FloatArray
 
 STEPS = 30
@@ -22,15 +22,10 @@ CONVERGED = 1e-4
 """Of a standard error, a step that changes nothing any more."""
 HUBER = 2.5
 """Standard deviations beyond which a pose counts less, while it is not known which have gone wrong."""
-WILD = 7.0
-"""Standard deviations from the model, beyond which noise takes no pose."""
-ROUNDS = 4
 MEDIAN_OF_TWO, MEDIAN_OF_ONE = 1.3863, 0.4549
 """Medians of χ² with two degrees of freedom and with one."""
 LEAST_NOISE = 1e-6
 """Of poses without noise, as cells of six decimals have it, g."""
-GROSS_G = 0.5
-"""A vector whose length is off by more is none of gravity."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,24 +125,11 @@ def _freedom(problem: Problem, normal: Normal, weights: FloatArray, inverse: Inv
 
 
 def without_wild_poses(problem: Problem) -> tuple[Fit, FloatArray]:
-    """A robust fit, and the weights (n,) of the poses: 0 of those that have gone wrong alone.
-
-    Where many are far off it is the model that is wrong, and none is left out.
-    """
-    size = np.hypot(problem.table.vector_g[:, 0], problem.table.vector_g[:, 1])
-    gross = np.abs(size - 1.0) > GROSS_G
-    weights = np.where(gross, 0.0, 1.0)
-    fit = fitted(problem, weights, robust=True)
-    for _ in range(ROUNDS):
-        wild = gross | (distances(fit) > WILD)
-        if wild.sum() > most_outliers(len(wild)):
-            weights = np.where(gross, 0.0, 1.0)
-            break
-        if (wild == (weights == 0.0)).all():
-            break
-        weights = np.where(wild, 0.0, 1.0)
-        fit = fitted(problem, weights, fit.parameters, robust=True)
-    return fitted(problem, weights, fit.parameters), weights
+    """The least squares solution without poses that have gone wrong alone, and the weights (n,) of all."""
+    size_g = np.hypot(problem.table.vector_g[:, 0], problem.table.vector_g[:, 1])
+    return without_wild(
+        lambda weights, start, robust: fitted(problem, weights, start, robust=robust), distances, size_g
+    )
 
 
 def distances(fit: Fit) -> FloatArray:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from calrig.calibration.joint.table import BoolArray, Intp, Table
+from calrig.calibration.joint.parameters import Parameters
+from calrig.calibration.joint.table import BoolArray, Intp
 from calrig.estimation.angles import FloatArray
 
 
@@ -15,31 +16,6 @@ class NormalEquations(Protocol):
     def matrix(self) -> FloatArray: ...  # noqa: D102
     @property
     def gradient(self) -> FloatArray: ...  # noqa: D102
-
-
-class Parameters(Protocol):
-    """Where a model's parameters are; the mounts' angles, then the orders, then the play are the last."""
-
-    @property
-    def table(self) -> Table: ...  # noqa: D102
-    @property
-    def orders(self) -> tuple[float, ...]: ...  # noqa: D102
-    @property
-    def linear(self) -> bool: ...  # noqa: D102
-    @property
-    def first_mount(self) -> int: ...  # noqa: D102
-    @property
-    def first_order(self) -> int: ...  # noqa: D102
-    @property
-    def size(self) -> int: ...  # noqa: D102
-    @property
-    def map_at(self) -> slice: ...  # noqa: D102
-    @property
-    def free(self) -> BoolArray: ...  # noqa: D102
-    @property
-    def blocks(self) -> tuple[Intp, ...]: ...  # noqa: D102
-    def widths(self) -> FloatArray: ...  # noqa: D102
-    def start(self) -> FloatArray: ...  # noqa: D102
 
 
 class Linearised(Protocol):

@@ -57,7 +57,7 @@ def mapped(fit: Residuals) -> Mapped:
     covariance = np.degrees(np.degrees(of_fit))
     variance = np.einsum("gi,ij,gj->g", columns - mean, covariance, columns - mean)
     mounts = np.zeros((len(problem.table.mounts), problem.size))
-    mounts[:, problem.first_mount : problem.first_order] = np.eye(len(mounts))
+    mounts[:, problem.mounts_at] = np.eye(len(mounts))
     mounts[:, at] = np.outer([mount.sense for mount in problem.table.mounts], mean)
     of_mounts = np.diag(fit.covariance_of(mounts))
     noise_deg = float(np.degrees(fit.noise))

@@ -8,11 +8,13 @@ units cost no more than their poses.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
 from calrig.calibration.joint.arrow import Inverse, inverse_of
-from calrig.calibration.joint.stage_map import LARGEST_BACKLASH_RAD, LARGEST_RAD, basis
+from calrig.calibration.joint.parameters import Parameters
+from calrig.calibration.joint.stage_map import basis
 from calrig.calibration.joint.table import BoolArray, Intp, Table
 from calrig.calibration.joint.unit_model import CURVATURES, LARGEST, NAMES, PER_C, Felt, felt
 from calrig.calibration.joint.whitening import whitened
@@ -43,7 +45,7 @@ class Normal:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Problem:
+class Problem(Parameters):
     """Which parameters the joint model of some poses has, and what it expects of them.
 
     Attributes:
@@ -55,6 +57,7 @@ class Problem:
         blocks: of each unit the places of what is free of its own and of its mounts.
     """
 
+    WIDTH: ClassVar[int] = WIDTH
     table: Table
     orders: tuple[float, ...]
     linear: bool = False
@@ -74,25 +77,6 @@ class Problem:
         """Place of the first mount's angle."""
         return WIDTH * len(self.table.units)
 
-    @property
-    def first_order(self) -> int:
-        """Place of the first order's cosine."""
-        return self.first_mount + len(self.table.mounts)
-
-    @property
-    def size(self) -> int:
-        """How many parameters there are, free or not."""
-        return self.first_order + 2 * len(self.orders) + 1
-
-    @property
-    def map_at(self) -> slice:
-        """Places of the map, play and all."""
-        return slice(self.first_order, self.size)
-
-    def unit_at(self, unit: int) -> slice:
-        """Places of one unit."""
-        return slice(WIDTH * unit, WIDTH * (unit + 1))
-
     def own_at(self, mount: int) -> Intp:
         """(12,) places of a mount's unit and its angle."""
         own = self.unit_at(self.table.mounts[mount].unit)
@@ -110,7 +94,7 @@ class Problem:
         own[:, 0] = with_vector
         own[:, CURVATURES] = not self.linear
         own[:, PER_C] = np.isfinite(table.reference_c)[:, None]
-        free[-1] = len(np.unique(table.approach[table.approach != 0.0])) > 1
+        free[-1] = self.tells_play()
         return free
 
     def _blocks(self) -> tuple[Intp, ...]:
@@ -128,11 +112,7 @@ class Problem:
 
     def widths(self) -> FloatArray:
         """(p,) how large each may be: what is known of it before the data, as a standard deviation."""
-        of_map = np.full(2 * len(self.orders), LARGEST_RAD)
-        of_mounts = np.full(len(self.table.mounts), np.pi)
-        return np.concatenate(
-            [np.tile(LARGEST, len(self.table.units)), of_mounts, of_map, [LARGEST_BACKLASH_RAD]]
-        )
+        return np.concatenate([np.tile(LARGEST, len(self.table.units)), self.widths_of_stage()])
 
     def start(self) -> FloatArray:
         """(p,) where to begin: faultless units, mounts as the mean of their readings says."""
@@ -140,7 +120,7 @@ class Problem:
         table = self.table
         apart, n = table.angle() - table.sense * np.radians(table.dial_deg), len(table.mounts)
         s, c = (np.bincount(table.mount, of(apart), minlength=n) for of in (np.sin, np.cos))
-        start[self.first_mount : self.first_order] = np.arctan2(s, c)
+        start[self.mounts_at] = np.arctan2(s, c)
         size = np.hypot(self.table.vector_g[:, 0], self.table.vector_g[:, 1])
         for unit in range(len(self.table.units)):
             own = size[(self.table.unit == unit) & self.table.has_vector]
@@ -149,7 +129,7 @@ class Problem:
 
     def elevations(self, parameters: FloatArray) -> FloatArray:
         """(n,) of the unit at each pose, rad."""
-        mounts = parameters[self.first_mount : self.first_order]
+        mounts = parameters[self.mounts_at]
         on_map = self.columns @ parameters[self.map_at]
         table_at = np.radians(self.table.dial_deg) + on_map
         return np.asarray(self.table.sense * table_at + mounts[self.table.mount])

@@ -3,34 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from calrig.calibration.joint.advice import Advice, advised
-from calrig.calibration.joint.elevation import polynomial, range_deg
+from calrig.calibration.joint.elevation import polynomial
 from calrig.calibration.joint.held_out import HeldOut, held_out
 from calrig.calibration.joint.level import Level
 from calrig.calibration.joint.mapped import Mapped, mapped
+from calrig.calibration.joint.report_parts import (
+    UNITS,
+    Value,
+    figures,
+    projected,
+    stage_document,
+    value,
+    worth_document,
+)
 from calrig.calibration.joint.said import sentences
 from calrig.calibration.joint.solution import Solution
 from calrig.calibration.joint.unit_model import CURVATURES, NAMES, PER_C
-
-Value = dict[str, float | None]
-UNITS = {
-    "y": ("y_mg", 1e3),
-    "z": ("z_mg", 1e3),
-    "gain": ("gain_pct", 1e2),
-    "skew": ("skew_deg", float(np.degrees(1.0))),
-    "y2": ("y_mg_per_g2", 1e3),
-    "y3": ("y_mg_per_g3", 1e3),
-    "z2": ("z_mg_per_g2", 1e3),
-    "z3": ("z_mg_per_g3", 1e3),
-    "y_per_c": ("y_mg_per_c", 1e3),
-    "z_per_c": ("z_mg_per_c", 1e3),
-}
-"""A document's names of the parameters, and their units."""
 
 
 def solution_document(solution: Solution, limits_deg: tuple[float, float] | None = None) -> dict[str, Any]:
@@ -39,17 +32,11 @@ def solution_document(solution: Solution, limits_deg: tuple[float, float] | None
     units = range(len(solution.table.units))
     return {
         "units": [_unit(solution, unit) for unit in units],
-        "stage": _stage(on_stage),
+        "stage": stage_document(on_stage),
         "mounts": _mounts(solution, on_stage),
         "separable": all(solution.is_separable(unit) for unit in units),
         "advice": None if advice is None else _advice(advice),
-        "held_out": {"how": f"{tested.stretches} stretches of elevation", "n_poses": tested.n_poses},
-        "before": {"held_out_rms_deg": tested.before_deg},
-        "final": {"held_out_rms_deg": tested.final_deg},
-        "noise": {
-            "std_deg": solution.noise_deg,
-            "lag1_correlation": solution.fit.problem.correlation,
-        },
+        **figures(solution.fit, tested),
         **_levels(solution),
         "warnings": [*solution.warnings, *sentences(solution, on_stage), *_of_held_out(tested)],
     }
@@ -64,36 +51,32 @@ def parameters_of(solution: Solution, unit: int) -> dict[str, Value]:
     for name, (stated_as, factor) in UNITS.items():
         k = NAMES.index(name)
         if free[k] or k in CURVATURES:
-            found[stated_as] = _value(factor * values[k], factor * stds[k] if free[k] else None)
+            found[stated_as] = value(factor * values[k], factor * stds[k] if free[k] else None)
     if free[PER_C[0]]:
-        found["reference_c"] = _value(float(solution.table.reference_c[unit]), None)
+        found["reference_c"] = value(float(solution.table.reference_c[unit]), None)
     return found
 
 
 def _unit(solution: Solution, unit: int) -> dict[str, Any]:
     coefficients, covariance = polynomial(solution.fit, unit)
-    stds = np.sqrt(np.maximum(np.diag(covariance), 0.0)) if not solution.fit.problem.linear else [None, None]
     worth, level = solution.measurand(unit), solution.levels[unit]
-    names = ("deg_per_deg2", "deg_per_deg3")
-    projected = {n: _value(c, s) for n, c, s in zip(names, coefficients.tolist(), stds, strict=True)}
     return {
         "unit": solution.table.units[unit],
-        "parameters": {**parameters_of(solution, unit), **projected},
+        "parameters": {
+            **parameters_of(solution, unit),
+            **projected(coefficients, covariance, solution.fit.problem.linear),
+        },
         "accelerometer": None,
         "gyro": None,
-        "range_deg": list(range_deg(solution.fit, unit)),
+        **worth_document(worth),
         "level": None if level is None else level_document(level),
-        "elevation_std_deg": {
-            "elevation_deg": worth.elevation_deg.tolist(),
-            "std_deg": worth.std_deg.tolist(),
-        },
     }
 
 
 def level_document(level: Level) -> dict[str, Any]:
     """The angle of the sensor in its case, and what its standard error rests on."""
     return {
-        "deg": _value(level.value_deg, level.std_deg),
+        "deg": value(level.value_deg, level.std_deg),
         "reversals": level.reversals,
         "seat_std_deg": level.seat_std_deg,
         "seat_from": level.seat_from,
@@ -108,18 +91,6 @@ def _levels(solution: Solution) -> dict[str, Any]:
     return {"level_known": known, "level_std_deg": max(stds) if known else None}
 
 
-def _stage(on_stage: Mapped) -> dict[str, Any]:
-    return {
-        "map": {
-            "stage_deg": on_stage.stage_deg.tolist(),
-            "error_deg": on_stage.error_deg.tolist(),
-            "std_deg": on_stage.std_deg.tolist(),
-        },
-        "harmonics": [asdict(harmonic) for harmonic in on_stage.harmonics],
-        "backlash_deg": None if on_stage.backlash is None else _value(*on_stage.backlash),
-    }
-
-
 def _mounts(solution: Solution, on_stage: Mapped) -> list[dict[str, Any]]:
     fits = {test.mount: test.p_value for test in solution.mount_tests}
     return [
@@ -128,7 +99,7 @@ def _mounts(solution: Solution, on_stage: Mapped) -> list[dict[str, Any]]:
             "unit": solution.table.units[mount.unit],
             "mount_deg": mount.nominal_deg or 0.0,
             "mount_axis": mount.axis,
-            "angle_deg": _value(mount.on_its_turn(mount.sense * float(angle)), float(std)),
+            "angle_deg": value(mount.on_its_turn(mount.sense * float(angle)), float(std)),
             "fits_p_value": fits.get(k),
         }
         for k, (mount, angle, std) in enumerate(
@@ -150,7 +121,3 @@ def _of_held_out(tested: HeldOut) -> Sequence[str]:
     if tested.final_deg < tested.before_deg:
         return ()
     return ("stretches that were left out are foretold no better than by believing the stage",)
-
-
-def _value(value: float, std: float | None) -> Value:
-    return {"value": float(value), "std": None if std is None else float(std)}

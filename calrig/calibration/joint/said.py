@@ -11,7 +11,9 @@ from calrig.calibration.joint.common_misfit import common_variance
 from calrig.calibration.joint.gear import unstated_gear
 from calrig.calibration.joint.lack_of_fit import misfits
 from calrig.calibration.joint.least_squares import fitted
+from calrig.calibration.joint.linearised import Linearised
 from calrig.calibration.joint.mapped import Mapped
+from calrig.calibration.joint.order_choice import Choice
 from calrig.calibration.joint.problem import Problem
 from calrig.calibration.joint.solution import Solution
 from calrig.calibration.joint.stage_map import TURN_DEG, goes_round, widest_gap_deg
@@ -28,6 +30,8 @@ HARDLY_NOISE = 0.85
 """Correlation from pose to pose, seconds apart, beyond which something moved."""
 CONTRADICTS = 1e-3
 """Chance of quadratic and cubic terms as large in units that have none."""
+LEAST_TOLD = 0.5
+"""Of those terms, that the poses must tell for a test of them."""
 NEAR_DEG = 0.25
 """Poses nearer to one another than this stand at one angle of the dial."""
 OFF_DEG = 5.0
@@ -140,23 +144,24 @@ def _title(problem: Problem, place: int) -> str:
         return TITLES[NAMES[place % len(NAMES)]]
     if place < problem.first_order:
         return f"mount {problem.table.mounts[place - problem.first_mount].name}"
-    if place == problem.size - 1:
-        return "the play"
-    return f"order {problem.orders[(place - problem.first_order) // 2]:g} of the stage"
+    return problem.title_on_map(place)
 
 
 def _of_linear(solution: Solution) -> list[str]:
-    """Whether the data contradict that the units are linear: an F test of all quadratic and cubic terms."""
+    """Whether the data contradict that the units are linear."""
     fit, n_units = solution.fit, len(solution.table.units)
     if not fit.problem.linear:
         return []
     bent = fitted(replace(fit.problem, linear=False), fit.weights, fit.parameters)
-    told = fit.freedom - bent.freedom
-    gain = (fit.freedom * fit.noise**2 - bent.freedom * bent.noise**2) / bent.noise**2
-    if told < 0.5 or chdtrc(told, max(gain, 0.0)) > CONTRADICTS:
-        return []
     who = "units are" if n_units > 1 else "unit is"
-    return [f"the {who} stated to be linear, and these poses contradict that"]
+    return [f"the {who} stated to be linear, and these poses contradict that"] if is_better(bent, fit) else []
+
+
+def is_better(bent: Linearised, straight: Linearised) -> bool:
+    """Whether quadratic and cubic terms explain more than noise would: an F test of all of them."""
+    told = straight.freedom - bent.freedom
+    gain = (straight.freedom * straight.noise**2 - bent.freedom * bent.noise**2) / bent.noise**2
+    return bool(told >= LEAST_TOLD and chdtrc(told, max(gain, 0.0)) <= CONTRADICTS)
 
 
 def _of_mounts(solution: Solution, on_stage: Mapped) -> list[str]:
@@ -215,12 +220,15 @@ def _of_dial(solution: Solution, on_stage: Mapped) -> list[str]:
             f"poses at one angle of the dial have {common_deg:.2g}° in common that the map's orders do not "
             "explain: the map's standard errors hold that much at each angle"
         )
-    if solution.choice.untold:
-        orders = ", ".join(f"{order:g}" for order in solution.choice.untold)
-        said.append(
-            f"these angles do not tell orders {orders} of the map from its others: they were left out"
-        )
-    return said
+    return [*said, *of_untold_orders(solution.choice)]
+
+
+def of_untold_orders(choice: Choice) -> list[str]:
+    """Orders of the map that the poses cannot tell from its others."""
+    if not choice.untold:
+        return []
+    orders = ", ".join(f"{order:g}" for order in choice.untold)
+    return [f"these angles do not tell orders {orders} of the map from its others: they were left out"]
 
 
 def _of_columns(solution: Solution) -> list[str]:

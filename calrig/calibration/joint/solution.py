@@ -10,13 +10,14 @@ import numpy as np
 from calrig.calibration.joint.correlation import correlation_of
 from calrig.calibration.joint.elevation import Worth, worth
 from calrig.calibration.joint.lack_of_fit import MountTest, mount_tests
-from calrig.calibration.joint.least_squares import WILD, Fit, distances, fitted, without_wild_poses
+from calrig.calibration.joint.least_squares import Fit, distances, fitted, without_wild_poses
 from calrig.calibration.joint.level import Level, level_of
 from calrig.calibration.joint.mounts import table_of
 from calrig.calibration.joint.order_choice import Choice, chosen, of_the_unit
 from calrig.calibration.joint.problem import Problem
 from calrig.calibration.joint.stage_map import TURN_DEG, resolved_orders
 from calrig.calibration.joint.table import Mounted, Table
+from calrig.calibration.joint.wild import wild_poses_said
 from calrig.calibration.pose import DiagnosisError
 
 FEWEST_SPARE = 8
@@ -121,7 +122,7 @@ def solve_table(
         worths=tuple(worth(fit, unit) for unit in units),
         levels=levels,
         mount_tests=tuple(mount_tests(fit)),
-        warnings=(*warnings, *_of_poses(fit)),
+        warnings=(*warnings, *wild_poses_said(table, fit.kept, distances(fit))),
     )
 
 
@@ -141,18 +142,3 @@ def _offered(table: Table, linear: bool, known: Sequence[float]) -> tuple[float,
         )
     more = [order for order in resolved_orders(table.dial_deg) if order not in always]
     return tuple(sorted({*always, *more[: spare // SPARE_AN_ORDER]}))
-
-
-def _of_poses(fit: Fit) -> list[str]:
-    """Poses that were left out, each by its place."""
-    table, said = fit.problem.table, []
-    left_out = np.flatnonzero(~fit.kept)
-    if len(left_out):
-        listed = ", ".join(
-            f"{table.mounts[table.mount[k]].name} at {table.dial_deg[k]:g}°" for k in left_out[:5]
-        )
-        said.append(f"{len(left_out)} poses went wrong alone and were left out: {listed}")
-    far = int((distances(fit)[fit.kept] > WILD).sum())
-    if far:
-        said.append(f"{far} poses lie far from the model, too many to be left out: something else moved")
-    return said

@@ -12,10 +12,10 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from calrig.calibration.joint.clamping import face_matrix
-from calrig.calibration.joint.least_squares import CONVERGED, GROSS_G, LEAST_NOISE, ROUNDS, STEPS, WILD
+from calrig.calibration.joint.least_squares import CONVERGED, LEAST_NOISE, STEPS
 from calrig.calibration.joint.table import BoolArray, Intp
 from calrig.calibration.joint.three_axis_problem import Normal, ThreeAxisProblem
-from calrig.calibration.outliers import most_outliers
+from calrig.calibration.joint.wild import without_wild
 from calrig.estimation.angles import FloatArray
 
 HUBER = 3.0
@@ -121,20 +121,13 @@ def fitted_whole(
 
 
 def without_wild_vectors(problem: ThreeAxisProblem) -> tuple[ThreeAxisFit, FloatArray]:
-    """A robust fit, and the weights (n,): 0 of poses gone wrong alone, none where many are off."""
-    gross = np.abs(np.linalg.norm(problem.of.vector_g, axis=1) - 1.0) > GROSS_G
-    weights = np.where(gross, 0.0, 1.0)
-    fit = fitted_whole(problem, weights, robust=True)
-    for _ in range(ROUNDS):
-        wild = gross | (vector_distances(fit) > WILD)
-        if wild.sum() > most_outliers(len(wild)):
-            weights = np.where(gross, 0.0, 1.0)
-            break
-        if (wild == (weights == 0.0)).all():
-            break
-        weights = np.where(wild, 0.0, 1.0)
-        fit = fitted_whole(problem, weights, fit.parameters, robust=True)
-    return fitted_whole(problem, weights, fit.parameters), weights
+    """The least squares solution without poses that have gone wrong alone, and the weights (n,) of all."""
+    size_g = np.linalg.norm(problem.of.vector_g, axis=1)
+    return without_wild(
+        lambda weights, start, robust: fitted_whole(problem, weights, start, robust=robust),
+        vector_distances,
+        size_g,
+    )
 
 
 def vector_distances(fit: ThreeAxisFit) -> FloatArray:

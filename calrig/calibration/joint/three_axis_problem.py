@@ -7,12 +7,14 @@ its own sensor's, and each mount free to turn, nothing is left that data could n
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
 from calrig.calibration.joint.clamping import face_matrix, stage_direction, tilted
-from calrig.calibration.joint.stage_map import LARGEST_BACKLASH_RAD, LARGEST_RAD, basis
+from calrig.calibration.joint.parameters import Parameters
+from calrig.calibration.joint.stage_map import basis
 from calrig.calibration.joint.table import BoolArray, Intp, Table
 from calrig.calibration.joint.three_axis_model import (
     CUBIC,
@@ -53,7 +55,7 @@ class Normal:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ThreeAxisProblem:
+class ThreeAxisProblem(Parameters):
     """Which parameters such poses have, and what is expected of them.
 
     Attributes:
@@ -62,18 +64,19 @@ class ThreeAxisProblem:
         linear: whether somebody states that the units are.
         shape: (units, 3) noise of each axis over that of all, root mean square.
         correlation: of the noise from one pose of a mount to the next.
+        table: the poses as of mounts about x.
     """
 
+    WIDTH: ClassVar[int] = WIDTH
     of: ThreeAxisTable
     orders: tuple[float, ...]
     linear: bool
     shape: FloatArray
     correlation: float = 0.0
+    table: Table = field(init=False, repr=False)
 
-    @property
-    def table(self) -> Table:
-        """The poses as of mounts about x."""
-        return self.of.seen
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "table", self.of.seen)
 
     @property
     def dip_at(self) -> int:
@@ -84,25 +87,6 @@ class ThreeAxisProblem:
     def first_mount(self) -> int:
         """Place of the first mount's angle."""
         return self.dip_at + 1
-
-    @property
-    def first_order(self) -> int:
-        """Place of the first order's cosine."""
-        return self.first_mount + len(self.table.mounts)
-
-    @property
-    def size(self) -> int:
-        """How many parameters there are, free or not."""
-        return self.first_order + 2 * len(self.orders) + 1
-
-    @property
-    def map_at(self) -> slice:
-        """Places of the map, play and all."""
-        return slice(self.first_order, self.size)
-
-    def unit_at(self, unit: int) -> slice:
-        """Places of one unit."""
-        return slice(WIDTH * unit, WIDTH * (unit + 1))
 
     def tilts_at(self, mount: int) -> slice:
         """Places of one mount's tilts."""
@@ -117,7 +101,7 @@ class ThreeAxisProblem:
             own = free[self.unit_at(unit)]
             own[QUADRATIC] = own[CUBIC] = not self.linear
             own[PER_C] = bool(np.isfinite(self.table.reference_c[unit]))
-        free[-1] = len(np.unique(self.table.approach[self.table.approach != 0.0])) > 1
+        free[-1] = self.tells_play()
         return free
 
     @property
@@ -133,9 +117,7 @@ class ThreeAxisProblem:
                 np.tile(LARGEST, n_units),
                 np.full(TILTS * n_mounts, LARGEST_TILT_RAD),
                 [LARGEST_DIP_RAD],
-                np.full(n_mounts, np.pi),
-                np.full(2 * len(self.orders), LARGEST_RAD),
-                [LARGEST_BACKLASH_RAD],
+                self.widths_of_stage(),
             ]
         )
 
@@ -153,7 +135,7 @@ class ThreeAxisProblem:
 
     def turns(self, parameters: FloatArray) -> FloatArray:
         """(n,) the table's turn at each pose, from where gravity is the mount's third axis, rad."""
-        mounts = parameters[self.first_mount : self.first_order]
+        mounts = parameters[self.mounts_at]
         on_map = self.basis() @ parameters[self.map_at]
         return np.asarray(np.radians(self.table.dial_deg) + on_map + mounts[self.table.mount])
 
@@ -221,9 +203,7 @@ class ThreeAxisProblem:
             return "level of the stage's axis"
         if place < self.first_order:
             return f"angle of mount {table.mounts[place - self.first_mount].name}"
-        if place == self.size - 1:
-            return "the play"
-        return f"order {self.orders[(place - self.first_order) // 2]:g} of the stage"
+        return self.title_on_map(place)
 
     def _of_mount(
         self, mount: int, parameters: FloatArray, turns: FloatArray, columns: FloatArray

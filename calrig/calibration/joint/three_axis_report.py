@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from calrig.calibration.joint.elevation import Worth, polynomial_of
 from calrig.calibration.joint.mapped import Mapped, mapped
-from calrig.calibration.joint.report import UNITS
+from calrig.calibration.joint.report_parts import (
+    UNITS,
+    Value,
+    figures,
+    projected,
+    stage_document,
+    value,
+    worth_document,
+)
 from calrig.calibration.joint.three_axis_frame import Accelerometer, Frame, accelerometer
 from calrig.calibration.joint.three_axis_gyro import WholeGyro, whole_gyro
 from calrig.calibration.joint.three_axis_held_out import held_out_of_whole
@@ -17,8 +25,6 @@ from calrig.calibration.joint.three_axis_plane import InPlane, in_plane, worth_o
 from calrig.calibration.joint.three_axis_said import three_axis_sentences
 from calrig.calibration.joint.three_axis_solution import ThreeAxisSolution
 from calrig.calibration.joint.unit_model import CURVATURES, NAMES, PER_C
-
-Value = dict[str, float | None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,13 +58,7 @@ def three_axis_document(solution: ThreeAxisSolution, frame: Frame = "sensor") ->
         "separable": all(unit.worth.rms_deg < solution.noise_deg for unit in units),
         "rank": {"told": told, "parameters": asked},
         "advice": None,
-        "held_out": {"how": f"{tested.stretches} stretches of elevation", "n_poses": tested.n_poses},
-        "before": {"held_out_rms_deg": tested.before_deg},
-        "final": {"held_out_rms_deg": tested.final_deg},
-        "noise": {
-            "std_deg": solution.noise_deg,
-            "lag1_correlation": solution.fit.problem.correlation,
-        },
+        **figures(solution.fit, tested),
         "level_known": False,
         "level_std_deg": None,
         "warnings": [
@@ -125,44 +125,27 @@ def gyro_document(found: WholeGyro | None) -> dict[str, Any] | None:
     }
 
 
-def value(number: float, std: float | None) -> Value:
-    """A parameter with its standard error."""
-    return {"value": float(number), "std": None if std is None else float(std)}
-
-
 def _unit(solution: ThreeAxisSolution, unit: int, found: WholeUnit) -> dict[str, Any]:
     worth, plane = found.worth, found.plane
     coefficients, covariance = polynomial_of(plane.own, plane.covariance, worth.elevation_deg)
-    stds = [None, None] if solution.fit.problem.linear else np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    names = ("deg_per_deg2", "deg_per_deg3")
-    projected = {n: value(c, s) for n, c, s in zip(names, coefficients, stds, strict=True)}
     return {
         "unit": solution.table.units[unit],
-        "parameters": {**plane_parameters(solution, unit, plane), **projected},
+        "parameters": {
+            **plane_parameters(solution, unit, plane),
+            **projected(coefficients, covariance, solution.fit.problem.linear),
+        },
         "accelerometer": accelerometer_document(found.accelerometer),
         "gyro": gyro_document(found.gyro),
         "noise_mg": (1e3 * solution.fit.noise * solution.fit.problem.shape[unit]).tolist(),
-        "range_deg": [float(worth.elevation_deg[0]), float(worth.elevation_deg[-1])],
-        "elevation_std_deg": {
-            "elevation_deg": worth.elevation_deg.tolist(),
-            "std_deg": worth.std_deg.tolist(),
-        },
+        **worth_document(worth),
         "level": None,
     }
 
 
 def _stage(solution: ThreeAxisSolution, on_stage: Mapped) -> dict[str, Any]:
     fit, at = solution.fit, solution.fit.problem.dip_at
-    return {
-        "map": {
-            "stage_deg": on_stage.stage_deg.tolist(),
-            "error_deg": on_stage.error_deg.tolist(),
-            "std_deg": on_stage.std_deg.tolist(),
-        },
-        "harmonics": [asdict(harmonic) for harmonic in on_stage.harmonics],
-        "backlash_deg": None if on_stage.backlash is None else value(*on_stage.backlash),
-        "axis_dip_deg": value(np.degrees(fit.parameters[at]), np.degrees(fit.stds[at])),
-    }
+    dip = value(np.degrees(fit.parameters[at]), np.degrees(fit.stds[at]))
+    return {**stage_document(on_stage), "axis_dip_deg": dip}
 
 
 def _mounts(solution: ThreeAxisSolution, on_stage: Mapped) -> list[dict[str, Any]]:

@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import chdtrc
 
 from calrig.calibration.joint.mapped import Mapped
-from calrig.calibration.joint.said import CONTRADICTS, OFF_DEG
+from calrig.calibration.joint.said import OFF_DEG, is_better, of_untold_orders
 from calrig.calibration.joint.stage_map import TURN_DEG, goes_round, widest_gap_deg
 from calrig.calibration.joint.three_axis_fit import fitted_whole
 from calrig.calibration.joint.three_axis_frame import Frame, axes_of, seats_std_rad, untold
@@ -18,7 +17,6 @@ from calrig.calibration.joint.three_axis_model import AXES
 from calrig.calibration.joint.three_axis_solution import ThreeAxisSolution
 from calrig.estimation.angles import wrap_deg
 
-LEAST_TOLD = 0.5
 CLOCK_ERRORS = 3.0
 """Standard errors from which a clock is said to be off."""
 
@@ -87,16 +85,13 @@ def _of_gyro(serial: str, gyro: WholeGyro | None) -> list[str]:
 
 
 def _of_linear(solution: ThreeAxisSolution) -> list[str]:
-    """Whether the poses contradict that the units are: an F test of all quadratic and cubic terms."""
+    """Whether the poses contradict that the units are."""
     fit = solution.fit
     if not fit.problem.linear:
         return []
     bent = fitted_whole(replace(fit.problem, linear=False), fit.weights, fit.parameters)
-    told = fit.freedom - bent.freedom
-    gain = (fit.freedom * fit.noise**2 - bent.freedom * bent.noise**2) / bent.noise**2
-    if told < LEAST_TOLD or chdtrc(told, max(gain, 0.0)) > CONTRADICTS:
-        return []
-    return ["the units are stated to be linear, and these poses contradict that"]
+    said = "the units are stated to be linear, and these poses contradict that"
+    return [said] if is_better(bent, fit) else []
 
 
 def _of_mounts(solution: ThreeAxisSolution, on_stage: Mapped) -> list[str]:
@@ -116,9 +111,4 @@ def _of_dial(solution: ThreeAxisSolution) -> list[str]:
     if not goes_round(dial):
         arc = TURN_DEG - widest_gap_deg(dial)
         said.append(f"the poses stand on {arc:.0f}° of the dial: the map is known there and nowhere else")
-    if solution.choice.untold:
-        orders = ", ".join(f"{order:g}" for order in solution.choice.untold)
-        said.append(
-            f"these angles do not tell orders {orders} of the map from its others: they were left out"
-        )
-    return said
+    return [*said, *of_untold_orders(solution.choice)]

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calrig.calibration.joint.least_squares import WILD
 from calrig.calibration.joint.order_choice import Choice, chosen, of_the_unit
 from calrig.calibration.joint.stage_map import TURN_DEG, resolved_orders
 from calrig.calibration.joint.table import Mounted, Table
@@ -21,14 +20,13 @@ from calrig.calibration.joint.three_axis_fit import (
 )
 from calrig.calibration.joint.three_axis_problem import ThreeAxisProblem
 from calrig.calibration.joint.three_axis_table import ThreeAxisTable, three_axis_table
+from calrig.calibration.joint.wild import wild_poses_said
 from calrig.calibration.pose import DiagnosisError
 
 FEWEST_SPARE = 12
 """Responses beside the parameters, which the noise is found from."""
 SPARE_AN_ORDER = 8
 MOST_TILT_DEG = 25.0
-TOLD = 5
-"""Of the poses that were left out, how many are named."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +77,8 @@ def solve_whole(
     choice = chosen(fitted_whole(correlated, weights, rich.parameters), known)
     fit = fitted_whole(replace(correlated, orders=choice.orders), weights)
     _refuse_another_face(fit)
-    return ThreeAxisSolution(fit, choice, (*warnings, *_of_poses(fit)))
+    said = wild_poses_said(table.seen, fit.kept, vector_distances(fit))
+    return ThreeAxisSolution(fit, choice, (*warnings, *said))
 
 
 def _offered(problem: ThreeAxisProblem, known: Sequence[float]) -> tuple[float, ...]:
@@ -108,18 +107,3 @@ def _refuse_another_face(fit: ThreeAxisFit) -> None:
                 f"mount {named.name} of unit {fit.problem.table.units[named.unit]}: mount_axis is "
                 f"{fit.problem.of.faces[mount]}, but that axis lies {tilt_deg:.0f}° from the stage's"
             )
-
-
-def _of_poses(fit: ThreeAxisFit) -> list[str]:
-    """Poses that were left out, each by its place."""
-    table, said = fit.problem.table, []
-    left_out = np.flatnonzero(~fit.kept)
-    if len(left_out):
-        listed = ", ".join(
-            f"{table.mounts[table.mount[k]].name} at {table.dial_deg[k]:g}°" for k in left_out[:TOLD]
-        )
-        said.append(f"{len(left_out)} poses went wrong alone and were left out: {listed}")
-    far = int((vector_distances(fit)[fit.kept] > WILD).sum())
-    if far:
-        said.append(f"{far} poses lie far from the model, too many to be left out: something else moved")
-    return said

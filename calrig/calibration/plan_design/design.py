@@ -85,8 +85,15 @@ class Task:
     names: tuple[str, ...] = SHOWN_BY_MOVING
 
 
-def quickest(task: Task, goals: Goals) -> Design:
-    """The design of least time that reaches the goals.
+Told = Callable[[float], None]
+
+
+def _unheard(_share: float) -> None:
+    """Nobody asked how far it is."""
+
+
+def quickest(task: Task, goals: Goals, told: Told = _unheard) -> Design:
+    """The design of least time that reaches the goals; tells the share that is done.
 
     With `trace`, the first by time whose hidden effects would be smaller than half of the uncertainty wanted
     (of the scatter of a reading, where no uncertainty is named), as far as the same poses can show them.
@@ -96,14 +103,16 @@ def quickest(task: Task, goals: Goals) -> Design:
     """
     found = sorted(_reaching(task, goals), key=partial(_time_s, task, goals))
     if not found and task.until and task.reserve > 1.0:
-        return quickest(replace(task, reserve=1.0), goals)
+        return quickest(replace(task, reserve=1.0), goals, told)
     if not found:
         raise OutOfReachError(_why_none(task, goals))
     if not task.trace:
         return found[0]
     allowed_deg = TRACED_SHARE * (goals.expanded_deg or task.precision.scatter_deg(found[0].dwell_s))
     hidden = _always_hidden(task, found[0].dwell_s, allowed_deg)
-    for design in found[:: max(1, len(found) // MOST_TRIED)]:
+    tried = found[:: max(1, len(found) // MOST_TRIED)]
+    for done, design in enumerate(tried):
+        told(done / len(tried))
         shown = _with_suspects(task, design)
         if all(s.rms_deg <= allowed_deg or s.name in hidden for s in shown.suspects):
             break
@@ -211,7 +220,7 @@ def _of_time(task: Task, time_s: float) -> Iterator[Design]:
 
 def _overhead_s(task: Task, order: list[float]) -> float:
     pace = task.pace
-    first_s = pace.travel_s(abs(order[0]))  # from about its home
+    first_s = pace.travel_s(abs(order[0] - pace.stands_deg))
     return pace.begin_s + first_s + way_s(order, pace) + len(order) * (pace.settle_s + pace.questions_s)
 
 

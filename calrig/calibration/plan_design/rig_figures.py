@@ -67,9 +67,11 @@ class Pace:
         settle_s: after each move.
         questions_s: at each pose, to the stage and the board.
         begin_s: before the first move.
+        stands_deg: elevation from which the first move begins.
     """
 
     travel_s: Callable[[float], float]
     settle_s: float
     questions_s: float
     begin_s: float
+    stands_deg: float = 0.0

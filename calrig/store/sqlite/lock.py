@@ -11,9 +11,10 @@ import stat
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from calrig.store.errors import StoreError, Taken
-from calrig.store.sqlite import file_system
+from calrig.store.sqlite import file_system, listener
 from calrig.store.sqlite.errors import store_error
 
 FLAGS = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY
@@ -42,15 +43,16 @@ class WriterLock:
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            holder = _holder(self._file)
+            said = _said(self._file)
             os.close(self._file)
             if not isinstance(error, BlockingIOError):
                 raise file_system.on_a_network_drive(
                     database, f"it cannot be locked: {error.strerror}"
                 ) from error
+            or_ask = "ask it by --server http://HOST:PORT, " if "at" in said else ""
             raise Taken(
-                f"{database}: {holder} writes to it, and a store has one writer at a time: "
-                "stop that one first, or name another database with --db"
+                f"{database}: {_in_words(said)} writes to it, and a store has one writer at a time: "
+                f"{or_ask}stop that one first, or name another database with --db"
             ) from error
         self._mine = {  # `pid` first: what begins with it is known to be a lock
             "pid": os.getpid(),
@@ -122,24 +124,25 @@ class WriterLock:
 def living_writer(database: Path) -> str | None:
     """Who writes to a store now, in words; None where nobody does. For who looks, and will not write."""
     with _held(database) as file:
-        return None if file is None else _holder(file)
+        return None if file is None else _in_words(_said(file))
 
 
 def answering_at(database: Path) -> str | None:
     """Where the service answers that writes to a store now, if it is this user's; else None.
 
-    A token may be sent there: nobody else could have written the address, which its living process did.
+    A token may be sent there: nobody else could have written the address, which its living process did, and
+    nobody else listens at it.
     """
     with _held(database) as file:
         if file is None or not _is_ours_alone(os.fstat(file)):
             return None
+        said = _said(file)
         try:
-            said = json.loads(os.pread(file, 4096, 0))
             address, is_here = said["at"], said["host"] == socket.gethostname()
             os.kill(said["pid"], 0)  # refused where it is another user's
-        except (ValueError, KeyError, TypeError, OSError):
+        except (KeyError, TypeError, OverflowError, OSError):
             return None
-    return address if is_here and isinstance(address, str) else None
+    return address if is_here and isinstance(address, str) and listener.is_ours(address) else None
 
 
 def _is_ours_alone(found: os.stat_result) -> bool:
@@ -177,9 +180,17 @@ def _path(database: Path) -> Path:
     return database.with_name(f"{database.name}.lock")
 
 
-def _holder(file: int) -> str:
+def _said(file: int) -> dict[str, Any]:
+    """What the holder has written; nothing, where it has the lock and has not yet written its name."""
     try:
-        holder = json.loads(os.pread(file, 4096, 0))
-        return "`calrig {what}` (process {pid} on {host}, since {since})".format(**holder)
-    except (ValueError, KeyError, TypeError):
-        return "another program"  # it has the lock and has not yet written its name
+        said = json.loads(os.pread(file, 4096, 0))
+    except ValueError:
+        return {}
+    return said if isinstance(said, dict) else {}
+
+
+def _in_words(said: dict[str, Any]) -> str:
+    try:
+        return "`calrig {what}` (process {pid} on {host}, since {since})".format(**said)
+    except KeyError:
+        return "another program"

@@ -81,6 +81,7 @@ class Esp301:
                 limits_deg=None if low is None or high is None else (low, high),
                 velocity_dps=velocity,
                 acceleration_dps2=acceleration,
+                homes_each_time=True,
             )
 
     def status(self) -> StageStatus:

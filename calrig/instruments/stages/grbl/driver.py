@@ -80,6 +80,7 @@ class Grbl:
                 velocity_dps=settings.velocity_dps,
                 acceleration_dps2=settings.acceleration_dps2,
                 homes=settings.homes,
+                homes_each_time=settings.homes,
             )
 
     def status(self) -> StageStatus:

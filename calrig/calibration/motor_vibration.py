@@ -1,0 +1,119 @@
+"""Whether the motor biases the accelerometer while it turns: a sweep's stretches against its dwells.
+
+Vibration moves the mean of what is not linear: of the chip by its own second order and by clipping, of the
+elevation by the arc tangent of what is shaken. How much an accelerometer scatters does not tell by how much,
+only standing still does: the errors of the stretches, as a smooth curve of the elevation for each sense of
+turning, are continued to the dwells that were come to in that sense.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from calrig.calibration.pose import Pose
+from calrig.estimation.angles import FloatArray, wrap_deg
+
+OWN_DEG = 0.01
+"""What a step of the accelerometer (0.0035° at ±2 g) and the reckoning leave, with no motor running."""
+SINGULAR = 1e-9
+FEWEST_A_COLUMN = 2
+"""Stretches of one pass."""
+
+
+@dataclass(frozen=True, slots=True)
+class EndDifference:
+    """How much more the unit reads at one end while the stage turns than standing.
+
+    Attributes:
+        elevation_deg: of the end.
+        difference_deg, std_deg: turning less standing, and its standard error.
+        p_value: of so large a difference by chance.
+    """
+
+    elevation_deg: float
+    difference_deg: float
+    std_deg: float
+    p_value: float
+
+    def document(self) -> dict[str, Any]:
+        """As it is kept with the run."""
+        return {
+            "elevation_deg": round(self.elevation_deg, 6),
+            "difference_deg": round(self.difference_deg, 6),
+            "std_deg": round(self.std_deg, 6),
+            "p_value": self.p_value,
+        }
+
+
+def end_differences(poses: Sequence[Pose]) -> list[EndDifference]:
+    """What each end tells, by all poses of a sweep so far; empty where they are too few.
+
+    A least-squares fit of the stretches: the first two harmonics, which offsets, gains and axes of a unit and
+    the eccentricity of a stage make, a straight line, and the sense of turning. The scatter about it is taken
+    for that of the dwells too. Student's t of the difference at each end.
+    """
+    stretches = [pose for pose in poses if pose.settle_s is None]
+    dwells = [pose for pose in poses if pose.settle_s is not None]
+    if not stretches:
+        return []
+    both = len({pose.approach for pose in stretches}) > 1
+    width = len({round(pose.target_deg) for pose in stretches}) // FEWEST_A_COLUMN
+    design = _design(stretches, width, both=both)
+    freedom = len(stretches) - design.shape[1]
+    if width < 3 or freedom < 2:
+        return []
+    beta = np.linalg.lstsq(design, _errors_deg(stretches), rcond=SINGULAR)[0]
+    left = _errors_deg(stretches) - design @ beta
+    scatter_deg = math.sqrt(float(left @ left) / freedom)
+    spread = np.linalg.pinv(design.T @ design, rcond=SINGULAR**2)
+    low, high = (f(pose.theta_deg for pose in stretches) for f in (min, max))
+    found = []
+    for sense in sorted({pose.approach for pose in stretches}, key=lambda s: s or 0):
+        at_end = [pose for pose in dwells if pose.approach == sense and _is_end(pose, sense or 0, low, high)]
+        if not at_end:
+            continue
+        row = _design(at_end, width, both=both).mean(axis=0)
+        difference = float(row @ beta) - float(_errors_deg(at_end).mean())
+        std_deg = scatter_deg * math.sqrt(float(row @ spread @ row) + 1.0 / len(at_end))
+        found.append(
+            EndDifference(
+                at_end[0].target_deg, difference, std_deg, _by_chance(difference / std_deg, freedom)
+            )
+        )
+    return found
+
+
+def disturbing(ends: Sequence[EndDifference], chance: float) -> EndDifference | None:
+    """The end that differs by more than chance, and the method's own error, allow; of two the worse."""
+    found = [end for end in ends if end.p_value * len(ends) < chance and abs(end.difference_deg) > OWN_DEG]
+    return min(found, key=lambda end: end.p_value, default=None)
+
+
+def _is_end(pose: Pose, sense: int, low_deg: float, high_deg: float) -> bool:
+    """Whether a dwell lies where a pass in this sense ends."""
+    return pose.theta_deg > high_deg if sense > 0 else pose.theta_deg < low_deg
+
+
+def _errors_deg(poses: Sequence[Pose]) -> FloatArray:
+    return wrap_deg(np.array([pose.reading_deg - pose.theta_deg for pose in poses], dtype=np.float64))
+
+
+def _design(poses: Sequence[Pose], width: int, *, both: bool) -> FloatArray:
+    theta = np.radians([pose.theta_deg for pose in poses])
+    ones = np.ones(len(poses))
+    shapes = [ones, np.cos(theta), np.sin(theta), np.sin(2 * theta), np.cos(2 * theta), theta][:width]
+    if both:
+        shapes.append(np.array([pose.approach for pose in poses], dtype=np.float64))
+    return np.column_stack(shapes)
+
+
+def _by_chance(t: float, freedom: int) -> float:
+    """Both tails of Student's distribution."""
+    from scipy.special import stdtr
+
+    return float(2.0 * stdtr(freedom, -abs(t)))

@@ -1,0 +1,228 @@
+"""`export`: a unit's calibration, its poses, its certificate, or all that stands behind it."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from calrig.cli.options import SHORTENED, Db, Server
+from calrig.cli.running_service import is_named, running_service
+from calrig.cli.typed_ids import whole_id
+from calrig.errors import InputError
+
+if TYPE_CHECKING:
+    from calrig.store import Store
+    from calrig.store.issued import Revision
+
+
+class Format(StrEnum):
+    """What `export` writes."""
+
+    json = "json"
+    csv = "csv"
+    c_header = "c-header"
+    px4 = "px4"
+    ardupilot = "ardupilot"
+    kalibr = "kalibr"
+    vins = "vins"
+    imu_tk = "imu-tk"
+    imucal = "imucal"
+    pdf = "pdf"
+    dcc = "dcc"
+    archive = "archive"
+
+
+Form = Literal["pdf", "dcc"]
+FORMS: dict[Format, Form] = {Format.pdf: "pdf", Format.dcc: "dcc"}
+"""Of a certificate."""
+
+
+def export(
+    run_id: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="RUN_ID|CALIBRATION.json",
+            help=f"The run to export{SHORTENED}, or a calibration of `calrig solve --out`.",
+        ),
+    ] = None,
+    unit: Annotated[str | None, typer.Option(metavar="SERIAL", help="The unit, by its run in force.")] = None,
+    format_: Annotated[
+        Format,
+        typer.Option(
+            "--format",
+            help="The calibration, its poses (csv), its certificate (pdf, dcc), all of a unit (archive); "
+            "for other programs: calrig/docs/calibrations.md.",
+        ),
+    ] = Format.json,
+    parquet: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write the poses of all completed runs there.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="FILE", help="Where a certificate or an archive goes."),
+    ] = None,
+    sign: Annotated[
+        Path | None, typer.Option(metavar="KEY.pem", help="Sign the DCC with this key, and --cert.")
+    ] = None,
+    cert: Annotated[
+        Path | None, typer.Option(metavar="CERT.pem", help="The certificate of the key that signs.")
+    ] = None,
+    db: Db = None,
+    server: Server = None,
+) -> None:
+    """Print a calibration as JSON or for another program, or its poses as CSV.
+
+    Standard error has its verdict. `--format pdf` is its certificate, into a file or a pipe; `dcc` the same
+    for programs, in PTB's XML. `--format archive --out FILE.zip` is everything that stands behind a unit:
+    `calrig verify` checks it. With --parquet: the poses of all completed runs into files.
+
+    A service that holds the store makes them, by its own settings, where it is not told a key to sign with.
+    """
+    if parquet is not None:
+        from calrig.cli.export_files import export_all
+
+        if run_id is not None or unit is not None:
+            raise InputError("export: --parquet writes the poses of all runs: name no run or unit beside it")
+        _refuse_elsewhere("--parquet", server, db)
+        export_all(parquet, db)
+        return
+    if format_ is Format.archive:
+        from calrig.cli.export_files import export_archive
+
+        if run_id is not None:
+            raise InputError("export: an archive is of a unit, not of a run: --unit SERIAL --out FILE.zip")
+        export_archive(running_service(server, db), unit, out, db)
+        return
+    if (run_id is None) == (unit is None):
+        raise InputError("export: name either a RUN_ID or --unit SERIAL")
+    form = FORMS.get(format_)
+    if out is not None and form is None:
+        raise InputError(f"export: --format {format_.value} goes to standard output, not to --out")
+    if run_id is not None and (run_id.endswith(".json") or Path(run_id).is_file()):
+        sys.stdout.write(_of_file(run_id, format_))
+    elif form is not None:
+        _export_certificate(form, run_id, unit, out, (sign, cert), db, server)
+    else:
+        _export_text(format_, run_id, unit, db, server)
+
+
+def _export_text(
+    format_: Format, run_id: str | None, unit: str | None, db: str | None, server: str | None
+) -> None:
+    there = running_service(server, db)
+    if there is not None:
+        from calrig.cli.export_there import exported_there
+
+        text, of_unit, found = exported_there(there, run_id, unit, format_.value)
+        if found is not None:
+            says = () if format_ is Format.csv else found.verdict.says
+            _say_which(of_unit, found.revision, found.status, says)
+        sys.stdout.write(text)
+        return
+
+    from calrig.settings import store_url
+    from calrig.store import Store
+
+    with Store.open(store_url(db), writer=None) as store:
+        sys.stdout.write(_text(store, run_id and whole_id(store, run_id), unit, format_))
+
+
+def _export_certificate(
+    form: Form,
+    run_id: str | None,
+    unit: str | None,
+    out: Path | None,
+    signing: tuple[Path | None, Path | None],
+    db: str | None,
+    server: str | None,
+) -> None:
+    from calrig.cli.export_files import certificate_of, check_target, put
+
+    check_target(form, out)
+    is_signed = signing != (None, None)
+    if is_signed:
+        _refuse_elsewhere("--sign", server, db)
+    there = None if is_signed else running_service(server, db)
+    if there is not None:
+        from calrig.cli.export_there import revision_there
+
+        of_unit, found = revision_there(there, run_id, unit)
+        _say_which(of_unit, found.revision, found.status, found.verdict.says)
+        put(there.certificate(of_unit, form, found.revision), out)
+        return
+
+    from calrig.settings import store_url
+    from calrig.store import Store
+
+    with Store.open(store_url(db), writer=None) as store:
+        kept = _revision_asked_for(store, run_id and whole_id(store, run_id), unit)
+        _say_which(kept.unit, kept.revision, kept.status, kept.verdict["says"])
+        put(certificate_of(store, kept, form, *signing), out)
+
+
+def _refuse_elsewhere(option: str, server: str | None, db: str | None) -> None:
+    """Refuses what is made of the store's file, where a service was named and no store."""
+    if is_named(server, db):
+        raise InputError(
+            f"export: {option} is for the machine that has the store: the service at {server} has its own "
+            "key and hands out no store; run it there, or name a store with --db"
+        )
+
+
+def _text(store: Store, run_id: str | None, unit: str | None, format_: Format) -> str:
+    """What is printed; standard error has the verdict of a calibration."""
+    from calrig.analysis.exports import NOISE_FORMATS, exported, exported_noise
+    from calrig.analysis.stored_runs import stored_run
+
+    if run_id is not None and format_ is Format.csv:
+        return _poses(store, run_id)
+    if format_.value in NOISE_FORMATS:
+        of_unit = unit or stored_run(store, run_id or "").unit
+        return exported_noise(store, of_unit, format_.value)
+    found = _revision_asked_for(store, run_id, unit)
+    if format_ is Format.csv:
+        _say_which(found.unit, found.revision, found.status, ())
+        return _poses(store, found.run_id)
+    _say_which(found.unit, found.revision, found.status, found.verdict["says"])
+    return found.text + "\n" if format_ is Format.json else exported(found, format_.value)
+
+
+def _poses(store: Store, run_id: str) -> str:
+    from calrig.analysis.mounts import labels_of
+    from calrig.analysis.stored_runs import counted_poses, stored_run
+    from calrig.export.poses_csv import write_poses
+
+    run = stored_run(store, run_id)
+    return write_poses(counted_poses(store, run.id), labels_of(run))
+
+
+def _of_file(file: str, format_: Format) -> str:
+    from calrig.analysis.exports import REVISION_FORMATS, exported_document
+    from calrig.export.calibration_file import read_document
+
+    if format_.value not in REVISION_FORMATS:
+        raise InputError(f"export: {file}: a calibration in a file is given as {', '.join(REVISION_FORMATS)}")
+    return exported_document(read_document(file), format_.value, file)
+
+
+def _revision_asked_for(store: Store, run_id: str | None, unit: str | None) -> Revision:
+    from calrig.analysis.active_calibration import newest_of_run, wanted_revision
+
+    if unit is not None:
+        return store.in_force(unit) or wanted_revision(store, unit, "latest")
+    return newest_of_run(store, run_id or "")
+
+
+def _say_which(unit: str, revision: int, status: str, says: Iterable[str]) -> None:
+    """Says on standard error what is exported, where it is not in force, and its verdict."""
+    from calrig.cli.output import print_says
+
+    if status != "in_force":
+        words = f"revision {revision} of unit {unit!r} is {status}, not in force"
+        typer.echo(f"calrig export: {words}", err=True)
+    print_says(says)

@@ -1,0 +1,199 @@
+"""Readings while a stage turns evenly: where it stood at each sample, and how late its reports come.
+
+The stage's reports are stamped by the host's clock, the samples by the board's. Both clocks run evenly, so
+that one straight line takes the host's time to the board's but for a constant; with it come the age of a
+report and the delay of the board's own low-pass filter. At a velocity v they shift a reading by v times
+their sum, one way upward and the other way downward, as backlash would. The gyro tells them apart: what it
+still feels from an instant of the turn to the stand at its end is what the stage still has to turn, and the
+play was taken up long before. Gyro and accelerometer of an MPU-6050 are delayed alike (RM-MPU-6000A rev. 4.2,
+DLPF_CFG: within 0.5 ms of one another).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from calrig.estimation.angles import FloatArray
+from calrig.estimation.gains import steady_state_gain
+from calrig.estimation.kalman import KalmanNoise
+
+LATE = 6.0
+"""Times the median deviation of the reports: what is so far off, a busy machine held up."""
+AT_THE_END_S = 0.1
+"""Before the stage slows down: a worm of 0.1° and 7.2° changes its slope by 4 % in that time at 5 °/s."""
+NEARLY = 0.95
+LOCAL = 20
+"""Samples that tell the rate of a turn before it ends."""
+FEWEST_REPORTS = 5
+
+
+@dataclass(frozen=True, slots=True)
+class EvenTurn:
+    """The even part of a turn in the board's time: elevation = at_deg + velocity_dps·(time_s − at_s).
+
+    Attributes:
+        at_s, at_deg: its middle.
+        velocity_dps: signed.
+        begins_s, ends_s: of the part that was fitted.
+        scatter_deg: RMS of the reports about the line.
+    """
+
+    at_s: float
+    at_deg: float
+    velocity_dps: float
+    begins_s: float
+    ends_s: float
+    scatter_deg: float
+
+    def elevation_deg(self, time_s: FloatArray) -> FloatArray:
+        """Where the stage was by its reports."""
+        return np.asarray(self.at_deg + self.velocity_dps * (time_s - self.at_s), dtype=np.float64)
+
+    def time_s(self, elevation_deg: float) -> float:
+        """When it was there."""
+        return self.at_s + (elevation_deg - self.at_deg) / self.velocity_dps
+
+
+def board_time_s(host_s: FloatArray, seen_s: FloatArray) -> FloatArray:
+    """Times of the host as times of the board, but for a constant.
+
+    No sample is seen before it was taken: the line lies above all pairs, as near to them as it can (Moon,
+    Skelly & Towsley, Estimation and removal of clock skew from network delay measurements, INFOCOM 1999).
+    What was held up on its way, or waited in a block, moves it nowhere.
+
+    Args:
+        host_s: (m,) times by the host's clock.
+        seen_s: (k, 2) the host's clock, and the board's at the last sample seen by then.
+
+    Returns:
+        (m,)
+    """
+    from scipy.optimize import linprog
+
+    about_s = seen_s.mean(axis=0)
+    host, board = (seen_s - about_s).T
+    above = np.column_stack([-host, -np.ones(len(host))])
+    line = linprog([0.0, 1.0], A_ub=above, b_ub=-board, bounds=(None, None), method="highs")
+    if not line.success:
+        raise ValueError("the board's clock does not go on with the host's")
+    slope, offset = (float(one) for one in np.asarray(line.x))
+    return np.asarray(slope * (host_s - about_s[0]) + offset + about_s[1], dtype=np.float64)
+
+
+def even_turn(time_s: FloatArray, reported_deg: FloatArray, from_deg: float, to_deg: float) -> EvenTurn:
+    """The straight line through the reports between two elevations, in the order turned.
+
+    Args:
+        time_s: (m,) of the reports, by the board's clock (`board_time_s`).
+        reported_deg: (m,) elevations.
+        from_deg: from here on the stage turns evenly,
+        to_deg: and up to here.
+
+    Raises:
+        ValueError: fewer than `FEWEST_REPORTS` reports lie between.
+    """
+    low, high = min(from_deg, to_deg), max(from_deg, to_deg)
+    inside = (reported_deg >= low) & (reported_deg <= high)
+    if np.count_nonzero(inside) < FEWEST_REPORTS:
+        raise ValueError(f"{np.count_nonzero(inside)} reports between {from_deg:g}° and {to_deg:g}°")
+    times, angles = time_s[inside], reported_deg[inside]
+    at_s = float(times.mean())
+    kept = np.ones(len(times), dtype=bool)
+    velocity = at_deg = 0.0
+    for _ in range(2):
+        velocity, at_deg = np.polyfit(times[kept] - at_s, angles[kept], 1)
+        off = np.abs(angles - at_deg - velocity * (times - at_s))
+        kept = off <= LATE * max(float(np.median(off)), 1e-9)
+    scatter = math.sqrt(float(np.mean(off[kept] ** 2)))
+    line = EvenTurn(at_s, float(at_deg), float(velocity), 0.0, 0.0, scatter)
+    return EvenTurn(at_s, line.at_deg, line.velocity_dps, line.time_s(from_deg), line.time_s(to_deg), scatter)
+
+
+@dataclass(frozen=True, slots=True)
+class Felt:
+    """What the gyro says of one turn.
+
+    Attributes:
+        gain: the rate that it gives over the rate that the stage reports.
+        behind_s: by how much the stage's reports are behind the samples; a sample at t belongs to the
+            elevation reported for t + behind_s.
+    """
+
+    gain: float
+    behind_s: float
+
+
+def felt_turn(time_s: FloatArray, rate_dps: FloatArray, turn: EvenTurn, stands_deg: float) -> Felt:
+    """Gain and delay by the rate still to come at each instant of a turn, until the stage stands.
+
+    The gain is that between the two ends of the even part. The delay is told by when the turn ends: at the
+    rate of its last instants the gyro comes to the stand at one time, and the reports' line at another. No
+    more than these instants count, so that no error of the stage along the way enters, a worm's for example.
+
+    Args:
+        time_s: (n,) samples from the begin of the turn to when the stage stands, by the board's clock.
+        rate_dps: (n,) about the stage's axis, less the gyro's bias.
+        turn: as its reports have it.
+        stands_deg: where the stage says it stands afterwards.
+    """
+    steps = np.diff(time_s) * (rate_dps[1:] + rate_dps[:-1]) / 2.0
+    to_come_deg = np.append(np.cumsum(steps[::-1])[::-1], 0.0)
+    even = np.flatnonzero((time_s >= turn.begins_s) & (time_s <= turn.ends_s))
+    first, last = even[0], even[-1]
+    gain = (to_come_deg[first] - to_come_deg[last]) / (turn.velocity_dps * (time_s[last] - time_s[first]))
+    slows_s = _slows_down_s(time_s, rate_dps, last)
+    at_end = np.flatnonzero((time_s >= slows_s - AT_THE_END_S) & (time_s <= slows_s))
+    stands_s = time_s[at_end] + to_come_deg[at_end] / rate_dps[at_end].mean()
+    return Felt(float(gain), turn.time_s(stands_deg) - float(stands_s.mean()))
+
+
+def _slows_down_s(time_s: FloatArray, rate_dps: FloatArray, within: int) -> float:
+    """When the rate begins to fall for good, seen from the even part: the last time it is nearly as large."""
+    before_dps = rate_dps[max(0, within - LOCAL) : within + 1].mean()
+    high = np.flatnonzero(rate_dps[within:] * np.sign(before_dps) > NEARLY * abs(before_dps))
+    return float(time_s[within + (high[-1] if len(high) else 0)])
+
+
+def filter_lag_deg(
+    time_s: FloatArray, rate_dps: FloatArray, gain_error: float, noise: KalmanNoise
+) -> FloatArray:
+    """What a gyro wrong by a share of the rate adds to the filtered angle, until it is taken for bias.
+
+    Args:
+        time_s: (n,) from a stand on.
+        rate_dps: (n,) as the gyro gives it, less its bias.
+        gain_error: `Felt.gain` − 1.
+        noise: what the filter assumes.
+    """
+    from scipy.signal import lfilter
+
+    steady = steady_state_gain(noise, float(np.median(np.diff(time_s))))
+    numerator = steady.dt_s * (1.0 - steady.k_angle) * np.array([1.0, -1.0])
+    error_dps = rate_dps * (gain_error / (1.0 + gain_error))
+    return np.asarray(lfilter(numerator, steady.denominator, error_dps), dtype=np.float64)
+
+
+def turned_back(accel_g: FloatArray, turn_deg: FloatArray) -> FloatArray:
+    """(n, 3) specific force of a sensor that turns about its x, as at the middle of the turn.
+
+    The mean over an arc is shorter than gravity; the mean of what is turned back is not.
+
+    Args:
+        accel_g: (n, 3).
+        turn_deg: (n,) elevation of each sample less that of the middle.
+    """
+    x, y, z = accel_g.T
+    cosine, sine = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
+    return np.stack([x, y * cosine - z * sine, z * cosine + y * sine], axis=1)
+
+
+def scatter_g(accel_g: FloatArray) -> float:
+    """How much an accelerometer scatters: RMS of all axes, g, by second differences, which see no slow turn.
+
+    Args:
+        accel_g: (n, 3) specific force.
+    """
+    return math.sqrt(float(np.mean(np.diff(accel_g, 2, axis=0) ** 2)) / 2.0)

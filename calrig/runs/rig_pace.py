@@ -1,0 +1,117 @@
+"""What time a rig takes: as fast as its stage says that it is, and as its last run took beside that."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from statistics import fmean
+
+from calrig.calibration.pose import Pose
+from calrig.instruments.axis_goal import travel_time_s
+from calrig.settings import RigSettings
+from calrig.store import Run, Store
+
+ASSUMED_VELOCITY_DPS = 20.0
+"""Of a stage that no run has asked yet; with the acceleration, an ordinary SMC100's."""
+ASSUMED_ACCELERATION_DPS2 = 80.0
+HOMING_AND_START_S = 5.0
+"""Opening both ports and homing, where no run tells whether the stage homes and from where."""
+START_S = 1.0
+"""Opening both ports and asking who answers, beside the board's clock."""
+HOMING_SHARE = 0.5
+"""Of its velocity, at which an ordinary stage looks for its reference."""
+QUESTIONS_S = 0.12
+"""A pose's questions to stage and board, on simulated rigs of each kind."""
+RUNS_LOOKED_AT = 10
+FEWEST_GAPS = 4
+TRIMMED = 0.1
+"""Share of the gaps at either end that does not count: a pause, or a machine that was busy elsewhere."""
+
+
+@dataclass(frozen=True, slots=True)
+class RigPace:
+    """What a rig takes.
+
+    Attributes:
+        velocity_dps, acceleration_dps2: of elevation.
+        questions_s: a pose, beside move, settling and dwell.
+        begin_s: from the start of a run to its first move.
+        stands_deg: elevation from which the first move begins.
+    """
+
+    velocity_dps: float = ASSUMED_VELOCITY_DPS
+    acceleration_dps2: float = ASSUMED_ACCELERATION_DPS2
+    questions_s: float = QUESTIONS_S
+    begin_s: float = HOMING_AND_START_S
+    stands_deg: float = 0.0
+
+    def travel_s(self, way_deg: float, velocity_dps: float | None = None) -> float:
+        """Time of a move, at the velocity that a plan asks for."""
+        return travel_time_s(abs(way_deg), velocity_dps or self.velocity_dps, self.acceleration_dps2)
+
+    def way_s(self, elevations_deg: Sequence[float], velocity_dps: float | None = None) -> float:
+        """Time of the moves to one elevation after the other, the first from where the stage stands."""
+        ways = pairwise((self.stands_deg, *elevations_deg))
+        return sum(self.travel_s(after - before, velocity_dps) for before, after in ways)
+
+
+def rig_pace(rig: RigSettings, store: Store | None) -> RigPace:
+    """As the last run that a rig completed shows it; assumed where there is none."""
+    runs = [] if store is None else store.runs(rig=rig.name, status="completed", limit=RUNS_LOOKED_AT)[0]
+    if store is None or not runs:
+        return RigPace()
+    velocity_dps, acceleration_dps2 = _speed(runs[0], rig)
+    for run in runs:
+        if not _tells(run):
+            continue
+        poses = [stored.pose for stored in store.poses(run.id)]
+        if (questions_s := _questions_s(run, poses, RigPace(*_speed(run, rig)))) is None:
+            continue
+        homes, stands_deg = _homes_each_time(runs[0]), poses[-1].target_deg
+        begin_s = START_S + (abs(stands_deg) / (HOMING_SHARE * velocity_dps) if homes else 0.0)
+        return RigPace(velocity_dps, acceleration_dps2, questions_s, begin_s, 0.0 if homes else stands_deg)
+    return RigPace(velocity_dps, acceleration_dps2)
+
+
+def _speed(run: Run, rig: RigSettings) -> tuple[float, float]:
+    """Velocity and acceleration of elevation, deg/s and deg/s², as the stage said in a run."""
+    said = run.provenance.get("stage", {})
+    ratio = rig.stage.ratio if rig.stage else 1.0
+    velocity_dps, acceleration_dps2 = said.get("velocity_dps"), said.get("acceleration_dps2")
+    return (
+        velocity_dps / ratio if velocity_dps else ASSUMED_VELOCITY_DPS,
+        acceleration_dps2 / ratio if acceleration_dps2 else ASSUMED_ACCELERATION_DPS2,
+    )
+
+
+def _homes_each_time(run: Run) -> bool:
+    return bool(run.provenance.get("stage", {}).get("homes_each_time"))
+
+
+def _tells(run: Run) -> bool:
+    """Whether a run's dwells were as long as its plan says, and nothing came between them."""
+    plan = run.plan or {}
+    return (
+        plan.get("kind") in ("calibration", "verification")
+        and not plan.get("target_std_deg")
+        and not run.provenance.get("interruptions")
+    )
+
+
+def _questions_s(run: Run, poses: Sequence[Pose], pace: RigPace) -> float | None:
+    """What lies between two dwells beside move and settling; None where too few poses tell."""
+    plan = run.plan or {}
+    still_s = plan["settle_s"] + plan["dwell_s"]
+    beside_s = sorted(
+        after.time_s
+        - before.time_s
+        - still_s
+        - pace.travel_s(after.target_deg - before.target_deg, plan.get("velocity_dps"))
+        for before, after in pairwise(poses)
+        if after.time_s is not None and before.time_s is not None and before.sweep == after.sweep
+    )
+    if len(beside_s) < FEWEST_GAPS:
+        return None
+    trimmed = int(TRIMMED * len(beside_s))
+    return max(0.0, fmean(beside_s[trimmed : len(beside_s) - trimmed]))

@@ -1,0 +1,205 @@
+"""A sweep: the stage turns slowly from end to end without stopping, and a pose is a stretch of its way.
+
+Each pass ends with a dwell. Its poses follow once the stage stands: what the gyro has felt of the last part
+of the way tells how late the stage's reports come (`calrig.estimation.turning`), and the dwell whether the
+motor biases the accelerometer while it turns (`calrig.calibration.motor_vibration`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from calrig.calibration.motor_vibration import EndDifference, disturbing, end_differences
+from calrig.estimation.reading import Reading
+from calrig.estimation.turning import Felt, scatter_g
+from calrig.instruments.axis import Motion
+from calrig.instruments.errors import BoardError, StageError
+from calrig.plan import Plan, PlannedPose
+from calrig.runs.mounting import Mount
+from calrig.runs.pace import Pace
+from calrig.runs.pose_taking import DWELL_TRIES, PoseTaking
+from calrig.runs.sweep_waits import wait_before_sweep
+from calrig.runs.turned_pass import Seen, TurnedPass
+
+CHANCE, CHANCE_SHAKEN = 1e-4, 1e-2
+"""A difference of turning and standing so improbable ends a run; the sooner where the unit is shaken."""
+SHAKEN = 1.1
+"""Times the scatter standing: what a vibration of half the chip's noise makes of it."""
+RUN_UP_S = 0.15
+"""After the stage has come up to its velocity, and before it slows down: its reports and the board's lag."""
+
+
+@dataclass
+class Sweeping:
+    """A plan of kind `sweep` and the poses that it takes.
+
+    Attributes:
+        ends: turning less standing, by all poses so far.
+        felt: of each pass.
+        scatter_g: of the accelerometer in each pass, turning and standing, RMS.
+    """
+
+    plan: Plan
+    pace: Pace
+    taking: PoseTaking
+    ends: list[EndDifference] = field(default_factory=list)
+    felt: list[Felt] = field(default_factory=list)
+    scatter_g: list[tuple[float, float]] = field(default_factory=list)
+
+    def carry_out(self, planned: list[PlannedPose]) -> None:
+        """Homes the stage where it must be, dwells at one end, then takes the passes that are left.
+
+        Raises:
+            Ended: the run was asked to end.
+            InstrumentError: a device failed, the stage does not turn evenly, or its motor biases the
+                accelerometer while it turns; the poses so far are stored.
+            NotTheSame: after an interruption the last pose reads otherwise by far.
+        """
+        taking, pace = self.taking, self.pace
+        if taking.is_enough:
+            return
+        pace.begin(self.plan, moves=True, mount=Mount(0.0, "x"))
+        if taking.poses:
+            taking.return_to_last()
+        else:
+            taking.move_off(planned)
+        pace.recorder.poses_begin()
+        if not taking.poses:
+            wait_before_sweep(self.plan, pace)
+            taking.take(planned[0], self.plan.first_settle_s)
+            pace.hold_while_paused()
+        for passed in self._passes(planned):
+            if passed[0].sweep > 0:
+                wait_before_sweep(self.plan, pace)
+            self._take(planned[passed[0].index - 1].target_deg, passed)
+            if taking.is_enough:
+                return
+            pace.hold_while_paused()
+
+    def _passes(self, planned: list[PlannedPose]) -> Iterator[list[PlannedPose]]:
+        """The stretches of each pass and the dwell at its end, but for passes that are stored whole."""
+        passed: list[PlannedPose] = []
+        for pose in planned[1:]:
+            passed.append(pose)
+            if pose.stretch_deg is None:
+                if pose.index >= len(self.taking.poses):
+                    yield passed
+                passed = []
+
+    def _take(self, from_deg: float, passed: list[PlannedPose]) -> None:
+        """One pass, turned anew where samples of it are missing; makes and stores its poses."""
+        end = passed[-1]
+        for _ in range(DWELL_TRIES):
+            self._go_to(from_deg)
+            seen = self._turn(end.target_deg)
+            start_s, end_s, reading = self.taking.measure(
+                f"pose {end.index}", end.target_deg, self.plan.settle_s
+            )
+            self.pace.see_that_it_stands()
+            turned = self._turned(seen, passed, (start_s, end_s))
+            if turned is not None:
+                self._keep(turned, passed, reading)
+                self.pace.forget(end_s)
+                return self._hold_against_the_dwells()
+            self.pace.rig.board.faults["retried_pose"] += 1
+        raise BoardError(
+            f"the pass from {from_deg:g}° to {end.target_deg:g}°: fewer than half of a stretch's samples "
+            f"were valid, {DWELL_TRIES} times over; check the cable and the board's rate"
+        )
+
+    def _go_to(self, from_deg: float) -> None:
+        """Moves to where a pass begins, where the stage does not stand there."""
+        if abs((self.pace.stage_deg or 0.0) - from_deg) > self.pace.rig.axis.tolerance_deg:
+            self.pace.move(from_deg)
+            self.pace.forget(self.pace.synchronise())
+            self.taking.felt.touched()
+
+    def _turn(self, to_deg: float) -> Seen:
+        """One pass at the plan's velocity, the stage's reports and both clocks taken down."""
+        pace = self.pace
+        seen = Seen(pace.rig.axis.elevation_deg(), to_deg)
+
+        def note(motion: Motion) -> None:
+            seen.reports.append((motion.seen_s, motion.elevation_deg))
+            seen.clocks.append((pace.rig.clock.now_s(), pace.stream.clock_s))
+
+        pace.rig.axis.set_velocity(self.plan.turn_dps)
+        pace.move(to_deg, note)
+        self.taking.note_approach(seen.from_deg)
+        return seen
+
+    def _turned(
+        self, seen: Seen, passed: list[PlannedPose], dwell_s: tuple[float, float]
+    ) -> TurnedPass | None:
+        """The pass by reports and gyro; None where samples of a stretch are missing."""
+        pace, taking, axis = self.pace, self.taking, self.pace.rig.axis
+        kept = pace.stream.kept()
+        dwell = kept.between(*dwell_s).samples
+        if np.isnan(kept.samples.accel_g).any() or np.isnan(kept.samples.gyro_dps).any():
+            raise BoardError(
+                f"board {taking.rig.board_identity.driver} sends no rates and accelerations, which a sweep "
+                "needs: take a plan of dwells"
+            )
+        bias_dps = taking.gyro.bias_with_dps(dwell)
+        try:
+            turn = seen.even_turn(axis.run_up_deg() + RUN_UP_S * self.plan.turn_dps)
+        except ValueError as error:
+            raise StageError(
+                f"the stage turned from {seen.from_deg:g}° to {seen.to_deg:g}° at {self.plan.turn_dps:g}°/s: "
+                f"{error}; take a plan of dwells, or another velocity"
+            ) from error
+        turned = TurnedPass(
+            kept, pace.stood_at_s, dwell_s, seen.from_deg, pace.stage_deg or seen.to_deg, turn,
+            taking.gyro.along, bias_dps, taking.noise, pace.rate_hz,
+        )  # fmt: skip
+        if (short := turned.too_short(passed[:-1])) is not None:
+            raise StageError(
+                f"the stage comes up to {self.plan.turn_dps:g}°/s and slows down within the stretch about "
+                f"{short.target_deg:g}°: take longer stretches (step_deg), or a lower velocity"
+            )
+        return None if turned.lacks_samples(passed[:-1]) else turned
+
+    def _keep(self, turned: TurnedPass, passed: list[PlannedPose], reading: Reading) -> None:
+        """Makes and stores the poses that are not stored yet, by what all passes say of gain and delay."""
+        taking = self.taking
+        self.felt.append(turned.felt())
+        felt = Felt(*np.mean([(one.gain, one.behind_s) for one in self.felt], axis=0).tolist())
+        bias_std_dps = taking.gyro.dwelt(turned.dwell)
+        self.scatter_g.append((scatter_g(turned.even_samples.accel_g), scatter_g(turned.dwell.accel_g)))
+        for taken in turned.poses(passed, reading, felt, self.plan.settle_s):
+            if passed[0].index + taken.place < len(taking.poses):
+                continue
+            travel_s = abs(taken.stage_move_deg) / self.plan.turn_dps
+            pose = taken.felt_as(taking.gyro.felt_deg(taken.move, 1.0 / self.pace.rate_hz, travel_s))
+            lasts_s = float(np.ptp(turned.dwell.time_s))
+            check = taking.felt.take(pose, taken.stage_move_deg, taken.move, bias_std_dps, lasts_s)
+            taking.keep(pose, taken.before, taken.samples, check)
+
+    def _hold_against_the_dwells(self) -> None:
+        """Ends the run where the unit reads otherwise while the motor turns than standing."""
+        turning_g, standing_g = np.sqrt(np.mean(np.square(self.scatter_g), axis=0)).tolist()
+        shaken = turning_g > SHAKEN * standing_g
+        self.ends = end_differences(self.taking.poses)
+        worst = disturbing(self.ends, CHANCE_SHAKEN if shaken else CHANCE)
+        if worst is not None:
+            said = (
+                f"reads {worst.difference_deg:+.3f}° ± {2 * worst.std_deg:.3f}° more than standing, and "
+                f"scatters by {1000 * turning_g:.1f} mg, not {1000 * standing_g:.1f} mg"
+            )
+            raise StageError(
+                f"the motor biases the accelerometer while it turns at {self.plan.turn_dps:g}°/s: at "
+                f"{worst.elevation_deg:g}° the unit {said}; take a plan of dwells, or another velocity"
+            )
+
+    def provenance(self) -> dict[str, Any]:
+        """What is kept with the run: CONTRACT section 9 asks for latency and for the ends."""
+        return {
+            "velocity_dps": self.plan.turn_dps,
+            "passes": [{"gyro_gain": f.gain, "reports_behind_s": f.behind_s} for f in self.felt],
+            "scatter_g": [{"turning": turning, "standing": standing} for turning, standing in self.scatter_g],
+            "turning_less_standing": [end.document() for end in self.ends],
+        }

@@ -1,0 +1,93 @@
+"""What is read while a stage turns evenly, against a turn made here: a trapezoid with a worm in it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calrig.estimation.kalman import KalmanFilter, KalmanNoise
+from calrig.estimation.turning import (
+    board_time_s,
+    even_turn,
+    felt_turn,
+    filter_lag_deg,
+    scatter_g,
+    turned_back,
+)
+
+RATE_HZ = 200.0
+FROM_DEG, TO_DEG, VELOCITY_DPS, ACCELERATION_DPS2 = -30.0, 30.0, 5.0, 80.0
+
+
+def reported_deg(time_s: np.ndarray) -> np.ndarray:
+    """A trapezoid from FROM_DEG, begun at 1 s, to TO_DEG."""
+    ramp_s = VELOCITY_DPS / ACCELERATION_DPS2
+    ends_s = (TO_DEG - FROM_DEG) / VELOCITY_DPS + ramp_s
+    t = np.clip(time_s - 1.0, 0.0, ends_s)
+    up, down = np.minimum(t, ramp_s), np.maximum(t - ends_s + ramp_s, 0.0)
+    return FROM_DEG + ACCELERATION_DPS2 * (up**2 / 2 - down**2 / 2) + VELOCITY_DPS * (t - up)
+
+
+def table_deg(time_s: np.ndarray, worm_deg: float) -> np.ndarray:
+    """What the table does of it."""
+    dial_deg = reported_deg(time_s)
+    return dial_deg + worm_deg * np.sin(2 * np.pi * dial_deg / 7.2)
+
+
+@pytest.mark.parametrize("boards_seconds", [1.0, 0.98, 20.0])
+def test_the_hosts_time_becomes_the_boards_whatever_waited_on_its_way(boards_seconds):
+    rng = np.random.default_rng(3)
+    host_s = np.cumsum(rng.uniform(0.005, 0.04, 400)) + 1e5
+    taken_s = host_s - rng.exponential(0.01, 400)  # the last sample that is there, from some time before
+    taken_s[100:140] -= np.linspace(1.0, 0.0, 40)  # a machine that was busy elsewhere
+    board_s = boards_seconds * (taken_s - 1e5)
+    found = board_time_s(host_s, np.column_stack([host_s, board_s]))
+    off_s = found - boards_seconds * (host_s - 1e5)
+    assert np.ptp(off_s) < 1e-3 * boards_seconds
+
+
+@pytest.mark.parametrize("worm_deg", [0.0, 0.05])
+@pytest.mark.parametrize("behind_s", [-0.02, 0.0, 0.08])
+def test_the_age_of_reports_shows_when_the_turn_ends(behind_s, worm_deg):
+    rng = np.random.default_rng(7)
+    time_s = np.arange(0.0, 15.0, 1.0 / RATE_HZ)
+    rate_dps = 1.02 * np.gradient(table_deg(time_s, worm_deg), time_s) + rng.normal(0.0, 0.05, len(time_s))
+    asked_s = np.arange(1.0, 13.5, 0.03)
+    turn = even_turn(asked_s, reported_deg(asked_s - behind_s), FROM_DEG + 1.0, TO_DEG - 1.0)
+    assert turn.velocity_dps == pytest.approx(VELOCITY_DPS, rel=1e-6)
+    felt = felt_turn(time_s, rate_dps, turn, TO_DEG)
+    assert felt.behind_s == pytest.approx(behind_s, abs=0.001 if worm_deg == 0.0 else 0.003)
+    assert felt.gain == pytest.approx(1.02, abs=0.0005 if worm_deg == 0.0 else 0.003)
+
+
+def test_what_a_gyro_that_gives_too_much_adds_is_what_the_filter_makes_of_it():
+    time_s = np.arange(0.0, 16.0, 1.0 / RATE_HZ)
+    elevation_deg = table_deg(time_s, 0.0)
+    rate_dps = np.gradient(elevation_deg, time_s)
+    right, wrong = (KalmanFilter() for _ in range(2))
+    still_s = np.arange(-20.0, 0.0, 1.0 / RATE_HZ)
+    for one in (right, wrong):
+        one.run(still_s, np.full(len(still_s), FROM_DEG), np.zeros(len(still_s)))
+    added = wrong.run(time_s, elevation_deg, 1.02 * rate_dps) - right.run(time_s, elevation_deg, rate_dps)
+    assert np.abs(added).max() > 0.01
+    np.testing.assert_allclose(filter_lag_deg(time_s, 1.02 * rate_dps, 0.02, KalmanNoise()), added, atol=2e-4)
+
+
+def test_the_mean_of_what_is_turned_back_is_as_long_as_gravity():
+    turn_deg = np.linspace(-10.0, 10.0, 2001)
+    angle = np.radians(25.0 + turn_deg)
+    accel_g = np.stack([np.zeros(2001), np.sin(angle), np.cos(angle)], axis=1)
+    x, y, z = turned_back(accel_g, turn_deg).mean(axis=0)
+    assert (x, y, z) == pytest.approx((0.0, np.sin(np.radians(25.0)), np.cos(np.radians(25.0))), abs=1e-12)
+    assert np.linalg.norm(accel_g.mean(axis=0)) < 0.995
+
+
+def test_scatter_is_that_of_the_noise_and_not_of_the_turn():
+    rng = np.random.default_rng(1)
+    turning = np.sin(np.radians(np.linspace(-60.0, 60.0, 4800)))[:, None] + rng.normal(0.0, 0.004, (4800, 3))
+    assert scatter_g(turning) == pytest.approx(0.004 * np.sqrt(3.0), rel=0.03)
+
+
+def test_reports_that_are_too_few_are_no_turn():
+    with pytest.raises(ValueError, match="2 reports between"):
+        even_turn(np.array([0.0, 1.0, 2.0]), np.array([-5.0, 0.0, 5.0]), -5.5, 1.0)

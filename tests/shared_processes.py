@@ -1,0 +1,72 @@
+"""Processes for heavy work that the services of a test worker share.
+
+To start one that loads numpy and scipy takes half a second of processor time. A service in use has its own
+for as long as it lives; one in a test lives for a few requests.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable
+from functools import cache
+from typing import TypeVar
+
+from calrig.processes.pool import Processes
+
+T = TypeVar("T")
+
+
+class SharedProcesses(Processes):
+    """Processes in an event loop of their own, asked from the loops of services, which leave them open."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever, name="shared processes")
+        self._thread.start()
+
+    async def run(
+        self,
+        function: Callable[..., T],
+        *,
+        begun: Callable[[], None] = lambda: None,
+        progress: Callable[[float], None] | None = None,
+    ) -> T:
+        """As its own, heard in the loop of who asks."""
+        here, over = asyncio.get_running_loop(), asyncio.Event()
+        tasks: list[asyncio.Task[T]] = []
+
+        def heard(call: Callable[..., None]) -> Callable[..., None]:
+            return lambda *told: (here.call_soon_threadsafe(call, *told), None)[1]
+
+        work = super().run(function, begun=heard(begun), progress=progress and heard(progress))
+
+        def begin() -> None:
+            tasks.append(self._loop.create_task(work))
+            tasks[0].add_done_callback(heard(lambda _: over.set()))
+
+        self._loop.call_soon_threadsafe(begin)
+        try:
+            await over.wait()
+        except asyncio.CancelledError:
+            self._loop.call_soon_threadsafe(lambda: tasks[0].cancel())  # noqa: PLW0108 (it may yet begin)
+            await over.wait()
+            raise
+        return tasks[0].result()
+
+    async def close(self) -> None:
+        """Leaves them to the next service."""
+
+    def end(self) -> None:
+        """Ends them, once no service is left."""
+        asyncio.run_coroutine_threadsafe(super().close(), self._loop).result()
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+        self._loop.close()
+
+
+@cache
+def shared_processes() -> SharedProcesses:
+    """Those of this worker, who ends them."""
+    return SharedProcesses()
