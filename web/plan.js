@@ -46,6 +46,7 @@ export function planForm(of, signal) {
   const make = (spec) => labelled(spec, inputs);
   const asRange = radio("range", "Range", true);
   const asList = radio("list", "List", false);
+  const asTurns = radio("turns", "Range, without stopping", false);
   const list = h("input", {
     id: "elevations_deg",
     type: "text",
@@ -82,6 +83,7 @@ export function planForm(of, signal) {
       { class: "choice", role: "radiogroup", "aria-label": "Elevations" },
       asRange.element,
       asList.element,
+      asTurns.element,
     ),
     range,
     given,
@@ -98,7 +100,7 @@ export function planForm(of, signal) {
   );
 
   function value() {
-    let plan = { order: order.value, ...mounts.value() };
+    let plan = asTurns.input.checked ? { kind: "sweep", order: "sweep" } : { order: order.value, ...mounts.value() };
     for (const spec of [...(asList.input.checked ? [] : RANGE), ...USUAL, ...ADVANCED]) {
       plan[spec.name] = number(inputs.get(spec.name));
     }
@@ -115,6 +117,7 @@ export function planForm(of, signal) {
     given.hidden = !asList.input.checked;
     for (const spec of RANGE) inputs.get(spec.name).disabled = asList.input.checked;
     list.required = asList.input.checked;
+    order.disabled = mounts.element.hidden = asTurns.input.checked;
     jitterForMounts();
     markWrong(element);
     estimate();
@@ -122,7 +125,7 @@ export function planForm(of, signal) {
 
   /** What the stage does between the elevations of a grid shows in no mount, unless they are jittered. */
   function jitterForMounts() {
-    const several = mounts.value().mounts_deg.length > 1;
+    const several = !asTurns.input.checked && mounts.value().mounts_deg.length > 1;
     const jitter = inputs.get("jitter_deg");
     if (several && !hadSeveral && jitter.value === "0") jitter.value = Number(inputs.get("step_deg").value) / 2;
     hadSeveral = several;
@@ -175,13 +178,14 @@ export function planForm(of, signal) {
     refresh();
   }
 
-  /** The form says a plan of elevations, as the service has designed it. */
+  /** The form says a plan of elevations or of turns, as the service has designed it. */
   function take(plan) {
     const said = { ...plan, expanded_uncertainty_deg: plan.until?.expanded_uncertainty_deg ?? null };
     for (const [name, input] of inputs) if (name in said) input.value = said[name] ?? "";
     order.value = plan.order;
-    asList.input.checked = true;
-    list.value = plan.elevations_deg.join(", ").replaceAll("-", "−");
+    const turns = plan.kind === "sweep";
+    (turns ? asTurns : asList).input.checked = true;
+    if (!turns) list.value = plan.elevations_deg.join(", ").replaceAll("-", "−");
     refresh();
   }
 
@@ -224,7 +228,7 @@ function number(input) {
 /** How much a plan is, in words, as the service has computed it. */
 function estimateText(plan, { n_poses: poses, wall_s: seconds }) {
   const upTo = plan.target_std_deg || plan.until ? "at most about" : "about";
-  const turns = plan.mounts_deg.length - 1;
+  const turns = (plan.mounts_deg?.length ?? 1) - 1;
   const more = [
     plan.wait_temperature_c === null ? "" : ", and the wait for temperature",
     turns ? `; ${plural(poses / plan.mounts_deg.length, "pose")} a mount, and the unit turned ${["", "once", "twice"][turns] ?? `${turns} times`} in between` : "",

@@ -16,6 +16,7 @@ export function planDesigner(of, take, signal) {
   const target = input("target_u_deg", "number", { step: "any", placeholder: "0.5" });
   const time = input("time_s", "number", { step: "any", placeholder: "as long as it takes" });
   const trace = input("trace", "checkbox", { checked: true });
+  const sweep = input("may-sweep", "checkbox", { checked: true });
   const early = input("stop-early", "checkbox");
   const work = new LongWork("design", WORDS, signal);
   const answer = h("div", { id: "designed", role: "status", "aria-live": "polite" });
@@ -26,6 +27,7 @@ export function planDesigner(of, take, signal) {
     h("div", { class: "field" }, h("label", { for: target.id }, "Expanded uncertainty wanted, °"), target),
     h("div", { class: "field" }, h("label", { for: time.id }, "Or: the time there is, s"), time),
     h("label", { for: trace.id, class: "check" }, trace, "Trace effects: poses enough to find and name them"),
+    h("label", { for: sweep.id, class: "check" }, sweep, "Turn without stopping where that is sooner"),
     h("label", { for: early.id, class: "check" }, early, "Stop as soon as it is good enough"),
   );
   fields.addEventListener("keydown", (event) => {
@@ -48,6 +50,7 @@ export function planDesigner(of, take, signal) {
         until: stops ? { expanded_uncertainty_deg: wanted } : null,
         time_s: time.value === "" ? null : Number(time.value),
         trace: trace.checked,
+        sweep: sweep.checked,
       }),
     );
   }
@@ -93,7 +96,7 @@ function input(id, type, props = {}) {
 
 function shown({ plan, expected, limit, suspects, says }) {
   const rows = [
-    ["Poses", `${plural(plan.elevations_deg.length, "pose")} of ${plan.dwell_s}\u00a0s${plan.until ? " at most" : ""}`],
+    ["Poses", `${poses(plan)}${plan.until ? " at most" : ""}`],
     ["Time on the rig", `about ${duration(expected.duration_s)}`],
     ["Expanded uncertainty", significant(expected.expanded_uncertainty_deg, 3, "°")],
     ["Bias, standard error", significant(expected.bias_std_deg, 2, "°")],
@@ -104,6 +107,11 @@ function shown({ plan, expected, limit, suspects, says }) {
     suspects.length > 0 && tableBox("Effects that it would show", tableOf(suspects)),
     h("ul", { class: "says" }, says.map((sentence) => h("li", {}, sentence))),
   ];
+}
+
+function poses({ kind, elevations_deg: elevations, dwell_s: dwell, sweeps, velocity_dps: velocity }) {
+  if (kind !== "sweep") return `${plural(elevations.length, "pose")} of ${dwell}\u00a0s`;
+  return `${sweeps} passes at ${significant(velocity, 3, "°/s")}, stretches of ${dwell}\u00a0s`;
 }
 
 function tableOf(suspects) {

@@ -5,7 +5,7 @@ import { dayEnd, dayStart } from "./format.js";
 
 const CHOICES = {
   status: ["queued", "running", "paused", "completed", "failed", "aborted", "interrupted"],
-  kind: ["calibration", "verification", "static", "follow-up", "import"],
+  kind: ["calibration", "sweep", "verification", "static", "follow-up", "import"],
   verdict: [
     ["pass", "pass"],
     ["conditional_pass", "conditional pass"],

@@ -6,7 +6,7 @@ import { moment, plusMinus, significant } from "./format.js";
 import { runFilters, verdictWords } from "./runfilters.js";
 
 const PAGE = 20;
-const KINDS = { verification: "verification", static: "static log" };
+const KINDS = { sweep: "sweep", verification: "verification", static: "static log" };
 
 /** What a run is, where it is no calibration on a rig. */
 function kindTag({ plan, follows }) {

@@ -74,7 +74,7 @@ class WantedPlan(Body):
     """What a plan is to reach: `target_u_deg`, an expanded uncertainty, and `until`; or `time_s`.
 
     With `until` the run ends as soon as that is reached. `plan` is what it keeps: range, rate, velocity. With
-    `trace` effects are to be found in it.
+    `trace` effects are to be found in it; with `sweep` it turns without stopping where that is sooner.
     """
 
     rig: str | None = None
@@ -83,6 +83,7 @@ class WantedPlan(Body):
     until: Until | None = None
     time_s: float | None = Field(default=None, gt=0, le=86_400)
     trace: bool = True
+    sweep: bool = True
     plan: Plan = Plan()
 
 
@@ -96,7 +97,7 @@ class ExpectedAnswer(Answer):
 
 
 class LimitAnswer(Answer):
-    """A time that no plan of dwells is under."""
+    """A time that no plan is under; without `sweep`, no plan of dwells."""
 
     duration_s: float
     why: str
@@ -154,5 +155,5 @@ def _question(body: WantedPlan, context: ApiContext) -> Question:
         raise Invalid(
             "Give either what is to be reached (target_u_deg, until) or a time (time_s)", ["time_s"]
         )
-    wanted = Wanted(goals, body.time_s, body.trace, body.until)
+    wanted = Wanted(goals, body.time_s, body.trace, body.until, body.sweep)
     return question(wanted, body.plan, rig, body.unit, context.store, context.service.maps)

@@ -33,6 +33,9 @@ def plan(
     trace: Annotated[
         bool, typer.Option(" /--no-trace", help="Without variety for the tracing of effects: sooner.")
     ] = True,
+    sweep: Annotated[
+        bool, typer.Option(" /--no-sweep", help="Stopping for each pose, though turning on were sooner.")
+    ] = True,
     until: Annotated[
         bool, typer.Option("--until", help="Its run ends as soon as the uncertainty is reached.")
     ] = False,
@@ -54,7 +57,7 @@ def plan(
     if until and target_u is None:
         raise InputError("plan: --until goes with --target-u, which the run is to end at")
     kept = read_plan_file(keep) if keep else Plan()
-    asked = _Asked(target_u, time, rig, unit, trace, until, kept)
+    asked = _Asked(target_u, time, rig, unit, trace, sweep, until, kept)
     there = None if config else running_service(server, db)
     document = _designed_here(asked, db, config) if there is None else _designed_there(there, asked)
     if as_json:
@@ -70,6 +73,7 @@ class _Asked:
     rig: str | None
     unit: str
     trace: bool
+    sweep: bool
     until: bool
     kept: Plan
 
@@ -87,6 +91,7 @@ def _designed_there(there: Client, asked: _Asked) -> dict[str, Any]:
                 unit=asked.unit,
                 until={"expanded_uncertainty_deg": asked.target_u_deg or 0.0} if asked.until else None,
                 trace=asked.trace,
+                sweep=asked.sweep,
                 keep=asked.kept,
                 told=show,
             )
@@ -113,7 +118,7 @@ def _designed_here(asked: _Asked, db: str | None, config: str | None) -> dict[st
         configured = ", ".join(one.name for one in settings.rig)
         raise InputError(f"--rig: there is no rig {asked.rig!r}; configured: {configured}")
     ends_at = Until(expanded_uncertainty_deg=asked.target_u_deg) if asked.until else None
-    wanted = Wanted(Goals(expanded_deg=asked.target_u_deg), asked.time_s, asked.trace, ends_at)
+    wanted = Wanted(Goals(expanded_deg=asked.target_u_deg), asked.time_s, asked.trace, ends_at, asked.sweep)
     with ExitStack() as stack:
         store = None
         with suppress(NoStore):  # nothing has run yet: noise and pace are assumed, and said to be
@@ -126,15 +131,21 @@ def _designed_here(asked: _Asked, db: str | None, config: str | None) -> dict[st
             raise WorkError(str(error)) from error
 
 
+def _poses(plan: dict[str, Any]) -> str:
+    if plan["kind"] == "sweep":
+        return f"{plan['sweeps']} passes at {plan['velocity_dps']:.3g}°/s, stretches of {plan['dwell_s']:g} s"
+    return f"{len(plan['elevations_deg'])} of {plan['dwell_s']:g} s"
+
+
 def _print(document: dict[str, Any]) -> None:
     from calrig.cli.printing import number, print_line, print_table
 
     expected: dict[str, Any] = document["expected"]
     limit: dict[str, Any] | None = document["limit"]
     rows = [
-        ("poses", f"{len(document['plan']['elevations_deg'])} of {document['plan']['dwell_s']:g} s"),
+        ("poses", _poses(document["plan"])),
         ("duration", f"{expected['duration_s']:.0f} s"),
-        ("no plan of dwells is under", "–" if limit is None else f"{limit['duration_s']:.0f} s"),
+        ("no plan is under", "–" if limit is None else f"{limit['duration_s']:.0f} s"),
         ("expanded uncertainty", number(expected["expanded_uncertainty_deg"], "°")),
         ("bias, standard error", number(expected["bias_std_deg"], "°")),
         ("scale, standard error", number(expected["scale_std"], "", 6)),

@@ -115,6 +115,7 @@ class Client(Studies, Issued):
         unit: str = "",
         until: Mapping[str, float] | None = None,
         trace: bool = True,
+        sweep: bool = True,
         keep: Plan | Mapping[str, Any] | None = None,
         told: Told = unheard,
     ) -> PlanDesign:
@@ -127,6 +128,7 @@ class Client(Studies, Issued):
             unit: whose earlier runs tell the noise.
             until: what else is to be reached: `bias_std_deg`, `scale_std`, `expanded_uncertainty_deg`.
             trace: whether effects are to be found in it.
+            sweep: whether it may turn without stopping.
             keep: a plan whose range, settling and rate are kept.
             told: is told the share that is done.
 
@@ -142,6 +144,7 @@ class Client(Studies, Issued):
         body: dict[str, Any] = {
             "unit": unit,
             "trace": trace,
+            "sweep": sweep,
             **{k: v for k, v in wanted.items() if v is not None},
         }
         if keep is not None:

@@ -7,17 +7,13 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
+from pydantic import ValidationError
+
 from calrig.analysis.errors import Invalid
-from calrig.calibration.plan_design.design import (
-    Design,
-    OutOfReachError,
-    Task,
-    ended,
-    limit_s,
-    quickest,
-    within,
-)
+from calrig.calibration.plan_design.design import ended, quickest, within
+from calrig.calibration.plan_design.limit import limit_s
 from calrig.calibration.plan_design.settling import SHARE, forgotten_s
+from calrig.calibration.plan_design.task import Design, OutOfReachError, Task
 from calrig.plan import Plan
 from calrig.runs.plan_designs import Question, Wanted
 from calrig.runs.settling import Settling
@@ -38,6 +34,7 @@ class Designed:
     whole: Design
     limit_s: float | None
     says: tuple[str, ...]
+    may_sweep: bool = False
 
     def document(self) -> dict[str, Any]:
         """CONTRACT section 9's answer, and `suspects`: what would be found of each."""
@@ -83,20 +80,41 @@ def answer(asked: Question, progress: Callable[[float], None] = lambda _: None) 
         field = "time_s" if wanted.time_s is not None else "target_u_deg"
         raise Invalid(str(error), [field]) from error
     design = ended(task, wanted.goals, whole)
-    made = asked.plan.model_copy(
-        update={
-            "elevations_deg": list(whole.elevations_deg),
+    made = _plan_of(asked, task, whole)
+    least_s = limit_s(task, wanted.goals) if wanted.time_s is None else None
+    says = _says(asked, task, design, whole)
+    return Designed(made, design, whole, least_s, says, task.sweeping is not None)
+
+
+def _plan_of(asked: Question, task: Task, design: Design) -> Plan:
+    """What is kept, with the design in it."""
+    common = {
+        **asked.plan.model_dump(),
+        "settle_s": task.pace.settle_s,
+        "dwell_s": design.dwell_s,
+        "target_std_deg": None,
+        "until": asked.wanted.until,
+    }
+    sweep, was_sweep = design.sweep, asked.plan.kind == "sweep"
+    if sweep is None:
+        of_dwells = {
+            "kind": "calibration" if was_sweep else asked.plan.kind,
+            "velocity_dps": None if was_sweep else asked.plan.velocity_dps,
+            "elevations_deg": list(design.elevations_deg),
             "order": "given",
             "sweeps": 1,
             "jitter_deg": 0.0,
-            "settle_s": task.pace.settle_s,
-            "dwell_s": whole.dwell_s,
-            "target_std_deg": None,
-            "until": wanted.until,
         }
-    )
-    least_s = limit_s(task, wanted.goals) if wanted.time_s is None else None
-    return Designed(made, design, whole, least_s, _says(task, design, whole, asked.settling))
+        return _valid({**common, **of_dwells})
+    turning = sweep.plan(task.seed).model_dump(exclude_unset=True)
+    return _valid({**common, "elevations_deg": None, "order": "sweep", **turning})
+
+
+def _valid(fields: dict[str, Any]) -> Plan:
+    try:
+        return Plan.model_validate(fields)
+    except ValidationError as error:  # what is kept goes with no such plan
+        raise Invalid(error.errors()[0]["msg"].removeprefix("Value error, "), ["plan"]) from error
 
 
 def _settled(
@@ -112,7 +130,7 @@ def _settled(
         design = quickest(task, wanted.goals, told) if time_s is None else within(task, time_s)
         if settling.gyro is None:
             return task, design
-        pace, order = task.pace, design.elevations_deg
+        pace, order = task.pace, _stops_deg(design)
         moves_s = [pace.travel_s(abs(after - before)) for before, after in pairwise((order[0], *order))]
         wanted_deg = wanted.goals.expanded_deg or 2.0 * task.precision.scatter_deg(design.dwell_s)
         needed_s = forgotten_s(order, moves_s, design.dwell_s, settling.gyro, SHARE * wanted_deg)
@@ -122,17 +140,24 @@ def _settled(
     return task, design
 
 
+def _stops_deg(design: Design) -> tuple[float, ...]:
+    """Where it stops, in the order of visiting."""
+    if design.sweep is None:
+        return design.elevations_deg
+    return tuple(pose.target_deg for pose in design.sweep.poses() if pose.stretch_deg is None)
+
+
 def _why(made: Designed) -> str:
+    if made.may_sweep:
+        return "the data that are needed, taken all of the time and where they say most"
     twice = made.whole.suspects and made.plan.until is None
     ways = "two ways through the range" if twice else "one way through the range"
     return f"{ways}, and dwells at its two ends alone: less time does not hold the data"
 
 
-def _says(task: Task, design: Design, whole: Design, settling: Settling) -> tuple[str, ...]:
-    said = [f"{task.precision.said[0].upper()}{task.precision.said[1:]}."]
-    waits_s = task.pace.settle_s
-    because = "" if waits_s <= settling.least_s else ", and the filter has forgotten the moves"
-    said.append(f"It waits {waits_s:g} s after each move: {settling.said}{because}.")
+def _says(asked: Question, task: Task, design: Design, whole: Design) -> tuple[str, ...]:
+    precision = task.sweeping.precision if task.sweeping and whole.sweep else task.precision
+    said = [f"{precision.said[0].upper()}{precision.said[1:]}.", *_how_it_moves(asked, task, whole)]
     if task.type_b is None:
         said.append(
             "The rig says of no reference what its angle is worth, so that no expanded uncertainty is known."
@@ -151,6 +176,20 @@ def _says(task: Task, design: Design, whole: Design, settling: Settling) -> tupl
             f"Of the effects that moving shows, each that leaves {least.rms_deg:.2g}° (RMS) or more in "
             f"calibrated readings would be found about four times in five; the hardest is: {least.title}."
         )
+        said += [f"{one.title} is shown by dwells alone." for one in whole.suspects if one not in shown]
     elif not task.trace:
         said.append("Effects are not to be traced: what bends between the ends stays unseen.")
     return tuple(said)
+
+
+def _how_it_moves(asked: Question, task: Task, whole: Design) -> list[str]:
+    waits_s, settling = task.pace.settle_s, asked.settling
+    because = "" if waits_s <= settling.least_s else ", and the filter has forgotten the moves"
+    waits = f"It waits {waits_s:g} s after each move: {settling.said}{because}."
+    if whole.sweep is not None:
+        return [
+            f"It turns {whole.sweep.passes} times through the range at {whole.sweep.velocity_dps:.3g}°/s "
+            "without stopping; its run is refused where the motor's vibration biases the accelerometer.",
+            waits.replace("each move", "each pass"),
+        ]
+    return [waits] if asked.no_sweep is None else [waits, f"It stops for each pose: {asked.no_sweep}."]

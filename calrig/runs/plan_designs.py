@@ -8,17 +8,18 @@ from functools import partial
 
 from calrig.analysis.errors import Invalid
 from calrig.analysis.stage_maps import kept_of
-from calrig.calibration.plan_design.design import Task
 from calrig.calibration.plan_design.goals import Goals, TypeB
-from calrig.calibration.plan_design.rig_figures import NOT_MEASURED, Pace, Precision, precision_of_run
+from calrig.calibration.plan_design.rig_figures import Pace
+from calrig.calibration.plan_design.task import Task
 from calrig.calibration.stage_reference import StageMap
 from calrig.calibration.uncertainty import Reference
 from calrig.plan import Plan, Until
-from calrig.run_ids import short_name
-from calrig.runs.rig_pace import rig_pace
+from calrig.runs.precision import precision_of
+from calrig.runs.rig_pace import RigPace, rig_pace
 from calrig.runs.settling import Settling, settling_of
+from calrig.runs.sweep_figures import MaySweep, may_sweep
 from calrig.settings import RigSettings
-from calrig.store import Run, Store
+from calrig.store import Store
 from calrig.store.records import Document
 
 
@@ -26,23 +27,28 @@ from calrig.store.records import Document
 class Wanted:
     """What somebody asks of a plan: an expanded uncertainty, standard errors, or what a time is worth.
 
-    `until` is what its run is to end at.
+    `until` is what its run is to end at; with `sweep` it may turn without stopping.
     """
 
     goals: Goals
     time_s: float | None = None
     trace: bool = True
     until: Until | None = None
+    sweep: bool = True
 
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """What is asked and all that is known: `plan` is what it keeps, `task` what the rig can do."""
+    """What is asked and all that is known: `plan` is what it keeps, `task` what the rig can do.
+
+    `no_sweep` is why the rig may not sweep, where a run of it has shown that.
+    """
 
     wanted: Wanted
     plan: Plan
     task: Task
     settling: Settling
+    no_sweep: str | None = None
 
 
 def question(
@@ -66,49 +72,31 @@ def question(
     Raises:
         Invalid: the plan that is kept has no range.
     """
+    if plan.kind == "static":
+        raise Invalid("a static log has no poses to be designed", ["plan.kind"])
     low, high = min(plan.elevations()), max(plan.elevations())
     if high - low < 1.0:
         raise Invalid(f"a plan over {high - low:g}° has no scale: give it a range", ["plan.start_deg"])
-    settling = settling_of(rig, plan, store)
+    settling, pace = settling_of(rig, plan, store), rig_pace(rig, store)
+    precision = precision_of(rig, unit, store)
+    turns = may_sweep(rig, plan, store, pace, precision) if wanted.sweep else MaySweep()
     task = Task(
         range_deg=(low, high),
-        precision=_precision(rig, unit, store),
-        pace=_pace(plan, rig, settling.least_s, store),
+        precision=precision,
+        pace=_pace(plan, pace, settling.least_s),
         type_b=_type_b(rig, store, maps),
         trace=wanted.trace,
         until=wanted.until is not None,
         seed=plan.seed,
+        sweeping=turns.sweeping,
     )
-    return Question(wanted, plan, task, settling)
+    return Question(wanted, plan, task, settling, turns.because)
 
 
-def _pace(plan: Plan, rig: RigSettings, settle_s: float, store: Store | None) -> Pace:
-    known = rig_pace(rig, store)
-    travel_s = partial(known.travel_s, velocity_dps=plan.velocity_dps)
+def _pace(plan: Plan, known: RigPace, settle_s: float) -> Pace:
+    velocity_dps = None if plan.kind == "sweep" else plan.velocity_dps  # of a sweep, that of its turns
+    travel_s = partial(known.travel_s, velocity_dps=velocity_dps)
     return Pace(travel_s, settle_s, known.questions_s, known.begin_s, known.stands_deg)
-
-
-def _precision(rig: RigSettings, unit: str, store: Store | None) -> Precision:
-    """Of the unit's last calibration on the rig, else of the rig's last one."""
-    if store is None:
-        return NOT_MEASURED
-    for serial in [unit, None] if unit else [None]:
-        runs, _ = store.runs(rig=rig.name, unit=serial, status="completed", limit=10)
-        for run in runs:
-            if (found := _of_run(run)) is not None:
-                return found
-    return NOT_MEASURED
-
-
-def _of_run(run: Run) -> Precision | None:
-    result, plan = run.result, run.plan or {}
-    if run.voided or not result or plan.get("kind") != "calibration" or plan.get("target_std_deg"):
-        return None
-    left = result["rms_with_effects_deg"] or result["rms_calibrated_deg"]
-    n, noise_deg = result["n_poses"], result["noise_deg"]
-    if left is None or noise_deg is None or n < 8:
-        return None
-    return precision_of_run(short_name(run.id), plan["dwell_s"], noise_deg, left * (n / (n - 2.0)) ** 0.5)
 
 
 def _type_b(rig: RigSettings, store: Store | None, maps: Mapping[str, Document]) -> TypeB | None:

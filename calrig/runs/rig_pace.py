@@ -62,16 +62,18 @@ def rig_pace(rig: RigSettings, store: Store | None) -> RigPace:
     if store is None or not runs:
         return RigPace()
     velocity_dps, acceleration_dps2 = _speed(runs[0], rig)
-    for run in runs:
-        if not _tells(run):
-            continue
-        poses = [stored.pose for stored in store.poses(run.id)]
-        if (questions_s := _questions_s(run, poses, RigPace(*_speed(run, rig)))) is None:
-            continue
-        homes, stands_deg = _homes_each_time(runs[0]), poses[-1].target_deg
-        begin_s = START_S + (abs(stands_deg) / (HOMING_SHARE * velocity_dps) if homes else 0.0)
-        return RigPace(velocity_dps, acceleration_dps2, questions_s, begin_s, 0.0 if homes else stands_deg)
-    return RigPace(velocity_dps, acceleration_dps2)
+    told_s = (_questions_s(run, _poses(store, run), RigPace(*_speed(run, rig))) for run in runs)
+    questions_s = next((one for one in told_s if one is not None), QUESTIONS_S)
+    stands_deg = next((poses[-1].target_deg for run in runs if (poses := _poses(store, run))), None)
+    if stands_deg is None:
+        return RigPace(velocity_dps, acceleration_dps2)
+    homes = runs[0].provenance.get("stage", {}).get("homes_each_time", False)
+    begin_s = START_S + (abs(stands_deg) / (HOMING_SHARE * velocity_dps) if homes else 0.0)
+    return RigPace(velocity_dps, acceleration_dps2, questions_s, begin_s, 0.0 if homes else stands_deg)
+
+
+def _poses(store: Store, run: Run) -> list[Pose]:
+    return [stored.pose for stored in store.poses(run.id)]
 
 
 def _speed(run: Run, rig: RigSettings) -> tuple[float, float]:
@@ -85,10 +87,6 @@ def _speed(run: Run, rig: RigSettings) -> tuple[float, float]:
     )
 
 
-def _homes_each_time(run: Run) -> bool:
-    return bool(run.provenance.get("stage", {}).get("homes_each_time"))
-
-
 def _tells(run: Run) -> bool:
     """Whether a run's dwells were as long as its plan says, and nothing came between them."""
     plan = run.plan or {}
@@ -100,8 +98,10 @@ def _tells(run: Run) -> bool:
 
 
 def _questions_s(run: Run, poses: Sequence[Pose], pace: RigPace) -> float | None:
-    """What lies between two dwells beside move and settling; None where too few poses tell."""
+    """What lies between two dwells beside move and settling; None where no poses, or too few, tell."""
     plan = run.plan or {}
+    if not _tells(run):
+        return None
     still_s = plan["settle_s"] + plan["dwell_s"]
     beside_s = sorted(
         after.time_s

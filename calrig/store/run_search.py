@@ -11,9 +11,9 @@ from sqlmodel import and_, col, func, or_, select
 
 from calrig.store.tables import RunTable
 
-RunKind = Literal["calibration", "verification", "static", "follow-up", "import"]
+RunKind = Literal["calibration", "sweep", "verification", "static", "follow-up", "import"]
 """What a run is to a person; a follow-up and an import count as that alone."""
-_TOLD = ("verification", "static")
+_TOLD = ("sweep", "verification", "static")
 """By the kind of their plan."""
 
 _IMPORTED = select(RunTable.id).where(col(RunTable.plan).is_(None))

@@ -8,8 +8,10 @@ from command_line import calrig, reason
 
 
 def test_a_plan_comes_as_json_for_a_run_to_take(tmp_path):
-    told = json.loads(calrig("plan", "--target-u", "0.5", "--json", "--db", tmp_path / "none.db").stdout)
-    assert told["plan"]["order"] == "given"
+    asked = ("plan", "--target-u", "0.5", "--json", "--db", tmp_path / "none.db")
+    told, stops = json.loads(calrig(*asked).stdout), json.loads(calrig(*asked, "--no-sweep").stdout)
+    assert (told["plan"]["kind"], stops["plan"]["kind"]) == ("sweep", "calibration")
+    assert told["expected"]["duration_s"] < stops["expected"]["duration_s"]
     assert told["expected"]["expanded_uncertainty_deg"] <= 0.5
     assert "data sheet" in told["says"][0]
 

@@ -1,6 +1,8 @@
-"""The tables of `calrig/docs/plans.md`: `python -m tests.plans [times|coverage|suspects] [--runs N]`.
+"""The tables of `calrig/docs/plans.md`: `python -m tests.plans [TABLE] [--runs N]`.
 
-`suspects` diagnoses 20 runs of each cell, a second of processor time each; the others take half a minute.
+`suspects` diagnoses 20 runs of each cell, a second of processor time each; `rigs` and `found` carry plans out
+on simulated rigs over their ports, three minutes and a quarter of an hour; `times` and `coverage` take half a
+minute.
 """
 
 from __future__ import annotations
@@ -10,16 +12,18 @@ import sys
 
 import numpy as np
 
-from calrig.calibration.plan_design.design import Design, limit_s, quickest
+from calrig.calibration.plan_design.design import quickest
 from calrig.calibration.plan_design.goals import Goals
 from calrig.calibration.plan_design.layout import layout
-from calrig.calibration.plan_design.suspects import suspects
+from calrig.calibration.plan_design.limit import limit_s
+from calrig.calibration.plan_design.suspects import imagined_dwells, suspects
 from calrig.calibration.uncertainty import Reference
 from calrig.plan import Plan
+from calrig.runs.plan_answers import Designed
 from tests.blind import causes
 from tests.blind.layout import Layout, timeline
 
-from . import coverage, trial
+from . import coverage, rig_runs, trial
 
 REFERENCES = {"a map of 0.003°": Reference(0.003, "harmonic", "normal"), "0.29°, ± 0.5°": Reference(0.29)}
 RUNS = 500
@@ -34,10 +38,12 @@ def times() -> None:
         fixed_s, known = trial.stage_time_s(fixed), trial.kept(fixed, reference, RUNS)
         _row(words, "fixed", 52, fixed_s, 1.0, None, known)
         for name, goals in _goals(known, fixed).items():
-            for trace in (True, False):
-                task = trial.task(reference, trace=trace)
+            for trace, sweeping in ((True, True), (True, False), (False, True), (False, False)):
+                task = trial.task(reference, trace=trace, sweeping=sweeping)
                 design = quickest(task, goals)
-                said = f"{name}{', traced' if trace else ''}"
+                if sweeping and design.sweep is None:
+                    continue  # the same follows
+                said = f"{name}{', traced' if trace else ''}{', turning' if sweeping else ''}"
                 over = design.duration_s / limit_s(task, goals)
                 _row(
                     words,
@@ -46,7 +52,7 @@ def times() -> None:
                     design.duration_s,
                     fixed_s / design.duration_s,
                     over,
-                    trial.kept(trial.laid_out(design), reference, RUNS),
+                    trial.kept(trial.laid_out(design.elevations_deg, design.dwell_s), reference, RUNS),
                 )
 
 
@@ -88,7 +94,7 @@ def found(runs: int) -> None:
     _say("| --- | --- | --- | --- |")
     for name, plan in _plans():
         scatter_deg = trial.PRECISION.scatter_deg(plan.dwell_s)
-        said = suspects(plan.target_deg.tolist(), plan.dwell_s, scatter_deg, trial.PACE)
+        said = suspects(imagined_dwells(plan.target_deg.tolist(), plan.dwell_s, trial.PACE), scatter_deg)
         size = {one.name: one.value or 0.0 for one in said}
         drawn = {
             "backlash": causes.backlash(size["backlash"]),
@@ -102,9 +108,60 @@ def found(runs: int) -> None:
 def _plans() -> list[tuple[str, Layout]]:
     made = [("fixed, 52 poses", trial.fixed())]
     for n in (36, 28):
-        order = tuple(layout((-60.0, 60.0), n, 2, 0.0, np.random.default_rng(1)))
-        made.append((f"designed, {n} poses", trial.laid_out(Design(order, 2.0, 0.0, None, 0.0, 0.0, 2))))
+        order = layout((-60.0, 60.0), n, 2, 0.0, np.random.default_rng(1))
+        made.append((f"designed, {n} poses", trial.laid_out(order, 2.0)))
     return made
+
+
+def rigs(runs: int) -> None:
+    """What plans come to on simulated rigs after one run of the fixed plan, for what that has reached."""
+    _say("| plan | poses | s, said | s, taken | of the fixed | U said, ° | U | bias, std, ° | scale, std |")
+    _say("| --- | --- | --- | --- | --- | --- | --- | --- | --- |")
+    for seed in range(runs):
+        with rig_runs.bench(seed) as there:
+            fixed = there.run(Plan())
+            known = fixed.result
+            _rig_row("fixed", None, fixed, fixed)
+            expanded_deg = known["over_range"]["expanded_uncertainty_deg"]
+            alike = Goals(expanded_deg, known["bias_std_deg"], known["scale_std"])
+            wanted = {"equal U": Goals(expanded_deg), "equal U, bias and scale": alike}
+            for name, goals in {**wanted, "three times U": Goals(3.0 * expanded_deg)}.items():
+                for sweep in (True, False):
+                    made = there.designed(goals, sweep=sweep)
+                    _rig_row(f"{name}{', turning' if sweep else ''}", made, there.run(made.plan), fixed)
+
+
+def _rig_row(name: str, made: Designed | None, run: rig_runs.Carried, fixed: rig_runs.Carried) -> None:
+    said = ("–", "–")
+    if made is not None:
+        said = f"{made.design.duration_s:.0f}", f"{made.design.expanded_deg or 0.0:.4f}"
+    found = run.result
+    _say(
+        f"| {name} | {len(run.poses)} | {said[0]} | {run.took_s:.0f} | 1/{fixed.took_s / run.took_s:.2f} "
+        f"| {said[1]} | {found['over_range']['expanded_uncertainty_deg']:.4f} "
+        f"| {found['bias_std_deg']:.4f} | {found['scale_std']:.1e} |"
+    )
+
+
+def found_on_rigs(runs: int) -> None:
+    """In how many runs an effect is found of the size that the fixed plan finds four times in five."""
+    fixed = trial.fixed()
+    scatter_deg = trial.PRECISION.scatter_deg(fixed.dwell_s)
+    shown = suspects(imagined_dwells(fixed.target_deg.tolist(), fixed.dwell_s, trial.PACE), scatter_deg)
+    size = {one.name: one.value or 0.0 for one in shown}
+    goals = Goals(trial.kept(fixed, REFERENCES["a map of 0.003°"], RUNS).stated_deg)
+    task = trial.task(REFERENCES["a map of 0.003°"], trace=True, sweeping=True)
+    sweep = quickest(task, goals).sweep
+    assert sweep is not None
+    turning = sweep.plan(task.seed).model_copy(update={"settle_s": trial.SETTLE_S})
+    _say("| plan | backlash | slip of the mount |")
+    _say("| --- | --- | --- |")
+    for name, plan in (("fixed, 52 poses", Plan()), (f"turning, {len(sweep)} poses", turning)):
+        times = [
+            sum(rig_runs.finds(plan, seed, effect, size[effect]) for seed in range(runs))
+            for effect in ("backlash", "mount_slip")
+        ]
+        _say(f"| {name} | {' | '.join(f'{n} of {runs}' for n in times)} |")
 
 
 def _say(line: str) -> None:
@@ -115,7 +172,7 @@ def _say(line: str) -> None:
 def main() -> None:
     """The tables asked for, or all."""
     parser = argparse.ArgumentParser(prog="python -m tests.plans", description=__doc__)
-    parser.add_argument("table", nargs="?", choices=("times", "coverage", "suspects"))
+    parser.add_argument("table", nargs="?", choices=("times", "coverage", "suspects", "rigs", "found"))
     parser.add_argument("--runs", type=int)
     given = parser.parse_args()
     if given.table in (None, "times"):
@@ -124,6 +181,10 @@ def main() -> None:
         covered(given.runs or 2000)
     if given.table in (None, "suspects"):
         found(given.runs or 20)
+    if given.table in (None, "rigs"):
+        rigs(given.runs or 1)
+    if given.table in (None, "found"):
+        found_on_rigs(given.runs or 20)
 
 
 main()

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from calrig.calibration.fit import fit_line
-from calrig.calibration.plan_design.design import OutOfReachError, limit_s, quickest, within
+from calrig.calibration.plan_design.design import quickest, within
 from calrig.calibration.plan_design.goals import Goals
 from calrig.calibration.plan_design.layout import layout
+from calrig.calibration.plan_design.limit import limit_s
 from calrig.calibration.plan_design.rig_figures import precision_of_run
+from calrig.calibration.plan_design.suspects import imagined_dwells, suspects
+from calrig.calibration.plan_design.task import OutOfReachError
 from calrig.calibration.uncertainty import Reference, uncertainty
 from calrig.plan import Plan
 from calrig.runs.rig_pace import HOMING_AND_START_S, QUESTIONS_S
@@ -43,6 +46,28 @@ def test_the_uncertainty_of_the_fixed_plan_is_reached_in_a_share_of_its_time(ref
     assert stated_deg(design.elevations_deg, design.dwell_s, reference) == pytest.approx(wanted_deg, rel=0.1)
     assert design.duration_s < share * fixed_s()
     assert design.duration_s < 1.3 * limit_s(task, Goals(expanded_deg=wanted_deg))
+
+
+@pytest.mark.parametrize("reference", [MAP, STAGE])
+def test_turning_without_stopping_shows_as_much_as_the_fixed_plan_in_little_more_than_half_of_its_time(
+    reference,
+):
+    task = trial.task(reference, trace=True, sweeping=True)
+    wanted_deg = stated_deg([pose.target_deg for pose in Plan().poses((-90.0, 90.0))], 2.0, reference)
+    goals = Goals(wanted_deg)
+    design = quickest(task, goals)
+    assert design.sweep is not None
+    assert stated_deg(design.elevations_deg, design.dwell_s, reference) == pytest.approx(wanted_deg, rel=0.1)
+    assert design.duration_s < 0.57 * fixed_s()
+    assert design.duration_s < 1.3 * limit_s(task, goals)
+    fixed = trial.fixed()
+    scatter_deg = trial.PRECISION.scatter_deg(fixed.dwell_s)
+    shown = suspects(imagined_dwells(fixed.target_deg.tolist(), fixed.dwell_s, trial.PACE), scatter_deg)
+    least_deg = {one.name: one.rms_deg for one in shown}
+    hidden = {one.name for one in design.suspects if one.rms_deg > 1.15 * least_deg[one.name]}
+    assert hidden == {"settling"}  # which dwells alone show
+    poses = design.sweep.plan(seed=3).poses((-90.0, 90.0))
+    assert len(poses) == len(design.elevations_deg) == len(design.sweep)
 
 
 def test_what_the_stage_is_worth_is_a_limit_that_is_said_with_what_would_help():

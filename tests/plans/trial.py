@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from calrig.calibration.diagnosis import diagnose
-from calrig.calibration.plan_design.design import Design, Task
 from calrig.calibration.plan_design.goals import TypeB
 from calrig.calibration.plan_design.layout import leverage
-from calrig.calibration.plan_design.rig_figures import DATA_SHEET_WHITE, Pace, Precision
+from calrig.calibration.plan_design.rig_figures import DATA_SHEET_WHITE, Pace, Precision, Turning
+from calrig.calibration.plan_design.task import Sweeping, Task
 from calrig.calibration.result import build_result
 from calrig.calibration.uncertainty import Reference, uncertainty
 from calrig.instruments.axis_goal import travel_time_s
@@ -35,9 +36,11 @@ def travel_s(distance_deg: float) -> float:
 PACE = Pace(travel_s, SETTLE_S, QUESTIONS_S, HOMING_AND_START_S)
 
 
-def task(reference: Reference, *, trace: bool, seed: int = 0) -> Task:
-    """Of ±60° on an ordinary stage."""
-    return Task((-60.0, 60.0), PRECISION, PACE, TypeB(reference.std_deg, reference), trace, seed)
+def task(reference: Reference, *, trace: bool, sweeping: bool = False) -> Task:
+    """Of ±60° on an ordinary stage, which may turn without stopping."""
+    turns = Sweeping(Turning(VELOCITY_DPS, ACCELERATION_DPS2), PRECISION) if sweeping else None
+    type_b = TypeB(reference.std_deg, reference)
+    return Task((-60.0, 60.0), PRECISION, PACE, type_b, trace, sweeping=turns)
 
 
 def fixed() -> Layout:
@@ -59,9 +62,9 @@ def standard_errors(plan: Layout) -> tuple[float, float]:
     return scatter_deg * math.sqrt(bias), scatter_deg * math.sqrt(scale)
 
 
-def laid_out(design: Design) -> Layout:
-    order = np.array(design.elevations_deg)
-    return Layout(order, np.zeros(len(order), dtype=int), SETTLE_S, design.dwell_s)
+def laid_out(elevations_deg: Sequence[float], dwell_s: float) -> Layout:
+    """Dwells, as the simulator's physics takes them."""
+    return Layout(np.array(elevations_deg), np.zeros(len(elevations_deg), dtype=int), SETTLE_S, dwell_s)
 
 
 @dataclass(frozen=True)

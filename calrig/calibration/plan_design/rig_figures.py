@@ -59,6 +59,14 @@ NOT_MEASURED = Precision(
 
 
 @dataclass(frozen=True, slots=True)
+class Turning:
+    """What a stage turns at without stopping: at most so fast, and how soon it has come up to that."""
+
+    velocity_dps: float
+    acceleration_dps2: float
+
+
+@dataclass(frozen=True, slots=True)
 class Pace:
     """What a rig takes for each thing that a plan asks of it.
 

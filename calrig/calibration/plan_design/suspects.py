@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -14,7 +14,8 @@ from calrig.calibration.candidates import Candidate, candidates_of
 from calrig.calibration.channels import ANGLE, MOVE, NORM, READING
 from calrig.calibration.effects import EFFECTS
 from calrig.calibration.noise_model import NoiseModel, stacked
-from calrig.calibration.plan_design.rig_figures import Pace
+from calrig.calibration.plan_design.rig_figures import Pace, Turning
+from calrig.calibration.plan_design.sweep import Sweep
 from calrig.calibration.pose import Pose
 from calrig.calibration.responses import FEWEST_POSES, Responses, responses_of
 from calrig.estimation.angles import FloatArray
@@ -67,11 +68,10 @@ class Suspect:
 
 
 def suspects(
-    elevations_deg: Sequence[float],
-    dwell_s: float,
+    poses: Sequence[Pose],
     scatter_deg: float,
-    pace: Pace,
     names: Sequence[str] = SHOWN_BY_MOVING,
+    hidden: Collection[str] = (),
 ) -> list[Suspect]:
     """What poses would show of each suspect, by the distance of T-optimality (Atkinson & Fedorov, 1975).
 
@@ -79,20 +79,20 @@ def suspects(
     found where β'X'(I − P)Xβ is as large as `_distance` of these poses.
 
     Args:
-        elevations_deg: in the order of visiting; fewer than eight show nothing.
-        dwell_s: of each.
+        poses: as a faultless unit would measure them; fewer than eight show nothing.
         scatter_deg: of a reading.
-        pace: of the rig, for the times.
         names: of effects of the catalogue.
+        hidden: those among them that such poses never show.
     """
-    if len(elevations_deg) < FEWEST_POSES:
+    if len(poses) < FEWEST_POSES:
         return [_said(name, math.inf, None) for name in names]
-    r = responses_of([_imagined(elevations_deg, dwell_s, pace)])
+    r = responses_of([poses])
     noise = _noise(r, scatter_deg)
     base = np.linalg.qr(stacked(noise, r.starts, r.base))[0]
     found: dict[str, list[tuple[float, float | None]]] = {name: [] for name in names}
     for candidate in candidates_of(r):
-        if candidate.name in found and candidate.beside is None and candidate.changed is None:
+        shown = candidate.name in found and candidate.name not in hidden
+        if shown and candidate.beside is None and candidate.changed is None:
             found[candidate.name].append(_least(candidate, r, noise, base))
     return [_said(name, *_middle(sizes)) for name, sizes in found.items()]
 
@@ -162,13 +162,29 @@ def _noise(r: Responses, scatter_deg: float) -> NoiseModel:
     return NoiseModel(rotation, np.zeros(len(r.channels)))
 
 
-def _imagined(elevations_deg: Sequence[float], dwell_s: float, pace: Pace) -> list[Pose]:
-    """The poses as a faultless unit would measure them, each with every witness."""
+def imagined_dwells(elevations_deg: Sequence[float], dwell_s: float, pace: Pace) -> list[Pose]:
+    """The dwells of a design as a faultless unit would measure them, each with every witness."""
+    moves_deg = [0.0, *(after - before for before, after in pairwise(elevations_deg))]
+    stops_s = [pace.travel_s(abs(move)) + pace.settle_s + pace.questions_s + dwell_s for move in moves_deg]
+    ends_s = np.cumsum(stops_s)
+    settled_s = [pace.settle_s] * len(elevations_deg)
+    return _imagined(elevations_deg, (ends_s - 0.5 * dwell_s).tolist(), settled_s)
+
+
+def imagined_sweep(sweep: Sweep, pace: Pace, turning: Turning, seed: int) -> list[Pose]:
+    """The stretches and dwells of a sweep likewise."""
+    planned = sweep.poses(seed)
+    settled_s = [None if pose.stretch_deg else pace.settle_s for pose in planned]
+    return _imagined([pose.target_deg for pose in planned], sweep.times_s(pace, turning), settled_s)
+
+
+def _imagined(
+    elevations_deg: Sequence[float], times_s: Sequence[float], settled_s: Sequence[float | None]
+) -> list[Pose]:
     rng = np.random.default_rng(0)
     moves = [0.0, *(after - before for before, after in pairwise(elevations_deg))]
-    poses, now_s, approach = [], 0.0, 0
-    for elevation, move in zip(elevations_deg, moves, strict=True):
-        now_s += pace.travel_s(abs(move)) + pace.settle_s + pace.questions_s + 0.5 * dwell_s
+    poses, approach = [], 0
+    for elevation, move, time_s, settle_s in zip(elevations_deg, moves, times_s, settled_s, strict=True):
         approach = int(np.sign(move)) or approach
         across, along, felt = UNMEASURED * rng.standard_normal(3)
         poses.append(
@@ -176,14 +192,13 @@ def _imagined(elevations_deg: Sequence[float], dwell_s: float, pace: Pace) -> li
                 target_deg=elevation,
                 reading_deg=elevation,
                 approach=approach,
-                time_s=now_s,
+                time_s=time_s,
                 stage_deg=elevation,
                 accel_x_g=0.0,
                 accel_y_g=math.sin(math.radians(elevation)) + across,
                 accel_z_g=math.cos(math.radians(elevation)) + along,
                 gyro_move_deg=move + felt,
-                settle_s=pace.settle_s,
+                settle_s=settle_s,
             )
         )
-        now_s += 0.5 * dwell_s
     return poses

@@ -1,0 +1,72 @@
+"""The time that no plan is under."""
+
+from __future__ import annotations
+
+import math
+
+from calrig.calibration.plan_design.dwell_designs import POSES, SWEEPS_TRACED
+from calrig.calibration.plan_design.goals import Goals
+from calrig.calibration.plan_design.rig_figures import Precision
+from calrig.calibration.plan_design.suspects import least_slow_deg
+from calrig.calibration.plan_design.sweep import PASSES, Sweep, least_stretch_s
+from calrig.calibration.plan_design.task import FEWEST_TRACED, SHORTEST_DWELL_S, Task
+from calrig.calibration.plan_design.traced import RICH, allowed_deg
+from calrig.plan import FEWEST_UNTIL
+
+
+def limit_s(task: Task, goals: Goals) -> float:
+    """A time that no plan is under: the data where they say most, and what cannot be left out beside them.
+
+    The poses stand at the two ends and nowhere else; they are as many as are soonest taken, and as could show
+    an effect of time where effects are to be traced.
+    """
+    of_sweeps_s = math.inf if task.sweeping is None else _of_sweeps_s(task, goals)
+    return min(_of_dwells_s(task, goals), of_sweeps_s)
+
+
+def _of_dwells_s(task: Task, goals: Goals) -> float:
+    """One way through the range, or two where effects are to be traced and the run may not end early."""
+    pace, stands_s = task.pace, math.inf
+    fewest, ways = (FEWEST_TRACED, SWEEPS_TRACED) if task.trace else (POSES[0], 1)
+    if task.until:
+        fewest, ways = FEWEST_UNTIL, 1
+    for n in range(fewest, POSES[-1] + 1):
+        if n * (SHORTEST_DWELL_S + pace.settle_s + pace.questions_s) > stands_s:
+            break
+        dwell_s = max(SHORTEST_DWELL_S, _at_the_ends_s(task, goals, n, task.precision))
+        if _shows(task, goals, n, dwell_s, task.precision):
+            stands_s = min(stands_s, n * (dwell_s + pace.settle_s + pace.questions_s))
+    return pace.begin_s + ways * pace.travel_s(task.range_deg[1] - task.range_deg[0]) + stands_s
+
+
+def _of_sweeps_s(task: Task, goals: Goals) -> float:
+    """The way to the nearer end and data all of the time, in stretches no shorter than they can be."""
+    assert task.sweeping is not None  # noqa: S101 (asked by limit_s)
+    turning, precision = task.sweeping.turning, task.sweeping.precision
+    least_s, passes = math.inf, PASSES[0]
+    for n in range(max(FEWEST_UNTIL, FEWEST_TRACED if task.trace and not task.until else 0), 4 * POSES[-1]):
+        if n * SHORTEST_DWELL_S > least_s:
+            break
+        turned = Sweep(task.range_deg, passes, max(1, (n - 1) // passes - 1), 1.0)
+        stretch_s = max(least_stretch_s(turned, turning), _at_the_ends_s(task, goals, n, precision))
+        if _shows(task, goals, n, stretch_s, precision):
+            least_s = min(least_s, n * stretch_s)
+    first_s = min(task.pace.travel_s(abs(end_deg - task.pace.stands_deg)) for end_deg in task.range_deg)
+    return task.pace.begin_s + first_s + least_s
+
+
+def _at_the_ends_s(task: Task, goals: Goals, n: int, precision: Precision) -> float:
+    """The shortest dwells with which so many poses reach the goals; infinite where none do."""
+    wanted_deg = task.scatter_wanted_deg(goals, [task.range_deg[k % 2] for k in range(n)])
+    return precision.dwell_s(wanted_deg) if wanted_deg > 0.0 else math.inf
+
+
+def _shows(task: Task, goals: Goals, n: int, dwell_s: float, precision: Precision) -> bool:
+    """Whether so many such poses could show effects of time of the size that is not to hide."""
+    if not task.trace or task.until or goals.expanded_deg is None or math.isinf(dwell_s):
+        return True
+    rich_s = max(SHORTEST_DWELL_S, _at_the_ends_s(task, goals, RICH[0], precision))
+    allowed = allowed_deg(task, goals, precision.scatter_deg(dwell_s))
+    if least_slow_deg(RICH[0], precision.scatter_deg(rich_s)) > allowed:
+        return True  # no plan shows it
+    return least_slow_deg(n, precision.scatter_deg(dwell_s)) <= allowed

@@ -1,0 +1,94 @@
+"""Designs that turn without stopping, where the rig may."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+from calrig.calibration.early_end import caution
+from calrig.calibration.plan_design.goals import Goals
+from calrig.calibration.plan_design.sweep import Sweep, least_stretch_s, sweeps
+from calrig.calibration.plan_design.task import (
+    DWELL_STEP_S,
+    FEWEST_TRACED,
+    LONGEST_DWELL_S,
+    Design,
+    Sweeping,
+    Task,
+    rounded_down_s,
+    rounded_up_s,
+)
+from calrig.plan import FEWEST_UNTIL
+
+
+def reaching(task: Task, goals: Goals) -> Iterator[Design]:
+    """Those that reach the goals, turning as fast as that allows; none where the rig may not."""
+    if task.sweeping is None:
+        return
+    for sweep in _tried(task):
+        order = sweep.elevations_deg()
+        wanted_deg = task.scatter_wanted_deg(goals, order)
+        if task.until:
+            wanted_deg *= 0.0 if len(order) < FEWEST_UNTIL else 1.0 / (task.reserve * caution(len(order)))
+        least_s = rounded_up_s(least_stretch_s(sweep, task.sweeping.turning))
+        stretch_s = _stretch_s(sweep, wanted_deg, least_s, task.sweeping)
+        if stretch_s <= LONGEST_DWELL_S:
+            yield made(task, task.sweeping, replace(sweep, stretch_s=stretch_s))
+
+
+def of_time(task: Task, time_s: float) -> Iterator[Design]:
+    """Those that take no longer than a time, turning as slowly as that allows."""
+    if task.sweeping is None:
+        return
+    turning = task.sweeping.turning
+    for sweep in _tried(task):
+        beside_s = sweep.duration_s(task.pace, turning) - len(sweep) * sweep.stretch_s
+        stretch_s = rounded_down_s((time_s - beside_s) / len(sweep))
+        stretch_s = min(stretch_s, LONGEST_DWELL_S)
+        slower = replace(sweep, stretch_s=stretch_s)
+        if stretch_s >= least_stretch_s(sweep, turning) and slower.duration_s(task.pace, turning) <= time_s:
+            yield made(task, task.sweeping, slower)
+
+
+def first_good_enough(task: Task, sweeping: Sweeping, goals: Goals, design: Design, sweep: Sweep) -> Design:
+    """As many passes of a design as its run takes that ends as soon as the goals are reached."""
+    for passes in range(1, sweep.passes):
+        begun = replace(sweep, passes=passes)
+        order = list(design.elevations_deg[: len(begun)])
+        part = _stated(task, sweeping, begun, order, caution(len(order)))
+        if len(order) >= FEWEST_UNTIL and goals.reached_by(
+            part.expanded_deg, part.bias_std_deg, part.scale_std
+        ):
+            return part
+    return design
+
+
+def made(task: Task, sweeping: Sweeping, sweep: Sweep) -> Design:
+    """The design of a sweep."""
+    return _stated(task, sweeping, sweep, sweep.elevations_deg(), 1.0)
+
+
+def _stated(task: Task, sweeping: Sweeping, sweep: Sweep, order: list[float], cautioned: float) -> Design:
+    scatter_deg = sweep.scatter_deg(sweeping.precision, sweeping.turning)
+    duration_s = sweep.duration_s(task.pace, sweeping.turning)
+    return task.stated(order, sweep.stretch_s, duration_s, scatter_deg, cautioned, sweep)
+
+
+def _tried(task: Task) -> Iterator[Sweep]:
+    return sweeps(task.range_deg, FEWEST_TRACED if task.trace else 0)
+
+
+def _stretch_s(sweep: Sweep, wanted_deg: float, least_s: float, sweeping: Sweeping) -> float:
+    """The shortest stretches that scatter no more than is wanted; beyond `LONGEST_DWELL_S` where none do."""
+
+    def suffice(steps: int) -> bool:
+        slower = replace(sweep, stretch_s=least_s + steps * DWELL_STEP_S)
+        return slower.scatter_deg(sweeping.precision, sweeping.turning) <= wanted_deg
+
+    low, high = 0, round(LONGEST_DWELL_S / DWELL_STEP_S)
+    if not suffice(high):
+        return 2.0 * LONGEST_DWELL_S
+    while low < high:
+        middle = (low + high) // 2
+        low, high = (low, middle) if suffice(middle) else (middle + 1, high)
+    return least_s + low * DWELL_STEP_S

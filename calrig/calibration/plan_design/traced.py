@@ -1,0 +1,100 @@
+"""What a design would show of effects, and how much of one may stay hidden."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from calrig.calibration.plan_design.goals import NO_REFERENCE, Goals
+from calrig.calibration.plan_design.layout import layout
+from calrig.calibration.plan_design.suspects import (
+    imagined_dwells,
+    imagined_sweep,
+    least_slow_deg,
+    suspects,
+)
+from calrig.calibration.plan_design.sweep import Sweep
+from calrig.calibration.plan_design.sweep_designs import made as swept
+from calrig.calibration.plan_design.task import Design, Task
+
+STANDARD_POSES = 52
+"""Of the default plan: what it shows beside the same noise is what a design is to show that may sweep."""
+AS_GOOD = 1.05
+"""Of what that shows: the promise itself is known no better (`python -m tests.plans suspects`)."""
+RICH = (60, 4, 0.3)
+"""Poses, sweeps and share at the ends of a design that shows what dwells can show."""
+RICH_SWEEP = (4, 14)
+"""Passes and stretches of one that shows what stretches can show."""
+ONLY_DWELLS_SHOW = ("settling",)
+"""Effects of what goes on once a move has ended."""
+
+
+def with_suspects(task: Task, design: Design) -> Design:
+    """The design, with what it would show."""
+    poses = (
+        imagined_dwells(design.elevations_deg, design.dwell_s, task.pace)
+        if design.sweep is None or task.sweeping is None
+        else imagined_sweep(design.sweep, task.pace, task.sweeping.turning, task.seed)
+    )
+    hidden = () if design.sweep is None else ONLY_DWELLS_SHOW
+    return replace(design, suspects=tuple(suspects(poses, design.scatter_deg, task.names, hidden)))
+
+
+def allowed_deg(task: Task, goals: Goals, scatter_deg: float) -> float:
+    """RMS of an effect that may stay hidden.
+
+    As large as the uncertainty wanted: more would not be covered. Where the rig may sweep, there is time for
+    more: as large as the default plan too leaves hidden of a drift, its readings as uncertain as is wanted.
+
+    Args:
+        task: for what.
+        goals: wanted.
+        scatter_deg: of readings, where no uncertainty is named.
+    """
+    wanted_deg = goals.expanded_deg
+    if task.sweeping is None:
+        return scatter_deg if wanted_deg is None else wanted_deg
+    if wanted_deg is not None:
+        scatter_deg = (task.type_b or NO_REFERENCE).type_a_deg(wanted_deg, STANDARD_POSES - 2.0)
+    return AS_GOOD * least_slow_deg(STANDARD_POSES, scatter_deg)
+
+
+def could_show_enough(task: Task, goals: Goals, found: Sequence[Design]) -> Sequence[Design]:
+    """Those that have poses enough for effects of time; all, where none has."""
+    allowed = allowed_deg(task, goals, found[0].scatter_deg)
+    able = [one for one in found if least_slow_deg(len(one.elevations_deg), one.scatter_deg) <= allowed]
+    return able or found
+
+
+def shows_enough(task: Task, goals: Goals, first: Design) -> Callable[[Design], bool]:
+    """What tells whether a design with its suspects hides no more than is allowed, as far as any shows it.
+
+    Args:
+        task: for what.
+        goals: wanted.
+        first: the quickest design that reaches them.
+    """
+    allowed = allowed_deg(task, goals, first.scatter_deg)
+    never: dict[bool, set[str]] = {}
+
+    def enough(design: Design) -> bool:
+        turns = design.sweep is not None
+        if turns not in never:
+            rich = with_suspects(task, _rich(task, first.dwell_s, design.sweep))
+            never[turns] = {one.name for one in rich.suspects if one.rms_deg > allowed}
+        return all(one.rms_deg <= allowed or one.name in never[turns] for one in design.suspects)
+
+    return enough
+
+
+def _rich(task: Task, dwell_s: float, sweep: Sweep | None) -> Design:
+    """A design that shows what such designs can show: what it hides is no fault of another one."""
+    if sweep is not None and task.sweeping is not None:
+        passes, stretches = RICH_SWEEP
+        return swept(task, task.sweeping, replace(sweep, passes=passes, stretches=stretches))
+    n, sweeps, at_ends = RICH
+    order = layout(task.range_deg, n, sweeps, at_ends, np.random.default_rng([task.seed, *RICH[:2]]))
+    return task.stated(order, dwell_s, math.nan, task.precision.scatter_deg(dwell_s))
