@@ -42,7 +42,7 @@ MOTOR_STEP_DEG = 0.0187
 
 @dataclass(frozen=True, slots=True)
 class Swept:
-    """A run; (n,) errors of its poses' readings but for the mount, and in which sense its stretches turned."""
+    """A run; (n,) errors of its poses' readings but for the mount, and the senses of its stretches."""
 
     run: Run
     errors_deg: np.ndarray
