@@ -8,7 +8,7 @@ motor biases the accelerometer while it turns (`calrig.calibration.motor_vibrati
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -108,8 +108,8 @@ class Sweeping:
             self.pace.rig.board.faults["retried_pose"] += 1
         raise BoardError(
             f"the pass from {from_deg:g}° to {end.target_deg:g}°: samples of a stretch were missing, or the "
-            f"stage's reports came too late to be trusted, {DWELL_TRIES} times over; check the cables and the "
-            "board's rate, and let this machine do nothing else meanwhile"
+            f"stage's reports came too late to be trusted, {DWELL_TRIES} times over; check cables and rate, and "
+            "let this machine do nothing else meanwhile"
         )
 
     def _go_to(self, from_deg: float) -> None:
@@ -167,10 +167,10 @@ class Sweeping:
         return turned
 
     def _keep(self, turned: TurnedPass, passed: list[PlannedPose], reading: Reading) -> None:
-        """Makes and stores the poses that are not stored yet, by what all passes say of gain and delay."""
+        """Makes and stores the poses that are not stored yet, by the gain of all passes and its own delay."""
         taking = self.taking
         self.felt.append(turned.felt())
-        felt = Felt(*np.mean([(one.gain, one.behind_s) for one in self.felt], axis=0).tolist())
+        felt = replace(self.felt[-1], gain=float(np.mean([one.gain for one in self.felt])))
         bias_std_dps = taking.gyro.dwelt(turned.dwell)
         self.scatter_g.append((scatter_g(turned.even_samples.accel_g), scatter_g(turned.dwell.accel_g)))
         for taken in turned.poses(passed, reading, felt, self.plan.settle_s):

@@ -39,7 +39,7 @@ UNEVEN_S = 0.02
 
 @dataclass(slots=True)
 class Seen:
-    """The stage's reports of a turn: the host's clock before each question and after its answer, the angle."""
+    """The stage's reports of a turn: the host's clock before a question and after its answer, the angle."""
 
     from_deg: float
     to_deg: float
@@ -174,7 +174,7 @@ class TurnedPass:
         Args:
             planned: the stretches and the dwell.
             reading: of the dwell.
-            felt: gain and delay, of this pass or of several; what the filter shows of the gain is taken off.
+            felt: the gyro's gain, what the filter shows of which is taken off, and this pass's own delay.
             settle_s: before the dwell.
         """
         whole = self.kept.samples
