@@ -107,8 +107,9 @@ class Sweeping:
                 return self._hold_against_the_dwells()
             self.pace.rig.board.faults["retried_pose"] += 1
         raise BoardError(
-            f"the pass from {from_deg:g}° to {end.target_deg:g}°: fewer than half of a stretch's samples "
-            f"were valid, {DWELL_TRIES} times over; check the cable and the board's rate"
+            f"the pass from {from_deg:g}° to {end.target_deg:g}°: samples of a stretch were missing, or the "
+            f"stage's reports came too late to be trusted, {DWELL_TRIES} times over; check the cables and the "
+            "board's rate, and let this machine do nothing else meanwhile"
         )
 
     def _go_to(self, from_deg: float) -> None:
@@ -124,8 +125,7 @@ class Sweeping:
         seen = Seen(pace.rig.axis.elevation_deg(), to_deg)
 
         def note(motion: Motion) -> None:
-            seen.reports.append((motion.seen_s, motion.elevation_deg))
-            seen.clocks.append((pace.rig.clock.now_s(), pace.stream.clock_s))
+            seen.reports.append((*motion.asked_s, motion.elevation_deg))
 
         pace.rig.axis.set_velocity(self.plan.turn_dps)
         pace.move(to_deg, note)
@@ -135,7 +135,7 @@ class Sweeping:
     def _turned(
         self, seen: Seen, passed: list[PlannedPose], dwell_s: tuple[float, float]
     ) -> TurnedPass | None:
-        """The pass by reports and gyro; None where samples of a stretch are missing."""
+        """The pass by reports and gyro; None where samples are missing, or the clocks were out of step."""
         pace, taking, axis = self.pace, self.taking, self.pace.rig.axis
         kept = pace.stream.kept()
         dwell = kept.between(*dwell_s).samples
@@ -146,7 +146,7 @@ class Sweeping:
             )
         bias_dps = taking.gyro.bias_with_dps(dwell)
         try:
-            turn = seen.even_turn(axis.run_up_deg() + RUN_UP_S * self.plan.turn_dps)
+            turn = seen.even_turn(axis.run_up_deg() + RUN_UP_S * self.plan.turn_dps, pace.clocks)
         except ValueError as error:
             raise StageError(
                 f"the stage turned from {seen.from_deg:g}° to {seen.to_deg:g}° at {self.plan.turn_dps:g}°/s: "
@@ -161,7 +161,10 @@ class Sweeping:
                 f"the stage comes up to {self.plan.turn_dps:g}°/s and slows down within the stretch about "
                 f"{short.target_deg:g}°: take longer stretches (step_deg), or a lower velocity"
             )
-        return None if turned.lacks_samples(passed[:-1]) else turned
+        gains = [felt.gain for felt in self.felt]
+        if turned.lacks_samples(passed[:-1]) or turned.is_out_of_step(turned.felt().gain, gains):
+            return None
+        return turned
 
     def _keep(self, turned: TurnedPass, passed: list[PlannedPose], reading: Reading) -> None:
         """Makes and stores the poses that are not stored yet, by what all passes say of gain and delay."""
