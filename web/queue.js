@@ -21,14 +21,16 @@ const HAS_KEYS = matchMedia("(pointer: fine)"); // on a phone the focus brings a
 export async function queueView({ root, parts: [id], signal }) {
   await styled();
   if (id && id !== "new") return new QueuePage(root, id, signal).begin();
-  const open = (await get("/api/batches", signal)).filter(({ closed_at: closed }) => !closed);
+  const lists = await get("/api/batches", signal);
+  const open = lists.filter(({ closed_at: closed }) => !closed);
   if (open.length && !id) return new QueuePage(root, open[0].id, signal).begin();
-  const form = await listForm(signal);
+  const last = lists.length ? await get(`/api/batches/${encodeURIComponent(lists[0].id)}`, signal) : null;
+  const form = await listForm(last, signal);
   fill(root, h("h1", {}, "Queue"), open.length > 0 && openLists(open), form);
 }
 
 function openLists(open) {
-  const line = ({ id, rigs, note, created_at: made }) => h("li", {}, h("a", { href: `#/queue/${encodeURIComponent(id)}` }, `List of ${moment(made)}`), ` on ${rigs.join(", ")}${note ? `: ${note}` : ""}`);
+  const line = ({ id, rigs, note, created_at: made }) => h("li", {}, h("a", { href: `#/queue/${encodeURIComponent(id)}` }, "List of ", moment(made)), ` on ${rigs.join(", ")}${note ? `: ${note}` : ""}`);
   return h("section", { class: "card", "aria-label": "Open lists" }, h("p", {}, `${plural(open.length, "list")} open:`), h("ul", {}, open.map(line)));
 }
 
@@ -64,7 +66,9 @@ class QueuePage {
       h("label", { for: "scan" }, "Enter starts the unit that is mounted. A serial, scanned or typed, starts it where it is asked for, or joins the list."),
       h("div", { class: "scan-line" }, this.scan, this.add),
     );
-    signal.addEventListener("abort", () => clearTimeout(this.timer));
+    this.clock = new Worker(new URL("./queueclock.js", import.meta.url));
+    this.clock.addEventListener("message", () => this.#look());
+    signal.addEventListener("abort", () => this.clock.terminate());
     document.addEventListener("visibilitychange", () => this.#soon(0), { signal });
     document.addEventListener("keydown", () => document.activeElement.closest(TAKES_KEYS) || this.#focus(), { signal });
     for (const part of [this.rigs, ...this.bell.buttons]) part.addEventListener("click", () => HAS_KEYS.matches && this.#focus(), { signal });
@@ -84,7 +88,7 @@ class QueuePage {
       this.units.element,
     );
     this.#show(answer);
-    this.#focus();
+    if (HAS_KEYS.matches) this.#focus();
     this.#soon(LOOK_MS);
   }
 
@@ -107,8 +111,7 @@ class QueuePage {
   }
 
   #soon(after) {
-    clearTimeout(this.timer);
-    if (!this.signal.aborted) this.timer = setTimeout(() => this.#look(), after);
+    this.clock.postMessage(after);
   }
 
   async #look() {
@@ -119,6 +122,7 @@ class QueuePage {
         this.tag = news.tag;
         this.#show(news.answer);
       }
+      if (this.refused?.status === 0) this.refused = null; // it answers again
       this.error.say(this.refused ?? null);
     } catch (problem) {
       this.#say(problem);
@@ -169,10 +173,8 @@ class QueuePage {
     const asking = [...this.cards.values()].filter((card) => card.asks);
     const sure = asking.filter((card) => card.isSure);
     this.sure = [...(this.sure ?? []).filter((card) => sure.includes(card)), ...sure.filter((card) => !this.sure?.includes(card))];
-    const meant = asking.length === 1 ? asking[0] : this.sure.at(-1);
-    if (meant && this.meant !== meant) meant.calm();
-    this.meant = meant;
-    for (const card of this.cards.values()) card.element.classList.toggle("meant", asking.length > 1 && card === meant);
+    this.meant = asking.length === 1 ? asking[0] : this.sure.at(-1);
+    for (const card of this.cards.values()) card.point(card === this.meant, asking.length > 1);
   }
 
   /** Enter alone, or a serial and Enter: what a bar-code reader types, faster than the service answers. */

@@ -7,13 +7,14 @@ import { planForm } from "./plan.js";
 
 const OPERATOR_KEY = "calrig.operator";
 
-export async function listForm(signal) {
+/** `last` is the list made before, null without one: rigs and plan are those until somebody says otherwise. */
+export async function listForm(last, signal) {
   const rigs = await get("/api/rigs", signal);
   const units = h("textarea", { id: "units", rows: "10", spellcheck: "false", autocomplete: "off" });
   const file = h("input", { id: "csv", type: "file", accept: ".csv,text/csv,text/plain" });
   const skipped = h("p", { id: "csv-says", class: "muted", role: "status", "aria-live": "polite" });
   const count = h("p", { id: "units-count", class: "muted", "aria-live": "polite" }, "Scan or paste: one a line.");
-  const ticks = rigs.map(({ name }, k) => h("input", { type: "checkbox", name: "rigs", value: name, id: `rig-${name}`, checked: k === 0 }));
+  const ticks = rigs.map(({ name }, k) => h("input", { type: "checkbox", name: "rigs", value: name, id: `rig-${name}`, checked: last ? last.rigs.some((rig) => rig.name === name) : k === 0 }));
   const operator = h("input", { id: "operator", type: "text", autocomplete: "name", value: localStorage.getItem(OPERATOR_KEY) });
   const note = h("input", { id: "note", type: "text", autocomplete: "off" });
   const failed = h(
@@ -24,6 +25,7 @@ export async function listForm(signal) {
   );
   const chosen = () => ticks.filter(({ checked }) => checked).map(({ value }) => value);
   const plan = planForm(() => ({ rig: chosen()[0] ?? null, unit: "" }), signal);
+  if (last) again(last, plan, failed);
   const error = errorLine("queue-form-error");
   const make = h("button", { id: "make-list", type: "submit", class: "primary" }, "Begin the list");
   const form = h(
@@ -74,6 +76,19 @@ export async function listForm(signal) {
   });
   setTimeout(() => units.focus());
   return form;
+}
+
+/** The form says what the last list did. */
+function again({ plan, failed: then }, form, failed) {
+  failed.value = then;
+  if (plan.kind !== "calibration") return;
+  const said = { ...plan, expanded_uncertainty_deg: plan.until?.expanded_uncertainty_deg };
+  for (const input of form.element.querySelectorAll("input, select")) {
+    const value = said[input.id];
+    if (input.id in said) input.value = Array.isArray(value) ? value.join(", ") : (value ?? "");
+  }
+  form.element.querySelector(plan.elevations_deg ? "#as-list" : "#as-range").checked = true;
+  form.element.dispatchEvent(new Event("input"));
 }
 
 /** A file as text: UTF-8 or UTF-16 by its mark, else what older spreadsheets write. */

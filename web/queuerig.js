@@ -47,7 +47,7 @@ export class RigCard {
 
   /** Whether its board has said that the unit asked for is there. */
   get isSure() {
-    return this.asks && this.rig.seen?.state === "there" && this.rig.seen.serial === this.unit;
+    return this.asks && ["there", "wrong"].includes(this.rig.seen?.state) && this.rig.seen.serial === this.unit;
   }
 
   /** The unit that Enter is about: that of the instruction. */
@@ -56,28 +56,26 @@ export class RigCard {
   /** What Enter means here; nothing in the moment after it has changed, unless the unit was named. */
   press({ named = false } = {}) {
     if (!this.does) return null;
-    if (this.isCalm && !named) return this.tell(`That was sooner than the instruction could be read: once more, to start ${this.unit}.`);
+    if (this.isCalm && !named) return this.tell("That was sooner than the instruction could be read: press Enter once more.");
     return this.does();
   }
 
   /** `standing`: whether the list has `several` rigs, is `closed`, which units wait, as a Set, and how many are what. */
   show(rig, { several, closed, waiting, counts }) {
     this.rig = rig;
-    const { text, button, does, unit } = this.#now(rig, { closed, waiting, counts });
-    if (text !== this.text) this.calm();
-    this.text = text;
+    const { says, button, does, unit } = this.#now(rig, { closed, waiting, counts });
+    this.instruction = says;
     this.unit = unit ?? rig.on?.unit;
     this.does = may("operator") ? does : null;
     fill(this.title, several && `Rig ${rig.name}`);
     this.title.hidden = !several;
-    this.todo.textContent === text || fill(this.todo, text);
     const under_way = rig.on?.state === "running";
     const word = under_way ? null : rig.last?.word;
     this.result.hidden = !word;
     this.result.className = `big-word ${word}`;
     fill(this.result, word && [h("span", { "aria-hidden": "true" }, SHAPES[word]), ` ${word.toUpperCase()}`]);
-    const says = rig.last_says[0] ?? rig.last?.why;
-    fill(this.of, word && [`${rig.last.unit} `, runLink(rig.last.run_id, "run "), says && h("small", {}, says)]);
+    const verdict = rig.last_says[0] ?? rig.last?.why;
+    fill(this.of, word && [`${rig.last.unit} `, runLink(rig.last.run_id, "run "), verdict && h("small", {}, verdict)]);
     const why = under_way || closed ? null : rig.on?.why;
     this.#look(closed || (why && rig.seen?.says.includes(why)) ? null : rig.seen, rig.last);
     this.why.hidden = !why;
@@ -91,44 +89,56 @@ export class RigCard {
     this.abort.hidden = !under_way || !may("operator");
   }
 
+  /** Says what to do; `isMeant`: whether Enter means this rig, which is marked where there are `others` it might. */
+  point(isMeant, others) {
+    const text = this.instruction(isMeant ? "press Enter" : "scan it");
+    const isNew = this.todo.textContent !== text;
+    if (isNew) fill(this.todo, text);
+    if (isNew || (isMeant && !this.isMeant)) this.#calm();
+    this.isMeant = isMeant;
+    this.element.classList.toggle("meant", isMeant && others);
+  }
+
   /** Whether the unit is there, as its board and gravity have it. */
   #look(seen, last) {
     const stays = seen?.state === "wrong" && seen.serial === last?.unit; // as it does until it is taken off
+    const isTaken = seen?.state === "wrong" && seen.serial === this.unit; // another one than was asked for, as good
     const isNews = seen && !stays && (seen.state !== "there" || seen.serial); // a nameless unit may be any
     this.sight.hidden = !seen;
-    this.sight.className = `sight ${isNews ? seen.state : ""}`;
-    const says = stays ? `${seen.serial} is still mounted.` : seen ? `${SIGHTS[seen.state]} ${seen.says}` : "";
+    this.sight.className = `sight ${isTaken ? "there" : isNews ? seen.state : ""}`;
+    let says = seen ? `${SIGHTS[seen.state]} ${seen.says}` : "";
+    if (stays) says = `${seen.serial} is still mounted.`;
+    if (isTaken) says = `${SIGHTS.there} ${seen.serial} is there, says its board; ${this.rig.on.unit} stays in the list.`;
     this.sight.textContent === says || fill(this.sight, says);
   }
 
   /** From now on, for a moment, Enter starts nothing here. */
-  calm() {
+  #calm() {
     this.isCalm = this.go.disabled = true;
     clearTimeout(this.timer);
     this.timer = setTimeout(() => (this.isCalm = this.go.disabled = false), CALM_MS);
   }
 
-  /** The instruction, the button, what both do, and the unit that they are about. */
+  /** What to do, by which key; the button, what both do, and the unit that they are about. */
   #now({ name, state, status, busy_with: busy, on, seen, last, waiting_for: waits }, { closed, waiting, counts }) {
     if (on?.state === "running" && waits) {
-      const text = `Turn ${on.unit} to ${fixed(waits.mount_deg, Number.isInteger(waits.mount_deg) ? 0 : 2, "°")}, press Enter`;
-      return { text, button: "It sits: go on", does: () => this.ask("resume", on.run_id) };
+      const angle = fixed(waits.mount_deg, Number.isInteger(waits.mount_deg) ? 0 : 2, "°");
+      return { says: (key) => `Turn ${on.unit} to ${angle}, ${key}`, button: "It sits: go on", does: () => this.ask("resume", on.run_id) };
     }
-    if (on?.state === "running") return { text: `${on.unit} is ${status === "paused" ? "paused" : "being measured"}` };
-    if (closed) return { text: "This list is closed" };
-    if (busy) return { text: `Rig ${name} is busy` };
-    if (state === "offline") return { text: `Rig ${name} is offline` };
-    if (!on) return { text: `No unit left: ${counts.good} done, ${counts.poor} failed` };
-    const start = (unit) => () => this.begin({ rig: name, unit });
-    const button = `Start ${on.unit}`;
-    if (on.state === "follow_up") return { text: `Leave ${on.unit} mounted, press Enter: another run tells why`, button, does: start(on.unit) };
-    const text = `Mount ${on.unit}, press Enter`;
-    if (seen?.state !== "wrong") return { text, button, does: start(on.unit) };
+    if (on?.state === "running") return { says: () => `${on.unit} is ${status === "paused" ? "paused" : "being measured"}` };
+    if (closed) return { says: () => "This list is closed" };
+    if (busy) return { says: () => `Rig ${name} is busy` };
+    if (state === "offline") return { says: () => `Rig ${name} is offline` };
+    if (!on) return { says: () => `No unit left: ${counts.good} done, ${counts.poor} failed` };
+    const start = (unit) => ({ button: `Start ${unit}`, does: () => this.begin({ rig: name, unit }), unit });
+    if (on.state === "follow_up") return { ...start(on.unit), says: (key) => `Leave ${on.unit} mounted, ${key}: another run tells why` };
+    const says = (key) => `Mount ${on.unit}, ${key}`;
+    if (seen?.state !== "wrong") return { ...start(on.unit), says };
     if (seen.serial !== last?.unit && waiting.has(seen.serial)) {
       // its board says so, and it waits as well: nobody need take it off again
-      return { text: `${seen.serial} is mounted, press Enter`, button: `Start ${seen.serial}`, does: start(seen.serial), unit: seen.serial };
+      return { ...start(seen.serial), says: (key) => `${seen.serial} is mounted, ${key}` };
     }
-    return { text, button, does: () => this.tell(`Not started. ${seen.says}`, this) };
+    return { ...start(on.unit), says, does: () => this.tell(`Not started. ${seen.says}`, this) };
   }
 }
 

@@ -108,6 +108,12 @@ class BatchRigAnswer(Answer):
     last_says: list[str]
 
 
+class LookAnswer(Answer):
+    """The rigs of a list as they stand."""
+
+    rigs: list[BatchRigAnswer]
+
+
 class BatchAnswer(Answer):
     """A list as it stands."""
 

@@ -14,6 +14,7 @@ from calrig.api.batch_models import (
     BatchAnswer,
     BatchRigAnswer,
     ListedBatch,
+    LookAnswer,
     MakeBatch,
     NameUnit,
     SeenAnswer,
@@ -157,7 +158,7 @@ async def start_turn(batch_id: str, body: StartTurn, context: Context, heavy: He
 @router.post(
     "/api/batches/{batch_id}/look",
     dependencies=[requires("operator")],
-    response_model=BatchAnswer,
+    response_model=LookAnswer,
     responses=problems(404),
     summary="Look whether the units asked for are there",
 )
@@ -166,8 +167,7 @@ def look(batch_id: str, context: Context) -> object:
 
     `seen` of each rig tells what came of it. Whoever watches asks again every few seconds.
     """
-    context.batches.look(batch_id)
-    return _answer(context, batch_id)
+    return LookAnswer(rigs=_rigs(context, context.batches.look(batch_id)))
 
 
 @router.post(
@@ -185,7 +185,6 @@ def close_batch(batch_id: str, context: Context) -> object:
 
 def _answer(context: ApiContext, batch_id: str, known: list[str] | None = None) -> BatchAnswer:
     standing = context.batches.standing(batch_id)
-    states = {rig.name: rig for rig in context.service.rigs()}
     document = standing.batch.document
     return BatchAnswer(
         id=standing.batch.id,
@@ -195,12 +194,18 @@ def _answer(context: ApiContext, batch_id: str, known: list[str] | None = None) 
         operator=document["operator"],
         note=document["note"],
         failed=document["failed"],
-        rigs=[
-            _rig(standing, name, states.get(name), context.service.seen(name)) for name in document["rigs"]
-        ],
+        rigs=_rigs(context, standing),
         units=[_turn(standing, turn) for turn in standing.now.turns if turn.state != "removed"],
         known=known or [],
     )
+
+
+def _rigs(context: ApiContext, standing: Standing) -> list[BatchRigAnswer]:
+    states = {rig.name: rig for rig in context.service.rigs()}
+    return [
+        _rig(standing, name, states.get(name), context.service.seen(name))
+        for name in standing.batch.document["rigs"]
+    ]
 
 
 def _rig(standing: Standing, name: str, state: object, seen: Sighting | None) -> BatchRigAnswer:

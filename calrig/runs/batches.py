@@ -143,15 +143,16 @@ class RunBatches:
             )
             raise
 
-    def look(self, batch_id: str) -> None:
+    def look(self, batch_id: str) -> Standing:
         """Has the boards of idle rigs looked at: whether the unit asked for is there. Moves nothing."""
         standing = self.standing(batch_id)
         if standing.batch.closed_at is not None:
-            return
+            return standing
         plan = Plan.model_validate(standing.batch.document["plan"])
         for rig, turn in standing.now.on.items():
             if turn is not None and turn.state != "running":
                 self._service.look(rig, Mount(plan.mounts_deg[0], plan.mount_axis))
+        return standing
 
     def close(self, batch_id: str) -> None:
         """Ends a list; what is under way goes on."""

@@ -271,10 +271,10 @@ class RunService:
         end = End("interrupted", "the service was stopped during the run")
         with self._starts.lock:
             workers = self.crew.close()
-        self._starts.sightings.close()
         for worker in workers:
             worker.control.end(end)
         deadlines_s = [worker.clock.now_s() + CLOSE_S for worker in workers]
+        self._starts.sightings.close()
         for worker, deadline_s in zip(workers, deadlines_s, strict=True):
             worker.join(max(0.0, deadline_s - worker.clock.now_s()))
             worker.give_up(self.store, end)

@@ -86,7 +86,6 @@ class _Unwanted(Exception):  # noqa: N818 (nobody asks any more, or the rig is n
 class _Watch:
     rig: RigSettings
     mount: Mount
-    stage_deg: float | None
     until_s: float
     let_go: Event
     over: Event
@@ -119,7 +118,7 @@ class Sightings:
             if self._is_closing:
                 return
             clock, until_s = clock_of(rig.imu.port), time.monotonic() + LEASE_S
-            watch = _Watch(rig, mount, self._left_at(rig.name), until_s, clock.event(), clock.event())
+            watch = _Watch(rig, mount, until_s, clock.event(), clock.event())
             self._watches[rig.name] = watch
             clock.thread(lambda: self._watch(watch), f"look at {rig.name}").start()
 
@@ -153,8 +152,8 @@ class Sightings:
         """The elevation at which the last run left the stage; None where that is not known."""
         try:
             runs, _ = self._store.runs(rig=rig_name, limit=1)
-            if not runs or runs[0].status != "completed":
-                return None
+            if not runs or runs[0].status != "completed" or "stage" not in runs[0].provenance:
+                return None  # stopped on its way, or imported
             poses = self._store.poses(runs[0].id)
         except StoreError:
             return None
@@ -181,11 +180,12 @@ class Sightings:
             watch.over.set()
 
     def _look_on(self, watch: _Watch, settings: BoardSettings) -> None:
+        stage_deg = self._left_at(watch.rig.name)
         board = open_board(settings.driver, settings.port, baudrate=settings.baudrate)
         with closing(board), while_wanted(lambda: self._require(watch)):
             while True:
                 identity = board.identify()  # again each time: another one may be on the wire
-                watch.seen = judged(identity, _samples(board, identity), watch.mount, watch.stage_deg)
+                watch.seen = judged(identity, _samples(board, identity), watch.mount, stage_deg)
                 watch.let_go.wait(EVERY_S)
                 self._require(watch)
 
@@ -209,13 +209,14 @@ def judged(identity: BoardIdentity, samples: Samples, mount: Mount, stage_deg: f
     if np.isnan(accel_g).any():  # it sends an angle of its own, whose zero may be anywhere
         turns = np.exp(1j * np.radians(samples.angle_deg))
         off_deg = np.degrees(np.angle(turns / turns.mean()))
-        return _at(identity, float(np.degrees(np.angle(turns.mean()))), moves=off_deg.std() > MOVES_DEG)
+        own_deg = float(np.degrees(np.angle(turns.mean())))
+        return _at(identity, own_deg, "its own reckoning", moves=off_deg.std() > MOVES_DEG)
     weight_g = float(np.linalg.norm(accel_g))
     spread_dps = float(np.nan_to_num(samples.gyro_dps.std(axis=0)).max())
     moves = samples.accel_g.std(axis=0).max() > MOVES_G or spread_dps > MOVES_DPS
     angle_deg = angle_about_deg(mount.axis, accel_g)
     if moves:
-        return _at(identity, angle_deg, moves=True)
+        return _at(identity, angle_deg, "gravity", moves=True)
     if not WEIGHT_G[0] < weight_g < WEIGHT_G[1]:
         return Sighting(
             "askew",
@@ -233,13 +234,13 @@ def judged(identity: BoardIdentity, samples: Samples, mount: Mount, stage_deg: f
             f"{wrap_deg(mount.felt_at(stage_deg)):.1f}°, if the stage still stands at {stage_deg:.1f}° where "
             "the last run left it.",
         )
-    return _at(identity, angle_deg, moves=False)
+    return _at(identity, angle_deg, "gravity", moves=False)
 
 
-def _at(identity: BoardIdentity, angle_deg: float, *, moves: bool) -> Sighting:
+def _at(identity: BoardIdentity, angle_deg: float, by: str, *, moves: bool) -> Sighting:
     if moves:
         return Sighting("moving", identity.serial, "The unit is being moved.")
-    return Sighting("there", identity.serial, f"It sits still, by gravity at {angle_deg:.1f}°.")
+    return Sighting("there", identity.serial, f"It sits still, by {by} at {angle_deg:z.1f}°.")
 
 
 def _samples(board: Board, identity: BoardIdentity) -> Samples:

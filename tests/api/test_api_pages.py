@@ -78,6 +78,7 @@ LATER = {
     "provenance.js",
     "queue.js",
     "queuebell.js",
+    "queueclock.js",
     "queueform.js",
     "queuerig.js",
     "queuetable.js",

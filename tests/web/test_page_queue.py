@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from support import LONG, running_service, serving
 
 pytestmark = pytest.mark.browser
 SHORT = {"elevations_deg": [0, 20], "sweeps": 1, "settle_s": 0.2, "dwell_s": 0.5}
@@ -18,8 +19,8 @@ def pressed(page, expect, instruction):
     """Enter, as soon as it means something."""
     expect(page.locator(".todo").first).to_have_text(instruction)
     expect(
-        page.locator("[data-go]")
-    ).to_be_enabled()  # an Enter meant for what stood there before does nothing
+        page.locator("[data-go]").first
+    ).to_be_enabled()  # an Enter meant for what stood there does nothing
     page.keyboard.press("Enter")
 
 
@@ -105,3 +106,25 @@ def test_what_stops_a_unit_is_said_and_a_unit_that_is_to_be_turned_asks_in_the_s
     expect(page.locator(".turn .error")).to_contain_text("its run was aborted")
     expect(page.locator(".todo")).to_have_text("Mount PT-1, press Enter")
     client.post(f"/api/batches/{batch['id']}/close").raise_for_status()
+
+
+def test_of_several_rigs_enter_means_the_one_whose_board_knows_its_unit(
+    fresh_page, expect, launch_rig, store_path
+):
+    page, rigs = fresh_page, [launch_rig("left", board={"serial": "TW-2"}), launch_rig("right")]
+    body = {"units": ["TW-1", "TW-2", "TW-3"], "rigs": ["left", "right"], "plan": LONG}
+    with running_service(store_path, *rigs) as service, serving(service) as client:
+        batch = client.post("/api/batches", json=body).raise_for_status().json()
+        page.goto(f"{client.base_url}/#/queue/{batch['id']}")
+        left, right = (page.locator(f"[data-rig-turn={name}]") for name in ("left", "right"))
+        expect(left.locator(".todo")).to_have_text("TW-2 is mounted, press Enter")
+        expect(left.locator(".sight")).to_contain_text(
+            "TW-2 is there, says its board; TW-1 stays in the list."
+        )
+        expect(right.locator(".todo")).to_have_text("Mount TW-2, scan it")
+        pressed(page, expect, "TW-2 is mounted, press Enter")
+        expect(left.locator(".todo")).to_have_text("TW-2 is being measured")
+        expect(right.locator(".todo")).to_have_text(
+            "Mount TW-3, press Enter"
+        )  # TW-1 stays where it was asked for
+        page.goto("about:blank")
