@@ -90,14 +90,14 @@ class Sweep:
             found += [
                 now_s + 0.5 * rise_s + (k + 0.5) / self.stretches * turned_s for k in range(self.stretches)
             ]
-            now_s += turned_s + rise_s + pace.settle_s + pace.questions_s + self.stretch_s
+            now_s += turned_s + rise_s + pace.settle_s + pace.pass_s + self.stretch_s
             found.append(now_s - 0.5 * self.stretch_s)
         return found
 
     def duration_s(self, pace: Pace, turning: Turning) -> float:
         """From the beginning of the run to its end."""
         first_s = pace.travel_s(abs(self.range_deg[0] - pace.stands_deg))
-        stands_s = max(pace.settle_s, FIRST_SETTLE_S) + pace.questions_s
+        stands_s = max(pace.settle_s, FIRST_SETTLE_S) + pace.pass_s
         return pace.begin_s + first_s + stands_s + self.times_s(pace, turning)[-1] + 0.5 * self.stretch_s
 
     def scatter_deg(self, precision: Precision, turning: Turning) -> float:
