@@ -19,8 +19,10 @@ export async function noiseView({ root, parts: [id], query, signal }) {
   if (id !== undefined) return ofRun(root, id, signal);
   if (query.has("study")) return ofStudy(root, query.get("study"), signal);
   const rigs = await get("/api/rigs", signal);
-  const kept = h("section", { class: "card", id: "studies", "aria-labelledby": "studies-title" });
-  const list = () => listStudies(kept, signal);
+  const studies = h("div", {});
+  const title = h("h2", { id: "studies-title" }, "Files analysed");
+  const kept = h("section", { class: "card", id: "studies", "aria-labelledby": "studies-title" }, title, studies);
+  const list = () => listStudies(studies, signal);
   const shown = h("div", { id: "noise-result", class: "run", "aria-live": "polite" });
   const found = (what, answer) => {
     fill(shown);
@@ -69,11 +71,11 @@ async function listStudies(place, signal) {
   );
   fill(
     place,
-    h("h2", { id: "studies-title" }, "Files analysed"),
     rows.length
       ? tableBox("Files analysed", h("table", { id: "studies-table" }, headings("File", "Analysis", "When", "By"), h("tbody", {}, rows)))
       : h("p", { class: "muted" }, "None yet: what is found in a file is kept here, the file itself is not."),
   );
+  place.hidden = false; // empty, it has no name
 }
 
 async function ofRun(root, id, signal) {

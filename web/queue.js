@@ -130,12 +130,15 @@ class QueuePage {
     this.#soon(document.hidden ? HIDDEN_LOOK_MS : LOOK_MS);
   }
 
-  /** Whoever watches an open list has the boards of its idle rigs looked at. */
+  /** Whoever watches an open list has the boards of its idle rigs looked at; one that has just become so at once. */
   async #haveBoardsLookedAt() {
-    const waits = !this.list.closed_at && this.list.rigs.some(({ on, busy_with: busy }) => on && on.state !== "running" && !busy);
-    if (!waits || document.hidden || !may("operator") || performance.now() - this.lookedAt < BOARDS_MS) return;
+    const idle = this.list.rigs.filter(({ on, busy_with: busy }) => on && on.state !== "running" && !busy);
+    if (this.list.closed_at || !idle.length || document.hidden || !may("operator")) return;
+    const isNew = this.isLooking && idle.some(({ seen }) => !seen); // at a centre nobody looks
+    if (!isNew && performance.now() - this.lookedAt < BOARDS_MS) return;
     this.lookedAt = performance.now();
-    await post(`${this.path}/look`, {}, this.signal);
+    const { rigs } = await post(`${this.path}/look`, {}, this.signal);
+    this.isLooking = rigs.some(({ seen }) => seen);
   }
 
   #show(list) {

@@ -38,6 +38,7 @@ export async function listForm(last, signal) {
     h("fieldset", {}, h("legend", {}, "Rigs, side by side"), h("div", { class: "choice" }, ticks.map((tick) => h("label", { for: tick.id }, tick, tick.value)))),
     h("div", { class: "fields two" }, field("operator", "Operator (optional)", operator), field("note", "Note (optional)", note), field("failed", "A unit that fails", failed)),
     plan.element,
+    plan.designer,
     error.element,
     h("div", { class: "buttons" }, make),
   );
@@ -78,17 +79,21 @@ export async function listForm(last, signal) {
   return form;
 }
 
-/** The form says what the last list did. */
+/** The form says what the last list did, where it can. */
 function again({ plan, failed: then }, form, failed) {
   failed.value = then;
-  if (plan.kind !== "calibration") return;
+  const shape = { calibration: plan.elevations_deg ? "list" : "range", sweep: "turns" }[plan.kind];
+  if (!shape) return;
   const said = { ...plan, expanded_uncertainty_deg: plan.until?.expanded_uncertainty_deg };
-  for (const input of form.element.querySelectorAll("input, select")) {
-    const value = said[input.id];
-    if (input.id in said) input.value = Array.isArray(value) ? value.join(", ") : (value ?? "");
+  form.element.querySelector(`#as-${shape}`).checked = true;
+  for (let k = 0; k < 2; k++) {
+    // once more: several mounts make the form propose a jitter
+    for (const input of form.element.querySelectorAll("input, select")) {
+      const value = said[input.id];
+      if (input.id in said) input.value = Array.isArray(value) ? value.join(", ") : (value ?? "");
+    }
+    form.element.dispatchEvent(new Event("input"));
   }
-  form.element.querySelector(plan.elevations_deg ? "#as-list" : "#as-range").checked = true;
-  form.element.dispatchEvent(new Event("input"));
 }
 
 /** A file as text: UTF-8 or UTF-16 by its mark, else what older spreadsheets write. */

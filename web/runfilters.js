@@ -20,7 +20,6 @@ const TYPING_MS = 250;
 
 /** A verdict in as few words as it is sought by. */
 export function verdictWords(verdict) {
-  if (!verdict) return "–";
   const said = verdict.answer === "no_limits" ? (verdict.left ?? verdict.answer) : verdict.answer;
   return CHOICES.verdict.find(([value]) => value === said)[1];
 }

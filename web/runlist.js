@@ -8,7 +8,7 @@ import { runFilters, verdictWords } from "./runfilters.js";
 const PAGE = 20;
 const KINDS = { sweep: "sweep", verification: "verification", static: "static log" };
 
-/** What a run is, where it is no calibration on a rig. */
+/** What a run is, where it is no calibration by dwells on a rig. */
 function kindTag({ plan, follows }) {
   const kind = follows ? "follow-up" : plan ? KINDS[plan.kind] : "import";
   return kind && h("span", { class: "tag" }, kind);
@@ -29,8 +29,8 @@ export function runRow(run, { withUnit = true } = {}) {
       statusPill(run.status),
       run.voided && h("span", { class: "tag", title: run.voided.reason }, "voided"),
       suspectTag(run.suspect),
+      run.verdict && h("small", { class: "under" }, verdictWords(run.verdict)),
     ),
-    h("td", {}, verdictWords(run.verdict)),
     h("td", {}, moment(run.finished_at ?? run.started_at ?? run.created_at)),
     h("td", { class: "number" }, run.result ? plusMinus(result.bias_deg, result.bias_std_deg, "°") : "–"),
     h("td", { class: "number" }, run.result ? plusMinus(result.scale, result.scale_std) : "–"),
@@ -44,8 +44,7 @@ export function runHeadings({ withUnit = true } = {}) {
     "Run",
     withUnit && "Unit",
     "Rig",
-    "Status",
-    "Verdict",
+    "Status, verdict",
     "When",
     "#Bias",
     "#Scale",

@@ -27,8 +27,7 @@ from calrig.api.lingering import CLOSE
 JSON_BYTES = 1_000_000
 LOGIN_BYTES = 10_000
 """Of what strangers send: it is held in memory for as many as there are connections."""
-POSES_BYTES = 50_000_000
-LOG_BYTES = 150_000_000
+POSES_BYTES = LOG_BYTES = 150_000_000
 """100 MB in whichever units, and more: two million samples of seven columns."""
 LOGIN_PATH = "/api/login"
 ENROLL_PATH = "/api/benches/enroll"

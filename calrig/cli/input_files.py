@@ -79,7 +79,7 @@ def read_log_file(
 
 
 def read_plan_file(file: Path) -> Plan:
-    """A plan as JSON; a mistake in it is told by line and column."""
+    """A plan as JSON, or what `calrig plan --json` says of one; a mistake is told by line and column."""
     from pydantic import ValidationError
 
     from calrig.invalid_fields import path_of, reason
@@ -87,7 +87,9 @@ def read_plan_file(file: Path) -> Plan:
 
     try:
         text = read_bytes(file, LARGEST_PLAN).decode("utf-8-sig")
-        return Plan.model_validate(json.loads(text))
+        document = json.loads(text)
+        is_design = isinstance(document, dict) and {"plan", "expected"} <= document.keys()
+        return Plan.model_validate(document["plan"] if is_design else document)
     except UnicodeDecodeError as error:
         raise InputError(f"{file}: is not UTF-8 text (byte {error.start})") from error
     except json.JSONDecodeError as error:

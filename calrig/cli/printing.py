@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import zip_longest
+from textwrap import fill
 from typing import Any
 
 from rich.cells import cell_len
@@ -24,8 +25,17 @@ def print_line(text: str, style: str = "") -> None:
 
 def print_sentence(text: str) -> None:
     """The same for what is read as prose: a terminal's lines break between words, a pipe's not at all."""
-    console = Console(highlight=False)
-    console.print(Text(printable(text)), soft_wrap=not console.is_terminal)
+    console, text = Console(soft_wrap=True, highlight=False), printable(text)
+    if console.is_terminal:
+        indent = " " * (len(text) - len(text.lstrip("· ")))
+        text = fill(
+            text,
+            console.width,
+            subsequent_indent=indent,
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+    console.print(Text(text))
 
 
 def print_table(

@@ -13,8 +13,8 @@ class GivenUp(BaseException):
     """Ends the thread's work as Ctrl-C would; nobody hears of it."""
 
 
-def nap(seconds: float) -> None:
-    """Waits for a while.
+def nap(seconds: float = 0.0) -> None:
+    """Waits for a while; not at all, it looks whether to go on.
 
     Raises:
         GivenUp: nobody wants the outcome any more.

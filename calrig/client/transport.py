@@ -22,6 +22,7 @@ from urllib.request import (
 
 from calrig.client.address import checked, is_loopback, why_unreachable
 from calrig.client.errors import INVALID, Invalid, Refused, Unreachable
+from calrig.client.given_up import nap
 from calrig.errors import InputError, printable
 
 if TYPE_CHECKING:
@@ -95,6 +96,7 @@ class Transport:
         """What is at a path, as it comes; errors as of `get`, also where it ends too soon."""
         with self._answer(self._request(path)) as answer:
             while piece := answer.read(PIECE):
+                nap()
                 yield piece
             if answer.length:  # said by `http.client` of a whole read alone
                 raise IncompleteRead(b"", answer.length)

@@ -12,6 +12,7 @@ from shutil import copyfileobj
 from tempfile import TemporaryFile
 from typing import IO, Self
 
+from calrig.client.given_up import nap
 from calrig.errors import InputError
 
 PIECE = 1 << 16
@@ -76,6 +77,7 @@ class Upload:
             piece = self._file.read(min(PIECE, left))
             if not piece:
                 raise InputError(f"{self._name}: has become shorter while it was sent")
+            nap()
             yield piece
             left -= len(piece)
             self._told(1.0 - left / self._n_bytes)

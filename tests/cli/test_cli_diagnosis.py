@@ -37,6 +37,19 @@ def test_a_file_is_diagnosed_and_a_run_made_of_it_likewise(warming):
     assert re.search(rf"held-out poses +│ +{before} │ +{after}", shown)
 
 
+@pytest.mark.parametrize(
+    ("column", "cells", "says"),
+    [
+        ("mount_axis", ("y", "y"), "is y, and this is of elevations about x; `calrig solve` takes it"),
+        ("unit", ("7", "8"), "line 3, column unit: '8' after '7'"),
+    ],
+)
+def test_poses_about_another_axis_or_of_two_units_are_no_diagnosis(folder, column, cells, says):
+    rows = [f"{k},{k},{cell}" for k, cell in enumerate(cells)]
+    (folder / "others.csv").write_text("\n".join([f"target_deg,reading_deg,{column}", *rows]))
+    assert says in reason("diagnose", "others.csv", status=2)
+
+
 def test_gravity_finds_that_the_axes_are_not_square(folder):
     rng = np.random.default_rng(4)
     true_g = rng.normal(size=(30, 3))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import resource
 from importlib.resources import files
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 from command_line import calrig, reason
 
 from calrig.calibration.pose import COLUMNS
+from calrig.cli.input_files import read_plan_file
 
 LARGE, ROOM = 2_000_000_000, 1_000_000_000
 """Bytes: of the file, and what is left to the process."""
@@ -63,3 +65,10 @@ def test_a_missing_column_is_told_with_those_that_are_there(folder):
     assert "column target_deg: there is no such column; there are: tilt_deg, reading_deg, lux" in said
     (folder / "log.csv").write_text("time_s\taccel_z_g\n0\t1\n0.1\t1\n")
     assert "gravity needs all three axes; there are: accel_z_g" in reason("gravity", "log.csv", status=2)
+
+
+def test_what_designs_a_plan_says_is_taken_for_the_plan(folder):
+    (folder / "design.json").write_text(
+        json.dumps({"plan": {"step_deg": 30}, "expected": {"duration_s": 60}})
+    )
+    assert read_plan_file(folder / "design.json").step_deg == 30

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import re
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from rich.console import Console
 from support import QUICK, ended
 
 from calrig.cli import progress
+from calrig.cli.followed import Notice
 
 
 @pytest.fixture
@@ -106,6 +108,23 @@ def bar_after(patience_s, monkeypatch):
         show(0.5)
         show(0.5)
     return screen.getvalue()
+
+
+def test_no_name_is_cut_where_a_run_is_followed_on_eighty_columns(monkeypatch):
+    screen, unit = io.StringIO(), "AS-0042-" + 100 * "x"
+    terminal = Console(file=screen, force_terminal=True, width=80)
+    monkeypatch.setattr(progress, "Console", lambda **_: terminal)
+
+    class Run:
+        id, status, is_over = "6c5969b4-0000-4000-8000-000000000000", "running", False
+        progress: ClassVar = {"poses_total": 52}
+
+    with progress.run_bar(Run(), unit) as show:
+        show(Notice("the service does not answer"))
+    shown = screen.getvalue()
+    assert f"run {Run.id} of unit {unit}" in shown
+    assert "calrig: the service does not answer" in shown
+    assert "…" not in shown
 
 
 def test_a_bar_shows_what_takes_long_and_only_that(monkeypatch):

@@ -6,6 +6,7 @@ import asyncio
 import json
 import logging
 import os
+import random
 import signal
 import socket
 import threading
@@ -83,9 +84,21 @@ def test_what_was_imported_is_exported_and_diagnosed_as_without_the_service(ther
         ("export", "--unit", "A/1"),
         ("export", run_id[:8], "--format", "csv"),
         ("export", "--unit", "A/1", "--format", "c-header"),
+        ("export", "--unit", "A/1", "--format", "csv"),
+        ("export", "--unit", "A/1", "--format", "dcc"),
     ):
         asked, here = calrig(*arguments), calrig(*arguments, "--db", "copy.db")
-        assert (asked.stdout, asked.stderr) == (here.stdout, here.stderr), arguments
+        assert (asked.stdout_bytes, asked.stderr) == (here.stdout_bytes, here.stderr), arguments
+    calrig("export", "--unit", "A/1", "--format", "archive", "-o", "a.zip")
+    assert "a.zip: intact" in calrig("verify", "a.zip").stdout
+    assert "a.zip: exists" in reason(
+        "export", "--unit", "A/1", "--format", "archive", "-o", "a.zip", status=2
+    )
+    assert "no unit 'B'" in reason("export", "--unit", "B", "--format", "archive", "-o", "b.zip", status=1)
+    assert not (folder / "b.zip").exists()
+    for option in (("--parquet", "all"), ("--unit", "A/1", "--format", "dcc", "--sign", "k", "--cert", "c")):
+        there_alone = reason("export", *option, "--server", there.base_url, status=2)
+        assert "for the machine that has the store" in there_alone
     for arguments, status in (
         (("export", "nope"), 1),
         (("export", "--unit", "A/1", "--format", "vins"), 1),
@@ -95,6 +108,39 @@ def test_what_was_imported_is_exported_and_diagnosed_as_without_the_service(ther
         assert said.replace(f"{there.base_url}: ", "").split()[-4:] == here.split()[-4:]
     (folder / "poses.csv").write_text(POSES.replace("30.6", "thirty"))
     assert "poses.csv: line 4" in reason("import", "poses.csv", "--unit", "A", status=2)
+
+
+def test_a_log_is_studied_by_the_service_as_here_and_kept_there(there, folder):
+    rng = random.Random(2)
+    rows = (f"{k / 50},{rng.gauss(0, 0.01):.5f},{rng.gauss(1, 0.01):.5f}" for k in range(500))
+    (folder / "log.csv").write_text("\n".join(["time_s,accel_y_g,accel_z_g", *rows]))
+    at = "--server", there.base_url
+    asked, here = calrig("noise", "log.csv", "--json", *at), calrig("noise", "log.csv", "--json")
+    assert json.loads(asked.stdout) == json.loads(here.stdout)
+    kept = there.get("/api/log-studies").json()[0]
+    assert (kept["kind"], kept["file_name"]) == ("noise", "log.csv")
+    (folder / "log.csv").write_text("time_s,accel_y_g\n0,x\n")
+    assert "log.csv: line 2, column accel_y_g" in reason("filters", "log.csv", *at, status=2)
+
+
+def test_what_was_done_before_ctrl_c_came_is_said_to_be_kept(there, folder, monkeypatch):
+    monkeypatch.setattr(heavy, "AT_ONCE_S", 0.0)
+    readable, writable = os.pipe()
+    os.write(writable, POSES.encode())
+    os.close(writable)
+
+    def press(share):
+        if share == 1.0:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt) as left:
+        package.Client(str(there.base_url)).import_poses(f"/dev/fd/{readable}", "LATE", told=press)
+    os.close(readable)
+    (note,) = left.value.__notes__
+    assert (
+        note == f"it was too late: what came of it is kept at {there.base_url}/api/runs/{newest(there)['id']}"
+    )
+    assert newest(there)["unit"] == "LATE"
 
 
 def test_the_example_notebook_runs_and_a_diagnosis_is_kept_with_its_run(there, monkeypatch, capsys):
@@ -131,13 +177,17 @@ def test_ctrl_c_aborts_the_run_at_the_service_and_a_paused_one_is_resumed(there)
     assert f"run {run_id} aborted" in calrig("watch", run_id, status=1).stderr
 
 
-def test_a_unit_to_be_turned_is_asked_for_on_the_terminal(there):
+def test_a_unit_to_be_turned_is_asked_for_on_the_terminal(there, folder):
     arguments = ["run", "--unit", "E", "--rig", "clamped", "--plan", "turned.json", "--json"]
     done = CliRunner().invoke(app, arguments, input="\nc\n", catch_exceptions=False)
     assert done.exit_code == 0, done.output
     assert "Turn the unit to 90°, its x along the stage's axis, then press Enter (c and Enter" in done.stderr
     assert "turn it on by 90" in done.stderr.replace("89.", "90.").replace("91.", "90.")
     assert json.loads(done.stdout)["progress"]["poses_done"] == 6
+    of_unit = calrig("export", "--unit", "E", "--format", "csv").stdout
+    assert of_unit.splitlines()[0].endswith(",mount,mount_axis")
+    back_up(store_url(), folder / "turned.db")
+    assert calrig("export", "--unit", "E", "--format", "csv", "--db", "turned.db").stdout == of_unit
     done = CliRunner().invoke(app, arguments, input="", catch_exceptions=False)
     assert done.exit_code == 1
     assert "standard input has ended" in done.stderr
@@ -147,9 +197,8 @@ def test_a_unit_to_be_turned_is_asked_for_on_the_terminal(there):
 def test_what_a_service_cannot_be_told_is_2_and_rigs_are_its(there, folder):
     for option in (("--record", "wires"), ("--config", "calrig.toml")):
         assert "holds the store" in reason("run", "--unit", "A", *option, status=2)
-    shown = calrig("rigs").stdout
-    assert "clamped" in shown
-    assert "idle" in shown
+    rigs = [(rig["name"], rig["state"]) for rig in json.loads(calrig("rigs", "--json").stdout)["rigs"]]
+    assert rigs == [("bench-1", "idle"), ("clamped", "idle")]
     assert "ABSENT" in calrig("rigs", "--config", "calrig.toml").stdout
     design = json.loads(calrig("plan", "--time", "60", "--no-trace", "--json").stdout)
     assert design["expected"]["duration_s"] <= 60

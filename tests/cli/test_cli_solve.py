@@ -73,6 +73,8 @@ def test_out_has_what_turns_readings_into_elevations(mounts, folder):
 
 def test_the_map_is_drawn(mounts, folder):
     calrig("solve", "all.csv", "--plot", "map.html")
+    (folder / "y.csv").write_text("target_deg,reading_deg,unit,mount_axis\n0,0,A,y\n10,10,A,y\n")
+    assert "nothing was solved" in reason("solve", "y.csv", "--plot", "y.html", status=2)
     page = (folder / "map.html").read_text(encoding="utf-8")
     (drawn,) = re.findall(r'<script type="application/json" id="drawn">(.*?)</script>', page, re.DOTALL)
     figure = json.loads(drawn)

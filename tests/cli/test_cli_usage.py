@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
+import os
 import re
 import socket
 
@@ -44,6 +46,12 @@ def test_ctrl_c_is_1_and_says_so_and_a_defect_is_not_hidden(folder, monkeypatch)
 
     monkeypatch.setattr("calrig.settings.load_settings", interrupted)
     assert reason("rigs", status=1) == "calrig: interrupted"
+
+    def full(_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("calrig.settings.load_settings", full)
+    assert reason("rigs", status=1) == "calrig: standard output takes no more (No space left on device)"
 
     def defective(_):
         raise ZeroDivisionError("of calrig's own")

@@ -61,7 +61,9 @@ def test_a_line_that_is_cut_anywhere_loses_and_doubles_nothing(service, monkeypa
     with cut_line(service.server, pieces) as url:
         followed = calrig.Client(url)
         path = f"/api/runs/{run.id}"
-        assert list(events.run_events(followed, run.id)) == whole
+        away = []
+        assert list(events.run_events(followed, run.id, away=away.append)) == whole
+        assert "does not answer" in str(away[0])
         assert pieces == [], "every cut was made"
         assert followed.get(path)["status"] == "completed"
 

@@ -32,7 +32,6 @@ def test_start_is_pressed_and_the_run_watched_to_its_result(page, client, go, ex
     page.click("#start")
 
     page.wait_for_url("**/#/runs/*")
-    expect(page.locator("#abort")).to_be_visible()
     expect(page.locator("#status")).to_have_text("completed")
     expect(page.locator("#abort")).to_be_hidden()
     run = client.get("/api/runs").json()["items"][0]
@@ -46,7 +45,7 @@ def test_start_is_pressed_and_the_run_watched_to_its_result(page, client, go, ex
     expect(page.get_by_test_id("verdict")).to_contain_text("Is this good?")
     expect(page.locator("#poses-table tbody tr")).to_have_count(6)
     page.wait_for_function("document.querySelector('[data-testid=residual]').layout?.yaxis2")
-    assert len(line_x(page, "timeline")) > 2
+    wait_for(lambda: len(line_x(page, "timeline")) > 2, "readings in the timeline")
 
 
 def test_a_page_opened_mid_run_and_reloaded_catches_up_and_draws_nothing_twice(page, client, go, expect):

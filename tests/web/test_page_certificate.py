@@ -48,6 +48,11 @@ def test_on_paper_there_are_no_controls_and_nothing_is_cut(page, client, go, exp
         page.evaluate("window.dispatchEvent(new Event('afterprint'))")
         page.emulate_media(media="screen")
     assert page.locator(".plot .main-svg[viewBox]").count() == 0
+    go("#/units")
+    page.emulate_media(media="print")
+    expect(page.locator("#units-table")).to_be_visible()
+    expect(page.locator(".frame")).to_be_hidden()
+    page.emulate_media(media="screen")
 
 
 def test_axe_finds_nothing_on_any_view(page, client, go, expect):

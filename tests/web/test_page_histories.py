@@ -89,6 +89,9 @@ def test_a_units_page_says_what_changed_and_when_it_is_due(page, go, expect):
     expect(row).to_contain_text("Scale moved by 0.0200 ±")
     expect(row.get_by_role("button", name="Diagnose both")).to_be_visible()
     expect(page.locator("#due")).to_contain_text("365 days after its last calibration")
+    page.emulate_media(media="print")  # which may be handed to the customer, who agreed to no interval
+    expect(page.locator("#due")).to_be_hidden()
+    page.emulate_media(media="screen")
     go("#/units/U01")
     expect(page.locator("#changes-table tbody tr")).to_have_count(2)
     expect(page.locator("#changes-table")).to_contain_text("No more than repeatability")
