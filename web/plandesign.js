@@ -96,7 +96,7 @@ function input(id, type, props = {}) {
 
 function shown({ plan, expected, limit, suspects, says }) {
   const rows = [
-    ["Poses", `${poses(plan)}${plan.until ? " at most" : ""}`],
+    ...poses(plan),
     ["Time on the rig", `about ${duration(expected.duration_s)}`],
     ["Expanded uncertainty", significant(expected.expanded_uncertainty_deg, 3, "°")],
     ["Bias, standard error", significant(expected.bias_std_deg, 2, "°")],
@@ -109,9 +109,14 @@ function shown({ plan, expected, limit, suspects, says }) {
   ];
 }
 
-function poses({ kind, elevations_deg: elevations, dwell_s: dwell, sweeps, velocity_dps: velocity }) {
-  if (kind !== "sweep") return `${plural(elevations.length, "pose")} of ${dwell}\u00a0s`;
-  return `${sweeps} passes at ${significant(velocity, 3, "°/s")}, stretches of ${dwell}\u00a0s`;
+function poses({ kind, until, elevations_deg: elevations, dwell_s: dwell, sweeps, velocity_dps: velocity }) {
+  const most = until ? " at most" : "";
+  if (kind !== "sweep") return [["Poses", `${plural(elevations.length, "pose")} of ${dwell}\u00a0s${most}`]];
+  return [
+    ["Passes without stopping", `${sweeps}${most}`],
+    ["Turning at", significant(velocity, 3, "°/s")],
+    ["A pose is a stretch of", `${dwell}\u00a0s`],
+  ];
 }
 
 function tableOf(suspects) {

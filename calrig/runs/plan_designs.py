@@ -96,7 +96,7 @@ def question(
 def _pace(plan: Plan, known: RigPace, settle_s: float) -> Pace:
     velocity_dps = None if plan.kind == "sweep" else plan.velocity_dps  # of a sweep, that of its turns
     travel_s = partial(known.travel_s, velocity_dps=velocity_dps)
-    return Pace(travel_s, settle_s, known.questions_s, known.begin_s, known.stands_deg)
+    return Pace(travel_s, settle_s, known.questions_s, known.begin_s, known.stands_deg, known.pass_s)
 
 
 def _type_b(rig: RigSettings, store: Store | None, maps: Mapping[str, Document]) -> TypeB | None:

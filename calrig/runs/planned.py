@@ -82,7 +82,8 @@ def estimate(plan: Plan, rig: RigSettings, store: Store) -> PlanEstimate:
     duration_s = (
         first_s
         + sum(pace.travel_s(after - before, turn_dps) for before, after in ways)
-        + (1 if static else len(dwells)) * (plan.settle_s + plan.dwell_s + pace.questions_s)
+        + (1 if static else len(dwells)) * (plan.settle_s + plan.dwell_s)
+        + (1 if static else len(dwells)) * (pace.pass_s if swept else pace.questions_s)
         + (plan.first_settle_s - plan.settle_s)
         + (0 if static else plan.sweeps * len(plan.mounts_deg)) * plan.wait_s
     )

@@ -9,6 +9,7 @@ from statistics import fmean
 
 from calrig.calibration.pose import Pose
 from calrig.instruments.axis_goal import travel_time_s
+from calrig.plan import Plan
 from calrig.settings import RigSettings
 from calrig.store import Run, Store
 
@@ -24,7 +25,7 @@ HOMING_SHARE = 0.5
 QUESTIONS_S = 0.12
 """A pose's questions to stage and board, on simulated rigs of each kind."""
 RUNS_LOOKED_AT = 10
-FEWEST_GAPS = 4
+FEWEST_GAPS, FEWEST_PASSES = 4, 1
 TRIMMED = 0.1
 """Share of the gaps at either end that does not count: a pause, or a machine that was busy elsewhere."""
 
@@ -36,6 +37,7 @@ class RigPace:
     Attributes:
         velocity_dps, acceleration_dps2: of elevation.
         questions_s: a pose, beside move, settling and dwell.
+        pass_s: a pass of a sweep, beside the turn and the dwell at its end.
         begin_s: from the start of a run to its first move.
         stands_deg: elevation from which the first move begins.
     """
@@ -45,6 +47,7 @@ class RigPace:
     questions_s: float = QUESTIONS_S
     begin_s: float = HOMING_AND_START_S
     stands_deg: float = 0.0
+    pass_s: float = QUESTIONS_S
 
     def travel_s(self, way_deg: float, velocity_dps: float | None = None) -> float:
         """Time of a move, at the velocity that a plan asks for."""
@@ -62,14 +65,17 @@ def rig_pace(rig: RigSettings, store: Store | None) -> RigPace:
     if store is None or not runs:
         return RigPace()
     velocity_dps, acceleration_dps2 = _speed(runs[0], rig)
-    told_s = (_questions_s(run, _poses(store, run), RigPace(*_speed(run, rig))) for run in runs)
-    questions_s = next((one for one in told_s if one is not None), QUESTIONS_S)
+    stopping = (_beside_s(run, _poses(store, run), _speed(run, rig)) for run in runs if not _is_sweep(run))
+    turning = (_beside_s(run, _poses(store, run), _speed(run, rig)) for run in runs if _is_sweep(run))
+    questions_s = next((one for one in stopping if one is not None), QUESTIONS_S)
+    pass_s = next((one for one in turning if one is not None), questions_s)
     stands_deg = next((poses[-1].target_deg for run in runs if (poses := _poses(store, run))), None)
     if stands_deg is None:
-        return RigPace(velocity_dps, acceleration_dps2)
+        return RigPace(velocity_dps, acceleration_dps2, questions_s, pass_s=pass_s)
     homes = runs[0].provenance.get("stage", {}).get("homes_each_time", False)
     begin_s = START_S + (abs(stands_deg) / (HOMING_SHARE * velocity_dps) if homes else 0.0)
-    return RigPace(velocity_dps, acceleration_dps2, questions_s, begin_s, 0.0 if homes else stands_deg)
+    begins_deg = 0.0 if homes else stands_deg
+    return RigPace(velocity_dps, acceleration_dps2, questions_s, begin_s, begins_deg, pass_s)
 
 
 def _poses(store: Store, run: Run) -> list[Pose]:
@@ -87,31 +93,45 @@ def _speed(run: Run, rig: RigSettings) -> tuple[float, float]:
     )
 
 
+def _is_sweep(run: Run) -> bool:
+    return (run.plan or {}).get("kind") == "sweep"
+
+
 def _tells(run: Run) -> bool:
     """Whether a run's dwells were as long as its plan says, and nothing came between them."""
     plan = run.plan or {}
     return (
-        plan.get("kind") in ("calibration", "verification")
+        plan.get("kind") in ("calibration", "verification", "sweep")
         and not plan.get("target_std_deg")
         and not run.provenance.get("interruptions")
     )
 
 
-def _questions_s(run: Run, poses: Sequence[Pose], pace: RigPace) -> float | None:
-    """What lies between two dwells beside move and settling; None where no poses, or too few, tell."""
-    plan = run.plan or {}
+def _beside_s(run: Run, poses: Sequence[Pose], speed: tuple[float, float]) -> float | None:
+    """What lies between two dwells beside move, settling and dwell; None where nothing, or too little, tells.
+
+    Args:
+        run: that is completed; of a sweep the first pass does not count, in which the program gets ready.
+        poses: of it.
+        speed: velocity and acceleration of its stage, in elevation.
+    """
     if not _tells(run):
         return None
-    still_s = plan["settle_s"] + plan["dwell_s"]
+    plan, pace, turns = Plan.model_validate(run.plan), RigPace(*speed), _is_sweep(run)
+    velocity_dps = plan.turn_dps if turns else plan.velocity_dps
+    dwells = [pose for pose in poses if pose.settle_s is not None][1:] if turns else poses
     beside_s = sorted(
         after.time_s
         - before.time_s
-        - still_s
-        - pace.travel_s(after.target_deg - before.target_deg, plan.get("velocity_dps"))
-        for before, after in pairwise(poses)
-        if after.time_s is not None and before.time_s is not None and before.sweep == after.sweep
+        - plan.settle_s
+        - plan.dwell_s
+        - pace.travel_s(after.target_deg - before.target_deg, velocity_dps)
+        for before, after in pairwise(dwells)
+        if after.time_s is not None
+        and before.time_s is not None
+        and (before.sweep == after.sweep or (turns and not plan.wait_s))
     )
-    if len(beside_s) < FEWEST_GAPS:
+    if len(beside_s) < (FEWEST_PASSES if turns else FEWEST_GAPS):
         return None
     trimmed = int(TRIMMED * len(beside_s))
     return max(0.0, fmean(beside_s[trimmed : len(beside_s) - trimmed]))

@@ -33,7 +33,7 @@ def travel_s(distance_deg: float) -> float:
     return travel_time_s(distance_deg, VELOCITY_DPS, ACCELERATION_DPS2)
 
 
-PACE = Pace(travel_s, SETTLE_S, QUESTIONS_S, HOMING_AND_START_S)
+PACE = Pace(travel_s, SETTLE_S, QUESTIONS_S, HOMING_AND_START_S, pass_s=QUESTIONS_S)
 
 
 def task(reference: Reference, *, trace: bool, sweeping: bool = False) -> Task:

@@ -74,6 +74,7 @@ class Pace:
         travel_s: time of a move of so many degrees.
         settle_s: after each move.
         questions_s: at each pose, to the stage and the board.
+        pass_s: likewise at each dwell of a sweep, with what follows from its stretches.
         begin_s: before the first move.
         stands_deg: elevation from which the first move begins.
     """
@@ -83,3 +84,4 @@ class Pace:
     questions_s: float
     begin_s: float
     stands_deg: float = 0.0
+    pass_s: float = 0.0

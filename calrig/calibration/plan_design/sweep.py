@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from calrig.calibration.plan_design.rig_figures import Pace, Precision, Turning
-from calrig.plan import LONGEST_STRETCH_DEG, Plan, PlannedPose
+from calrig.plan import FIRST_SETTLE_S, LONGEST_STRETCH_DEG, Plan, PlannedPose
 
 PASSES = (2, 3, 4, 6, 8)
 STRETCHES = (6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 20, 22, 24, 26, 28, 30, 34, 38, 44, 50, 60, 80)
@@ -58,11 +58,11 @@ class Sweep:
             kind="sweep",
             start_deg=low,
             stop_deg=high,
-            step_deg=self.step_deg,
+            step_deg=math.ceil(1e4 * self.step_deg) / 1e4,
             sweeps=self.passes,
             velocity_dps=self.velocity_dps,
             dwell_s=self.stretch_s,
-            jitter_deg=0.0 if seed is None else JITTER * self.step_deg,
+            jitter_deg=0.0 if seed is None else round(JITTER * self.step_deg, 4),
             seed=seed or 0,
         )
 
@@ -90,14 +90,14 @@ class Sweep:
             found += [
                 now_s + 0.5 * rise_s + (k + 0.5) / self.stretches * turned_s for k in range(self.stretches)
             ]
-            now_s += turned_s + rise_s + pace.settle_s + pace.questions_s + self.stretch_s
+            now_s += turned_s + rise_s + pace.settle_s + pace.pass_s + self.stretch_s
             found.append(now_s - 0.5 * self.stretch_s)
         return found
 
     def duration_s(self, pace: Pace, turning: Turning) -> float:
         """From the beginning of the run to its end."""
         first_s = pace.travel_s(abs(self.range_deg[0] - pace.stands_deg))
-        stands_s = pace.settle_s + pace.questions_s
+        stands_s = max(pace.settle_s, FIRST_SETTLE_S) + pace.pass_s
         return pace.begin_s + first_s + stands_s + self.times_s(pace, turning)[-1] + 0.5 * self.stretch_s
 
     def scatter_deg(self, precision: Precision, turning: Turning) -> float:

@@ -91,4 +91,4 @@ def _stretch_s(sweep: Sweep, wanted_deg: float, least_s: float, sweeping: Sweepi
     while low < high:
         middle = (low + high) // 2
         low, high = (low, middle) if suffice(middle) else (middle + 1, high)
-    return least_s + low * DWELL_STEP_S
+    return rounded_up_s(least_s + low * DWELL_STEP_S)

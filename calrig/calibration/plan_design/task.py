@@ -98,7 +98,7 @@ class Task:
             expanded_deg = self.type_b.expanded_deg(type_a_deg, len(order) - 2.0)
         return Design(
             elevations_deg=tuple(order),
-            dwell_s=round(dwell_s, 3),
+            dwell_s=dwell_s,
             duration_s=duration_s,
             expanded_deg=expanded_deg,
             bias_std_deg=stated_deg * math.sqrt(bias),
@@ -110,9 +110,9 @@ class Task:
 
 def rounded_up_s(dwell_s: float) -> float:
     """The next time that a plan names."""
-    return DWELL_STEP_S * math.ceil(dwell_s / DWELL_STEP_S - 1e-9)
+    return round(DWELL_STEP_S * math.ceil(dwell_s / DWELL_STEP_S - 1e-9), 3)
 
 
 def rounded_down_s(dwell_s: float) -> float:
     """The one before."""
-    return DWELL_STEP_S * math.floor(dwell_s / DWELL_STEP_S + 1e-9)
+    return round(DWELL_STEP_S * math.floor(dwell_s / DWELL_STEP_S + 1e-9), 3)
