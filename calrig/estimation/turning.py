@@ -25,6 +25,8 @@ LATE = 6.0
 AT_THE_END_S = 0.1
 """Before the stage slows down: a worm of 0.1° and 7.2° changes its slope by 4 % in that time at 5 °/s."""
 NEARLY = 0.95
+STANDS_S = 0.1
+"""After the rate has fallen: longer, the gyro's noise and bias add up."""
 LOCAL = 20
 """Samples that tell the rate of a turn before it ends."""
 FEWEST_REPORTS = 5
@@ -127,11 +129,12 @@ class Felt:
 
 
 def felt_turn(time_s: FloatArray, rate_dps: FloatArray, turn: EvenTurn, stands_deg: float) -> Felt:
-    """Gain and delay by the rate still to come at each instant of a turn, until the stage stands.
+    """Gain and delay by the gyro's account of a turn and of its end.
 
     The gain is that between the two ends of the even part. The delay is told by when the turn ends: at the
     rate of its last instants the gyro comes to the stand at one time, and the reports' line at another. No
-    more than these instants count, so that no error of the stage along the way enters, a worm's for example.
+    more than these instants count, so that no error of the stage along the way enters, a worm's for example,
+    and little of the gyro's noise.
 
     Args:
         time_s: (n,) samples from the begin of the turn to when the stage stands, by the board's clock.
@@ -139,22 +142,25 @@ def felt_turn(time_s: FloatArray, rate_dps: FloatArray, turn: EvenTurn, stands_d
         turn: as its reports have it.
         stands_deg: where the stage says it stands afterwards.
     """
-    steps = np.diff(time_s) * (rate_dps[1:] + rate_dps[:-1]) / 2.0
-    to_come_deg = np.append(np.cumsum(steps[::-1])[::-1], 0.0)
     even = np.flatnonzero((time_s >= turn.begins_s) & (time_s <= turn.ends_s))
     first, last = even[0], even[-1]
-    gain = (to_come_deg[first] - to_come_deg[last]) / (turn.velocity_dps * (time_s[last] - time_s[first]))
-    slows_s = _slows_down_s(time_s, rate_dps, last)
-    at_end = np.flatnonzero((time_s >= slows_s - AT_THE_END_S) & (time_s <= slows_s))
-    stands_s = time_s[at_end] + to_come_deg[at_end] / rate_dps[at_end].mean()
-    return Felt(float(gain), turn.time_s(stands_deg) - float(stands_s.mean()))
+    turned_deg = float(np.trapezoid(rate_dps[first : last + 1], time_s[first : last + 1]))
+    gain = turned_deg / (turn.velocity_dps * (time_s[last] - time_s[first]))
+    slows, stands = _slows_and_stands(rate_dps, last)
+    stands = min(int(np.searchsorted(time_s, time_s[stands] + STANDS_S)), len(time_s) - 1)
+    begins = int(np.searchsorted(time_s, time_s[slows] - AT_THE_END_S))
+    to_come_deg = float(np.trapezoid(rate_dps[begins : stands + 1], time_s[begins : stands + 1]))
+    stands_s = time_s[begins] + to_come_deg / rate_dps[begins : slows + 1].mean()
+    return Felt(gain, turn.time_s(stands_deg) - float(stands_s))
 
 
-def _slows_down_s(time_s: FloatArray, rate_dps: FloatArray, within: int) -> float:
-    """When the rate begins to fall for good, seen from the even part: the last time it is nearly as large."""
-    before_dps = rate_dps[max(0, within - LOCAL) : within + 1].mean()
-    high = np.flatnonzero(rate_dps[within:] * np.sign(before_dps) > NEARLY * abs(before_dps))
-    return float(time_s[within + (high[-1] if len(high) else 0)])
+def _slows_and_stands(rate_dps: FloatArray, even: int) -> tuple[int, int]:
+    """Indices at which the rate begins to fall for good, and at which it has, seen from the even part."""
+    before_dps = rate_dps[max(0, even - LOCAL) : even + 1].mean()
+    share = rate_dps[even:] / before_dps
+    slows = int(np.flatnonzero(share > NEARLY)[-1]) if (share > NEARLY).any() else 0
+    stands = np.flatnonzero(share[slows:] < 1.0 - NEARLY)
+    return even + slows, even + slows + (int(stands[0]) if len(stands) else len(share) - slows - 1)
 
 
 def filter_lag_deg(
