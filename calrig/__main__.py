@@ -1,5 +1,5 @@
 """`python -m calrig`."""
 
-from calrig.cli.main import main
+from calrig.cli.start import main
 
 main()

@@ -23,14 +23,14 @@ OVERSHOOT_DEG = 1.0  # beyond the tolerance: nothing that moves as it was told i
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """One look at an axis: where it is, whether it is still on its way, and when it was asked.
+    """One look at an axis: where it is, and whether it is still on its way.
 
-    `seen_s` is the clock's time midway between question and answer.
+    `asked_s` is the clock's time before the question for the angle and after the answer.
     """
 
     elevation_deg: float
     moving: bool
-    seen_s: float = field(default=math.nan, compare=False)
+    asked_s: tuple[float, float] = field(default=(math.nan, math.nan), compare=False)
 
 
 class Axis:
@@ -164,13 +164,13 @@ class Axis:
         if status.state in IN_MOTION:
             asked_s = self._clock.now_s()
             glimpse_deg = self._glimpse_deg()
-            motion = Motion(glimpse_deg, moving=True, seen_s=(asked_s + self._clock.now_s()) / 2)
+            motion = Motion(glimpse_deg, moving=True, asked_s=(asked_s, self._clock.now_s()))
             self._check_way(motion.elevation_deg)
             self._check_progress(motion.elevation_deg, status)
             return motion
         elevation = self.elevation_deg()
         moving = not self._is_in_place(elevation, status)
-        return Motion(elevation, moving, seen_s=self._clock.now_s())
+        return Motion(elevation, moving)
 
     def elevation_deg(self) -> float:
         """Where the standing stage says it is, in elevation."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -21,6 +22,8 @@ LOOK_S = 0.02
 """How long one look waits for samples before it turns to stage and requests again."""
 GRAVITY_S = 0.5
 """How long gravity is averaged, where it is held against a stage that cannot home or a mount."""
+MOST_CLOCKS = 4000
+"""Pairs of the two clocks that are kept: some minutes of looks."""
 WATCH_S = 0.5
 """How often a stage that is to stand is asked whether it does."""
 
@@ -33,6 +36,7 @@ class Pace:
         clock_s: of the run when the board's clock stands at 0.
         stage_deg: elevation last reported, None before the first report.
         stood_at_s: board's clock at an instant at which the stage stood and the next move had not begun.
+        clocks: the host's clock, and the board's at the last sample seen by then: the newest of such pairs.
         rate_hz: samples a second to expect: the plan's, or the one rate that the board has.
     """
 
@@ -44,6 +48,7 @@ class Pace:
     stage_deg: float | None = None
     stood_at_s: float = 0.0
     rate_hz: float = field(init=False)
+    clocks: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=MOST_CLOCKS))
     _stood_deg: float | None = None
     _watched_s: float = 0.0
 
@@ -154,7 +159,8 @@ class Pace:
 
     def look(self) -> None:
         """Takes samples for a moment, tells what is seen, and unwinds where an end was asked for."""
-        self.stream.pump(LOOK_S)
+        if self.stream.pump(LOOK_S):
+            self.clocks.append((self.rig.clock.now_s(), self.stream.clock_s))
         self.control.check()
         if self.rig.clock.now_s() - self._watched_s > WATCH_S:
             self.see_that_it_stands()

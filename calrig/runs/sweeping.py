@@ -8,7 +8,7 @@ motor biases the accelerometer while it turns (`calrig.calibration.motor_vibrati
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -107,8 +107,9 @@ class Sweeping:
                 return self._hold_against_the_dwells()
             self.pace.rig.board.faults["retried_pose"] += 1
         raise BoardError(
-            f"the pass from {from_deg:g}° to {end.target_deg:g}°: fewer than half of a stretch's samples "
-            f"were valid, {DWELL_TRIES} times over; check the cable and the board's rate"
+            f"the pass from {from_deg:g}° to {end.target_deg:g}°, {DWELL_TRIES} times over: samples of a stretch "
+            "were missing, or the stage's reports came too late to be trusted; check cables and rate, and let "
+            "this machine do nothing else meanwhile"
         )
 
     def _go_to(self, from_deg: float) -> None:
@@ -124,8 +125,7 @@ class Sweeping:
         seen = Seen(pace.rig.axis.elevation_deg(), to_deg)
 
         def note(motion: Motion) -> None:
-            seen.reports.append((motion.seen_s, motion.elevation_deg))
-            seen.clocks.append((pace.rig.clock.now_s(), pace.stream.clock_s))
+            seen.reports.append((*motion.asked_s, motion.elevation_deg))
 
         pace.rig.axis.set_velocity(self.plan.turn_dps)
         pace.move(to_deg, note)
@@ -135,7 +135,7 @@ class Sweeping:
     def _turned(
         self, seen: Seen, passed: list[PlannedPose], dwell_s: tuple[float, float]
     ) -> TurnedPass | None:
-        """The pass by reports and gyro; None where samples of a stretch are missing."""
+        """The pass by reports and gyro; None where samples are missing, or the clocks were out of step."""
         pace, taking, axis = self.pace, self.taking, self.pace.rig.axis
         kept = pace.stream.kept()
         dwell = kept.between(*dwell_s).samples
@@ -146,7 +146,7 @@ class Sweeping:
             )
         bias_dps = taking.gyro.bias_with_dps(dwell)
         try:
-            turn = seen.even_turn(axis.run_up_deg() + RUN_UP_S * self.plan.turn_dps)
+            turn = seen.even_turn(axis.run_up_deg() + RUN_UP_S * self.plan.turn_dps, pace.clocks)
         except ValueError as error:
             raise StageError(
                 f"the stage turned from {seen.from_deg:g}° to {seen.to_deg:g}° at {self.plan.turn_dps:g}°/s: "
@@ -161,13 +161,16 @@ class Sweeping:
                 f"the stage comes up to {self.plan.turn_dps:g}°/s and slows down within the stretch about "
                 f"{short.target_deg:g}°: take longer stretches (step_deg), or a lower velocity"
             )
-        return None if turned.lacks_samples(passed[:-1]) else turned
+        gains = [felt.gain for felt in self.felt]
+        if turned.lacks_samples(passed[:-1]) or turned.is_out_of_step(turned.felt().gain, gains):
+            return None
+        return turned
 
     def _keep(self, turned: TurnedPass, passed: list[PlannedPose], reading: Reading) -> None:
-        """Makes and stores the poses that are not stored yet, by what all passes say of gain and delay."""
+        """Makes and stores the poses that are not stored yet, by the gain of all passes and its own delay."""
         taking = self.taking
         self.felt.append(turned.felt())
-        felt = Felt(*np.mean([(one.gain, one.behind_s) for one in self.felt], axis=0).tolist())
+        felt = replace(self.felt[-1], gain=float(np.mean([one.gain for one in self.felt])))
         bias_std_dps = taking.gyro.dwelt(turned.dwell)
         self.scatter_g.append((scatter_g(turned.even_samples.accel_g), scatter_g(turned.dwell.accel_g)))
         for taken in turned.poses(passed, reading, felt, self.plan.settle_s):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from calrig.calibration.pose import Filtering, Pose
 from calrig.estimation.angles import wrap_deg
+from calrig.estimation.gyro import dwell_bias
 from calrig.estimation.kalman import KalmanNoise
 from calrig.estimation.reading import Reading, dwell_reading
 from calrig.estimation.turning import (
@@ -27,30 +28,40 @@ from calrig.runs.stream import Stretch
 
 FEWEST_OF_A_STRETCH = 0.5
 """Of its way and of its samples."""
+PROMPT = 1.5
+OUT_OF_STEP = 0.002
+"""Share by which the gains of two passes may differ, beside what the gyro's bias makes of them by chance."""
+CHANCE_STD = 5.0
+MOST_PLAY_DEG = 1.5
 UNEVEN_S = 0.02
 """Reports that scatter about a straight line by more than the way of so long are of no even turn."""
 
 
 @dataclass(slots=True)
 class Seen:
-    """The stage's reports of a turn by the host's clock, and pairs of that and the board's clock."""
+    """The stage's reports of a turn: the host's clock before a question and after its answer, the angle."""
 
     from_deg: float
     to_deg: float
-    reports: list[tuple[float, float]] = field(default_factory=list)
-    clocks: list[tuple[float, float]] = field(default_factory=list)
+    reports: list[tuple[float, float, float]] = field(default_factory=list)
 
-    def even_turn(self, run_up_deg: float) -> EvenTurn:
-        """The part between run-up and slowing down, in the board's time.
+    def even_turn(self, run_up_deg: float, clocks: Iterable[tuple[float, float]]) -> EvenTurn:
+        """The part between run-up and slowing down, in the board's time; `clocks` as `board_time_s` has them.
+
+        Of the reports, those whose answer came as fast as of the fastest quarter: of the others it is not
+        known so well of when they are.
 
         Raises:
             ValueError: the stage does not turn evenly, or too few of its reports say so; the message says it.
         """
         sense = 1.0 if self.to_deg > self.from_deg else -1.0
-        host_s, angles_deg = np.array(self.reports, dtype=np.float64).reshape(-1, 2).T
-        if len(host_s) < 2:
+        asked_s, answered_s, angles_deg = np.array(self.reports, dtype=np.float64).reshape(-1, 3).T
+        if len(asked_s) < 2:
             raise ValueError("the stage does not say where it is while it turns")
-        times_s = board_time_s(host_s, np.array(self.clocks, dtype=np.float64))
+        took_s = answered_s - asked_s
+        prompt = took_s <= PROMPT * np.quantile(took_s, 0.25) + 1e-9
+        host_s, angles_deg = (asked_s + took_s / 2)[prompt], angles_deg[prompt]
+        times_s = board_time_s(host_s, np.array(list(clocks), dtype=np.float64))
         near_deg, far_deg = self.from_deg + sense * run_up_deg, self.to_deg - sense * run_up_deg
         turn = even_turn(times_s, angles_deg, near_deg, far_deg)
         if turn.scatter_deg > UNEVEN_S * abs(turn.velocity_dps) or turn.velocity_dps * sense <= 0.0:
@@ -111,6 +122,21 @@ class TurnedPass:
         rate_dps = samples.gyro_dps[:, self.along] - self.bias_dps
         return felt_turn(samples.time_s, rate_dps, self.turn, self.stands_deg)
 
+    def is_out_of_step(self, gain: float, before: Sequence[float]) -> bool:
+        """Whether the clocks of host and board were not in step, for the machine was busy elsewhere.
+
+        A gyro has one gain: that of the passes before, and from stand to stand, where no clock counts but the
+        play does.
+        """
+        samples = self.kept.between(self.stood_s, self.dwell_s[0]).samples
+        turned_deg = float(np.trapezoid(samples.gyro_dps[:, self.along] - self.bias_dps, samples.time_s))
+        way_deg = self.stands_deg - self.from_deg
+        bias_std_dps = dwell_bias(self.dwell.gyro_dps).bias_std_dps[self.along] or 0.0
+        allowed = OUT_OF_STEP + CHANCE_STD * bias_std_dps / abs(self.turn.velocity_dps)
+        if abs(gain * way_deg / turned_deg - 1.0) > allowed + MOST_PLAY_DEG / abs(way_deg):
+            return True
+        return bool(before) and abs(gain / float(np.median(before)) - 1.0) > allowed
+
     def too_short(self, stretches: list[PlannedPose]) -> PlannedPose | None:
         """The first stretch of which the even turn holds less than half."""
         for one in stretches:
@@ -148,7 +174,7 @@ class TurnedPass:
         Args:
             planned: the stretches and the dwell.
             reading: of the dwell.
-            felt: gain and delay, of this pass or of several; what the filter shows of the gain is taken off.
+            felt: the gyro's gain, what the filter shows of which is taken off, and this pass's own delay.
             settle_s: before the dwell.
         """
         whole = self.kept.samples

@@ -37,6 +37,7 @@ def test_a_run_its_order_and_its_job_are_made_together(centre: CentreService, be
 def test_an_uncertainty_that_nobody_could_state_is_not_ordered_as_an_end(
     centre: CentreService, bench: TableBench, plan: Plan
 ):
+    bench.beat(reference=None)
     ends = {"sweeps": 4, "until": {"expanded_uncertainty_deg": 0.5}}
 
     with pytest.raises(Invalid, match="does not say what its angle is worth"):

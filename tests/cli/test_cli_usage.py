@@ -7,10 +7,13 @@ import importlib
 import os
 import re
 import socket
+import sys
+from types import ModuleType
 
 import pytest
 from command_line import calrig, reason
 
+from calrig.cli import start
 from calrig.cli.exit_status import STATUS
 
 
@@ -59,6 +62,16 @@ def test_ctrl_c_is_1_and_says_so_and_a_defect_is_not_hidden(folder, monkeypatch)
     monkeypatch.setattr("calrig.settings.load_settings", defective)
     with pytest.raises(ZeroDivisionError):
         calrig("rigs")
+
+
+def test_ctrl_c_while_the_program_is_loaded_is_1_in_one_line(monkeypatch):
+    class Interrupted(ModuleType):
+        def __getattr__(self, name):
+            raise KeyboardInterrupt
+
+    monkeypatch.setitem(sys.modules, "calrig.cli.main", Interrupted("main"))
+    with pytest.raises(SystemExit, match="calrig: interrupted"):
+        start.main()
 
 
 def test_a_port_in_use_is_1_and_says_which_and_what_to_do(folder):
