@@ -110,7 +110,19 @@ def _plans() -> list[tuple[str, Layout]]:
     for n in (36, 28):
         order = layout((-60.0, 60.0), n, 2, 0.0, np.random.default_rng(1))
         made.append((f"designed, {n} poses", trial.laid_out(order, 2.0)))
-    return made
+    turning = _turning()
+    elevations_deg = [pose.target_deg for pose in turning.poses((-90.0, 90.0))]
+    stood = trial.laid_out(elevations_deg, turning.dwell_s)
+    return [*made, (f"turning, {len(elevations_deg)} poses, stood at", stood)]
+
+
+def _turning() -> Plan:
+    """The traced design of turns for the uncertainty of the fixed plan."""
+    reference = REFERENCES["a map of 0.003°"]
+    task = trial.task(reference, trace=True, sweeping=True)
+    sweep = quickest(task, Goals(trial.kept(trial.fixed(), reference, RUNS).stated_deg)).sweep
+    assert sweep is not None
+    return sweep.plan(task.seed).model_copy(update={"settle_s": trial.SETTLE_S})
 
 
 def rigs(runs: int) -> None:
@@ -149,14 +161,13 @@ def found_on_rigs(runs: int) -> None:
     scatter_deg = trial.PRECISION.scatter_deg(fixed.dwell_s)
     shown = suspects(imagined_dwells(fixed.target_deg.tolist(), fixed.dwell_s, trial.PACE), scatter_deg)
     size = {one.name: one.value or 0.0 for one in shown}
-    goals = Goals(trial.kept(fixed, REFERENCES["a map of 0.003°"], RUNS).stated_deg)
-    task = trial.task(REFERENCES["a map of 0.003°"], trace=True, sweeping=True)
-    sweep = quickest(task, goals).sweep
-    assert sweep is not None
-    turning = sweep.plan(task.seed).model_copy(update={"settle_s": trial.SETTLE_S})
+    turning = _turning()
     _say("| plan | backlash | slip of the mount |")
     _say("| --- | --- | --- |")
-    for name, plan in (("fixed, 52 poses", Plan()), (f"turning, {len(sweep)} poses", turning)):
+    for name, plan in (
+        ("fixed, 52 poses", Plan()),
+        (f"turning, {len(turning.poses((-90.0, 90.0)))} poses", turning),
+    ):
         times = [
             sum(rig_runs.finds(plan, seed, effect, size[effect]) for seed in range(runs))
             for effect in ("backlash", "mount_slip")

@@ -17,7 +17,7 @@ from calrig.calibration.plan_design.task import (
     OutOfReachError,
     Task,
 )
-from calrig.calibration.plan_design.traced import could_show_enough, shows_enough, with_suspects
+from calrig.calibration.plan_design.traced import could_show_enough, excess_of, with_suspects
 
 MOST_POSES = dwell_designs.POSES[-1]
 MOST_TRIED = 40
@@ -33,7 +33,7 @@ def quickest(task: Task, goals: Goals, told: Told = _unheard) -> Design:
     """The design of least time that reaches the goals; tells the share that is done.
 
     With `trace`, the first by time that hides no more of an effect than is allowed (`traced.allowed_deg`), as
-    far as such poses can show it.
+    far as such poses can show it; the one that hides least, where all hide more.
 
     Raises:
         OutOfReachError: none reaches them.
@@ -46,16 +46,17 @@ def quickest(task: Task, goals: Goals, told: Told = _unheard) -> Design:
         raise OutOfReachError(_why_none(task, goals))
     if not task.trace:
         return found[0]
-    enough = shows_enough(task, goals, found[0])
+    excess = excess_of(task, goals, found[0])
     able = could_show_enough(task, goals, found)
     places = np.unique(np.geomspace(1, len(able), MOST_TRIED).astype(int)) - 1
     tried = [able[place] for place in places]
+    shown: list[Design] = []
     for done, design in enumerate(tried):
         told(done / len(tried))
-        shown = with_suspects(task, design)
-        if enough(shown):
-            break
-    return shown
+        shown.append(with_suspects(task, design))
+        if excess(shown[-1]) <= 1.0:
+            return shown[-1]
+    return min(shown, key=excess)
 
 
 def within(task: Task, time_s: float) -> Design:

@@ -9,7 +9,7 @@ import numpy as np
 
 from calrig.calibration.early_end import caution, has_the_line
 from calrig.calibration.plan_design.goals import Goals
-from calrig.calibration.plan_design.layout import layout, way_s
+from calrig.calibration.plan_design.layout import DECIMALS, layout, way_s
 from calrig.calibration.plan_design.task import (
     FEWEST_TRACED,
     LONGEST_DWELL_S,
@@ -29,7 +29,9 @@ SWEEPS_TRACED, AT_ENDS_TRACED = 2, 0.6
 
 
 def layouts(task: Task) -> Iterator[list[float]]:
-    """Every layout that is tried, in the order of visiting."""
+    """Every layout that is tried, in the order of visiting: from the end that is nearer to the stage."""
+    low, high = task.range_deg
+    from_above = abs(high - task.pace.stands_deg) < abs(low - task.pace.stands_deg)
     for n in POSES:
         for sweeps in SWEEPS:
             for at_ends in AT_ENDS:
@@ -38,7 +40,8 @@ def layouts(task: Task) -> Iterator[list[float]]:
                 if task.trace and (n < FEWEST_TRACED or sweeps < SWEEPS_TRACED or at_ends > AT_ENDS_TRACED):
                     continue
                 rng = np.random.default_rng([task.seed, n, sweeps, round(10 * at_ends)])
-                yield layout(task.range_deg, n, sweeps, at_ends, rng)
+                order = layout(task.range_deg, n, sweeps, at_ends, rng)
+                yield [round(low + high - one, DECIMALS) for one in order] if from_above else order
 
 
 def reaching(task: Task, goals: Goals) -> Iterator[Design]:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 
-from calrig.calibration.plan_design.dwell_designs import POSES, SWEEPS_TRACED
+from calrig.calibration.plan_design.dwell_designs import POSES
 from calrig.calibration.plan_design.goals import Goals
 from calrig.calibration.plan_design.rig_figures import Precision
 from calrig.calibration.plan_design.suspects import least_slow_deg
 from calrig.calibration.plan_design.sweep import PASSES, Sweep, least_stretch_s
 from calrig.calibration.plan_design.task import FEWEST_TRACED, SHORTEST_DWELL_S, Task
 from calrig.calibration.plan_design.traced import RICH, allowed_deg
-from calrig.plan import FEWEST_UNTIL
+from calrig.plan import FEWEST_UNTIL, FIRST_SETTLE_S
+
+BACK = 0.8
+"""Of the way back, which ends at the last of its poses."""
 
 
 def limit_s(task: Task, goals: Goals) -> float:
@@ -25,25 +28,26 @@ def limit_s(task: Task, goals: Goals) -> float:
 
 
 def _of_dwells_s(task: Task, goals: Goals) -> float:
-    """One way through the range, or two where effects are to be traced and the run may not end early."""
+    """To the nearer end, and through the range; there and back where effects are to be traced in any case."""
     pace, stands_s = task.pace, math.inf
-    fewest, ways = (FEWEST_TRACED, SWEEPS_TRACED) if task.trace else (POSES[0], 1)
+    fewest, ways = (FEWEST_TRACED, 1.0 + BACK) if task.trace else (POSES[0], 1.0)
     if task.until:
-        fewest, ways = FEWEST_UNTIL, 1
+        fewest, ways = FEWEST_UNTIL, 1.0
     for n in range(fewest, POSES[-1] + 1):
         if n * (SHORTEST_DWELL_S + pace.settle_s + pace.questions_s) > stands_s:
             break
         dwell_s = max(SHORTEST_DWELL_S, _at_the_ends_s(task, goals, n, task.precision))
         if _shows(task, goals, n, dwell_s, task.precision):
             stands_s = min(stands_s, n * (dwell_s + pace.settle_s + pace.questions_s))
-    return pace.begin_s + ways * pace.travel_s(task.range_deg[1] - task.range_deg[0]) + stands_s
+    first_s = min(pace.travel_s(abs(end_deg - pace.stands_deg)) for end_deg in task.range_deg)
+    return pace.begin_s + first_s + ways * pace.travel_s(task.range_deg[1] - task.range_deg[0]) + stands_s
 
 
 def _of_sweeps_s(task: Task, goals: Goals) -> float:
-    """The way to the nearer end and data all of the time, in stretches no shorter than they can be."""
+    """To the lower end, settling, and data in all of the rest, in stretches as short as can be."""
     assert task.sweeping is not None  # noqa: S101 (asked by limit_s)
     turning, precision = task.sweeping.turning, task.sweeping.precision
-    least_s, passes = math.inf, PASSES[0]
+    least_s, passes = math.inf, 1 if task.until else PASSES[0]
     for n in range(max(FEWEST_UNTIL, FEWEST_TRACED if task.trace and not task.until else 0), 4 * POSES[-1]):
         if n * SHORTEST_DWELL_S > least_s:
             break
@@ -51,8 +55,9 @@ def _of_sweeps_s(task: Task, goals: Goals) -> float:
         stretch_s = max(least_stretch_s(turned, turning), _at_the_ends_s(task, goals, n, precision))
         if _shows(task, goals, n, stretch_s, precision):
             least_s = min(least_s, n * stretch_s)
-    first_s = min(task.pace.travel_s(abs(end_deg - task.pace.stands_deg)) for end_deg in task.range_deg)
-    return task.pace.begin_s + first_s + least_s
+    pace = task.pace
+    first_s = pace.travel_s(abs(task.range_deg[0] - pace.stands_deg)) + max(pace.settle_s, FIRST_SETTLE_S)
+    return pace.begin_s + first_s + passes * pace.settle_s + (passes + 1) * pace.pass_s + least_s
 
 
 def _at_the_ends_s(task: Task, goals: Goals, n: int, precision: Precision) -> float:

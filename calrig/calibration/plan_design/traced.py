@@ -11,6 +11,7 @@ import numpy as np
 from calrig.calibration.plan_design.goals import NO_REFERENCE, Goals
 from calrig.calibration.plan_design.layout import layout
 from calrig.calibration.plan_design.suspects import (
+    Suspect,
     imagined_dwells,
     imagined_sweep,
     least_slow_deg,
@@ -19,6 +20,7 @@ from calrig.calibration.plan_design.suspects import (
 from calrig.calibration.plan_design.sweep import Sweep
 from calrig.calibration.plan_design.sweep_designs import made as swept
 from calrig.calibration.plan_design.task import Design, Task
+from calrig.plan import LONGEST_STRETCH_DEG
 
 STANDARD_POSES = 52
 """Of the default plan: what it shows beside the same noise is what a design is to show that may sweep."""
@@ -31,6 +33,9 @@ RICH_SWEEP = (4, 14)
 ONLY_DWELLS_SHOW = ("settling",)
 """Effects of what goes on once a move has ended."""
 
+HARDER_TURNING = {"backlash": 1.5}
+"""Times as large effects must be to be found in a sweep, by runs of it (`python -m tests.plans found`)."""
+
 
 def with_suspects(task: Task, design: Design) -> Design:
     """The design, with what it would show."""
@@ -39,8 +44,15 @@ def with_suspects(task: Task, design: Design) -> Design:
         if design.sweep is None or task.sweeping is None
         else imagined_sweep(design.sweep, task.pace, task.sweeping.turning, task.seed)
     )
-    hidden = () if design.sweep is None else ONLY_DWELLS_SHOW
-    return replace(design, suspects=tuple(suspects(poses, design.scatter_deg, task.names, hidden)))
+    if design.sweep is None:
+        return replace(design, suspects=tuple(suspects(poses, design.scatter_deg, task.names)))
+    found = suspects(poses, design.scatter_deg, task.names, ONLY_DWELLS_SHOW)
+    return replace(design, suspects=tuple(_larger(one, HARDER_TURNING.get(one.name, 1.0)) for one in found))
+
+
+def _larger(one: Suspect, times: float) -> Suspect:
+    value = None if one.value is None else times * one.value
+    return replace(one, rms_deg=times * one.rms_deg, value=value)
 
 
 def allowed_deg(task: Task, goals: Goals, scatter_deg: float) -> float:
@@ -69,8 +81,10 @@ def could_show_enough(task: Task, goals: Goals, found: Sequence[Design]) -> Sequ
     return able or found
 
 
-def shows_enough(task: Task, goals: Goals, first: Design) -> Callable[[Design], bool]:
-    """What tells whether a design with its suspects hides no more than is allowed, as far as any shows it.
+def excess_of(task: Task, goals: Goals, first: Design) -> Callable[[Design], float]:
+    """What tells how much more a design with its suspects hides than is allowed, as far as any shows it.
+
+    That is the largest share of what is allowed; 1 and less is enough.
 
     Args:
         task: for what.
@@ -80,20 +94,22 @@ def shows_enough(task: Task, goals: Goals, first: Design) -> Callable[[Design], 
     allowed = allowed_deg(task, goals, first.scatter_deg)
     never: dict[bool, set[str]] = {}
 
-    def enough(design: Design) -> bool:
+    def excess(design: Design) -> float:
         turns = design.sweep is not None
         if turns not in never:
             rich = with_suspects(task, _rich(task, first.dwell_s, design.sweep))
             never[turns] = {one.name for one in rich.suspects if one.rms_deg > allowed}
-        return all(one.rms_deg <= allowed or one.name in never[turns] for one in design.suspects)
+        shares = (one.rms_deg / allowed for one in design.suspects if one.name not in never[turns])
+        return max(shares, default=0.0)
 
-    return enough
+    return excess
 
 
 def _rich(task: Task, dwell_s: float, sweep: Sweep | None) -> Design:
     """A design that shows what such designs can show: what it hides is no fault of another one."""
     if sweep is not None and task.sweeping is not None:
-        passes, stretches = RICH_SWEEP
+        passes, least = RICH_SWEEP
+        stretches = max(least, math.ceil(sweep.way_deg / LONGEST_STRETCH_DEG))
         return swept(task, task.sweeping, replace(sweep, passes=passes, stretches=stretches))
     n, sweeps, at_ends = RICH
     order = layout(task.range_deg, n, sweeps, at_ends, np.random.default_rng([task.seed, *RICH[:2]]))
