@@ -107,9 +107,9 @@ class Sweeping:
                 return self._hold_against_the_dwells()
             self.pace.rig.board.faults["retried_pose"] += 1
         raise BoardError(
-            f"the pass from {from_deg:g}° to {end.target_deg:g}°, {DWELL_TRIES} times over: samples of a "
-            "stretch were missing, or the stage's reports came too late to be trusted; check cables and rate, "
-            "and let this machine do nothing else meanwhile"
+            f"the pass from {from_deg:g}° to {end.target_deg:g}°, {DWELL_TRIES} times over: samples "
+            "of a stretch were missing, or the stage's reports came too late to be trusted; check cables and "
+            "rate, and let this machine do nothing else meanwhile"
         )
 
     def _go_to(self, from_deg: float) -> None:

@@ -22,12 +22,22 @@ from calrig.processes import child
 from calrig.processes.pool import MOST_WAITING, Processes, WorkLost, WorkRefused, WorkTooLarge, run_apart
 
 FOR_EVER = partial(time.sleep, 3600.0)
+OTHERS: set[int] = set()
+"""Processes that were there before the test: services of other tests share some."""
+
+
+@pytest.fixture(autouse=True)
+def _others() -> None:
+    OTHERS.clear()
+    OTHERS.update(one.pid for one in psutil.Process().children())
 
 
 def children() -> list[psutil.Process]:
     """Those of the pool: Python's own tracker of resources, which another test may have begun, stays."""
     known = []
     for one in psutil.Process().children():
+        if one.pid in OTHERS:
+            continue
         with suppress(psutil.NoSuchProcess):
             # one that has died is counted until the loop has seen it off
             if one.status() == psutil.STATUS_ZOMBIE or child.__name__ in " ".join(one.cmdline()):
