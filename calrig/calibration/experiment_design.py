@@ -59,7 +59,10 @@ class FollowUp:
 
     def document(self, plan: dict[str, Any]) -> dict[str, Any]:
         """CONTRACT section 5's `follow_up`; `plan` holds what the run keeps of the one before."""
-        kept = {k: plan[k] for k in ("settle_s", "dwell_s", "rate_hz", "velocity_dps", "seed") if k in plan}
+        names = ["settle_s", "dwell_s", "rate_hz", "seed"]
+        if plan.get("kind") != "sweep":  # whose velocity is none to go from dwell to dwell with
+            names.append("velocity_dps")
+        kept = {name: plan[name] for name in names if name in plan}
         return {
             "separates": list(self.separates),
             "separation_sigma": round(math.sqrt(self.separation), 2),

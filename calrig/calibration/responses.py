@@ -114,11 +114,6 @@ class Responses:
     def __len__(self) -> int:
         return len(self.theta_deg)
 
-    @property
-    def settling_deg(self) -> FloatArray:
-        """(n,) the move that each pose had to settle after."""
-        return np.where(self.settled, self.move_deg, 0.0)
-
     def rows(self, chosen: npt.NDArray[np.intp]) -> Responses:
         """Some of the poses, with what their neighbours said of moves and approach."""
 

@@ -190,6 +190,9 @@ class TurnedPass:
             first, last = np.searchsorted(whole.time_s, (begin_s, end_s))
             pose = replace(
                 pose_of(one, samples, read),
+                target_deg=one.target_deg
+                if one.stretch_deg is None
+                else round(at_deg, 6),  # none is commanded
                 reading_deg=wrap_deg(read.reading_deg - float(lag_deg[first:last].mean())),
                 approach=1 if self.turn.velocity_dps > 0.0 else -1,
                 time_s=(begin_s + end_s) / 2,

@@ -23,16 +23,16 @@ LARGEST_FRACTION = 0.5
 
 
 def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
-    if np.abs(r.settling_deg).max() == 0.0:
+    if np.abs(r.move_deg).max() == 0.0 or not r.settled.all():  # of a sweep a few dwells alone had to settle
         return
-    yield Shape({READING: -r.settling_deg}, ("fraction",), form="filter")
+    yield Shape({READING: -r.move_deg}, ("fraction",), form="filter")
     if ANGLE not in r.channels:
         return
-    moves_before = np.roll(r.settling_deg, 1)
+    moves_before = np.roll(r.move_deg, 1)
     moves_before[r.starts] = 0.0
     for share in LEFT_AT_THE_END if MOVE in r.channels else (0.0,):
         # what is missing when the dwell begins goes with the move itself: the gain of the gyro's base has it
-        shares = {**tilted(-r.settling_deg), MOVE: share * moves_before}
+        shares = {**tilted(-r.move_deg), MOVE: share * moves_before}
         yield Shape(shares, ("fraction",), form=f"creep, {share:g} left")
 
 

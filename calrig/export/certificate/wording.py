@@ -90,18 +90,23 @@ def plan_rows(plan: Document | None) -> tuple[Row, ...]:
     if plan is None:
         return ()
     given = plan.get("elevations_deg")
+    turns = plan.get("kind") == "sweep"
+    steps = "read on the move, in stretches of" if turns else "in steps of"
+    at_ends = ", at the ends" if turns else ""
     rows = [
         (
             "Elevations",
             ", ".join(f"{angle:g}°" for angle in given)
             if given is not None
-            else f"{plan['start_deg']:g}° to {plan['stop_deg']:g}° in steps of {plan['step_deg']:g}°",
+            else f"{plan['start_deg']:g}° to {plan['stop_deg']:g}° {steps} {plan['step_deg']:g}°",
         ),
         ("Sweeps", f"{plan['sweeps']}, {ORDERS[plan['order']]}"),
-        ("Settling", f"{plan['settle_s']:g} s"),
-        ("Dwell", f"{plan['dwell_s']:g} s"),
+        ("Settling", f"{plan['settle_s']:g} s{at_ends}"),
+        ("Dwell", f"{plan['dwell_s']:g} s{at_ends}"),
         ("Sampling rate", f"{plan['rate_hz']} Hz"),
     ]
+    if turns and plan.get("velocity_dps") is None:
+        rows.append(("Speed of the stage", f"{plan['step_deg'] / plan['dwell_s']:g} °/s"))
     if plan.get("jitter_deg"):
         rows.append(("Jitter of the elevations", f"±{plan['jitter_deg']:g}°"))
     if plan.get("target_std_deg") is not None:
