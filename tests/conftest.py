@@ -23,7 +23,6 @@ from postgresql_server import (  # noqa: F401 (fixtures)
     postgresql_server,
     postgresql_template,
 )
-from shared_processes import shared_processes
 from support import QUICK, fast, known_as, running_service, serving
 
 from calrig.plan import Plan
@@ -65,14 +64,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_collection_finish() -> None:
     """What was imported stays as long as the worker: the garbage collector need not look at it ever again."""
     gc.freeze()
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _shared_processes_end() -> Iterator[None]:
-    """Once all services are gone."""
-    yield
-    if shared_processes.cache_info().currsize:
-        shared_processes().end()
 
 
 @pytest.fixture(scope="session")

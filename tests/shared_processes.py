@@ -7,6 +7,7 @@ for as long as it lives; one in a test lives for a few requests.
 from __future__ import annotations
 
 import asyncio
+import atexit
 import threading
 from collections.abc import Callable
 from functools import cache
@@ -23,8 +24,9 @@ class SharedProcesses(Processes):
     def __init__(self) -> None:
         super().__init__()
         self._loop = asyncio.new_event_loop()
-        self._thread = threading.Thread(target=self._loop.run_forever, name="shared processes")
-        self._thread.start()
+        # A daemon: Python waits for other threads before it calls what ends this one.
+        threading.Thread(target=self._loop.run_forever, name="shared processes", daemon=True).start()
+        atexit.register(self._end)
 
     async def run(
         self,
@@ -58,15 +60,11 @@ class SharedProcesses(Processes):
     async def close(self) -> None:
         """Leaves them to the next service."""
 
-    def end(self) -> None:
-        """Ends them, once no service is left."""
+    def _end(self) -> None:
         asyncio.run_coroutine_threadsafe(super().close(), self._loop).result()
-        self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join()
-        self._loop.close()
 
 
 @cache
 def shared_processes() -> SharedProcesses:
-    """Those of this worker, who ends them."""
+    """Those of this test worker or trial: they end with it."""
     return SharedProcesses()

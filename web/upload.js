@@ -3,6 +3,7 @@
 /** The Response to a POST of the form, as of `fetch`; `told(share)` as it goes, 1 once all of it is sent. */
 export function upload(path, form, signal, told) {
   return new Promise((resolve, reject) => {
+    signal.throwIfAborted(); // given up while this file was on its way
     const request = new XMLHttpRequest();
     request.open("POST", path);
     request.upload.addEventListener("progress", ({ loaded, total }) => told(loaded / total));

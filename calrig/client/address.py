@@ -44,7 +44,7 @@ def why_unreachable(error: Exception) -> str:
     if isinstance(reason, ssl.SSLCertVerificationError):
         return (
             f"its certificate is not believed ({reason.verify_message}): name the file of your own authority "
-            "by SSL_CERT_FILE, or in Python by Client(…, certificates=…)"
+            "by SSL_CERT_FILE, `calrig agent enroll` by --ca, in Python by Client(…, certificates=…)"
         )
     if isinstance(reason, ssl.SSLError):
         return f"does not speak TLS ({reason.reason}): is its address http://…?"

@@ -44,7 +44,8 @@ def test_start_is_pressed_and_the_run_watched_to_its_result(page, client, go, ex
     expect(page.locator("#result")).to_contain_text(f"± {of_stage:#.2g}° (type B, stage)")
     expect(page.get_by_test_id("verdict")).to_contain_text("Is this good?")
     expect(page.locator("#poses-table tbody tr")).to_have_count(6)
-    page.wait_for_function("document.querySelector('[data-testid=residual]').layout?.yaxis2")
+    scales = "!!document.querySelector('[data-testid=residual]').layout?.yaxis2"
+    wait_for(lambda: page.evaluate(scales), "chart of the residual")
     wait_for(lambda: len(line_x(page, "timeline")) > 2, "readings in the timeline")
 
 

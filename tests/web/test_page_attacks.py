@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support import LONG, PATIENCE_S, QUICK, ended, running_service, serving
+from support import LONG, PATIENCE_S, QUICK, ended, running_service, serving, wait_for
 
 from calrig.api.access import Access
 
@@ -178,8 +178,7 @@ def test_a_page_elsewhere_changes_nothing_and_reads_nothing(
         page.goto("about:blank")
         page.on("response", answered)
         page.goto(f"http://{name}:{elsewhere}/hostile.html#{own},{run['id']}")
-        page.wait_for_function("window.tried")
-        tried = page.evaluate("window.tried")
+        tried = wait_for(lambda: page.evaluate("window.tried"), "end of the attempts")
         assert len(tried) == 19
         assert {attack: got for attack, got in tried.items() if got not in NOTHING} == {}
         posts = [status for method, status in answers if method == "POST"]

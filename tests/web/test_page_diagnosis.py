@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from support import ended, running_service, serving
+from support import ended, running_service, serving, wait_for
 
 from calrig.calibration.effects import CATALOGUE
 from calrig.run_ids import short_name
@@ -70,7 +70,7 @@ def noise_alone(seed=0, more=""):
 def is_drawn(page, chart):
     """Whether a chart shows poses and the effect through them."""
     drawn = "c => document.querySelector(`[data-testid=${c}]`)?.data?.[1].x.length > 3"
-    page.wait_for_function(drawn, arg=chart)
+    wait_for(lambda: page.evaluate(drawn, chart), "chart with the effect")
 
 
 def test_a_run_is_traced_to_backlash_and_the_effect_put_in_force(page, client, service, go, expect):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from dated_runs import at, gave, lay, ran
 from kept_maps import solved
-from support import running_service, serving
+from support import running_service, serving, wait_for
 
 from calrig.run_ids import short_name
 from calrig.store.tables import CheckUnitTable
@@ -75,7 +75,7 @@ def test_beyond_eight_units_no_colour_is_given_twice(page, go, expect):
     page.get_by_label("U03 in colour").check()
     page.get_by_label("U07 in colour").check()
     last = "document.querySelector('[data-testid=compare-bias]').data.slice(-2).map(t => t.name).join()"
-    page.wait_for_function(f"() => {last} === 'U03,U07'")
+    wait_for(lambda: page.evaluate(last) == "U03,U07", "chart with both in front")
     drawn = colours(page, "compare-bias")
     assert len({drawn["U03"], drawn["U07"], drawn["MOVED"]}) == 3
     assert drawn["MOVED"] == drawn["U00"]

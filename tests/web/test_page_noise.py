@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support import wait_for
 
 from .page_help import row_of
 
@@ -22,7 +23,8 @@ def test_a_log_is_kept_on_the_rig_and_its_noise_shown(page, go, expect):
     rows = page.locator("#noise tbody tr")
     expect(rows).to_have_count(8)  # three axes twice, temperature, and the elevation
     expect(rows.filter(has_text="gyro_x_dps")).to_contain_text("white")
-    page.wait_for_function("document.querySelector('[data-testid=noise-0]').layout?.xaxis?.type === 'log'")
+    axis = "document.querySelector('[data-testid=noise-0]').layout?.xaxis?.type"
+    wait_for(lambda: page.evaluate(axis) == "log", "chart")
     expect(page.locator("#summary li").first).to_be_visible()
 
 

@@ -10,6 +10,7 @@ from calrig.api import heavy, noise, solve
 from .page_help import imported
 from .slow_work import LET_GO, held, slow_study, slow_trace
 
+IMPORT = "**/api/imports?wait=false"
 pytestmark = pytest.mark.browser
 
 
@@ -109,15 +110,37 @@ def test_a_log_shows_how_much_of_it_is_done_and_is_cancelled_by_who_comes_back(
     assert client.get("/api/log-studies").json() == before
 
 
-def test_a_file_on_its_way_is_taken_back(page, client, go, expect):
-    go("#/import")
-    page.route("**/api/imports?wait=false", lambda route: None)  # a service that is slow to take it
-    page.set_input_files(
-        "#file", {"name": "p.csv", "mimeType": "text/csv", "buffer": b"target_deg,reading_deg\n"}
-    )
-    page.fill("#unit", "TAKEN-BACK")
-    page.click("#import")
-    expect(page.locator("#import-says")).to_contain_text("Sending the file: 0 % of it is sent.")
+@pytest.fixture
+def sending(page, go, expect):
+    """A file that a person has sent, up to a request of the browser."""
+
+    def sending(up_to):
+        go("#/import")
+        page.set_input_files(
+            "#file", {"name": "p.csv", "mimeType": "text/csv", "buffer": b"target_deg,reading_deg\n"}
+        )
+        page.fill("#unit", "TAKEN-BACK")
+        with page.expect_request(up_to):
+            page.click("#import")
+        expect(page.locator("#import-says")).to_contain_text("Sending the file: 0 % of it is sent.")
+
+    return sending
+
+
+def test_a_file_on_its_way_is_taken_back(page, expect, sending):
+    page.route(IMPORT, lambda route: None)  # a service that is slow to take it
+    sending(IMPORT)
     page.click("#import-cancel")
     expect(page.locator("#import-told")).to_have_text("Cancelled: nothing was kept of it.")
     expect(page.locator("#import")).to_be_enabled()
+
+
+def test_a_file_that_waits_for_the_code_that_sends_it_is_taken_back(page, expect, sending):
+    asked, code = [], []
+    page.route(IMPORT, lambda route: asked.append(route))  # noqa: PLW0108 (Playwright marks handlers)
+    page.route("**/upload.js", lambda route: code.append(route))  # noqa: PLW0108
+    sending("**/upload.js")
+    page.click("#import-cancel")
+    code[0].continue_()
+    expect(page.locator("#import-told")).to_have_text("Cancelled: nothing was kept of it.")
+    assert asked == []

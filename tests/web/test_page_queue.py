@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from support import LONG, running_service, serving
+from support import LONG, running_service, serving, wait_for
 
 pytestmark = pytest.mark.browser
 SHORT = {"elevations_deg": [0, 20], "sweeps": 1, "settle_s": 0.2, "dwell_s": 0.5}
@@ -74,7 +74,8 @@ def test_a_list_goes_unit_by_unit_with_one_key_and_is_the_same_in_another_tab(pa
     go_here = "document.querySelector('[data-go]').click()"
     page.evaluate(go_here)
     other.evaluate(go_here)
-    page.wait_for_function("document.documentElement.scrollWidth <= 390")
+    narrow = "document.documentElement.scrollWidth <= 390"
+    wait_for(lambda: page.evaluate(narrow), "page as narrow as the phone")
     for tab in (page, other):
         expect(tab.locator("#queue-counts")).to_have_text("2 to go, 2 done, 0 failed")
         expect(tab.locator(".todo")).to_have_text("Mount PQ-3, press Enter")

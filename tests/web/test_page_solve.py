@@ -6,6 +6,7 @@ import json
 
 import pytest
 from clamped import clamped
+from support import wait_for
 
 from .page_help import figures_of, row_of
 
@@ -64,7 +65,8 @@ def test_one_mount_leads_to_a_run_with_those_that_help(page, client, go, expect)
     expect(page.get_by_test_id("solve-verdict")).to_contain_text("do not tell stage and units apart")
     expect(page.locator("#use-map")).to_have_count(0)
     expect(page.locator(".plot .plot-container")).to_have_count(3)
-    page.wait_for_function("document.documentElement.scrollWidth <= 390")
+    narrow = "document.documentElement.scrollWidth <= 390"
+    wait_for(lambda: page.evaluate(narrow), "page as narrow as the phone")
     page.get_by_role("link", name="Start a run with these mounts").click()
     expect(page.get_by_role("heading", name="Calibrate a unit")).to_be_visible()
     assert "?mounts=0%2C120%2C240&rig=bench-1&unit=CLAMPED-1" in page.url
