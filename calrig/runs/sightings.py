@@ -75,7 +75,7 @@ class Sighting:
         return replace(self, says=f"{known} {self.says}")
 
 
-LOOKING = Sighting("looking", None, "Looking for the unit's board …")
+LOOKING = Sighting("looking", None, "Looking for the unit's board.")
 
 
 class _Unwanted(Exception):  # noqa: N818 (nobody asks any more, or the rig is needed)

@@ -59,7 +59,9 @@ def test_a_list_goes_unit_by_unit_with_one_key_and_is_the_same_in_another_tab(pa
     page.keyboard.type(
         "PX-9\n\npq-3\n\n"
     )  # a scanner that ends in two Enters, twice, and nobody chose the field
-    expect(page.locator("#queue-said")).to_have_text("PQ-3 is in the list already.")
+    expect(page.locator("#queue-said")).to_have_text(
+        "PQ-3 is in the list already: number 2 of those that wait."
+    )
     page.get_by_role("button", name="Take PX-9 out").click()
     expect(page.locator("#queue-units tbody tr")).to_have_count(4)
 
@@ -104,7 +106,8 @@ def test_what_stops_a_unit_is_said_and_a_unit_that_is_to_be_turned_asks_in_the_s
     pressed(page, expect, "Turn PT-1 to 120°, press Enter")
     expect(page.locator("#queue-error")).to_contain_text("120")
     page.get_by_role("button", name="Abort").click()
-    expect(page.locator(".turn .error")).to_contain_text("its run was aborted")
+    expect(page.locator(".big-word")).to_have_text("– STOPPED")
+    expect(page.locator(".big-unit")).to_contain_text("its run was aborted")
     expect(page.locator(".todo")).to_have_text("Mount PT-1, press Enter")
     client.post(f"/api/batches/{batch['id']}/close").raise_for_status()
 
