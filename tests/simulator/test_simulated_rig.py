@@ -15,7 +15,7 @@ import psutil
 import pytest
 import serial
 from simulated_packets import Packet, decode
-from support import PATIENCE_S
+from support import PATIENCE_S, program
 
 from calrig.simulator import ports
 from calrig.simulator.config import SimulatorSettings
@@ -159,13 +159,7 @@ def test_a_launched_rig_answers_and_ends_when_stopped():
 
 
 def test_a_rig_process_ends_with_its_standard_input():
-    process = subprocess.Popen(
-        [sys.executable, "-m", "calrig.simulator", "{}"],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    with process:
+    with program(sys.executable, "-m", "calrig.simulator", "{}", stdin=subprocess.PIPE) as process:
         assert set(json.loads(process.stdout.readline())) == {"stage", "imu"}
         process.stdin.close()
         assert process.wait(PATIENCE_S) == 0
