@@ -7,7 +7,9 @@ import pytest
 
 from calrig.estimation.kalman import KalmanFilter, KalmanNoise
 from calrig.estimation.turning import (
-    board_time_s,
+    ClockLine,
+    clock_line,
+    common_delay_s,
     even_turn,
     felt_turn,
     filter_lag_deg,
@@ -41,7 +43,7 @@ def test_the_hosts_time_becomes_the_boards_whatever_waited_on_its_way(boards_sec
     taken_s = host_s - rng.exponential(0.01, 400)  # the last sample that is there, from some time before
     taken_s[100:140] -= np.linspace(1.0, 0.0, 40)  # a machine that was busy elsewhere
     board_s = boards_seconds * (taken_s - 1e5)
-    found = board_time_s(host_s, np.column_stack([host_s, board_s]))
+    found = clock_line(np.column_stack([host_s, board_s])).board_s(host_s)
     off_s = found - boards_seconds * (host_s - 1e5)
     assert np.ptp(off_s) < 1e-3 * boards_seconds
 
@@ -58,6 +60,31 @@ def test_the_age_of_reports_shows_when_the_turn_ends(behind_s, worm_deg):
     felt = felt_turn(time_s, rate_dps, turn, TO_DEG)
     assert felt.behind_s == pytest.approx(behind_s, abs=0.001 if worm_deg == 0.0 else 0.003)
     assert felt.gain == pytest.approx(1.02, abs=0.0005 if worm_deg == 0.0 else 0.003)
+
+
+def test_passes_share_their_delay_but_for_one_that_a_busy_machine_held_up():
+    rng = np.random.default_rng(5)
+    clocks = ClockLine(1.01, -3.0)
+    board_s = np.arange(20.0, 200.0, 30.0)
+    behind_s = 0.02 + rng.normal(0.0, 5e-4, 6)
+    behind_s[2] += 0.05
+    stands_s = np.column_stack([[clocks.host_s(s) for s in board_s + behind_s], board_s])
+    others = np.delete(behind_s, 2)
+    assert common_delay_s(stands_s, clocks, 5e-4) == pytest.approx(others.mean(), abs=1e-9)
+    assert common_delay_s(stands_s[:3], clocks, 5e-4) == pytest.approx(behind_s[2], abs=1e-9)
+
+
+def test_a_delay_is_worth_what_its_scatter_over_turns_says():
+    rng = np.random.default_rng(11)
+    time_s = np.arange(0.0, 15.0, 1.0 / RATE_HZ)
+    true_dps = np.gradient(reported_deg(time_s), time_s)
+    asked_s = np.arange(1.0, 13.5, 0.03)
+    turn = even_turn(asked_s, reported_deg(asked_s), FROM_DEG + 1.0, TO_DEG - 1.0)
+    felt = [
+        felt_turn(time_s, true_dps + rng.normal(0.0, 0.05, len(time_s)), turn, TO_DEG) for _ in range(200)
+    ]
+    scatter_s = np.std([one.behind_s for one in felt])
+    assert np.mean([one.behind_std_s for one in felt]) == pytest.approx(scatter_s, rel=0.3)
 
 
 def test_what_a_gyro_that_gives_too_much_adds_is_what_the_filter_makes_of_it():
