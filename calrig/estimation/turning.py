@@ -25,6 +25,8 @@ LATE = 6.0
 AT_THE_END_S = 0.1
 """Before the stage slows down: a worm of 0.1° and 7.2° changes its slope by 4 % in that time at 5 °/s."""
 NEARLY = 0.95
+EARLIER = 0.25
+"""Of the time that the rate takes to fall: so much sooner than it is seen to, it may have begun."""
 STANDS_S = 0.1
 """After the rate has fallen: longer, the gyro's noise and bias add up."""
 LOCAL = 20
@@ -165,6 +167,7 @@ def felt_turn(time_s: FloatArray, rate_dps: FloatArray, turn: EvenTurn, stands_d
     turned_deg = float(np.trapezoid(rate_dps[first : last + 1], time_s[first : last + 1]))
     gain = turned_deg / (turn.velocity_dps * (time_s[last] - time_s[first]))
     slows, stands = _slows_and_stands(rate_dps, last)
+    slows -= math.ceil(EARLIER * (stands - slows))
     stands = min(int(np.searchsorted(time_s, time_s[stands] + STANDS_S)), len(time_s) - 1)
     begins = int(np.searchsorted(time_s, time_s[slows] - AT_THE_END_S))
     to_come_deg = float(np.trapezoid(rate_dps[begins : stands + 1], time_s[begins : stands + 1]))

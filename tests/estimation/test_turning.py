@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from calrig.estimation.kalman import KalmanFilter, KalmanNoise
 from calrig.estimation.turning import (
@@ -21,13 +22,13 @@ RATE_HZ = 200.0
 FROM_DEG, TO_DEG, VELOCITY_DPS, ACCELERATION_DPS2 = -30.0, 30.0, 5.0, 80.0
 
 
-def reported_deg(time_s: np.ndarray) -> np.ndarray:
+def reported_deg(time_s: np.ndarray, acceleration_dps2: float = ACCELERATION_DPS2) -> np.ndarray:
     """A trapezoid from FROM_DEG, begun at 1 s, to TO_DEG."""
-    ramp_s = VELOCITY_DPS / ACCELERATION_DPS2
+    ramp_s = VELOCITY_DPS / acceleration_dps2
     ends_s = (TO_DEG - FROM_DEG) / VELOCITY_DPS + ramp_s
     t = np.clip(time_s - 1.0, 0.0, ends_s)
     up, down = np.minimum(t, ramp_s), np.maximum(t - ends_s + ramp_s, 0.0)
-    return FROM_DEG + ACCELERATION_DPS2 * (up**2 / 2 - down**2 / 2) + VELOCITY_DPS * (t - up)
+    return FROM_DEG + acceleration_dps2 * (up**2 / 2 - down**2 / 2) + VELOCITY_DPS * (t - up)
 
 
 def table_deg(time_s: np.ndarray, worm_deg: float) -> np.ndarray:
@@ -74,17 +75,23 @@ def test_passes_share_their_delay_but_for_one_that_a_busy_machine_held_up():
     assert common_delay_s(stands_s[:3], clocks, 5e-4) == pytest.approx(behind_s[2], abs=1e-9)
 
 
-def test_a_delay_is_worth_what_its_scatter_over_turns_says():
+@pytest.mark.parametrize("acceleration_dps2", [20.0, 80.0])
+@pytest.mark.parametrize("filter_s", [0.0, 0.02])
+def test_a_delay_is_right_in_the_mean_and_scatters_as_is_said(acceleration_dps2, filter_s):
     rng = np.random.default_rng(11)
+    fine_s = np.arange(0.0, 15.0, 1e-4)
+    rate_dps = np.gradient(reported_deg(fine_s, acceleration_dps2), fine_s)
+    kept = filter_s / (filter_s + 1e-4)  # so that it delays by filter_s
+    filtered_dps = lfilter([1.0 - kept], [1.0, -kept], rate_dps)
     time_s = np.arange(0.0, 15.0, 1.0 / RATE_HZ)
-    true_dps = np.gradient(reported_deg(time_s), time_s)
+    sampled_dps = np.interp(time_s, fine_s, filtered_dps)
     asked_s = np.arange(1.0, 13.5, 0.03)
-    turn = even_turn(asked_s, reported_deg(asked_s), FROM_DEG + 1.0, TO_DEG - 1.0)
-    felt = [
-        felt_turn(time_s, true_dps + rng.normal(0.0, 0.05, len(time_s)), turn, TO_DEG) for _ in range(200)
-    ]
-    scatter_s = np.std([one.behind_s for one in felt])
-    assert np.mean([one.behind_std_s for one in felt]) == pytest.approx(scatter_s, rel=0.3)
+    turn = even_turn(asked_s, reported_deg(asked_s, acceleration_dps2), FROM_DEG + 2.0, TO_DEG - 2.0)
+    noise_dps = rng.normal(0.0, 0.05, (200, len(time_s)))
+    felt = [felt_turn(time_s, sampled_dps + one, turn, TO_DEG) for one in noise_dps]
+    off_s = np.array([one.behind_s for one in felt]) + filter_s
+    assert abs(off_s.mean()) < 1e-4  # half a thousandth of a degree
+    assert np.mean([one.behind_std_s for one in felt]) == pytest.approx(off_s.std(), rel=0.3)
 
 
 def test_what_a_gyro_that_gives_too_much_adds_is_what_the_filter_makes_of_it():
