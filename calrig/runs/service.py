@@ -19,13 +19,12 @@ from calrig.runs.bus import Bus
 from calrig.runs.control import End
 from calrig.runs.crew import Crew
 from calrig.runs.errands import Errand
+from calrig.runs.look import Look
 from calrig.runs.meter import Meter
-from calrig.runs.mounting import Mount
 from calrig.runs.new_run import NewRun, rig_followed_up_on
 from calrig.runs.references import require_in_date
 from calrig.runs.resume import resumed_task
 from calrig.runs.rig_states import RigState, state_of
-from calrig.runs.sightings import Sighting
 from calrig.runs.starts import Starts
 from calrig.runs.states import check_transition
 from calrig.runs.stopping import Stops
@@ -206,13 +205,13 @@ class RunService:
         with self._starts.lock:
             return self._starts.clamps.turn(rig, mount_deg, axis, lambda: self._state_of(rig))
 
-    def look(self, rig_name: str, mount: Mount) -> None:
+    def look(self, rig_name: str) -> None:
         """Has an idle rig's board looked at for a while: whether a unit is there, and which. Or Unknown."""
-        self._starts.sightings.look(self._rig(rig_name), mount)
+        self._starts.sightings.look(self._rig(rig_name))
 
-    def seen(self, rig_name: str) -> Sighting | None:
-        """What was seen of the unit on a rig; None where nobody looks."""
-        return self._starts.sightings.of(rig_name)
+    def looks(self) -> dict[str, Look]:
+        """What the last looks at boards gave, by rig; of those that are looked at."""
+        return self._starts.sightings.looks()
 
     def _state_of(self, rig: RigSettings) -> RigState:
         return next(state for state in self.rigs() if state.name == rig.name)

@@ -10,10 +10,9 @@ from calrig.plan import MountAxis, Plan
 from calrig.processes.pool import Apart, run_apart
 from calrig.runs.bus import Bus
 from calrig.runs.errands import Errand
+from calrig.runs.look import Look
 from calrig.runs.meter import Meter
-from calrig.runs.mounting import Mount
 from calrig.runs.rig_states import RigState
-from calrig.runs.sightings import Sighting
 from calrig.settings import RigSettings
 from calrig.store import Run, Store
 from calrig.store.records import Document
@@ -68,11 +67,11 @@ class Service(Protocol):
     def begin_clamp(self, rig_name: str, mount_deg: float, axis: MountAxis) -> Errand[RigState]:
         """Has a rig's clamp turn the unit, in a thread of its own."""
 
-    def look(self, rig_name: str, mount: Mount) -> None:
-        """Has an idle rig's board looked at for a while, where this process can."""
+    def look(self, rig_name: str) -> None:
+        """Has an idle rig's board looked at for a while."""
 
-    def seen(self, rig_name: str) -> Sighting | None:
-        """What was seen of the unit on a rig; None where nobody looks."""
+    def looks(self) -> dict[str, Look]:
+        """What the last looks at boards gave, by rig; of those that are looked at."""
 
     def pause(self, run_id: str) -> Run:
         """Has a run hold."""
