@@ -1,24 +1,25 @@
 """Whether a unit is there, before anybody presses Enter: its board is looked at while nobody uses the rig.
 
 Only the board's port is opened: the stage's stays free for a stop at any moment, and nothing moves. It is
-looked at for as long as somebody asks, and let go of before a run opens it.
+looked at for as long as somebody asks; a run that begins goes on with the open port, where the board may.
 """
 
 from __future__ import annotations
 
 import logging
 import time
-from contextlib import closing
 from dataclasses import dataclass, field
 from threading import Lock
 
 from calrig.instruments.clock import Event
-from calrig.instruments.drivers import open_board
+from calrig.instruments.drivers import may_stay_open, open_board
 from calrig.instruments.errors import InstrumentError
 from calrig.instruments.ports import clock_of
+from calrig.instruments.transcript import taped
 from calrig.instruments.types import Board, BoardIdentity, Samples
 from calrig.instruments.wanted import require_wanted, while_wanted
 from calrig.runs.crew import Crew
+from calrig.runs.left_open import LeftOpen
 from calrig.runs.look import Look, felt
 from calrig.settings import BoardSettings, RigSettings
 from calrig.store import Store, StoreError
@@ -30,8 +31,8 @@ LEASE_S = 6.0
 EVERY_S = 0.5
 AGAIN_S = 1.0
 """After a board that did not answer, s of its clock."""
-LEAVES_S = 2.0
-"""How long a run waits for the port, s of its clock: the system may be opening it."""
+LEAVES_S = 4.0
+"""How long a run waits for the board, s of its clock: it may not hear that it is to stop, which takes 3 s."""
 RATE_HZ = 50
 LOOK_S = 0.4
 TAKE_S = 0.05
@@ -49,6 +50,8 @@ class _Watch:
     let_go: Event
     over: Event
     seen: Look = field(default=Look())
+    left_open: LeftOpen | None = None
+    is_given_up: bool = False
 
 
 class Sightings:
@@ -81,13 +84,21 @@ class Sightings:
         with self._lock:
             return {name: watch.seen for name, watch in self._watches.items()}
 
-    def let_go(self, rig_name: str) -> None:
-        """Waits until the port of a rig's board is closed; called once the rig is busy."""
+    def let_go(self, rig_name: str) -> LeftOpen | None:
+        """Ends the look at a rig's board, for a run that has taken the rig.
+
+        Returns:
+            The board, where its port is still open; None where the run is to open it.
+        """
         with self._lock:
             watch = self._watches.get(rig_name)
-        if watch is not None:
-            watch.let_go.set()
-            watch.over.wait(LEAVES_S)
+        if watch is None:
+            return None
+        watch.let_go.set()
+        watch.over.wait(LEAVES_S)
+        with self._lock:
+            watch.is_given_up = not watch.over.is_set()
+            return None if watch.is_given_up else watch.left_open
 
     def close(self) -> None:
         """Looks at nothing any more."""
@@ -130,17 +141,36 @@ class Sightings:
         finally:
             with self._lock:
                 del self._watches[watch.rig.name]
-            watch.over.set()
+                watch.over.set()
+            if watch.is_given_up and watch.left_open is not None:
+                watch.left_open.board.close()
 
     def _look_on(self, watch: _Watch, settings: BoardSettings) -> None:
-        stage_deg = self._left_at(watch.rig.name)
-        board = open_board(settings.driver, settings.port, baudrate=settings.baudrate)
-        with closing(board), while_wanted(lambda: self._require(watch)):
-            while True:
-                identity = board.identify()  # again each time: another one may be on the wire
-                watch.seen = felt(identity, _samples(board, identity), stage_deg)
-                watch.let_go.wait(EVERY_S)
-                self._require(watch)
+        stage_deg, is_known = self._left_at(watch.rig.name), False
+        with taped() as tapes:
+            board = open_board(settings.driver, settings.port, baudrate=settings.baudrate)
+        try:
+            with while_wanted(lambda: self._require(watch)):
+                while True:
+                    identity = board.identify()  # again each time: another one may be on the wire
+                    is_known = True
+                    watch.seen = felt(identity, _samples(board, identity), stage_deg)
+                    watch.let_go.wait(EVERY_S)
+                    self._require(watch)
+        except _Unwanted:
+            if may_stay_open(settings.driver) and self._is_for_a_run(watch):
+                if is_known:
+                    board.stop()
+                watch.left_open = LeftOpen(board, tapes.all)
+            raise
+        finally:
+            if watch.left_open is None:
+                board.close()
+
+    def _is_for_a_run(self, watch: _Watch) -> bool:
+        """Whether a look has ended because a run takes the rig, which may be about to say so."""
+        is_taken = not self._is_free(watch.rig.name) and watch.let_go.wait(LEAVES_S)
+        return is_taken and not self._is_closing
 
     def _require(self, watch: _Watch) -> None:
         """Raises where the rig is needed, or nobody has asked for a while."""
