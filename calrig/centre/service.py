@@ -18,9 +18,9 @@ from calrig.centre.conclusions import concluded
 from calrig.centre.unpacker import Unpacker
 from calrig.instruments.clock import WALL, Clock
 from calrig.plan import MountAxis, Plan
-from calrig.processes.pool import Apart, run_apart
 from calrig.runs.bus import Bus
 from calrig.runs.errands import Errand, Errands
+from calrig.runs.follow_up import Designed, FollowUpQuestion
 from calrig.runs.good_enough import require_a_reference
 from calrig.runs.look import Look
 from calrig.runs.meter import Meter
@@ -116,11 +116,16 @@ class CentreService:
         )
         return self._order(self._rigs.known(rig), wanted, waits=queue)
 
-    def follow_up(self, run_id: str, apart: Apart = run_apart, who: str | None = None) -> Run:
-        """As `RunService.follow_up`."""
+    def follow_up_question(self, run_id: str) -> FollowUpQuestion:
+        """As `RunService.follow_up_question`."""
         run = stored_run(self.store, run_id)
-        on = self._rigs.known(rig_followed_up_on(run))
-        return self._order(on, NewRun.following(self.store, run, on.settings, apart, who))
+        limits_deg = self._rigs.known(rig_followed_up_on(run)).settings.limits_deg
+        return FollowUpQuestion.of(self.store, run, limits_deg)
+
+    def follow_up(self, asked: FollowUpQuestion, found: Designed, who: str | None = None) -> Run:
+        """As `RunService.follow_up`."""
+        on = self._rigs.known(rig_followed_up_on(asked.last))
+        return self._order(on, NewRun.following(asked, found, who))
 
     def _order(self, on: BenchRig, wanted: NewRun, *, waits: bool = False) -> Run:
         planned = planned_poses(wanted.plan, on.settings)

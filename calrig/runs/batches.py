@@ -141,7 +141,8 @@ class RunBatches:
     def _follow_up(self, standing: Standing, turn: Turn, apart: Apart, who: str | None) -> Run:
         assert turn.run_id is not None  # noqa: S101 (of a follow-up)
         try:
-            return self._service.follow_up(turn.run_id, apart, who)
+            asked = self._service.follow_up_question(turn.run_id)
+            return self._service.follow_up(asked, apart(asked.work), who)
         except Conflict as error:
             if turn.rig in {state.name for state in self._service.rigs() if state.state == "busy"}:
                 raise

@@ -14,11 +14,11 @@ from calrig.analysis.issuing import Issuer, Releases
 from calrig.analysis.origin import check_serial
 from calrig.analysis.stored_runs import stored_run
 from calrig.plan import MountAxis, Plan
-from calrig.processes.pool import Apart, run_apart
 from calrig.runs.bus import Bus
 from calrig.runs.control import End
 from calrig.runs.crew import Crew
 from calrig.runs.errands import Errand
+from calrig.runs.follow_up import Designed, FollowUpQuestion
 from calrig.runs.look import Look
 from calrig.runs.meter import Meter
 from calrig.runs.new_run import NewRun, rig_followed_up_on
@@ -111,16 +111,18 @@ class RunService:
         )
         return self.begin(settings, wanted, waits=queue)
 
-    def follow_up(self, run_id: str, apart: Apart = run_apart, who: str | None = None) -> Run:
-        """Starts the run that best separates what the diagnosis of a run (and those before it) could not.
+    def follow_up_question(self, run_id: str) -> FollowUpQuestion:
+        """Which run would separate what the diagnosis of a run, and those before it, could not.
 
-        Raises:
-            Unknown: there is no such run.
-            Conflict: nothing can be separated on this rig, and why; or the rig is busy.
+        Raises Unknown where there is no such run, Conflict where it was imported or one has not ended.
         """
         run = stored_run(self.store, run_id)
-        settings = self._rig(rig_followed_up_on(run))
-        return self.begin(settings, NewRun.following(self.store, run, settings, apart, who))
+        return FollowUpQuestion.of(self.store, run, self._rig(rig_followed_up_on(run)).limits_deg)
+
+    def follow_up(self, asked: FollowUpQuestion, found: Designed, who: str | None = None) -> Run:
+        """Starts that run; Conflict where nothing can be separated on the rig, and why, or it is busy."""
+        settings = self._rig(rig_followed_up_on(asked.last))
+        return self.begin(settings, NewRun.following(asked, found, who))
 
     def begin(self, settings: RigSettings, wanted: NewRun, *, waits: bool = False) -> Run:
         """Starts a run on a rig of this service, which is free or kept for that run; errors as of `start`.

@@ -7,9 +7,9 @@ from typing import Protocol
 
 from calrig.analysis.issuing import Issuer
 from calrig.plan import MountAxis, Plan
-from calrig.processes.pool import Apart, run_apart
 from calrig.runs.bus import Bus
 from calrig.runs.errands import Errand
+from calrig.runs.follow_up import Designed, FollowUpQuestion
 from calrig.runs.look import Look
 from calrig.runs.meter import Meter
 from calrig.runs.rig_states import RigState
@@ -49,8 +49,11 @@ class Service(Protocol):
     ) -> Run:
         """Starts a run."""
 
-    def follow_up(self, run_id: str, apart: Apart = run_apart, who: str | None = None) -> Run:
-        """Starts the run that separates what a diagnosis could not."""
+    def follow_up_question(self, run_id: str) -> FollowUpQuestion:
+        """Which run would separate what a diagnosis could not."""
+
+    def follow_up(self, asked: FollowUpQuestion, found: Designed, who: str | None = None) -> Run:
+        """Starts that run."""
 
     def run(self, run_id: str) -> Run:
         """The run, or Unknown."""
