@@ -1,4 +1,4 @@
-"""Work that takes long: diagnosis, plan, follow-up, log say that two fifths are done; what has to be cancelled.
+"""Work that takes long: diagnosis, plan, follow-up, log say two fifths are done; what has to be cancelled.
 
 Its process imports little.
 """
