@@ -31,10 +31,11 @@ def plan(
         str, typer.Option(metavar="SERIAL", help="Unit whose earlier runs on the rig tell its noise.")
     ] = "",
     trace: Annotated[
-        bool, typer.Option(" /--no-trace", help="Without variety for the tracing of effects: sooner.")
+        bool,
+        typer.Option("--trace/--no-trace", help="Variety, with which effects can be traced."),
     ] = True,
     sweep: Annotated[
-        bool, typer.Option(" /--no-sweep", help="Stopping for each pose, though turning on were sooner.")
+        bool, typer.Option("--sweep/--no-sweep", help="Turning without stopping where that is sooner.")
     ] = True,
     until: Annotated[
         bool, typer.Option("--until", help="Its run ends as soon as the uncertainty is reached.")
