@@ -202,7 +202,14 @@ class QueuePage {
     const alike = (unit) => unit.toLowerCase() === typed.toLowerCase();
     const serial = known.includes(typed) ? typed : (known.find(alike) ?? typed); // a reader may send other case
     const card = [...this.cards.values()].find((one) => one.asks && one.unit === serial);
-    if (card) return card.press({ named: true });
+    if (card) return card.press({ named: card.taken !== serial });
+    const waits = this.list.units.some(({ unit, state }) => unit === serial && state === "waiting");
+    const asking = [...this.cards.values()].filter((one) => one.asks && one.rig.on.state === "waiting");
+    if (waits && asking.length === 1) {
+      asking[0].take(serial);
+      this.#choose();
+      return this.#tell(`${serial} comes before the others.`);
+    }
     this.untold.push(serial);
     return this.#ask("join", () => this.#join());
   }

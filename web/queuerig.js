@@ -53,6 +53,12 @@ export class RigCard {
   /** The unit that Enter is about: that of the instruction. */
   unit = null;
 
+  /** A unit that waits and was scanned out of its turn: from now on the instruction is about it. */
+  take(unit) {
+    this.taken = unit;
+    this.show(this.rig, this.standing);
+  }
+
   /** What Enter means here; nothing in the moment after it has changed, unless the unit was named. */
   press({ named = false } = {}) {
     if (!this.does) return null;
@@ -116,6 +122,7 @@ export class RigCard {
     this.sight.hidden = !seen;
     this.sight.className = `sight ${isTaken ? "there" : isNews ? seen.state : ""}`;
     let says = seen ? `${SIGHTS[seen.state]} ${seen.says}` : "";
+    if (seen?.state === "there" && this.unit !== this.rig.on.unit) says = `${SIGHTS.there} A unit is there: see that it is ${this.unit}.`;
     if (stays) says = `${seen.serial} is still mounted.`;
     if (isTaken) says = `${SIGHTS.there} ${seen.serial} is there, says its board; ${this.rig.on.unit} stays in the list.`;
     this.sight.textContent === says || fill(this.sight, says);
@@ -154,8 +161,9 @@ export class RigCard {
       const says = (key) => `Leave ${on.unit} mounted, ${key}: another run tells why`;
       return { ...start(on.unit), says, does: () => this.#followUp({ rig: name, unit: on.unit }) };
     }
-    const says = (key) => `Mount ${on.unit}, ${key}`;
-    if (seen?.state !== "wrong") return { ...start(on.unit), says };
+    const asked = waiting.has(this.taken) && !seen?.serial ? this.taken : on.unit; // a board's own word counts for more
+    const says = (key) => `Mount ${asked}, ${key}`;
+    if (seen?.state !== "wrong") return { ...start(asked), says };
     if (seen.serial !== last?.unit && waiting.has(seen.serial)) {
       // its board says so, and it waits as well: nobody need take it off again
       return { ...start(seen.serial), says: (key) => `${seen.serial} is mounted, ${key}` };

@@ -60,19 +60,21 @@ def test_a_list_goes_unit_by_unit_with_one_key_and_is_the_same_in_another_tab(pa
     expect(page.locator("#queue-units tbody tr")).to_have_count(4)
     page.click("#queue-units-title")
     page.keyboard.type(
-        "PX-9\n\npq-3\n\n"
+        "PX-9\n\npq-1\n\n"
     )  # a scanner that ends in two Enters, twice, and nobody chose the field
-    expect(page.locator("#queue-said")).to_have_text(
-        "PQ-3 is in the list already: number 2 of those that wait."
-    )
+    expect(page.locator("#queue-said")).to_have_text("PQ-1 has had its turn in this list: DONE.")
     page.route("**/units", lambda route: route.abort())
     page.keyboard.type("PQ-4\n")
     expect(page.locator("#queue-said")).to_contain_text("kept here until the service answers: PQ-4.")
     page.unroute("**/units")
     expect(page.locator("#queue-said")).to_have_text("PQ-4 was added.")
     page.get_by_role("button", name="Take PQ-4 out").click()
+    page.keyboard.type("px-9\n")  # out of its turn: it is what somebody has at hand
+    expect(page.locator(".todo")).to_have_text("Mount PX-9, press Enter")
+    expect(page.locator(".sight")).to_have_text("✓ A unit is there: see that it is PX-9.")
     page.get_by_role("button", name="Take PX-9 out").click()
     expect(page.locator("#queue-units tbody tr")).to_have_count(4)
+    expect(page.locator(".todo")).to_have_text("Mount PQ-2, press Enter")
 
     with page.context.expect_page() as opened:
         page.evaluate("open(location.href)")
