@@ -86,9 +86,10 @@ export class RigCard {
     this.why.hidden = !why || rig.nothing_measured; // then it stands above
     this.why.className = rig.on?.run_id ? "error" : "muted";
     fill(this.why, why && [rig.on.run_id && [runLink(rig.on.run_id, "Run "), ": "], why]);
+    const then = this.unit === rig.on?.unit ? rig.next?.unit : rig.on.unit;
     this.bar.hidden = !under_way;
     this.bar.value = rig.progress?.fraction ?? 0;
-    fill(this.more, under_way ? [`${left(rig)}. `, runLink(rig.on.run_id, "Run ")] : !closed && rig.next && `Then ${rig.next.unit}`);
+    fill(this.more, under_way ? [`${left(rig)}. `, runLink(rig.on.run_id, "Run ")] : !closed && then && `Then ${then}`);
     this.go.hidden = !this.does;
     this.go.textContent = button ?? "";
     this.abort.hidden = !under_way || !may("operator");

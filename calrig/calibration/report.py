@@ -127,6 +127,7 @@ def _evidence(r: Responses, found: Found, candidate: Candidate) -> list[str]:
     if candidate.named and math.isfinite(found.lead):
         if found.rivals:
             names = ", ".join(dict.fromkeys(rival.name for rival in found.rivals))
+            names = names.replace("_", " ")
             said.append(f"indistinguishable from {names} by these poses: {found.candidate.effect.apart}")
         else:
             said.append(
