@@ -37,7 +37,7 @@ def test_runs_of_a_unit_are_solved_from_its_page(page, client, go, expect, runs)
     for run_id in runs:
         page.locator(f"#solve-runs input[value='{run_id}']").check()
     page.click("#solve")
-    expect(page.get_by_test_id("solve-verdict")).to_contain_text("Stage and units are told apart.")
+    expect(page.get_by_test_id("solve-verdict")).to_contain_text("Stage and units are separable.")
     expect(page.locator(".plot .plot-container")).to_have_count(3)
     found = client.get(f"/api/solve/{page.url.split('/')[-1]}").json()
     assert found["runs"] == runs[::-1], "the newest first, as they are listed"
