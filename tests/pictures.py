@@ -1,7 +1,7 @@
 """The pictures of README and docs/certificate.md: `python -m tests.pictures`; a minute and a half.
 
-A run of the demo rig by `calrig serve` and *Diagnose* on its page in Chromium; then the first page of the unit's
-certificate, for which `pip install pypdfium2` has to be there. The picture of docs/solve.md has its own command.
+A run of the demo rig by `calrig serve` and *Diagnose* on its page in Chromium; then the first page of the
+unit's certificate, drawn by pypdfium2 (the extra `bench`). The picture of docs/solve.md has its own command.
 """
 
 from __future__ import annotations

@@ -166,7 +166,7 @@ function inForce(found) {
     title: `Use this map for rig ${rig}?`,
     text:
       "Runs from now on have it as their reference in place of what the stage's maker says. Earlier ones stay." +
-      (isBetter(found) ? "" : " Held-out poses are foretold no better with it: something else moved between these runs."),
+      (isBetter(found) ? "" : " Held-out poses are predicted no better with it: something else moved between these runs."),
     action: "Use the map",
   };
   button.addEventListener("click", async () => {

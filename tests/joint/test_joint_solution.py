@@ -111,7 +111,7 @@ def test_wild_poses_are_left_out_and_said(lots, bench):
         lots[1].poses[place] = replace(lots[1].poses[place], accel_y_g=lots[1].poses[place].accel_y_g + off)
     solution = solve(lots)
     assert (~solution.fit.kept).sum() == 3
-    assert any("3 poses went wrong alone" in sentence for sentence in solution.warnings)
+    assert any("3 outliers were left out" in sentence for sentence in solution.warnings)
     assert np.sqrt(np.mean(error_deg(bench, solution) ** 2)) < 3.0 * solution.worths[0].rms_deg
 
 

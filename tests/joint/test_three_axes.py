@@ -246,7 +246,7 @@ def test_wild_poses_are_left_out_and_said(lots):
     poses[5] = replace(poses[5], accel_x_g=poses[5].accel_x_g + 0.05)
     found = solve_whole([lots[0], replace(lots[1], poses=poses), lots[2]])
     assert (~found.fit.kept).sum() == 1
-    assert any("1 poses went wrong alone" in said for said in found.warnings)
+    assert any("1 outliers were left out" in said for said in found.warnings)
 
 
 def test_units_that_are_stated_to_be_linear_and_are_not_are_told_of(lots):

@@ -47,7 +47,8 @@ def other_jitters(one: FilterStudy) -> str:
     (jitter,) = (row.jitter for row in one.comparison.rows if row.name == "kalman_paper")
     if jitter is None or jitter.step_deg is None:
         return "not known"
-    return f"{jitter.peak_to_peak_deg:.3f}° peak to peak within 100 ms, {jitter.step_deg:.3f}° from one to the next"
+    within, between = jitter.peak_to_peak_deg, jitter.step_deg
+    return f"{within:.3f}° peak to peak within 100 ms, {between:.3f}° from one mean to the next"
 
 
 def _jitters(name: str, one: FilterStudy) -> str:
