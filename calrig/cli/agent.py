@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import calrig
+from calrig.cli.help_listing import Listed
 from calrig.cli.options import Config, Record
 
 if TYPE_CHECKING:
@@ -18,7 +19,11 @@ if TYPE_CHECKING:
     from calrig.api.access import Access
     from calrig.runs.service import RunService
 
-app = typer.Typer(help="Carry out the runs of this machine's rigs for a centre.", invoke_without_command=True)
+app = typer.Typer(
+    cls=Listed,
+    help="Carry out the runs of this machine's rigs for a centre.",
+    invoke_without_command=True,
+)
 
 SPOOL = "spool.db"
 

@@ -11,6 +11,7 @@ from urllib.parse import quote
 
 import typer
 
+from calrig.cli.help_listing import Listed
 from calrig.cli.options import Db, Json, Server
 from calrig.errors import InputError
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from calrig.store.enrolment import Membership
 
 app = typer.Typer(
+    cls=Listed,
     help="Manage the benches of a centre, in its database or at the running service.",
     no_args_is_help=True,
     rich_markup_mode=None,

@@ -32,10 +32,11 @@ def plan(
         typer.Option(metavar="SERIAL", help="Unit whose noise is taken from its earlier runs on the rig."),
     ] = "",
     trace: Annotated[
-        bool, typer.Option(" /--no-trace", help="Without the poses needed to trace effects: shorter.")
+        bool,
+        typer.Option("--trace/--no-trace", help="Poses enough to trace effects."),
     ] = True,
     sweep: Annotated[
-        bool, typer.Option(" /--no-sweep", help="Dwells only, even where a sweep would be shorter.")
+        bool, typer.Option("--sweep/--no-sweep", help="Sweep without stopping where that is shorter.")
     ] = True,
     until: Annotated[
         bool,

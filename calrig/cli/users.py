@@ -8,6 +8,7 @@ from urllib.parse import quote
 
 import typer
 
+from calrig.cli.help_listing import Listed
 from calrig.cli.options import Db, Json, Server
 from calrig.errors import WorkError
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from calrig.store.users import User
 
 app = typer.Typer(
+    cls=Listed,
     help="Manage users and their roles, in the store or at a running service.",
     no_args_is_help=True,
     rich_markup_mode=None,
