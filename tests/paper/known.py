@@ -9,7 +9,7 @@ import numpy as np
 
 from calrig.noise.allan import allan_curve
 from calrig.noise.analysis import analyse
-from calrig.noise.coefficients import coefficients
+from calrig.noise.coefficients import Coefficient, coefficients
 from calrig.noise.resampling import uniform_log
 from calrig.simulator.bench import Bench
 from calrig.simulator.config import SimulatorSettings
@@ -62,9 +62,16 @@ def _row(kind: str, row: Row, seed: int) -> str:
     curve = allan_curve(uniform_log({"gyro_x_dps": rate}, None, RATE_HZ), "gyro_x_dps")
     at = np.exp(np.interp(math.log(row.read_at_s), np.log(curve.tau_s), np.log(curve.deviation)))
     found = getattr(coefficients(curve, "°/s"), kind)
-    fitted = "not found" if found is None else f"{found.value:.3g} ± {2.0 * found.std:.1g}"
-    read = f"{at / row.factor:.3g} at {row.read_at_s:.2f} s"
-    return f"| {row.name} | {row.formula} | {row.value:.3g} | {read} | {fitted} |"
+    read = f"{at / row.factor:.4g} at {row.read_at_s:.2f} s"
+    return f"| {row.name} | {row.formula} | {row.value:.4g} | {read} | {_fitted(found)} |"
+
+
+def _fitted(found: Coefficient | None) -> str:
+    if found is None:
+        return "not found"
+    # a ramp by itself has nothing random in it
+    spread = f" ± {2.0 * found.std:.1g}" if found.std > 1e-9 * found.value else ""
+    return f"{found.value:.4g}{spread}"
 
 
 def simulated(seed: int = 7) -> str:
