@@ -16,7 +16,6 @@ import numpy as np
 from calrig.calibration.motor_vibration import EndDifference, disturbing, end_differences
 from calrig.estimation.reading import Reading
 from calrig.estimation.turning import Felt, clock_line, common_delay_s, scatter_g
-from calrig.instruments.axis import Motion
 from calrig.instruments.errors import BoardError, StageError
 from calrig.plan import Plan, PlannedPose
 from calrig.runs.mounting import Mount
@@ -125,12 +124,8 @@ class Sweeping:
         """One pass at the plan's velocity, the stage's reports and both clocks taken down."""
         pace = self.pace
         seen = Seen(pace.rig.axis.elevation_deg(), to_deg)
-
-        def note(motion: Motion) -> None:
-            seen.reports.append((*motion.asked_s, motion.elevation_deg))
-
         pace.rig.axis.set_velocity(self.plan.turn_dps)
-        pace.move(to_deg, note)
+        pace.move(to_deg, seen.note)
         self.taking.note_approach(seen.from_deg)
         return seen
 
