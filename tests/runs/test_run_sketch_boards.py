@@ -90,7 +90,9 @@ def test_a_plan_whose_dwells_are_too_short_for_the_board_is_refused_before_anyth
 def test_a_board_without_rates_is_refused_a_sweep_before_anything_moves(calibrate, store):
     run = calibrate("mpu6050-light", Plan(kind="sweep"))
     assert run.status == "failed"
-    assert "mpu6050-light sends no rates and accelerations, which a sweep needs; nothing was moved" in run.error
+    assert (
+        "mpu6050-light sends no rates and accelerations, which a sweep needs; nothing was moved" in run.error
+    )
     assert not store.poses(run.id)
 
 
