@@ -11,7 +11,7 @@ from calrig.runs.task import Task
 
 
 def require_suited(rig: Rig, task: Task) -> None:
-    """Raises where the board is not what the run needs, or a pose is beyond the controller's limits."""
+    """Raises where the board does not suit unit or plan, or a pose is beyond the controller's limits."""
     board, unit, name = rig.board_identity, task.run.unit, task.rig.name
     if board.serial and board.serial != unit:
         raise BoardError(

@@ -31,6 +31,9 @@ SHAKEN = 1.1
 RUN_UP_S = 0.15
 """After the stage has come up to its velocity, and before it slows down: its reports and the board's lag."""
 
+COARSEST_DPS = 0.1
+"""What the steps of its rates may hide: 0.01° over the end of a turn, by which the delay is told."""
+
 
 @dataclass
 class Sweeping:
@@ -158,6 +161,11 @@ class Sweeping:
             raise StageError(
                 f"the stage comes up to {self.plan.turn_dps:g}°/s and slows down within the stretch about "
                 f"{short.target_deg:g}°: take longer stretches (step_deg), or a lower velocity"
+            )
+        if turned.hidden_dps > COARSEST_DPS:
+            raise BoardError(
+                f"the gyro of board {taking.rig.board_identity.driver} tells rates in steps of "
+                f"{2 * turned.hidden_dps:.2g}°/s: too coarse to time a turn by; take a plan of dwells"
             )
         gains = [felt.gain for felt in self.felt]
         if turned.lacks_samples(passed[:-1]) or turned.is_out_of_step(turned.felt().gain, gains):

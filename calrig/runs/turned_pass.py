@@ -21,6 +21,7 @@ from calrig.estimation.turning import (
     even_turn,
     felt_turn,
     filter_lag_deg,
+    hidden_dps,
     turned_back,
 )
 from calrig.instruments.axis import Motion
@@ -140,6 +141,12 @@ class TurnedPass:
         """When it came to its stand: by the reports, in the host's time, and by the gyro, in the board's."""
         return self.clocks.host_s(self.turn.time_s(self.stands_deg)), self.felt().stands_s
 
+    @property
+    def hidden_dps(self) -> float:
+        """By how much the gyro may be wrong for the steps that its rates are told in."""
+        along = self.along
+        return hidden_dps(self.dwell.gyro_dps[:, along], self.kept.samples.gyro_dps[:, along])
+
     def is_out_of_step(self, gain: float, before: Sequence[float]) -> bool:
         """Whether the clocks of host and board were not in step, for the machine was busy elsewhere.
 
@@ -150,7 +157,8 @@ class TurnedPass:
         turned_deg = float(np.trapezoid(samples.gyro_dps[:, self.along] - self.bias_dps, samples.time_s))
         way_deg = self.stands_deg - self.from_deg
         bias_std_dps = dwell_bias(self.dwell.gyro_dps).bias_std_dps[self.along] or 0.0
-        allowed = OUT_OF_STEP + CHANCE_STD * bias_std_dps / abs(self.turn.velocity_dps)
+        unsure_dps = CHANCE_STD * bias_std_dps + self.hidden_dps
+        allowed = OUT_OF_STEP + unsure_dps / abs(self.turn.velocity_dps)
         if abs(gain * way_deg / turned_deg - 1.0) > allowed + MOST_PLAY_DEG / abs(way_deg):
             return True
         return bool(before) and abs(gain / float(np.median(before)) - 1.0) > allowed
