@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,9 +13,9 @@ from calrig.estimation.gyro import dwell_bias
 from calrig.estimation.kalman import KalmanNoise
 from calrig.estimation.reading import Reading, dwell_reading
 from calrig.estimation.turning import (
+    ClockLine,
     EvenTurn,
     Felt,
-    board_time_s,
     even_turn,
     felt_turn,
     filter_lag_deg,
@@ -45,8 +45,8 @@ class Seen:
     to_deg: float
     reports: list[tuple[float, float, float]] = field(default_factory=list)
 
-    def even_turn(self, run_up_deg: float, clocks: Iterable[tuple[float, float]]) -> EvenTurn:
-        """The part between run-up and slowing down, in the board's time; `clocks` as `board_time_s` has them.
+    def even_turn(self, run_up_deg: float, clocks: ClockLine) -> EvenTurn:
+        """The part between run-up and slowing down, in the board's time.
 
         Of the reports, those whose answer came as fast as of the fastest quarter: of the others it is not
         known so well of when they are.
@@ -60,8 +60,7 @@ class Seen:
             raise ValueError("the stage does not say where it is while it turns")
         took_s = answered_s - asked_s
         prompt = took_s <= PROMPT * np.quantile(took_s, 0.25) + 1e-9
-        host_s, angles_deg = (asked_s + took_s / 2)[prompt], angles_deg[prompt]
-        times_s = board_time_s(host_s, np.array(list(clocks), dtype=np.float64))
+        times_s, angles_deg = clocks.board_s((asked_s + took_s / 2)[prompt]), angles_deg[prompt]
         near_deg, far_deg = self.from_deg + sense * run_up_deg, self.to_deg - sense * run_up_deg
         turn = even_turn(times_s, angles_deg, near_deg, far_deg)
         if turn.scatter_deg > UNEVEN_S * abs(turn.velocity_dps) or turn.velocity_dps * sense <= 0.0:
@@ -100,6 +99,7 @@ class TurnedPass:
         stood_s, dwell_s: when it began, and begin and end of the dwell.
         from_deg, stands_deg: where the stage stood before and stands now.
         turn: by the stage's reports.
+        clocks: which took their times to the board's.
         along: the gyro's axis that lies along the stage's.
         bias_dps: of that axis.
         noise, rate_hz: of the filter.
@@ -111,6 +111,7 @@ class TurnedPass:
     from_deg: float
     stands_deg: float
     turn: EvenTurn
+    clocks: ClockLine
     along: int
     bias_dps: float
     noise: KalmanNoise
@@ -121,6 +122,10 @@ class TurnedPass:
         samples = self.kept.between(self.stood_s, self.dwell_s[0]).samples
         rate_dps = samples.gyro_dps[:, self.along] - self.bias_dps
         return felt_turn(samples.time_s, rate_dps, self.turn, self.stands_deg)
+
+    def stand_s(self) -> tuple[float, float]:
+        """When it came to its stand: by the reports, in the host's time, and by the gyro, in the board's."""
+        return self.clocks.host_s(self.turn.time_s(self.stands_deg)), self.felt().stands_s
 
     def is_out_of_step(self, gain: float, before: Sequence[float]) -> bool:
         """Whether the clocks of host and board were not in step, for the machine was busy elsewhere.
@@ -174,7 +179,7 @@ class TurnedPass:
         Args:
             planned: the stretches and the dwell.
             reading: of the dwell.
-            felt: the gyro's gain, what the filter shows of which is taken off, and this pass's own delay.
+            felt: the gyro's gain, what the filter shows of which is taken off, and the delay.
             settle_s: before the dwell.
         """
         whole = self.kept.samples
