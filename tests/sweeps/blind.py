@@ -37,6 +37,8 @@ from .worlds import WORLDS, World, options
 
 MAP = Reference(0.003, "harmonic", "normal")
 UNCERTAINTY_RUNS = 500
+STANDING_TIME_SCALE = 3.0
+"""Of rigs that stop: fewer looks at their ports, and no time counts there but the board's."""
 
 
 class Planned(NamedTuple):
@@ -112,7 +114,8 @@ def _poses(task: Task) -> list[Pose] | str:
         return pickle.loads(kept.read_bytes())  # noqa: S301 (its own)
     with tempfile.TemporaryDirectory() as folder:
         made = options(WORLDS[task.world], task.seed, task.planned.lasts_s)
-        run, poses = carried_out(made, task.seed, Path(folder), task.planned.plan)
+        pace = {"time_scale": STANDING_TIME_SCALE} if task.planned.plan.kind != "sweep" else {}
+        run, poses = carried_out({**made, **pace}, task.seed, Path(folder), task.planned.plan)
     taken = poses if run.status == "completed" else run.error or run.status
     if kept:
         kept.write_bytes(pickle.dumps(taken))
