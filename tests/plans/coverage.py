@@ -82,7 +82,7 @@ def covered(plan: Plan, times: float, share: float, runs: int, seed: int = 0) ->
 
 
 def _until_good_enough(known: GoodEnough, share: float, rng: np.random.Generator) -> list[Pose]:
-    """Poses until it is looked and found good enough: of a sweep after each pass, its stretches as they come."""
+    """Poses until they are found good enough; of a sweep that is looked at after each pass."""
     turns = any(one.stretch_deg is not None for one in known.planned)
     poses: list[Pose] = []
     delays_deg: list[float] = []
@@ -94,7 +94,9 @@ def _until_good_enough(known: GoodEnough, share: float, rng: np.random.Generator
             sense = int(np.sign(one.stretch_deg[1] - one.stretch_deg[0]))
             if len(delays_deg) == one.sweep:
                 delays_deg.append(DELAY * SCATTER_DEG * rng.standard_normal())
-            off_deg = sense * float(np.mean(delays_deg))  # the delay of all passes so far, each pass's own error
+            off_deg = sense * float(
+                np.mean(delays_deg)
+            )  # the delay of all passes so far, each pass's own error
             filtering = Filtering(remembers=False)
             pose = replace(pose, reading_deg=pose.reading_deg + off_deg, approach=sense, filtering=filtering)
         poses.append(pose)

@@ -33,7 +33,7 @@ from tests.blind.board import suspects, words
 from tests.plans import trial
 
 from .rigs import carried_out
-from .worlds import WORLDS, World, options
+from .worlds import WORLDS, options
 
 MAP = Reference(0.003, "harmonic", "normal")
 UNCERTAINTY_RUNS = 500
@@ -111,7 +111,7 @@ def _poses(task: Task) -> list[Pose] | str:
     """Of the run; the reason where it failed."""
     kept = task.poses and task.poses / f"{task.plan} {task.world} {task.seed}.pickle".replace("/", "_")
     if kept and kept.exists():
-        return pickle.loads(kept.read_bytes())  # noqa: S301 (its own)
+        return pickle.loads(kept.read_bytes())
     with tempfile.TemporaryDirectory() as folder:
         made = options(WORLDS[task.world], task.seed, task.planned.lasts_s)
         pace = {"time_scale": STANDING_TIME_SCALE} if task.planned.plan.kind != "sweep" else {}
@@ -128,7 +128,9 @@ def table(judged: dict[tuple[str, str], list[Judgement]]) -> Iterable[str]:
     yield "| --- | --- | --- | --- | --- | --- | --- | --- |"
     for (world, plan), those in judged.items():
         n = sum(not one.refused for one in those)
-        shares = (f"{sum(getattr(j, what) for j in those)} of {n}" for what in ("found", "held", "alone", "wrong"))
+        shares = (
+            f"{sum(getattr(j, what) for j in those)} of {n}" for what in ("found", "held", "alone", "wrong")
+        )
         refused = f"{len(those) - n} of {len(those)}"
         yield f"| {world} | {plan} | {refused} | {' | '.join(shares)} | {_commonest(those)} |"
 
@@ -161,7 +163,9 @@ def main() -> None:
     with ProcessPoolExecutor(given.processes, mp_context=get_context("spawn")) as pool:
         for done, (task, judgement) in enumerate(pool.map(judge, tasks), start=1):
             judged[task.world, task.plan].append(judgement)
-            sys.stderr.write(f"{done} of {len(tasks)}: {task.world}, {task.plan} {task.seed}: {judgement.said}\n")
+            sys.stderr.write(
+                f"{done} of {len(tasks)}: {task.world}, {task.plan} {task.seed}: {judgement.said}\n"
+            )
     for row in table(judged):
         sys.stdout.write(f"{row}\n")
 

@@ -25,7 +25,7 @@ Draw = Callable[[np.random.Generator, float], Parts]
 
 @dataclass(frozen=True)
 class World:
-    """One row of the table: what is wrong, and the names that are right; none where nothing is to be named."""
+    """One row of the table: what is wrong, and the names that are right."""
 
     draw: Draw
     right: frozenset[str]
@@ -86,7 +86,9 @@ def _drift(size_deg: float) -> Draw:
 
 def _creep(deg_per_decade: float) -> Draw:
     def draw(rng: np.random.Generator, _lasts_s: float) -> Parts:
-        return {"mount": {"creep_deg_per_decade": deg_per_decade * _sign(rng), "creep_began_s": BEGINS_S - 3.0}}
+        return {
+            "mount": {"creep_deg_per_decade": deg_per_decade * _sign(rng), "creep_began_s": BEGINS_S - 3.0}
+        }
 
     return draw
 
