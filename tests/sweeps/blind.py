@@ -95,7 +95,7 @@ def judge(task: Task) -> tuple[Task, Judgement]:
     taken = _poses(task)
     if isinstance(taken, str):
         return task, Judgement(taken, refused=True)
-    effects = document(diagnose([taken], seed=task.seed), [""])["effects"]
+    effects = document(diagnose([taken], seed=task.seed, cross_fit=False), [""])["effects"]
     right = WORLDS[task.world].right
     named = [effect["name"] for effect in effects if effect["verdict"] == "named"]
     return task, Judgement(

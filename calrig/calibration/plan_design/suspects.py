@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import stdtrit
 
-from calrig.calibration.candidates import Candidate, candidates_of
+from calrig.calibration.candidates import Candidate, candidate_of, candidates_of
 from calrig.calibration.channels import ANGLE, MOVE, NORM, READING
 from calrig.calibration.effects import EFFECTS
 from calrig.calibration.noise_model import NoiseModel, stacked
@@ -90,13 +90,20 @@ def suspects(
     noise = _noise(r, scatter_deg)
     base = np.linalg.qr(stacked(noise, r.starts, r.base))[0]
     found: dict[str, list[tuple[float, float | None]]] = {name: [] for name in names}
-    candidates = candidates_of(r)
-    standing = candidates_of(replace(r, stretch_deg=np.zeros(len(r)))) if r.stretch_deg.any() else candidates
-    for candidate, in_dwells in zip(candidates, standing, strict=True):
+    standing = replace(r, stretch_deg=np.zeros(len(r)))
+    for candidate in candidates_of(r):
         shown = candidate.name in found and candidate.name not in hidden
         if shown and candidate.beside is None and candidate.changed is None:
+            in_dwells = _in_dwells(candidate, standing) if r.stretch_deg.any() else candidate
             found[candidate.name].append(_least(candidate, in_dwells, r, noise, base))
     return [_said(name, *_middle(sizes)) for name, sizes in found.items()]
+
+
+def _in_dwells(candidate: Candidate, standing: Responses) -> Candidate:
+    """The same where the stage stood at every pose; itself where that is another form."""
+    shapes = candidate.effect.forms(standing, candidate.shape.at)
+    same = [shape for shape in shapes if shape.form == candidate.shape.form]
+    return candidate_of(standing, candidate.effect, same[0]) if len(same) == 1 else candidate
 
 
 def _least(
