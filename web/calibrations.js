@@ -155,6 +155,6 @@ function figures(document, verdict) {
     ["Temperature", range(document.temperature_c?.min, document.temperature_c?.max, 1, "°C")],
     ["Issued", moment(document.issued_at)],
     ["From run", runLink(document.run_id)],
-    ["Is this good?", h("span", { class: "words" }, verdict.says[0] ?? "not judged")],
+    ["Verdict", h("span", { class: "words" }, verdict.says[0] ?? "not judged")],
   ].filter(Boolean);
 }

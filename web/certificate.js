@@ -31,7 +31,7 @@ export function certificateButtons(path, { unit, revision }) {
       release();
     }
   });
-  const say = h("button", { type: "button", id: "item", on: { click: () => askItem(path, error) } }, "How it came…");
+  const say = h("button", { type: "button", id: "item", on: { click: () => askItem(path, error) } }, "Item as received…");
   return { buttons: [make, may("operator") && say], error: error.element };
 }
 
@@ -60,7 +60,7 @@ async function askItem(path, error) {
     return h("div", { class: "fields two" }, field(input.id, label, input), by);
   });
   const question = {
-    title: "How this unit came",
+    title: "Item as received",
     text: "What its certificates state of it; what is left empty is not stated.",
     action: "Save",
     before: rows,

@@ -176,7 +176,7 @@ function spreadOf(name, { between_units_std: between, within_unit_std: within, s
       h(
         "p",
         {},
-        `Clamping anew adds ${significant(repeats.reclamping_std, 2, unit)}`,
+        `Re-clamping adds ${significant(repeats.reclamping_std, 2, unit)}`,
         isKnown(repeats.day_std) && `, the day ${significant(repeats.day_std, 2, unit)}`,
         " (over all units).",
       ),

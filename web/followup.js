@@ -18,7 +18,7 @@ export function followedBy(runs) {
   return h(
     "div",
     { class: "follow-up", id: "followed-by" },
-    h("h3", {}, "Followed up"),
+    h("h3", {}, "Follow-up runs"),
     runs.map((run) => h("p", { class: run.voided && "voided" }, runLink(run.id, "Run "), `: ${outcome(run)}`)),
   );
 }
@@ -44,7 +44,7 @@ export function followUpBox({ follow_up: planned }, path, followers, signal) {
       "div",
       { class: "follow-up", id: "no-follow-up" },
       h("h3", {}, "No run on this rig would distinguish them"),
-      h("p", {}, "See “What to do” of each effect below."),
+      h("p", {}, "See “Remedy” of each effect below."),
     );
   }
   const address = `${path}/follow-up`;

@@ -20,7 +20,7 @@ export function unitHistory(serial, signal) {
   const element = h(
     "section",
     { class: "card", id: "changes", "aria-labelledby": "changes-title" },
-    h("h2", { id: "changes-title" }, "What changed from run to run"),
+    h("h2", { id: "changes-title" }, "Changes between runs"),
     error.element,
     work.element,
     body,
@@ -74,7 +74,7 @@ function due({ due_at: at, overdue, due_says: says }) {
   );
 }
 
-const HEADINGS = () => headings("From run", "To run", "Verdict", "What it says", "#Days", "#Bias", "#Scale", "#p");
+const HEADINGS = () => headings("From run", "To run", "Verdict", "Statement", "#Days", "#Bias", "#Scale", "#p");
 const WORDS = { changed: "changed", unchanged: "repeats", not_known: "not known" };
 
 function pValue(p) {

@@ -21,7 +21,7 @@ const ADVANCED = [
   field("jitter_deg", "Jitter of each elevation, ±", "°", 0),
   field("rate_hz", "Sample rate", "Hz", 200, { whole: true }),
   field("target_std_deg", "Dwell until standard error", "°", null, { hint: "fixed dwell" }),
-  field("expanded_uncertainty_deg", "Expanded uncertainty, to end at", "°", null, { hint: "whole plan" }),
+  field("expanded_uncertainty_deg", "Stop at expanded uncertainty", "°", null, { hint: "whole plan" }),
   field("velocity_dps", "Stage velocity", "°/s", null, { hint: "stage default" }),
   field("wait_s", "Wait before each sweep", "s", 0),
   field("wait_temperature_c", "Wait for temperature", "°C", null, { hint: "do not wait" }),
@@ -194,9 +194,9 @@ export function planForm(of, signal) {
   return { element, designer: designer(() => ({ ...of(), plan: value() }), take, signal), value, estimate, prefill, take };
 }
 
-/** "How good must it be?", folded: what it takes is asked for when somebody opens it. */
+/** "Design a plan", folded: what it takes is asked for when somebody opens it. */
 function designer(of, take, signal) {
-  const element = h("details", { id: "designer" }, h("summary", {}, "How good must it be?"));
+  const element = h("details", { id: "designer" }, h("summary", {}, "Design a plan"));
   const open = async () => {
     const { planDesigner } = await import("./plandesign.js");
     element.append(planDesigner(of, take, signal));

@@ -21,7 +21,7 @@ export class UnitsTable {
 
   #row(turn, closed) {
     const canGo = !closed && turn.state === "waiting" && may("operator");
-    const take = { type: "button", class: "small", "aria-label": `Take ${turn.unit} out`, on: { click: () => this.take(turn.unit) } };
+    const take = { type: "button", class: "small", "aria-label": `Remove ${turn.unit}`, on: { click: () => this.take(turn.unit) } };
     return h(
       "tr",
       {},
@@ -30,7 +30,7 @@ export class UnitsTable {
       h("td", {}, turn.rig ?? "–"),
       h("td", {}, turn.run_id ? runLink(turn.run_id) : "–"),
       h("td", { class: "wrap" }, turn.why),
-      h("td", { class: "plain" }, canGo && h("button", take, "Take out")),
+      h("td", { class: "plain" }, canGo && h("button", take, "Remove")),
     );
   }
 }

@@ -103,7 +103,7 @@ class RunPage {
           this.#residualSoon();
         },
         move_mismatch: ({ index, says }) => {
-          mismatches.set(index, h("p", {}, h("strong", {}, "The unit felt another move. "), says));
+          mismatches.set(index, h("p", {}, h("strong", {}, "Move mismatch. "), says));
           this.mismatches.hidden = false;
           fill(this.mismatches, [...mismatches.values()]);
         },

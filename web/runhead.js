@@ -66,7 +66,7 @@ export function faultLine(faults) {
   const { move_mismatch: mismatches, ...ofData } = faults;
   const counted = Object.entries(ofData).filter(([, count]) => count > 0);
   return [
-    mismatches && h("p", {}, h("strong", {}, "Moves that the unit felt otherwise than the stage reported: "), mismatches),
+    mismatches && h("p", {}, h("strong", {}, "Move mismatches, unit against stage: "), mismatches),
     counted.length
       ? h("p", {}, h("strong", {}, "Data faults, excluded from the readings: "), counted.map(faultWords))
       : h("p", { class: "muted" }, "No data faults."),
