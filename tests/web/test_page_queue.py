@@ -68,11 +68,11 @@ def test_a_list_goes_unit_by_unit_with_one_key_and_is_the_same_in_another_tab(pa
     expect(page.locator("#queue-said")).to_contain_text("kept here until the service answers: PQ-4.")
     page.unroute("**/units")
     expect(page.locator("#queue-said")).to_have_text("PQ-4 was added.")
-    page.get_by_role("button", name="Take PQ-4 out").click()
+    page.get_by_role("button", name="Remove PQ-4").click()
     page.keyboard.type("px-9\n")  # out of its turn: it is what somebody has at hand
     expect(page.locator(".todo")).to_have_text("Mount PX-9, press Enter")
     expect(page.locator(".sight")).to_have_text("✓ A unit is there: see that it is PX-9.")
-    page.get_by_role("button", name="Take PX-9 out").click()
+    page.get_by_role("button", name="Remove PX-9").click()
     expect(page.locator("#queue-units tbody tr")).to_have_count(4)
     expect(page.locator(".todo")).to_have_text("Mount PQ-2, press Enter")
 
@@ -96,7 +96,7 @@ def test_a_list_goes_unit_by_unit_with_one_key_and_is_the_same_in_another_tab(pa
     other.close()
     go("#/queue")
     expect(page.locator(".todo")).to_have_text("Mount PQ-3, press Enter")
-    page.get_by_role("button", name="Take PQ-3 out").click()
+    page.get_by_role("button", name="Remove PQ-3").click()
     expect(page.locator("#queue-units tbody tr")).to_have_count(3)
     page.click("#close-list")
     expect(page.locator("dialog")).to_contain_text("1 unit of it not measured")
