@@ -97,8 +97,9 @@ export class DiagnosisPanel {
   async #draw(diagnosis) {
     const shown = this.shown;
     const asked = new URLSearchParams({ follows: this.run.id });
+    const following = async () => (await get(`/api/runs?${asked}`, this.signal)).items;
     const [followers, { effectCard }, { followUpBox, followedBy, isAnswered }] = await Promise.all([
-      get(`/api/runs?${asked}`, this.signal),
+      following(),
       import("./effect.js"), // these with the first diagnosis that is shown
       import("./followup.js"),
       import("./effects.js").then(({ knowEffects }) => knowEffects()),
@@ -112,8 +113,10 @@ export class DiagnosisPanel {
     fill(
       this.found,
       h("div", { class: "columns outcome" }, summary(diagnosis), bars.element),
-      followedBy(followers.items),
-      diagnosis.verdict === "ambiguous" && !isAnswered(followers.items) && followUpBox(diagnosis, this.path),
+      followedBy(followers),
+      diagnosis.verdict === "ambiguous" &&
+        !isAnswered(followers) &&
+        followUpBox(diagnosis, this.path, following, signal),
       effects.map(({ element }) => element),
       diagnosis.warnings.length > 0 && warnings(diagnosis.warnings),
       this.run.rig && commonError(this.run.rig, signal),

@@ -134,7 +134,7 @@ class QueuePage {
   async #haveBoardsLookedAt() {
     const idle = this.list.rigs.filter(({ on, busy_with: busy }) => on && on.state !== "running" && !busy);
     if (this.list.closed_at || !idle.length || document.hidden || !may("operator")) return;
-    const isNew = this.isLooking && idle.some(({ seen }) => !seen); // at a centre nobody looks
+    const isNew = this.isLooking && idle.some(({ seen }) => !seen); // of a bench that is away nothing is
     if (!isNew && performance.now() - this.lookedAt < BOARDS_MS) return;
     this.lookedAt = performance.now();
     const { rigs } = await post(`${this.path}/look`, {}, this.signal);

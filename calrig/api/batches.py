@@ -31,7 +31,7 @@ from calrig.api.heavy import Heavy
 from calrig.api.models import ProgressAnswer
 from calrig.runs.batch_turns import word_of
 from calrig.runs.batches import Standing, serials_in
-from calrig.runs.sightings import Sighting
+from calrig.runs.look import Look
 from calrig.store import Run
 from calrig.store.batches import Turn
 
@@ -202,13 +202,13 @@ def _answer(context: ApiContext, batch_id: str, known: list[str] | None = None) 
 
 def _rigs(context: ApiContext, standing: Standing) -> list[BatchRigAnswer]:
     states = {rig.name: rig for rig in context.service.rigs()}
+    looks = context.service.looks()
     return [
-        _rig(standing, name, states.get(name), context.service.seen(name))
-        for name in standing.batch.document["rigs"]
+        _rig(standing, name, states.get(name), looks.get(name)) for name in standing.batch.document["rigs"]
     ]
 
 
-def _rig(standing: Standing, name: str, state: object, seen: Sighting | None) -> BatchRigAnswer:
+def _rig(standing: Standing, name: str, state: object, seen: Look | None) -> BatchRigAnswer:
     on, then = standing.now.on[name], standing.now.then[name]
     run = standing.runs.get(on.run_id or "") if on is not None and on.state == "running" else None
     last = _last(standing, name)
@@ -222,17 +222,17 @@ def _rig(standing: Standing, name: str, state: object, seen: Sighting | None) ->
         status=None if run is None else run.status,
         progress=None if progress is None else ProgressAnswer.model_validate(progress),
         waiting_for=None if progress is None else progress.get("waiting_for"),
-        seen=_seen(seen, on),
+        seen=_seen(standing, seen, on),
         next=None if then is None else _turn(standing, then),
         last=None if last is None else _turn(standing, last),
         last_says=[] if ended is None or ended.verdict is None else ended.verdict.says,
     )
 
 
-def _seen(seen: Sighting | None, on: Turn | None) -> SeenAnswer | None:
+def _seen(standing: Standing, seen: Look | None, on: Turn | None) -> SeenAnswer | None:
     if seen is None or on is None or on.state == "running":
         return None
-    told = seen.of_unit(on.unit)
+    told = seen.sighting(standing.mount).of_unit(on.unit)
     return SeenAnswer(state=told.state, serial=told.serial, says=told.says)
 
 

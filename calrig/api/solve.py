@@ -54,7 +54,7 @@ async def solve(body: Solve, context: Context, heavy: Heavy, who: Who, wait: Wai
     async def work(job: Job) -> dict[str, Any]:
         asked = await run_in_threadpool(question, context.store, wanted)
         try:
-            found = await job.run(partial(answer, asked))
+            found = await job.run(partial(answer, asked), tells_progress=True)
         except DiagnosisError as error:
             raise Invalid(str(error), ["runs"]) from error
         return _shown(await run_in_threadpool(context.store.keep_solution, found, by=who))

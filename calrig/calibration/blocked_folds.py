@@ -14,7 +14,6 @@ from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import chdtrc
 
 from calrig.calibration.candidates import Candidate
 from calrig.calibration.cross_validation import errors_deg
@@ -159,6 +158,8 @@ def _flat(columns: FloatArray) -> FloatArray:
 
 def _contradicts(r: Responses, accepted: Sequence[Candidate], place: int, whole: Fit, fold: Intp) -> bool:
     """Whether coefficients without some block differ from the whole's by more than their errors allow."""
+    from scipy.special import chdtrc
+
     model = fitted_model(r, accepted)
     r, accepted, columns = model.responses, model.accepted, model.columns
     at = own_columns(columns, accepted)[place]

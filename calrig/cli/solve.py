@@ -153,8 +153,8 @@ def _answer(asked: Question, *, is_drawn: bool) -> Solved:
     if is_drawn and whole_units(asked.lots):
         raise InputError(NOT_DRAWN)
     try:
-        with late_bar("solving"):
-            return answer(asked)
+        with late_bar("solving") as show:
+            return answer(asked, show)
     except DiagnosisError as error:
         raise InputError(str(error)) from error
 

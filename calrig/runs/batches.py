@@ -6,10 +6,11 @@ import csv
 import io
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-from calrig.analysis.errors import Conflict, Invalid
+from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.analysis.origin import check_serial
 from calrig.plan import Plan
 from calrig.processes.pool import Apart
@@ -34,6 +35,12 @@ class Standing:
     batch: Batch
     now: Settled
     runs: Mapping[str, Run]
+
+    @property
+    def mount(self) -> Mount:
+        """How a unit is to be clamped when its turn begins."""
+        plan = Plan.model_validate(self.batch.document["plan"])
+        return Mount(plan.mounts_deg[0], plan.mount_axis)
 
 
 class RunBatches:
@@ -134,7 +141,8 @@ class RunBatches:
     def _follow_up(self, standing: Standing, turn: Turn, apart: Apart, who: str | None) -> Run:
         assert turn.run_id is not None  # noqa: S101 (of a follow-up)
         try:
-            return self._service.follow_up(turn.run_id, apart, who)
+            asked = self._service.follow_up_question(turn.run_id)
+            return self._service.follow_up(asked, apart(asked.work), who)
         except Conflict as error:
             if turn.rig in {state.name for state in self._service.rigs() if state.state == "busy"}:
                 raise
@@ -148,10 +156,10 @@ class RunBatches:
         standing = self.standing(batch_id)
         if standing.batch.closed_at is not None:
             return standing
-        plan = Plan.model_validate(standing.batch.document["plan"])
         for rig, turn in standing.now.on.items():
             if turn is not None and turn.state != "running":
-                self._service.look(rig, Mount(plan.mounts_deg[0], plan.mount_axis))
+                with suppress(Unknown, Conflict):  # a rig that is no more shows as offline
+                    self._service.look(rig)
         return standing
 
     def close(self, batch_id: str) -> None:

@@ -8,10 +8,11 @@ import numpy as np
 
 from calrig.calibration.joint.held_out import HeldOut, predicted
 from calrig.calibration.joint.three_axis_fit import ThreeAxisFit, fitted_whole
+from calrig.calibration.joint.told import Progress, unheard
 
 
-def held_out_of_whole(fit: ThreeAxisFit) -> HeldOut:
-    """Predicts the angle of every pose that was not left out as an outlier, once."""
+def held_out_of_whole(fit: ThreeAxisFit, progress: Progress = unheard) -> HeldOut:
+    """Predicts the angle of every pose that was not left out as an outlier, once; tells the share that is done."""
     problem = fit.problem
     seen = replace(problem.table, approach=np.zeros(len(problem.table)))
     believing = replace(problem, of=replace(problem.of, seen=seen), orders=())
@@ -20,4 +21,5 @@ def held_out_of_whole(fit: ThreeAxisFit) -> HeldOut:
         fit.kept,
         lambda shown: fitted_whole(believing, shown).left(),
         lambda shown: fitted_whole(problem, shown, fit.parameters).left(),
+        progress,
     )

@@ -21,6 +21,7 @@ from calrig.calibration.joint.three_axis_fit import (
 )
 from calrig.calibration.joint.three_axis_problem import ThreeAxisProblem
 from calrig.calibration.joint.three_axis_table import ThreeAxisTable, three_axis_table
+from calrig.calibration.joint.told import Progress, unheard
 from calrig.calibration.pose import DiagnosisError
 
 FEWEST_SPARE = 12
@@ -60,7 +61,11 @@ class ThreeAxisSolution:
 
 
 def solve_whole(
-    lots: Sequence[Mounted], *, linear: bool = False, periods_deg: Sequence[float] = ()
+    lots: Sequence[Mounted],
+    *,
+    linear: bool = False,
+    periods_deg: Sequence[float] = (),
+    progress: Progress = unheard,
 ) -> ThreeAxisSolution:
     """Solves stage, mounts and units clamped by several faces at once; arguments as `solution.solve`.
 
@@ -72,8 +77,10 @@ def solve_whole(
     shape = np.ones((len(table.seen.units), 3))
     problem = ThreeAxisProblem(table, (), linear, shape)
     rich, weights = without_outlying_vectors(replace(problem, orders=_offered(problem, known)))
+    progress(0.5)
     rich = noise_of_axes(rich)
     correlated = replace(rich.problem, correlation=vector_correlation(rich))
+    progress(0.7)
     choice = chosen(fitted_whole(correlated, weights, rich.parameters), known)
     fit = fitted_whole(replace(correlated, orders=choice.orders), weights)
     _refuse_another_face(fit)

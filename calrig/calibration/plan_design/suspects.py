@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.special import stdtrit
 
 from calrig.calibration.candidates import Candidate, candidates_of
 from calrig.calibration.channels import ANGLE, MOVE, NORM, READING
@@ -121,6 +120,8 @@ def _least(
 
 def _distance(n_poses: int) -> float:
     """Noncentrality at which four of five effects are found, the noise being found from the same poses."""
+    from scipy.special import stdtrit
+
     freedom = n_poses - TAKEN
     if freedom < 1:
         return math.inf
