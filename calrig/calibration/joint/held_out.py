@@ -36,7 +36,7 @@ Left = Callable[[FloatArray], FloatArray]
 
 
 def held_out(fit: Fit, progress: Progress = unheard) -> HeldOut:
-    """Predicts every pose that was no outlier, once; tells the share that is done."""
+    """Predicts every pose that was not left out as an outlier, once; tells the share that is done."""
     problem, believing = fit.problem, _without_map(fit.problem)
     return predicted(
         problem.table,
