@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from calrig.cli import names
 from calrig.cli.input_files import read_plan_file
 from calrig.cli.options import Config, Db, Json, Rig, Server
 from calrig.cli.running_service import running_service
@@ -28,7 +29,12 @@ def plan(
     time: Annotated[float | None, typer.Option(metavar="S", min=1.0, help="Or: the time there is.")] = None,
     rig: Rig = None,
     unit: Annotated[
-        str, typer.Option(metavar="SERIAL", help="Unit whose earlier runs on the rig tell its noise.")
+        str,
+        typer.Option(
+            metavar="SERIAL",
+            autocompletion=names.units,
+            help="Unit whose earlier runs on the rig tell its noise.",
+        ),
     ] = "",
     trace: Annotated[
         bool, typer.Option(" /--no-trace", help="Without variety for the tracing of effects: sooner.")

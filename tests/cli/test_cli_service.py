@@ -60,6 +60,16 @@ def pressed_when(look):
     threading.Thread(target=press).start()
 
 
+def completed(*words):
+    """What a shell offers for the last word."""
+    typed = {"COMP_WORDS": " ".join(("calrig", *words)), "COMP_CWORD": str(len(words))}
+    asked = CliRunner().invoke(
+        app, [], prog_name="calrig", env={"_CALRIG_COMPLETE": "complete_bash", **typed}
+    )
+    assert not asked.stderr
+    return asked.stdout.split()
+
+
 def newest(client):
     return client.get("/api/runs?limit=1").json()["items"][0]
 
@@ -72,6 +82,17 @@ def test_a_run_is_the_services_and_ends_with_its_verdict(there):
     assert printed.splitlines()[-1] == f"· {run['verdict']['says'][-1]}"
     assert calrig("watch", run["id"][:8]).stdout == printed
     assert json.loads(calrig("watch", run["id"], "--json").stdout) == run
+    assert completed("watch", run["id"][:4]) == [run["id"]]
+    assert completed("run", "--rig", "b") == ["bench-1"]
+    assert completed("run", "--unit", "AS") == ["AS-1"]
+
+
+def test_names_are_completed_from_the_store_and_without_one_nothing_is_said(folder):
+    assert completed("watch", "") == completed("run", "--unit", "") == []
+    assert not (folder / "calrig.db").exists()
+    calrig("import", "poses.csv", "--unit", "KEPT-1")
+    assert completed("export", "--unit", "K") == ["KEPT-1"]
+    assert completed("run", "--rig", "") == ["bench-1"]
 
 
 def test_what_was_imported_is_exported_and_diagnosed_as_without_the_service(there, folder, monkeypatch):
