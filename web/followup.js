@@ -1,7 +1,7 @@
 // An ambiguous diagnosis leads here: the run that separates the suspects, or why there is none.
 
 import { ApiError } from "./api.js";
-import { errorLine, h, runHref, runLink } from "./dom.js";
+import { errorLine, h, held, runHref, runLink } from "./dom.js";
 import { candidateWords } from "./effects.js";
 import { duration, plural, significant } from "./format.js";
 import { CANCELLED, LongWork } from "./longwork.js";
@@ -18,7 +18,7 @@ export function followedBy(runs) {
   return h(
     "div",
     { class: "follow-up", id: "followed-by" },
-    h("h3", {}, "Followed up"),
+    h("h3", {}, "Follow-up runs"),
     runs.map((run) => h("p", { class: run.voided && "voided" }, runLink(run.id, "Run "), `: ${outcome(run)}`)),
   );
 }
@@ -44,7 +44,7 @@ export function followUpBox({ follow_up: planned }, path, followers, signal) {
       "div",
       { class: "follow-up", id: "no-follow-up" },
       h("h3", {}, "No run on this rig would distinguish them"),
-      h("p", {}, "See “What to do” of each effect below."),
+      h("p", {}, "See “Remedy” of each effect below."),
     );
   }
   const address = `${path}/follow-up`;
@@ -57,7 +57,7 @@ export function followUpBox({ follow_up: planned }, path, followers, signal) {
     "Start the follow-up run",
   );
   const begun = async (carryOut) => {
-    button.disabled = true;
+    const release = held(button);
     error.say(null);
     state.textContent = "";
     try {
@@ -71,7 +71,7 @@ export function followUpBox({ follow_up: planned }, path, followers, signal) {
       if (!(problem instanceof ApiError)) throw problem;
       error.say(problem);
     } finally {
-      button.disabled = false;
+      release();
     }
   };
   if (LongWork.isUnderWay(address)) begun(() => work.resume(address));

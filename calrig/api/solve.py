@@ -68,7 +68,7 @@ def list_solutions(
     rig: str | None = None,
     limit: Annotated[int, Query(ge=1, le=MOST_LISTED)] = 100,
 ) -> list[dict[str, Any]]:
-    """What each rests on, and the RMS of held-out poses believing the stage and with its map."""
+    """What each rests on, and the RMS of held-out poses without and with the map."""
     return [_listed(one) for one in context.store.solutions(rig, limit)]
 
 

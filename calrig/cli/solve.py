@@ -55,7 +55,7 @@ SeatStd = Annotated[
         "--seat-std",
         metavar="DEG",
         min=0.0,
-        help="How far one clamping of the same face on the same seat scatters from the next: the level of a "
+        help="Repeatability (standard deviation) of clamping the same face on the same seat: the level of a "
         "unit that was reversed (mount_axis -x) rests on it.",
     ),
 ]

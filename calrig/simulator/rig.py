@@ -51,11 +51,17 @@ class SimulatedRig:
         settings: what it is made of.
         virtual: time for a rig whose ports are in this process (`sim://`); without it they are the system's,
             and time is the wall's.
+        now_s: seconds of the wall, which never go back.
     """
 
-    def __init__(self, settings: SimulatorSettings, virtual: VirtualClock | None = None) -> None:
+    def __init__(
+        self,
+        settings: SimulatorSettings,
+        virtual: VirtualClock | None = None,
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
         self.settings = settings
-        self.clock = ScaledClock(settings.time_scale, time.monotonic if virtual is None else virtual.now_s)
+        self.clock = ScaledClock(settings.time_scale, now_s if virtual is None else virtual.now_s)
         self.bench = Bench(settings)
         self.stage = stage_of(settings.stage.driver)(settings.stage, self.bench, self.clock)
         self.board = board_of(settings.board.sketch)(settings.board, settings.imu, self.bench, self.clock)

@@ -1,6 +1,6 @@
-"""Error of poses that were held out in whole stretches of elevation, believing the stage and solving for it.
+"""Error of poses that were held out in whole stretches of elevation, without a map of the stage and with it.
 
-A stretch of a mount's dial is left out in one mount at a time: the unit is then foretold at elevations where
+A stretch of a mount's dial is left out in one mount at a time: the unit is then predicted at elevations where
 it was not seen. Held-out poses between the others would be interpolation (`calibration.blocked_folds`).
 """
 
@@ -23,7 +23,7 @@ FEWEST_OF_A_STRETCH = 2
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """RMS of the angle foretold less the angle measured, degrees, and how the poses were held out."""
+    """RMS of the angle predicted less the angle measured, degrees, and how the poses were held out."""
 
     before_deg: float
     final_deg: float
@@ -36,9 +36,9 @@ Left = Callable[[FloatArray], FloatArray]
 
 
 def held_out(fit: Fit, progress: Progress = unheard) -> HeldOut:
-    """Foretells every pose that was not left out as wild, once; tells the share that is done."""
+    """Predicts every pose that was not left out as an outlier, once; tells the share that is done."""
     problem, believing = fit.problem, _without_map(fit.problem)
-    return foretold(
+    return predicted(
         problem.table,
         fit.kept,
         lambda shown: fitted(believing, shown).left(),
@@ -47,10 +47,10 @@ def held_out(fit: Fit, progress: Progress = unheard) -> HeldOut:
     )
 
 
-def foretold(
+def predicted(
     table: Table, kept: BoolArray, believing: Left, solved: Left, progress: Progress = unheard
 ) -> HeldOut:
-    """The same by any two fits of the poses kept: believing the stage, and with its map."""
+    """The same by any two fits of the poses kept: without the map, and with it."""
     folds = stretches(table, kept)
     return HeldOut(
         before_deg=_rms_deg(believing, folds, within(progress, 0.0, 0.5)),

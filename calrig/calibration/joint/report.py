@@ -126,4 +126,4 @@ def _advice(advice: Advice) -> dict[str, Any]:
 def _of_held_out(tested: HeldOut) -> Sequence[str]:
     if tested.final_deg < tested.before_deg:
         return ()
-    return ("stretches that were left out are foretold no better than by believing the stage",)
+    return ("held-out poses are predicted no better with the map than without it",)

@@ -1,4 +1,4 @@
-"""The joint solution: wild poses, the map's orders, the fit, and whether the data part stage and units."""
+"""The joint solution: outliers, the map's orders, the fit, and whether the data part stage and units."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import numpy as np
 from calrig.calibration.joint.correlation import correlation_of
 from calrig.calibration.joint.elevation import Worth, worth
 from calrig.calibration.joint.lack_of_fit import MountTest, mount_tests
-from calrig.calibration.joint.least_squares import Fit, distances, fitted, without_wild_poses
+from calrig.calibration.joint.least_squares import Fit, distances, fitted, without_outliers
 from calrig.calibration.joint.level import Level, level_of
 from calrig.calibration.joint.mounts import table_of
 from calrig.calibration.joint.order_choice import Choice, chosen, of_the_unit
+from calrig.calibration.joint.outliers import outliers_said
 from calrig.calibration.joint.problem import Problem
 from calrig.calibration.joint.stage_map import TURN_DEG, resolved_orders
 from calrig.calibration.joint.table import Mounted, Table
 from calrig.calibration.joint.told import Progress, unheard
-from calrig.calibration.joint.wild import wild_poses_said
 from calrig.calibration.pose import DiagnosisError
 
 FEWEST_SPARE = 8
@@ -117,7 +117,7 @@ def solve_table(
     """The same of poses in columns."""
     known = [TURN_DEG / period for period in periods_deg]
     orders = _offered(table, linear, known)
-    rich, weights = without_wild_poses(Problem(table, orders, linear))
+    rich, weights = without_outliers(Problem(table, orders, linear))
     progress(0.5)
     correlated = replace(rich.problem, correlation=correlation_of(rich))
     progress(0.7)
@@ -134,7 +134,7 @@ def solve_table(
         worths=tuple(worth(fit, unit) for unit in units),
         levels=levels,
         mount_tests=tuple(mount_tests(fit)),
-        warnings=(*warnings, *wild_poses_said(table, fit.kept, distances(fit))),
+        warnings=(*warnings, *outliers_said(table, fit.kept, distances(fit))),
     )
 
 
