@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from calrig.client import Client
     from calrig.store import Store
 
-PATIENCE_S = 1.0
+PATIENCE_S = 2.0
 MOST_RUNS = 50
 """The newest ones: who wants an older one knows its id."""
 Names = Callable[[typer.Context, str], list[str]]

@@ -20,6 +20,7 @@ from typer.testing import CliRunner
 import calrig as package
 from calrig.api import heavy
 from calrig.calibration.pose import Pose
+from calrig.cli import names
 from calrig.cli.main import app
 from calrig.settings import store_url
 from calrig.store import Store, back_up
@@ -48,6 +49,12 @@ def there(served, folder, monkeypatch):
     for name, plan in (("quick", QUICK), ("long", LONG), ("turned", TURNED)):
         (folder / f"{name}.json").write_text(json.dumps(plan))
     return client
+
+
+@pytest.fixture(autouse=True)
+def _somebody_has_time(monkeypatch):
+    """To wait for what is completed, however busy the machine."""
+    monkeypatch.setattr(names, "PATIENCE_S", 60.0)
 
 
 def pressed_when(look):
