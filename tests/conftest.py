@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import faulthandler
 import gc
 import os
 
@@ -38,6 +39,8 @@ settings.register_profile("explore", deadline=None, suppress_health_check=[Healt
 settings.load_profile("calrig")
 
 LaunchRig = Callable[..., RigSettings]
+ENDS_S = 30.0
+"""How long a process of tests may take to end."""
 MOST_SPEED = 10.0
 """Of rigs that people watch: a run that nobody waits for leaves the processor to the test."""
 
@@ -64,6 +67,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_collection_finish() -> None:
     """What was imported stays as long as the worker: the garbage collector need not look at it ever again."""
     gc.freeze()
+
+
+def pytest_unconfigure() -> None:
+    """A thread that keeps this process from ending is shown, and is ended with it."""
+    faulthandler.dump_traceback_later(ENDS_S, exit=True)
 
 
 @pytest.fixture(scope="session")

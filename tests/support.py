@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import subprocess
 import threading
 import time
 from collections.abc import Callable, Coroutine, Iterator
@@ -13,6 +14,7 @@ from contextlib import closing, contextmanager
 from dataclasses import replace
 from http.client import HTTPConnection
 from pathlib import Path
+from socketserver import BaseServer
 from typing import Any, TypeVar
 
 import httpx
@@ -48,6 +50,7 @@ NO_TLS = False
 """`verify` of clients of a test's own server: to read all authorities' certificates takes each 20 ms else."""
 
 T = TypeVar("T")
+Server = TypeVar("Server", bound=BaseServer)
 
 
 def fast(options: dict[str, Any]) -> SimulatorSettings:
@@ -119,6 +122,30 @@ def declared(client: httpx.Client, path: str, kind: str, n_bytes: int) -> tuple[
 
 
 @contextmanager
+def program(*command: object, **options: Any) -> Iterator[subprocess.Popen[str]]:
+    """A process whose output is read as text; it ends here, whatever came of the test."""
+    words = [str(word) for word in command]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, **options) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+@contextmanager
+def at_work(server: Server) -> Iterator[Server]:
+    """Somebody else's server, in a thread; it ends here, whatever came of the test."""
+    with server:
+        thread = threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True)
+        thread.start()
+        try:
+            yield server
+        finally:
+            server.shutdown()
+            thread.join(PATIENCE_S)
+
+
+@contextmanager
 def running_service(store_path: Path, *rigs: RigSettings) -> Iterator[Any]:
     """A run service over the store at the path."""
     from calrig.runs.service import RunService
@@ -151,7 +178,7 @@ def serving(service: Any, *, own_processes: bool = False, **options: Any) -> Ite
     if not own_processes:
         app.state.context = replace(app.state.context, processes=shared_processes())
     server = Server(app, ready.set)
-    thread = threading.Thread(target=server.run, kwargs={"sockets": [socket]}, name="server")
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [socket]}, name="server", daemon=True)
     thread.start()
     try:
         assert ready.wait(PATIENCE_S), "the server did not start"

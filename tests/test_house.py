@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -17,6 +18,15 @@ def test_the_walls_between_packages_hold():
     ]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_no_thread_of_a_test_keeps_its_process_from_ending():
+    """One that waits for what a failed test has not sent would."""
+    started = re.compile(r"threading\.Thread\((?:[^()]|\([^()]*\))*\)")
+    files = [path for path in (ROOT / "tests").rglob("*.py") if path != Path(__file__)]
+    threads = [(path.name, thread) for path in files for thread in started.findall(path.read_text("utf-8"))]
+    assert len(threads) > 10
+    assert [one for one in threads if "daemon=True" not in one[1]] == []
 
 
 def test_ci_runs_the_readmes_test_command_first():

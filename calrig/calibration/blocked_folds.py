@@ -14,7 +14,6 @@ from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import chdtrc
 
 from calrig.calibration.candidates import Candidate
 from calrig.calibration.cross_validation import errors_deg
@@ -74,7 +73,7 @@ def not_predictive(
     """The same effects; a name that fails the blocks it has not seen is no longer claimed alone.
 
     It fails where the blocks' error is smaller without it and its coefficients, from the rest of the poses,
-    contradict those from all of them (Hausman, Econometrica 46, 1978). A block that the rest cannot foretell,
+    contradict those from all of them (Hausman, Econometrica 46, 1978). A block that the rest cannot predict,
     the effect being true, contradicts nothing.
 
     Args:
@@ -94,7 +93,7 @@ def not_predictive(
         for along, fold in folds.items():
             helps = rms(_errors(r, accepted, along)) < rms(_errors(r, others, along))
             if not helps and _contradicts(r, accepted, place, whole, fold):
-                return one.against(rival, f"it does not foretell poses of a block of {along} left out")
+                return one.against(rival, f"it does not predict poses of a block of {along} left out")
         return one
 
     return tuple(judged(place, one) for place, one in enumerate(found))
@@ -159,6 +158,8 @@ def _flat(columns: FloatArray) -> FloatArray:
 
 def _contradicts(r: Responses, accepted: Sequence[Candidate], place: int, whole: Fit, fold: Intp) -> bool:
     """Whether coefficients without some block differ from the whole's by more than their errors allow."""
+    from scipy.special import chdtrc
+
     model = fitted_model(r, accepted)
     r, accepted, columns = model.responses, model.accepted, model.columns
     at = own_columns(columns, accepted)[place]

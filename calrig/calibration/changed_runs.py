@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtr
 
 from calrig.calibration.false_discovery import rejection_level
 from calrig.calibration.repeatability import (
@@ -53,6 +52,8 @@ def differences(runs: Runs, pooled: Repeatability | None) -> Differences:
     Student's t with the degrees of freedom of the repeatability, as if all of u² rested on them: on
     the safe side where the runs' own errors are most of it.
     """
+    from scipy.special import stdtr
+
     first, second = pairs(runs.unit)
     value = runs.value[second] - runs.value[first]
     type_a = np.hypot(np.nan_to_num(runs.std[first]), np.nan_to_num(runs.std[second]))

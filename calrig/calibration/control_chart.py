@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtri, stdtr
 
 from calrig.estimation.angles import FloatArray
 
@@ -72,6 +71,8 @@ def normal_score(q: FloatArray | float, freedom: FloatArray | float | None) -> F
     """
     if freedom is None:
         return np.asarray(q, dtype=np.float64)
+    from scipy.special import ndtri, stdtr
+
     tail = np.maximum(stdtr(freedom, -np.abs(q)), np.finfo(np.float64).tiny)
     return np.asarray(-np.sign(q) * ndtri(tail), dtype=np.float64)
 

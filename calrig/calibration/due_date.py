@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtri
 
 from calrig.estimation.angles import FloatArray
 
@@ -73,6 +72,8 @@ def forecast(
     """
     if len(np.unique(day)) < FEWEST_RUNS:
         return None
+    from scipy.special import chdtri
+
     weight = 1.0 / variance
     centre = float(weight @ day / weight.sum())
     t = day - centre

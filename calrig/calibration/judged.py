@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import bdtr, bdtrc
 
 from calrig.calibration.channels import BoolArray
 from calrig.calibration.effects import UNNAMED
@@ -53,6 +52,8 @@ class Judged:
             margin: by how much to be ahead of all of them is clear.
             bootstraps: how many are enough to take the p-value as it is.
         """
+        from scipy.special import bdtr, bdtrc
+
         if self.ahead > margin:
             return True
         exceeded = self.exceeded.min()

@@ -19,7 +19,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import fdtrc
 
 from calrig.calibration.channels import BoolArray
 from calrig.calibration.pose import Pose
@@ -99,6 +98,8 @@ def lack_of_fit(
         lag1_correlation: of the residual from pose to pose.
         rounding_deg: what arithmetic alone leaves of a reading: no error counts as smaller.
     """
+    from scipy.special import fdtrc
+
     judged = residual_deg[~free]
     left = max(len(judged) - parameters, 1.0)
     residual = Spread(math.sqrt(float(judged @ judged) / left), left)
@@ -177,6 +178,8 @@ def _revisits(
 
 def _together(dwell: Spread, revisits: Spread) -> Spread:
     """Both pooled where they agree; else, where revisits differ by more, what the rig repeats to."""
+    from scipy.special import fdtrc
+
     ratio = (revisits.std_deg / dwell.std_deg) ** 2
     if fdtrc(revisits.freedom, dwell.freedom, ratio) < LEVEL:
         return revisits

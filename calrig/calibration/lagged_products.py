@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dsygvd
 
 from calrig.calibration.channels import BoolArray
 from calrig.estimation.angles import FloatArray
@@ -44,6 +43,8 @@ class LaggedProducts:
 
     def noises(self, parameters: float) -> tuple[FloatArray, FloatArray]:
         """(b, J, J) rotations and (b, J) correlations of residuals of a fit that took so many per channel."""
+        from scipy.linalg.lapack import dsygvd
+
         covariance = self.same / max(self.n - parameters, 1.0)
         diagonal = np.einsum("bjj->bj", covariance)
         diagonal += ALIKE * diagonal + self.floor

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import stdtrit
 
 from calrig.calibration.variance_components import IntArray, Layout, variance_components
 from calrig.estimation.angles import FloatArray
@@ -94,6 +93,8 @@ def outlying(difference: FloatArray, variance: FloatArray) -> BoolArray:
         difference: (K,) of repeats.
         variance: (K,) what is known of each.
     """
+    from scipy.special import stdtrit
+
     size, n = np.abs(difference), len(difference)
     out = np.zeros(n, dtype=bool)
     if n < FEWEST_REPEATS:

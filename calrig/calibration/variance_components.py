@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import cholesky, solve_triangular
 
 from calrig.estimation.angles import FloatArray
 
@@ -136,6 +135,8 @@ class _Likelihood:
         self._beside[:, -2], self._beside[:, -1] = 1.0, value
 
     def __call__(self, variances: FloatArray) -> float:
+        from scipy.linalg import cholesky, solve_triangular
+
         unit, rig, day, run = variances
         of_run = run + self._known + LEAST_VARIANCE
         x, log_det = self._products(1.0 / of_run, day)

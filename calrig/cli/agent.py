@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import calrig
+from calrig.cli.help_listing import Listed
 from calrig.cli.options import Config, Record
+from calrig.cli.start import loaded
 
 if TYPE_CHECKING:
     import socket
@@ -18,7 +20,11 @@ if TYPE_CHECKING:
     from calrig.api.access import Access
     from calrig.runs.service import RunService
 
-app = typer.Typer(help="Carry out the runs of this machine's rigs for a centre.", invoke_without_command=True)
+app = typer.Typer(
+    cls=Listed,
+    help="Carry out the runs of this machine's rigs for a centre.",
+    invoke_without_command=True,
+)
 
 SPOOL = "spool.db"
 
@@ -99,6 +105,7 @@ def _work(service: RunService, url: str, listener: socket.socket | None, access:
     with closing(Agent(service, url)) as at_work:
         at_work.start()
         if listener is None or access is None:
+            loaded()
             typer.echo(f"calrig {calrig.__version__}, rigs: {rigs}")
             threading.Event().wait()
             return
@@ -109,4 +116,5 @@ def _work(service: RunService, url: str, listener: socket.socket | None, access:
         host, port = listener.getsockname()[:2]
         where = f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
         said = f"calrig {calrig.__version__} at {where}, rigs: {rigs}{what_is_asked(app)}"
+        loaded()
         Server(app, lambda: typer.echo(said)).run(sockets=[listener])

@@ -7,8 +7,8 @@ import sys
 from typing import Any, NoReturn
 
 import typer
-from typer.core import TyperGroup
 
+from calrig.cli.help_listing import Listed
 from calrig.errors import printable
 
 NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
@@ -26,7 +26,7 @@ STATUS = {
 """Exit status by kind of error; by name, for importing them all would take a second to say one line."""
 
 
-class Commands(TyperGroup):
+class Commands(Listed):
     """The commands: what a user can cause ends in one line on standard error, never in a traceback."""
 
     def invoke(self, ctx: Any) -> Any:

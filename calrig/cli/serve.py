@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 from contextlib import AbstractContextManager, ExitStack, closing, suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -13,6 +12,7 @@ import typer
 import calrig
 from calrig.cli.input_files import in_utf8
 from calrig.cli.options import Config, Db, Record
+from calrig.cli.start import loaded
 
 if TYPE_CHECKING:
     import socket
@@ -98,7 +98,7 @@ def _serve_on(
                 f"calrig {calrig.__version__} at {where}, store {in_utf8(shown(url))}, rigs: {rigs}{asks}"
             )
 
-        gc.freeze()  # what was imported lives to the end: no collection need look at it, the last one neither
+        loaded()
         # On SIGINT and SIGTERM uvicorn stops in order, then raises what it was told by.
         Server(app, say_ready).run(sockets=[listener])
 

@@ -8,6 +8,7 @@ from urllib.parse import quote
 
 import typer
 
+from calrig.cli.help_listing import Listed
 from calrig.cli.options import Db, Json, Server
 from calrig.errors import WorkError
 
@@ -17,7 +18,8 @@ if TYPE_CHECKING:
     from calrig.store.users import User
 
 app = typer.Typer(
-    help="Keep users and their roles, in the store or at a running service.",
+    cls=Listed,
+    help="Manage users and their roles, in the store or at a running service.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -68,7 +70,7 @@ def add(
 
 @app.command("token")
 def token(name: Name, db: Db = None, server: Server = None) -> None:
-    """Give a user a new token and print it; the one before opens nothing any more."""
+    """Give a user a new token and print it; the one before is revoked."""
     if server:
         from calrig.client.transport import part
 
@@ -96,7 +98,7 @@ def role(
 
 @app.command("disable")
 def disable(name: Name, db: Db = None, server: Server = None) -> None:
-    """Let a user in no more; what they did stays theirs."""
+    """Disable a user's token and logins; what they did stays theirs."""
     if server:
         _client(server).post(f"{_path(name)}/disable", {})
     else:

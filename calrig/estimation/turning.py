@@ -25,11 +25,15 @@ LATE = 6.0
 AT_THE_END_S = 0.1
 """Before the stage slows down: a worm of 0.1° and 7.2° changes its slope by 4 % in that time at 5 °/s."""
 NEARLY = 0.95
+EARLIER = 0.25
+"""Of the time that the rate takes to fall: so much sooner than it is seen to, it may have begun."""
 STANDS_S = 0.1
 """After the rate has fallen: longer, the gyro's noise and bias add up."""
 LOCAL = 20
 """Samples that tell the rate of a turn before it ends."""
 FEWEST_REPORTS = 5
+AGREE = 4.0
+"""Standard deviations within which the delays of two passes are one; a busy machine makes them two."""
 RATE_DECIMALS = 6
 """Finer than any chip's step: what differs by less is one value."""
 
@@ -61,19 +65,31 @@ class EvenTurn:
         return self.at_s + (elevation_deg - self.at_deg) / self.velocity_dps
 
 
-def board_time_s(host_s: FloatArray, seen_s: FloatArray) -> FloatArray:
-    """Times of the host as times of the board, but for a constant.
+@dataclass(frozen=True, slots=True)
+class ClockLine:
+    """The board's clock by the host's: board = offset_s + slope·host, but for a constant."""
+
+    slope: float
+    offset_s: float
+
+    def board_s(self, host_s: FloatArray) -> FloatArray:
+        """The board's times for the host's."""
+        return np.asarray(self.offset_s + self.slope * host_s, dtype=np.float64)
+
+    def host_s(self, board_s: float) -> float:
+        """The host's time for one of the board's."""
+        return (board_s - self.offset_s) / self.slope
+
+
+def clock_line(seen_s: FloatArray) -> ClockLine:
+    """The line that takes times of the host to times of the board, but for a constant.
 
     No sample is seen before it was taken: the line lies above all pairs, as near to them as it can (Moon,
     Skelly & Towsley, Estimation and removal of clock skew from network delay measurements, INFOCOM 1999).
     What was held up on its way, or waited in a block, moves it nowhere.
 
     Args:
-        host_s: (m,) times by the host's clock.
         seen_s: (k, 2) the host's clock, and the board's at the last sample seen by then.
-
-    Returns:
-        (m,)
     """
     from scipy.optimize import linprog
 
@@ -84,14 +100,14 @@ def board_time_s(host_s: FloatArray, seen_s: FloatArray) -> FloatArray:
     if not line.success:
         raise ValueError("the board's clock does not go on with the host's")
     slope, offset = (float(one) for one in np.asarray(line.x))
-    return np.asarray(slope * (host_s - about_s[0]) + offset + about_s[1], dtype=np.float64)
+    return ClockLine(slope, float(offset + about_s[1] - slope * about_s[0]))
 
 
 def even_turn(time_s: FloatArray, reported_deg: FloatArray, from_deg: float, to_deg: float) -> EvenTurn:
     """The straight line through the reports between two elevations, in the order turned.
 
     Args:
-        time_s: (m,) of the reports, by the board's clock (`board_time_s`).
+        time_s: (m,) of the reports, by the board's clock (`clock_line`).
         reported_deg: (m,) elevations.
         from_deg: from here on the stage turns evenly,
         to_deg: and up to here.
@@ -138,10 +154,14 @@ class Felt:
         gain: the rate that it gives over the rate that the stage reports.
         behind_s: by how much the stage's reports are behind the samples; a sample at t belongs to the
             elevation reported for t + behind_s.
+        behind_std_s: what the gyro's noise makes of that.
+        stands_s: when the turn comes to its stand at the velocity of its last instants.
     """
 
     gain: float
     behind_s: float
+    behind_std_s: float
+    stands_s: float
 
 
 def felt_turn(time_s: FloatArray, rate_dps: FloatArray, turn: EvenTurn, stands_deg: float) -> Felt:
@@ -163,11 +183,33 @@ def felt_turn(time_s: FloatArray, rate_dps: FloatArray, turn: EvenTurn, stands_d
     turned_deg = float(np.trapezoid(rate_dps[first : last + 1], time_s[first : last + 1]))
     gain = turned_deg / (turn.velocity_dps * (time_s[last] - time_s[first]))
     slows, stands = _slows_and_stands(rate_dps, last)
+    slows -= math.ceil(EARLIER * (stands - slows))
     stands = min(int(np.searchsorted(time_s, time_s[stands] + STANDS_S)), len(time_s) - 1)
     begins = int(np.searchsorted(time_s, time_s[slows] - AT_THE_END_S))
     to_come_deg = float(np.trapezoid(rate_dps[begins : stands + 1], time_s[begins : stands + 1]))
-    stands_s = time_s[begins] + to_come_deg / rate_dps[begins : slows + 1].mean()
-    return Felt(gain, turn.time_s(stands_deg) - float(stands_s))
+    last_dps = float(rate_dps[begins : slows + 1].mean())
+    stands_s = float(time_s[begins] + to_come_deg / last_dps)
+    noise_dps = float(np.std(np.diff(rate_dps[first : last + 1]))) / math.sqrt(2.0)
+    # What is before it slows down counts in the way to come and in the velocity, and all but cancels out.
+    behind_std_s = noise_dps * math.sqrt(stands - slows) * float(np.median(np.diff(time_s))) / abs(last_dps)
+    return Felt(gain, turn.time_s(stands_deg) - stands_s, behind_std_s, stands_s)
+
+
+def common_delay_s(stands_s: FloatArray, clocks: ClockLine, std_s: float) -> float:
+    """By how much the stage's reports are behind the samples, by all passes that agree with the last.
+
+    An error of it shifts a pass upward by as much as one downward the other way: what both have in common
+    leaves the bias alone, what each had of its own would not, and no scatter of the poses would show it.
+
+    Args:
+        stands_s: (k, 2) of each pass when it came to its stand: by the reports, in the host's time
+            (`ClockLine.host_s`), and by the gyro, in the board's (`Felt.stands_s`).
+        clocks: as they are known by now.
+        std_s: of one (`Felt.behind_std_s`).
+    """
+    behind_s = clocks.board_s(stands_s[:, 0]) - stands_s[:, 1]
+    agree = np.abs(behind_s - behind_s[-1]) <= AGREE * math.sqrt(2.0) * std_s
+    return float(behind_s[agree].mean())
 
 
 def _slows_and_stands(rate_dps: FloatArray, even: int) -> tuple[int, int]:

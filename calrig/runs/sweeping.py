@@ -15,7 +15,7 @@ import numpy as np
 
 from calrig.calibration.motor_vibration import EndDifference, disturbing, end_differences
 from calrig.estimation.reading import Reading
-from calrig.estimation.turning import Felt, scatter_g
+from calrig.estimation.turning import Felt, clock_line, common_delay_s, scatter_g
 from calrig.instruments.errors import BoardError, StageError
 from calrig.plan import Plan, PlannedPose
 from calrig.runs.mounting import Mount
@@ -42,6 +42,7 @@ class Sweeping:
     Attributes:
         ends: turning less standing, by all poses so far.
         felt: of each pass.
+        stands_s: of each pass, as `common_delay_s` has them.
         scatter_g: of the accelerometer in each pass, turning and standing, RMS.
     """
 
@@ -50,6 +51,7 @@ class Sweeping:
     taking: PoseTaking
     ends: list[EndDifference] = field(default_factory=list)
     felt: list[Felt] = field(default_factory=list)
+    stands_s: list[tuple[float, float]] = field(default_factory=list)
     scatter_g: list[tuple[float, float]] = field(default_factory=list)
 
     def carry_out(self, planned: list[PlannedPose]) -> None:
@@ -144,7 +146,8 @@ class Sweeping:
             )
         bias_dps = taking.gyro.bias_with_dps(dwell)
         try:
-            turn = seen.even_turn(axis.run_up_deg() + RUN_UP_S * self.plan.turn_dps, pace.clocks)
+            clocks = clock_line(np.array(pace.clocks))
+            turn = seen.even_turn(axis.run_up_deg() + RUN_UP_S * self.plan.turn_dps, clocks)
         except ValueError as error:
             raise StageError(
                 f"the stage turned from {seen.from_deg:g}° to {seen.to_deg:g}° at {self.plan.turn_dps:g}°/s: "
@@ -152,7 +155,7 @@ class Sweeping:
             ) from error
         turned = TurnedPass(
             kept, pace.stood_at_s, dwell_s, seen.from_deg, pace.stage_deg or seen.to_deg, turn,
-            taking.gyro.along, bias_dps, taking.noise, pace.rate_hz,
+            clocks, taking.gyro.along, bias_dps, taking.noise, pace.rate_hz,
         )  # fmt: skip
         if (short := turned.too_short(passed[:-1])) is not None:
             raise StageError(
@@ -170,10 +173,15 @@ class Sweeping:
         return turned
 
     def _keep(self, turned: TurnedPass, passed: list[PlannedPose], reading: Reading) -> None:
-        """Makes and stores the poses that are not stored yet, by the gain of all passes and its own delay."""
+        """Makes and stores the poses that are not stored yet, by gain and delay of all passes so far."""
         taking = self.taking
         self.felt.append(turned.felt())
-        felt = replace(self.felt[-1], gain=float(np.mean([one.gain for one in self.felt])))
+        self.stands_s.append(turned.stand_s())
+        felt = replace(
+            self.felt[-1],
+            gain=float(np.mean([one.gain for one in self.felt])),
+            behind_s=common_delay_s(np.array(self.stands_s), turned.clocks, self.felt[-1].behind_std_s),
+        )
         bias_std_dps = taking.gyro.dwelt(turned.dwell)
         self.scatter_g.append((scatter_g(turned.even_samples.accel_g), scatter_g(turned.dwell.accel_g)))
         for taken in turned.poses(passed, reading, felt, self.plan.settle_s):

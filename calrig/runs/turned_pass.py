@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,9 +15,9 @@ from calrig.estimation.kalman import KalmanNoise
 from calrig.estimation.reading import Reading, dwell_reading
 from calrig.estimation.turning import (
     FEWEST_REPORTS,
+    ClockLine,
     EvenTurn,
     Felt,
-    board_time_s,
     even_turn,
     felt_turn,
     filter_lag_deg,
@@ -57,8 +57,8 @@ class Seen:
         if not math.isnan(motion.asked_s[0]):
             self.reports.append((*motion.asked_s, motion.elevation_deg))
 
-    def even_turn(self, run_up_deg: float, clocks: Iterable[tuple[float, float]]) -> EvenTurn:
-        """The part between run-up and slowing down, in the board's time; `clocks` as `board_time_s` has them.
+    def even_turn(self, run_up_deg: float, clocks: ClockLine) -> EvenTurn:
+        """The part between run-up and slowing down, in the board's time.
 
         Of the reports, those whose answer came as fast as of the fastest quarter (of a slow stage: as of the
         fewest that make a line): of the others it is not known so well of when they are.
@@ -74,8 +74,7 @@ class Seen:
         share = min(1.0, max(0.25, 2 * FEWEST_REPORTS / len(took_s)))
         quick_s = float(np.quantile(took_s, share))
         prompt = took_s <= min(PROMPT * quick_s, quick_s + PROMPT_S) + 1e-9
-        host_s, angles_deg = (asked_s + took_s / 2)[prompt], angles_deg[prompt]
-        times_s = board_time_s(host_s, np.array(list(clocks), dtype=np.float64))
+        times_s, angles_deg = clocks.board_s((asked_s + took_s / 2)[prompt]), angles_deg[prompt]
         near_deg, far_deg = self.from_deg + sense * run_up_deg, self.to_deg - sense * run_up_deg
         turn = even_turn(times_s, angles_deg, near_deg, far_deg)
         if turn.scatter_deg > UNEVEN_S * abs(turn.velocity_dps) or turn.velocity_dps * sense <= 0.0:
@@ -114,6 +113,7 @@ class TurnedPass:
         stood_s, dwell_s: when it began, and begin and end of the dwell.
         from_deg, stands_deg: where the stage stood before and stands now.
         turn: by the stage's reports.
+        clocks: which took their times to the board's.
         along: the gyro's axis that lies along the stage's.
         bias_dps: of that axis.
         noise, rate_hz: of the filter.
@@ -125,6 +125,7 @@ class TurnedPass:
     from_deg: float
     stands_deg: float
     turn: EvenTurn
+    clocks: ClockLine
     along: int
     bias_dps: float
     noise: KalmanNoise
@@ -135,6 +136,10 @@ class TurnedPass:
         samples = self.kept.between(self.stood_s, self.dwell_s[0]).samples
         rate_dps = samples.gyro_dps[:, self.along] - self.bias_dps
         return felt_turn(samples.time_s, rate_dps, self.turn, self.stands_deg)
+
+    def stand_s(self) -> tuple[float, float]:
+        """When it came to its stand: by the reports, in the host's time, and by the gyro, in the board's."""
+        return self.clocks.host_s(self.turn.time_s(self.stands_deg)), self.felt().stands_s
 
     @property
     def hidden_dps(self) -> float:
@@ -195,7 +200,7 @@ class TurnedPass:
         Args:
             planned: the stretches and the dwell.
             reading: of the dwell.
-            felt: the gyro's gain, what the filter shows of which is taken off, and this pass's own delay.
+            felt: the gyro's gain, what the filter shows of which is taken off, and the delay.
             settle_s: before the dwell.
         """
         whole = self.kept.samples

@@ -51,17 +51,25 @@ class SimulatedRig:
         settings: what it is made of.
         virtual: time for a rig whose ports are in this process (`sim://`); without it they are the system's,
             and time is the wall's.
+        now_s: seconds of the wall, which never go back.
     """
 
-    def __init__(self, settings: SimulatorSettings, virtual: VirtualClock | None = None) -> None:
+    def __init__(
+        self,
+        settings: SimulatorSettings,
+        virtual: VirtualClock | None = None,
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
         self.settings = settings
-        self.clock = ScaledClock(settings.time_scale, time.monotonic if virtual is None else virtual.now_s)
+        self.clock = ScaledClock(settings.time_scale, now_s if virtual is None else virtual.now_s)
         self.bench = Bench(settings)
         self.stage = stage_of(settings.stage.driver)(settings.stage, self.bench, self.clock)
         self.board = board_of(settings.board.sketch)(settings.board, settings.imu, self.bench, self.clock)
         self.stage_driver, self.imu_driver = settings.stage.driver, self.board.driver
         self.stage_wire = _plugged(self.stage, "stage", settings, virtual)
-        self.board_wire = _plugged(self.board, "board", settings, virtual, self.board.most_waiting_bytes)
+        self.board_wire = _plugged(
+            self.board, "board", settings, virtual, self.board.most_waiting_bytes, self.board.opened
+        )
         self.stage_port, self.imu_port = self.stage_wire.url, self.board_wire.url
         self.clamp_wire: Wire | SimWire | None = None
         if settings.clamp is not None:
@@ -103,7 +111,8 @@ def _plugged(
     settings: SimulatorSettings,
     virtual: VirtualClock | None,
     most_waiting_bytes: int = MOST_WAITING_BYTES,
+    opened: Callable[[], None] = lambda: None,
 ) -> Wire | SimWire:
     if virtual is not None:
-        return SimWire(device, name, virtual, most_waiting_bytes)
-    return Wire(device, open_port(settings.ports), f"simulated {name}", most_waiting_bytes)
+        return SimWire(device, name, virtual, most_waiting_bytes, opened)
+    return Wire(device, open_port(settings.ports, opened), f"simulated {name}", most_waiting_bytes)

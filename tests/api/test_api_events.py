@@ -6,6 +6,7 @@ import itertools
 import json
 import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 import httpx
 import pytest
@@ -93,13 +94,8 @@ def test_many_watchers_of_one_run_all_see_the_same_and_are_woken_by_one_call(ser
     subscribe = service.bus.subscribe
     monkeypatch.setattr(service.bus, "subscribe", lambda *of: subscribed.append(of) or subscribe(*of))
     run_id = start(client)
-    logs: list[list] = []
-    watchers = [threading.Thread(target=lambda: logs.append(read(client, run_id))) for _ in range(5)]
-    for watcher in watchers:
-        watcher.start()
-    for watcher in watchers:
-        watcher.join(60)
-    assert len(logs) == 5
+    with ThreadPoolExecutor(5) as watchers:
+        logs = list(watchers.map(lambda _: read(client, run_id), range(5)))
     assert all(log == logs[0] for log in logs)
     assert len(subscribed) < 5
 
@@ -148,7 +144,7 @@ def test_a_service_that_stops_ends_its_streams(service):
                     log.append(event)
                     first.set()
 
-        watcher = threading.Thread(target=watch)
+        watcher = threading.Thread(target=watch, daemon=True)
         watcher.start()
         assert first.wait(60)
     watcher.join(60)

@@ -12,9 +12,9 @@ import os
 import re
 import subprocess
 import sys
-import threading
 import zipfile
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -233,11 +233,8 @@ def test_eight_large_uploads_at_once_take_turns(served):
     answers: list[tuple[int, str]] = []
 
     def all_at_once() -> None:
-        crowd = [threading.Thread(target=lambda: answers.append(served.upload(bad))) for _ in range(8)]
-        for one in crowd:
-            one.start()
-        for one in crowd:
-            one.join()
+        with ThreadPoolExecutor(8) as crowd:
+            answers.extend(crowd.map(lambda _: served.upload(bad), range(8)))
 
     grown_mb, _ = served.grown_mb(all_at_once)
     assert [status for status, _ in answers] == [422] * 8

@@ -20,9 +20,9 @@ PATIENCE_S = 0.4
 
 @pytest.fixture(scope="module")
 def hurried(rig, tmp_path_factory):
-    """A client of a service whose patience is short, and a run whose events have not ended."""
+    """A client of a service whose patience with a request that it has begun to hear is short."""
     with pytest.MonkeyPatch.context() as patch, ExitStack() as stack:
-        for name in ("HEAD_S", "REST_S", "UNREAD_S"):
+        for name in ("REST_S", "UNREAD_S"):
             patch.setattr(connections, name, PATIENCE_S)
         patch.setattr(limits, "GRACE_S", PATIENCE_S)
         path = tmp_path_factory.mktemp("hurried") / "calrig.db"
@@ -46,7 +46,8 @@ def dribble(one, text):
             one.settimeout(60)
 
 
-def test_a_head_that_comes_a_byte_at_a_time_is_408(hurried):
+def test_a_head_that_comes_a_byte_at_a_time_is_408(hurried, monkeypatch):
+    monkeypatch.setattr(connections, "HEAD_S", PATIENCE_S)
     with connected(hurried) as one:
         dribble(one, b"GET /api/health HTTP/1.1\r\nX-Slow: " + b"x" * 10_000)
         answer = everything(one)
@@ -54,7 +55,8 @@ def test_a_head_that_comes_a_byte_at_a_time_is_408(hurried):
     assert "did not come within" in json.loads(answer.split(b"\r\n\r\n")[1])["detail"]
 
 
-def test_a_connection_that_asks_for_nothing_is_closed(hurried):
+def test_a_connection_that_asks_for_nothing_is_closed(hurried, monkeypatch):
+    monkeypatch.setattr(connections, "HEAD_S", PATIENCE_S)
     with connected(hurried) as one:
         assert everything(one) == b""
 

@@ -9,7 +9,7 @@ from typing import Any
 import httpx
 import pytest
 from endless_work import for_ever, working
-from support import POSES, imported, running_service, serving, wait_for
+from support import PATIENCE_S, POSES, imported, running_service, serving, wait_for
 
 from calrig.analysis import diagnoses
 from calrig.api import heavy, job
@@ -135,9 +135,9 @@ def test_the_oldest_of_many_that_ended_are_forgotten(shared_client, monkeypatch)
     assert [shared_client.get(path).status_code for path in paths] == [404, 404, 200, 200]
 
 
-def test_what_is_done_within_two_seconds_is_answered_as_ever(shared_client):
+def test_what_is_done_soon_enough_is_answered_as_ever(shared_client, monkeypatch):
+    monkeypatch.setattr(heavy, "AT_ONCE_S", PATIENCE_S)  # two seconds are over soon on a busy machine
     file = {"file": ("p.csv", POSES)}
-    imported(shared_client, "AS-1")  # a process for it is there
     answer = shared_client.post("/api/imports", files=file, data={"unit": "D"}, params={"wait": "false"})
     assert (answer.status_code, answer.json()["unit"]) == (201, "D")
 

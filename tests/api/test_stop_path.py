@@ -97,7 +97,7 @@ def test_the_service_ends_its_runs_though_every_thread_is_taken_and_its_requests
                 ended.append(service.wait(run["id"], None).status)
                 release.set()  # without which the server cannot end
 
-            watcher = threading.Thread(target=watch)
+            watcher = threading.Thread(target=watch, daemon=True)
             watcher.start()
         watcher.join(60)
     assert ended == ["interrupted"]

@@ -128,7 +128,7 @@ def _live(n_boards: int, rate_hz: int, seconds: float) -> tuple[float, float, in
                 came[k] += stream.pump(LOOK_S)
                 cut_s = _cut_when_due(stream, cut_s)
 
-        threads = [threading.Thread(target=follow, args=(k,)) for k in range(n_boards)]
+        threads = [threading.Thread(target=follow, args=(k,), daemon=True) for k in range(n_boards)]
         for thread in threads:
             thread.start()
         enough.wait()

@@ -12,7 +12,7 @@ from pathlib import Path
 import httpx
 import psycopg
 import pytest
-from support import PATIENCE_S, QUICK, ended, serving, wait_for
+from support import PATIENCE_S, QUICK, ended, program, serving, wait_for
 from table_bench import MakeCentre, Measured, TableBench
 
 import calrig
@@ -79,7 +79,7 @@ def test_what_one_process_unpacks_the_watchers_of_another_see(
                         told.append(int(line.removeprefix("id:")))
                         began.set()
 
-        watching = threading.Thread(target=watch)
+        watching = threading.Thread(target=watch, daemon=True)
         watching.start()
         assert began.wait(PATIENCE_S)
         for parcel in measured.parcels[1:]:
@@ -140,10 +140,7 @@ ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(calrig.__file__).parents[1])
 
 
 def test_calrig_serve_on_a_database_is_a_centre(url: str, bench: TableBench, tmp_path: Path):
-    command = [*CALRIG, "serve", "--port", "0", "--db", url]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, text=True, cwd=tmp_path, env=ENVIRONMENT
-    ) as process:
+    with program(*CALRIG, "serve", "--port", "0", "--db", url, cwd=tmp_path, env=ENVIRONMENT) as process:
         assert process.stdout is not None
         said = process.stdout.readline()
         assert "rigs: bench-1" in said
@@ -153,6 +150,7 @@ def test_calrig_serve_on_a_database_is_a_centre(url: str, bench: TableBench, tmp
             assert [rig["bench"] for rig in client.get("/api/rigs").json()] == ["hall-2"]
             assert client.post("/api/runs", json={"unit": "A", "plan": QUICK}).json()["status"] == "queued"
         process.terminate()
+        assert process.wait(PATIENCE_S) == 0
     assert [job[3] for job in bench.jobs()] == ["todo"]
 
 

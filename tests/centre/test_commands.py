@@ -34,8 +34,10 @@ def answering(
 
     with ThreadPoolExecutor(1) as beside:
         answers = beside.submit(answer)
-        yield asked
-        over.set()
+        try:
+            yield asked
+        finally:
+            over.set()
         answers.result()
 
 

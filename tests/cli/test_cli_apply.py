@@ -5,13 +5,13 @@ from __future__ import annotations
 import csv
 import io
 import json
-import threading
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import numpy as np
 import pytest
 from command_line import calrig, reason
 from issued_documents import issued
+from support import at_work
 from typer.testing import CliRunner
 
 import calrig as package
@@ -118,12 +118,8 @@ def test_the_token_does_not_follow_a_redirection_to_another_address(folder, docu
             """Says nothing."""
 
     monkeypatch.setenv("CALRIG_TOKEN", "secret")
-    with HTTPServer(("127.0.0.1", 0), Service) as server:
-        thread = threading.Thread(target=server.serve_forever, args=(0.01,))
-        thread.start()
+    with at_work(HTTPServer(("127.0.0.1", 0), Service)) as server:
         unit = package.load(f"http://127.0.0.1:{server.server_port}/here").unit
-        server.shutdown()
-        thread.join()
     assert unit == "AS-0042"
     assert heard == [("/here", "Bearer secret"), ("/elsewhere", None)]
 

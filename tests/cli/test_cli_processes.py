@@ -13,11 +13,12 @@ import signal
 import subprocess
 import sys
 from contextlib import contextmanager
+from pathlib import Path
 
 import httpx
 import pytest
 from command_line import RIG, calrig
-from support import LONG, QUICK
+from support import LONG, QUICK, program
 
 from calrig.store import Store
 
@@ -48,12 +49,11 @@ def bench(folder):
 def on_a_terminal(*arguments):
     """A command whose standard error is a terminal: the process, and the terminal's other end."""
     near, far = pty.openpty()
-    with subprocess.Popen([*CALRIG, *arguments], stdout=subprocess.PIPE, stderr=far, text=True) as process:
+    with program(*CALRIG, *arguments, stderr=far) as process:
         os.close(far)
         try:
             yield process, near
         finally:
-            process.kill()
             os.close(near)
 
 
@@ -100,7 +100,7 @@ def test_sigterm_ends_any_command_as_ctrl_c_does(folder):
     endless = folder / "endless.csv"
     os.mkfifo(endless)
     with (
-        subprocess.Popen([*CALRIG, "noise", endless], stderr=subprocess.PIPE, text=True) as process,
+        program(*CALRIG, "noise", endless, stderr=subprocess.PIPE) as process,
         endless.open("wb"),  # once this is open, the command reads
     ):
         process.terminate()
@@ -111,16 +111,14 @@ def test_sigterm_ends_any_command_as_ctrl_c_does(folder):
 @contextmanager
 def served(*arguments):
     """`calrig serve` on a free port: the process, and a client of it."""
-    command = [*CALRIG, "serve", "--port", "0", *arguments]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        try:
-            line = process.stdout.readline()
-            assert "bench-1 (simulated)" in line, process.stderr.read()
-            (url,) = re.findall(r"http://[^, ]+", line)
-            with httpx.Client(base_url=url, timeout=60) as client:
-                yield process, client
-        finally:
-            process.kill()
+    with program(*CALRIG, "serve", "--port", "0", *arguments, stderr=subprocess.PIPE) as process:
+        line = process.stdout.readline()
+        assert "bench-1 (simulated)" in line, process.stderr.read()
+        if (maps := Path(f"/proc/{process.pid}/maps")).exists():
+            assert "/scipy/" not in maps.read_text(), "a fifth of a second that only analyses need"
+        (url,) = re.findall(r"http://[^, ]+", line)
+        with httpx.Client(base_url=url, timeout=60) as client:
+            yield process, client
 
 
 def begin_long_run(client):

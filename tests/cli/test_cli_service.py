@@ -57,7 +57,7 @@ def pressed_when(look):
         wait_for(look, "a moment for Ctrl-C")
         os.kill(os.getpid(), signal.SIGINT)
 
-    threading.Thread(target=press).start()
+    threading.Thread(target=press, daemon=True).start()
 
 
 def newest(client):
@@ -253,7 +253,7 @@ def test_a_run_of_another_program_is_watched_in_the_file(folder):
         given = {"plan": None, "provenance": {}, "poses": [Pose(0.0, 0.5)]}
         run = store.create_run(unit="A", rig=None, status="running", **given)
         said = []
-        watcher = threading.Thread(target=lambda: said.append(reason("watch", run.id, status=1)))
+        watcher = threading.Thread(target=lambda: said.append(reason("watch", run.id, status=1)), daemon=True)
         watcher.start()
         store.update_run(run.id, status="interrupted", error="the power went")
         watcher.join()

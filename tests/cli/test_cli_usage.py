@@ -21,6 +21,14 @@ def test_version():
     assert re.fullmatch(r"calrig \d+\.\d+\.\d+\n", calrig("--version").stdout)
 
 
+@pytest.mark.parametrize("group", [[], ["users"], ["bench"], ["agent"]])
+def test_a_list_of_commands_cuts_no_summary(group):
+    listed = calrig(*group, "--help").stdout.partition("Commands:")[2]
+    assert listed.strip()
+    assert "..." not in listed
+    assert max(len(line) for line in listed.splitlines()) <= 80
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -19,7 +19,7 @@ import psycopg
 import pytest
 from a_centre import Centre, connect, of
 from sqlalchemy import make_url
-from support import serving
+from support import at_work, serving
 from typer.testing import CliRunner, Result
 
 from calrig.cli.enroll import checked_by
@@ -119,7 +119,7 @@ def tls_in_front(client: httpx.Client, folder: Path) -> Iterator[str]:
                 certificate.wrap_socket(self.request, server_side=True) as outside,
                 socket.create_connection((client.base_url.host, client.base_url.port)) as inside,
             ):
-                back = threading.Thread(target=copy, args=(inside, outside))
+                back = threading.Thread(target=copy, args=(inside, outside), daemon=True)
                 back.start()
                 copy(outside, inside)
                 back.join()
@@ -130,12 +130,10 @@ def tls_in_front(client: httpx.Client, folder: Path) -> Iterator[str]:
                 sink.sendall(piece)
             sink.shutdown(socket.SHUT_WR)
 
-    with ThreadingTCPServer(("127.0.0.1", 0), Relay) as server:
-        threading.Thread(target=server.serve_forever).start()
-        try:
-            yield f"https://localhost:{server.server_address[1]}"
-        finally:
-            server.shutdown()
+    relay = ThreadingTCPServer(("127.0.0.1", 0), Relay)
+    relay.daemon_threads = True  # they go with their connections, which a test that fails may leave open
+    with at_work(relay):
+        yield f"https://localhost:{relay.server_address[1]}"
 
 
 def test_the_code_goes_by_tls_to_who_proves_to_be_the_centre(centre: Centre, tmp_path: Path) -> None:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from calrig.estimation.kalman import KalmanFilter, KalmanNoise
 from calrig.estimation.turning import (
-    board_time_s,
+    ClockLine,
+    clock_line,
+    common_delay_s,
     even_turn,
     felt_turn,
     filter_lag_deg,
@@ -20,13 +23,13 @@ RATE_HZ = 200.0
 FROM_DEG, TO_DEG, VELOCITY_DPS, ACCELERATION_DPS2 = -30.0, 30.0, 5.0, 80.0
 
 
-def reported_deg(time_s: np.ndarray) -> np.ndarray:
+def reported_deg(time_s: np.ndarray, acceleration_dps2: float = ACCELERATION_DPS2) -> np.ndarray:
     """A trapezoid from FROM_DEG, begun at 1 s, to TO_DEG."""
-    ramp_s = VELOCITY_DPS / ACCELERATION_DPS2
+    ramp_s = VELOCITY_DPS / acceleration_dps2
     ends_s = (TO_DEG - FROM_DEG) / VELOCITY_DPS + ramp_s
     t = np.clip(time_s - 1.0, 0.0, ends_s)
     up, down = np.minimum(t, ramp_s), np.maximum(t - ends_s + ramp_s, 0.0)
-    return FROM_DEG + ACCELERATION_DPS2 * (up**2 / 2 - down**2 / 2) + VELOCITY_DPS * (t - up)
+    return FROM_DEG + acceleration_dps2 * (up**2 / 2 - down**2 / 2) + VELOCITY_DPS * (t - up)
 
 
 def table_deg(time_s: np.ndarray, worm_deg: float) -> np.ndarray:
@@ -42,7 +45,7 @@ def test_the_hosts_time_becomes_the_boards_whatever_waited_on_its_way(boards_sec
     taken_s = host_s - rng.exponential(0.01, 400)  # the last sample that is there, from some time before
     taken_s[100:140] -= np.linspace(1.0, 0.0, 40)  # a machine that was busy elsewhere
     board_s = boards_seconds * (taken_s - 1e5)
-    found = board_time_s(host_s, np.column_stack([host_s, board_s]))
+    found = clock_line(np.column_stack([host_s, board_s])).board_s(host_s)
     off_s = found - boards_seconds * (host_s - 1e5)
     assert np.ptp(off_s) < 1e-3 * boards_seconds
 
@@ -59,6 +62,37 @@ def test_the_age_of_reports_shows_when_the_turn_ends(behind_s, worm_deg):
     felt = felt_turn(time_s, rate_dps, turn, TO_DEG)
     assert felt.behind_s == pytest.approx(behind_s, abs=0.001 if worm_deg == 0.0 else 0.003)
     assert felt.gain == pytest.approx(1.02, abs=0.0005 if worm_deg == 0.0 else 0.003)
+
+
+def test_passes_share_their_delay_but_for_one_that_a_busy_machine_held_up():
+    rng = np.random.default_rng(5)
+    clocks = ClockLine(1.01, -3.0)
+    board_s = np.arange(20.0, 200.0, 30.0)
+    behind_s = 0.02 + rng.normal(0.0, 5e-4, 6)
+    behind_s[2] += 0.05
+    stands_s = np.column_stack([[clocks.host_s(s) for s in board_s + behind_s], board_s])
+    others = np.delete(behind_s, 2)
+    assert common_delay_s(stands_s, clocks, 5e-4) == pytest.approx(others.mean(), abs=1e-9)
+    assert common_delay_s(stands_s[:3], clocks, 5e-4) == pytest.approx(behind_s[2], abs=1e-9)
+
+
+@pytest.mark.parametrize("acceleration_dps2", [20.0, 80.0])
+@pytest.mark.parametrize("filter_s", [0.0, 0.02])
+def test_a_delay_is_right_in_the_mean_and_scatters_as_is_said(acceleration_dps2, filter_s):
+    rng = np.random.default_rng(11)
+    fine_s = np.arange(0.0, 15.0, 1e-4)
+    rate_dps = np.gradient(reported_deg(fine_s, acceleration_dps2), fine_s)
+    kept = filter_s / (filter_s + 1e-4)  # so that it delays by filter_s
+    filtered_dps = lfilter([1.0 - kept], [1.0, -kept], rate_dps)
+    time_s = np.arange(0.0, 15.0, 1.0 / RATE_HZ)
+    sampled_dps = np.interp(time_s, fine_s, filtered_dps)
+    asked_s = np.arange(1.0, 13.5, 0.03)
+    turn = even_turn(asked_s, reported_deg(asked_s, acceleration_dps2), FROM_DEG + 2.0, TO_DEG - 2.0)
+    noise_dps = rng.normal(0.0, 0.05, (200, len(time_s)))
+    felt = [felt_turn(time_s, sampled_dps + one, turn, TO_DEG) for one in noise_dps]
+    off_s = np.array([one.behind_s for one in felt]) + filter_s
+    assert abs(off_s.mean()) < 1e-4  # half a thousandth of a degree
+    assert np.mean([one.behind_std_s for one in felt]) == pytest.approx(off_s.std(), rel=0.3)
 
 
 def test_what_a_gyro_that_gives_too_much_adds_is_what_the_filter_makes_of_it():

@@ -58,7 +58,9 @@ class FirmwareBoard:
                 stdout=subprocess.PIPE,
                 text=True,
             )
-        self._thread = threading.Thread(target=self._measure, name="physics of the firmware's sensor")
+        self._thread = threading.Thread(
+            target=self._measure, name="physics of the firmware's sensor", daemon=True
+        )
         self._thread.start()
         self.port = self._said()
 
@@ -88,7 +90,10 @@ class FirmwareBoard:
     ) -> None:
         assert self._process.stdin is not None and self._process.stdout is not None
         self._process.stdin.close()
-        self._process.wait(DEADLINE_S)
+        try:
+            self._process.wait(DEADLINE_S)
+        finally:
+            self._process.kill()
         self._process.stdout.close()
         self._thread.join()
         self._physics.close()

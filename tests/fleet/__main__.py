@@ -91,7 +91,7 @@ class _Memory:
     def __enter__(self) -> _Memory:
         self.most_mb = 0.0
         self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._look)
+        self._thread = threading.Thread(target=self._look, daemon=True)
         self._thread.start()
         return self
 

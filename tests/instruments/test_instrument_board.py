@@ -265,7 +265,7 @@ def test_the_driver_reads_over_a_socket_alike():
                         fake.t_us = 0
                         fake.stream(300)
 
-        serving = threading.Thread(target=serve)
+        serving = threading.Thread(target=serve, daemon=True)
         serving.start()
         board = CalrigBoard.open(f"socket://127.0.0.1:{server.getsockname()[1]}")
         board.identify()

@@ -136,7 +136,7 @@ def test_bytes_go_both_ways_over_rfc2217(server):
                 echo.write(b"".join(manager.filter(data)))
                 connection.sendall(b"".join(manager.escape(echo.read(1000))))
 
-    serving = threading.Thread(target=serve_an_echo)
+    serving = threading.Thread(target=serve_an_echo, daemon=True)
     serving.start()
     port = open_it(url_of(server).replace("socket", "rfc2217"))
     port.write(b"1TP0.5\r\n")

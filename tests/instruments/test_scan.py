@@ -156,7 +156,7 @@ def test_a_stage_and_a_board_on_terminals_are_found_side_by_side(listed):
             board.send(packet(1, json.dumps(IDENTITY).encode()))
             stage.send(b"Grbl 1.1h ['$' for help]\r\n")
 
-    speaker = threading.Thread(target=speak)
+    speaker = threading.Thread(target=speak, daemon=True)
     speaker.start()
     listed.append(adapter(board.path, "A10"))
     seen = {one.port: one for one in scan(["usb:A10", "usb:not-here", stage.path])}

@@ -7,7 +7,7 @@ into what is felt by the simulator's own physics, the gyro by a matrix.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -222,11 +222,6 @@ def drawn_cube_bench(
         earth_dps=tuple(15.041 / 3600.0 * earth),
         turns=turns,
     )
-
-
-def with_unit(bench: CubeBench, **changes: object) -> CubeBench:
-    """The bench with its unit changed."""
-    return replace(bench, unit=replace(bench.unit, **changes))  # type: ignore[arg-type]
 
 
 def as_csv(lots: list[Mounted]) -> str:

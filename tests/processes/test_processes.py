@@ -16,7 +16,7 @@ from functools import partial
 import psutil
 import pytest
 from pieces import in_steps
-from support import wait_for
+from support import program, wait_for
 
 from calrig.processes import child
 from calrig.processes.pool import MOST_WAITING, Processes, WorkLost, WorkRefused, WorkTooLarge, run_apart
@@ -145,7 +145,7 @@ asyncio.run(work())
 
 
 def test_a_process_does_not_outlive_a_parent_that_was_killed() -> None:
-    with subprocess.Popen([sys.executable, "-c", PARENT], stdout=subprocess.PIPE, text=True) as parent:
+    with program(sys.executable, "-c", PARENT) as parent:
         assert parent.stdout is not None
         worker = psutil.Process(int(parent.stdout.readline()))
         parent.kill()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import hmac
 import json
-import threading
 from collections.abc import Iterator
 from contextlib import closing
 from datetime import UTC, datetime, timedelta
@@ -14,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support import wait_for
+from support import at_work, wait_for
 
 from calrig.runs.service import RunService
 from calrig.runs.webhook import Webhook, secret_of
@@ -55,12 +54,8 @@ class Answering(BaseHTTPRequestHandler):
 
 @pytest.fixture
 def listener() -> Iterator[Listener]:
-    with Listener() as server:
-        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
-        thread.start()
+    with at_work(Listener()) as server:
         yield server
-        server.shutdown()
-        thread.join()
 
 
 @pytest.fixture

@@ -55,7 +55,7 @@ def test_the_writer_is_not_kept_waiting_and_the_copy_is_one_instant(tmp_path):
     with Store.open(url, writer="test", busy_timeout_s=0.5) as store:
         run = store.create_run(unit="A", rig="r", plan=None, status="running", provenance={})
         for copy in copies:
-            copying = threading.Thread(target=back_up, args=(url, copy))
+            copying = threading.Thread(target=back_up, args=(url, copy), daemon=True)
             copying.start()
             while True:
                 store.append_events(run.id, [("reading", {"half": 1}), ("reading", {"half": 2})])

@@ -5,12 +5,11 @@ from __future__ import annotations
 import functools
 import http.server
 import json
-import threading
 from pathlib import Path
 
 import numpy as np
 import pytest
-from support import LONG, PATIENCE_S, QUICK, ended, running_service, serving, wait_for
+from support import LONG, QUICK, at_work, ended, running_service, serving, wait_for
 
 from calrig.api.access import Access
 
@@ -141,12 +140,8 @@ def elsewhere():
             pass
 
     handler = functools.partial(Quiet, directory=Path(__file__).parent)
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-        thread = threading.Thread(target=server.serve_forever)
-        thread.start()
+    with at_work(http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)) as server:
         yield server.server_port
-        server.shutdown()
-        thread.join(PATIENCE_S)
 
 
 @pytest.mark.parametrize(

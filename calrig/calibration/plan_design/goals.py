@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from scipy.optimize import brentq
-
 from calrig.calibration.coverage import coverage_factor
 from calrig.calibration.uncertainty import Reference
 
@@ -56,6 +54,8 @@ class TypeB:
 
     def type_a_deg(self, expanded_deg: float, freedom: float) -> float:
         """The largest standard uncertainty of type A beside it; 0 where none is small enough."""
+        from scipy.optimize import brentq
+
         least_deg = 1e-6 * expanded_deg
         if self.expanded_deg(least_deg, freedom) >= expanded_deg:
             return 0.0
