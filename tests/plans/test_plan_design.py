@@ -93,7 +93,7 @@ def test_more_time_is_never_worth_less():
 
 @pytest.mark.parametrize("sweeping", [False, True])
 def test_what_is_said_to_be_needed_at_the_least_is_enough(sweeping):
-    task = trial.task(MAP, trace=True, sweeping=sweeping)
+    task = trial.task(MAP, trace=sweeping, sweeping=sweeping)
     with pytest.raises(OutOfReachError, match=r"5 s are too few: .* take \d+ s") as refused:
         within(task, 5.0)
     said_s = float(str(refused.value).split()[-2])
