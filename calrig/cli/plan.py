@@ -88,8 +88,10 @@ class _Asked:
 
 def _designed_there(there: Client, asked: _Asked) -> dict[str, Any]:
     from calrig.cli.progress import late_bar
+    from calrig.cli.run import require_rig
     from calrig.client import Invalid
 
+    require_rig(there, asked.rig)
     try:
         with late_bar(DOING) as show:
             found = there.plan(

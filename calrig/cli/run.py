@@ -49,6 +49,7 @@ def run(
     there = running_service(server, db)
     if there is not None:
         refuse_own_rigs("run", there, config, record)
+        require_rig(there, rig)
         _warn(there.estimate(the_plan, rig=rig, unit=unit).warnings)
         from calrig.cli.run_there import RunThere
 
@@ -81,6 +82,12 @@ def rig_named(settings: Settings, name: str | None) -> RigSettings:
     raise InputError(
         f"--rig: there is no rig {name!r}; configured: {', '.join(r.name for r in settings.rig)}"
     )
+
+
+def require_rig(there: Client, name: str | None) -> None:
+    """Raises InputError, as `rig_named` does, where a service has no rig of a name."""
+    if name is not None and name not in (known := [rig.name for rig in there.rigs()]):
+        raise InputError(f"{there.server}: --rig: there is no rig {name!r}; configured: {', '.join(known)}")
 
 
 def refuse_own_rigs(command: str, there: Client, config: str | None, record: Path | None) -> None:

@@ -44,6 +44,7 @@ class Sweeping:
         felt: of each pass.
         stands_s: of each pass, as `common_delay_s` has them.
         scatter_g: of the accelerometer in each pass, turning and standing, RMS.
+        restarts: of the board, by the last look.
     """
 
     plan: Plan
@@ -53,6 +54,7 @@ class Sweeping:
     felt: list[Felt] = field(default_factory=list)
     stands_s: list[tuple[float, float]] = field(default_factory=list)
     scatter_g: list[tuple[float, float]] = field(default_factory=list)
+    restarts: int = 0
 
     def carry_out(self, planned: list[PlannedPose]) -> None:
         """Homes the stage where it must be, dwells at one end, then takes the passes that are left.
@@ -76,6 +78,7 @@ class Sweeping:
             wait_before_sweep(self.plan, pace)
             taking.take(planned[0], self.plan.first_settle_s)
             pace.hold_while_paused()
+        self._began_anew()
         for passed in self._passes(planned):
             if passed[0].sweep > 0:
                 wait_before_sweep(self.plan, pace)
@@ -104,7 +107,7 @@ class Sweeping:
                 f"pose {end.index}", end.target_deg, self.plan.settle_s
             )
             self.pace.see_that_it_stands()
-            turned = self._turned(seen, passed, (start_s, end_s))
+            turned = None if self._began_anew() else self._turned(seen, passed, (start_s, end_s))
             if turned is not None:
                 self._keep(turned, passed, reading)
                 self.pace.forget(end_s)
@@ -115,6 +118,15 @@ class Sweeping:
             "of a stretch were missing, or the stage's reports came too late to be trusted; check cables and "
             "rate, and let this machine do nothing else meanwhile"
         )
+
+    def _began_anew(self) -> bool:
+        """Whether the board was reset since the last look: its time goes on by the host's, no line does."""
+        faults = self.pace.rig.board.faults
+        before, self.restarts = self.restarts, faults["board_reset"] + faults["restarted"]
+        if self.restarts != before:
+            self.pace.clocks.clear()
+            self.stands_s.clear()
+        return self.restarts != before
 
     def _go_to(self, from_deg: float) -> None:
         """Moves to where a pass begins, where the stage does not stand there."""

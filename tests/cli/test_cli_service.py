@@ -225,6 +225,10 @@ def test_a_unit_to_be_turned_is_asked_for_on_the_terminal(there, folder):
 def test_what_a_service_cannot_be_told_is_2_and_rigs_are_its(there, folder):
     for option in (("--record", "wires"), ("--config", "calrig.toml")):
         assert "holds the store" in reason("run", "--unit", "A", *option, status=2)
+    for command in (("run", "--unit", "A"), ("plan", "--time", "60")):
+        assert "no rig 'bench-9'; configured: bench-1, clamped" in reason(
+            *command, "--rig", "bench-9", status=2
+        )
     rigs = [(rig["name"], rig["state"]) for rig in json.loads(calrig("rigs", "--json").stdout)["rigs"]]
     assert rigs == [("bench-1", "idle"), ("clamped", "idle")]
     assert "ABSENT" in calrig("rigs", "--config", "calrig.toml").stdout

@@ -91,6 +91,17 @@ def test_more_time_is_never_worth_less():
     assert uncertainties == sorted(uncertainties, reverse=True)
 
 
+@pytest.mark.parametrize("sweeping", [False, True])
+def test_what_is_said_to_be_needed_at_the_least_is_enough(sweeping):
+    task = trial.task(MAP, trace=sweeping, sweeping=sweeping)
+    with pytest.raises(OutOfReachError, match=r"5 s are too few: .* take \d+ s") as refused:
+        within(task, 5.0)
+    said_s = float(str(refused.value).split()[-2])
+    assert within(task, said_s).duration_s == pytest.approx(said_s, abs=2.0)
+    with pytest.raises(OutOfReachError):
+        within(task, said_s - 1.0)
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_a_layout_visits_both_ends_and_comes_from_both_sides(seed):
     order = layout((-60.0, 40.0), 24, 4, 0.3, np.random.default_rng(seed))

@@ -104,6 +104,22 @@ def test_a_sweep_that_was_interrupted_goes_on_with_the_next_pass(
     assert ended.result is not None and ended.result["n_poses"] == 27
 
 
+def test_a_pass_in_which_the_board_was_reset_is_turned_anew(
+    make_rig: MakeRig, serve: Serve, store: Store
+) -> None:
+    rig = make_rig(time_scale=1.0, imu=QUIET)
+    service = serve(rig)
+    run = begin(service, SWEEP)
+    until(lambda: len(store.poses(run.id)) == 1 and rig.moves(), "the first pass", 60)
+    until(lambda: rig.table_deg(rig.now_s) > 0, "its middle", 60)
+    rig.simulated.board.reset()
+    ended = service.wait(run.id, 120)
+    assert (ended.status, ended.error) == ("completed", None)
+    assert (ended.faults["board_reset"], ended.faults["retried_pose"]) == (1, 1)
+    errors = [stored.pose.reading_deg - stored.pose.theta_deg - 0.8 for stored in store.poses(run.id)]
+    assert np.abs(errors).max() < 0.02
+
+
 def test_a_sweep_ends_after_the_pass_that_is_good_enough_and_pauses_between_passes(
     bench: TruthRig, serve: Serve, store: Store
 ) -> None:

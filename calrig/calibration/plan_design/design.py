@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -12,7 +13,6 @@ from calrig.calibration.plan_design import dwell_designs, sweep_designs
 from calrig.calibration.plan_design.goals import Goals
 from calrig.calibration.plan_design.task import (
     LONGEST_DWELL_S,
-    SHORTEST_DWELL_S,
     Design,
     OutOfReachError,
     Task,
@@ -63,10 +63,9 @@ def within(task: Task, time_s: float) -> Design:
     """The design of least uncertainty that takes no longer than a time; errors as of `quickest`."""
     found = [*dwell_designs.of_time(task, time_s), *sweep_designs.of_time(task, time_s)]
     if not found:
-        overheads_s = [dwell_designs.overhead_s(task, order) for order in dwell_designs.layouts(task)]
+        least_s = min(dwell_designs.least_s(task), sweep_designs.least_s(task))
         raise OutOfReachError(
-            f"{time_s:g} s are too few: the fewest poses and their moves take about "
-            f"{min(overheads_s) + SHORTEST_DWELL_S:.0f} s"
+            f"{time_s:g} s are too few: the fewest poses and their moves take {math.ceil(least_s)} s"
         )
     best = min(found, key=lambda d: (d.expanded_deg or 0.0, d.scale_std * 60.0 + d.bias_std_deg))
     return with_suspects(task, best) if task.trace else best

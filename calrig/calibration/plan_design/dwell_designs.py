@@ -63,6 +63,11 @@ def of_time(task: Task, time_s: float) -> Iterator[Design]:
             yield made(task, order, min(dwell_s, LONGEST_DWELL_S))
 
 
+def least_s(task: Task) -> float:
+    """What the quickest of them takes."""
+    return min(overhead_s(task, order) + len(order) * SHORTEST_DWELL_S for order in layouts(task))
+
+
 def first_good_enough(task: Task, goals: Goals, design: Design) -> Design:
     """As much of a design as its run takes that ends as soon as the goals are reached."""
     order = design.elevations_deg

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -48,6 +49,15 @@ def of_time(task: Task, time_s: float) -> Iterator[Design]:
         slower = replace(sweep, stretch_s=stretch_s)
         if stretch_s >= least_stretch_s(sweep, turning) and slower.duration_s(task.pace, turning) <= time_s:
             yield made(task, task.sweeping, slower)
+
+
+def least_s(task: Task) -> float:
+    """What the quickest of them takes; infinite where the rig may not sweep."""
+    if task.sweeping is None:
+        return math.inf
+    turning = task.sweeping.turning
+    shortest = (replace(one, stretch_s=rounded_up_s(least_stretch_s(one, turning))) for one in _tried(task))
+    return min((one.duration_s(task.pace, turning) for one in shortest), default=math.inf)
 
 
 def first_good_enough(task: Task, sweeping: Sweeping, goals: Goals, design: Design, sweep: Sweep) -> Design:
