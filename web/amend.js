@@ -11,7 +11,7 @@ export function amendments(run, path, ended) {
     may("operator") && ["note", "Add a note…", () => askNote(run, path)],
     ended && may("releaser") && ["move", "Correct the serial number…", () => askUnit(run, path)],
     ended && may("releaser") && !run.voided && ["void", "Void this run…", () => askVoid(run, path)],
-    ended && may("releaser") && run.voided && ["unvoid", "Count it again…", () => askUnvoid(run, path)],
+    ended && may("releaser") && run.voided && ["unvoid", "Reinstate this run…", () => askUnvoid(run, path)],
   ];
   return h(
     "div",
@@ -36,9 +36,9 @@ function askVoid(run, path) {
 function askUnvoid(run, path) {
   return askReason(
     {
-      title: `Count run ${runName(run.id)} again?`,
+      title: `Reinstate run ${runName(run.id)}?`,
       text: `It was voided: ${run.voided.reason}. From now on it is compared like any other.`,
-      action: "Count it again",
+      action: "Reinstate the run",
       kind: "primary",
     },
     (reason) => post(`${path}/unvoid`, { reason }),

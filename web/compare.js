@@ -105,7 +105,7 @@ function summary({ units, spread, repeatability }, draw) {
         "p",
         { class: "muted" },
         `The charts have ${COLOURS} colours: tick the units that are to have one, all others are grey. Before you do, `,
-        "those have one that changed.",
+        "the first of this table have them.",
       ),
     tableBox(
       "Units compared",
@@ -176,7 +176,7 @@ function spreadOf(name, { between_units_std: between, within_unit_std: within, s
       h(
         "p",
         {},
-        `Clamping anew adds ${significant(repeats.reclamping_std, 2, unit)}`,
+        `Re-clamping adds ${significant(repeats.reclamping_std, 2, unit)}`,
         isKnown(repeats.day_std) && `, the day ${significant(repeats.day_std, 2, unit)}`,
         " (over all units).",
       ),

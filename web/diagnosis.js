@@ -2,7 +2,7 @@
 
 import { ApiError, get } from "./api.js";
 import { Chart } from "./charts.js";
-import { errorLine, fill, h, runName } from "./dom.js";
+import { errorLine, fill, h, held, runName } from "./dom.js";
 import { plural, significant } from "./format.js";
 import { CANCELLED, LongWork } from "./longwork.js";
 import { Together } from "./together.js";
@@ -77,7 +77,7 @@ export class DiagnosisPanel {
   async #diagnose(carryOut) {
     this.error.say(null);
     this.isBusy = true;
-    this.button.disabled = true;
+    const release = held(this.button);
     this.state.textContent = "";
     let says = "";
     try {
@@ -88,7 +88,7 @@ export class DiagnosisPanel {
       this.error.say(error);
     } finally {
       this.isBusy = false;
-      this.button.disabled = false;
+      release();
       this.#ready();
       this.state.textContent = says || this.state.textContent;
     }
@@ -97,8 +97,9 @@ export class DiagnosisPanel {
   async #draw(diagnosis) {
     const shown = this.shown;
     const asked = new URLSearchParams({ follows: this.run.id });
+    const following = async () => (await get(`/api/runs?${asked}`, this.signal)).items;
     const [followers, { effectCard }, { followUpBox, followedBy, isAnswered }] = await Promise.all([
-      get(`/api/runs?${asked}`, this.signal),
+      following(),
       import("./effect.js"), // these with the first diagnosis that is shown
       import("./followup.js"),
       import("./effects.js").then(({ knowEffects }) => knowEffects()),
@@ -112,8 +113,10 @@ export class DiagnosisPanel {
     fill(
       this.found,
       h("div", { class: "columns outcome" }, summary(diagnosis), bars.element),
-      followedBy(followers.items),
-      diagnosis.verdict === "ambiguous" && !isAnswered(followers.items) && followUpBox(diagnosis, this.path),
+      followedBy(followers),
+      diagnosis.verdict === "ambiguous" &&
+        !isAnswered(followers) &&
+        followUpBox(diagnosis, this.path, following, signal),
       effects.map(({ element }) => element),
       diagnosis.warnings.length > 0 && warnings(diagnosis.warnings),
       this.run.rig && commonError(this.run.rig, signal),

@@ -40,7 +40,7 @@ export function effectCard(effect, k, { path, run }, signal) {
         { class: "evidence" },
         effect.evidence.map((sentence) => h("li", {}, evidenceWords(sentence))),
       ),
-      h("p", {}, h("strong", {}, "What to do: "), `${effect.remedy}.`),
+      h("p", {}, h("strong", {}, "Remedy: "), `${effect.remedy}.`),
       considered(effect),
       effect.verdict === "named" && !effect.changed && acceptance(effect, title, path, run),
     ),
@@ -53,7 +53,7 @@ function figures(effect) {
   const formula = formulaOf(effect);
   const rows = [
     ...parameterRows(effect),
-    ["Comes from", originWords(effect.origin)],
+    ["Origin", originWords(effect.origin)],
     ["Family-wise p-value", pValue(effect)],
   ];
   return h(
@@ -95,16 +95,16 @@ function considered(effect) {
   return h(
     "details",
     { "data-testid": `considered-${effect.name}` },
-    h("summary", {}, "Candidates considered, and why they lost"),
+    h("summary", {}, "Candidates rejected"),
     h(
       "p",
       { class: "muted" },
-      "How far each is behind the best in −2 log likelihood, with log n for each parameter, all the other ",
-      "effects in the model.",
+      "ΔBIC: −2 log likelihood, with log n for each parameter, beyond that of the best; all the other effects are ",
+      "in the model.",
     ),
     tableBox(
       "Candidates considered",
-      h("table", {}, headings("Candidate", "#Behind", "Why"), h("tbody", {}, rows)),
+      h("table", {}, headings("Candidate", "#ΔBIC", "Why"), h("tbody", {}, rows)),
     ),
   );
 }
@@ -125,9 +125,9 @@ function acceptance(effect, title, path, run) {
     const back = () =>
       askReason(
         {
-          title: `Take “${title}” back?`,
+          title: `Withdraw “${title}”?`,
           text: `It belongs to ${keeper} no more; what was accepted before it is in force again.`,
-          action: "Take it back",
+          action: "Withdraw it",
         },
         (reason) => post(`${path}/diagnosis/withdraw`, { effects: [effect.name], reason }),
       );
@@ -135,7 +135,7 @@ function acceptance(effect, title, path, run) {
       "div",
       { class: "buttons" },
       h("p", { class: "accepted", role: "status" }, words),
-      offer(`take-back-${effect.name}`, "Take back…", back),
+      offer(`take-back-${effect.name}`, "Withdraw…", back),
     );
   }
   const accept = () =>

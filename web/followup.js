@@ -1,10 +1,15 @@
 // An ambiguous diagnosis leads here: the run that separates the suspects, or why there is none.
 
-import { post } from "./api.js";
-import { errorLine, h, runHref, runLink } from "./dom.js";
+import { ApiError } from "./api.js";
+import { errorLine, h, held, runHref, runLink } from "./dom.js";
 import { candidateWords } from "./effects.js";
 import { duration, plural, significant } from "./format.js";
+import { CANCELLED, LongWork } from "./longwork.js";
 
+const DESIGN = {
+  doing: "Designing the run, pose by pose: nothing moves before that is done.",
+  share: "it is done",
+};
 const UNDER_WAY = new Set(["queued", "running", "paused", "interrupted"]);
 
 /** The runs that followed one up, the latest first: what each has come to, by its own diagnosis. */
@@ -13,7 +18,7 @@ export function followedBy(runs) {
   return h(
     "div",
     { class: "follow-up", id: "followed-by" },
-    h("h3", {}, "Followed up"),
+    h("h3", {}, "Follow-up runs"),
     runs.map((run) => h("p", { class: run.voided && "voided" }, runLink(run.id, "Run "), `: ${outcome(run)}`)),
   );
 }
@@ -32,36 +37,44 @@ export function isAnswered(runs) {
   return runs.some(({ status, voided }) => !voided && (status === "completed" || UNDER_WAY.has(status)));
 }
 
-export function followUpBox({ follow_up: planned }, path) {
+/** What a run would say that follows one up, and its button; `followers()` are the runs that have done so. */
+export function followUpBox({ follow_up: planned }, path, followers, signal) {
   if (!planned) {
     return h(
       "div",
       { class: "follow-up", id: "no-follow-up" },
       h("h3", {}, "No run on this rig would distinguish them"),
-      h("p", {}, "See “What to do” of each effect below."),
+      h("p", {}, "See “Remedy” of each effect below."),
     );
   }
+  const address = `${path}/follow-up`;
   const error = errorLine("follow-up-error");
-  const state = h("p", { class: "muted", role: "status", "aria-live": "polite" });
+  const state = h("p", { id: "follow-up-told", class: "muted", role: "status", "aria-live": "polite" });
+  const work = new LongWork("follow-up", DESIGN, signal);
   const button = h(
     "button",
-    { id: "follow-up", type: "button", class: "primary" },
+    { id: "follow-up", type: "button", class: "primary", on: { click: () => begun(() => work.carryOut(address, {})) } },
     "Start the follow-up run",
   );
-  button.addEventListener("click", async () => {
-    button.disabled = true;
+  const begun = async (carryOut) => {
+    const release = held(button);
     error.say(null);
-    state.textContent = "Designing the run, pose by pose…";
+    state.textContent = "";
     try {
-      const { id } = await post(`${path}/follow-up`);
-      location.hash = runHref(id);
+      const isDone = await carryOut();
+      if (signal.aborted) return;
+      let id = isDone && (work.answer?.id ?? work.result.split("/").at(-1));
+      id ||= (await followers()).find(({ status }) => UNDER_WAY.has(status))?.id; // it had begun by then
+      if (id) location.hash = runHref(id);
+      else state.textContent = CANCELLED;
     } catch (problem) {
+      if (!(problem instanceof ApiError)) throw problem;
       error.say(problem);
     } finally {
-      state.textContent = "";
-      button.disabled = false;
+      release();
     }
-  });
+  };
+  if (LongWork.isUnderWay(address)) begun(() => work.resume(address));
   return h(
     "div",
     { class: "follow-up" },
@@ -69,6 +82,7 @@ export function followUpBox({ follow_up: planned }, path) {
     h("p", {}, expectation(planned)),
     error.element,
     h("div", { class: "buttons" }, button, state),
+    work.element,
   );
 }
 

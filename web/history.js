@@ -2,7 +2,7 @@
 
 import { ApiError, get } from "./api.js";
 import { Chart } from "./charts.js";
-import { errorLine, fill, h, headings, runLink, statusPill, tableBox } from "./dom.js";
+import { errorLine, fill, h, headings, held, runLink, statusPill, tableBox } from "./dom.js";
 import { fixed, isKnown, moment, plusMinus, significant } from "./format.js";
 import { LongWork } from "./longwork.js";
 import { may } from "./me.js";
@@ -20,7 +20,7 @@ export function unitHistory(serial, signal) {
   const element = h(
     "section",
     { class: "card", id: "changes", "aria-labelledby": "changes-title" },
-    h("h2", { id: "changes-title" }, "What changed from run to run"),
+    h("h2", { id: "changes-title" }, "Changes between runs"),
     error.element,
     work.element,
     body,
@@ -42,15 +42,14 @@ export function unitHistory(serial, signal) {
   }
 
   async function diagnoseBoth({ from, to }) {
-    const buttons = [...body.querySelectorAll("button")];
+    const release = held(...body.querySelectorAll("button"));
     error.say(null);
-    for (const button of buttons) button.disabled = true;
     try {
       if (await work.carryOut(`/api/runs/${encodeURIComponent(to)}/diagnosis`, { runs: [from] })) await read();
     } catch (problem) {
       say(problem);
     } finally {
-      for (const button of buttons) button.disabled = false;
+      release();
     }
   }
 
@@ -75,7 +74,7 @@ function due({ due_at: at, overdue, due_says: says }) {
   );
 }
 
-const HEADINGS = () => headings("From run", "To run", "Verdict", "What it says", "#Days", "#Bias", "#Scale", "#p");
+const HEADINGS = () => headings("From run", "To run", "Verdict", "Statement", "#Days", "#Bias", "#Scale", "#p");
 const WORDS = { changed: "changed", unchanged: "repeats", not_known: "not known" };
 
 function pValue(p) {

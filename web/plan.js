@@ -21,7 +21,7 @@ const ADVANCED = [
   field("jitter_deg", "Jitter of each elevation, ±", "°", 0),
   field("rate_hz", "Sample rate", "Hz", 200, { whole: true }),
   field("target_std_deg", "Dwell until standard error", "°", null, { hint: "fixed dwell" }),
-  field("expanded_uncertainty_deg", "Expanded uncertainty, to end at", "°", null, { hint: "whole plan" }),
+  field("expanded_uncertainty_deg", "Stop at expanded uncertainty", "°", null, { hint: "whole plan" }),
   field("velocity_dps", "Stage velocity", "°/s", null, { hint: "stage default" }),
   field("wait_s", "Wait before each sweep", "s", 0),
   field("wait_temperature_c", "Wait for temperature", "°C", null, { hint: "do not wait" }),
@@ -172,29 +172,31 @@ export function planForm(of, signal) {
   element.addEventListener("input", refresh);
   signal.addEventListener("abort", forget);
   refresh();
-  /** What the address of the form says of the plan. */
+  /** What the address of the form says of the plan: `mounts=0,120&axis=x`. */
   function prefill(query) {
-    mounts.set(query);
+    mounts.set({ mounts_deg: query.get("mounts")?.split(","), mount_axis: query.get("axis") });
     refresh();
   }
 
-  /** The form says a plan of elevations or of turns, as the service has designed it. */
+  /** The form says a plan: one that the service has designed, or that of an earlier list. */
   function take(plan) {
     const said = { ...plan, expanded_uncertainty_deg: plan.until?.expanded_uncertainty_deg ?? null };
     for (const [name, input] of inputs) if (name in said) input.value = said[name] ?? "";
     order.value = plan.order;
-    const turns = plan.kind === "sweep";
-    (turns ? asTurns : asList).input.checked = true;
-    if (!turns) list.value = plan.elevations_deg.join(", ").replaceAll("-", "−");
+    mounts.set(plan);
+    hadSeveral = plan.mounts_deg?.length > 1; // its jitter is as it says
+    const shape = plan.kind === "sweep" ? asTurns : plan.elevations_deg ? asList : asRange;
+    shape.input.checked = true;
+    if (shape === asList) list.value = plan.elevations_deg.join(", ").replaceAll("-", "−");
     refresh();
   }
 
-  return { element, designer: designer(() => ({ ...of(), plan: value() }), take, signal), value, estimate, prefill };
+  return { element, designer: designer(() => ({ ...of(), plan: value() }), take, signal), value, estimate, prefill, take };
 }
 
-/** "How good must it be?", folded: what it takes is asked for when somebody opens it. */
+/** "Design a plan", folded: what it takes is asked for when somebody opens it. */
 function designer(of, take, signal) {
-  const element = h("details", { id: "designer" }, h("summary", {}, "How good must it be?"));
+  const element = h("details", { id: "designer" }, h("summary", {}, "Design a plan"));
   const open = async () => {
     const { planDesigner } = await import("./plandesign.js");
     element.append(planDesigner(of, take, signal));

@@ -1,12 +1,12 @@
-// "How good must it be?": the service designs the plan that gets there soonest, and the form takes it.
+// "Design a plan": the service designs the shortest plan for an uncertainty, and the form takes it.
 
 import { ApiError, get } from "./api.js";
-import { fill, h, headings, tableBox } from "./dom.js";
+import { fill, h, headings, held, tableBox } from "./dom.js";
 import { duration, plural, significant } from "./format.js";
 import { LongWork } from "./longwork.js";
 
 const ADDRESS = "/api/plans/design";
-const WORDS = { doing: "Looking for it.", share: "the designs are tried" };
+const WORDS = { doing: "Designing the plan.", share: "the designs are tried" };
 
 /**
  * What is asked, and what comes of it. `of()` is rig, unit and the plan that is kept; `take(plan)` has the form take
@@ -20,15 +20,15 @@ export function planDesigner(of, take, signal) {
   const early = input("stop-early", "checkbox");
   const work = new LongWork("design", WORDS, signal);
   const answer = h("div", { id: "designed", role: "status", "aria-live": "polite" });
-  const ask = h("button", { type: "button", id: "design", on: { click: () => design() } }, "Find the plan");
+  const ask = h("button", { type: "button", id: "design", on: { click: () => design() } }, "Design the plan");
   const fields = h(
     "div",
     { class: "fields two" },
     h("div", { class: "field" }, h("label", { for: target.id }, "Expanded uncertainty wanted, °"), target),
-    h("div", { class: "field" }, h("label", { for: time.id }, "Or: the time there is, s"), time),
+    h("div", { class: "field" }, h("label", { for: time.id }, "Or: time available, s"), time),
     h("label", { for: trace.id, class: "check" }, trace, "Trace effects: poses enough to find and name them"),
-    h("label", { for: sweep.id, class: "check" }, sweep, "Turn without stopping where that is sooner"),
-    h("label", { for: early.id, class: "check" }, early, "Stop as soon as it is good enough"),
+    h("label", { for: sweep.id, class: "check" }, sweep, "Sweep without stopping where that is faster"),
+    h("label", { for: early.id, class: "check" }, early, "Sequential stopping: end the run once the uncertainty is reached"),
   );
   fields.addEventListener("keydown", (event) => {
     if (event.key !== "Enter") return;
@@ -57,7 +57,7 @@ export function planDesigner(of, take, signal) {
 
   async function answered(carriedOut) {
     if (ask.disabled) return; // it is being looked for
-    ask.disabled = true;
+    const release = held(ask);
     fill(answer);
     try {
       if (await carriedOut()) {
@@ -69,7 +69,7 @@ export function planDesigner(of, take, signal) {
       if (!(problem instanceof ApiError)) throw problem;
       fill(answer, h("p", { id: "design-refused", class: "cautions" }, problem.message));
     } finally {
-      ask.disabled = false;
+      release();
     }
   }
 
@@ -77,6 +77,7 @@ export function planDesigner(of, take, signal) {
     const use = () => {
       take(plan);
       fill(answer, h("p", { class: "muted" }, "The form below has this plan."));
+      ask.focus(); // what was pressed is gone
     };
     return h(
       "div",
@@ -100,11 +101,11 @@ function shown({ plan, expected, limit, suspects, says }) {
     ["Time on the rig", `about ${duration(expected.duration_s)}`],
     ["Expanded uncertainty", significant(expected.expanded_uncertainty_deg, 3, "°")],
     ["Bias, standard error", significant(expected.bias_std_deg, 2, "°")],
-    limit && ["No plan is under", duration(limit.duration_s)],
+    limit && ["Lower bound of the time", duration(limit.duration_s)],
   ];
   return [
     h("dl", { class: "figures" }, rows.filter(Boolean).map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value)))),
-    suspects.length > 0 && tableBox("Effects that it would show", tableOf(suspects)),
+    suspects.length > 0 && tableBox("Detectable effects", tableOf(suspects)),
     h("ul", { class: "says" }, says.map((sentence) => h("li", {}, sentence))),
   ];
 }
@@ -114,8 +115,8 @@ function poses({ kind, until, elevations_deg: elevations, dwell_s: dwell, sweeps
   if (kind !== "sweep") return [["Poses", `${plural(elevations.length, "pose")} of ${dwell}\u00a0s${most}`]];
   return [
     ["Passes without stopping", `${sweeps}${most}`],
-    ["Turning at", significant(velocity, 3, "°/s")],
-    ["A pose is a stretch of", `${dwell}\u00a0s`],
+    ["Velocity", significant(velocity, 3, "°/s")],
+    ["Time per pose", `${dwell}\u00a0s`],
   ];
 }
 
@@ -123,8 +124,8 @@ function tableOf(suspects) {
   return h(
     "table",
     { id: "design-suspects" },
-    h("caption", {}, "The least of each effect that would be found four times in five"),
-    headings("Effect", "#Left in readings, RMS", "#As a parameter"),
+    h("caption", {}, "Smallest effects detected with a power of 80 %"),
+    headings("Effect", "#Residual, RMS", "#Parameter"),
     h("tbody", {}, suspects.map(row)),
   );
 }

@@ -21,7 +21,7 @@ export class UnitsTable {
 
   #row(turn, closed) {
     const canGo = !closed && turn.state === "waiting" && may("operator");
-    const take = { type: "button", class: "small", "aria-label": `Take ${turn.unit} out`, on: { click: () => this.take(turn.unit) } };
+    const take = { type: "button", class: "small", "aria-label": `Remove ${turn.unit}`, on: { click: () => this.take(turn.unit) } };
     return h(
       "tr",
       {},
@@ -30,9 +30,19 @@ export class UnitsTable {
       h("td", {}, turn.rig ?? "–"),
       h("td", {}, turn.run_id ? runLink(turn.run_id) : "–"),
       h("td", { class: "wrap" }, turn.why),
-      h("td", { class: "plain" }, canGo && h("button", take, "Take out")),
+      h("td", { class: "plain" }, canGo && h("button", take, "Remove")),
     );
   }
+}
+
+/** What a list has of a unit already, for whoever names it once more. */
+export function standingOf(serial, units) {
+  const turn = units.findLast(({ unit }) => unit === serial);
+  const place = units.filter(({ state }) => state === "waiting").indexOf(turn) + 1;
+  if (turn.state === "running") return `${serial} is being measured on rig ${turn.rig}.`;
+  if (turn.state === "waiting") return `${serial} is in the list already: number ${place} of those that wait.`;
+  if (turn.state === "follow_up") return `${serial} is in the list already: another run of it tells why it failed.`;
+  return `${serial} has had its turn in this list: ${(turn.word ?? turn.state).toUpperCase()}.`;
 }
 
 /** Units: those with a turn to come, and the others and they by their last word. One may be to go and have failed. */

@@ -41,7 +41,7 @@ export function resultCard(run) {
       h(
         "div",
         { class: `verdict ${colour}`, "data-testid": "verdict" },
-        h("h3", {}, "Is this good?"),
+        h("h3", {}, "Verdict"),
         h("p", { class: "headline" }, headline),
         sentences.map((sentence) => h("p", {}, sentence)),
       ),

@@ -113,7 +113,7 @@ function standing(check) {
       { class: `verdict ${STATES[check.state]}`, role: "status" },
       h("p", { class: "headline" }, HEADLINES[check.state]),
       h("p", {}, check.says),
-      suspects.length > 0 && h("p", { id: "suspects" }, h("strong", {}, "Runs in doubt: "), suspects),
+      suspects.length > 0 && h("p", { id: "suspects" }, h("strong", {}, "Suspect runs: "), suspects),
     ),
     figureList(figures),
   ];
@@ -132,7 +132,7 @@ function naming(path, check, units, read) {
   });
   const error = errorLine("check-error");
   const save = h("button", { type: "submit", id: "name-check", class: check ? null : "primary" }, check ? "Change" : "Name it");
-  const drop = check && h("button", { type: "button", id: "drop-check" }, "Go without…");
+  const drop = check && h("button", { type: "button", id: "drop-check" }, "Remove the check unit…");
   const form = h(
     "form",
     {},
@@ -146,9 +146,9 @@ function naming(path, check, units, read) {
   });
   drop?.addEventListener("click", async () => {
     const question = {
-      title: "Go without a check unit?",
-      text: "No run of this rig is in doubt any more for what a check said. Its runs stay as they are.",
-      action: "Go without",
+      title: "Remove the check unit?",
+      text: "No run of this rig is suspect because of a check any more. The runs stay as they are.",
+      action: "Remove",
     };
     if (await askConfirmation(question, () => remove(path))) await read();
   });

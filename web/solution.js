@@ -27,8 +27,8 @@ const PARAMETERS = {
 };
 const TITLES = {
   map: "Map of the stage, two standard errors to each side",
-  before: "Left of the angle, believing the stage",
-  after: "Left with its map",
+  before: "Residual angle without the map",
+  after: "Residual angle with the map",
 };
 
 export async function solutionView({ root, parts: [id], signal }) {
@@ -43,7 +43,7 @@ export async function solutionView({ root, parts: [id], signal }) {
     h(
       "section",
       { class: "card solution", "aria-labelledby": "told-title" },
-      h("h2", { id: "told-title" }, "What these poses tell"),
+      h("h2", { id: "told-title" }, "Separation of stage and units"),
       verdict(found),
       advice(found),
       figures(found),
@@ -93,14 +93,14 @@ function heading({ id, created_at: at, by, rig, runs, linear, periods_deg: perio
 /** Whether units were clamped by several faces. */
 const isWhole = ({ mounts }) => mounts.some(({ mount_axis: axis = "x" }) => !axis.endsWith("x"));
 
-/** Whether the map foretells held-out poses better than believing the stage does. */
+/** Whether held-out poses are predicted better with the map than without. */
 const isBetter = ({ before, final }) => final.held_out_rms_deg < before.held_out_rms_deg;
 
 function headline(found) {
-  if (!found.separable) return "These poses do not tell stage and units apart.";
+  if (!found.separable) return "Stage and units are not separable by these poses.";
   return isBetter(found)
-    ? "Stage and units are told apart."
-    : "Stage and units are told apart, but the map does not foretell what was held out.";
+    ? "Stage and units are separable."
+    : "Stage and units are separable, but the map does not predict the held-out poses.";
 }
 
 function verdict(found) {
@@ -116,7 +116,7 @@ function verdict(found) {
       { class: `verdict ${separable && isBetter(found) ? "good" : "fair"}`, "data-testid": "solve-verdict" },
       h("p", { class: "headline" }, headline(found)),
       h("p", {}, `Standard error of a calibrated elevation: ${known.slice(0, SAID).join("; ")}${more}.`),
-      h("p", {}, `One pose is measured to ${significant(noise.std_deg, 2, "°")}.`),
+      h("p", {}, `Standard deviation of one pose: ${significant(noise.std_deg, 2, "°")}.`),
     ),
     warnings.length > 0 &&
       h(
@@ -137,7 +137,7 @@ function advice({ advice: advised, rig, units }) {
   return h(
     "div",
     { class: "follow-up", "data-testid": "solve-advice" },
-    h("h3", {}, "What would help"),
+    h("h3", {}, "Recommended mounts"),
     h("p", {}, advised.says),
     h("p", {}, h("a", { href: `#/?${plan}` }, "Start a run with these mounts")),
   );
@@ -146,17 +146,17 @@ function advice({ advice: advised, rig, units }) {
 function figures({ before, final, noise, stage, held_out: heldOut, level_known: levelKnown, level_std_deg: level }) {
   const { error_deg: error } = stage.map;
   return pairs([
-    ["Held-out RMS, believing the stage", significant(before.held_out_rms_deg, 3, "°")],
-    ["Held-out RMS, with its map", significant(final.held_out_rms_deg, 3, "°")],
+    ["Held-out RMS, without the map", significant(before.held_out_rms_deg, 3, "°")],
+    ["Held-out RMS, with the map", significant(final.held_out_rms_deg, 3, "°")],
     ["Held out", heldOut.how],
     ["Noise of a pose", significant(noise.std_deg, 2, "°")],
     ["Map", `${fixed(Math.min(...error), 3)} to ${fixed(Math.max(...error), 3, "°")}`],
-    ["Play", stage.backlash_deg ? plusMinus(stage.backlash_deg.value, stage.backlash_deg.std, "°") : "not solved for"],
+    ["Backlash", stage.backlash_deg ? plusMinus(stage.backlash_deg.value, stage.backlash_deg.std, "°") : "not solved for"],
     ["Level", levelKnown ? `known to ${significant(level, 2, "°")}` : "not known: elevations are relative to their mean"],
   ]);
 }
 
-/** Offered where stage and units are told apart: a map of anything less would bias whatever it is used for. */
+/** Offered where stage and units are separable: a map of anything less would bias whatever it is used for. */
 function inForce(found) {
   const { id, separable, rig } = found;
   if (!separable || !rig || !may("admin")) return null;
@@ -166,7 +166,7 @@ function inForce(found) {
     title: `Use this map for rig ${rig}?`,
     text:
       "Runs from now on have it as their reference in place of what the stage's maker says. Earlier ones stay." +
-      (isBetter(found) ? "" : " Held-out poses are foretold no better with it: something else moved between these runs."),
+      (isBetter(found) ? "" : " Held-out poses are predicted no better with it: something else moved between these runs."),
     action: "Use the map",
   };
   button.addEventListener("click", async () => {
@@ -216,7 +216,7 @@ function orderTable({ harmonics }) {
       h("td", {}, separable ? "yes" : "no: from the units, or other orders"),
     ),
   );
-  const head = headings("Order", "#Amplitude", "#Phase", "Told apart");
+  const head = headings("Order", "#Amplitude", "#Phase", "Separable");
   return h("table", { id: "orders" }, head, h("tbody", {}, rows));
 }
 

@@ -27,7 +27,7 @@ function intro() {
     "p",
     { class: "muted prose" },
     "Clamp a unit at several angles, take a run at each: what the stage does wrong turns with its dial, what the unit ",
-    "does wrong turns with the clamp. Solved together, with gravity as the reference, both come apart.",
+    "does wrong turns with the clamp. Solved jointly, with gravity as the reference, the two errors are separated.",
   );
 }
 
@@ -158,6 +158,6 @@ function earlier(solutions) {
       h("td", { class: "number" }, significant(one.final.held_out_rms_deg, 3, "°")),
     ),
   );
-  const head = headings("Solved", "Units", "#Runs", "Told apart", "#RMS believing the stage", "#RMS with its map");
+  const head = headings("Solved", "Units", "#Runs", "Separable", "#RMS without map", "#RMS with map");
   return tableBox("Earlier solutions", h("table", { id: "solutions-table" }, head, h("tbody", {}, rows)));
 }

@@ -20,8 +20,8 @@ export function suggested(runs, { runs: named, unit }) {
   if (best.mounts > 1)
     return { ids: of(runs, best.unit), says: `Suggested: unit ${best.unit} (${best.words}).` };
   const says =
-    "No unit was clamped at several angles: of one mount, stage and unit come apart only where the unit is stated to " +
-    "be linear. Take a run with the unit turned by 120°, and one at 240°.";
+    "No unit was clamped at several angles: with one mount, stage and unit are separable only where the unit is stated " +
+    "to be linear. Take a run with the unit turned by 120°, and one at 240°.";
   return { ids: [], says };
 }
 

@@ -76,7 +76,7 @@ export async function trailView({ root, query, signal }) {
   for (const input of [unit, what]) input.addEventListener("input", () => load(null));
   fill(
     root,
-    h("h1", {}, "Trail"),
+    h("h1", {}, "Audit trail"),
     h(
       "section",
       { class: "card" },

@@ -58,7 +58,7 @@ export async function usersView({ root, signal }) {
     h(
       "section",
       { class: "card" },
-      tableBox("Users", h("table", { id: "users-table" }, headings("Name", "Role", "Comes in", "Since", ""), body)),
+      tableBox("Users", h("table", { id: "users-table" }, headings("Name", "Role", "Authentication", "Since", ""), body)),
     ),
   );
   await show();

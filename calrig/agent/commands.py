@@ -1,4 +1,4 @@
-"""Stop, abort, pause and resume as the centre asks for them: each is carried out at most once, and answered.
+"""Stop, abort, pause, resume, look as the centre asks for them: each carried out at most once, and answered.
 
 A command is claimed by one statement, which finds none that was withdrawn, or is older than `STALE_S` by the
 server's clock: whoever asked has been told by then that the bench cannot be.
@@ -76,7 +76,8 @@ class Commands:
                 pass  # of whichever bench: the table says whether there is anything
 
     def _carry_out(self, command: Command) -> None:
-        log.info("command %d: %s of %s", command.id, command.kind, command.rig or command.run_uid)
+        level = logging.DEBUG if command.kind == "look" else logging.INFO
+        log.log(level, "command %d: %s of %s", command.id, command.kind, command.rig or command.run_uid)
         work = threading.Thread(target=self._work, args=(command,), name=f"command {command.id}", daemon=True)
         work.start()
 
@@ -116,4 +117,7 @@ class Commands:
                 return service.pause(run_id).status
             case "resume":
                 return service.resume(run_id).status
+            case "look":
+                service.look(command.rig or "")
+                return "what is seen comes with the heartbeat"
         raise Unknown(f"this bench knows no command {command.kind!r}")

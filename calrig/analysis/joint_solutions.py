@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -17,6 +17,7 @@ from calrig.store.records import Run
 from calrig.store.solved import Basis, Frame, Solved
 
 if TYPE_CHECKING:
+    from calrig.calibration.joint.told import Progress
     from calrig.store import Store
 
 MOST_POSES = 40_000
@@ -86,8 +87,12 @@ def question(store: Store, wanted: Wanted) -> Question:
     return Question(runs[0].rig, basis, mounted(store, runs), limits_deg)
 
 
-def answer(asked: Question) -> Solved:
+def answer(asked: Question, progress: Callable[[float], None] = lambda _: None) -> Solved:
     """The solution as it is kept.
+
+    Args:
+        asked: what is to be solved.
+        progress: is told the share that is done.
 
     Raises:
         DiagnosisError: the poses cannot be solved, and why.
@@ -97,41 +102,45 @@ def answer(asked: Question) -> Solved:
     from calrig.calibration.joint.report import solution_document
     from calrig.calibration.joint.solution import solve
     from calrig.calibration.joint.three_axis_table import whole_units
+    from calrig.calibration.joint.told import SOLVED, within
     from calrig.export.joint_documents import map_document, unit_document
 
+    solving, telling = within(progress, 0.0, SOLVED), within(progress, SOLVED, 1.0)
     if whole_units(asked.lots):
-        return _answer_whole(asked)
+        return _answer_whole(asked, solving, telling)
     basis = asked.basis
     solution = solve(
         asked.lots,
         linear=basis.linear,
         periods_deg=basis.periods_deg,
         seat_std_deg=basis.seat_std_deg,
+        progress=solving,
     )
+    telling(0.0)
     units = enumerate(solution.table.units)
     return Solved(
         rig=asked.rig,
         basis=basis,
-        document=solution_document(solution, asked.limits_deg),
+        document=solution_document(solution, asked.limits_deg, telling),
         calibrations={serial: unit_document(solution, k, asked.rig) for k, serial in units},
         stage_map=map_document(solution, asked.rig),
         poses=poses_left(solution),
     )
 
 
-def _answer_whole(asked: Question) -> Solved:
+def _answer_whole(asked: Question, solving: Progress, telling: Progress) -> Solved:
     """Of units clamped by several faces; no picture is drawn of their poses."""
     from calrig.calibration.joint.three_axis_report import three_axis_document
     from calrig.calibration.joint.three_axis_solution import solve_whole
     from calrig.export.three_axis_documents import three_axis_documents
 
     basis = asked.basis
-    solution = solve_whole(asked.lots, linear=basis.linear, periods_deg=basis.periods_deg)
+    solution = solve_whole(asked.lots, linear=basis.linear, periods_deg=basis.periods_deg, progress=solving)
     calibrations, stage_map = three_axis_documents(solution, basis.frame, asked.rig)
     return Solved(
         rig=asked.rig,
         basis=basis,
-        document=three_axis_document(solution, basis.frame),
+        document=three_axis_document(solution, basis.frame, telling),
         calibrations=calibrations,
         stage_map=stage_map,
         poses={"mount": [], "dial_deg": [], "on_map_deg": [], "before_deg": [], "left_deg": []},

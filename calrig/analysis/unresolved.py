@@ -11,7 +11,7 @@ from calrig.analysis.stored_runs import poses_together, runs_together
 from calrig.calibration.diagnosis import diagnose
 from calrig.calibration.pose import DiagnosisError, Pose
 from calrig.calibration.search import Findings
-from calrig.processes.pool import Apart, run_apart
+from calrig.processes.pool import run_apart
 
 if TYPE_CHECKING:
     from calrig.store import Store
@@ -26,21 +26,20 @@ class Unresolved:
     findings: Findings
 
     @classmethod
-    def of(cls, run_ids: list[str], poses: list[list[Pose]], apart: Apart = run_apart) -> Unresolved:
+    def of(cls, run_ids: list[str], poses: list[list[Pose]]) -> Unresolved:
         """Runs whose poses are diagnosed quickly: without errors on held-out poses; as `unresolved`."""
         try:
-            return cls(run_ids, poses, apart(partial(_found, poses)))
+            return cls(run_ids, poses, run_apart(partial(found_in, poses)))
         except DiagnosisError as error:
             raise Conflict(f"run {run_ids[-1]}: {error}") from error
 
 
-def unresolved(store: Store, run_id: str, apart: Apart = run_apart) -> Unresolved:
+def unresolved(store: Store, run_id: str) -> Unresolved:
     """A run with those it follows on, diagnosed quickly.
 
     Args:
         store: has them.
         run_id: the run.
-        apart: carries the diagnosis out in another process.
 
     Raises:
         Unknown: there is no such run.
@@ -48,8 +47,9 @@ def unresolved(store: Store, run_id: str, apart: Apart = run_apart) -> Unresolve
         Invalid: they are too many.
     """
     runs = runs_together(store, run_id)
-    return Unresolved.of([run.id for run in runs], poses_together(store, runs), apart)
+    return Unresolved.of([run.id for run in runs], poses_together(store, runs))
 
 
-def _found(poses: list[list[Pose]]) -> Findings:
+def found_in(poses: list[list[Pose]]) -> Findings:
+    """What a quick diagnosis of them finds; or DiagnosisError."""
     return diagnose(poses, cross_fit=False).findings

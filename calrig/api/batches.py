@@ -31,7 +31,7 @@ from calrig.api.heavy import Heavy
 from calrig.api.models import ProgressAnswer
 from calrig.runs.batch_turns import word_of
 from calrig.runs.batches import Standing, serials_in
-from calrig.runs.sightings import Sighting
+from calrig.runs.look import Look
 from calrig.store import Run
 from calrig.store.batches import Turn
 
@@ -202,13 +202,13 @@ def _answer(context: ApiContext, batch_id: str, known: list[str] | None = None) 
 
 def _rigs(context: ApiContext, standing: Standing) -> list[BatchRigAnswer]:
     states = {rig.name: rig for rig in context.service.rigs()}
+    looks = context.service.looks()
     return [
-        _rig(standing, name, states.get(name), context.service.seen(name))
-        for name in standing.batch.document["rigs"]
+        _rig(standing, name, states.get(name), looks.get(name)) for name in standing.batch.document["rigs"]
     ]
 
 
-def _rig(standing: Standing, name: str, state: object, seen: Sighting | None) -> BatchRigAnswer:
+def _rig(standing: Standing, name: str, state: object, seen: Look | None) -> BatchRigAnswer:
     on, then = standing.now.on[name], standing.now.then[name]
     run = standing.runs.get(on.run_id or "") if on is not None and on.state == "running" else None
     last = _last(standing, name)
@@ -222,17 +222,18 @@ def _rig(standing: Standing, name: str, state: object, seen: Sighting | None) ->
         status=None if run is None else run.status,
         progress=None if progress is None else ProgressAnswer.model_validate(progress),
         waiting_for=None if progress is None else progress.get("waiting_for"),
-        seen=_seen(seen, on),
+        seen=_seen(standing, seen, on),
         next=None if then is None else _turn(standing, then),
         last=None if last is None else _turn(standing, last),
         last_says=[] if ended is None or ended.verdict is None else ended.verdict.says,
+        nothing_measured=_came_to_nothing(standing, on, ended),
     )
 
 
-def _seen(seen: Sighting | None, on: Turn | None) -> SeenAnswer | None:
+def _seen(standing: Standing, seen: Look | None, on: Turn | None) -> SeenAnswer | None:
     if seen is None or on is None or on.state == "running":
         return None
-    told = seen.of_unit(on.unit)
+    told = seen.sighting(standing.mount).of_unit(on.unit)
     return SeenAnswer(state=told.state, serial=told.serial, says=told.says)
 
 
@@ -240,6 +241,13 @@ def _last(standing: Standing, rig: str) -> Turn | None:
     """What ended last on a rig, among what was measured."""
     mine = [turn for turn in standing.now.turns if turn.rig == rig and turn.state in ("done", "failed")]
     return max((t for t in mine if t.run_id), key=lambda t: str(_finished(standing, t)), default=None)
+
+
+def _came_to_nothing(standing: Standing, on: Turn | None, last: Run | None) -> bool:
+    """Whether the turn that is to be taken again had its run after what was measured last."""
+    if on is None or on.state != "waiting" or on.run_id is None:
+        return False
+    return last is None or standing.runs[on.run_id].created_at > last.created_at
 
 
 def _finished(standing: Standing, turn: Turn) -> datetime | None:
@@ -256,5 +264,12 @@ def _turn(standing: Standing, turn: Turn) -> TurnAnswer:
         rig=turn.rig,
         run_id=turn.run_id,
         word=word_of(run) if ended and run is not None else None,
-        why=turn.why,
+        why=turn.why or (_failing(run) if turn.state == "failed" and run is not None else None),
     )
+
+
+def _failing(run: Run) -> str | None:
+    """Why a run fails its limits: by its own verdict, or by what it was there to find out."""
+    if run.follows is not None and run.diagnosis is not None and run.diagnosis.get("says"):
+        return f"{run.diagnosis['says'][0]}."
+    return None if run.verdict is None else " ".join(run.verdict.says[:2])

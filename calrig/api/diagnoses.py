@@ -245,9 +245,18 @@ def take_back(run: KnownRun, body: TakeBack, context: Context, who: Who) -> Run:
     dependencies=[requires("operator")],
     status_code=201,
     response_model=RunAnswer,
-    responses=problems(404, 409),
+    responses=ACCEPTED | problems(404, 409),
     summary="Start the run that separates what the diagnosis could not",
 )
-async def follow_up(run: KnownRun, context: Context, heavy: Heavy, who: Who) -> Run:
-    """409, with the reason, where no run on this rig would help. Its diagnosis is of all runs together."""
-    return await run_in_threadpool(context.service.follow_up, run.id, heavy.from_thread, who)
+async def follow_up(run: KnownRun, context: Context, heavy: Heavy, who: Who, wait: Wait = True) -> Any:
+    """409, with the reason, where no run on this rig would help. Its diagnosis is of all runs together.
+
+    Until it is designed nothing moves, and its client may leave or its job be cancelled.
+    """
+
+    async def work(job: Job) -> Run:
+        asked = await run_in_threadpool(context.service.follow_up_question, run.id)
+        found = await job.run(asked.work, tells_progress=True)
+        return await run_in_threadpool(context.service.follow_up, asked, found, who)
+
+    return await heavy.answer(work, wait=wait, kept_at=lambda begun: f"/api/runs/{begun.id}")

@@ -11,6 +11,7 @@ from urllib.parse import quote
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse
 
 from calrig.analysis.errors import Conflict, Invalid, RunsError, Unknown
@@ -33,6 +34,8 @@ STORE_STATUS: dict[type[StoreError], int] = {
     StoreUnavailableError: 503,
 }
 
+CLIENT_LEFT = 499
+"""Nobody hears it but the log."""
 DEFECT = "calrig failed inside; the service's log says where"
 
 WORDS = {
@@ -127,7 +130,9 @@ async def _validation_error(_request: Request, error: Exception) -> JSONResponse
 async def _http_error(_request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, HTTPException)  # noqa: S101 (as registered)
     # The framework calls a body that it cannot read 400; to the contract it is one more invalid request,
-    # unless it was this machine that could not lay an upload on its disk.
+    # unless its client left in the midst of it, or this machine could not lay an upload on its disk.
+    if isinstance(error.__cause__, ClientDisconnect):
+        return JSONResponse({"detail": "the client left before its request was whole"}, CLIENT_LEFT)
     if error.status_code == 400 and isinstance(error.__cause__, OSError):
         reason = error.__cause__.strerror
         log.error("an upload cannot be laid in %s: %s", gettempdir(), reason)

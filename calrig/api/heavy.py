@@ -14,13 +14,12 @@ from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
 from calrig.api.context import context_of
+from calrig.api.errors import CLIENT_LEFT
 from calrig.api.job import Job
 from calrig.api.models import JobAnswer
 
 T = TypeVar("T")
 
-CLIENT_LEFT = 499
-"""Nobody hears it but the log."""
 AT_ONCE_S = 2.0
 """What is done by then is answered as if it had been waited for."""
 ACCEPTED: dict[int | str, dict[str, Any]] = {

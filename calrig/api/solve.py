@@ -54,7 +54,7 @@ async def solve(body: Solve, context: Context, heavy: Heavy, who: Who, wait: Wai
     async def work(job: Job) -> dict[str, Any]:
         asked = await run_in_threadpool(question, context.store, wanted)
         try:
-            found = await job.run(partial(answer, asked))
+            found = await job.run(partial(answer, asked), tells_progress=True)
         except DiagnosisError as error:
             raise Invalid(str(error), ["runs"]) from error
         return _shown(await run_in_threadpool(context.store.keep_solution, found, by=who))
@@ -68,7 +68,7 @@ def list_solutions(
     rig: str | None = None,
     limit: Annotated[int, Query(ge=1, le=MOST_LISTED)] = 100,
 ) -> list[dict[str, Any]]:
-    """What each rests on, and the RMS of held-out poses believing the stage and with its map."""
+    """What each rests on, and the RMS of held-out poses without and with the map."""
     return [_listed(one) for one in context.store.solutions(rig, limit)]
 
 

@@ -73,7 +73,7 @@ def not_predictive(
     """The same effects; a name that fails the blocks it has not seen is no longer claimed alone.
 
     It fails where the blocks' error is smaller without it and its coefficients, from the rest of the poses,
-    contradict those from all of them (Hausman, Econometrica 46, 1978). A block that the rest cannot foretell,
+    contradict those from all of them (Hausman, Econometrica 46, 1978). A block that the rest cannot predict,
     the effect being true, contradicts nothing.
 
     Args:
@@ -93,7 +93,7 @@ def not_predictive(
         for along, fold in folds.items():
             helps = rms(_errors(r, accepted, along)) < rms(_errors(r, others, along))
             if not helps and _contradicts(r, accepted, place, whole, fold):
-                return one.against(rival, f"it does not foretell poses of a block of {along} left out")
+                return one.against(rival, f"it does not predict poses of a block of {along} left out")
         return one
 
     return tuple(judged(place, one) for place, one in enumerate(found))

@@ -14,6 +14,7 @@ from typing import Literal
 
 from calrig.calibration.coverage import coverage_factor
 from calrig.calibration.fit import Line
+from calrig.calibration.pose import Pose
 from calrig.plan import FEWEST_UNTIL
 
 StoppedBy = Literal["plan", "until"]
@@ -72,6 +73,15 @@ def cautious(line: Line, n_poses: int, noise_deg: float | None) -> Line:
         covariance=((more**2 * bias, more**2 * shared), (more**2 * shared, more**2 * scale)),
         residual_std_deg=more * line.residual_std_deg,
     )
+
+
+def turned_both_ways(poses: Sequence[Pose]) -> bool:
+    """Whether stretches of a sweep were turned upward and downward; so they were where there are none.
+
+    What a sweep's delay is wrong by lifts every stretch of one sense and lowers every one of the other: one
+    way alone has it in the bias, and no scatter tells (`python -m tests.plans coverage`).
+    """
+    return len({pose.approach for pose in poses if not pose.settled}) != 1
 
 
 def has_the_line(visited_deg: Sequence[float], planned_deg: Sequence[float]) -> bool:

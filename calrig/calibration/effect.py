@@ -142,6 +142,7 @@ class Circumstances:
         travel_deg: way since the stage last turned; without it all play is taken up.
         time_s: without it a slip has happened: the unit stands as it stood last.
         kappa: share of a gyro scale error times the move that the filter still shows.
+        stretch_deg: how far the stage turned while the pose was read; without it not at all.
     """
 
     approach: FloatArray | None = None
@@ -151,6 +152,7 @@ class Circumstances:
     travel_deg: FloatArray | None = None
     velocity_dps: FloatArray | None = None
     kappa: FloatArray | None = None
+    stretch_deg: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -86,7 +86,11 @@ def ambiguous_of(findings: Findings) -> Found | None:
 
 
 def design(
-    runs: Sequence[Sequence[Pose]], findings: Findings, limits_deg: tuple[float, float], seed: int = 0
+    runs: Sequence[Sequence[Pose]],
+    findings: Findings,
+    limits_deg: tuple[float, float],
+    seed: int = 0,
+    progress: Callable[[float], None] = lambda _: None,
 ) -> FollowUp | str:
     """The follow-up run for a diagnosis, or the reason why no run on this rig would help.
 
@@ -100,6 +104,7 @@ def design(
         findings: of the diagnosis.
         limits_deg: soft limits of elevation.
         seed: of the grid's jitter.
+        progress: is told the share of the poses that have been chosen.
     """
     found = ambiguous_of(findings)
     if found is None:
@@ -114,7 +119,7 @@ def design(
     waits_s = _waits(runs, suspects)
     shuffled = [round(float(p), 3) for p in rng.permutation(np.linspace(*limits_deg, 2 * MOST_POSES))]
     trial.keep_distinguishable([(shuffled, 0.0), *((spread * 2, wait_s) for wait_s in waits_s)])
-    chosen = _greedy(trial, limits_deg, rng)
+    chosen = _greedy(trial, limits_deg, rng, progress)
     separation, sweeps, wait_s = trial.separation(chosen), 1, 0.0
     for waited_s in waits_s:
         waiting = trial.separation(spread * 2, waited_s)
@@ -231,7 +236,12 @@ class _Trial:
         return poses
 
 
-def _greedy(trial: _Trial, limits_deg: tuple[float, float], rng: np.random.Generator) -> list[float]:
+def _greedy(
+    trial: _Trial,
+    limits_deg: tuple[float, float],
+    rng: np.random.Generator,
+    progress: Callable[[float], None],
+) -> list[float]:
     low, high = limits_deg
     step = (high - low) / (PLACES - 1)
     chosen: list[float] = [round(low, 3), round(high, 3)]
@@ -241,6 +251,7 @@ def _greedy(trial: _Trial, limits_deg: tuple[float, float], rng: np.random.Gener
         gains = [trial.separation([*chosen, place]) for place in places]
         best = max(gains)
         chosen.append(next(place for place, gain in zip(places, gains, strict=True) if gain >= best - SAME))
+        progress(len(chosen) / MOST_POSES)
     return chosen
 
 

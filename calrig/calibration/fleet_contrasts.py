@@ -13,7 +13,7 @@ from calrig.calibration.fleet_lines import Lines
 from calrig.calibration.fleet_scans import cycles, steps, waves
 from calrig.estimation.angles import FloatArray, wrap_deg
 
-WILD = 4.5
+OUTLIER_STD = 4.5
 """Robust standard deviations, at which a residual is cut off: one pose gone wrong neither hides an effect nor
 makes one. One of 150,000 is as far off by chance."""
 CUTS = 2
@@ -209,8 +209,9 @@ def _scaled(theta: Float32) -> Float32:
 def _judged(values: npt.NDArray[np.floating], base: Sequence[Float32]) -> Float32:
     """(R, m) what the base leaves of values over their size, without what is far beyond the others of a run.
 
-    Values beyond `WILD` times the spread are brought back to it. One of them draws the base towards itself
-    and hides behind that, so the base is fitted to what is left of it, and all are held against that, anew.
+    Values beyond `OUTLIER_STD` times the spread are brought back to it. One of them draws the base towards
+    itself and hides behind that, so the base is fitted to what is left of it, and all are held against that,
+    anew.
     """
     size = np.maximum(np.abs(values).max(axis=1), np.finfo(np.float64).tiny)[:, None]
     left = _less(values / size, base)
@@ -224,7 +225,7 @@ def _judged(values: npt.NDArray[np.floating], base: Sequence[Float32]) -> Float3
 def _cut(values: Float32) -> Float32:
     middle = values.shape[1] // 2
     spread = MAD_TO_STD * np.partition(np.abs(values), middle, axis=1)[:, middle, None]
-    bound = np.where(spread > 0.0, WILD * spread, np.float32(np.inf))
+    bound = np.where(spread > 0.0, OUTLIER_STD * spread, np.float32(np.inf))
     return np.asarray(np.clip(values, -bound, bound), dtype=np.float32)
 
 

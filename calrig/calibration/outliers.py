@@ -18,7 +18,7 @@ from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import fit
 from calrig.calibration.responses import Responses
 
-WILD = 12.0
+OUTLIER_STD = 12.0
 """Robust standard deviations (1.4826 times the median absolute deviation) from the model without the pose."""
 MOST_SHARE = 0.03
 SUSPECTS = 3
@@ -50,8 +50,8 @@ def outlier(r: Responses, accepted: Sequence[Candidate], gain_to_beat: float = 0
         spread_deg = 1.4826 * float(np.median(np.abs(others - np.median(others))))
         distance_deg = abs(float(without.beta[columns.shape[2]]))
         gain = fitted.criterion - without.criterion - float(np.log(len(r))) * (len(r.channels) + 2)
-        is_wild = distance_deg > WILD * max(spread_deg, float(r.rounding[0]))
-        if is_wild and gain > most:
+        is_outlier = distance_deg > OUTLIER_STD * max(spread_deg, float(r.rounding[0]))
+        if is_outlier and gain > most:
             most, best = gain, int(k)
     return best
 

@@ -62,8 +62,8 @@ def partial_residuals(
     chosen = _chosen(r, [_forms(r, effect) for effect in effects])
     for _ in range(most_outliers(len(r))):
         model = fitted_model(r, chosen)
-        if (wild := outlier(model.responses, model.accepted)) is not None:
-            others = np.delete(np.arange(len(r)), wild)
+        if (apart := outlier(model.responses, model.accepted)) is not None:
+            others = np.delete(np.arange(len(r)), apart)
             r, chosen = r.rows(others), [c.rows(others) for c in chosen]
     fitted = fitted_model(r, chosen).fitted
     partial = []

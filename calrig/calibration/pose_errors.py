@@ -15,6 +15,7 @@ from calrig.calibration.fit import Line, residuals_deg
 from calrig.calibration.motion import approach_of, motion_of, moves_deg
 from calrig.calibration.play import travel_deg
 from calrig.calibration.pose import Pose
+from calrig.calibration.stretches import stretches_deg
 from calrig.estimation.angles import FloatArray, wrap_deg
 
 
@@ -89,6 +90,7 @@ def circumstances(poses: Sequence[Pose]) -> Circumstances:
         travel_deg=travel_deg(move_deg, approach, starts),
         velocity_dps=motion.velocity_dps if motion else None,
         kappa=filter_share(poses),
+        stretch_deg=stretches_deg(poses),
     )
 
 

@@ -129,7 +129,5 @@ def _evidence(r: Responses, found: Found, candidate: Candidate) -> list[str]:
             names = ", ".join(dict.fromkeys(rival.name for rival in found.rivals))
             said.append(f"indistinguishable from {names} by these poses: {found.candidate.effect.apart}")
         else:
-            said.append(
-                f"the next best name is worse by {found.lead:.1f} in −2 log likelihood with penalties"
-            )
+            said.append(f"ΔBIC of the next best candidate: {found.lead:.1f}")
     return [*said, *found.doubts, *candidate.effect.evidence(r, candidate.shape)]

@@ -32,6 +32,7 @@ from calrig.calibration.pose_columns import (
     covariates_of,
     refuse_what_is_no_elevation,
 )
+from calrig.calibration.stretches import stretches_deg
 from calrig.estimation.angles import FloatArray
 
 FEWEST_POSES = 8
@@ -67,6 +68,7 @@ class Responses:
         theta_deg: (n,) elevation that each pose stands for.
         move_deg: (n,) θ less that of the pose before; 0 where it is not known.
         settled: (n,) whether the pose is a dwell after its move: in a stretch of a turn nothing settles.
+        stretch_deg: (n,) how far the stage turned while the pose was read; 0 of a dwell.
         travel_deg: (n,) way since the stage last turned; infinite where nothing says that it is short.
         starts: (n,) whether a pose follows on nothing: the first of its run, or any in a table by angle.
         approach, time_s, temperature_c: (n,) or None where not known of every pose.
@@ -90,6 +92,7 @@ class Responses:
     theta_deg: FloatArray
     move_deg: FloatArray
     settled: BoolArray
+    stretch_deg: FloatArray
     travel_deg: FloatArray
     starts: BoolArray
     approach: FloatArray | None
@@ -127,6 +130,7 @@ class Responses:
             theta_deg=self.theta_deg[chosen],
             move_deg=self.move_deg[chosen],
             settled=self.settled[chosen],
+            stretch_deg=self.stretch_deg[chosen],
             travel_deg=self.travel_deg[chosen],
             starts=self.starts[chosen] | (np.diff(run, prepend=run[:1]) != 0),
             approach=pick(self.approach),
@@ -201,6 +205,7 @@ def responses_of(runs: Sequence[Sequence[Pose]], run_ids: Sequence[str] | None =
         theta_deg=theta,
         move_deg=move,
         settled=np.array([pose.settled for pose in poses]),
+        stretch_deg=np.concatenate([stretches_deg(run) for run in kept]),
         travel_deg=travel_deg(move, approach, starts),
         starts=starts,
         approach=approach,

@@ -188,9 +188,9 @@ def _search(
         accepted = [f.candidate for f in found]
         model = fitted_model(r, accepted)
         verdict = judged(model)
-        wild = outlier(model.responses, model.accepted, verdict.gain) if len(kept) > fewest else None
-        if wild is not None:
-            others = np.delete(np.arange(len(r)), wild)
+        apart = outlier(model.responses, model.accepted, verdict.gain) if len(kept) > fewest else None
+        if apart is not None:
+            others = np.delete(np.arange(len(r)), apart)
             kept, r, candidates = kept[others], r.rows(others), [c.rows(others) for c in candidates]
             found = [f.rows(others) for f in found]
             continue

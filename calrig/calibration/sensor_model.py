@@ -20,7 +20,7 @@ from calrig.calibration.effect import Applied, Circumstances
 from calrig.calibration.felt_moves import FeltMoves
 from calrig.calibration.model import model_columns, own_columns, replaced
 from calrig.calibration.noise_model import Fit, fit
-from calrig.calibration.own_bends import OwnBends
+from calrig.calibration.nonlinear_terms import NonlinearTerms
 from calrig.calibration.responses import Responses
 from calrig.calibration.run_changes import since
 from calrig.calibration.sensor_vector import TURNS_THE_SENSOR, VectorError, sin_cos, turned_vector
@@ -128,8 +128,8 @@ class Curve:
         for _, at in self._on_axes:
             self._straight[:, :, at] = 0.0
         self._moves = FeltMoves(self._straight, self._names, r.channels)
-        self._own_bends = OwnBends(r, self._members, self._member_at)
-        self.bends = bool(self._on_axes) or self._moves.bends or self._own_bends.bends
+        self._nonlinear_terms = NonlinearTerms(r, self._members, self._member_at)
+        self.bends = bool(self._on_axes) or self._moves.bends or self._nonlinear_terms.bends
 
     def _placed(self) -> tuple[FloatArray, FloatArray]:
         """(n, p) what turns the sensor itself, degrees, and what its vector is longer by, g."""
@@ -171,7 +171,7 @@ class Curve:
 
     def _bent(self, beta: FloatArray) -> FloatArray:
         """(n, J) what is not linear in the coefficients."""
-        return self._on_axes_of(beta) + self._moves.over(beta) + self._own_bends.over(beta)
+        return self._on_axes_of(beta) + self._moves.over(beta) + self._nonlinear_terms.over(beta)
 
     def residuals(self, beta: FloatArray) -> FloatArray:
         """(n, J) what the model leaves of the measured responses."""
@@ -257,4 +257,4 @@ class Curve:
                 turns[:, k] += turned
                 lengths[:, k] += size * lengthened
         of_axes = self._r.columns({READING: turns, ANGLE: turns, NORM: lengths})
-        return of_axes + self._moves.slope(beta) + self._own_bends.slope(beta)
+        return of_axes + self._moves.slope(beta) + self._nonlinear_terms.slope(beta)

@@ -10,8 +10,9 @@ from pydantic import ValidationError
 
 from calrig.analysis.errors import Conflict, Unknown
 from calrig.analysis.issuing import Releases
+from calrig.runs.look import Look
 from calrig.runs.rig_states import RigState
-from calrig.runs.said_rigs import settings_of
+from calrig.runs.said_rigs import look_of, settings_of
 from calrig.settings import RigSettings
 from calrig.store import Store
 from calrig.store.benches import Bench
@@ -34,6 +35,14 @@ class BenchRig:
     def is_offline(self) -> bool:
         """Whether its bench has not been seen lately."""
         return self.bench.seen_ago_s is None or self.bench.seen_ago_s > OFFLINE_S
+
+    @property
+    def seen(self) -> Look | None:
+        """What the last look at its board gave; None where nobody looks, or that is not known."""
+        try:
+            return None if self.is_offline else look_of(self.said)
+        except ValidationError:
+            return None
 
     def state(self, run_id: str | None) -> RigState:
         """As `GET /api/rigs` shows it; `run_id` is the unfinished run that the centre knows on it."""
@@ -74,6 +83,10 @@ class BenchRigs:
         """How each stands."""
         busy = self._store.busy_rigs()
         return [rig.state(busy.get((rig.bench.name, rig.settings.name))) for rig in self.all()]
+
+    def looks(self) -> dict[str, Look]:
+        """What was seen of the units on rigs that are looked at, by name."""
+        return {rig.settings.name: seen for rig in self.all() if (seen := rig.seen) is not None}
 
     def known(self, name: str | None) -> BenchRig:
         """The rig of a name; the first one without.

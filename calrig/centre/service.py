@@ -18,17 +18,16 @@ from calrig.centre.conclusions import concluded
 from calrig.centre.unpacker import Unpacker
 from calrig.instruments.clock import WALL, Clock
 from calrig.plan import MountAxis, Plan
-from calrig.processes.pool import Apart, run_apart
 from calrig.runs.bus import Bus
 from calrig.runs.errands import Errand, Errands
+from calrig.runs.follow_up import Designed, FollowUpQuestion
 from calrig.runs.good_enough import require_a_reference
+from calrig.runs.look import Look
 from calrig.runs.meter import Meter
-from calrig.runs.mounting import Mount
 from calrig.runs.new_run import NewRun, rig_followed_up_on
 from calrig.runs.ordered import order_part
 from calrig.runs.planned import planned_poses
 from calrig.runs.rig_states import RigState
-from calrig.runs.sightings import Sighting
 from calrig.runs.stopping import BY_REQUEST
 from calrig.settings import RigSettings
 from calrig.store import AT_REST, Run, Store, StoreError
@@ -117,11 +116,16 @@ class CentreService:
         )
         return self._order(self._rigs.known(rig), wanted, waits=queue)
 
-    def follow_up(self, run_id: str, apart: Apart = run_apart, who: str | None = None) -> Run:
-        """As `RunService.follow_up`."""
+    def follow_up_question(self, run_id: str) -> FollowUpQuestion:
+        """As `RunService.follow_up_question`."""
         run = stored_run(self.store, run_id)
-        on = self._rigs.known(rig_followed_up_on(run))
-        return self._order(on, NewRun.following(self.store, run, on.settings, apart, who))
+        limits_deg = self._rigs.known(rig_followed_up_on(run)).settings.limits_deg
+        return FollowUpQuestion.of(self.store, run, limits_deg)
+
+    def follow_up(self, asked: FollowUpQuestion, found: Designed, who: str | None = None) -> Run:
+        """As `RunService.follow_up`."""
+        on = self._rigs.known(rig_followed_up_on(asked.last))
+        return self._order(on, NewRun.following(asked, found, who))
 
     def _order(self, on: BenchRig, wanted: NewRun, *, waits: bool = False) -> Run:
         planned = planned_poses(wanted.plan, on.settings)
@@ -204,12 +208,15 @@ class CentreService:
             f"rig {rig_name!r} is on bench {bench.name}: turn its unit there, by hand or at its page"
         )
 
-    def look(self, rig_name: str, mount: Mount) -> None:
-        """Looks at nothing: the boards are its benches'."""
+    def look(self, rig_name: str) -> None:
+        """Has a rig's bench look at its board for a while; waits for no answer. Or Unknown."""
+        rig = self._rigs.known(rig_name)
+        if not rig.is_offline:
+            self.store.ask_bench(rig.bench.name, "look", rig=rig_name)
 
-    def seen(self, rig_name: str) -> Sighting | None:  # noqa: ARG002
-        """None: nobody looks."""
-        return None
+    def looks(self) -> dict[str, Look]:
+        """What the last looks at boards gave, by rig, as their benches last said; of those looked at."""
+        return self._rigs.looks()
 
     def pause(self, run_id: str) -> Run:
         """Has the run hold after the pose in hand."""

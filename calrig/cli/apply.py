@@ -32,7 +32,7 @@ def apply(
         ),
     ] = None,
 ) -> None:
-    """Print the readings with their calibrated elevations and what these are worth, as CSV."""
+    """Print the readings with calibrated elevations and standard uncertainties, as CSV."""
     from calrig.calibration.application import Application
     from calrig.calibration.effect import ApplyError
     from calrig.export.applied_csv import Applier

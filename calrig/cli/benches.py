@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     cls=Listed,
-    help="Keep the benches of a centre, in its database or at the running service.",
+    help="Manage the benches of a centre, in its database or at the running service.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -36,7 +36,7 @@ def add(
     db: Db = None,
     server: Server = None,
 ) -> None:
-    """Let a bench join and print its code, for `calrig agent enroll`; it works once, within a day."""
+    """Register a bench and print its code for `calrig agent enroll`, valid once, within a day."""
     if server:
         from calrig.client.transport import part
 
@@ -49,7 +49,7 @@ def add(
 
 @app.command("revoke")
 def revoke(name: Name, db: Db = None, server: Server = None) -> None:
-    """Let a bench in no more and end its connections; what it measured stays."""
+    """Revoke a bench's access and end its connections; what it measured stays."""
     if server:
         _client(server).delete(f"/api/benches/{quote(name, safe='')}")
         return

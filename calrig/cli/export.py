@@ -78,8 +78,8 @@ def export(
     """Print a calibration as JSON or for another program, or its poses as CSV.
 
     Standard error has its verdict. `--format pdf` is its certificate, into a file or a pipe; `dcc` the same
-    for programs, in PTB's XML. `--format archive --out FILE.zip` is everything that stands behind a unit:
-    `calrig verify` checks it. With --parquet: the poses of all completed runs into files.
+    for programs, in PTB's XML. `--format archive --out FILE.zip` is the complete record of a unit, which
+    `calrig verify` checks. With --parquet: the poses of all completed runs into files.
 
     A service that holds the store makes them, by its own settings, where it is not told a key to sign with.
     """

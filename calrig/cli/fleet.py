@@ -31,7 +31,7 @@ def fleet(
     ] = None,
     db: Db = None,
 ) -> None:
-    """Read every completed run once more by today's catalogue, and map each rig's error from all its runs.
+    """Re-analyse every completed run with the current catalogue, and map each rig's error from its runs.
 
     What has been found is kept: a run is not diagnosed again in the same poses by the same catalogue.
     """

@@ -1,4 +1,4 @@
-"""`plan`: the plan that gets there soonest on a rig."""
+"""`plan`: the shortest plan for an uncertainty on a rig."""
 
 from __future__ import annotations
 
@@ -18,27 +18,29 @@ if TYPE_CHECKING:
     from calrig.client import Client
     from calrig.plan import Plan
 
-DOING = "looking for the plan"
+DOING = "designing the plan"
 
 
 def plan(
     target_u: Annotated[
         float | None, typer.Option("--target-u", metavar="DEG", min=1e-6, help="Expanded uncertainty wanted.")
     ] = None,
-    time: Annotated[float | None, typer.Option(metavar="S", min=1.0, help="Or: the time there is.")] = None,
+    time: Annotated[float | None, typer.Option(metavar="S", min=1.0, help="Or: time available.")] = None,
     rig: Rig = None,
     unit: Annotated[
-        str, typer.Option(metavar="SERIAL", help="Unit whose earlier runs on the rig tell its noise.")
+        str,
+        typer.Option(metavar="SERIAL", help="Unit whose noise is taken from its earlier runs on the rig."),
     ] = "",
     trace: Annotated[
         bool,
-        typer.Option("--trace/--no-trace", help="Variety, with which effects can be traced."),
+        typer.Option("--trace/--no-trace", help="Poses enough to trace effects."),
     ] = True,
     sweep: Annotated[
-        bool, typer.Option("--sweep/--no-sweep", help="Turning without stopping where that is sooner.")
+        bool, typer.Option("--sweep/--no-sweep", help="Sweep without stopping where that is shorter.")
     ] = True,
     until: Annotated[
-        bool, typer.Option("--until", help="Its run ends as soon as the uncertainty is reached.")
+        bool,
+        typer.Option("--until", help="Sequential stopping: end the run once the uncertainty is reached."),
     ] = False,
     keep: Annotated[
         Path | None,
@@ -49,7 +51,7 @@ def plan(
     config: Config = None,
     server: Server = None,
 ) -> None:
-    """Design the plan that reaches an uncertainty soonest, or the best one for a time; nothing moves."""
+    """Design the shortest plan for an uncertainty, or the best one for a time; nothing moves."""
     from calrig.cli import output
     from calrig.plan import Plan
 
@@ -146,7 +148,7 @@ def _print(document: dict[str, Any]) -> None:
     rows = [
         ("poses", _poses(document["plan"])),
         ("duration", f"{expected['duration_s']:.0f} s"),
-        ("no plan is under", "–" if limit is None else f"{limit['duration_s']:.0f} s"),
+        ("lower bound of duration", "–" if limit is None else f"{limit['duration_s']:.0f} s"),
         ("expanded uncertainty", number(expected["expanded_uncertainty_deg"], "°")),
         ("bias, standard error", number(expected["bias_std_deg"], "°")),
         ("scale, standard error", number(expected["scale_std"], "", 6)),
@@ -163,7 +165,7 @@ def _print(document: dict[str, Any]) -> None:
         for one in document["suspects"]
     ]
     if shown:
-        print_table(("found four times in five", "left in readings, RMS", "as a parameter"), shown)
+        print_table(("detected with power 80 %", "residual, RMS", "parameter"), shown)
     for sentence in document["says"]:
         print_line(f"· {sentence}")
     print_line("calrig plan … --json has the plan; calrig run --plan FILE.json takes its `plan`.")

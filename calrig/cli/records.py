@@ -23,7 +23,7 @@ def import_(
     db: Db = None,
     server: Server = None,
 ) -> None:
-    """Import a CSV of poses as a run and print its id; standard error says whether it is good."""
+    """Import a CSV of poses as a run and print its id; its verdict goes to standard error."""
     there = running_service(server, db)
     if there is not None:
         from calrig.cli.output import print_says

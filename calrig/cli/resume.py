@@ -21,7 +21,7 @@ def resume(
     config: Config = None,
     server: Server = None,
 ) -> None:
-    """Go on with an interrupted run, or one that is paused at the service; Ctrl-C aborts it.
+    """Resume an interrupted run, or one that is paused at the service; Ctrl-C aborts it.
 
     Rig, board and stage have to be the same, and the unit untouched: the last pose is measured once more.
     """

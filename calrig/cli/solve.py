@@ -54,7 +54,7 @@ SeatStd = Annotated[
         "--seat-std",
         metavar="DEG",
         min=0.0,
-        help="How far one clamping of the same face on the same seat scatters from the next: the level of a "
+        help="Repeatability (standard deviation) of clamping the same face on the same seat: the level of a "
         "unit that was reversed (mount_axis -x) rests on it.",
     ),
 ]
@@ -153,8 +153,8 @@ def _answer(asked: Question, *, is_drawn: bool) -> Solved:
     if is_drawn and whole_units(asked.lots):
         raise InputError(NOT_DRAWN)
     try:
-        with late_bar("solving"):
-            return answer(asked)
+        with late_bar("solving") as show:
+            return answer(asked, show)
     except DiagnosisError as error:
         raise InputError(str(error)) from error
 

@@ -25,12 +25,12 @@ def print_solution(found: dict[str, Any]) -> None:
     print_table(("mount", "unit", "stated", "found", "±"), mounts)
     print_stage(found)
     if found["advice"] is not None:
-        print_line(f"what would help: {found['advice']['says']}")
+        print_line(f"recommended: {found['advice']['says']}")
 
 
 def print_verdict(found: dict[str, Any]) -> None:
-    """Whether stage and units were told apart, and the noise."""
-    verdict = "stage and units told apart" if found["separable"] else "stage and units not told apart"
+    """Whether stage and units are separable, and the noise."""
+    verdict = f"stage and units are {'' if found['separable'] else 'not '}separable"
     print_line(f"{verdict}; a pose's noise is {number(found['noise']['std_deg'], '°')}", style="bold")
 
 
@@ -43,7 +43,7 @@ def print_stage(found: dict[str, Any]) -> None:
         if (parameter := stage.get(name)) is not None:
             print_parameter(name, parameter)
     before, after = (number(found[model]["held_out_rms_deg"], "°") for model in ("before", "final"))
-    print_line(f"RMS of held-out stretches: {before} believing the stage, {after} with its map")
+    print_line(f"held-out RMS: {before} without the map, {after} with the map")
     print_warnings(found["warnings"])
 
 

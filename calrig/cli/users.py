@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     cls=Listed,
-    help="Keep users and their roles, in the store or at a running service.",
+    help="Manage users and their roles, in the store or at a running service.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -70,7 +70,7 @@ def add(
 
 @app.command("token")
 def token(name: Name, db: Db = None, server: Server = None) -> None:
-    """Give a user a new token and print it; the one before opens nothing any more."""
+    """Give a user a new token and print it; the one before is revoked."""
     if server:
         from calrig.client.transport import part
 
@@ -98,7 +98,7 @@ def role(
 
 @app.command("disable")
 def disable(name: Name, db: Db = None, server: Server = None) -> None:
-    """Let a user in no more; what they did stays theirs."""
+    """Disable a user's token and logins; what they did stays theirs."""
     if server:
         _client(server).post(f"{_path(name)}/disable", {})
     else:

@@ -12,8 +12,8 @@ from calrig.figures.runs import MAX_POINTS
 DIAL = "dial of the stage (°)"
 CAPTIONS = {
     "map": "Map of the stage, two standard errors to each side",
-    "before": "Left of the angle, believing the stage",
-    "after": "Left with its map",
+    "before": "Residual angle without the map",
+    "after": "Residual angle with the map",
 }
 """What each picture shows, by its name."""
 ROWS = (("map",), ("before", "after"))

@@ -122,10 +122,17 @@ class StageDevice(Device):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoardDevice(Device):
-    """A kind of sensor board, and how one is opened."""
+    """A kind of sensor board, and how one is opened.
+
+    Attributes:
+        opens: opens one.
+        may_stay_open: whether a run may go on with a port that was opened for a look before, which saves
+            another reset; not where the board takes a zero when it starts.
+    """
 
     kind: ClassVar[Literal["board"]] = "board"
     opens: OpenBoard
+    may_stay_open: bool = False
 
 
 AnyDevice = StageDevice | BoardDevice

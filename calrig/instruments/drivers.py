@@ -67,6 +67,11 @@ def open_board(driver: str, port: str, *, baudrate: int | None = None) -> Board:
     return cast("OpenBoard", opens)(port, baudrate=baudrate)
 
 
+def may_stay_open(driver: str) -> bool:
+    """Whether a board that was opened for a look may be handed to a run; of somebody else's, never."""
+    return driver in BOARDS and BOARDS[driver].may_stay_open
+
+
 def known_devices() -> list[AnyDevice]:
     """All that a scan can recognise: the built-in devices, and what is offered as a device."""
     devices: list[AnyDevice] = [*STAGES.values(), *BOARDS.values()]

@@ -54,19 +54,24 @@ class Tape:
 
     def __init__(self, port: str, file: TextIO | None = None, clock: Clock = WALL) -> None:
         self.port = port
-        self._file = file
-        self._now_s = clock.now_s
-        self._opened_s = clock.now_s()
+        self.clock = clock
         self._lock = threading.Lock()
-        self._kept: deque[Piece] = deque()
-        self._n_bytes = 0
-        if file is not None:
-            file.write(_heading(port))
+        self.begin(file)
+
+    def begin(self, file: TextIO | None = None) -> None:
+        """Begins, or begins anew as if the port had been opened just now: who took it over has its own."""
+        with self._lock:
+            self._file = file
+            self._opened_s = self.clock.now_s()
+            self._kept: deque[Piece] = deque()
+            self._n_bytes = 0
+            if file is not None:
+                file.write(_heading(self.port))
 
     def note(self, direction: Direction, data: bytes) -> None:
         """Takes what was sent or received just now."""
-        piece = Piece(self._now_s() - self._opened_s, direction, data)
         with self._lock:
+            piece = Piece(self.clock.now_s() - self._opened_s, direction, data)
             self._kept.append(piece)
             self._n_bytes += len(data)
             while self._kept[0].at_s < piece.at_s - KEPT_S or self._n_bytes > KEPT_BYTES:
@@ -91,14 +96,21 @@ class Tapes:
 
     def of(self, port: str, clock: Clock = WALL) -> Tape:
         """A new tape."""
-        file = None
-        if self.folder is not None:
-            name = "".join(c if c.isalnum() else "-" for c in port).strip("-")[:80]
-            path = self.folder / f"{time.strftime('%Y%m%dT%H%M%S')}-{len(self.all)}-{name}.txt"
-            file = self._files.enter_context(path.open("x", encoding="ascii", errors="replace"))
-        tape = Tape(port, file, clock)
+        tape = Tape(port, self._file(port), clock)
         self.all.append(tape)
         return tape
+
+    def take_over(self, tape: Tape) -> None:
+        """Has a tape of a port that is open already, from now on."""
+        tape.begin(self._file(tape.port))
+        self.all.append(tape)
+
+    def _file(self, port: str) -> TextIO | None:
+        if self.folder is None:
+            return None
+        name = "".join(c if c.isalnum() else "-" for c in port).strip("-")[:80]
+        path = self.folder / f"{time.strftime('%Y%m%dT%H%M%S')}-{len(self.all)}-{name}.txt"
+        return self._files.enter_context(path.open("x", encoding="ascii", errors="replace"))
 
 
 _current: ContextVar[Tapes | None] = ContextVar("tapes", default=None)

@@ -15,11 +15,11 @@ from calrig.noise.units import (
 
 _SENSORS = {"accel": "Accelerometer", "gyro": "Gyro", "elevation": "Elevation"}
 _COLOURS = {
-    "white": "white (each sample errs on its own)",
+    "white": "white (samples are uncorrelated)",
     "pink": "pink (flicker: averaging longer than its floor gains nothing)",
     "brown": "brown (a random walk: averaging longer makes it worse)",
     "quantisation-limited": "limited by quantisation: the steps of the converter are as large as the noise",
-    "lines": "not white: it carries a tone",
+    "lines": "not white: it contains a spectral line",
     "mixed": "of more than one kind",
 }
 MOST_LINES = 3
@@ -27,7 +27,7 @@ MOST_LINES = 3
 
 
 def summarise(noise: Noise) -> list[str]:
-    """One sentence each: what was read, then colour, size, floor, tones, distribution, temperature."""
+    """One sentence each: what was read, then colour, size, floor, lines, distribution, temperature."""
     sentences = [f"{quantity(noise.duration_s, 's')} at {quantity(noise.rate_hz, 'Hz')}.", *noise.notes]
     for sensor, title in _SENSORS.items():
         group = {_axis(name): one for name, one in noise.channels.items() if name.startswith(f"{sensor}_")}
@@ -89,7 +89,7 @@ def _tones(one: ChannelNoise) -> Iterator[str]:
             for line in lines
         )
         more = f" and {len(one.lines) - len(lines)} more" if len(one.lines) > len(lines) else ""
-        yield f"{one.name} carries a tone at {tones}{more}: a log that carries a tone is not white."
+        yield f"{one.name} contains a spectral line at {tones}{more}: the noise is not white."
 
 
 def _shape(one: ChannelNoise) -> Iterator[str]:

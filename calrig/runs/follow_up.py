@@ -2,20 +2,82 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from calrig.analysis.errors import Conflict
-from calrig.analysis.unresolved import Unresolved
+from calrig.analysis.stored_runs import poses_together, runs_together
+from calrig.analysis.unresolved import Unresolved, found_in
 from calrig.calibration.diagnosis import trace
-from calrig.calibration.experiment_design import design
+from calrig.calibration.experiment_design import FollowUp, design
 from calrig.calibration.pose import DiagnosisError, Pose
+from calrig.calibration.search import Findings
 from calrig.calibration.sprt import SequentialTest
 from calrig.plan import Plan, PlannedPose
-from calrig.processes.pool import Apart, WorkError, run_apart
+from calrig.processes.pool import WorkError, run_apart
 from calrig.store import Run
+
+if TYPE_CHECKING:
+    from calrig.store import Store
+
+
+Designed = tuple[Findings, FollowUp] | str
+"""What was found in the earlier runs and the run that separates it, or why none would."""
+SEARCHED = 0.7
+"""The share of it all that the search for effects takes, about."""
+
+
+@dataclass(frozen=True, slots=True)
+class FollowUpQuestion:
+    """Which run would best separate the suspects of earlier ones, of which `last` is the latest, on a rig.
+
+    Attributes:
+        last: a run whose diagnosis, with those it follows on, left something ambiguous.
+        run_ids, poses: of all of them, in the order measured.
+        limits_deg: soft limits of the rig.
+    """
+
+    last: Run
+    run_ids: list[str]
+    poses: list[list[Pose]]
+    limits_deg: tuple[float, float]
+
+    @classmethod
+    def of(cls, store: Store, last: Run, limits_deg: tuple[float, float]) -> FollowUpQuestion:
+        """The question; Conflict where a run has not ended, Invalid where they are too many."""
+        runs = runs_together(store, last.id)
+        return cls(last, [run.id for run in runs], poses_together(store, runs), limits_deg)
+
+    @property
+    def work(self) -> Callable[..., Designed]:
+        """What answers it, here or in another process; its `progress` is told the share that is done."""
+        return partial(designed, self.poses, self.limits_deg)
+
+    def follow_up(self, found: Designed) -> FollowUpRun:
+        """The run that was designed; Conflict where none would separate the suspects, and why."""
+        if isinstance(found, str):
+            raise Conflict(f"run {self.last.id}: {found}")
+        findings, design = found
+        plan = Plan.model_validate(design.document(self.last.plan or {})["plan"])
+        earlier = Unresolved(self.run_ids, self.poses, findings)
+        return FollowUpRun(earlier, design.separates, design.deciding, plan, self.limits_deg)
+
+
+def designed(
+    poses: list[list[Pose]],
+    limits_deg: tuple[float, float],
+    progress: Callable[[float], None] = lambda _: None,
+) -> Designed:
+    """Finds the suspects in the poses of runs, and designs the run that separates them."""
+    try:
+        findings = found_in(poses)
+    except DiagnosisError as error:
+        return str(error)
+    progress(SEARCHED)
+    found = design(poses, findings, limits_deg, progress=lambda k: progress(SEARCHED + (1 - SEARCHED) * k))
+    return found if isinstance(found, str) else (findings, found)
 
 
 @dataclass
@@ -42,21 +104,6 @@ class FollowUpRun:
     def __post_init__(self) -> None:
         self._test = SequentialTest(self.earlier.poses, self.earlier.findings)
         self._of_a_sweep = len(self.plan.elevations())
-
-    @classmethod
-    def designed(
-        cls, earlier: Unresolved, last: Run, limits_deg: tuple[float, float], apart: Apart = run_apart
-    ) -> FollowUpRun:
-        """The follow-up that best separates the suspects on a rig; `last` is the latest of the earlier runs.
-
-        Raises:
-            Conflict: no run within these limits would, and why.
-        """
-        found = apart(partial(design, earlier.poses, earlier.findings, limits_deg))
-        if isinstance(found, str):
-            raise Conflict(f"run {last.id}: {found}")
-        plan = Plan.model_validate(found.document(last.plan or {})["plan"])
-        return cls(earlier, found.separates, found.deciding, plan, limits_deg)
 
     def skips(self, planned: PlannedPose, measured: Sequence[Pose]) -> bool:
         """Whether a planned pose need not be measured: it was to decide, and that has been done."""

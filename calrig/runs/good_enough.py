@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from calrig.analysis.errors import Invalid
 from calrig.analysis.results import fitted
-from calrig.calibration.early_end import Ending, has_the_line
+from calrig.calibration.early_end import Ending, has_the_line, turned_both_ways
 from calrig.calibration.plan_design.goals import Goals
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import Result
@@ -41,7 +41,8 @@ class GoodEnough:
         stage_map = map_of(self.provenance)
         poses = poses if stage_map is None else with_map(poses, stage_map)
         visited_deg = [pose.target_deg for pose in poses]
-        if not has_the_line(visited_deg, [pose.target_deg for pose in self.planned]):
+        planned_deg = [pose.target_deg for pose in self.planned]
+        if not (has_the_line(visited_deg, planned_deg) and turned_both_ways(poses)):
             return False
         return holds(self.until, fitted(poses, self.accepted, self.provenance, ending=REACHED))
 

@@ -10,11 +10,8 @@ from calrig.analysis.active_calibration import ActiveCalibration, active_calibra
 from calrig.analysis.errors import Conflict
 from calrig.analysis.origin import provenance
 from calrig.analysis.stage_maps import provenance_part
-from calrig.analysis.unresolved import unresolved
 from calrig.plan import Plan
-from calrig.processes.pool import Apart
-from calrig.runs.follow_up import FollowUpRun
-from calrig.settings import RigSettings
+from calrig.runs.follow_up import Designed, FollowUpQuestion, FollowUpRun
 from calrig.store import Run, Store
 from calrig.store.records import Document
 
@@ -46,14 +43,13 @@ class NewRun:
     run_id: str | None = None
 
     @classmethod
-    def following(cls, store: Store, run: Run, on: RigSettings, apart: Apart, who: str | None) -> Self:
+    def following(cls, asked: FollowUpQuestion, found: Designed, who: str | None) -> Self:
         """The run that best separates what the diagnosis of a run (and those before it) could not.
 
         Raises:
             Conflict: nothing can be separated on this rig, and why.
         """
-        earlier = unresolved(store, run.id, apart)
-        follow_up = FollowUpRun.designed(earlier, run, on.limits_deg, apart)
+        follow_up, run = asked.follow_up(found), asked.last
         return cls(
             unit=run.unit,
             plan=follow_up.plan,

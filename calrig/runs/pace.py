@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -24,6 +25,8 @@ GRAVITY_S = 0.5
 """How long gravity is averaged, where it is held against a stage that cannot home or a mount."""
 MOST_CLOCKS = 4000
 """Pairs of the two clocks that are kept: some minutes of looks."""
+LATELY = 50
+"""Newest of these pairs: two seconds of looks."""
 WATCH_S = 0.5
 """How often a stage that is to stand is asked whether it does."""
 
@@ -49,6 +52,7 @@ class Pace:
     stood_at_s: float = 0.0
     rate_hz: float = field(init=False)
     clocks: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=MOST_CLOCKS))
+    _untold: list[Motion] = field(default_factory=list)
     _stood_deg: float | None = None
     _watched_s: float = 0.0
 
@@ -144,7 +148,7 @@ class Pace:
             self.stage_deg = motion.elevation_deg
             if not motion.moving:
                 return self._stands(motion.elevation_deg)
-            self.look()
+            self.look(motion)
             seen(motion)
 
     def _stands(self, elevation_deg: float) -> None:
@@ -157,16 +161,37 @@ class Pace:
             self.stage_deg = self.rig.axis.see_that_it_stands(self._stood_deg)
             self._watched_s = self.rig.clock.now_s()
 
-    def look(self) -> None:
-        """Takes samples for a moment, tells what is seen, and unwinds where an end was asked for."""
+    def look(self, motion: Motion | None = None) -> None:
+        """Takes samples for a moment, tells what is seen, and unwinds where an end was asked for.
+
+        A stage on the move, as of `motion`, is told with the reading of the same instant, once that has come.
+        """
         if self.stream.pump(LOOK_S):
             self.clocks.append((self.rig.clock.now_s(), self.stream.clock_s))
         self.control.check()
         if self.rig.clock.now_s() - self._watched_s > WATCH_S:
             self.see_that_it_stands()
-        self.recorder.reading(
-            self.stream.clock_s, self.stage_deg, self.stream.reading_deg, self.stream.temperature_c
-        )
+        self._tell(motion)
+
+    def _tell(self, motion: Motion | None) -> None:
+        at_s, stage_deg, reading_deg = self.stream.clock_s, self.stage_deg, self.stream.reading_deg
+        if motion is None or not self.clocks or math.isnan(motion.asked_s[0]):
+            self._untold.clear()
+        else:
+            self._untold.append(motion)
+            come = [(then_s, one) for one in self._untold if (then_s := self._board_s(one)) <= at_s]
+            if not come:
+                return
+            (at_s, last), self._untold = come[-1], self._untold[len(come) :]
+            stage_deg, reading_deg = last.elevation_deg, self.stream.reading_at(at_s)
+        self.recorder.reading(at_s, stage_deg, reading_deg, self.stream.temperature_c)
+
+    def _board_s(self, motion: Motion) -> float:
+        """The board's clock at a look at the stage, by the samples that came promptest of late."""
+        (first_s, first_board_s), (now_s, board_s) = self.clocks[0], self.clocks[-1]
+        rate = (board_s - first_board_s) / (now_s - first_s) if now_s > first_s else 1.0
+        late = [self.clocks[-k] for k in range(1, min(LATELY, len(self.clocks)) + 1)]
+        return max(board_s - rate * host_s for host_s, board_s in late) + rate * sum(motion.asked_s) / 2
 
     def wait_until(self, clock_s: float) -> None:
         """Looks until the board's clock has come so far."""

@@ -71,6 +71,7 @@ def open_rig(
     warn: Callable[[str], None],
     place: StagePlace,
     faults_before: Mapping[str, int],
+    board: Board | None = None,
 ) -> Iterator[Rig]:
     """Opens and identifies both instruments of a rig; moves nothing.
 
@@ -81,6 +82,7 @@ def open_rig(
         warn: is told where the stage, left behind, is not known to stand.
         place: is told where a stopped stage stands.
         faults_before: counts that the run has already.
+        board: where it is open already; it is closed with the rest.
 
     Raises:
         InstrumentError: a port does not open, or a device does not answer as it should.
@@ -91,10 +93,10 @@ def open_rig(
     clock = clock_of(settings.stage.port)
     axis = _open_axis(settings)
     control.arm(axis.halt)
-    board: Board | None = None
+    imu = settings.imu
     try:
         with while_wanted(control.check):
-            board = open_board(settings.imu.driver, settings.imu.port, baudrate=settings.imu.baudrate)
+            board = board or open_board(imu.driver, imu.port, baudrate=imu.baudrate)
             stage, sensor = axis.identify(), board.identify()
             yield Rig(settings, clock, axis, axis.stage, board, stage, sensor, place, faults_before)
     finally:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+from functools import cache
 from typing import Any
 
+from pydantic import TypeAdapter
+
+from calrig.runs.look import Look
 from calrig.runs.rig_states import RigState
 from calrig.settings import BoardSettings, RigSettings, StageSettings
 
 
-def said_of(state: RigState, settings: RigSettings) -> dict[str, Any]:
+def said_of(state: RigState, settings: RigSettings, seen: Look | None) -> dict[str, Any]:
     """What a bench says of one of its rigs, an entry of `bench.said["rigs"]`; ports are its own affair."""
     return {
         "name": state.name,
@@ -17,6 +22,7 @@ def said_of(state: RigState, settings: RigSettings) -> dict[str, Any]:
         "simulated": state.simulated,
         "state": state.state,
         "run_id": state.run_id,
+        "seen": None if seen is None else asdict(seen),
         **settings.model_dump(mode="json", include={"limits_deg", "release", "reference", "filter"}),
     }
 
@@ -34,3 +40,17 @@ def settings_of(said: dict[str, Any]) -> RigSettings:
         simulated={} if said.get("simulated") else None,
         **{key: said[key] for key in ("limits_deg", "release", "reference", "filter") if key in said},
     )
+
+
+def look_of(said: dict[str, Any]) -> Look | None:
+    """What the last look at the rig's board gave, by what its bench says; None where nobody looks.
+
+    Raises:
+        ValueError: it says what is no look (pydantic's ValidationError).
+    """
+    return _looks().validate_python(said.get("seen"))
+
+
+@cache
+def _looks() -> TypeAdapter[Look | None]:
+    return TypeAdapter(Look | None)

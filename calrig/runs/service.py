@@ -14,18 +14,17 @@ from calrig.analysis.issuing import Issuer, Releases
 from calrig.analysis.origin import check_serial
 from calrig.analysis.stored_runs import stored_run
 from calrig.plan import MountAxis, Plan
-from calrig.processes.pool import Apart, run_apart
 from calrig.runs.bus import Bus
 from calrig.runs.control import End
 from calrig.runs.crew import Crew
 from calrig.runs.errands import Errand
+from calrig.runs.follow_up import Designed, FollowUpQuestion
+from calrig.runs.look import Look
 from calrig.runs.meter import Meter
-from calrig.runs.mounting import Mount
 from calrig.runs.new_run import NewRun, rig_followed_up_on
 from calrig.runs.references import require_in_date
 from calrig.runs.resume import resumed_task
 from calrig.runs.rig_states import RigState, state_of
-from calrig.runs.sightings import Sighting
 from calrig.runs.starts import Starts
 from calrig.runs.states import check_transition
 from calrig.runs.stopping import Stops
@@ -112,16 +111,18 @@ class RunService:
         )
         return self.begin(settings, wanted, waits=queue)
 
-    def follow_up(self, run_id: str, apart: Apart = run_apart, who: str | None = None) -> Run:
-        """Starts the run that best separates what the diagnosis of a run (and those before it) could not.
+    def follow_up_question(self, run_id: str) -> FollowUpQuestion:
+        """Which run would separate what the diagnosis of a run, and those before it, could not.
 
-        Raises:
-            Unknown: there is no such run.
-            Conflict: nothing can be separated on this rig, and why; or the rig is busy.
+        Raises Unknown where there is no such run, Conflict where it was imported or one has not ended.
         """
         run = stored_run(self.store, run_id)
-        settings = self._rig(rig_followed_up_on(run))
-        return self.begin(settings, NewRun.following(self.store, run, settings, apart, who))
+        return FollowUpQuestion.of(self.store, run, self._rig(rig_followed_up_on(run)).limits_deg)
+
+    def follow_up(self, asked: FollowUpQuestion, found: Designed, who: str | None = None) -> Run:
+        """Starts that run; Conflict where nothing can be separated on the rig, and why, or it is busy."""
+        settings = self._rig(rig_followed_up_on(asked.last))
+        return self.begin(settings, NewRun.following(asked, found, who))
 
     def begin(self, settings: RigSettings, wanted: NewRun, *, waits: bool = False) -> Run:
         """Starts a run on a rig of this service, which is free or kept for that run; errors as of `start`.
@@ -206,13 +207,13 @@ class RunService:
         with self._starts.lock:
             return self._starts.clamps.turn(rig, mount_deg, axis, lambda: self._state_of(rig))
 
-    def look(self, rig_name: str, mount: Mount) -> None:
+    def look(self, rig_name: str) -> None:
         """Has an idle rig's board looked at for a while: whether a unit is there, and which. Or Unknown."""
-        self._starts.sightings.look(self._rig(rig_name), mount)
+        self._starts.sightings.look(self._rig(rig_name))
 
-    def seen(self, rig_name: str) -> Sighting | None:
-        """What was seen of the unit on a rig; None where nobody looks."""
-        return self._starts.sightings.of(rig_name)
+    def looks(self) -> dict[str, Look]:
+        """What the last looks at boards gave, by rig; of those that are looked at."""
+        return self._starts.sightings.looks()
 
     def _state_of(self, rig: RigSettings) -> RigState:
         return next(state for state in self.rigs() if state.name == rig.name)

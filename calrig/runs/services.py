@@ -7,13 +7,12 @@ from typing import Protocol
 
 from calrig.analysis.issuing import Issuer
 from calrig.plan import MountAxis, Plan
-from calrig.processes.pool import Apart, run_apart
 from calrig.runs.bus import Bus
 from calrig.runs.errands import Errand
+from calrig.runs.follow_up import Designed, FollowUpQuestion
+from calrig.runs.look import Look
 from calrig.runs.meter import Meter
-from calrig.runs.mounting import Mount
 from calrig.runs.rig_states import RigState
-from calrig.runs.sightings import Sighting
 from calrig.settings import RigSettings
 from calrig.store import Run, Store
 from calrig.store.records import Document
@@ -50,8 +49,11 @@ class Service(Protocol):
     ) -> Run:
         """Starts a run."""
 
-    def follow_up(self, run_id: str, apart: Apart = run_apart, who: str | None = None) -> Run:
-        """Starts the run that separates what a diagnosis could not."""
+    def follow_up_question(self, run_id: str) -> FollowUpQuestion:
+        """Which run would separate what a diagnosis could not."""
+
+    def follow_up(self, asked: FollowUpQuestion, found: Designed, who: str | None = None) -> Run:
+        """Starts that run."""
 
     def run(self, run_id: str) -> Run:
         """The run, or Unknown."""
@@ -68,11 +70,11 @@ class Service(Protocol):
     def begin_clamp(self, rig_name: str, mount_deg: float, axis: MountAxis) -> Errand[RigState]:
         """Has a rig's clamp turn the unit, in a thread of its own."""
 
-    def look(self, rig_name: str, mount: Mount) -> None:
-        """Has an idle rig's board looked at for a while, where this process can."""
+    def look(self, rig_name: str) -> None:
+        """Has an idle rig's board looked at for a while."""
 
-    def seen(self, rig_name: str) -> Sighting | None:
-        """What was seen of the unit on a rig; None where nobody looks."""
+    def looks(self) -> dict[str, Look]:
+        """What the last looks at boards gave, by rig; of those that are looked at."""
 
     def pause(self, run_id: str) -> Run:
         """Has a run hold."""

@@ -35,7 +35,7 @@ class Starts:
         lock: held while the store is told of a run that takes a rig.
         queue: of runs that wait for a rig.
         clamps: of the rigs; while one turns, no run begins there.
-        sightings: of the units on idle rigs, which end where a run begins.
+        sightings: of the units on idle rigs, which end where a run begins and leave it the open port.
 
     Args:
         store: where runs are kept.
@@ -95,8 +95,7 @@ class Starts:
         )
         if self._crew.take(worker):
             worker.control.end(BY_REQUEST)
-        self.sightings.let_go(worker.rig.name)
-        worker.start()
+        worker.start(self.sightings.let_go(worker.rig.name))
 
     def _wait_in_turn(self, rig_name: str, wanted: NewRun, n_poses: int) -> Run:
         if wanted.stage_at_deg is not None:

@@ -102,6 +102,13 @@ class Stream:
         before = elevation[0] if self._filtered_deg is None else self._filtered_deg
         return np.unwrap(np.append(before, elevation), period=360.0)[1:]
 
+    def reading_at(self, at_s: float) -> float | None:
+        """The reading at a time of the board's clock not long ago, between the samples about it."""
+        last = Stretch.join(self._kept[-2:])
+        if not len(last.samples):
+            return self.reading_deg
+        return wrap_deg(float(np.interp(at_s, last.samples.time_s, last.filtered_deg)))
+
     def kept(self) -> Stretch:
         """Everything since the last cut."""
         if len(self._kept) > 1:

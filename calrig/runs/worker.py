@@ -22,6 +22,7 @@ from calrig.runs.bus import Bus
 from calrig.runs.control import Control, End, Ended, Left
 from calrig.runs.execution import Execution
 from calrig.runs.good_enough import REACHED, GoodEnough
+from calrig.runs.left_open import LeftOpen
 from calrig.runs.meter import Meter
 from calrig.runs.pace import Pace
 from calrig.runs.pose_taking import PoseTaking
@@ -94,9 +95,11 @@ class Worker:
         self._concluded = False
         self._given_up = self.clock.event()
         self.untold: RunChanges | None = None
+        self._left_open: LeftOpen | None = None
 
-    def start(self) -> None:
-        """Begins to carry the run out."""
+    def start(self, left_open: LeftOpen | None) -> None:
+        """Begins to carry the run out, with the board that a look has left open."""
+        self._left_open = left_open
         self._thread.start()
 
     def join(self, timeout_s: float | None = None) -> None:
@@ -166,6 +169,8 @@ class Worker:
 
     def _conclude(self, status: Status, error: str | None) -> None:
         """Frees the rig, then says how the run ended: who hears of the end may start the next run."""
+        if self._left_open is not None:
+            self._left_open.board.close()  # once more, but for a run that did not get to its rig
         self._left_rig(self)
         self.control.leave(Left(seen=False))
         told = [error, *self._warnings] if error else self._warnings
@@ -219,6 +224,7 @@ class Worker:
                 self._warnings.append,
                 StagePlace(self._store, task.rig, task.run.unit, resumes=task.interruption is not None),
                 task.earlier.faults,
+                None if self._left_open is None else self._left_open.taken_over(tapes),
             ) as rig,
         ):
             self.reached_rig = True

@@ -125,12 +125,23 @@ class BoardOptions(Options):
     default_rate_hz: int = Field(default=200, ge=1, le=8000)
     clock_error_ppm: float = Field(default=0.0, ge=-50_000, le=50_000)
     """How much too fast its resonator runs: its seconds are as much too short."""
+    boot_s: NotNegative = 0.0
+    """Opening its port resets it, as DTR does an Arduino, and so long it hears nothing; 0: it does not.
+
+    Of calrig's own sketch, on a `tcp` port: nobody sees that a pseudo-terminal was opened.
+    """
     fault: BoardFault | None = None
 
     @model_validator(mode="after")
     def _default_is_allowed(self) -> Self:
         if self.default_rate_hz > self.max_rate_hz:
             raise ValueError("default_rate_hz is above max_rate_hz")
+        return self
+
+    @model_validator(mode="after")
+    def _boots_as_calrigs_own(self) -> Self:
+        if self.boot_s and self.sketch is not None:
+            raise ValueError(f"boot_s is none of a board that runs {self.sketch}")
         return self
 
     @model_validator(mode="after")

@@ -36,6 +36,9 @@ class Board(Device, Protocol):
     driver: str
     most_waiting_bytes: int
 
+    def opened(self) -> None:
+        """Its port was opened."""
+
 
 MakesStage = Callable[["StageOptions", "Bench", Callable[[], float]], "Stage"]
 MakesBoard = Callable[["BoardOptions", "ImuOptions", "Bench", Callable[[], float]], Board]

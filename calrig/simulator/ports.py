@@ -6,6 +6,7 @@ import contextlib
 import os
 import selectors
 import socket
+from collections.abc import Callable
 from typing import Literal, Protocol
 
 try:
@@ -97,10 +98,14 @@ class PtyPort(_Wakeable):
 
 
 class TcpPort(_Wakeable):
-    """A TCP port on this machine, for pyserial's `socket://`. A new client takes the place of the last."""
+    """A TCP port on this machine, for pyserial's `socket://`. A new client takes the place of the last.
 
-    def __init__(self) -> None:
+    `opened` is called whenever one comes, in the thread that waits.
+    """
+
+    def __init__(self, opened: Callable[[], None]) -> None:
         super().__init__()
+        self._opened = opened
         self._server = socket.create_server((LOOPBACK, 0))
         self._server.setblocking(False)
         self._selector.register(self._server, selectors.EVENT_READ)
@@ -150,6 +155,7 @@ class TcpPort(_Wakeable):
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._selector.register(client, selectors.EVENT_READ)
             self._client = client
+            self._opened()
 
     def _hang_up(self) -> None:
         if self._client is not None:
@@ -158,14 +164,18 @@ class TcpPort(_Wakeable):
             self._client = None
 
 
-def open_port(kind: Literal["auto", "pty", "tcp"]) -> Port:
+def open_port(kind: Literal["auto", "pty", "tcp"], opened: Callable[[], None] = lambda: None) -> Port:
     """A port of this kind; `auto` is a pseudo-terminal where the system has them.
+
+    Args:
+        kind: of port.
+        opened: is called whenever a client opens it; a pseudo-terminal does not tell.
 
     Raises:
         ValueError: pseudo-terminals were asked for and there are none.
     """
     if kind == "tcp" or (kind == "auto" and not PTY_AVAILABLE):
-        return TcpPort()
+        return TcpPort(opened)
     if not PTY_AVAILABLE:
         raise ValueError("ports: this system has no pseudo-terminals; use `tcp`")
     return PtyPort()

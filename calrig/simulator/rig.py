@@ -67,7 +67,9 @@ class SimulatedRig:
         self.board = board_of(settings.board.sketch)(settings.board, settings.imu, self.bench, self.clock)
         self.stage_driver, self.imu_driver = settings.stage.driver, self.board.driver
         self.stage_wire = _plugged(self.stage, "stage", settings, virtual)
-        self.board_wire = _plugged(self.board, "board", settings, virtual, self.board.most_waiting_bytes)
+        self.board_wire = _plugged(
+            self.board, "board", settings, virtual, self.board.most_waiting_bytes, self.board.opened
+        )
         self.stage_port, self.imu_port = self.stage_wire.url, self.board_wire.url
         self.clamp_wire: Wire | SimWire | None = None
         if settings.clamp is not None:
@@ -109,7 +111,8 @@ def _plugged(
     settings: SimulatorSettings,
     virtual: VirtualClock | None,
     most_waiting_bytes: int = MOST_WAITING_BYTES,
+    opened: Callable[[], None] = lambda: None,
 ) -> Wire | SimWire:
     if virtual is not None:
-        return SimWire(device, name, virtual, most_waiting_bytes)
-    return Wire(device, open_port(settings.ports), f"simulated {name}", most_waiting_bytes)
+        return SimWire(device, name, virtual, most_waiting_bytes, opened)
+    return Wire(device, open_port(settings.ports, opened), f"simulated {name}", most_waiting_bytes)

@@ -14,9 +14,10 @@ from __future__ import annotations
 import heapq
 import threading
 import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from itertools import count
 
 BEGINNING_S = 1000.0
@@ -50,6 +51,13 @@ class Wait:
 Waits = list[Wait]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """One reason for which a thread is a member, of however many."""
+
+    ident: int
+
+
 class Scheduler:
     """Time that moves on when everybody waits.
 
@@ -64,7 +72,7 @@ class Scheduler:
     def __init__(self, most_speed: float | None = None) -> None:
         self.lock = threading.RLock()
         self._now_s = BEGINNING_S
-        self._members: Counter[int] = Counter()
+        self._members: dict[int, set[Part]] = {}
         self._turn: int | None = None
         self._ready: deque[Wait] = deque()
         self._timers: list[tuple[float, int, Wait | None, Callable[[], None]]] = []
@@ -104,38 +112,48 @@ class Scheduler:
         """The calling member is a visitor meanwhile: for what waits for members in ways of its own."""
         me = threading.get_ident()
         with self.lock:
-            times = self._members.pop(me)
+            parts = self._members.pop(me)
             self._turn = None
             self._dispatch()
         try:
             yield
         finally:
             self.take_part()
-            self._members[me] = times
+            self._members[me] = parts
 
-    def take_part(self, announce: Callable[[], None] = lambda: None) -> int:
+    def take_part(self, announce: Callable[[], None] = lambda: None) -> Part:
         """As `taking_part`; `leave`, called with what this returns, ends it. Tells when it is in line."""
-        me = threading.get_ident()
+        part = Part(threading.get_ident())
         with self.lock:
-            self._members[me] += 1
-            if self._members[me] > 1:
-                return me
+            parts = self._members.setdefault(part.ident, set())
+            parts.add(part)
+            if len(parts) > 1:
+                return part
             wait = self._begin_wait(None)
             self._end(wait)
             self._dispatch()
         announce()
         wait.rest()
-        return me
+        return part
 
-    def leave(self, ident: int) -> None:
-        """Ends what `take_part` began."""
+    def leave(self, part: Part) -> None:
+        """Ends what `take_part` began, unless its thread has ended since."""
         with self.lock:
-            self._members[ident] -= 1
-            if not self._members[ident]:
-                del self._members[ident]
-                if self._turn == ident:
-                    self._turn = None
-                self._dispatch()
+            parts = self._members.get(part.ident, set())
+            parts.discard(part)
+            if not parts and part.ident in self._members:
+                self._is_gone(part.ident)
+
+    def leave_for_good(self) -> None:
+        """The calling thread ends: a port that it has opened and somebody else uses makes it no member."""
+        with self.lock:
+            self._is_gone(threading.get_ident())
+
+    def _is_gone(self, ident: int) -> None:
+        del self._members[ident]
+        if self._turn == ident:
+            self._turn = None
+        self._dispatch()
 
     def register(self, among: Waits, timeout_s: float | None) -> Wait:
         """Begins a wait of the calling thread, listed where whoever ends it looks; `rest` must follow."""

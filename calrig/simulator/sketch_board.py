@@ -51,6 +51,9 @@ class SketchBoard:
         self._waits: bool
         self._reset(now())
 
+    def opened(self) -> None:
+        """Nothing: it goes on."""
+
     def receive(self, data: bytes) -> bytes:
         """Takes what came over the wire; it matters to a sketch that waits for a character."""
         if data and self._waits:

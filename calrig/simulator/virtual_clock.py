@@ -124,12 +124,12 @@ class VirtualThread(threading.Thread):
 
     def run(self) -> None:
         """Does its work."""
-        me = self._clock.take_part(self._in_line.set)
+        self._clock.take_part(self._in_line.set)
         try:
             self._work()
         finally:
             self._end.set()
-            self._clock.leave(me)
+            self._clock.leave_for_good()
 
     def join(self, timeout: float | None = None) -> None:
         """Waits until its work is done, or for so many seconds."""

@@ -7,6 +7,7 @@ pyserial opens it through `protocol_sim`. Nothing here knows whether the port's 
 from __future__ import annotations
 
 import errno
+from collections.abc import Callable
 from itertools import count
 from typing import ClassVar
 
@@ -41,8 +42,10 @@ class SimWire:
         name: str,
         clock: VirtualClock,
         most_waiting_bytes: int = MOST_WAITING_BYTES,
+        opened: Callable[[], None] = lambda: None,
     ) -> None:
         self.clock = clock
+        self._opened = opened
         self.url = f"{SCHEME}{name}-{next(self._numbers)}"
         self._device = device
         self._most_bytes = most_waiting_bytes + SYSTEM_BYTES
@@ -73,6 +76,7 @@ class SimWire:
                 raise OSError(errno.EBUSY, "in use")
             self._user = user
             self._came.clear()
+            self._opened()
 
     def close(self, user: object) -> None:
         """Gives it back."""

@@ -1,10 +1,10 @@
-"""What is asked of a bench while somebody waits: stop, abort, pause, resume."""
+"""What is asked of a bench while somebody waits: stop, abort, pause, resume; and to look at a board."""
 
 from __future__ import annotations
 
 from typing import Literal
 
-from sqlalchemy import update
+from sqlalchemy import delete, update
 from sqlmodel import col
 
 from calrig.store.bench_tables import BenchCommandTable, RunOrderTable
@@ -12,7 +12,7 @@ from calrig.store.benches import now_there, take_back
 from calrig.store.database import Part
 from calrig.store.records import Document
 
-Kind = Literal["stop", "abort", "pause", "resume"]
+Kind = Literal["stop", "abort", "pause", "resume", "look"]
 
 
 class BenchCommands(Part):
@@ -21,6 +21,9 @@ class BenchCommands(Part):
     def ask_bench(self, bench: str, kind: Kind, *, rig: str | None = None, run_uid: str | None = None) -> int:
         """Asks something of a bench; a stop also takes back what waits to begin on the rig.
 
+        A look is asked for every few seconds, and nobody waits for its answer: of each rig the last one is
+        kept.
+
         Returns:
             The command's number.
         """
@@ -28,6 +31,13 @@ class BenchCommands(Part):
             if kind == "stop":
                 of_rig = col(RunOrderTable.bench) == bench, col(RunOrderTable.rig) == rig
                 take_back(session, *of_rig)
+            if kind == "look":
+                before = (
+                    col(BenchCommandTable.bench) == bench,
+                    col(BenchCommandTable.rig) == rig,
+                    col(BenchCommandTable.kind) == kind,
+                )
+                session.execute(delete(BenchCommandTable).where(*before))
             row = BenchCommandTable(
                 bench=bench, kind=kind, rig=rig, run_uid=run_uid, asked_at=now_there(session)
             )

@@ -47,7 +47,7 @@ class RunOrderTable(SQLModel, table=True):
 
 
 class BenchCommandTable(SQLModel, table=True):
-    """Stop, abort, pause or resume, asked of a bench while somebody waits for the answer."""
+    """Stop, abort, pause or resume, asked of a bench while somebody waits for the answer; or a look."""
 
     __tablename__ = "bench_command"
     __table_args__ = (Index("ix_bench_command_bench", "bench"),)

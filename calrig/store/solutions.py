@@ -34,7 +34,7 @@ class StoredSolution:
 
 @dataclass(frozen=True, slots=True)
 class ListedSolution:
-    """A solution in a list: the RMS of held-out poses believing the stage, and with its map."""
+    """A solution in a list: the RMS of held-out poses without and with the map."""
 
     id: str
     created_at: datetime

@@ -67,6 +67,25 @@ def test_a_run_of_the_centre_is_watched_ends_and_gives_a_revision(
     assert (revision["run_id"], revision["status"]) == (run_id, "in_force")
 
 
+def test_a_unit_on_a_bench_is_looked_at_before_its_run(
+    page: httpx.Client, centre: HandWritten, rig: Rig, spool: Path
+) -> None:
+    with agent_at(centre.bench_url, spool, rig):
+        wait_for(lambda: [one for one in page.get("/api/rigs").json() if one["state"] == "idle"], "bench")
+        batch = page.post("/api/batches", json={"units": ["AS-1"], "rigs": ["bench-1"], "plan": QUICK}).json()
+        path = f"/api/batches/{batch['id']}"
+
+        def there() -> str:
+            (place,) = page.post(f"{path}/look").raise_for_status().json()["rigs"]
+            return place["seen"]["says"] if place["seen"] and place["seen"]["state"] == "there" else ""
+
+        assert "see that it is AS-1. It sits still" in wait_for(there, "unit")
+        kept = centre.connection.execute("SELECT count(*) FROM bench_command").fetchone()
+        assert kept == (1,), "of each rig the last look is kept"
+        (place,) = page.post(f"{path}/start", json={"rig": "bench-1", "unit": "AS-1"}).json()["rigs"]
+        assert ended(page, place["on"]["run_id"])["status"] == "completed"
+
+
 def test_a_verification_applies_the_revision_that_the_centre_issued(
     page: httpx.Client, centre: HandWritten, rig: Rig, spool: Path
 ) -> None:

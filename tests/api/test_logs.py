@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 import httpx
 import pytest
+from raw_http import connected, head
 from support import QUICK, ended, wait_for
 
 from calrig import logs
@@ -112,3 +113,15 @@ def test_requests_that_change_something_or_fail_are_said_and_no_token_is(client:
     ]
     assert {(r["run_id"], r["rig"], r["unit"]) for r in of_the_run} == {(begun["id"], "bench-1", "AS-1")}
     assert "sesame" not in written
+
+
+def test_an_upload_that_is_broken_off_is_no_invalid_one(shared_client: httpx.Client, lines):
+    logs.configure("json", lines)
+    kind = "Content-Type: multipart/form-data; boundary=xx"
+    with connected(shared_client) as one:
+        one.sendall(
+            head(shared_client, "POST /api/imports HTTP/1.1", kind, "Content-Length: 9000") + b"--xx\r\n"
+        )
+    wait_for(lambda: "/api/imports" in lines.getvalue(), "the request's line")
+    said = [json.loads(line) for line in lines.getvalue().splitlines()]
+    assert [line["status"] for line in said if line["logger"] == "calrig.api.request_log"] == [499]

@@ -1,8 +1,9 @@
-"""The program's own dead time between two units of a list: `python -m tests.benchmarks.queue_pace [UNITS]`.
+"""The program's own dead time between units: `python -m tests.benchmarks.queue_pace [UNITS] [BOOT_S]`.
 
 `calrig serve` with its demo rig, the real page in the system's Chromium, one press of Enter a unit. Counted
 is what no person causes: from the end of a run until the page asks for the next unit, and from Enter until
-the stage moves, which the first reading of the run's event stream tells. The issue asks for 3 s at most.
+the stage moves, which the first reading of the run's event stream tells. The issue asks for 3 s at most. With
+BOOT_S the board is reset whenever its port is opened and then hears nothing for so long, as an Arduino.
 """
 
 from __future__ import annotations
@@ -21,15 +22,21 @@ from rich import print as told
 from tests.trials.served import Served
 
 AIM_S = 3.0
+DEFAULTS = "11", "0"
 PLAN = {"elevations_deg": [-20, 20], "sweeps": 1, "settle_s": 0.2, "dwell_s": 0.5}
-DEMO = '[[rig]]\nname = "demo"\nsimulated = { preset = "demo" }\n'
+TIME_SCALE = 6.0
+DEMO = """
+[[rig]]
+name = "demo"
+simulated = {{ preset = "demo", time_scale = {:g}, ports = "tcp", board = {{ boot_s = {:g} }} }}
+"""
 
 
-def main(n_units: int) -> int:
+def main(n_units: int, boot_s: float) -> int:
     """Prints the median and the worst, and how often Enter was pressed."""
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
         config = Path(folder) / "calrig.toml"
-        config.write_text(DEMO, encoding="utf-8")
+        config.write_text(DEMO.format(TIME_SCALE, TIME_SCALE * boot_s), encoding="utf-8")
         served = Served(config, Path(folder) / "calrig.db")
         try:
             browser = playwright.chromium.launch(
@@ -86,4 +93,5 @@ def first_move(served, run_id: str) -> float:
 
 
 if __name__ == "__main__":
-    sys.exit(main(int(sys.argv[1]) if len(sys.argv) > 1 else 11))
+    n_units, boot_s, *_ = [*sys.argv[1:], *DEFAULTS[len(sys.argv) - 1 :]]
+    sys.exit(main(int(n_units), float(boot_s)))

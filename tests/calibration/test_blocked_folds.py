@@ -1,4 +1,4 @@
-"""Blocks left out whole: what interpolates is told from what foretells."""
+"""Blocks left out whole: what interpolates is told from what predicts."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ def one(r: Responses, name: str, form: str = "") -> Candidate:
 
 
 def judged(r: Responses, candidate: Candidate) -> str:
-    """The verdict on a name that stood alone, once it has to foretell blocks."""
+    """The verdict on a name that stood alone, once it has to predict blocks."""
     whole = fit(r, model_columns(r, [candidate]))
     (found,) = not_predictive(r, [Found(candidate, (), 0.001, 50.0)], whole, candidates_of(r))
     return found.verdict
 
 
-def test_a_true_drift_foretells_every_block() -> None:
+def test_a_true_drift_predicts_every_block() -> None:
     r = run_of(4e-4 * TIMES_S)
     drift = one(r, "time_drift")
     errors = {b.along: (rms(b.base_deg), rms(b.final_deg)) for b in blocked(r, [drift])}
@@ -58,7 +58,7 @@ def test_a_true_drift_foretells_every_block() -> None:
 
 
 def test_a_line_through_what_wanders_and_comes_back_is_not_claimed() -> None:
-    """It rises, and falls again: a drift explains part of that, and foretells its end wrongly."""
+    """It rises, and falls again: a drift explains part of that, and predicts its end wrongly."""
     r = run_of(0.2 * np.sin(np.linspace(0.0, 4.0, N_POSES)))
     assert judged(r, one(r, "time_drift")) == "ambiguous"
 

@@ -17,13 +17,13 @@ def main() -> None:
     _say(f"| --- {'| --- ' * len(EARLIER)}|")
     for name, std in STDS.items():
         rates = [false_alarms(unit_chart, n, std(n + LATER), seeds) for n in EARLIER]
-        _row(f"false alarms within {LATER} more, uncertainties {name}", rates)
+        _row(f"false alarms within {LATER} further runs, uncertainties {name}", rates)
     for freedom in FREEDOM:
         rates = [false_alarms(pooled_from(freedom), n, STDS["equal"](n + LATER), seeds) for n in EARLIER]
         _row(f"the same, equal, spread pooled from {freedom} repeats", rates)
     _row("the same, I-MR with limits from the earlier runs, equal",
          [false_alarms(individuals, n, STDS["equal"](n + LATER), seeds) for n in EARLIER])  # fmt: skip
-    _row("a shift of 2σ is seen within 4 runs", [detected(unit_chart, n, seeds) for n in EARLIER])
+    _row("a shift of 2σ is detected within 4 runs", [detected(unit_chart, n, seeds) for n in EARLIER])
 
 
 def _row(name: str, rates: list[float]) -> None:

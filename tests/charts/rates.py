@@ -19,9 +19,9 @@ SHIFT = 2.0
 FREEDOM = (6, 20)
 STDS: dict[str, Callable[[int], Floats]] = {
     "equal": np.ones,
-    "threefold, in turn": lambda n: np.where(np.arange(n) % 2 == 0, 1.0, 3.0),
-    "later ones three times worse": lambda n: np.where(np.arange(n) < n - LATER, 1.0, 3.0),
-    "later ones three times better": lambda n: np.where(np.arange(n) < n - LATER, 3.0, 1.0),
+    "threefold in every other run": lambda n: np.where(np.arange(n) % 2 == 0, 1.0, 3.0),
+    "threefold in the later runs": lambda n: np.where(np.arange(n) < n - LATER, 1.0, 3.0),
+    "a third in the later runs": lambda n: np.where(np.arange(n) < n - LATER, 3.0, 1.0),
 }
 """Standard deviations of the runs of a history, the last twelve being watched."""
 

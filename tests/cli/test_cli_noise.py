@@ -46,9 +46,9 @@ def test_ranges_make_units_of_counts(folder):
 def test_a_person_reads_a_table_and_that_a_tone_is_not_white(log):
     done = calrig("noise", log)
     assert re.search(r"│ gyro_x_dps +│ +−0\.\d\d │ +[+−]0\.\d\d │", done.stdout)
-    said = re.search(r"accel_x_g carries a tone at 8 Hz of amplitude ([\d.]+) mg: (.*)", done.stdout)
+    said = re.search(r"contains a spectral line at 8 Hz of amplitude ([\d.]+) mg: (.*)", done.stdout)
     assert float(said[1]) == pytest.approx(2.0, abs=0.3)
-    assert said[2] == "a log that carries a tone is not white."
+    assert said[2] == "the noise is not white."
     assert done.stderr == ""
 
 

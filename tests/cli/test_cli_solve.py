@@ -48,8 +48,8 @@ def test_one_file_with_columns_and_a_file_for_each_mount_are_one_solution(mounts
         )
     assert of_one["stage"]["backlash_deg"]["value"] == pytest.approx(-0.06, abs=0.03)
     shown = calrig("solve", "all.csv").stdout
-    assert shown.startswith("stage and units told apart")
-    assert f"{of_one['final']['held_out_rms_deg']:.4f}° with its map" in shown
+    assert shown.startswith("stage and units are separable")
+    assert f"{of_one['final']['held_out_rms_deg']:.4f}° with the map" in shown
 
 
 def test_out_has_what_turns_readings_into_elevations(mounts, folder):
@@ -122,7 +122,7 @@ def test_a_running_service_solves_its_runs_and_keeps_the_solution(mounts, folder
         for name, path in (("AS-7", "units/AS-7"), ("stage-map", "map")):
             written = (folder / "solved" / f"{name}.json").read_bytes()
             assert written == client.get(f"/api/solve/{kept['id']}/{path}").content
-        assert "Left with its map" in (folder / "map.html").read_text(encoding="utf-8")
+        assert "Residual angle with the map" in (folder / "map.html").read_text(encoding="utf-8")
         assert "there is no run 99" in reason("solve", "99", status=1)
         few = imported(client, "FEW")["id"]
         assert "4 poses are too few" in reason("solve", few, status=2)

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import pytest
-from instrument_fakes import CLOCK, FakeBoard, FakeSmc100
+from instrument_fakes import CLOCK, FakeBoard, FakeSmc100, end_senders
 
 from calrig.instruments.boards.calrig.driver import CalrigBoard
 from calrig.instruments.stages.smc100.driver import Smc100
@@ -12,6 +12,13 @@ def _time_stands():
     """Until a test waits for something: so it acts at the very instant that it waited for."""
     with CLOCK.taking_part():
         yield
+    CLOCK.stop()
+
+
+@pytest.fixture(autouse=True)
+def _senders_end_with_their_test():
+    yield
+    end_senders()
 
 
 @pytest.fixture

@@ -9,11 +9,22 @@ import struct
 import tty
 
 from calrig.instruments.types import Samples
-from calrig.simulator.virtual_clock import VirtualClock
+from calrig.simulator.virtual_clock import VirtualClock, VirtualEvent, VirtualThread
 from calrig.simulator.world import SimWire
 
 CLOCK = VirtualClock()
 """The time of these devices. The test's thread takes part: time stands unless the test waits."""
+
+
+_senders: list[tuple[VirtualEvent, VirtualThread]] = []
+
+
+def end_senders() -> None:
+    """Ends all that still send: what never ends by itself would have time go on for ever after the tests."""
+    while _senders:
+        enough, sender = _senders.pop()
+        enough.set()
+        sender.join()
 
 
 class Wire:
@@ -71,7 +82,7 @@ class SimulatedEnd:
         self._line.say(data)
 
     def keep_sending(self, pieces, every_s: float = 0.01):
-        """Sends one piece after the other until they, or the returned event, say that it is enough."""
+        """Sends one piece after the other until they, the returned event or the test's end say: enough."""
         enough = CLOCK.event()
 
         def send():
@@ -80,7 +91,9 @@ class SimulatedEnd:
                     return
                 self.send(piece)
 
-        CLOCK.thread(send, "sender").start()
+        sender = CLOCK.thread(send, "sender")
+        sender.start()
+        _senders.append((enough, sender))
         return enough
 
     def vanish(self) -> None:

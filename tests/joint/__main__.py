@@ -49,7 +49,7 @@ def main() -> None:
     share_s = 60.0 * wanted.minutes / (len(BOUNDS) + len(COVERAGE))
     with ProcessPoolExecutor(wanted.workers, mp_context=get_context("spawn")) as workers:
         sys.stdout.write(
-            "| design | seeds | bound of the issue | bound | achieved | ratio | said | orders |\n"
+            "| design | seeds | aim | bound | achieved | ratio | stated | orders |\n"
             "| --- | --- | --- | --- | --- | --- | --- | --- |\n"
         )
         for name, case in BOUNDS.items():
@@ -59,7 +59,7 @@ def main() -> None:
             sys.stdout.write(_beside_bound(name, case, judged))
             sys.stdout.flush()
         sys.stdout.write(
-            "\n| 12 harmonics, cubic, play, drift | rigs | achieved | said | within two | standard error |\n"
+            "\n| 12 harmonics, cubic, play, drift | rigs | achieved | stated | coverage, k = 2 | its std |\n"
             "| --- | --- | --- | --- | --- | --- |\n"
         )
         for name, case in COVERAGE.items():

@@ -44,7 +44,7 @@ def test_what_the_poses_cannot_tell_is_said_with_what_would_help(name):
     solution = solved(bench, 0, linear=False)
     document = solution_document(solution)
     assert document["separable"] is False
-    assert any("do not tell apart" in sentence for sentence in document["warnings"])
+    assert any("do not separate" in sentence for sentence in document["warnings"])
     assert document["advice"]["mounts_deg"] == [0.0, 120.0, 240.0]
     assert (
         document["advice"]["elevation_std_deg_now"]

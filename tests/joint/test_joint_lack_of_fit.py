@@ -76,7 +76,7 @@ def test_a_mount_that_does_not_fit_the_others_is_named_with_what_it_looks_like(l
 
 def test_what_is_correlated_beyond_noise_is_told_of():
     found = solution_document(solve(measured(0, with_another_unit)))
-    assert any("as something that the model lacks" in sentence for sentence in found["warnings"])
+    assert any("more as a lack of fit than as noise" in sentence for sentence in found["warnings"])
 
 
 def test_mounts_that_fit_are_not_told_of():

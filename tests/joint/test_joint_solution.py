@@ -11,7 +11,7 @@ from calrig.calibration.joint.least_squares import fitted
 from calrig.calibration.joint.problem import Problem
 from calrig.calibration.joint.report import solution_document
 from calrig.calibration.joint.solution import solve
-from calrig.calibration.joint.unit_model import felt
+from calrig.calibration.joint.unit_model import sensed
 from calrig.calibration.pose import DiagnosisError
 
 from .cases import BOUNDS, SEVENTHS, TURN, Case, error_deg, solved
@@ -95,14 +95,15 @@ def test_a_gear_of_a_known_period_is_in_the_map():
 def test_derivatives_are_those_of_the_vector():
     rng = np.random.default_rng(0)
     own, elevation, warmer = rng.normal(0.0, 0.03, 11), rng.uniform(-3.0, 3.0, 20), rng.normal(0.0, 2.0, 20)
-    whole = felt(own, elevation, warmer)
+    whole = sensed(own, elevation, warmer)
     step = 1e-6
     for k, change in enumerate(step * np.eye(11)):
         slope = (
-            felt(own + change, elevation, warmer).vector_g - felt(own - change, elevation, warmer).vector_g
+            sensed(own + change, elevation, warmer).vector_g
+            - sensed(own - change, elevation, warmer).vector_g
         )
         np.testing.assert_allclose(whole.by_parameters[:, :, k], slope / (2.0 * step), atol=1e-8)
-    slope = felt(own, elevation + step, warmer).vector_g - felt(own, elevation - step, warmer).vector_g
+    slope = sensed(own, elevation + step, warmer).vector_g - sensed(own, elevation - step, warmer).vector_g
     np.testing.assert_allclose(whole.by_elevation, slope / (2.0 * step), atol=1e-8)
 
 
@@ -111,7 +112,7 @@ def test_wild_poses_are_left_out_and_said(lots, bench):
         lots[1].poses[place] = replace(lots[1].poses[place], accel_y_g=lots[1].poses[place].accel_y_g + off)
     solution = solve(lots)
     assert (~solution.fit.kept).sum() == 3
-    assert any("3 poses went wrong alone" in sentence for sentence in solution.warnings)
+    assert any("3 outliers were left out" in sentence for sentence in solution.warnings)
     assert np.sqrt(np.mean(error_deg(bench, solution) ** 2)) < 3.0 * solution.worths[0].rms_deg
 
 

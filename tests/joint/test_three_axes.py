@@ -10,7 +10,7 @@ import pytest
 from calrig.calibration.joint.clamping import face_matrix, stage_direction, tilted
 from calrig.calibration.joint.three_axis_fit import fitted_whole
 from calrig.calibration.joint.three_axis_frame import accelerometer
-from calrig.calibration.joint.three_axis_model import felt_vector
+from calrig.calibration.joint.three_axis_model import sensed_vector
 from calrig.calibration.joint.three_axis_report import three_axis_document
 from calrig.calibration.joint.three_axis_solution import solve_whole
 from calrig.calibration.pose import DiagnosisError
@@ -246,7 +246,7 @@ def test_wild_poses_are_left_out_and_said(lots):
     poses[5] = replace(poses[5], accel_x_g=poses[5].accel_x_g + 0.05)
     found = solve_whole([lots[0], replace(lots[1], poses=poses), lots[2]])
     assert (~found.fit.kept).sum() == 1
-    assert any("1 poses went wrong alone" in said for said in found.warnings)
+    assert any("1 outliers were left out" in said for said in found.warnings)
 
 
 def test_units_that_are_stated_to_be_linear_and_are_not_are_told_of(lots):
@@ -285,5 +285,5 @@ def test_faces_are_rotations(face):
     turn, _ = tilted(np.array([0.1, -0.2]))
     np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
     up, _, _ = stage_direction(np.array([0.0]), 0.0)
-    felt = felt_vector(np.zeros(18), up @ matrix.T).vector_g[0]
+    felt = sensed_vector(np.zeros(18), up @ matrix.T).vector_g[0]
     assert felt[(first + 2) % 3] == 1.0, "at a turn of 0 the third axis is up"

@@ -56,7 +56,7 @@ def judge(seed: int, *, cubic: bool) -> Judged:
 def table(judged_by: Callable[[bool], Iterable[Judged]]) -> str:
     """Bound against achieved, and how often two standard errors hold."""
     lines = [
-        "| mounts x, y, z of 24 poses | seeds | issue's bound | bound | achieved | ratio | within two |",
+        "| mounts x, y, z of 24 poses | seeds | aim | bound | achieved | ratio | coverage, k = 2 |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for name, cubic in CASES.items():
@@ -158,7 +158,7 @@ def gyro_table(judged: Iterable[JudgedGyro]) -> str:
     said = units * np.sqrt(np.mean([one.variances for one in judged], axis=0))
     within = np.mean([one.within for one in judged], axis=0)
     lines = [
-        "| gyro, five turns at 60 °/s about each axis | seeds | achieved | said | within two |",
+        "| gyro, five turns at 60 °/s about each axis | seeds | achieved | stated | coverage, k = 2 |",
         "| --- | --- | --- | --- | --- |",
     ]
     lines += [

@@ -70,7 +70,7 @@ def test_the_summary_gives_a_data_sheets_figures(document):
     assert "µg/√Hz" in text
     assert "°/√h" in text
     assert "°/s/√Hz" in text
-    assert "tone" not in text
+    assert "spectral line" not in text
 
 
 @pytest.mark.parametrize(

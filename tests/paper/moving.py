@@ -29,15 +29,26 @@ def study(rate_hz: float, seed: int = 2) -> FilterStudy:
     return study_filters(log_of(rig, time_s, rate_hz), time_s)
 
 
-def jitter_table(studies: dict[float, FilterStudy]) -> str:
+def jitter_table(studies: dict[float, FilterStudy], logged: FilterStudy | None) -> str:
     """Jitter per 100 ms at rest, raw and of the paper's filter, and of the one tuned to the noise."""
+    of_log = [] if logged is None else [_jitters(f"public log, {logged.rate_hz:.0f} Hz", logged)]
     rows = [
         "| | accelerometer alone | the paper's Kalman filter | tuned to this noise |",
         "| --- | --- | --- | --- |",
         f"| paper | {PAPER_RAW_DEG:.3f}° | {PAPER_FUSED_DEG:.3f}° | |",
         *(_jitters(f"simulated, {rate_hz:g} Hz", one) for rate_hz, one in studies.items()),
+        *of_log,
     ]
     return "\n".join(rows)
+
+
+def other_jitters(one: FilterStudy) -> str:
+    """The paper's filter by what else jitter per 100 ms might mean."""
+    (jitter,) = (row.jitter for row in one.comparison.rows if row.name == "kalman_paper")
+    if jitter is None or jitter.step_deg is None:
+        return "not known"
+    within, between = jitter.peak_to_peak_deg, jitter.step_deg
+    return f"{within:.3f}° peak to peak within 100 ms, {between:.3f}° from one mean to the next"
 
 
 def _jitters(name: str, one: FilterStudy) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calrig.export.static_csv import read_static
+from calrig.export.static_csv import StaticLog, read_static
 from calrig.noise.analysis import Noise, analyse
 
 from .sensor import RATE_HZ, STANDARD_GRAVITY_MPS2, benches, log_of
@@ -15,6 +15,7 @@ from .sensor import RATE_HZ, STANDARD_GRAVITY_MPS2, benches, log_of
 DATA = Path(os.environ.get("CALRIG_DATA", Path(__file__).parents[3] / "shared" / "data"))
 PUBLIC = "mpu6050_static_100hz.csv"
 HOUR_S = 3600.0
+GAUSSIAN = {True: "yes", False: "no", None: "undecided"}
 PAPER = {
     "gyro_x_dps": (-0.47, -0.02, 0.67),
     "gyro_y_dps": (-0.49, 0.02, 0.78),
@@ -32,25 +33,28 @@ def simulated(seed: int = 1) -> Noise:
     return analyse(log_of(benches(RATE_HZ, seed), time_s), time_s)
 
 
-def public() -> Noise | None:
+def public() -> StaticLog | None:
     """The public static log of an MPU-6050; None where it is not beside the repository."""
     file = DATA / PUBLIC
     if not file.exists():
         return None
-    log = read_static(file.read_bytes(), accel_range_g=2.0, gyro_range_dps=250.0)
-    return analyse(log.channels, log.time_s)
+    return read_static(file.read_bytes(), accel_range_g=2.0, gyro_range_dps=250.0)
 
 
 def table(of_paper: Noise, logged: Noise | None) -> str:
     """Table 2 and the same of both logs, in Markdown."""
     rows = [
-        "| channel | paper: ADF, PSD, std | simulated, 1 h | public log, 449 s | colours found |",
-        "| --- | --- | --- | --- | --- |",
+        "| channel | paper: ADF, PSD, std | simulated, 1 h | public log, 449 s | noise | Gaussian |",
+        "| --- | --- | --- | --- | --- | --- |",
     ]
     for name, (adf, psd, std) in PAPER.items():
         cells = [f"{adf:+.2f}, {psd:+.2f}, {std:.2f}", _cell(of_paper, name), _cell(logged, name)]
-        colours = [n.channels[name].colour for n in (of_paper, logged) if n is not None]
-        rows.append(f"| {name.rsplit('_', 1)[0]} | {' | '.join(cells)} | {', '.join(colours)} |")
+        both = [n.channels[name] for n in (of_paper, logged) if n is not None]
+        cells += [
+            ", ".join(one.colour for one in both),
+            ", ".join(GAUSSIAN[one.distribution.gaussian] for one in both),
+        ]
+        rows.append(f"| {name.rsplit('_', 1)[0]} | {' | '.join(cells)} |")
     return "\n".join(rows)
 
 

@@ -18,6 +18,7 @@ def _time_stands() -> Iterator[None]:
     """Until a test waits for something: so it acts at the very instant that it waited for."""
     with CLOCK.taking_part():
         yield
+    CLOCK.stop()
 
 
 @pytest.fixture(scope="session")

@@ -56,7 +56,8 @@ def test_a_follow_up_decides_between_the_suspects_and_confirms_on_poses_of_its_o
         assert {effect["name"], *effect["confusable_with"]} == {"backlash", "settling"}
         assert before["follow_up"]["separation"] > 12.0
 
-        second = completed(service, service.follow_up(first.id))
+        asked = service.follow_up_question(first.id)
+        second = completed(service, service.follow_up(asked, asked.work()))
 
         after = second.diagnosis
         assert second.follows == first.id
@@ -75,8 +76,9 @@ def test_a_follow_up_decides_between_the_suspects_and_confirms_on_poses_of_its_o
 
 def test_a_run_that_leaves_nothing_ambiguous_has_no_follow_up(service):
     run = completed(service, service.start(unit="AS-1", plan=ONE_SWEEP))
+    asked = service.follow_up_question(run.id)
     with pytest.raises(Conflict, match="nothing is left to separate"):
-        service.follow_up(run.id, apart=lambda ask: ask())
+        service.follow_up(asked, asked.work())
     assert service.store.runs()[0][0].id == run.id
 
 

@@ -58,6 +58,13 @@ def test_reports_that_are_late_and_a_gyro_that_is_wrong_leave_nothing_in_the_pos
     assert run.result["gyro"]["scale"] == pytest.approx(1 / 1.025, abs=0.001)
     (revision,) = [one for one in store.revisions("AS-1") if one.run_id == run.id]
     assert revision.document["bias_deg"] == run.result["bias_deg"]
+    told = [event.data for event in store.events_after(run.id, limit=10_000) if event.type == "reading"]
+    speeds_dps = [
+        abs(now["stage_deg"] - before["stage_deg"]) / (now["time_s"] - before["time_s"])
+        for before, now in pairwise(told)
+        if abs(before["stage_deg"]) < 20 and abs(now["stage_deg"]) < 20
+    ]
+    assert np.percentile(speeds_dps, [10, 90]) == pytest.approx([5.0, 5.0], abs=0.3), "as it turned: evenly"
 
 
 def moved(poses: list[Any]) -> list[tuple[Any, float]]:

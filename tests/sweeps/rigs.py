@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from calrig.calibration.pose import Pose
 from calrig.plan import Plan
 from calrig.runs.service import RunService
 from calrig.settings import BoardSettings, ReferenceSettings, RigSettings, StageSettings
@@ -56,13 +57,21 @@ class Swept:
 
 def swept(options: Mapping[str, Any], seed: int, folder: Path, plan: Plan = PLAN) -> Swept:
     """One run on a rig that differs from the last by its seed."""
-    stage = {"velocity_dps": 20.0, "acceleration_dps2": 80.0, **options.get("stage", {})}
-    mechanics = {"motor_step_deg": MOTOR_STEP_DEG, **options.get("mechanics", {})}
+    run, poses = carried_out(options, seed, folder, plan)
+    errors_deg = np.array([pose.reading_deg - pose.theta_deg - BIAS_DEG for pose in poses])
+    senses = np.array([(pose.approach or 0) * (pose.settle_s is None) for pose in poses])
+    return Swept(run, errors_deg, senses)
+
+
+def carried_out(
+    options: Mapping[str, Any], seed: int, folder: Path, plan: Plan = PLAN
+) -> tuple[Run, list[Pose]]:
+    """A plan carried out on a rig of its own, and the poses that it kept."""
     given = {
         **options,
-        "stage": stage,
-        "mechanics": mechanics,
-        "mount": {"offset_deg": BIAS_DEG},
+        "stage": {"velocity_dps": 20.0, "acceleration_dps2": 80.0, **options.get("stage", {})},
+        "mechanics": {"motor_step_deg": MOTOR_STEP_DEG, **options.get("mechanics", {})},
+        "mount": {"offset_deg": BIAS_DEG, **options.get("mount", {})},
         "seed": seed,
     }
     clock = VirtualClock()
@@ -76,7 +85,4 @@ def swept(options: Mapping[str, Any], seed: int, folder: Path, plan: Plan = PLAN
     with clock.taking_part(), simulated, Store.open(f"sqlite:///{folder}/{seed}.db", writer="tests") as store:
         with closing(RunService(store, [rig])) as service:
             run = service.wait(service.start(unit="AS-1", plan=plan).id, 600)
-        poses = [stored.pose for stored in store.poses(run.id)]
-    errors_deg = np.array([pose.reading_deg - pose.theta_deg - BIAS_DEG for pose in poses])
-    senses = np.array([(pose.approach or 0) * (pose.settle_s is None) for pose in poses])
-    return Swept(run, errors_deg, senses)
+        return run, [stored.pose for stored in store.poses(run.id)]

@@ -1,4 +1,4 @@
-"""Work that takes long: diagnosis, plan and log say that two fifths are done; what has to be cancelled.
+"""Work that takes long: diagnosis, plan, follow-up, log say two fifths are done; what has to be cancelled.
 
 Its process imports little.
 """
@@ -28,6 +28,12 @@ def slow_trace(*poses: Any, progress: Callable[[float], None], **asked: Any) -> 
 
 def slow_study(*_: Any, progress: Callable[[float], None], **__: Any) -> None:
     """In the place of `calrig.analysis.log_studies.study_file`; ends with LET_GO."""
+    progress(0.4)
+    held()
+
+
+def slow_design(*_: Any, progress: Callable[[float], None]) -> None:
+    """In the place of `calrig.runs.follow_up.designed`; ends with LET_GO."""
     progress(0.4)
     held()
 

@@ -42,7 +42,7 @@ def test_start_is_pressed_and_the_run_watched_to_its_result(page, client, go, ex
     bias = f"{run['result']['bias_deg']:.{decimals}f} ± {run['result']['bias_std_deg']:.{decimals}f}°"
     expect(page.locator("#result")).to_contain_text(f"{bias} (type A, noise)")
     expect(page.locator("#result")).to_contain_text(f"± {of_stage:#.2g}° (type B, stage)")
-    expect(page.get_by_test_id("verdict")).to_contain_text("Is this good?")
+    expect(page.get_by_test_id("verdict")).to_contain_text("Verdict")
     expect(page.locator("#poses-table tbody tr")).to_have_count(6)
     scales = "!!document.querySelector('[data-testid=residual]').layout?.yaxis2"
     wait_for(lambda: page.evaluate(scales), "chart of the residual")

@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 from support import ended, running_service, serving, wait_for
 
+from calrig.api import heavy
 from calrig.calibration.effects import CATALOGUE
 from calrig.run_ids import short_name
+from calrig.runs import follow_up
 
 from .page_help import BACKLASH_DEG, NOISE_DEG, ambiguous_poses, figures_of
 from .page_help import imported_lines as imported
+from .slow_work import LET_GO, slow_design
 
 pytestmark = pytest.mark.browser
 
@@ -218,7 +221,7 @@ def test_further_runs_of_the_unit_are_chosen_and_diagnosed_together(page, client
     assert client.get(f"/api/runs/{shown['id']}/diagnosis").json()["runs"] == [shown["id"]]
 
 
-def test_what_is_ambiguous_leads_to_the_run_that_separates_it(page, client, go, expect):
+def test_what_is_ambiguous_leads_to_the_run_that_separates_it(page, client, go, expect, monkeypatch):
     run = imported(client, ambiguous_poses(), "AMBIGUOUS", rig="bench-1")
     go(f"#/runs/{run['id']}")
     page.click("#diagnose")
@@ -231,6 +234,18 @@ def test_what_is_ambiguous_leads_to_the_run_that_separates_it(page, client, go, 
     expect(box).to_contain_text(f"{len(planned['plan']['elevations_deg'])} poses")
     expect(box).to_contain_text(f"{planned['separation_sigma']:.0f} standard deviations")
     expect(page.get_by_role("button", name="Accept")).to_have_count(0)
+
+    LET_GO.unlink(missing_ok=True)
+    with monkeypatch.context() as slow:
+        slow.setattr(heavy, "AT_ONCE_S", 0.0)
+        slow.setattr(follow_up, "designed", slow_design)
+        page.click("#follow-up")
+        expect(page.locator("#follow-up-says")).to_contain_text("40 % of it is done")
+        page.reload()
+        expect(page.locator("#follow-up-says")).to_contain_text("40 % of it is done")
+        page.click("#follow-up-cancel")
+        expect(page.locator("#follow-up-told")).to_have_text("Cancelled: nothing was kept of it.")
+    assert len(client.get("/api/runs?unit=AMBIGUOUS").json()["items"]) == 1
 
     page.click("#follow-up")
     page.wait_for_url(lambda url: not url.endswith(f"/runs/{run['id']}"))

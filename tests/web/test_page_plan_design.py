@@ -29,7 +29,7 @@ def test_a_plan_is_designed_taken_by_the_form_and_ends_once_it_is_good_enough(
     page.check("#stop-early")
     page.uncheck("#may-sweep")  # of a rig whose time runs faster than its machine's
     page.click("#design")
-    expect(page.locator("#designed")).to_contain_text("No plan is under")
+    expect(page.locator("#designed")).to_contain_text("Lower bound of the time")
     expect(page.locator("#design-suspects tbody tr")).to_have_count(9)
     expect(page.locator("#designed")).to_contain_text("It ends as soon as that is reached")
     assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]

@@ -8,7 +8,7 @@ from calrig.analysis import diagnoses
 from calrig.api import heavy, noise, solve
 
 from .page_help import imported
-from .slow_work import LET_GO, held, slow_study, slow_trace
+from .slow_work import LET_GO, slow_design, slow_study, slow_trace
 
 IMPORT = "**/api/imports?wait=false"
 pytestmark = pytest.mark.browser
@@ -20,7 +20,7 @@ def slow(monkeypatch):
     monkeypatch.setattr(heavy, "AT_ONCE_S", 0.0)
     monkeypatch.setattr(diagnoses, "trace", slow_trace)
     monkeypatch.setattr(noise, "study_file", slow_study)
-    monkeypatch.setattr(solve, "answer", held)
+    monkeypatch.setattr(solve, "answer", slow_design)
     LET_GO.unlink(missing_ok=True)
     yield
     LET_GO.unlink(missing_ok=True)
@@ -88,7 +88,7 @@ def test_a_joint_solution_that_a_person_cancels_keeps_nothing(page, client, go, 
     before = client.get("/api/solve").json()
     go(f"#/solve?rig=&run={slow_run['id']}")
     page.click("#solve")
-    expect(page.locator("#solve-says")).to_contain_text("Solving for the stage's map")
+    expect(page.locator("#solve-says")).to_contain_text("40 % of it is done")
     page.click("#solve-cancel")  # named by the service or not yet: what is seen of it is the same
     expect(page.locator("#solve-suggestion")).to_have_text("Cancelled: nothing was kept of it.")
     expect(page.locator("#solve")).to_be_enabled()

@@ -37,7 +37,7 @@ def test_runs_of_a_unit_are_solved_from_its_page(page, client, go, expect, runs)
     for run_id in runs:
         page.locator(f"#solve-runs input[value='{run_id}']").check()
     page.click("#solve")
-    expect(page.get_by_test_id("solve-verdict")).to_contain_text("Stage and units are told apart.")
+    expect(page.get_by_test_id("solve-verdict")).to_contain_text("Stage and units are separable.")
     expect(page.locator(".plot .plot-container")).to_have_count(3)
     found = client.get(f"/api/solve/{page.url.split('/')[-1]}").json()
     assert found["runs"] == runs[::-1], "the newest first, as they are listed"
@@ -62,7 +62,7 @@ def test_one_mount_leads_to_a_run_with_those_that_help(page, client, go, expect)
     go("#/solve?rig=bench-1&unit=CLAMPED-1")
     page.set_viewport_size({"width": 390, "height": 844})
     page.click("#solve")
-    expect(page.get_by_test_id("solve-verdict")).to_contain_text("do not tell stage and units apart")
+    expect(page.get_by_test_id("solve-verdict")).to_contain_text("not separable by these poses")
     expect(page.locator("#use-map")).to_have_count(0)
     expect(page.locator(".plot .plot-container")).to_have_count(3)
     narrow = "document.documentElement.scrollWidth <= 390"

@@ -16,6 +16,7 @@ EDGE_POSES = 3
 """A slip needs this many poses on either side: fewer are outliers."""
 PARTS = (0.3, 0.7)
 """Of a dwell that came after a slip: as they are scanned."""
+MIDDLE = 0.5
 COARSE, FINER = np.linspace(0.0, 1.0, 5), np.linspace(-0.2, 0.2, 9)
 """Of the parts, and about the best of those: the likelihood has one hump."""
 TOGETHER = 3
@@ -49,10 +50,14 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
 
 
 def _in_dwell(r: Responses, at: Parameters) -> Shape:
-    """A slip of which the mean of one dwell has a part."""
+    """A slip of which the mean of one dwell has a part, or that of a stretch, where the gyro feels it."""
     order, k = np.arange(len(r)), at["pose"]
     share = (order > k) + at["part"] * (order == k)
-    return Shape(tilted(share), ("step_deg",), form="in a dwell", at=at, scanned=True, alone=True)
+    if MOVE not in r.channels or not r.stretch_deg[int(k)]:
+        return Shape(tilted(share), ("step_deg",), form="in a dwell", at=at, scanned=True, alone=True)
+    into = order == (k if at["part"] > MIDDLE else k + 1)  # the gyro's account goes from middle to middle
+    shares = {**tilted(share), MOVE: into.astype(float)}
+    return Shape(shares, ("step_deg",), form="in a stretch", at=at, scanned=True, alone=True)
 
 
 def _first_after(time_s: FloatArray, starts: BoolArray, at: Parameters) -> list[int]:

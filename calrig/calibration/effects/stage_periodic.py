@@ -9,6 +9,7 @@ import numpy as np
 from calrig.calibration.channels import ANGLE, MOVE, READING
 from calrig.calibration.effect import (
     ELEVATION,
+    Applied,
     Effect,
     NotInFlight,
     Parameter,
@@ -18,6 +19,7 @@ from calrig.calibration.effect import (
 from calrig.calibration.effect_terms import THE_TURN, amplitude_and_phase, wave_deg
 from calrig.calibration.responses import Responses
 from calrig.calibration.spectral_window import window_peaks
+from calrig.calibration.stretches import kept_in_mean
 from calrig.estimation.angles import FloatArray
 
 TURN_DEG = 360.0
@@ -78,8 +80,9 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
     if period_deg == 0.0:
         return
     here = _waves(r.theta_deg, period_deg)
-    felt = here - _waves(r.theta_deg - r.move_deg, period_deg)
-    shares = {READING: here, ANGLE: here, MOVE: felt}
+    felt = here - _waves(r.theta_deg - r.move_deg, period_deg)  # from middle to middle: the whole of it
+    mean = here * kept_in_mean(r.stretch_deg, period_deg)[:, None]
+    shares = {READING: mean, ANGLE: mean, MOVE: felt}
     names = ("amplitude_deg", "phase_deg")
     if "order" not in at:
         yield Shape(shares, names, at={"period_deg": period_deg}, scanned=True)
@@ -129,6 +132,13 @@ def _apart(r: Responses, shape: Shape, other: Shape) -> bool:
     return own == 0.0 or its == 0.0 or abs(1.0 / own - 1.0 / its) >= APART / r.arc_deg
 
 
+def _on_reading_deg(p: Applied) -> FloatArray:
+    period_deg = p.value("period_deg", None)
+    wave = wave_deg(p, p.theta_deg / period_deg)
+    turned_deg = p.given.stretch_deg
+    return wave if turned_deg is None else wave * kept_in_mean(turned_deg, period_deg)
+
+
 def _possible(shape: Shape, beta: FloatArray) -> bool:
     """An axis that turns on as its stage does: a steeper wave would turn it back."""
     return bool(2.0 * np.pi * np.hypot(*beta) < shape.at["period_deg"])
@@ -148,7 +158,7 @@ EFFECT = Effect(
     formula="amplitude_deg·sin(360°·θ/period_deg + phase_deg)",
     forms=_forms,
     scan=_scan,
-    on_reading_deg=lambda p: wave_deg(p, p.theta_deg / p.value("period_deg", None)),
+    on_reading_deg=_on_reading_deg,
     in_c=NotInFlight("it belongs to the rig's stage"),
     apart="its period: jittered elevations tell the periods apart that an even spacing confuses",
     remedy="correct by the rig error map; look at the worm, its preload, the motor's steps",

@@ -8,7 +8,7 @@ import numpy as np
 
 from calrig.calibration.joint.least_squares import Fit
 from calrig.calibration.joint.level import Level
-from calrig.calibration.joint.unit_model import CURVATURES, NAMES, felt
+from calrig.calibration.joint.unit_model import CURVATURES, NAMES, sensed
 from calrig.estimation.angles import FloatArray, wrap_deg
 
 RANGE_DEG = (-60.0, 60.0)
@@ -40,7 +40,7 @@ class Worth:
 def worth(fit: Fit, unit: int, level: Level | None = None) -> Worth:
     """By the full covariance of the joint fit; without a level of the elevation less its mean."""
     grid = grid_deg(fit, unit)
-    own = felt(fit.parameters[fit.problem.unit_at(unit)], np.radians(grid))
+    own = sensed(fit.parameters[fit.problem.unit_at(unit)], np.radians(grid))
     turn = own.turned(own.by_elevation[:, :, None])
     by_parameters = np.zeros((len(grid), fit.problem.size))
     by_parameters[:, fit.problem.unit_at(unit)] = -own.turned(own.by_parameters) / turn
@@ -85,7 +85,7 @@ def polynomial_of(
 
     def coefficients(own: FloatArray) -> FloatArray:
         elevation = np.radians(grid)
-        bent, plain = felt(own, elevation).angle(), felt(own * straight, elevation).angle()
+        bent, plain = sensed(own, elevation).angle(), sensed(own * straight, elevation).angle()
         return np.asarray(powers @ wrap_deg(np.degrees(bent - plain)))
 
     slopes = np.stack(

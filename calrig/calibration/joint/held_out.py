@@ -1,6 +1,6 @@
-"""Error of poses that were held out in whole stretches of elevation, believing the stage and solving for it.
+"""Error of poses that were held out in whole stretches of elevation, without a map of the stage and with it.
 
-A stretch of a mount's dial is left out in one mount at a time: the unit is then foretold at elevations where
+A stretch of a mount's dial is left out in one mount at a time: the unit is then predicted at elevations where
 it was not seen. Held-out poses between the others would be interpolation (`calibration.blocked_folds`).
 """
 
@@ -14,6 +14,7 @@ import numpy as np
 from calrig.calibration.joint.least_squares import Fit, fitted
 from calrig.calibration.joint.problem import Problem
 from calrig.calibration.joint.table import BoolArray, Intp, Table
+from calrig.calibration.joint.told import Progress, unheard, within
 from calrig.estimation.angles import FloatArray
 
 STRETCHES = 6
@@ -22,7 +23,7 @@ FEWEST_OF_A_STRETCH = 2
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """RMS of the angle foretold less the angle measured, degrees, and how the poses were held out."""
+    """RMS of the angle predicted less the angle measured, degrees, and how the poses were held out."""
 
     before_deg: float
     final_deg: float
@@ -34,23 +35,26 @@ Left = Callable[[FloatArray], FloatArray]
 """(n,) angles measured less those expected, rad, of a fit by weights (n,) of the poses."""
 
 
-def held_out(fit: Fit) -> HeldOut:
-    """Foretells every pose that was not left out as wild, once."""
+def held_out(fit: Fit, progress: Progress = unheard) -> HeldOut:
+    """Predicts every pose that was not left out as an outlier, once; tells the share that is done."""
     problem, believing = fit.problem, _without_map(fit.problem)
-    return foretold(
+    return predicted(
         problem.table,
         fit.kept,
         lambda shown: fitted(believing, shown).left(),
         lambda shown: fitted(problem, shown, fit.parameters).left(),
+        progress,
     )
 
 
-def foretold(table: Table, kept: BoolArray, believing: Left, solved: Left) -> HeldOut:
-    """The same by any two fits of the poses kept: believing the stage, and with its map."""
+def predicted(
+    table: Table, kept: BoolArray, believing: Left, solved: Left, progress: Progress = unheard
+) -> HeldOut:
+    """The same by any two fits of the poses kept: without the map, and with it."""
     folds = stretches(table, kept)
     return HeldOut(
-        before_deg=_rms_deg(believing, folds),
-        final_deg=_rms_deg(solved, folds),
+        before_deg=_rms_deg(believing, folds, within(progress, 0.0, 0.5)),
+        final_deg=_rms_deg(solved, folds, within(progress, 0.5, 1.0)),
         stretches=int(folds.max()) + 1,
         n_poses=int(kept.sum()),
     )
@@ -77,9 +81,11 @@ def stretches(table: Table, kept: BoolArray) -> Intp:
     return folds
 
 
-def _rms_deg(left: Left, folds: Intp) -> float:
+def _rms_deg(left: Left, folds: Intp, progress: Progress) -> float:
     errors = np.zeros(len(folds))
-    for fold in range(int(folds.max()) + 1):
+    count = int(folds.max()) + 1
+    for fold in range(count):
+        progress(fold / count)
         out = folds == fold
         errors[out] = left((~out & (folds >= 0)).astype(np.float64))[out]
     return float(np.degrees(np.sqrt(np.mean(errors[folds >= 0] ** 2))))

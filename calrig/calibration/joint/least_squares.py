@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from calrig.calibration.joint.arrow import Inverse
+from calrig.calibration.joint.outliers import fitted_without_outliers
 from calrig.calibration.joint.problem import Normal, Problem
 from calrig.calibration.joint.table import BoolArray, Intp
-from calrig.calibration.joint.wild import without_wild
 from calrig.estimation.angles import FloatArray
 
 STEPS = 30
@@ -124,10 +124,10 @@ def _freedom(problem: Problem, normal: Normal, weights: FloatArray, inverse: Inv
     return max(responses - inverse.times_trace(normal.matrix), 1.0)
 
 
-def without_wild_poses(problem: Problem) -> tuple[Fit, FloatArray]:
+def without_outliers(problem: Problem) -> tuple[Fit, FloatArray]:
     """The least squares solution without poses that have gone wrong alone, and the weights (n,) of all."""
     size_g = np.hypot(problem.table.vector_g[:, 0], problem.table.vector_g[:, 1])
-    return without_wild(
+    return fitted_without_outliers(
         lambda weights, start, robust: fitted(problem, weights, start, robust=robust), distances, size_g
     )
 

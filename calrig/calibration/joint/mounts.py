@@ -8,8 +8,8 @@ from itertools import combinations
 
 import numpy as np
 
+from calrig.calibration.joint.outliers import GROSS_G
 from calrig.calibration.joint.table import SENSES, Mount, Mounted, Table
-from calrig.calibration.joint.wild import GROSS_G
 from calrig.calibration.motion import approach_of, has_history
 from calrig.calibration.pose import DiagnosisError, Pose
 from calrig.calibration.pose_columns import complete, refuse_what_is_no_elevation

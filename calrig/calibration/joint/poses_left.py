@@ -17,7 +17,7 @@ DECIMALS = 6
 
 
 def poses_left(solution: Solution) -> dict[str, list[Any]]:
-    """Columns of the poses that were not left out as wild, in degrees.
+    """Columns of the poses that were not left out as an outlier, in degrees.
 
     `mount` is the index of the pose's mount, `dial_deg` the stage's own angle, `on_map_deg` the map there
     (less its mean, and without play) with what the pose leaves of it; `before_deg` is what it leaves

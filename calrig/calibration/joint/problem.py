@@ -16,7 +16,7 @@ from calrig.calibration.joint.arrow import Inverse, inverse_of
 from calrig.calibration.joint.parameters import Parameters
 from calrig.calibration.joint.stage_map import basis
 from calrig.calibration.joint.table import BoolArray, Intp, Table
-from calrig.calibration.joint.unit_model import CURVATURES, LARGEST, NAMES, PER_C, Felt, felt
+from calrig.calibration.joint.unit_model import CURVATURES, LARGEST, NAMES, PER_C, Sensed, sensed
 from calrig.calibration.joint.whitening import whitened
 from calrig.estimation.angles import FloatArray
 
@@ -134,10 +134,10 @@ class Problem(Parameters):
         table_at = np.radians(self.table.dial_deg) + on_map
         return np.asarray(self.table.sense * table_at + mounts[self.table.mount])
 
-    def expected(self, parameters: FloatArray) -> Felt:
+    def expected(self, parameters: FloatArray) -> Sensed:
         """The vector of each pose."""
         own = parameters[: self.first_mount].reshape(-1, WIDTH)[self.table.unit].T
-        return felt(own, self.elevations(parameters), self.table.warmer_c)
+        return sensed(own, self.elevations(parameters), self.table.warmer_c)
 
     def normal(self, parameters: FloatArray, weights: FloatArray) -> Normal:
         """The normal equations about some parameters.

@@ -23,12 +23,18 @@ from calrig.calibration.joint.report_parts import (
 )
 from calrig.calibration.joint.said import sentences
 from calrig.calibration.joint.solution import Solution
+from calrig.calibration.joint.told import Progress, unheard
 from calrig.calibration.joint.unit_model import CURVATURES, NAMES, PER_C
 
 
-def solution_document(solution: Solution, limits_deg: tuple[float, float] | None = None) -> dict[str, Any]:
+def solution_document(
+    solution: Solution,
+    limits_deg: tuple[float, float] | None = None,
+    progress: Progress = unheard,
+) -> dict[str, Any]:
     """Everything that was solved for, what it is worth, and what would help within limits of the dial."""
-    on_stage, tested, advice = mapped(solution.fit), held_out(solution.fit), advised(solution, limits_deg)
+    on_stage, tested = mapped(solution.fit), held_out(solution.fit, progress)
+    advice = advised(solution, limits_deg)
     units = range(len(solution.table.units))
     return {
         "units": [_unit(solution, unit) for unit in units],
@@ -120,4 +126,4 @@ def _advice(advice: Advice) -> dict[str, Any]:
 def _of_held_out(tested: HeldOut) -> Sequence[str]:
     if tested.final_deg < tested.before_deg:
         return ()
-    return ("stretches that were left out are foretold no better than by believing the stage",)
+    return ("held-out poses are predicted no better with the map than without it",)

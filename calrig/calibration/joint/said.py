@@ -1,4 +1,4 @@
-"""What a person should know of a joint solution: what the data did not tell apart, and why."""
+"""What a person should know of a joint solution: what is not separable, and why."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def sentences(solution: Solution, on_stage: Mapped) -> list[str]:
     if solution.fit.problem.correlation > HARDLY_NOISE:
         said.append(
             f"what the poses leave is correlated by {solution.fit.problem.correlation:.2f} from one to "
-            "the next: less as noise is than as something that the model lacks"
+            "the next: more as a lack of fit than as noise"
         )
     said += [*_of_misfits(solution), *_of_gear(solution), *_of_levels(solution)]
     said += [*_of_linear(solution), *_of_mounts(solution, on_stage), *_of_sources(solution)]
@@ -90,13 +90,13 @@ def _not_separable(solution: Solution, unit: int) -> str:
     named = [_title(problem, int(at[k])) for k in np.argsort(-weights) if weights[k] > SHARE * weights.max()]
     return (
         f"unit {solution.table.units[unit]}: its elevation is known to {worth.rms_deg:.2g}° only, where one "
-        f"pose is measured to {solution.noise_deg:.2g}°: these poses do not tell apart "
+        f"pose is measured to {solution.noise_deg:.2g}°: these poses do not separate "
         f"{', '.join(dict.fromkeys(named))}"
     )
 
 
 def _of_misfits(solution: Solution) -> list[str]:
-    """Mounts that the others do not foretell as well as noise allows."""
+    """Mounts that the others do not predict as well as noise allows."""
     found = misfits(solution.mount_tests)
     if not found:
         return []

@@ -1,4 +1,4 @@
-"""The joint solution: wild poses, the map's orders, the fit, and whether the data part stage and units."""
+"""The joint solution: outliers, the map's orders, the fit, and whether the data part stage and units."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ import numpy as np
 from calrig.calibration.joint.correlation import correlation_of
 from calrig.calibration.joint.elevation import Worth, worth
 from calrig.calibration.joint.lack_of_fit import MountTest, mount_tests
-from calrig.calibration.joint.least_squares import Fit, distances, fitted, without_wild_poses
+from calrig.calibration.joint.least_squares import Fit, distances, fitted, without_outliers
 from calrig.calibration.joint.level import Level, level_of
 from calrig.calibration.joint.mounts import table_of
 from calrig.calibration.joint.order_choice import Choice, chosen, of_the_unit
+from calrig.calibration.joint.outliers import outliers_said
 from calrig.calibration.joint.problem import Problem
 from calrig.calibration.joint.stage_map import TURN_DEG, resolved_orders
 from calrig.calibration.joint.table import Mounted, Table
-from calrig.calibration.joint.wild import wild_poses_said
+from calrig.calibration.joint.told import Progress, unheard
 from calrig.calibration.pose import DiagnosisError
 
 FEWEST_SPARE = 8
@@ -79,6 +80,7 @@ def solve(
     linear: bool = False,
     periods_deg: Sequence[float] = (),
     seat_std_deg: float | None = None,
+    progress: Progress = unheard,
 ) -> Solution:
     """Solves stage, mounts and units at once.
 
@@ -87,13 +89,19 @@ def solve(
         linear: whether the units are stated to have no quadratic and cubic terms.
         periods_deg: of gears, where somebody knows them.
         seat_std_deg: how far one clamping scatters from the next on the same seat, where somebody knows it.
+        progress: is told the share that is done.
 
     Raises:
         DiagnosisError: the poses are too few, or cannot be what they are said to be.
     """
     table, warnings = table_of(lots)
     return solve_table(
-        table, linear=linear, periods_deg=periods_deg, seat_std_deg=seat_std_deg, warnings=warnings
+        table,
+        linear=linear,
+        periods_deg=periods_deg,
+        seat_std_deg=seat_std_deg,
+        warnings=warnings,
+        progress=progress,
     )
 
 
@@ -104,14 +112,18 @@ def solve_table(
     periods_deg: Sequence[float] = (),
     seat_std_deg: float | None = None,
     warnings: Sequence[str] = (),
+    progress: Progress = unheard,
 ) -> Solution:
     """The same of poses in columns."""
     known = [TURN_DEG / period for period in periods_deg]
     orders = _offered(table, linear, known)
-    rich, weights = without_wild_poses(Problem(table, orders, linear))
+    rich, weights = without_outliers(Problem(table, orders, linear))
+    progress(0.5)
     correlated = replace(rich.problem, correlation=correlation_of(rich))
+    progress(0.7)
     choice = chosen(fitted(correlated, weights, rich.parameters), known)
     fit = fitted(replace(correlated, orders=choice.orders), weights)
+    progress(0.85)
     units = range(len(table.units))
     levels = tuple(level_of(fit, unit, seat_std_deg) for unit in units)
     if seat_std_deg is not None and not any(levels):
@@ -122,7 +134,7 @@ def solve_table(
         worths=tuple(worth(fit, unit) for unit in units),
         levels=levels,
         mount_tests=tuple(mount_tests(fit)),
-        warnings=(*warnings, *wild_poses_said(table, fit.kept, distances(fit))),
+        warnings=(*warnings, *outliers_said(table, fit.kept, distances(fit))),
     )
 
 

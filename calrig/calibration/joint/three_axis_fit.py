@@ -1,4 +1,4 @@
-"""Gauss and Newton's iteration for whole accelerometers, the noise of each axis, and wild poses.
+"""Gauss and Newton's iteration for whole accelerometers, the noise of each axis, and outliers.
 
 As in the plane (`least_squares`), what is not known of a parameter before the data is how large it may be in
 any part that is sold.
@@ -13,9 +13,9 @@ from scipy.optimize import minimize_scalar
 
 from calrig.calibration.joint.clamping import face_matrix
 from calrig.calibration.joint.least_squares import CONVERGED, LEAST_NOISE, STEPS
+from calrig.calibration.joint.outliers import fitted_without_outliers
 from calrig.calibration.joint.table import BoolArray, Intp
 from calrig.calibration.joint.three_axis_problem import Normal, ThreeAxisProblem
-from calrig.calibration.joint.wild import without_wild
 from calrig.estimation.angles import FloatArray
 
 HUBER = 3.0
@@ -120,10 +120,10 @@ def fitted_whole(
     return ThreeAxisFit(problem, parameters, covariance, noise, freedom, normal, weights)
 
 
-def without_wild_vectors(problem: ThreeAxisProblem) -> tuple[ThreeAxisFit, FloatArray]:
+def without_outlying_vectors(problem: ThreeAxisProblem) -> tuple[ThreeAxisFit, FloatArray]:
     """The least squares solution without poses that have gone wrong alone, and the weights (n,) of all."""
     size_g = np.linalg.norm(problem.of.vector_g, axis=1)
-    return without_wild(
+    return fitted_without_outliers(
         lambda weights, start, robust: fitted_whole(problem, weights, start, robust=robust),
         vector_distances,
         size_g,

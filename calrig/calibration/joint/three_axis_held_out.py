@@ -1,4 +1,4 @@
-"""Error of whole stretches that were held out, believing the stage and solving for it (`held_out`)."""
+"""Error of whole stretches that were held out, without the map and with it (`held_out`)."""
 
 from __future__ import annotations
 
@@ -6,18 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from calrig.calibration.joint.held_out import HeldOut, foretold
+from calrig.calibration.joint.held_out import HeldOut, predicted
 from calrig.calibration.joint.three_axis_fit import ThreeAxisFit, fitted_whole
+from calrig.calibration.joint.told import Progress, unheard
 
 
-def held_out_of_whole(fit: ThreeAxisFit) -> HeldOut:
-    """Foretells the angle of every pose that was not left out as wild, once."""
+def held_out_of_whole(fit: ThreeAxisFit, progress: Progress = unheard) -> HeldOut:
+    """Predicts the angle of every pose that is no outlier, once; tells the share that is done."""
     problem = fit.problem
     seen = replace(problem.table, approach=np.zeros(len(problem.table)))
     believing = replace(problem, of=replace(problem.of, seen=seen), orders=())
-    return foretold(
+    return predicted(
         problem.table,
         fit.kept,
         lambda shown: fitted_whole(believing, shown).left(),
         lambda shown: fitted_whole(problem, shown, fit.parameters).left(),
+        progress,
     )

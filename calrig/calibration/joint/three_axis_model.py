@@ -53,7 +53,7 @@ LARGEST = np.repeat(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FeltVector:
+class SensedVector:
     """A unit's vectors at n directions of gravity.
 
     Attributes:
@@ -67,9 +67,9 @@ class FeltVector:
     by_parameters: FloatArray
 
 
-def felt_vector(
+def sensed_vector(
     parameters: FloatArray, direction: FloatArray, warmer_c: FloatArray | float = 0.0
-) -> FeltVector:
+) -> SensedVector:
     """The vectors of one unit.
 
     Args:
@@ -96,7 +96,7 @@ def felt_vector(
     by[:, of_axes, PER_C.start + of_axes] = warmer[:, None]
     for k, (row, column_of) in enumerate(SKEWS):
         by[:, row, SKEW.start + k] = steep[:, row] * direction[:, column_of]
-    return FeltVector(vector, steep[:, :, None] * askew, by)
+    return SensedVector(vector, steep[:, :, None] * askew, by)
 
 
 def skewed(parameters: FloatArray) -> FloatArray:

@@ -14,7 +14,7 @@ from calrig.calibration.joint.elevation import RANGE_DEG, STEP_DEG, Worth
 from calrig.calibration.joint.three_axis_fit import ThreeAxisFit
 from calrig.calibration.joint.three_axis_frame import axes_of, faces_frame, slopes_of
 from calrig.calibration.joint.three_axis_model import BIAS, CUBIC, GAIN, PER_C, QUADRATIC, skewed
-from calrig.calibration.joint.unit_model import NAMES, felt
+from calrig.calibration.joint.unit_model import NAMES, sensed
 from calrig.estimation.angles import FloatArray, wrap_deg
 
 
@@ -51,7 +51,7 @@ def worth_of_whole(fit: ThreeAxisFit, unit: int, plane: InPlane) -> Worth:
     """What its calibrated elevation is worth, relative to its mean over the range."""
     low, high = _range_deg(fit, unit)
     grid = np.linspace(low, high, max(round((high - low) / STEP_DEG) + 1, 3))
-    seen = felt(plane.own, np.radians(grid))
+    seen = sensed(plane.own, np.radians(grid))
     turn = seen.turned(seen.by_elevation[:, :, None])
     by = (-seen.turned(seen.by_parameters) / turn) @ plane.by_parameters
     by -= by.mean(axis=0)

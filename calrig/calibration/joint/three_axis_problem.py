@@ -23,7 +23,7 @@ from calrig.calibration.joint.three_axis_model import (
     PER_C,
     QUADRATIC,
     WIDTH,
-    felt_vector,
+    sensed_vector,
 )
 from calrig.calibration.joint.three_axis_table import ThreeAxisTable
 from calrig.calibration.joint.whitening import whitened
@@ -213,11 +213,13 @@ class ThreeAxisProblem(Parameters):
         tilt, by_tilts = tilted(parameters[self.tilts_at(mount)])
         up, by_turn, by_dip = stage_direction(turns, float(parameters[self.dip_at]))
         rows = self.table.mount == mount
-        felt = felt_vector(parameters[self.unit_at(unit)], up @ (face @ tilt).T, self.table.warmer_c[rows])
+        sensed = sensed_vector(
+            parameters[self.unit_at(unit)], up @ (face @ tilt).T, self.table.warmer_c[rows]
+        )
 
         def through(change: FloatArray) -> FloatArray:
             """(m, 3) what a change (m, 3) of the direction does to the vector."""
-            return np.asarray(np.einsum("nij,nj->ni", felt.by_direction, change))
+            return np.asarray(np.einsum("nij,nj->ni", sensed.by_direction, change))
 
         turned = through(by_turn @ (face @ tilt).T)[:, :, None]
         directions = [
@@ -226,7 +228,7 @@ class ThreeAxisProblem(Parameters):
             turned,
             turned * columns[:, None, :],
         ]
-        return felt.vector_g, np.concatenate([felt.by_parameters, *directions], axis=2)
+        return sensed.vector_g, np.concatenate([sensed.by_parameters, *directions], axis=2)
 
     def _white(self, rows: Intp, both: FloatArray, weights: FloatArray) -> tuple[FloatArray, float]:
         """Derivatives and residuals (m, 3, k) of a mount's poses that count, as independent rows (3m', k)."""

@@ -24,6 +24,7 @@ from calrig.calibration.joint.three_axis_held_out import held_out_of_whole
 from calrig.calibration.joint.three_axis_plane import InPlane, in_plane, worth_of_whole
 from calrig.calibration.joint.three_axis_said import three_axis_sentences
 from calrig.calibration.joint.three_axis_solution import ThreeAxisSolution
+from calrig.calibration.joint.told import Progress, unheard
 from calrig.calibration.joint.unit_model import CURVATURES, NAMES, PER_C
 
 
@@ -47,9 +48,12 @@ def units_of(solution: ThreeAxisSolution, frame: Frame = "sensor") -> list[Whole
     return found
 
 
-def three_axis_document(solution: ThreeAxisSolution, frame: Frame = "sensor") -> dict[str, Any]:
+def three_axis_document(
+    solution: ThreeAxisSolution, frame: Frame = "sensor", progress: Progress = unheard
+) -> dict[str, Any]:
     """Everything that was solved for, and what it is worth."""
-    units, on_stage, tested = units_of(solution, frame), mapped(solution.fit), held_out_of_whole(solution.fit)
+    units, on_stage = units_of(solution, frame), mapped(solution.fit)
+    tested = held_out_of_whole(solution.fit, progress)
     told, asked = solution.fit.told()
     return {
         "units": [_unit(solution, k, unit) for k, unit in enumerate(units)],

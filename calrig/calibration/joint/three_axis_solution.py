@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calrig.calibration.joint.order_choice import Choice, chosen, of_the_unit
+from calrig.calibration.joint.outliers import outliers_said
 from calrig.calibration.joint.stage_map import TURN_DEG, resolved_orders
 from calrig.calibration.joint.table import Mounted, Table
 from calrig.calibration.joint.three_axis_fit import (
@@ -16,11 +17,11 @@ from calrig.calibration.joint.three_axis_fit import (
     noise_of_axes,
     vector_correlation,
     vector_distances,
-    without_wild_vectors,
+    without_outlying_vectors,
 )
 from calrig.calibration.joint.three_axis_problem import ThreeAxisProblem
 from calrig.calibration.joint.three_axis_table import ThreeAxisTable, three_axis_table
-from calrig.calibration.joint.wild import wild_poses_said
+from calrig.calibration.joint.told import Progress, unheard
 from calrig.calibration.pose import DiagnosisError
 
 FEWEST_SPARE = 12
@@ -60,7 +61,11 @@ class ThreeAxisSolution:
 
 
 def solve_whole(
-    lots: Sequence[Mounted], *, linear: bool = False, periods_deg: Sequence[float] = ()
+    lots: Sequence[Mounted],
+    *,
+    linear: bool = False,
+    periods_deg: Sequence[float] = (),
+    progress: Progress = unheard,
 ) -> ThreeAxisSolution:
     """Solves stage, mounts and units clamped by several faces at once; arguments as `solution.solve`.
 
@@ -71,13 +76,15 @@ def solve_whole(
     known = [TURN_DEG / period for period in periods_deg]
     shape = np.ones((len(table.seen.units), 3))
     problem = ThreeAxisProblem(table, (), linear, shape)
-    rich, weights = without_wild_vectors(replace(problem, orders=_offered(problem, known)))
+    rich, weights = without_outlying_vectors(replace(problem, orders=_offered(problem, known)))
+    progress(0.5)
     rich = noise_of_axes(rich)
     correlated = replace(rich.problem, correlation=vector_correlation(rich))
+    progress(0.7)
     choice = chosen(fitted_whole(correlated, weights, rich.parameters), known)
     fit = fitted_whole(replace(correlated, orders=choice.orders), weights)
     _refuse_another_face(fit)
-    said = wild_poses_said(table.seen, fit.kept, vector_distances(fit))
+    said = outliers_said(table.seen, fit.kept, vector_distances(fit))
     return ThreeAxisSolution(fit, choice, (*warnings, *said))
 
 

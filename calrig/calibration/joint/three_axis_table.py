@@ -15,8 +15,8 @@ import numpy as np
 
 from calrig.calibration.joint.clamping import FACES, face_matrix
 from calrig.calibration.joint.mounts import TOLD, table_of
+from calrig.calibration.joint.outliers import GROSS_G
 from calrig.calibration.joint.table import Mounted, Table
-from calrig.calibration.joint.wild import GROSS_G
 from calrig.calibration.pose import DiagnosisError, Pose
 from calrig.calibration.pose_columns import complete
 from calrig.estimation.angles import FloatArray, wrap_deg

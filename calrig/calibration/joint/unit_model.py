@@ -39,7 +39,7 @@ OF_LINEAR, OF_CUBIC = 2, 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Felt:
+class Sensed:
     """A unit's vector at n elevations.
 
     Attributes:
@@ -62,7 +62,7 @@ class Felt:
         return np.asarray((z * change[:, 0] - y * change[:, 1]) / (y * y + z * z))
 
 
-def felt(parameters: FloatArray, elevation: FloatArray, warmer_c: FloatArray | float = 0.0) -> Felt:
+def sensed(parameters: FloatArray, elevation: FloatArray, warmer_c: FloatArray | float = 0.0) -> Sensed:
     """The vector of one unit, or of as many as there are poses.
 
     Args:
@@ -92,4 +92,4 @@ def felt(parameters: FloatArray, elevation: FloatArray, warmer_c: FloatArray | f
     by[:, 0, 5], by[:, 0, 6] = along**2, along**3
     by[:, 1, 7], by[:, 1, 8] = c**2, c**3
     by[:, 0, 9], by[:, 1, 10] = warmer_c, warmer_c
-    return Felt(vector, by_elevation, by)
+    return Sensed(vector, by_elevation, by)

@@ -9,7 +9,7 @@ from calrig.estimation.angles import FloatArray
 
 
 def whitened(values: FloatArray, place: Intp, chain: Intp, rho: float) -> tuple[FloatArray, FloatArray]:
-    """Values (m, …) less what the one before foretells, scaled to the same variance as they had.
+    """Values (m, …) less what the one before predicts, scaled to the same variance as they had.
 
     Args:
         values: of poses in the order measured.

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
-from calrig.calibration.candidates import Candidate, candidates_of
+from calrig.calibration.candidates import Candidate, candidate_of, candidates_of
 from calrig.calibration.channels import ANGLE, MOVE, NORM, READING
 from calrig.calibration.effects import EFFECTS
 from calrig.calibration.noise_model import NoiseModel, stacked
 from calrig.calibration.plan_design.rig_figures import Pace, Turning
 from calrig.calibration.plan_design.sweep import Sweep
-from calrig.calibration.pose import Pose
+from calrig.calibration.pose import Filtering, Pose
 from calrig.calibration.responses import FEWEST_POSES, Responses, responses_of
 from calrig.estimation.angles import FloatArray
 
@@ -89,22 +89,34 @@ def suspects(
     noise = _noise(r, scatter_deg)
     base = np.linalg.qr(stacked(noise, r.starts, r.base))[0]
     found: dict[str, list[tuple[float, float | None]]] = {name: [] for name in names}
+    standing = replace(r, stretch_deg=np.zeros(len(r)))
     for candidate in candidates_of(r):
         shown = candidate.name in found and candidate.name not in hidden
         if shown and candidate.beside is None and candidate.changed is None:
-            found[candidate.name].append(_least(candidate, r, noise, base))
+            in_dwells = _in_dwells(candidate, standing) if r.stretch_deg.any() else candidate
+            found[candidate.name].append(_least(candidate, in_dwells, r, noise, base))
     return [_said(name, *_middle(sizes)) for name, sizes in found.items()]
 
 
+def _in_dwells(candidate: Candidate, standing: Responses) -> Candidate:
+    """The same where the stage stood at every pose; itself where that is another form."""
+    shapes = candidate.effect.forms(standing, candidate.shape.at)
+    same = [shape for shape in shapes if shape.form == candidate.shape.form]
+    return candidate_of(standing, candidate.effect, same[0]) if len(same) == 1 else candidate
+
+
 def _least(
-    candidate: Candidate, r: Responses, noise: NoiseModel, base: FloatArray
+    candidate: Candidate, in_dwells: Candidate, r: Responses, noise: NoiseModel, base: FloatArray
 ) -> tuple[float, float | None]:
-    """The least RMS beside a line that is found in the worst direction, and the parameter where it is one."""
+    """The least RMS beside a line that is found in the worst direction, and the parameter where it is one.
+
+    It is that of readings in dwells at the same elevations, whatever is left of it in the mean of a stretch.
+    """
     line = np.linalg.qr(np.column_stack([np.ones(len(r)), r.theta_deg]))[0]
     columns = stacked(noise, r.starts, candidate.columns)
     left = columns - base @ (base.T @ columns)
     seen = left.T @ left
-    in_readings = candidate.columns[:, 0, :] - line @ (line.T @ candidate.columns[:, 0, :])
+    in_readings = in_dwells.columns[:, 0, :] - line @ (line.T @ in_dwells.columns[:, 0, :])
     size = in_readings.T @ in_readings / len(in_readings)
     values, vectors = np.linalg.eigh(seen)
     if values[0] <= 1e-9 * max(float(np.trace(columns.T @ columns)), 1e-300):
@@ -176,7 +188,10 @@ def imagined_sweep(sweep: Sweep, pace: Pace, turning: Turning, seed: int) -> lis
     """The stretches and dwells of a sweep likewise."""
     planned = sweep.poses(seed)
     settled_s = [None if pose.stretch_deg else pace.settle_s for pose in planned]
-    return _imagined([pose.target_deg for pose in planned], sweep.times_s(pace, turning), settled_s)
+    poses = _imagined([pose.target_deg for pose in planned], sweep.times_s(pace, turning), settled_s)
+    filtering = Filtering(dwell_s=sweep.stretch_s, remembers=False)
+    samples = round(sweep.stretch_s * filtering.rate_hz)
+    return [replace(pose, filtering=filtering, n_samples=samples) for pose in poses]
 
 
 def _imagined(

@@ -51,8 +51,8 @@ def of_time(task: Task, time_s: float) -> Iterator[Design]:
 
 
 def first_good_enough(task: Task, sweeping: Sweeping, goals: Goals, design: Design, sweep: Sweep) -> Design:
-    """As many passes of a design as its run takes that ends as soon as the goals are reached."""
-    for passes in range(1, sweep.passes):
+    """As many passes of a design, a way and back at least, as its run takes until the goals are reached."""
+    for passes in range(2, sweep.passes):
         begun = replace(sweep, passes=passes)
         order = list(design.elevations_deg[: len(begun)])
         part = _stated(task, sweeping, begun, order, caution(len(order)))

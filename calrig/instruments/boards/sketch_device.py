@@ -28,6 +28,7 @@ def board_device(sketch: Sketch) -> BoardDevice:
         title=sketch.source,
         baudrate=sketch.baudrate,
         opens=opens,
+        may_stay_open=not sketch.zeroes_at_reset,
         probes=(Probe(sketch.baudrate, sketch.heard_within_s),),
         matches=sketch.prints,
         identity=identity,

@@ -49,6 +49,7 @@ DEVICE = BoardDevice(
     title="calrig's own sketch, or anything that speaks its packets",
     baudrate=BAUDRATE,
     opens=_open,
+    may_stay_open=True,
     probes=(
         Probe(
             BAUDRATE,

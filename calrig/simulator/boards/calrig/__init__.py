@@ -72,13 +72,19 @@ class Board:
         """Whether samples are being sent."""
         return self._stream is not None
 
+    def opened(self) -> None:
+        """Its port was opened, which resets it where it boots."""
+        if self._options.boot_s:
+            self.reset()
+
     def reset(self) -> None:
         """It begins anew at the next block: says who it is, counts time from there, and streams no more."""
         self._is_reset = True
 
     def receive(self, data: bytes) -> bytes:
         """Takes what came over the wire; returns what goes back, after the samples that were due."""
-        self._begin_anew()
+        if self._is_booting():
+            return b""
         *lines, self._tail = (self._tail + data).split(b"\n")
         heard = (line.removesuffix(b"\r").decode("utf-8", "replace") for line in lines)
         self._heard += filter(None, heard)
@@ -90,7 +96,8 @@ class Board:
 
     def emit(self) -> bytes:
         """The samples of all instants up to now that were not sent yet."""
-        self._begin_anew()
+        if self._is_booting():
+            return b""
         said = self._answers()
         return self._spoken(said if self._heard else said + self._due_samples())
 
@@ -104,11 +111,13 @@ class Board:
             said.append(self._answer(self._heard.pop(0)))
         return said
 
-    def _begin_anew(self) -> None:
+    def _is_booting(self) -> bool:
+        """Whether it hears nothing; begins anew where it was reset."""
         if self._is_reset:
             self._is_reset, self._is_behind, self._stream, self._tail = False, False, None, b""
             self._heard.clear()
-            self._began_s, self._unsaid = self._now(), [self._identity()]
+            self._began_s, self._unsaid = self._now() + self._options.boot_s, [self._identity()]
+        return self._now() < self._began_s
 
     def _answer(self, command: str) -> bytes:
         word, _, argument = command.partition(" ")

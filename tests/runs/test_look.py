@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from calrig.instruments.types import BoardIdentity, Samples
+from calrig.runs.look import felt
 from calrig.runs.mounting import Mount
-from calrig.runs.sightings import judged
 
 BOARD = BoardIdentity("calrig", "1", "AS-0043", "MPU-6050", 2, 250, 1000)
 AT_REST_G, IN_HAND_G = 0.003, 0.1
 
 
-def felt(angle_deg, *, axis=(0, 1, 2), g=1.0, spread_g=AT_REST_G):
+def standing(angle_deg, *, axis=(0, 1, 2), g=1.0, spread_g=AT_REST_G):
     """Twenty samples of a unit that stands so."""
     turn = np.radians(angle_deg)
     accel = g * np.array([0.0, np.sin(turn), np.cos(turn)])[list(axis)]
@@ -25,30 +25,29 @@ def felt(angle_deg, *, axis=(0, 1, 2), g=1.0, spread_g=AT_REST_G):
 @pytest.mark.parametrize(
     ("samples", "mount", "stage_deg", "state", "says"),
     [
-        (felt(21), Mount(0), 20, "there", "still, by gravity at 21.0°"),
-        (felt(141), Mount(120), 20, "there", "still"),
-        (felt(93), Mount(0), None, "there", "still"),
-        (felt(0, spread_g=IN_HAND_G), Mount(0), 0, "moving", "being moved"),
-        (felt(93), Mount(0), 20, "askew", "at 93.0°. Clamped as asked it would be at 20.0°"),
-        (felt(0, axis=(2, 0, 1)), Mount(0), None, "askew", "x does not lie along the stage's axis"),
-        (felt(0, g=0.4), Mount(0), 0, "askew", "0.40 g at rest"),
+        (standing(21), Mount(0), 20, "there", "still, by gravity at 21.0°"),
+        (standing(141), Mount(120), 20, "there", "still"),
+        (standing(93), Mount(0), None, "there", "still"),
+        (standing(0, spread_g=IN_HAND_G), Mount(0), 0, "moving", "being moved"),
+        (standing(93), Mount(0), 20, "askew", "at 93.0°. Clamped as asked it would be at 20.0°"),
+        (standing(0, axis=(2, 0, 1)), Mount(0), None, "askew", "x does not lie along the stage's axis"),
+        (standing(0, g=0.4), Mount(0), 0, "askew", "0.40 g at rest"),
     ],
 )
 def test_gravity_tells_whether_the_unit_sits_as_asked(samples, mount, stage_deg, state, says):
-    sight = judged(BOARD, samples, mount, stage_deg)
+    sight = felt(BOARD, samples, stage_deg).sighting(mount)
     assert (sight.state, sight.serial) == (state, "AS-0043") and says in sight.says
 
 
 def test_the_boards_word_tells_which_unit_it_is():
-    sight = judged(BOARD, felt(0), Mount(0), 0.0)
+    sight = felt(BOARD, standing(0), 0.0).sighting(Mount(0))
     assert sight.of_unit("AS-0043").says.startswith("AS-0043 is there, says its board.")
     assert sight.of_unit("AS-0044").state == "wrong"
 
 
 def test_a_board_that_computes_its_angle_itself_is_taken_at_its_word():
-    own = felt(0)
+    own = standing(0)
     none = np.full((20, 3), np.nan)
-    sight = judged(
-        BOARD, Samples(own.time_s, none, none, own.temperature_c, np.full(20, -179.9)), Mount(0), 0
-    )
+    look = felt(BOARD, Samples(own.time_s, none, none, own.temperature_c, np.full(20, -179.9)), 0)
+    sight = look.sighting(Mount(0))
     assert sight.state == "there" and "-179.9°" in sight.says

@@ -14,7 +14,7 @@ STEP = 1e-3
 """Of a coefficient, to see what it does there."""
 
 
-class OwnBends:
+class NonlinearTerms:
     """The responses beside what is linear in them, of all coefficients (p,).
 
     Args:

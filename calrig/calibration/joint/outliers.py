@@ -12,7 +12,7 @@ from calrig.calibration.joint.table import BoolArray, Table
 from calrig.calibration.outliers import most_outliers
 from calrig.estimation.angles import FloatArray
 
-WILD = 7.0
+OUTLIER_STD = 7.0
 """Standard deviations from the model, beyond which noise takes no pose."""
 ROUNDS = 4
 GROSS_G = 0.5
@@ -24,7 +24,7 @@ TOLD = 5
 FitT = TypeVar("FitT", bound=Linearised)
 
 
-def without_wild(
+def fitted_without_outliers(
     fitting: Callable[[FloatArray, FloatArray | None, bool], FitT],
     distances: Callable[[FitT], FloatArray],
     size_g: FloatArray,
@@ -42,18 +42,18 @@ def without_wild(
     weights = np.where(gross, 0.0, 1.0)
     fit = fitting(weights, None, True)
     for _ in range(ROUNDS):
-        wild = gross | (distances(fit) > WILD)
-        if wild.sum() > most_outliers(len(wild)):
+        outlying = gross | (distances(fit) > OUTLIER_STD)
+        if outlying.sum() > most_outliers(len(outlying)):
             weights = np.where(gross, 0.0, 1.0)
             break
-        if (wild == (weights == 0.0)).all():
+        if (outlying == (weights == 0.0)).all():
             break
-        weights = np.where(wild, 0.0, 1.0)
+        weights = np.where(outlying, 0.0, 1.0)
         fit = fitting(weights, fit.parameters, True)
     return fitting(weights, fit.parameters, False), weights
 
 
-def wild_poses_said(table: Table, kept: BoolArray, distances: FloatArray) -> list[str]:
+def outliers_said(table: Table, kept: BoolArray, distances: FloatArray) -> list[str]:
     """Poses that were left out, each by its place; and how many (n,) lie as far off and were not."""
     said = []
     left_out = np.flatnonzero(~kept)
@@ -61,8 +61,8 @@ def wild_poses_said(table: Table, kept: BoolArray, distances: FloatArray) -> lis
         listed = ", ".join(
             f"{table.mounts[table.mount[k]].name} at {table.dial_deg[k]:g}°" for k in left_out[:TOLD]
         )
-        said.append(f"{len(left_out)} poses went wrong alone and were left out: {listed}")
-    far = int((distances[kept] > WILD).sum())
+        said.append(f"{len(left_out)} outliers were left out: {listed}")
+    far = int((distances[kept] > OUTLIER_STD).sum())
     if far:
         said.append(f"{far} poses lie far from the model, too many to be left out: something else moved")
     return said
