@@ -46,7 +46,7 @@ export function planForm(of, signal) {
   const make = (spec) => labelled(spec, inputs);
   const asRange = radio("range", "Range", true);
   const asList = radio("list", "List", false);
-  const asTurns = radio("turns", "Range, without stopping", false);
+  const asTurns = radio("turns", "Sweep, without stopping", false);
   const list = h("input", {
     id: "elevations_deg",
     type: "text",
