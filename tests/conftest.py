@@ -64,9 +64,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: item.get_closest_marker("browser") is None)
 
 
+def pytest_collection() -> None:
+    """To look for garbage in what is imported takes a tenth of that."""
+    gc.disable()
+
+
 def pytest_collection_finish() -> None:
     """What was imported stays as long as the worker: the garbage collector need not look at it ever again."""
     gc.freeze()
+    gc.enable()
 
 
 def pytest_unconfigure() -> None:

@@ -74,9 +74,11 @@ class HeavyWork:
         try:
             if not wait:
                 await asyncio.wait({job.task, left, asked}, return_when=asyncio.FIRST_COMPLETED)
+            asked_s = self._loop.time()
             at_most_s = None if wait else AT_ONCE_S
             await asyncio.wait({job.task, left}, timeout=at_most_s, return_when=asyncio.FIRST_COMPLETED)
-            if job.task.done():
+            in_time = wait or not asked.done() or self._loop.time() - asked_s < AT_ONCE_S
+            if job.task.done() and in_time:
                 return job.outcome()
             if left.done():
                 left.result()

@@ -135,11 +135,13 @@ class Jobs:
         """Takes a job whose answer nobody waits for.
 
         Args:
-            job: under way.
+            job: under way, or ended when its answer was due.
             what: was asked, for the log.
         """
         self._jobs[job.id] = job
         job.ended = partial(self._ended, job, what)
+        if job.task.done():
+            job.ended()
 
     def get(self, job_id: str) -> Job | None:
         """A job that is under way or has ended not long ago."""

@@ -35,6 +35,7 @@ def outcome(link: Transport, answer: Any, told: Told = unheard) -> Any:
         return answer
     job = JobState.of(answer)
     try:
+        told(job.fraction or 0.0)
         while job.state in ("queued", "running"):
             nap(LOOK_S)
             job = JobState.of(link.get(f"/api/jobs/{job.id}"))

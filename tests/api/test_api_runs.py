@@ -149,7 +149,7 @@ PATHS = [
 
 
 def test_a_run_is_known_by_its_whole_id_alone(shared_client):
-    run_id = imported(shared_client, "V-1")["id"]
+    run_id = imported(shared_client, "K-1")["id"]
     assert shared_client.get(f"/api/runs/{run_id}").status_code == 200
     for other in (run_id[:8], run_id.upper(), f"{run_id}0"):
         assert shared_client.get(f"/api/runs/{other}").status_code == 404

@@ -40,14 +40,14 @@ def scheduler():
         yield cluster.scheduler_address
 
 
-def test_the_document_tells_what_changed_and_each_rigs_map(runs):
+def test_the_document_tells_what_changed_and_each_rigs_map(runs, scheduler):
     found = json.loads(calrig("fleet", "--json").stdout)
     assert list(found) == ["runs", "changed", "rigs", "duration_s"]
     assert found["runs"] == 2
     assert found["changed"] == [{"run_id": runs[0], "verdict_before": None, "verdict_now": "named"}]
     (rig,) = found["rigs"]
     assert (rig["rig"], rig["units"]) == ("bench-1", 2)
-    again = calrig("fleet").stdout
+    again = calrig("fleet", "--scheduler", scheduler).stdout
     assert "2 runs" in again
     assert runs[0] in again
 

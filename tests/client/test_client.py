@@ -111,7 +111,7 @@ def test_asyncio_does_the_same(served, rig):
         assert (await run.wait()).status == "aborted"
         with pytest.raises(RunFailed):
             await run.result()
-        return await client.compare("AS-0042"), await client.rigs()
+        return await client.compare("AS-3"), await client.rigs()
 
     async def aiter_slice(events, n):
         async for event in events:
@@ -121,7 +121,7 @@ def test_asyncio_does_the_same(served, rig):
                 return
 
     compared, (known,) = asyncio.run(work())
-    assert compared.units[0].unit == "AS-0042"
+    assert compared.units[0].unit == "AS-3"
     assert known.name == rig.name
 
 
