@@ -131,3 +131,20 @@ def test_what_creeps_behind_the_turning_motor_is_no_backlash():
     assert (effect["name"], effect["verdict"]) == ("settling", "named")
     assert effect["parameters"]["lag_s"]["value"] == 1.5
     assert effect["parameters"]["fraction"]["value"] == pytest.approx(0.01, rel=0.2)
+
+
+def test_a_slip_in_a_dwell_that_the_gyros_bias_is_taken_from_is_found_all_the_same():
+    """0.06° in a dwell of 2 s are 0.03°/s of bias, half of which the moves of two passes have."""
+    ends = np.flatnonzero([pose.settled for pose in swept(lambda _s, motor_deg: motor_deg)])
+    slips = int(ends[2])
+    poses = swept(lambda time_s, motor_deg: motor_deg + 0.06 * (time_s > 67.5))
+    assert 66.5 < poses[slips].time_s < 68.5
+    wrong = [
+        pose
+        if pose.gyro_move_deg is None or not ends[1] < k <= ends[3]
+        else replace(pose, gyro_move_deg=pose.gyro_move_deg - 0.03)
+        for k, pose in enumerate(poses)
+    ]
+    (effect,) = found_in(wrong)
+    assert (effect["name"], effect["verdict"]) == ("mount_slip", "named")
+    assert effect["parameters"]["step_deg"]["value"] == pytest.approx(0.06, abs=0.015)
