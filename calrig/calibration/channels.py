@@ -60,7 +60,7 @@ class Channels:
     def add_moves(self, felt_deg: FloatArray, dwells: BoolArray) -> None:
         """Takes the gyro's integral (n,) over the move into each pose, degrees; NaN where it is not known.
 
-        The bias taken off all moves of a pass of a sweep, up to the one into the dwell (n,) at its end, is that
+        The bias taken off the moves of a pass of a sweep, up to that into the dwell (n,) at its end, is that
         of the dwells beside it: they share what it is wrong by, the more where the unit slipped in a dwell.
         """
         known = np.isfinite(felt_deg) & ~self._starts
