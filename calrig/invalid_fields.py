@@ -72,6 +72,9 @@ _REASONS: dict[str, str] = {
     "string_unicode": "is not a text",
     "list_type": "is not a list",
     "tuple_type": "is not a list",
+    "dict_type": "is not an object",
+    "model_type": "is not an object",
+    "model_attributes_type": "is not an object",
     "missing": "is missing",
     "greater_than": "must be greater than {gt:g}",
     "greater_than_equal": "must be at least {ge:g}",
@@ -88,9 +91,25 @@ _REASONS: dict[str, str] = {
 
 def in_words(problems: Sequence[Mapping[str, Any]]) -> str:
     """What is wrong: the first few fields at fault, each with its reason; problems as pydantic gives them."""
+    problems = _choices_together(problems)
     said = [sentence(problem) for problem in problems[:SHOWN]]
     more = len(problems) - len(said)
     return "; ".join([*said, f"and {more} more"] if more > 0 else said)
+
+
+def _choices_together(problems: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Of a field that takes the words of several lists pydantic says each list's failure: here it is one."""
+    told: list[Mapping[str, Any]] = []
+    for problem in problems:
+        *place, last = problem["loc"] or ("",)
+        if problem["type"] == "literal_error" and str(last).startswith("literal["):
+            choices = problem["ctx"]["expected"].replace(" or ", ", ")
+            if told and told[-1]["type"] == "literal_error" and told[-1]["loc"] == place:
+                choices = f"{told.pop()['ctx']['expected']}, {choices}"
+            told.append({**problem, "loc": place, "ctx": {"expected": choices}})
+        else:
+            told.append(problem)
+    return told
 
 
 def sentence(problem: Mapping[str, Any]) -> str:
@@ -143,6 +162,8 @@ def _field(place: Sequence[str | int]) -> str:
     inside = [part for part in place[last + 1 :] if isinstance(part, int)]
     if inside and name in ENTRIES:
         return f"{ENTRIES[name]} {inside[0] + 1}{of}"
+    if inside:
+        return f"Entry {inside[0] + 1} of {_title(name).lower()}{of}"
     return f"{_title(name)}{of}"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from typing import Literal
 
 import pytest
 from pydantic import TypeAdapter, ValidationError
@@ -42,6 +43,18 @@ def test_a_limits_mistake_says_which_limit():
     given = [{"name": "a", "rms_deg": 1.0}, {"name": "b", "rms_deg": "small"}]
     (problem,) = problems(list[LimitSettings], given)
     assert (sentence(problem), path_of(problem)) == ("RMS error of limit 2 is not a number", "[1].rms_deg")
+
+
+@pytest.mark.parametrize(
+    ("kind", "given", "said"),
+    [
+        (Plan, [], "The body is not an object"),
+        (list[LimitSettings], [{"name": "a", "bias_deg": [1]}], "Entry 2 of bias of limit 1 is missing"),
+        (Literal["json", "pdf"] | Literal["c"], "x", "The body is none of 'json', 'pdf', 'c'"),
+    ],
+)
+def test_what_is_wrong_is_told_without_the_words_of_a_program(kind, given, said):
+    assert in_words(problems(kind, given)) == said
 
 
 def test_of_many_mistakes_the_first_few_are_told_and_the_others_counted():

@@ -1,7 +1,7 @@
 // Questions before something that stays: a reason for what is voided or moved, a yes for what is accepted.
 // "calrig:done" tells whoever shows what was asked about that it has changed.
 
-import { errorLine, h, markWrong } from "./dom.js";
+import { errorLine, h, held, markWrong } from "./dom.js";
 
 /**
  * Asks for a reason in a dialog and calls `act(reason)`; an error of `act` is shown there and the dialog
@@ -33,6 +33,7 @@ function ask({ title, text, action, fields, kind }, act) {
   );
   const dialog = h("dialog", { "aria-labelledby": "ask-title" }, form);
   const view = document.getElementById("view");
+  const had = document.activeElement;
   document.body.append(dialog);
   return new Promise((resolve) => {
     let done = false;
@@ -40,6 +41,7 @@ function ask({ title, text, action, fields, kind }, act) {
     dialog.addEventListener("close", () => {
       dialog.remove();
       view.inert = false;
+      if (document.activeElement === document.body) (had.isConnected ? had : view).focus({ preventScroll: true });
       resolve(done);
     });
     dialog.addEventListener("keydown", (event) => {
@@ -49,7 +51,7 @@ function ask({ title, text, action, fields, kind }, act) {
     });
     form.addEventListener("submit", async (event) => {
       event.preventDefault();
-      confirm.disabled = true;
+      const release = held(confirm);
       error.say(null);
       try {
         await act();
@@ -60,10 +62,12 @@ function ask({ title, text, action, fields, kind }, act) {
         error.say(problem);
         markWrong(form, problem.fields)?.focus();
       } finally {
-        confirm.disabled = false;
+        release();
       }
     });
     window.addEventListener("hashchange", () => dialog.close(), { once: true }); // whoever goes elsewhere has left it
+    const { bottom } = document.querySelector(".frame").getBoundingClientRect();
+    dialog.style.setProperty("--above", `${bottom}px`);
     view.inert = true; // not a modal dialog: the stop buttons above it must take a click at any time
     dialog.show();
   });

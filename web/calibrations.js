@@ -5,7 +5,7 @@ import { askReason } from "./ask.js";
 import { certificateButtons } from "./certificate.js";
 import { fill, h, headings, runLink, runName, statusPill, tableBox } from "./dom.js";
 import { formats } from "./formats.js";
-import { moment, plusMinus, range, significant } from "./format.js";
+import { isKnown, moment, plusMinus, range, significant } from "./format.js";
 import { may } from "./me.js";
 
 /** Two cards that read themselves anew after each release, withdrawal or draft. */
@@ -48,7 +48,7 @@ export class Calibrations {
 
   #document(document, { stale, verdict }) {
     const file = `${this.path}/calibration?revision=${document.revision}`;
-    const certificate = certificateButtons(this.path, document.revision);
+    const certificate = certificateButtons(this.path, document);
     return [
       stale.length > 0 &&
         h(
@@ -144,7 +144,7 @@ function figures(document, verdict) {
     ["Scale", plusMinus(document.scale, scale)],
     ["Effects applied", effects.length ? effects : "none"],
     ["RMS error, calibrated", significant(document.rms_calibrated_deg, 3, "°")],
-    ["RMS error, with effects", significant(document.rms_with_effects_deg, 3, "°")],
+    isKnown(document.rms_with_effects_deg) && ["RMS error, with effects", significant(document.rms_with_effects_deg, 3, "°")],
     [
       "Expanded uncertainty",
       expanded === null
@@ -156,5 +156,5 @@ function figures(document, verdict) {
     ["Issued", moment(document.issued_at)],
     ["From run", runLink(document.run_id)],
     ["Verdict", h("span", { class: "words" }, verdict.says[0] ?? "not judged")],
-  ];
+  ].filter(Boolean);
 }

@@ -2,7 +2,7 @@
 
 import { get, getBlob, put } from "./api.js";
 import { askConfirmation } from "./ask.js";
-import { errorLine, field, h } from "./dom.js";
+import { errorLine, field, h, held } from "./dom.js";
 import { may } from "./me.js";
 
 const FIELDS = [
@@ -16,19 +16,19 @@ const FIELDS = [
 ];
 
 /** Buttons for the certificate of a revision: to make it, and to say what it states of the unit. */
-export function certificateButtons(path, revision) {
+export function certificateButtons(path, { unit, revision }) {
   const error = errorLine("certificate-error");
   const make = h("button", { type: "button", id: "certificate-pdf" }, "Certificate (PDF)");
   make.addEventListener("click", async () => {
-    make.disabled = true;
+    const release = held(make);
     error.say(null);
     try {
       const file = await getBlob(`${path}/calibration?revision=${revision}&format=pdf`);
-      hand(file, `certificate-revision-${revision}.pdf`);
+      hand(file, `certificate-${unit}-revision-${revision}.pdf`);
     } catch (problem) {
       error.say(problem);
     } finally {
-      make.disabled = false;
+      release();
     }
   });
   const say = h("button", { type: "button", id: "item", on: { click: () => askItem(path, error) } }, "Item as received…");

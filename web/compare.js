@@ -105,7 +105,7 @@ function summary({ units, spread, repeatability }, draw) {
         "p",
         { class: "muted" },
         `The charts have ${COLOURS} colours: tick the units that are to have one, all others are grey. Before you do, `,
-        "those have one that changed.",
+        "the first of this table have them.",
       ),
     tableBox(
       "Units compared",

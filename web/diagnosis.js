@@ -2,7 +2,7 @@
 
 import { ApiError, get } from "./api.js";
 import { Chart } from "./charts.js";
-import { errorLine, fill, h, runName } from "./dom.js";
+import { errorLine, fill, h, held, runName } from "./dom.js";
 import { plural, significant } from "./format.js";
 import { CANCELLED, LongWork } from "./longwork.js";
 import { Together } from "./together.js";
@@ -77,7 +77,7 @@ export class DiagnosisPanel {
   async #diagnose(carryOut) {
     this.error.say(null);
     this.isBusy = true;
-    this.button.disabled = true;
+    const release = held(this.button);
     this.state.textContent = "";
     let says = "";
     try {
@@ -88,7 +88,7 @@ export class DiagnosisPanel {
       this.error.say(error);
     } finally {
       this.isBusy = false;
-      this.button.disabled = false;
+      release();
       this.#ready();
       this.state.textContent = says || this.state.textContent;
     }

@@ -139,6 +139,17 @@ export function markWrong(form, fields = []) {
   return first;
 }
 
+/** Disables buttons while what they ask for is done. What it gives enables them, and one that had the focus has it again. */
+export function held(...buttons) {
+  const had = document.activeElement;
+  for (const button of buttons) button.disabled = true;
+  return () => {
+    for (const button of buttons) button.disabled = false;
+    const isLost = document.activeElement === document.body || !document.activeElement.checkVisibility();
+    if (isLost && buttons.includes(had)) had.focus({ preventScroll: true });
+  };
+}
+
 /**
  * What a form does when it is submitted: `send` runs with the button disabled; what it throws stands in the error
  * line and goes to `failed`; the fields that it names are marked, and the first of them has the focus.
@@ -146,7 +157,7 @@ export function markWrong(form, fields = []) {
 export function onSubmit(form, button, error, send, failed = () => {}) {
   form.addEventListener("submit", async (event) => {
     event.preventDefault();
-    button.disabled = true;
+    const release = held(button);
     error.say(null);
     markWrong(form);
     try {
@@ -156,7 +167,7 @@ export function onSubmit(form, button, error, send, failed = () => {}) {
       failed(problem);
       markWrong(form, problem.fields)?.focus();
     } finally {
-      button.disabled = false;
+      release();
     }
   });
 }

@@ -1,7 +1,7 @@
 // An ambiguous diagnosis leads here: the run that separates the suspects, or why there is none.
 
 import { ApiError } from "./api.js";
-import { errorLine, h, runHref, runLink } from "./dom.js";
+import { errorLine, h, held, runHref, runLink } from "./dom.js";
 import { candidateWords } from "./effects.js";
 import { duration, plural, significant } from "./format.js";
 import { CANCELLED, LongWork } from "./longwork.js";
@@ -57,7 +57,7 @@ export function followUpBox({ follow_up: planned }, path, followers, signal) {
     "Start the follow-up run",
   );
   const begun = async (carryOut) => {
-    button.disabled = true;
+    const release = held(button);
     error.say(null);
     state.textContent = "";
     try {
@@ -71,7 +71,7 @@ export function followUpBox({ follow_up: planned }, path, followers, signal) {
       if (!(problem instanceof ApiError)) throw problem;
       error.say(problem);
     } finally {
-      button.disabled = false;
+      release();
     }
   };
   if (LongWork.isUnderWay(address)) begun(() => work.resume(address));

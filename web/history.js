@@ -2,7 +2,7 @@
 
 import { ApiError, get } from "./api.js";
 import { Chart } from "./charts.js";
-import { errorLine, fill, h, headings, runLink, statusPill, tableBox } from "./dom.js";
+import { errorLine, fill, h, headings, held, runLink, statusPill, tableBox } from "./dom.js";
 import { fixed, isKnown, moment, plusMinus, significant } from "./format.js";
 import { LongWork } from "./longwork.js";
 import { may } from "./me.js";
@@ -42,15 +42,14 @@ export function unitHistory(serial, signal) {
   }
 
   async function diagnoseBoth({ from, to }) {
-    const buttons = [...body.querySelectorAll("button")];
+    const release = held(...body.querySelectorAll("button"));
     error.say(null);
-    for (const button of buttons) button.disabled = true;
     try {
       if (await work.carryOut(`/api/runs/${encodeURIComponent(to)}/diagnosis`, { runs: [from] })) await read();
     } catch (problem) {
       say(problem);
     } finally {
-      for (const button of buttons) button.disabled = false;
+      release();
     }
   }
 

@@ -44,6 +44,7 @@ export function wayOn(run, ask) {
       { class: "buttons" },
       button("resume-interrupted", "resume", "Resume the run"),
       button("end-interrupted", "abort", "End the run"),
+      h("p", { id: "going-on", class: "muted", role: "status" }),
     ),
   );
 }

@@ -5,7 +5,7 @@ import { h } from "./dom.js";
 const PRESETS = ["0", "0, 120, 240", "0, 51.43, 154.29"];
 const AXES = ["x", "y", "z", "-x", "-y", "-z"];
 
-/** The fields; `value()` is their part of the plan, `set(query)` fills in what an address says: `mounts=0,120&axis=x`. */
+/** The fields; `value()` is their part of the plan, `set(plan)` has them say what a plan does. */
 export function mountFields() {
   const angles = h("input", { id: "mounts_deg", type: "text", list: "mounts-usual", value: "0", required: true });
   const usual = h(
@@ -19,9 +19,9 @@ export function mountFields() {
     AXES.map((value) => h("option", { value }, value.replace("-", "−"))),
   );
 
-  function set(query) {
-    if (query.has("mounts")) angles.value = query.get("mounts").replaceAll(",", ", ");
-    if (AXES.includes(query.get("axis"))) axis.value = query.get("axis");
+  function set({ mounts_deg: mounts, mount_axis: along }) {
+    if (mounts) angles.value = mounts.join(", ");
+    if (AXES.includes(along)) axis.value = along;
   }
 
   const element = h(

@@ -46,7 +46,7 @@ export function planForm(of, signal) {
   const make = (spec) => labelled(spec, inputs);
   const asRange = radio("range", "Range", true);
   const asList = radio("list", "List", false);
-  const asTurns = radio("turns", "Range, without stopping", false);
+  const asTurns = radio("turns", "Sweep, without stopping", false);
   const list = h("input", {
     id: "elevations_deg",
     type: "text",
@@ -172,24 +172,26 @@ export function planForm(of, signal) {
   element.addEventListener("input", refresh);
   signal.addEventListener("abort", forget);
   refresh();
-  /** What the address of the form says of the plan. */
+  /** What the address of the form says of the plan: `mounts=0,120&axis=x`. */
   function prefill(query) {
-    mounts.set(query);
+    mounts.set({ mounts_deg: query.get("mounts")?.split(","), mount_axis: query.get("axis") });
     refresh();
   }
 
-  /** The form says a plan of elevations or of turns, as the service has designed it. */
+  /** The form says a plan: one that the service has designed, or that of an earlier list. */
   function take(plan) {
     const said = { ...plan, expanded_uncertainty_deg: plan.until?.expanded_uncertainty_deg ?? null };
     for (const [name, input] of inputs) if (name in said) input.value = said[name] ?? "";
     order.value = plan.order;
-    const turns = plan.kind === "sweep";
-    (turns ? asTurns : asList).input.checked = true;
-    if (!turns) list.value = plan.elevations_deg.join(", ").replaceAll("-", "−");
+    mounts.set(plan);
+    hadSeveral = plan.mounts_deg?.length > 1; // its jitter is as it says
+    const shape = plan.kind === "sweep" ? asTurns : plan.elevations_deg ? asList : asRange;
+    shape.input.checked = true;
+    if (shape === asList) list.value = plan.elevations_deg.join(", ").replaceAll("-", "−");
     refresh();
   }
 
-  return { element, designer: designer(() => ({ ...of(), plan: value() }), take, signal), value, estimate, prefill };
+  return { element, designer: designer(() => ({ ...of(), plan: value() }), take, signal), value, estimate, prefill, take };
 }
 
 /** "Design a plan", folded: what it takes is asked for when somebody opens it. */

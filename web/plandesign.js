@@ -1,7 +1,7 @@
 // "Design a plan": the service designs the shortest plan for an uncertainty, and the form takes it.
 
 import { ApiError, get } from "./api.js";
-import { fill, h, headings, tableBox } from "./dom.js";
+import { fill, h, headings, held, tableBox } from "./dom.js";
 import { duration, plural, significant } from "./format.js";
 import { LongWork } from "./longwork.js";
 
@@ -57,7 +57,7 @@ export function planDesigner(of, take, signal) {
 
   async function answered(carriedOut) {
     if (ask.disabled) return; // it is being looked for
-    ask.disabled = true;
+    const release = held(ask);
     fill(answer);
     try {
       if (await carriedOut()) {
@@ -69,7 +69,7 @@ export function planDesigner(of, take, signal) {
       if (!(problem instanceof ApiError)) throw problem;
       fill(answer, h("p", { id: "design-refused", class: "cautions" }, problem.message));
     } finally {
-      ask.disabled = false;
+      release();
     }
   }
 
@@ -77,6 +77,7 @@ export function planDesigner(of, take, signal) {
     const use = () => {
       take(plan);
       fill(answer, h("p", { class: "muted" }, "The form below has this plan."));
+      ask.focus(); // what was pressed is gone
     };
     return h(
       "div",

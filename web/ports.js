@@ -1,14 +1,14 @@
 // Who answers on which port, and what to write into calrig.toml for it.
 
 import { post } from "./api.js";
-import { errorLine, fill, h, headings, tableBox } from "./dom.js";
+import { errorLine, fill, h, headings, held, tableBox } from "./dom.js";
 
 export function portsLook() {
   const error = errorLine("ports-error");
   const shown = h("div", { "data-testid": "ports", "aria-live": "polite" });
   const look = h("button", { type: "button", id: "look-at-ports" }, "Scan serial ports");
   look.addEventListener("click", async () => {
-    look.disabled = true;
+    const release = held(look);
     error.say(null);
     fill(shown, h("p", { class: "muted" }, "Scanning every port, about seven seconds…"));
     try {
@@ -17,7 +17,7 @@ export function portsLook() {
       fill(shown);
       error.say(problem);
     } finally {
-      look.disabled = false;
+      release();
     }
   });
   return h(

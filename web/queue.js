@@ -7,15 +7,15 @@ import { moment, plural } from "./format.js";
 import { may } from "./me.js";
 import { Bell } from "./queuebell.js";
 import { listForm } from "./queueform.js";
+import { readerTypesInto } from "./queuekeys.js";
 import { RigCard } from "./queuerig.js";
-import { UnitsTable, counted } from "./queuetable.js";
+import { UnitsTable, counted, standingOf } from "./queuetable.js";
 
 const LOOK_MS = 500;
 const HIDDEN_LOOK_MS = 2000;
 const BOARDS_MS = 2000; // how often the service is asked to look at the boards of idle rigs
 const SCANNER_MS = 400; // an Enter so soon after a serial is the line feed of the scanner that sent it
-const TAKES_KEYS = "input, button, a, dialog, select, textarea, summary";
-const HAS_KEYS = matchMedia("(pointer: fine)"); // on a phone the focus brings a keyboard up over the instruction
+const TOUCH = matchMedia("(pointer: coarse)"); // there the focus brings a keyboard up over the instruction
 
 /** The newest open list, the one that the address names, or the form for another one (`#/queue/new`). */
 export async function queueView({ root, parts: [id], signal }) {
@@ -54,8 +54,10 @@ class QueuePage {
     this.bell = new Bell();
     this.said = h("p", { id: "queue-said", role: "status", "aria-live": "polite" });
     this.rigs = h("div", { class: "turns" });
-    this.units = new UnitsTable((unit) => this.#ask(async () => this.#show(await post(`${this.path}/remove`, { unit }))));
-    this.scans = Promise.resolve();
+    this.units = new UnitsTable((unit) => this.#ask(`take ${unit}`, async () => this.#show(await post(`${this.path}/remove`, { unit }))));
+    this.asked = new Map(); // promises, by what each is about
+    this.answers = 0;
+    this.untold = []; // serials that the service has not been told yet
     this.scannedAt = this.lookedAt = -Infinity;
     this.scan = h("input", { id: "scan", type: "text", autocomplete: "off", spellcheck: "false", disabled: !may("operator") });
     this.add = h("button", { type: "submit" }, "Enter");
@@ -70,8 +72,8 @@ class QueuePage {
     this.clock.addEventListener("message", () => this.#look());
     signal.addEventListener("abort", () => this.clock.terminate());
     document.addEventListener("visibilitychange", () => this.#soon(0), { signal });
-    document.addEventListener("keydown", () => document.activeElement.closest(TAKES_KEYS) || this.#focus(), { signal });
-    for (const part of [this.rigs, ...this.bell.buttons]) part.addEventListener("click", () => HAS_KEYS.matches && this.#focus(), { signal });
+    readerTypesInto(this.scan, signal);
+    for (const part of [this.rigs, ...this.bell.buttons]) part.addEventListener("click", () => TOUCH.matches || this.#focus(), { signal });
   }
 
   async begin() {
@@ -81,14 +83,12 @@ class QueuePage {
       this.root,
       h("h1", { class: "for-screen-readers" }, "Queue"),
       this.rigs,
-      this.error.element,
-      this.said,
-      this.form,
+      h("div", { class: "at-hand" }, this.error.element, this.said, this.form),
       h("div", { class: "queue-line" }, this.facts, this.bell.buttons, this.#closing(answer)),
       this.units.element,
     );
     this.#show(answer);
-    if (HAS_KEYS.matches) this.#focus();
+    if (!TOUCH.matches) this.#focus();
     this.#soon(LOOK_MS);
   }
 
@@ -103,7 +103,7 @@ class QueuePage {
     const end = async () => this.#show(await post(`${this.path}/close`));
     const close = () => {
       const { left } = counted(this.list.units);
-      if (!left) return this.#ask(end);
+      if (!left) return this.#ask("close", end);
       const text = `${plural(left, "unit")} of it not measured. A list that is closed stays so; a run under way goes on.`;
       return askConfirmation({ title: "Close this list?", text, action: "Close it" }, end);
     };
@@ -117,11 +117,14 @@ class QueuePage {
   async #look() {
     try {
       await this.#haveBoardsLookedAt();
+      const { answers } = this;
       const news = await getNews(this.path, this.tag, this.signal);
-      if (news && !this.asking) {
+      if (news && answers === this.answers) {
+        // nothing younger is shown
         this.tag = news.tag;
         this.#show(news.answer);
       }
+      if (this.untold.length) this.#ask("join", () => this.#join());
       if (this.refused?.status === 0) this.refused = null; // it answers again
       this.error.say(this.refused ?? null);
     } catch (problem) {
@@ -151,8 +154,8 @@ class QueuePage {
     if (closed) document.getElementById("close-list")?.remove();
     for (const rig of list.rigs) {
       if (!this.cards.has(rig.name)) {
-        const begin = (turn) => this.#ask(async () => this.#show(await post(`${this.path}/start`, turn)));
-        const ask = (verb, run) => this.#ask(() => post(`/api/runs/${encodeURIComponent(run)}/${verb}`));
+        const begin = (turn) => this.#ask(`start on ${turn.rig}`, async () => this.#show(await post(`${this.path}/start`, turn)));
+        const ask = (verb, run) => this.#ask(`${verb} ${run}`, () => post(`/api/runs/${encodeURIComponent(run)}/${verb}`));
         const card = new RigCard(rig.name, { begin, ask, tell: (text, about) => this.#tell(text, about) });
         this.cards.set(rig.name, card);
         this.rigs.append(card.element);
@@ -187,35 +190,54 @@ class QueuePage {
     this.scan.value = "";
     if (serial) {
       this.scannedAt = performance.now();
-      this.scans = this.scans.then(() => this.#scanned(serial));
-    } else if (!this.asking && performance.now() - this.scannedAt > SCANNER_MS) {
+      this.#scanned(serial);
+    } else if (performance.now() - this.scannedAt > SCANNER_MS) {
       if (this.meant) this.meant.press();
       else if ([...this.cards.values()].some((card) => card.asks)) this.#tell("Several rigs are ready: scan the unit that is mounted, or press its button.");
     }
   }
 
-  async #scanned(typed) {
-    await this.asked;
+  #scanned(typed) {
     const known = this.list.units.map(({ unit }) => unit);
     const alike = (unit) => unit.toLowerCase() === typed.toLowerCase();
     const serial = known.includes(typed) ? typed : (known.find(alike) ?? typed); // a reader may send other case
     const card = [...this.cards.values()].find((one) => one.asks && one.unit === serial);
-    if (card) return card.press({ named: true });
-    return this.#ask(async () => {
-      const list = await post(`${this.path}/units`, { units: [serial] });
-      this.#show(list);
-      this.#tell(list.known.length ? `${serial} is in the list already.` : `${serial} was added.`);
-    });
+    if (card) return card.press({ named: card.taken !== serial });
+    const waits = this.list.units.some(({ unit, state }) => unit === serial && state === "waiting");
+    const asking = [...this.cards.values()].filter((one) => one.asks && one.rig.on.state === "waiting");
+    if (waits && asking.length === 1) {
+      asking[0].take(serial);
+      this.#choose();
+      return this.#tell(`${serial} comes before the others.`);
+    }
+    this.untold.push(serial);
+    return this.#ask("join", () => this.#join());
   }
 
-  /** One question at a time; what is refused stays in view until the next. */
-  #ask(work) {
-    if (!this.asking) this.asked = this.#answered(work);
-    return this.asked;
+  /** Has what was scanned join the list. Where no answer comes it is kept, and joins once there is one: it starts nothing then. */
+  async #join() {
+    while (this.untold.length) {
+      const [serial] = this.untold;
+      try {
+        const list = await post(`${this.path}/units`, { units: [serial] });
+        this.#show(list);
+        this.#tell(list.known.length ? standingOf(serial, list.units) : `${serial} was added.`);
+      } catch (problem) {
+        if (problem.status !== 0) this.untold.shift();
+        else this.#tell(`Scanned meanwhile, and kept here until the service answers: ${this.untold.join(", ")}.`);
+        throw problem;
+      }
+      this.untold.shift();
+    }
+  }
+
+  /** One question at a time about each thing: none waits for the design of a run. What is refused stays in view until the next. */
+  #ask(about, work) {
+    if (!this.asked.has(about)) this.asked.set(about, this.#answered(work).finally(() => this.asked.delete(about)));
+    return this.asked.get(about);
   }
 
   async #answered(work) {
-    this.asking = true;
     this.refused = null;
     this.error.say(null);
     this.#tell("");
@@ -225,7 +247,7 @@ class QueuePage {
       this.refused = problem;
       this.#say(problem);
     } finally {
-      this.asking = false;
+      this.answers += 1;
       this.tag = null;
       this.#soon(0);
     }

@@ -4,13 +4,16 @@ import { get, post } from "./api.js";
 import { errorLine, field, h, onSubmit } from "./dom.js";
 import { plural } from "./format.js";
 import { planForm } from "./plan.js";
+import { readerTypesInto } from "./queuekeys.js";
 
 const OPERATOR_KEY = "calrig.operator";
+const UNITS_KEY = "calrig.queue-units"; // scanned and not sent yet: a reload and the way back keep them
 
 /** `last` is the list made before, null without one: rigs and plan are those until somebody says otherwise. */
 export async function listForm(last, signal) {
   const rigs = await get("/api/rigs", signal);
   const units = h("textarea", { id: "units", rows: "10", spellcheck: "false", autocomplete: "off" });
+  units.value = sessionStorage.getItem(UNITS_KEY);
   const file = h("input", { id: "csv", type: "file", accept: ".csv,text/csv,text/plain" });
   const skipped = h("p", { id: "csv-says", class: "muted", role: "status", "aria-live": "polite" });
   const count = h("p", { id: "units-count", class: "muted", "aria-live": "polite" }, "Scan or paste: one a line.");
@@ -25,7 +28,8 @@ export async function listForm(last, signal) {
   );
   const chosen = () => ticks.filter(({ checked }) => checked).map(({ value }) => value);
   const plan = planForm(() => ({ rig: chosen()[0] ?? null, unit: "" }), signal);
-  if (last) again(last, plan, failed);
+  if (last) failed.value = last.failed;
+  if (["calibration", "sweep"].includes(last?.plan.kind)) plan.take(last.plan); // of no other kind has the form words
   const error = errorLine("queue-form-error");
   const make = h("button", { id: "make-list", type: "submit", class: "primary" }, "Begin the list");
   const form = h(
@@ -37,17 +41,21 @@ export async function listForm(last, signal) {
     skipped,
     h("fieldset", {}, h("legend", {}, "Rigs, side by side"), h("div", { class: "choice" }, ticks.map((tick) => h("label", { for: tick.id }, tick, tick.value)))),
     h("div", { class: "fields two" }, field("operator", "Operator (optional)", operator), field("note", "Note (optional)", note), field("failed", "A unit that fails", failed)),
-    plan.element,
     plan.designer,
+    plan.element,
     error.element,
     h("div", { class: "buttons" }, make),
   );
   const counted = () => {
+    sessionStorage.setItem(UNITS_KEY, units.value);
     const serials = lines(units.value);
     const different = new Set(serials).size;
     count.textContent = `${plural(different, "unit")}${different < serials.length ? ", some named twice: each has one turn" : ""}`;
   };
+  if (units.value) counted();
   units.addEventListener("input", counted);
+  readerTypesInto(units, signal);
+  for (const tick of ticks) tick.addEventListener("change", () => plan.estimate());
   file.addEventListener("change", async () => {
     error.say(null);
     skipped.textContent = "";
@@ -55,7 +63,7 @@ export async function listForm(last, signal) {
     if (!table) return;
     try {
       const { units: serials, left_out: empty } = await post("/api/batches/read", { csv: await text(table) }, signal);
-      units.value = [...lines(units.value), ...serials].join("\n");
+      units.value = [...lines(units.value), ...serials, ""].join("\n"); // what is scanned next has a line of its own
       skipped.textContent = `${table.name}: ${plural(serials.length, "serial")} added above${empty ? `; ${plural(empty, "row")} without one left out` : ""}.`;
       counted();
     } catch (problem) {
@@ -73,27 +81,11 @@ export async function listForm(last, signal) {
       note: note.value || null,
       failed: failed.value,
     });
+    sessionStorage.removeItem(UNITS_KEY);
     location.hash = `#/queue/${encodeURIComponent(id)}`;
   });
   setTimeout(() => units.focus());
   return form;
-}
-
-/** The form says what the last list did, where it can. */
-function again({ plan, failed: then }, form, failed) {
-  failed.value = then;
-  const shape = { calibration: plan.elevations_deg ? "list" : "range", sweep: "turns" }[plan.kind];
-  if (!shape) return;
-  const said = { ...plan, expanded_uncertainty_deg: plan.until?.expanded_uncertainty_deg };
-  form.element.querySelector(`#as-${shape}`).checked = true;
-  for (let k = 0; k < 2; k++) {
-    // once more: several mounts make the form propose a jitter
-    for (const input of form.element.querySelectorAll("input, select")) {
-      const value = said[input.id];
-      if (input.id in said) input.value = Array.isArray(value) ? value.join(", ") : (value ?? "");
-    }
-    form.element.dispatchEvent(new Event("input"));
-  }
 }
 
 /** A file as text: UTF-8 or UTF-16 by its mark, else what older spreadsheets write. */

@@ -5,7 +5,7 @@ import { duration, fixed } from "./format.js";
 import { may } from "./me.js";
 
 const CALM_MS = 700; // an Enter meant for what stood here before starts nothing
-const SHAPES = { pass: "✓", fail: "✗", done: "●" };
+const SHAPES = { pass: "✓", fail: "✗", done: "●", stopped: "–" };
 const SIGHTS = { there: "✓", wrong: "✗", askew: "✗", absent: "–", moving: "…", looking: "…" };
 
 /** `begin({ rig, unit })` starts a turn; `ask(verb, run)` posts resume or abort; `tell(text)` says why nothing began. */
@@ -53,6 +53,12 @@ export class RigCard {
   /** The unit that Enter is about: that of the instruction. */
   unit = null;
 
+  /** A unit that waits and was scanned out of its turn: from now on the instruction is about it. */
+  take(unit) {
+    this.taken = unit;
+    this.show(this.rig, this.standing);
+  }
+
   /** What Enter means here; nothing in the moment after it has changed, unless the unit was named. */
   press({ named = false } = {}) {
     if (!this.does) return null;
@@ -61,8 +67,10 @@ export class RigCard {
   }
 
   /** `standing`: whether the list has `several` rigs, is `closed`, which units wait, as a Set, and how many are what. */
-  show(rig, { several, closed, waiting, counts }) {
+  show(rig, standing) {
     this.rig = rig;
+    this.standing = standing;
+    const { several, closed, waiting, counts } = standing;
     const { says, button, does, unit } = this.#now(rig, { closed, waiting, counts });
     this.instruction = says;
     this.unit = unit ?? rig.on?.unit;
@@ -70,23 +78,30 @@ export class RigCard {
     fill(this.title, several && `Rig ${rig.name}`);
     this.title.hidden = !several;
     const under_way = rig.on?.state === "running";
-    const word = under_way ? null : rig.last?.word;
-    this.result.hidden = !word;
-    this.result.className = `big-word ${word}`;
-    fill(this.result, word && [h("span", { "aria-hidden": "true" }, SHAPES[word]), ` ${word.toUpperCase()}`]);
-    const verdict = rig.last_says[0] ?? rig.last?.why;
-    fill(this.of, word && [`${rig.last.unit} `, runLink(rig.last.run_id, "run "), verdict && h("small", {}, verdict)]);
+    this.result.hidden = under_way || !(rig.last || rig.nothing_measured);
+    this.of.hidden = this.result.hidden;
+    if (!this.result.hidden) this.#came(rig);
     const why = under_way || closed ? null : rig.on?.why;
     this.#look(closed || (why && rig.seen?.says.includes(why)) ? null : rig.seen, rig.last);
-    this.why.hidden = !why;
+    this.why.hidden = !why || rig.nothing_measured; // then it stands above
     this.why.className = rig.on?.run_id ? "error" : "muted";
-    fill(this.why, why && [why, rig.on.run_id && [" ", runLink(rig.on.run_id, "Run ")]]);
+    fill(this.why, why && [rig.on.run_id && [runLink(rig.on.run_id, "Run "), ": "], why]);
     this.bar.hidden = !under_way;
     this.bar.value = rig.progress?.fraction ?? 0;
     fill(this.more, under_way ? [`${left(rig)}. `, runLink(rig.on.run_id, "Run ")] : !closed && rig.next && `Then ${rig.next.unit}`);
     this.go.hidden = !this.does;
     this.go.textContent = button ?? "";
     this.abort.hidden = !under_way || !may("operator");
+  }
+
+  /** What the run came to that ended last here. */
+  #came({ on, last, last_says: says, nothing_measured: stopped }) {
+    const word = stopped ? "stopped" : last.word;
+    const { unit, run_id: run, why } = stopped ? on : last;
+    this.result.className = `big-word ${word}`;
+    fill(this.result, h("span", { "aria-hidden": "true" }, SHAPES[word]), ` ${word.toUpperCase()}`);
+    const reason = why ?? (stopped ? null : says[0]);
+    fill(this.of, `${unit} `, runLink(run, "run "), reason && h("small", {}, reason));
   }
 
   /** Says what to do; `isMeant`: whether Enter means this rig, which is marked where there are `others` it might. */
@@ -107,9 +122,19 @@ export class RigCard {
     this.sight.hidden = !seen;
     this.sight.className = `sight ${isTaken ? "there" : isNews ? seen.state : ""}`;
     let says = seen ? `${SIGHTS[seen.state]} ${seen.says}` : "";
+    if (seen?.state === "there" && this.unit !== this.rig.on.unit) says = `${SIGHTS.there} A unit is there: see that it is ${this.unit}.`;
     if (stays) says = `${seen.serial} is still mounted.`;
     if (isTaken) says = `${SIGHTS.there} ${seen.serial} is there, says its board; ${this.rig.on.unit} stays in the list.`;
     this.sight.textContent === says || fill(this.sight, says);
+  }
+
+  /** The service diagnoses and designs before such a run begins. */
+  async #followUp(turn) {
+    this.designs = true;
+    this.show(this.rig, this.standing);
+    this.point(false);
+    await this.begin(turn);
+    this.designs = false;
   }
 
   /** From now on, for a moment, Enter starts nothing here. */
@@ -129,11 +154,16 @@ export class RigCard {
     if (closed) return { says: () => "This list is closed" };
     if (busy) return { says: () => `Rig ${name} is busy` };
     if (state === "offline") return { says: () => `Rig ${name} is offline` };
-    if (!on) return { says: () => `No unit left: ${counts.good} done, ${counts.poor} failed` };
+    if (!on) return { says: () => (counts.left ? "No unit left for this rig" : `No unit left: ${counts.good} done, ${counts.poor} failed`) };
     const start = (unit) => ({ button: `Start ${unit}`, does: () => this.begin({ rig: name, unit }), unit });
-    if (on.state === "follow_up") return { ...start(on.unit), says: (key) => `Leave ${on.unit} mounted, ${key}: another run tells why` };
-    const says = (key) => `Mount ${on.unit}, ${key}`;
-    if (seen?.state !== "wrong") return { ...start(on.unit), says };
+    if (on.state === "follow_up") {
+      if (this.designs) return { says: () => `Leave ${on.unit} mounted: its next run is being designed` };
+      const says = (key) => `Leave ${on.unit} mounted, ${key}: another run tells why`;
+      return { ...start(on.unit), says, does: () => this.#followUp({ rig: name, unit: on.unit }) };
+    }
+    const asked = waiting.has(this.taken) && !seen?.serial ? this.taken : on.unit; // a board's own word counts for more
+    const says = (key) => `Mount ${asked}, ${key}`;
+    if (seen?.state !== "wrong") return { ...start(asked), says };
     if (seen.serial !== last?.unit && waiting.has(seen.serial)) {
       // its board says so, and it waits as well: nobody need take it off again
       return { ...start(seen.serial), says: (key) => `${seen.serial} is mounted, ${key}` };

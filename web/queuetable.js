@@ -35,6 +35,16 @@ export class UnitsTable {
   }
 }
 
+/** What a list has of a unit already, for whoever names it once more. */
+export function standingOf(serial, units) {
+  const turn = units.findLast(({ unit }) => unit === serial);
+  const place = units.filter(({ state }) => state === "waiting").indexOf(turn) + 1;
+  if (turn.state === "running") return `${serial} is being measured on rig ${turn.rig}.`;
+  if (turn.state === "waiting") return `${serial} is in the list already: number ${place} of those that wait.`;
+  if (turn.state === "follow_up") return `${serial} is in the list already: another run of it tells why it failed.`;
+  return `${serial} has had its turn in this list: ${(turn.word ?? turn.state).toUpperCase()}.`;
+}
+
 /** Units: those with a turn to come, and the others and they by their last word. One may be to go and have failed. */
 export function counted(units) {
   const words = new Map();

@@ -232,19 +232,27 @@ class RunPage {
 
   /** Resumes an interrupted run, or one that is held, and follows it; or ends it. */
   async #goOn(verb) {
+    if (this.isGoingOn) return;
     this.error.say(null);
+    const told = document.getElementById("going-on");
+    if (told) told.textContent = verb === "resume" ? "Looking for rig, board and stage as they were…" : "";
+    this.isGoingOn = true;
     try {
       const { ended } = this;
       this.#show(await post(`${this.path}/${verb}`));
       if (ended) await this.begin(); // one that waited is followed already
     } catch (error) {
+      if (told) told.textContent = "";
       this.#say(error);
+    } finally {
+      this.isGoingOn = false;
     }
   }
 
   /** The Escape key stops the stage of a run that goes on, unless it closes a dialog. */
   #escape(event) {
-    if (event.key !== "Escape" || this.ended || document.querySelector("dialog[open]")) return;
+    const mayMove = !this.ended || this.isGoingOn;
+    if (event.key !== "Escape" || !mayMove || document.querySelector("dialog[open]")) return;
     this.#stop();
   }
 

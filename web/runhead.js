@@ -3,6 +3,7 @@
 import { h, rigHref, runLink, runName, solveHref, statusPill, unitHref, unitLink } from "./dom.js";
 import { moment } from "./format.js";
 import { interruptions } from "./interrupted.js";
+import { kindTag } from "./runlist.js";
 
 export function heading(run) {
   return h(
@@ -13,6 +14,7 @@ export function heading(run) {
       "p",
       { class: "facts" },
       statusPill(run.status, { id: "status" }),
+      !run.follows && kindTag(run),
       run.follows &&
         h("span", { id: "follows" }, "follow-up of ", runLink(run.follows, "run "), asked(run)),
       h("span", {}, run.rig ? `rig ${run.rig}` : "no rig"),

@@ -9,7 +9,7 @@ const PAGE = 20;
 const KINDS = { sweep: "sweep", verification: "verification", static: "static log" };
 
 /** What a run is, where it is no calibration by dwells on a rig. */
-function kindTag({ plan, follows }) {
+export function kindTag({ plan, follows }) {
   const kind = follows ? "follow-up" : plan ? KINDS[plan.kind] : "import";
   return kind && h("span", { class: "tag" }, kind);
 }

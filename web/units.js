@@ -4,7 +4,7 @@ import { get, post, remove } from "./api.js";
 import { askConfirmation } from "./ask.js";
 import { Calibrations } from "./calibrations.js";
 import { Chart } from "./charts.js";
-import { errorLine, fill, h, headings, runHref, solveHref, tableBox, unitLink } from "./dom.js";
+import { errorLine, fill, h, headings, held, runHref, solveHref, tableBox, unitLink } from "./dom.js";
 import { moment, plural } from "./format.js";
 import { unitHistory } from "./history.js";
 import { may } from "./me.js";
@@ -90,7 +90,7 @@ function verifying({ serial, runs, active_run_id: active, revision_in_force: rev
   const button = h("button", { type: "button", id: "verify" }, "Verify");
   const error = errorLine("verify-error");
   button.addEventListener("click", async () => {
-    button.disabled = true;
+    const release = held(button);
     error.say(null);
     try {
       const run = await post("/api/runs", { unit: serial, rig: rig.value, plan: { kind: "verification" } });
@@ -98,7 +98,7 @@ function verifying({ serial, runs, active_run_id: active, revision_in_force: rev
     } catch (problem) {
       error.say(problem);
     } finally {
-      button.disabled = false;
+      release();
     }
   });
   const says = `Starts a run that applies revision ${revision} to fresh poses and tells what is left.`;

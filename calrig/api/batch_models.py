@@ -106,6 +106,7 @@ class BatchRigAnswer(Answer):
     next: TurnAnswer | None
     last: TurnAnswer | None
     last_says: list[str]
+    nothing_measured: bool = Field(description="By the run that `on` had here after that of `last`.")
 
 
 class LookAnswer(Answer):

@@ -226,6 +226,7 @@ def _rig(standing: Standing, name: str, state: object, seen: Look | None) -> Bat
         next=None if then is None else _turn(standing, then),
         last=None if last is None else _turn(standing, last),
         last_says=[] if ended is None or ended.verdict is None else ended.verdict.says,
+        nothing_measured=_came_to_nothing(standing, on, ended),
     )
 
 
@@ -242,6 +243,13 @@ def _last(standing: Standing, rig: str) -> Turn | None:
     return max((t for t in mine if t.run_id), key=lambda t: str(_finished(standing, t)), default=None)
 
 
+def _came_to_nothing(standing: Standing, on: Turn | None, last: Run | None) -> bool:
+    """Whether the turn that is to be taken again had its run after what was measured last."""
+    if on is None or on.state != "waiting" or on.run_id is None:
+        return False
+    return last is None or standing.runs[on.run_id].created_at > last.created_at
+
+
 def _finished(standing: Standing, turn: Turn) -> datetime | None:
     return standing.runs[turn.run_id or ""].finished_at
 
@@ -256,5 +264,12 @@ def _turn(standing: Standing, turn: Turn) -> TurnAnswer:
         rig=turn.rig,
         run_id=turn.run_id,
         word=word_of(run) if ended and run is not None else None,
-        why=turn.why,
+        why=turn.why or (_failing(run) if turn.state == "failed" and run is not None else None),
     )
+
+
+def _failing(run: Run) -> str | None:
+    """Why a run fails its limits: by its own verdict, or by what it was there to find out."""
+    if run.follows is not None and run.diagnosis is not None and run.diagnosis.get("says"):
+        return f"{run.diagnosis['says'][0]}."
+    return None if run.verdict is None else " ".join(run.verdict.says[:2])

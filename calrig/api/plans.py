@@ -104,7 +104,7 @@ class LimitAnswer(Answer):
 
 
 class SuspectAnswer(Answer):
-    """The least of an effect that would be found four times in five; null where nothing of it would be.
+    """The least of an effect that would be detected with a power of 80 %; null where nothing of it would be.
 
     `rms_deg` is what it leaves in calibrated readings; `value` its parameter, where it has one alone.
     """

@@ -1,4 +1,4 @@
-"""A run that ends as soon as it is good enough: when that is, and what its scatter is stated as.
+"""Sequential stopping: when a run has reached its goal, and the scatter that is then stated.
 
 Who looks after every pose stops at the one after which the poses happen to lie too near the line. Its scatter
 is therefore stated with care (`cautious`), by one rule for the decision and for all that is said of the run
@@ -30,7 +30,7 @@ class Ending:
     """How a run came to its end.
 
     Attributes:
-        may_be_early: it looked after each pose whether it was good enough.
+        may_be_early: sequential stopping, looked at after each pose.
         stopped_by: what ended it.
     """
 

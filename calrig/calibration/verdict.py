@@ -86,13 +86,13 @@ def verdict(
     says = [
         *_mismatched(move_mismatches),
         *(() if held is None else held.says),
+        *([] if verification else _clamped(result)),
         *_left_in_words(left, ratio, bound, freedom, alone=held is None),
         _before_and_after(result, verification=verification),
         *_of_the_stage(result, freedom, left),
         *([result["reference_says"]] if result.get("reference_says") else []),
         *_diagnosed(diagnosis, left),
         *([] if verification else _scale(result)),
-        *([] if verification else _clamped(result)),
     ]
     if result["n_poses"] < FEW_POSES:
         says.append(f"It rests on only {_poses(result['n_poses'])}.")

@@ -102,6 +102,8 @@ def read_plan_file(file: Path) -> Plan:
             raise InputError(f"{file}: {reason(problem)}") from error
         where = _place_of_key(text, str(problem["loc"][0]))
         raise InputError(f"{file}{where}: {path_of(problem)} {reason(problem)}") from error
+    except ValueError as error:  # Python reads no whole number of more than 4300 digits
+        raise InputError(f"{file}: has a number in it of more digits than can be read") from error
 
 
 def _place_of_key(text: str, key: str) -> str:

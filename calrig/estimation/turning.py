@@ -34,6 +34,8 @@ LOCAL = 20
 FEWEST_REPORTS = 5
 AGREE = 4.0
 """Standard deviations within which the delays of two passes are one; a busy machine makes them two."""
+RATE_DECIMALS = 6
+"""Finer than any chip's step: what differs by less is one value."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +130,20 @@ def even_turn(time_s: FloatArray, reported_deg: FloatArray, from_deg: float, to_
     scatter = math.sqrt(float(np.mean(off[kept] ** 2)))
     line = EvenTurn(at_s, float(at_deg), float(velocity), 0.0, 0.0, scatter)
     return EvenTurn(at_s, line.at_deg, line.velocity_dps, line.time_s(from_deg), line.time_s(to_deg), scatter)
+
+
+def hidden_dps(standing_dps: FloatArray, turning_dps: FloatArray) -> float:
+    """How far a rate may be from what its samples say in the mean, for the steps that they are told in.
+
+    Noise of half a step and more carries the mean over the steps; less leaves it on one.
+
+    Args:
+        standing_dps: (n,) samples of a dwell.
+        turning_dps: (m,) samples of a turn from its begin on: coming up to its velocity they show the steps.
+    """
+    values = np.unique(np.round(turning_dps, RATE_DECIMALS))
+    step_dps = float(np.diff(values).min()) if len(values) > 1 else 0.0
+    return step_dps / 2.0 if float(np.std(standing_dps)) < step_dps / 2.0 else 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -66,6 +66,8 @@ def _from_file(file: Path) -> Any:
         raise InputError(f"{file}, line {error.lineno}, column {error.colno}: {error.msg}") from error
     except RecursionError as error:
         raise InputError(f"{file}: is nested too deeply for a calibration") from error
+    except ValueError as error:  # Python reads no whole number of more than 4300 digits
+        raise InputError(f"{file}: has a number in it of more digits than can be read") from error
 
 
 def _from_service(address: str) -> Any:

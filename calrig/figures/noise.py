@@ -29,7 +29,7 @@ def noise_figures(noise: Noise) -> list[list[tuple[str, Figure]]]:
         [(f"Allan deviation, {words}", allan_deviation(group)) for words, group in groups.items()],
         [(f"Power spectral density, {words}", spectrum(group)) for words, group in groups.items()],
     ]
-    rows += [[("Distribution", distribution(one)) for one in group] for group in groups.values()]
+    rows += [[(f"Distribution, {one.name}", distribution(one)) for one in group] for group in groups.values()]
     return [row for row in rows if row]
 
 

@@ -73,7 +73,8 @@ class Samples:
 class BoardIdentity:
     """Who a board says it is; None where it does not say.
 
-    `rate_hz` is the one rate of a board that cannot be told another; None where it can.
+    `rate_hz` is the one rate of a board that cannot be told another; None where it can. `sends_rates`: and
+    accelerations, not only an angle of its own.
     """
 
     driver: str
@@ -84,6 +85,7 @@ class BoardIdentity:
     gyro_range_dps: int | None
     max_rate_hz: int | None
     rate_hz: float | None = None
+    sends_rates: bool = True
 
 
 @dataclass(frozen=True, slots=True)

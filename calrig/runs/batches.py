@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -20,8 +20,11 @@ from calrig.runs.planned import planned_poses
 from calrig.runs.services import Service
 from calrig.store import Run
 from calrig.store.batches import Batch, Turn
+from calrig.store.errors import ChangedMeanwhile
 
 MOST_UNITS = 2000
+AT_ONCE = 20
+"""How often a list is read again where others write it at the same moment."""
 NAMES = ("unit", "serial", "serial number", "serial_number", "sn")
 """Headings over the serials of a table."""
 REMEMBERED = 4096
@@ -82,19 +85,15 @@ class RunBatches:
 
     def add(self, batch_id: str, units: Sequence[str]) -> list[str]:
         """Adds units at the end; gives those that the list has already. Errors as of `make` and the store."""
-        standing = self.standing(batch_id)
         serials = checked(units)
-        if len(standing.now.turns) + len(serials) > MOST_UNITS:
+        if len(self.standing(batch_id).now.turns) + len(serials) > MOST_UNITS:
             raise Invalid(f"a list has at most {MOST_UNITS} units: make another one", ["units"])
-        self._store.write_turns(batch_id, standing.batch.turns, standing.now.written)
+        self._write(batch_id)
         return self._store.add_turns(batch_id, serials)
 
     def remove(self, batch_id: str, unit: str) -> None:
         """Takes a unit out that waits, or Conflict."""
-        standing = self.standing(batch_id)
-        turn = _waiting(standing, unit)
-        gone = replace(turn, state="removed", rig=None)
-        self._write(standing, gone)
+        self._write(batch_id, lambda standing: [replace(_waiting(standing, unit), state="removed", rig=None)])
 
     def start(
         self,
@@ -129,10 +128,13 @@ class RunBatches:
                 note=document["note"],
                 stage_at_deg=stage_at_deg,
             )
-        begun = replace(turn, state="running", rig=run.rig, run_id=run.id, why=None)
-        kept = _kept(standing.now, rig, begun)
+
+        def begun(now: Standing) -> list[Turn]:
+            under_way = replace(_waiting(now, unit), state="running", rig=run.rig, run_id=run.id, why=None)
+            return [under_way, *_kept(now.now, rig, under_way)]
+
         try:
-            self._write(standing, begun, *kept)
+            self._write(batch_id, begun)
         except Exception:
             self._service.abort(run.id)  # nobody would know that it belongs to the list
             raise
@@ -146,10 +148,11 @@ class RunBatches:
         except Conflict as error:
             if turn.rig in {state.name for state in self._service.rigs() if state.state == "busy"}:
                 raise
+            why = str(error).removeprefix(f"run {turn.run_id}: ")
             self._write(
-                standing, replace(turn, state="failed", why=str(error).removeprefix(f"run {turn.run_id}: "))
+                standing.batch.id, lambda now: [replace(_waiting(now, turn.unit), state="failed", why=why)]
             )
-            raise
+            raise Conflict(f"{turn.unit}: {why}") from error
 
     def look(self, batch_id: str) -> Standing:
         """Has the boards of idle rigs looked at: whether the unit asked for is there. Moves nothing."""
@@ -164,8 +167,7 @@ class RunBatches:
 
     def close(self, batch_id: str) -> None:
         """Ends a list; what is under way goes on."""
-        standing = self.standing(batch_id)
-        self._store.write_turns(batch_id, standing.batch.turns, standing.now.written)
+        self._write(batch_id)
         self._store.close_batch(batch_id)
 
     def standing(self, batch_id: str) -> Standing:
@@ -180,9 +182,22 @@ class RunBatches:
         assert turn.run_id is not None  # noqa: S101 (as asked for)
         return self._service.run(turn.run_id) if turn.state == "running" else self._ended_run(turn.run_id)
 
-    def _write(self, standing: Standing, *changed: Turn) -> None:
-        by_position = {turn.position: turn for turn in (*standing.now.written, *changed)}
-        self._store.write_turns(standing.batch.id, standing.batch.turns, by_position.values())
+    def _write(self, batch_id: str, changed: Callable[[Standing], Iterable[Turn]] = lambda _: ()) -> None:
+        """Writes what has become of the turns, and those that `changed` gives of how the list stands.
+
+        Where somebody else writes at the same moment, at another rig or with a scanner, it is done anew.
+        """
+        for left in reversed(range(AT_ONCE)):
+            standing = self.standing(batch_id)
+            written = (*standing.now.written, *changed(standing))
+            by_position = {turn.position: turn for turn in written}
+            try:
+                self._store.write_turns(batch_id, standing.batch.turns, by_position.values())
+            except ChangedMeanwhile:
+                if not left:
+                    raise
+            else:
+                return
 
 
 def checked(units: Sequence[str]) -> list[str]:

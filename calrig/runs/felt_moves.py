@@ -109,7 +109,8 @@ def lost(index: int, pose: Pose, check: MoveCheck) -> StageError:
     """The end of a run whose stage is not where it says."""
     return StageError(
         f"pose {index} at {pose.target_deg:g}°: {check.words()}. The stage lost steps or slips, or "
-        "the unit came loose, or ratio or sign of the rig is wrong: free the stage, see that the unit sits "
-        "tight, home the stage (without homing: turn it to a known angle, and say so with --stage-at or "
-        '"The stage stands at" on the page), and start a new run'
+        "the unit came loose or is clamped the other way round, or ratio or sign of the rig is wrong: free "
+        "the stage, see that the unit sits tight and as the plan says, home the stage (without homing: turn "
+        'it to a known angle, and say so with --stage-at or "The stage stands at" on the page), and start a '
+        "new run"
     )

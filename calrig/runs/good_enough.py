@@ -1,4 +1,4 @@
-"""Whether a run that ends as soon as it is good enough has come so far: CONTRACT section 9's `until`."""
+"""Sequential stopping of a run: CONTRACT section 9's `until`."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ class Look:
         """What it says of a unit that is to be clamped so."""
         if self.serial is None:
             if self.trouble is None:
-                return Sighting("looking", None, "Looking for the unit's board …")
+                return Sighting("looking", None, "Looking for the unit's board.")
             return Sighting("absent", None, f"No unit answers: {self.trouble}")
         if self.moves:
             return Sighting("moving", self.serial, "The unit is being moved.")

@@ -174,7 +174,7 @@ def _says(asked: Question, task: Task, design: Design, whole: Design) -> tuple[s
         least = max(shown, key=lambda one: one.rms_deg)
         said.append(
             f"Of the effects that moving shows, each that leaves {least.rms_deg:.2g}° (RMS) or more in "
-            f"calibrated readings would be found about four times in five; the hardest is: {least.title}."
+            f"calibrated readings would be detected with a power of some 80 %; the hardest is: {least.title}."
         )
         said += [f"{one.title} is shown by dwells alone." for one in whole.suspects if one not in shown]
     elif not task.trace:

@@ -11,12 +11,17 @@ from calrig.runs.task import Task
 
 
 def require_suited(rig: Rig, task: Task) -> None:
-    """Raises where the board is another unit's or too slow, or a pose is beyond the controller's limits."""
+    """Raises where the board does not suit unit or plan, or a pose is beyond the controller's limits."""
     board, unit, name = rig.board_identity, task.run.unit, task.rig.name
     if board.serial and board.serial != unit:
         raise BoardError(
             f"rig {name!r}: the board says it is unit {board.serial!r}, the run is for unit "
             f"{unit!r}; nothing was moved: mount the right unit or correct the serial number"
+        )
+    if task.plan.kind == "sweep" and not board.sends_rates:
+        raise BoardError(
+            f"rig {name!r}: board {board.driver} sends no rates and accelerations, which a sweep needs; "
+            "nothing was moved: take a plan of dwells"
         )
     if board.rate_hz is not None:
         _require_long_dwell(name, task.plan.dwell_s, board.rate_hz)

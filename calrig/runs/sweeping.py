@@ -16,7 +16,6 @@ import numpy as np
 from calrig.calibration.motor_vibration import EndDifference, disturbing, end_differences
 from calrig.estimation.reading import Reading
 from calrig.estimation.turning import Felt, clock_line, common_delay_s, scatter_g
-from calrig.instruments.axis import Motion
 from calrig.instruments.errors import BoardError, StageError
 from calrig.plan import Plan, PlannedPose
 from calrig.runs.mounting import Mount
@@ -31,6 +30,9 @@ SHAKEN = 1.1
 """Times the scatter standing: what a vibration of half the chip's noise makes of it."""
 RUN_UP_S = 0.15
 """After the stage has come up to its velocity, and before it slows down: its reports and the board's lag."""
+
+COARSEST_DPS = 0.1
+"""What the steps of its rates may hide: 0.01° over the end of a turn, by which the delay is told."""
 
 
 @dataclass
@@ -125,12 +127,8 @@ class Sweeping:
         """One pass at the plan's velocity, the stage's reports and both clocks taken down."""
         pace = self.pace
         seen = Seen(pace.rig.axis.elevation_deg(), to_deg)
-
-        def note(motion: Motion) -> None:
-            seen.reports.append((*motion.asked_s, motion.elevation_deg))
-
         pace.rig.axis.set_velocity(self.plan.turn_dps)
-        pace.move(to_deg, note)
+        pace.move(to_deg, seen.note)
         self.taking.note_approach(seen.from_deg)
         return seen
 
@@ -163,6 +161,11 @@ class Sweeping:
             raise StageError(
                 f"the stage comes up to {self.plan.turn_dps:g}°/s and slows down within the stretch about "
                 f"{short.target_deg:g}°: take longer stretches (step_deg), or a lower velocity"
+            )
+        if turned.hidden_dps > COARSEST_DPS:
+            raise BoardError(
+                f"the gyro of board {taking.rig.board_identity.driver} tells rates in steps of "
+                f"{2 * turned.hidden_dps:.2g}°/s: too coarse to time a turn by; take a plan of dwells"
             )
         gains = [felt.gain for felt in self.felt]
         if turned.lacks_samples(passed[:-1]) or turned.is_out_of_step(turned.felt().gain, gains):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -13,14 +14,17 @@ from calrig.estimation.gyro import dwell_bias
 from calrig.estimation.kalman import KalmanNoise
 from calrig.estimation.reading import Reading, dwell_reading
 from calrig.estimation.turning import (
+    FEWEST_REPORTS,
     ClockLine,
     EvenTurn,
     Felt,
     even_turn,
     felt_turn,
     filter_lag_deg,
+    hidden_dps,
     turned_back,
 )
+from calrig.instruments.axis import Motion
 from calrig.instruments.types import Samples
 from calrig.plan import PlannedPose
 from calrig.runs.pose_taking import pose_of
@@ -29,6 +33,9 @@ from calrig.runs.stream import Stretch
 FEWEST_OF_A_STRETCH = 0.5
 """Of its way and of its samples."""
 PROMPT = 1.5
+PROMPT_S = 0.005
+"""Later than the prompt ones by no more than this, on a slow wire: 0.1 s is 0.5° at 10°/s. Some
+letters more at 9600 baud must pass, for angles of one sign and size have them all."""
 OUT_OF_STEP = 0.002
 """Share by which the gains of two passes may differ, beside what the gyro's bias makes of them by chance."""
 CHANCE_STD = 5.0
@@ -45,11 +52,16 @@ class Seen:
     to_deg: float
     reports: list[tuple[float, float, float]] = field(default_factory=list)
 
+    def note(self, motion: Motion) -> None:
+        """Takes a look at the stage; one that has been told to move and has not set off reports no time."""
+        if not math.isnan(motion.asked_s[0]):
+            self.reports.append((*motion.asked_s, motion.elevation_deg))
+
     def even_turn(self, run_up_deg: float, clocks: ClockLine) -> EvenTurn:
         """The part between run-up and slowing down, in the board's time.
 
-        Of the reports, those whose answer came as fast as of the fastest quarter: of the others it is not
-        known so well of when they are.
+        Of the reports, those whose answer came as fast as of the fastest quarter (of a slow stage: as of the
+        fewest that make a line): of the others it is not known so well of when they are.
 
         Raises:
             ValueError: the stage does not turn evenly, or too few of its reports say so; the message says it.
@@ -59,7 +71,9 @@ class Seen:
         if len(asked_s) < 2:
             raise ValueError("the stage does not say where it is while it turns")
         took_s = answered_s - asked_s
-        prompt = took_s <= PROMPT * np.quantile(took_s, 0.25) + 1e-9
+        share = min(1.0, max(0.25, 2 * FEWEST_REPORTS / len(took_s)))
+        quick_s = float(np.quantile(took_s, share))
+        prompt = took_s <= min(PROMPT * quick_s, quick_s + PROMPT_S) + 1e-9
         times_s, angles_deg = clocks.board_s((asked_s + took_s / 2)[prompt]), angles_deg[prompt]
         near_deg, far_deg = self.from_deg + sense * run_up_deg, self.to_deg - sense * run_up_deg
         turn = even_turn(times_s, angles_deg, near_deg, far_deg)
@@ -127,6 +141,12 @@ class TurnedPass:
         """When it came to its stand: by the reports, in the host's time, and by the gyro, in the board's."""
         return self.clocks.host_s(self.turn.time_s(self.stands_deg)), self.felt().stands_s
 
+    @property
+    def hidden_dps(self) -> float:
+        """By how much the gyro may be wrong for the steps that its rates are told in."""
+        along = self.along
+        return hidden_dps(self.dwell.gyro_dps[:, along], self.kept.samples.gyro_dps[:, along])
+
     def is_out_of_step(self, gain: float, before: Sequence[float]) -> bool:
         """Whether the clocks of host and board were not in step, for the machine was busy elsewhere.
 
@@ -137,7 +157,8 @@ class TurnedPass:
         turned_deg = float(np.trapezoid(samples.gyro_dps[:, self.along] - self.bias_dps, samples.time_s))
         way_deg = self.stands_deg - self.from_deg
         bias_std_dps = dwell_bias(self.dwell.gyro_dps).bias_std_dps[self.along] or 0.0
-        allowed = OUT_OF_STEP + CHANCE_STD * bias_std_dps / abs(self.turn.velocity_dps)
+        unsure_dps = CHANCE_STD * bias_std_dps + self.hidden_dps
+        allowed = OUT_OF_STEP + unsure_dps / abs(self.turn.velocity_dps)
         if abs(gain * way_deg / turned_deg - 1.0) > allowed + MOST_PLAY_DEG / abs(way_deg):
             return True
         return bool(before) and abs(gain / float(np.median(before)) - 1.0) > allowed

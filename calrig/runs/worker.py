@@ -224,7 +224,7 @@ class Worker:
                 self._warnings.append,
                 StagePlace(self._store, task.rig, task.run.unit, resumes=task.interruption is not None),
                 task.earlier.faults,
-                self._left_open and self._left_open.taken_over(tapes),
+                None if self._left_open is None else self._left_open.taken_over(tapes),
             ) as rig,
         ):
             self.reached_rig = True

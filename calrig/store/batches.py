@@ -11,7 +11,7 @@ from typing import Literal, cast
 from sqlmodel import Session, col, select
 
 from calrig.store.database import Part
-from calrig.store.errors import NotFound, Refused
+from calrig.store.errors import ChangedMeanwhile, NotFound, Refused
 from calrig.store.queue_tables import BatchTable, BatchUnitTable
 from calrig.store.records import Document
 
@@ -103,11 +103,14 @@ class Batches(Part):
 
         Raises:
             NotFound: there is no such list.
-            Refused: it is closed, or not as it was.
+            Refused: it is closed.
+            ChangedMeanwhile: it is not as it was.
         """
         with self._database.writing() as session:
             if _open(session, batch_id).turns != list(before):
-                raise Refused("somebody has changed the list at the same moment: look at it, and try again")
+                raise ChangedMeanwhile(
+                    "somebody has changed the list at the same moment: look at it, and try again"
+                )
             for turn in after:
                 session.merge(_row(batch_id, turn))
 

@@ -15,6 +15,10 @@ class Refused(StoreError):  # noqa: N818 (an answer, not a fault)
     """What is stored does not allow this; the message says why and what to do."""
 
 
+class ChangedMeanwhile(Refused):
+    """Somebody else has written since it was read: read it again."""
+
+
 class NoStore(StoreError):  # noqa: N818 (an answer, not a fault)
     """There is no store yet at the place that is to be read."""
 

@@ -59,6 +59,7 @@ def test_units_go_one_after_the_other_and_one_that_fails_once_more_at_the_end(sh
     now = finished(shared_client, batch, "BAD-2")
     assert states(now)[1:] == [("BAD-2", "fail"), ("PLAIN-3", "waiting"), ("BAD-2", "waiting")]
     assert now["rigs"][0]["last_says"] and now["rigs"][0]["on"]["unit"] == "PLAIN-3"
+    assert "strict" in now["units"][1]["why"] and "at most 0.0000010° allowed" in now["units"][1]["why"]
     run = shared_client.get(f"/api/runs/{now['units'][0]['run_id']}").json()
     assert (run["operator"], run["note"], run["unit"]) == ("ada", "tray 7", "OK-1")
     assert begun(shared_client, batch, "OK-1").status_code == 409
@@ -106,8 +107,14 @@ def test_rigs_side_by_side_have_a_unit_each_and_a_service_that_begins_anew_knows
             ("S-0", "S-2"),
             ("S-1", "S-3"),
         ]
-        now = begun(c, batch, "S-4", "left").json()
+        scanned = [{"units": [f"S-{k}"]} for k in range(5, 12)]
+        with ThreadPoolExecutor(8) as at_once:
+            start = at_once.submit(begun, c, batch, "S-4", "left")
+            adds = [at_once.submit(c.post, f"/api/batches/{batch['id']}/units", json=one) for one in scanned]
+        assert {one.result().status_code for one in (start, *adds)} == {200}, "none is in the other's way"
+        now = looked(c, batch)
         assert now["rigs"][0]["on"]["unit"] == "S-4", "who mounts another one says so"
+        assert len(now["units"]) == 12
     with (
         running_service(store_path, launch_rig("left"), launch_rig("right")) as service,
         serving(service) as c,
@@ -128,6 +135,7 @@ def test_a_board_of_another_unit_fails_before_anything_moves_and_the_unit_stays_
         (place,) = looked(c, batch)["rigs"]
         assert (place["on"]["unit"], place["next"]["unit"]) == ("MINE-1", "MINE-2")
         assert "OTHER-9" in place["on"]["why"] and "nothing was moved" in place["on"]["why"]
+        assert place["nothing_measured"] and place["last"] is None
 
 
 @pytest.mark.parametrize(

@@ -39,7 +39,7 @@ def test_a_static_run_tells_the_noise_of_every_channel(shared_client, static_run
     assert gyro["colour"] == "white"
     assert list(report["channels"])[-1] == "elevation_deg"
     assert report["summary"]
-    assert {"Distribution"} < {one["caption"] for one in found["figures"]}
+    assert {"Distribution, gyro_x_dps"} < {one["caption"] for one in found["figures"]}
 
 
 def test_the_units_noise_is_in_kalibrs_file(shared_client, static_run):

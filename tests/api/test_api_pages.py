@@ -80,6 +80,7 @@ LATER = {
     "queuebell.js",
     "queueclock.js",
     "queueform.js",
+    "queuekeys.js",
     "queuerig.js",
     "queuetable.js",
     "result.js",

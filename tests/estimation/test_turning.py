@@ -14,6 +14,7 @@ from calrig.estimation.turning import (
     even_turn,
     felt_turn,
     filter_lag_deg,
+    hidden_dps,
     scatter_g,
     turned_back,
 )
@@ -120,6 +121,20 @@ def test_scatter_is_that_of_the_noise_and_not_of_the_turn():
     rng = np.random.default_rng(1)
     turning = np.sin(np.radians(np.linspace(-60.0, 60.0, 4800)))[:, None] + rng.normal(0.0, 0.004, (4800, 3))
     assert scatter_g(turning) == pytest.approx(0.004 * np.sqrt(3.0), rel=0.03)
+
+
+def test_what_a_coarse_gyro_hides_is_half_of_its_step_unless_noise_carries_it_over():
+    rng = np.random.default_rng(4)
+    turning_dps = 10.0 + np.linspace(-2.0, 2.0, 500)
+
+    def told(rate_dps, step_dps):
+        return np.round(np.asarray(rate_dps) / step_dps) * step_dps
+
+    still_dps = 0.8 + rng.normal(0.0, 0.05, 300)
+    assert hidden_dps(told(still_dps, 0.573), told(turning_dps, 0.573)) == pytest.approx(0.2865)
+    assert hidden_dps(told(still_dps, 1 / 131), told(turning_dps, 1 / 131)) == 0.0
+    assert hidden_dps(told(still_dps, 2000 / 32768), told(turning_dps, 2000 / 32768)) == 0.0
+    assert hidden_dps(np.full(300, 0.0), np.full(500, 10.0)) == 0.0
 
 
 def test_reports_that_are_too_few_are_no_turn():

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from PIL import Image
+
 from calrig.figures.files import writer_of
 from calrig.figures.filters import KALMAN, SMOOTHERS, on_a_move
 from calrig.figures.noise import allan_deviation, distribution, spectrum
@@ -15,6 +17,8 @@ from . import known, moving, stage, static
 
 DOCS = Path(__file__).parents[2] / "calrig" / "docs"
 STAGES = 100
+COLOURS = 64
+"""Of the picture: a third of the bytes."""
 PAGE = Path(__file__).with_name("page.md")
 
 
@@ -62,7 +66,9 @@ def _draw(at_rest: Noise, study: FilterStudy, run: stage.Calibrated) -> None:
         ],
         [("Readings less the stage's angle, one run of four sweeps", residual(run.poses))],
     ]
-    writer_of(DOCS / "paper.png")("A simulated sensor of the paper's noise", rows)
+    file = DOCS / "paper.png"
+    writer_of(file)("A simulated sensor of the paper's noise", rows)
+    Image.open(file).convert("RGB").quantize(COLOURS).save(file, optimize=True)
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ import pytest
 from run_rigs import CLOCK, plan
 
 from calrig.export.samples_csv import sample_columns
+from calrig.plan import Plan
 from calrig.runs.service import RunService
 from calrig.settings import BoardSettings, ReferenceSettings, RigSettings, StageSettings
 from calrig.simulator.config import SimulatorSettings
@@ -83,6 +84,15 @@ def test_a_plan_whose_dwells_are_too_short_for_the_board_is_refused_before_anyth
     run = calibrate("adafruit-basic", plan(dwell_s=2.0))
     assert run.status == "failed"
     assert "a dwell of 2 s holds about 4, a reading needs 8; nothing was moved: dwell longer" in run.error
+    assert not store.poses(run.id)
+
+
+def test_a_board_without_rates_is_refused_a_sweep_before_anything_moves(calibrate, store):
+    run = calibrate("mpu6050-light", Plan(kind="sweep"))
+    assert run.status == "failed"
+    assert (
+        "mpu6050-light sends no rates and accelerations, which a sweep needs; nothing was moved" in run.error
+    )
     assert not store.poses(run.id)
 
 

@@ -12,7 +12,7 @@ from calrig.calibration.joint.told import Progress, unheard
 
 
 def held_out_of_whole(fit: ThreeAxisFit, progress: Progress = unheard) -> HeldOut:
-    """Predicts the angle of every pose that was not left out as an outlier, once; tells the share that is done."""
+    """Predicts the angle of every pose that is no outlier, once; tells the share that is done."""
     problem = fit.problem
     seen = replace(problem.table, approach=np.zeros(len(problem.table)))
     believing = replace(problem, of=replace(problem.of, seen=seen), orders=())

@@ -98,6 +98,7 @@ class SketchBoard:
                 gyro_range_dps=gyro_range_dps,
                 max_rate_hz=None,
                 rate_hz=round(1 / between_s, 2),
+                sends_rates=self._sketch.gyro is not None and self._sketch.accel is not None,
             )
 
     def start(self, rate_hz: int) -> None:  # noqa: ARG002 (it has one rate)

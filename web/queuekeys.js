@@ -1,0 +1,16 @@
+// Where a bar-code reader types: it is a keyboard that asks nobody where the focus is.
+
+const TAKES_LETTERS = "input:not([type=checkbox], [type=radio], [type=file]), textarea, select, dialog";
+const TAKES_ENTER = "input, textarea, select, dialog, button, a, summary";
+
+/** What nobody else takes of the keyboard goes to the end of `input`: letters also from a button that has the focus. */
+export function readerTypesInto(input, signal) {
+  const heard = ({ key, ctrlKey, altKey, metaKey }) => {
+    const isLetter = key.length === 1 && key !== " " && !ctrlKey && !altKey && !metaKey;
+    const taken = isLetter ? TAKES_LETTERS : key === "Enter" && TAKES_ENTER;
+    if (!taken || document.activeElement?.closest(taken)) return;
+    input.focus({ preventScroll: true }); // the page stays where it is
+    input.setSelectionRange(input.value.length, input.value.length);
+  };
+  document.addEventListener("keydown", heard, { signal });
+}
