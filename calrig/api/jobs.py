@@ -46,7 +46,10 @@ async def show_job(job: KnownJob) -> Job:
     summary="Cancel long work",
 )
 async def cancel_job(job: KnownJob) -> Job:
-    """Its process is ended, and nothing is kept of it. One that has ended stays as it is."""
+    """Its process is ended, and nothing is kept of it. One that has ended stays as it is.
+
+    So does one whose answer is being written down: that is one transaction, and is waited for.
+    """
     await job.cancel()
     return job
 

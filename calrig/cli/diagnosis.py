@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from calrig.cli import names
 from calrig.cli.input_files import names_a_file, read_log_file, read_poses_file
 from calrig.cli.options import COLUMNS, SHORTENED, AccelRange, Db, Json, Server
 from calrig.cli.running_service import running_service, whole_id_there
@@ -19,7 +20,9 @@ def diagnose(
     sources: Annotated[
         list[str],
         typer.Argument(
-            metavar="FILE.csv|RUN_ID...", help=f"Poses of one unit, or ids of its runs{SHORTENED}. {COLUMNS}"
+            metavar="FILE.csv|RUN_ID...",
+            autocompletion=names.runs,
+            help=f"Poses of one unit, or ids of its runs{SHORTENED}. {COLUMNS}",
         ),
     ],
     as_json: Json = False,

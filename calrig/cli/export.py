@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from calrig.cli import names
 from calrig.cli.options import SHORTENED, Db, Server
 from calrig.cli.running_service import is_named, running_service
 from calrig.cli.typed_ids import whole_id
@@ -47,10 +48,14 @@ def export(
         str | None,
         typer.Argument(
             metavar="RUN_ID|CALIBRATION.json",
+            autocompletion=names.runs,
             help=f"The run to export{SHORTENED}, or a calibration of `calrig solve --out`.",
         ),
     ] = None,
-    unit: Annotated[str | None, typer.Option(metavar="SERIAL", help="The unit, by its run in force.")] = None,
+    unit: Annotated[
+        str | None,
+        typer.Option(metavar="SERIAL", help="The unit, by its run in force.", autocompletion=names.units),
+    ] = None,
     format_: Annotated[
         Format,
         typer.Option(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from calrig.cli import names
 from calrig.cli.input_files import names_a_file, read_log_file
 from calrig.cli.options import COLUMNS, SHORTENED, AccelRange, Db, GyroRange, Json, Plot, Rate
 from calrig.cli.running_service import NAMED, running_service, whole_id_there
@@ -64,7 +65,9 @@ def filters(
     source: Annotated[
         str,
         typer.Argument(
-            metavar="FILE.csv|RUN_ID", help=f"A log with rest and motion, or a run's id{SHORTENED}. {COLUMNS}"
+            metavar="FILE.csv|RUN_ID",
+            autocompletion=names.runs,
+            help=f"A log with rest and motion, or a run's id{SHORTENED}. {COLUMNS}",
         ),
     ],
     as_json: Json = False,

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from calrig.cli import names
+
 COLUMNS = "Columns: calrig/docs/poses.md."
 SHORTENED = " (the first 6 characters of a UUID do)"
 Db = Annotated[str | None, typer.Option(metavar="FILE", help="Store: a path or a URL [CALRIG_DB].")]
@@ -25,8 +27,14 @@ Record = Annotated[
     Path | None,
     typer.Option("--record", metavar="DIR", help="Record every byte on the wires in this folder."),
 ]
-Rig = Annotated[str | None, typer.Option(metavar="NAME", help="Rig; without it the first one configured.")]
-UnitSerial = Annotated[str, typer.Option("--unit", metavar="SERIAL", help="Serial number of the unit.")]
+Rig = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Rig; without it the first one configured.", autocompletion=names.rigs),
+]
+UnitSerial = Annotated[
+    str,
+    typer.Option("--unit", metavar="SERIAL", help="Serial number of the unit.", autocompletion=names.units),
+]
 Rate = Annotated[float | None, typer.Option(metavar="HZ", help="Sampling rate; overrides time_s.")]
 AccelRange = Annotated[
     int | None,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from calrig.cli import names
 from calrig.cli.input_files import read_plan_file
 from calrig.cli.options import Config, Db, Json, Rig, Server
 from calrig.cli.running_service import running_service
@@ -29,7 +30,11 @@ def plan(
     rig: Rig = None,
     unit: Annotated[
         str,
-        typer.Option(metavar="SERIAL", help="Unit whose noise is taken from its earlier runs on the rig."),
+        typer.Option(
+            metavar="SERIAL",
+            autocompletion=names.units,
+            help="Unit whose noise is taken from its earlier runs on the rig.",
+        ),
     ] = "",
     trace: Annotated[
         bool,

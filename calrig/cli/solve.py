@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
+from calrig.cli import names
 from calrig.cli.input_files import names_a_file, read_bytes
 from calrig.cli.options import COLUMNS, SHORTENED, Db, Json, Plot, Server
 from calrig.cli.running_service import running_service
@@ -71,6 +72,7 @@ def solve(
         list[str],
         typer.Argument(
             metavar="FILE.csv|RUN_ID...",
+            autocompletion=names.runs,
             help=f"Poses of one rig, units clamped at several angles, or its runs' ids{SHORTENED}. {COLUMNS}",
         ),
     ],

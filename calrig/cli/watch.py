@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from calrig.cli import names
 from calrig.cli.options import SHORTENED, Db, Json, Server
 from calrig.cli.running_service import running_service, whole_id_there
 from calrig.cli.typed_ids import whole_id
@@ -13,7 +14,9 @@ from calrig.cli.typed_ids import whole_id
 if TYPE_CHECKING:
     from calrig.cli.followed import Happened, Watched
 
-RunId = Annotated[str, typer.Argument(metavar="RUN_ID", help=f"The run{SHORTENED}.")]
+RunId = Annotated[
+    str, typer.Argument(metavar="RUN_ID", help=f"The run{SHORTENED}.", autocompletion=names.runs)
+]
 
 
 def watch(run_id: RunId, as_json: Json = False, db: Db = None, server: Server = None) -> None:

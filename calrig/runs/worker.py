@@ -1,41 +1,31 @@
-"""The thread that carries one run from `queued` to its end, and sees that every end is written down."""
+"""The thread that carries one run from `queued` to its end, and sees that every end is written down.
+
+What is measured meanwhile is `measuring`'s.
+"""
 
 from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 from calrig import logs
 from calrig.analysis.errors import Conflict, NotTheSame
-from calrig.analysis.issuing import Fitted, Issuer
-from calrig.analysis.results import ending_of, fitted
+from calrig.analysis.issuing import Issuer
 from calrig.instruments.clock import WALL
 from calrig.instruments.errors import InstrumentError
 from calrig.instruments.ports import clock_of
-from calrig.instruments.transcript import Tape, taped
 from calrig.instruments.wanted import for_at_most, while_wanted
 from calrig.runs.bus import Bus
 from calrig.runs.control import Control, End, Ended, Left
-from calrig.runs.execution import Execution
-from calrig.runs.good_enough import REACHED, GoodEnough
 from calrig.runs.left_open import LeftOpen
+from calrig.runs.measuring import Measuring
 from calrig.runs.meter import Meter
-from calrig.runs.pace import Pace
-from calrig.runs.pose_taking import PoseTaking
 from calrig.runs.recorder import Recorder
-from calrig.runs.resume import require_same_devices
-from calrig.runs.rig import Rig, open_rig
-from calrig.runs.stage_place import StagePlace
-from calrig.runs.static_log import keep_log
-from calrig.runs.suited import require_suited
-from calrig.runs.sweeping import Sweeping
 from calrig.runs.task import Task
 from calrig.store import Run, RunChanges, Status, Store, StoreError, StoreUnavailableError
-from calrig.store.issued import Draft
 
 log = logging.getLogger(__name__)
 
@@ -83,14 +73,7 @@ class Worker:
         )
         self._left_rig = left_rig
         self._ended = ended
-        self._store = store
-        self._issuer = issuer
-        self._draft: Draft | None = None
-        self._record = record
-        self._fields: RunChanges = {}
-        self._warnings: list[str] = []
-        self._origin = task.run.provenance
-        self._under_way = task.interruption is None
+        self._measuring = Measuring(task, store, issuer, self._recorder, self.control, record)
         self._concluding = threading.Lock()
         self._concluded = False
         self._given_up = self.clock.event()
@@ -131,33 +114,21 @@ class Worker:
         error: str | None = None
         try:
             self._recorder.state("running")
-            self._carry_out()
+            self._measuring.carry_out(self._left_open)
             status = "completed"
         except Ended as ended:
-            self.reached_rig = self.reached_rig or None
+            self.reached_rig = None  # unless it has
             status, error = ended.end.status, ended.end.reason
         except NotTheSame as problem:
             status, error = "interrupted", str(problem)
         except (InstrumentError, StoreError) as problem:
-            left: Status = "failed" if self._under_way else "interrupted"
+            left: Status = "failed" if self._measuring.is_under_way else "interrupted"
             status, error = self._as_asked_or(left, str(problem))
         except Exception as problem:
             log.exception("run %s failed inside calrig", self.run_id)
             status, error = "failed", f"internal error ({type(problem).__name__}: {problem}); see the log"
         finally:
             self._conclude(status, error)
-
-    @contextmanager
-    def _keeping(self, tapes: list[Tape]) -> Iterator[None]:
-        """Keeps the last minute of each wire where what is done meanwhile fails."""
-        try:
-            yield
-        except Ended:
-            raise
-        except Exception:
-            with suppress(StoreError):  # the run's own failure is what is told
-                self._store.keep_transcripts(self.run_id, {tape.port: tape.last_minute() for tape in tapes})
-            raise
 
     def _as_asked_or(self, status: Status, error: str) -> tuple[Status, str | None]:
         """A stage halted by request refuses its next move: the request is the reason, not the refusal."""
@@ -171,14 +142,16 @@ class Worker:
         """Frees the rig, then says how the run ended: who hears of the end may start the next run."""
         if self._left_open is not None:
             self._left_open.board.close()  # once more, but for a run that did not get to its rig
+        self.reached_rig = self._measuring.has_reached_rig or self.reached_rig
         self._left_rig(self)
         self.control.leave(Left(seen=False))
-        told = [error, *self._warnings] if error else self._warnings
-        fields: RunChanges = {**self._fields, "error": "; ".join(told) or None}
+        done = self._measuring
+        told = [error, *done.warnings] if error else done.warnings
+        fields: RunChanges = {**done.fields, "error": "; ".join(told) or None}
         fields["status"] = status
         if status != "completed":
-            self._draft = None
-        while not self._once(fields, lambda: self._recorder.state(status, fields, self._draft)):
+            done.draft = None
+        while not self._once(fields, lambda: self._recorder.state(status, fields, done.draft)):
             if self._given_up.wait(TRY_AGAIN_S):
                 break
         self._ended(self)
@@ -194,7 +167,7 @@ class Worker:
         self._given_up.set()
         fields: RunChanges = {"status": end.status, "error": end.reason}
         told = self.untold or fields
-        self._once(told, lambda: store.update_run(self.run_id, draft=self._draft, **told))
+        self._once(told, lambda: store.update_run(self.run_id, draft=self._measuring.draft, **told))
 
     def _once(self, fields: RunChanges, write: Callable[[], object]) -> bool:
         """Writes the run's end unless that has been done; returns False where the store cannot be told."""
@@ -212,100 +185,3 @@ class Worker:
                 return False
             self._concluded, self.untold = True, None
             return True
-
-    def _carry_out(self) -> None:
-        task = self._task
-        with (
-            taped(self._record) as tapes,
-            self._keeping(tapes.all),
-            open_rig(
-                task.rig,
-                self.control,
-                self._warnings.append,
-                StagePlace(self._store, task.rig, task.run.unit, resumes=task.interruption is not None),
-                task.earlier.faults,
-                None if self._left_open is None else self._left_open.taken_over(tapes),
-            ) as rig,
-        ):
-            self.reached_rig = True
-            require_suited(rig, task)
-            self._note_origin(rig)
-            if task.planned:
-                rig.place.take_up(rig.axis, homes=rig.stage_identity.homes)
-            self._under_way = True
-            pace = Pace(rig, self.control, self._recorder, task.earlier.clock_s)
-            taking = PoseTaking(task.plan, pace, task.earlier, self._good_enough())
-            sweeping = Sweeping(task.plan, pace, taking)
-            try:
-                if task.plan.kind == "static":
-                    keep_log(task.plan, task.planned, pace, task.earlier.logged_s)
-                elif task.plan.kind == "sweep":
-                    sweeping.carry_out(task.planned)
-                else:
-                    Execution(task.plan, pace, taking, task.follow_up).carry_out(task.planned)
-            finally:
-                self._fields["faults"] = rig.faults()
-                self._note_return(taking)
-                if sweeping.felt:
-                    self._origin = {**self._origin, "sweep": sweeping.provenance()}
-                    self._fields["provenance"] = self._origin
-        if task.plan.kind != "static":
-            self._note_result(taking)
-        if task.follow_up is not None:
-            self._fields["provenance"] = {**self._origin, "follow_up": task.follow_up.provenance()}
-            self._fields["diagnosis"] = task.follow_up.diagnosis(self.run_id, taking.poses)
-
-    def _good_enough(self) -> GoodEnough | None:
-        """What tells whether the run may end before its plan does; None of one that may not."""
-        task = self._task
-        if task.plan.until is None:
-            return None
-        accepted = self._store.effects_in_force(task.run.unit, task.run.rig)
-        return GoodEnough(task.plan.until, task.planned, accepted, self._origin)
-
-    def _note_origin(self, rig: Rig) -> None:
-        """Keeps what measures with the run; of a resumed one, that it was interrupted."""
-        if self._task.interruption is None:
-            self._origin = {**self._origin, **rig.provenance()}
-        else:
-            require_same_devices(self._task.run, rig)
-            before = self._origin.get("interruptions", [])
-            self._origin = {
-                **rig.provenance(),
-                **self._origin,
-                "interruptions": [*before, self._task.interruption],
-            }
-        self._recorder.update(provenance=self._origin)
-
-    def _note_return(self, taking: PoseTaking) -> None:
-        """Says with the last interruption what the last pose before it gave once more."""
-        if taking.returned is None:
-            return
-        *before, last = self._origin["interruptions"]
-        last = {**last, "measured_again": taking.returned.document()}
-        self._origin = {**self._origin, "interruptions": [*before, last]}
-        self._fields["provenance"] = self._origin
-        self._warnings.extend(taking.returned.warnings())
-
-    def _note_result(self, taking: PoseTaking) -> None:
-        """The result of the poses stored, and the draft that a calibration makes of its unit.
-
-        Neither, where all of the poses were excluded meanwhile, or the unit turned about another axis than
-        its x: what it read is no elevation, and for the joint solution alone.
-        """
-        run, gyro = self._task.run, taking.gyro.figures(taking.felt.moves)
-        stored = self._store.poses(self.run_id)
-        poses = [one.pose for one in stored if one.excluded is None]
-        self._fields["result"] = None
-        if not poses or self._task.plan.mount_axis != "x":
-            return
-        if self._task.verifies is not None:
-            self._fields["result"] = self._task.verifies.result(poses, gyro).to_dict()
-            return
-        accepted = self._store.effects_in_force(run.unit, run.rig)
-        ending = REACHED if taking.is_enough else ending_of(run)
-        result = fitted(poses, accepted, self._origin, gyro, ending)
-        self._fields["result"] = result.to_dict()
-        excluded = [one.index for one in stored if one.excluded is not None]
-        now = replace(run, provenance=self._origin, faults=self._fields["faults"])
-        self._draft = self._issuer.completing(now, Fitted(poses, result, accepted, excluded))

@@ -20,6 +20,7 @@ from typer.testing import CliRunner
 import calrig as package
 from calrig.api import heavy
 from calrig.calibration.pose import Pose
+from calrig.cli import names
 from calrig.cli.main import app
 from calrig.settings import store_url
 from calrig.store import Store, back_up
@@ -50,6 +51,12 @@ def there(served, folder, monkeypatch):
     return client
 
 
+@pytest.fixture(autouse=True)
+def _somebody_has_time(monkeypatch):
+    """To wait for what is completed, however busy the machine."""
+    monkeypatch.setattr(names, "PATIENCE_S", 60.0)
+
+
 def pressed_when(look):
     """Ctrl-C, once there is something to be seen."""
 
@@ -58,6 +65,16 @@ def pressed_when(look):
         os.kill(os.getpid(), signal.SIGINT)
 
     threading.Thread(target=press, daemon=True).start()
+
+
+def completed(*words):
+    """What a shell offers for the last word."""
+    typed = {"COMP_WORDS": " ".join(("calrig", *words)), "COMP_CWORD": str(len(words))}
+    asked = CliRunner().invoke(
+        app, [], prog_name="calrig", env={"_CALRIG_COMPLETE": "complete_bash", **typed}
+    )
+    assert not asked.stderr
+    return asked.stdout.split()
 
 
 def newest(client):
@@ -72,6 +89,17 @@ def test_a_run_is_the_services_and_ends_with_its_verdict(there):
     assert printed.splitlines()[-1] == f"· {run['verdict']['says'][-1]}"
     assert calrig("watch", run["id"][:8]).stdout == printed
     assert json.loads(calrig("watch", run["id"], "--json").stdout) == run
+    assert completed("watch", run["id"][:4]) == [run["id"]]
+    assert completed("run", "--rig", "b") == ["bench-1"]
+    assert completed("run", "--unit", "AS") == ["AS-1"]
+
+
+def test_names_are_completed_from_the_store_and_without_one_nothing_is_said(folder):
+    assert completed("watch", "") == completed("run", "--unit", "") == []
+    assert not (folder / "calrig.db").exists()
+    calrig("import", "poses.csv", "--unit", "KEPT-1")
+    assert completed("export", "--unit", "K") == ["KEPT-1"]
+    assert completed("run", "--rig", "") == ["bench-1"]
 
 
 def test_what_was_imported_is_exported_and_diagnosed_as_without_the_service(there, folder, monkeypatch):
