@@ -57,13 +57,19 @@ class Channels:
         if scaled and self.turns:
             self.base_columns.append((f"{name}.scale", name, self._theta / SCALE_UNIT_DEG))
 
-    def add_moves(self, felt_deg: FloatArray) -> None:
-        """Takes the gyro's integral (n,) over the move into each pose, degrees; NaN where it is not known."""
+    def add_moves(self, felt_deg: FloatArray, dwells: BoolArray) -> None:
+        """Takes the gyro's integral (n,) over the move into each pose, degrees; NaN where it is not known.
+
+        The bias taken off the moves of a pass of a sweep, up to that into the dwell (n,) at its end, is that
+        of the dwells beside it: they share what it is wrong by, the more where the unit slipped in a dwell.
+        """
         known = np.isfinite(felt_deg) & ~self._starts
         self._begin(
             MOVE, np.where(known, felt_deg - self._move, 0.0), known, turn_size(felt_deg, self._theta)
         )
-        self.base_columns.append((f"{MOVE}.bias", MOVE, known.astype(float)))
+        passes = np.concatenate([[0], np.cumsum(dwells)[:-1]]) if not dwells.all() else np.zeros(len(dwells))
+        for one in np.unique(passes[known]):
+            self.base_columns.append((f"{MOVE}.bias", MOVE, (known & (passes == one)).astype(float)))
         gain = np.where(known, self._move, 0.0) / SCALE_UNIT_DEG
         self.base_columns.append((f"{MOVE}.gain", MOVE, gain))
 
@@ -126,7 +132,7 @@ def add_witnesses(
     moves = np.isfinite(felt) & ~starts
     enough = moves.any() and moves.sum() >= 0.8 * (~starts).sum()
     if table.turns and enough and _left_by_line(move[moves], felt[moves]):
-        table.add_moves(felt)
+        table.add_moves(felt, np.array([pose.settled for pose in poses]))
     if all(pose.stage_deg is not None for pose in poses):
         off = theta - np.array([pose.target_deg for pose in poses])
         if np.ptp(off) > ONE_ANGLE_DEG:

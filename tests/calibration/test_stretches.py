@@ -131,3 +131,33 @@ def test_what_creeps_behind_the_turning_motor_is_no_backlash():
     assert (effect["name"], effect["verdict"]) == ("settling", "named")
     assert effect["parameters"]["lag_s"]["value"] == 1.5
     assert effect["parameters"]["fraction"]["value"] == pytest.approx(0.01, rel=0.2)
+
+
+def test_the_gyro_feels_a_slip_before_the_middle_of_a_stretch_or_in_the_next_move():
+    r = responses_of([swept(lambda _s, motor_deg: motor_deg)])
+    effect, stretch, dwell = EFFECTS["mount_slip"], 5, int(np.flatnonzero(r.stretch_deg == 0.0)[1])
+
+    def felt_at(pose, part):
+        at = {"at_s": float(r.time_s[pose]), "pose": float(pose), "part": part}
+        (shape,) = (one for one in effect.forms(r, at) if one.form.startswith("in a"))
+        assert shape.shares["reading"][pose] == part
+        return np.flatnonzero(shape.shares.get("gyro_move", np.zeros(1))).tolist()
+
+    assert [felt_at(stretch, part) for part in (0.8, 0.2)] == [[stretch], [stretch + 1]]
+    assert felt_at(dwell, 0.8) == []
+
+
+def test_what_the_gyros_bias_of_a_pass_is_wrong_by_is_no_noise_of_its_moves():
+    """A slip of 0.06° in a dwell of 2 s is 0.03°/s of bias there, and half of it in the passes beside it."""
+    poses = swept(lambda _s, motor_deg: motor_deg)
+    wrong = [
+        pose if pose.sweep == 0 else replace(pose, gyro_move_deg=pose.gyro_move_deg - 0.03) for pose in poses
+    ]
+    r = responses_of([wrong])
+    move = r.channels.index("gyro_move")
+    assert [name for name in r.base_names if name == "gyro_move.bias"] == ["gyro_move.bias"] * PLAN.sweeps
+    fitted, *_ = np.linalg.lstsq(r.base[:, move], r.values[:, move], rcond=None)
+    left_deg = (r.values[:, move] - r.base[:, move] @ fitted)[r.known[:, move]]
+    assert left_deg.std() < 1.3 * GYRO_NOISE_DEG
+    standing = responses_of([[replace(pose, settle_s=1.0) for pose in poses]])
+    assert standing.base_names.count("gyro_move.bias") == 1

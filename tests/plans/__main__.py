@@ -79,7 +79,8 @@ def covered(runs: int) -> None:
     """What is inside of what runs state that end as soon as they are good enough."""
     _say("| plan | dwell shows | U wanted | ended early | poses | U | bias | scale |")
     _say("| --- | --- | --- | --- | --- | --- | --- | --- |")
-    for name, plan in (("28 designed", coverage.designed(28)), ("52 fixed", Plan())):
+    plans = {"28 designed": coverage.designed(28), "52 fixed": Plan(), "65 turning": coverage.turning(4)}
+    for name, plan in plans.items():
         for share in (1.0, 0.7, 0.3):
             for wanted in (4.0, 3.0, 2.5, 2.2, 2.0, 1.8):
                 c = coverage.covered(plan, wanted, share, runs, seed=1)

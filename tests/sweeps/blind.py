@@ -14,7 +14,7 @@ import pickle
 import sys
 import tempfile
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -122,23 +122,34 @@ def _poses(task: Task) -> list[Pose] | str:
     return taken
 
 
-def table(judged: dict[tuple[str, str], list[Judgement]]) -> Iterable[str]:
-    """Of Markdown, a row a world and a plan."""
-    yield "| world | plan | refused | found | a right name | alone | a wrong name | said most often |"
-    yield "| --- | --- | --- | --- | --- | --- | --- | --- |"
-    for (world, plan), those in judged.items():
-        n = sum(not one.refused for one in those)
-        shares = (
-            f"{sum(getattr(j, what) for j in those)} of {n}" for what in ("found", "held", "alone", "wrong")
-        )
-        refused = f"{len(those) - n} of {len(those)}"
-        yield f"| {world} | {plan} | {refused} | {' | '.join(shares)} | {_commonest(those)} |"
+COLUMNS = {
+    "found": "found",
+    "held": "a right name among its suspects",
+    "alone": "that alone",
+    "wrong": "a wrong single name",
+    "refused": "refused",
+}
+
+
+def table(judged: Mapping[tuple[str, str], list[Judgement]]) -> Iterable[str]:
+    """Of Markdown, a row a world, each cell of the plans in their order."""
+    yield f"| what is wrong | {' | '.join(COLUMNS.values())} | said of most |"
+    yield f"| {' | '.join(['---'] * (len(COLUMNS) + 2))} |"
+    for world in dict.fromkeys(world for world, _ in judged):
+        of_plans = [those for (name, _), those in judged.items() if name == world]
+        cells = [", ".join(_times(those, what) for those in of_plans) for what in COLUMNS]
+        yield f"| {world} | {' | '.join(cells)} | {'; '.join(map(_commonest, of_plans))} |"
+
+
+def _times(those: list[Judgement], what: str) -> str:
+    of = those if what == "refused" else [one for one in those if not one.refused]
+    return f"{sum(getattr(one, what) for one in of)} of {len(of)}"
 
 
 def _commonest(those: list[Judgement]) -> str:
     said = [one.said for one in those]
-    often = sorted(set(said), key=said.count, reverse=True)[:2]
-    return ", ".join(f"{what[:90]} ×{said.count(what)}" for what in often)
+    most = max(said, key=said.count)
+    return f"{most} ×{said.count(most)}"
 
 
 def main() -> None:
