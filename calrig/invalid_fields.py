@@ -51,7 +51,7 @@ TITLES = {
     "bias_deg": "Bias",
     "scale": "Scale",
     "rms_deg": "RMS error",
-    "expanded_uncertainty_deg": "Expanded uncertainty",
+    "expanded_uncertainty_deg": "Stop at expanded uncertainty",
     "rule": "Rule",
     "guard": "Guard",
 }
