@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass
 from typing import Protocol
@@ -67,6 +68,23 @@ class Samples:
             self.temperature_c[first:last],
             self.angle_deg[first:last],
         )
+
+    def spanning(self, from_s: float, to_s: float) -> Samples:
+        """The samples between two times, and at both what lies on the line between the samples beside it."""
+        inner = self.between(math.nextafter(from_s, math.inf), to_s)
+        return Samples.join([self._at(from_s), inner, self._at(to_s)])
+
+    def _at(self, time_s: float) -> Samples:
+        after = min(max(int(np.searchsorted(self.time_s, time_s)), 1), len(self) - 1)
+        before_s, after_s = self.time_s[after - 1 : after + 1]
+        share = min(max((time_s - before_s) / (after_s - before_s), 0.0), 1.0)
+
+        def of(values: FloatArray) -> FloatArray:
+            pair = values[after - 1 : after + 1]
+            return np.asarray(pair[:1] + share * (pair[1:] - pair[:1]), dtype=np.float64)
+
+        rest = (of(self.accel_g), of(self.gyro_dps), of(self.temperature_c), of(self.angle_deg))
+        return Samples(np.array([time_s]), *rest)
 
 
 @dataclass(frozen=True, slots=True)

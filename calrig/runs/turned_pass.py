@@ -226,16 +226,16 @@ class TurnedPass:
                 settle_s=settle_s if one.stretch_deg is None else None,
                 filtering=Filtering(self.noise, self.rate_hz, end_s - begin_s, remembers=False),
             )
-            middle_s = begin_s if one.stretch_deg is None else (begin_s + end_s) / 2
+            at_s = begin_s if one.stretch_deg is None else float(samples.time_s.mean())
             yield Taken(
                 place,
                 pose,
                 before=whole.between(ended_s, begin_s),
                 samples=whole.between(begin_s, end_s),
-                move=whole.between(moved_s, middle_s + 1.0 / self.rate_hz),  # to the next one's first sample
+                move=whole.spanning(moved_s, at_s),
                 stage_move_deg=at_deg - stage_deg,
             )
-            stage_deg, moved_s, ended_s = at_deg, middle_s, end_s
+            stage_deg, moved_s, ended_s = at_deg, at_s, end_s
 
     def _span_s(self, one: PlannedPose, behind_s: float) -> tuple[float, float]:
         """Begin and end of a pose by the samples' time."""
