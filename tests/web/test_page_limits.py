@@ -75,7 +75,7 @@ def test_a_limit_that_cannot_be_is_marked_where_it_stands(page, client, go, expe
     expect(page.locator('[name="[0].rms_deg"]')).not_to_have_attribute("aria-invalid", "true")
     fill_in(page, 1, rms_deg=1, **{"bias_deg[0]": 0.5})
     page.click("#save-limits")
-    expect(page.locator("#limits-error")).to_have_text("Bias of limit 2 is not a number")
+    expect(page.locator("#limits-error")).to_have_text("Entry 2 of bias of limit 2 is not a number")
     expect(page.locator('[name="[1].bias_deg[1]"]')).to_be_focused()
     fill_in(page, 1, name="first", **{"bias_deg[0]": ""})
     page.click("#save-limits")
