@@ -17,6 +17,8 @@ SETTLE_S = 1.0
 FORGOTTEN = 1e-9
 MOST_SAMPLES = 1_000_000
 SHORTEST_MOVE_S = 1e-3
+LEAST_GAIN_ERROR = 0.002
+"""Of a gyro; below it the share of an error means nothing."""
 
 
 def filter_share(poses: Sequence[Pose]) -> FloatArray:
@@ -31,15 +33,28 @@ def filter_share(poses: Sequence[Pose]) -> FloatArray:
     How long a move took is what lies between two dwells beside settling; without times it is a jump. The
     constants of the filter, rate and dwell are those that the poses know (`Pose.filtering`), else the
     contract's.
+
+    The filter goes on by the newest rate, so that it is ahead by half a sampling interval Δt while the stage
+    turns, and shows of that, after the move too,
+
+        λ = Δt/(2·T·d) ∫ₛ^(s+d) dt (h(t + T) − h(t))
+
+    times the move: at 200 Hz as much as of a gyro that is wrong by −0.4 %. Where the poses tell g, κ is that
+    of both, κ + λ/g.
     """
     known = [pose.filtering or Filtering() for pose in poses]
     settle_s = np.array([SETTLE_S if pose.settle_s is None else pose.settle_s for pose in poses])
     dwell_s = np.array([_dwell_s(pose, f) for pose, f in zip(poses, known, strict=True)])
     move_s = _move_s(poses, settle_s, dwell_s)
-    share = np.empty(len(poses))
+    share, lead = np.empty(len(poses)), np.empty(len(poses))
     for noise, rate_hz in {(f.noise, f.rate_hz) for f in known}:
         of_filter = np.array([(f.noise, f.rate_hz) == (noise, rate_hz) for f in known])
-        share[of_filter] = _share(noise, rate_hz, settle_s[of_filter], dwell_s[of_filter], move_s[of_filter])
+        share[of_filter], lead[of_filter] = _share_and_lead(
+            noise, rate_hz, settle_s[of_filter], dwell_s[of_filter], move_s[of_filter]
+        )
+    gain_error = _gain_error(poses)
+    if abs(gain_error) >= LEAST_GAIN_ERROR:
+        share += lead / gain_error
     return np.where([f.remembers for f in known], share, 0.0)
 
 
@@ -56,9 +71,18 @@ def _move_s(poses: Sequence[Pose], settle_s: FloatArray, dwell_s: FloatArray) ->
     return np.maximum(np.nan_to_num(between, nan=0.0), SHORTEST_MOVE_S)
 
 
-def _share(
+def _gain_error(poses: Sequence[Pose]) -> float:
+    """Of the gyro, by its account of the moves; 0 where it gives none."""
+    felt = np.array([np.nan if pose.gyro_move_deg is None else pose.gyro_move_deg for pose in poses])
+    move = np.diff([pose.theta_deg for pose in poses], prepend=np.nan)
+    known = np.isfinite(felt) & np.isfinite(move)
+    power = float(move[known] @ move[known])
+    return float(move[known] @ felt[known]) / power - 1.0 if power > 0.0 else 0.0
+
+
+def _share_and_lead(
     noise: KalmanNoise, rate_hz: float, settle_s: FloatArray, dwell_s: FloatArray, move_s: FloatArray
-) -> FloatArray:
+) -> tuple[FloatArray, FloatArray]:
     from scipy.signal import lfilter
 
     gain = steady_state_gain(noise, 1.0 / rate_hz)
@@ -69,12 +93,17 @@ def _share(
     impulse = np.zeros(samples)
     impulse[0] = 1.0 - gain.k_angle
     response = lfilter([1.0, -1.0], gain.denominator, impulse)
-    twice = np.cumsum(np.cumsum(response)) / rate_hz**2
+    once = np.cumsum(response) / rate_hz
     at = np.arange(1, samples + 1) / rate_hz
-
-    def integral(t: FloatArray) -> FloatArray:
-        return np.asarray(np.interp(t, at, twice, left=0.0), dtype=np.float64)
-
     end_s = settle_s + dwell_s
-    area = integral(end_s + move_s) - integral(end_s) - integral(settle_s + move_s) + integral(settle_s)
-    return np.asarray(area / (move_s * dwell_s), dtype=np.float64)
+
+    def over_both(integral: FloatArray) -> FloatArray:
+        """Over the dwell and the move, per second of both, by what has been integrated up to each time."""
+
+        def of(t: FloatArray) -> FloatArray:
+            return np.interp(t, at, integral, left=0.0)
+
+        area = of(end_s + move_s) - of(end_s) - of(settle_s + move_s) + of(settle_s)
+        return np.asarray(area / (move_s * dwell_s), dtype=np.float64)
+
+    return over_both(np.cumsum(once) / rate_hz), over_both(once) / (2.0 * rate_hz)

@@ -56,6 +56,25 @@ def test_a_gyro_that_is_wrong_by_one_percent_shows_in_the_reading_as_kappa_says(
     assert filter_share(poses)[1] == pytest.approx(shown, abs=0.006)
 
 
+@pytest.mark.parametrize("rate_hz", [100.0, 200.0])
+@pytest.mark.parametrize("gain", [-0.02, 0.005, 0.025])
+def test_that_the_filter_goes_on_by_the_newest_rate_counts_where_the_gyro_tells_its_gain(rate_hz, gain):
+    filtering = Filtering(rate_hz=rate_hz)
+    fine_s = np.arange(0.0, 1.0, 1e-4)
+    turned_deg, took_s = trapezoid_deg(fine_s, 10.0, 20.0, 80.0)
+    time_s = np.arange(0.0, STILL_S + took_s + 3.0, 1.0 / rate_hz) + 3e-4
+    angle_deg = np.interp(time_s - STILL_S, fine_s, turned_deg)
+    rate_dps = np.interp(time_s - STILL_S, fine_s, np.gradient(turned_deg, fine_s), right=0.0)
+    filtered_deg = KalmanFilter().run(time_s, angle_deg, (1.0 + gain) * rate_dps)
+    dwell = time_s >= STILL_S + took_s + 1.0
+    shown = float((filtered_deg - angle_deg)[dwell].mean()) / 10.0
+    poses = [
+        Pose(angle, angle, time_s=middle_s, settle_s=1.0, filtering=filtering, gyro_move_deg=felt_deg)
+        for angle, middle_s, felt_deg in ((0.0, 0.0, None), (10.0, took_s + 3.0, 10.0 * (1.0 + gain)))
+    ]
+    assert gain * filter_share(poses)[1] == pytest.approx(shown, abs=3e-5)
+
+
 def test_what_a_pose_does_not_know_of_its_filter_is_the_contracts():
     known = Pose(0.0, 0.0, settle_s=1.0, filtering=Filtering(KalmanNoise(0.001, 0.003, 0.03), 200.0, 2.0))
     assert filter_share([Pose(0.0, 0.0)]) == pytest.approx(filter_share([known]))
