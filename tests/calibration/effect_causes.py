@@ -120,12 +120,13 @@ CAUSES = {
 }
 
 
-def shown_by_the_filter():
-    """What the filter leaves, in the mean over the dwell, of a gyro that turns by 1° too much over a move."""
-    time_s = np.arange(-20.0, MOVE_S + SETTLE_S + DWELL_S, 0.005)
+def shown_by_the_filter(gyro_gain):
+    """What the filter shows more than there is, in the mean over the dwell after a move of 1°."""
+    time_s = np.arange(-20.0, MOVE_S + SETTLE_S + DWELL_S, 0.005) + 0.0025  # it begins between two samples
     rate_dps = np.where((time_s > 0.0) & (time_s <= MOVE_S), 1.0 / MOVE_S, 0.0)
-    filtered = KalmanFilter().run(time_s + 21.0, np.zeros(len(time_s)), rate_dps)
-    return float(filtered[time_s >= MOVE_S + SETTLE_S].mean())
+    turned_deg = np.clip(time_s / MOVE_S, 0.0, 1.0)
+    filtered_deg = KalmanFilter().run(time_s + 21.0, turned_deg, (1.0 + gyro_gain) * rate_dps)
+    return float((filtered_deg - turned_deg)[time_s >= MOVE_S + SETTLE_S].mean())
 
 
 def measured(name, seed):
@@ -145,8 +146,9 @@ def measured(name, seed):
     accel = Imu(ImuOptions(reference_c=25.0, **cause.imu)).accel_g(force, around)
     noise = rng.normal(0.0, NOISE_DEG, N_POSES)
     elevation = np.degrees(np.arctan2(accel[:, 1], accel[:, 2]))
+    shown_deg = shown_by_the_filter(cause.gyro_gain) * move if cause.gyro_gain else 0.0
     size = np.hypot(accel[:, 1], accel[:, 2]) + rng.normal(0.0, 2e-4, N_POSES)
-    reading = elevation + cause.reading_deg(here) + cause.gyro_gain * shown_by_the_filter() * move + noise
+    reading = elevation + cause.reading_deg(here) + shown_deg + noise
     seen = np.radians(elevation + 0.87 * noise + rng.normal(0.0, 0.5 * NOISE_DEG, N_POSES))
     felt = (1.0 + cause.gyro_gain) * np.diff(table, prepend=0.0) + rng.normal(0.0, 0.02, N_POSES)
     across = accel[:, 0] + rng.normal(0.0, 3e-4, N_POSES)

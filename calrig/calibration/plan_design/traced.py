@@ -11,7 +11,6 @@ import numpy as np
 from calrig.calibration.plan_design.goals import NO_REFERENCE, Goals
 from calrig.calibration.plan_design.layout import layout
 from calrig.calibration.plan_design.suspects import (
-    Suspect,
     imagined_dwells,
     imagined_sweep,
     least_slow_deg,
@@ -33,9 +32,6 @@ RICH_SWEEP = (4, 14)
 ONLY_DWELLS_SHOW = ("settling",)
 """Effects of what goes on once a move has ended."""
 
-HARDER_TURNING = {"backlash": 1.5}
-"""Times as large effects must be to be found in a sweep, by runs of it (`python -m tests.plans found`)."""
-
 
 def with_suspects(task: Task, design: Design) -> Design:
     """The design, with what it would show."""
@@ -46,13 +42,7 @@ def with_suspects(task: Task, design: Design) -> Design:
     )
     if design.sweep is None:
         return replace(design, suspects=tuple(suspects(poses, design.scatter_deg, task.names)))
-    found = suspects(poses, design.scatter_deg, task.names, ONLY_DWELLS_SHOW)
-    return replace(design, suspects=tuple(_larger(one, HARDER_TURNING.get(one.name, 1.0)) for one in found))
-
-
-def _larger(one: Suspect, times: float) -> Suspect:
-    value = None if one.value is None else times * one.value
-    return replace(one, rms_deg=times * one.rms_deg, value=value)
+    return replace(design, suspects=tuple(suspects(poses, design.scatter_deg, task.names, ONLY_DWELLS_SHOW)))
 
 
 def allowed_deg(task: Task, goals: Goals, scatter_deg: float) -> float:
