@@ -75,9 +75,13 @@ def pytest_collection_finish() -> None:
     gc.enable()
 
 
-def pytest_unconfigure() -> None:
-    """A thread that keeps this process from ending is shown, and is ended with it."""
-    faulthandler.dump_traceback_later(ENDS_S, exit=True)
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """A thread that keeps this process from ending is shown, and is ended with it.
+
+    A worker of pytest-xdist that is done waits for the others, and is ended by who began it.
+    """
+    if not hasattr(config, "workerinput"):
+        faulthandler.dump_traceback_later(ENDS_S, exit=True)
 
 
 @pytest.fixture(scope="session")

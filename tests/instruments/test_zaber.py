@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import importlib.util
 import re
+import threading
 from contextlib import contextmanager
 
 import pytest
@@ -113,6 +114,17 @@ def stage(port):
     driver = Zaber(port)
     yield driver
     driver.close()
+
+
+@needs_library
+def test_a_library_that_does_not_end_keeps_nobody_from_closing_the_stage(stage, port, monkeypatch):
+    ended = threading.Event()
+    with monkeypatch.context() as patch:
+        patch.setattr(zaber, "CLOSE_S", 0.01)
+        patch.setattr(stage._connection, "close", ended.wait)
+        stage.close()
+        assert port.closed
+    ended.set()
 
 
 @needs_library

@@ -26,6 +26,7 @@ from calrig.instruments.wanted import require_wanted
 REPLY_TIMEOUT_S = 0.5
 ATTEMPTS = 4
 LISTEN_S = 0.2
+CLOSE_S = 2.0
 UNITS_OF_SPEED = 1.6384
 """A speed of 1 is 1/1.6384 microsteps per second; an acceleration of 1 is 10⁴ times that, per second."""
 
@@ -149,9 +150,11 @@ class Zaber:
         """Closes the port; never raises."""
         with self._asking:
             self._closing = True
-            self._connection.close()
-            for pump in self._pumps:
-                pump.join()
+            # The library waits for itself, and has been seen to wait for ever.
+            closing = threading.Thread(target=self._connection.close, daemon=True)
+            closing.start()
+            for thread in (closing, *self._pumps):
+                thread.join(CLOSE_S)
             self._lines.close()
 
     def _moves(self) -> bool:
