@@ -226,6 +226,7 @@ def test_a_port_that_goes_away_is_a_port_error(port, stage, monkeypatch):
         raise PortError("port test-port went away while reading")
 
     stage.status()
+    monkeypatch.setattr(zaber, "REPLY_TIMEOUT_S", 1.0)  # who asks at that moment may get no answer
     monkeypatch.setattr(port, "read_some", gone)
     with pytest.raises(PortError, match="went away"):
         for _ in range(50):

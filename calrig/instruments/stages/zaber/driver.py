@@ -181,6 +181,8 @@ class Zaber:
         refusal = ""
         for _ in range(1 if self._lines.halted else attempts):  # a stop goes first
             require_wanted()
+            if self._port_error:  # the library may wait for an answer all the same
+                raise self._port_error
             if motion:
                 self._lines.refuse_if_halted(command, self._name)
             try:
