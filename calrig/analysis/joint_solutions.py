@@ -17,7 +17,7 @@ from calrig.store.records import Run
 from calrig.store.solved import Basis, Frame, Solved
 
 if TYPE_CHECKING:
-    from calrig.calibration.joint.told import Progress
+    from calrig.calibration.progress import Progress
     from calrig.store import Store
 
 MOST_POSES = 40_000
@@ -102,7 +102,7 @@ def answer(asked: Question, progress: Callable[[float], None] = lambda _: None) 
     from calrig.calibration.joint.report import solution_document
     from calrig.calibration.joint.solution import solve
     from calrig.calibration.joint.three_axis_table import whole_units
-    from calrig.calibration.joint.told import SOLVED, within
+    from calrig.calibration.progress import SOLVED, within
     from calrig.export.joint_documents import map_document, unit_document
 
     solving, telling = within(progress, 0.0, SOLVED), within(progress, SOLVED, 1.0)

@@ -10,6 +10,7 @@ import numpy as np
 from calrig.calibration.pose import Filtering, Pose
 from calrig.estimation.angles import FloatArray
 from calrig.estimation.gains import steady_state_gain
+from calrig.estimation.gyro import gyro_scale
 from calrig.estimation.kalman import KalmanNoise
 
 SETTLE_S = 1.0
@@ -73,11 +74,10 @@ def _move_s(poses: Sequence[Pose], settle_s: FloatArray, dwell_s: FloatArray) ->
 
 def _gain_error(poses: Sequence[Pose]) -> float:
     """Of the gyro, by its account of the moves; 0 where it gives none."""
-    felt = np.array([np.nan if pose.gyro_move_deg is None else pose.gyro_move_deg for pose in poses])
-    move = np.diff([pose.theta_deg for pose in poses], prepend=np.nan)
-    known = np.isfinite(felt) & np.isfinite(move)
-    power = float(move[known] @ move[known])
-    return float(move[known] @ felt[known]) / power - 1.0 if power > 0.0 else 0.0
+    felt_deg = [math.nan if pose.gyro_move_deg is None else pose.gyro_move_deg for pose in poses]
+    turned_deg = np.diff([pose.theta_deg for pose in poses], prepend=math.nan)
+    found = gyro_scale(turned_deg, felt_deg)
+    return 0.0 if found is None else 1.0 / found.scale - 1.0
 
 
 def _share_and_lead(

@@ -188,7 +188,7 @@ class Sweeping:
         """Makes and stores the poses that are not stored yet, by gain and delay of all passes so far."""
         taking = self.taking
         self.felt.append(turned.felt())
-        self.stands_s.append(turned.stand_s())
+        self.stands_s.append((turned.reports_stand_s(), self.felt[-1].stands_s))
         felt = replace(
             self.felt[-1],
             gain=float(np.mean([one.gain for one in self.felt])),

@@ -137,9 +137,9 @@ class TurnedPass:
         rate_dps = samples.gyro_dps[:, self.along] - self.bias_dps
         return felt_turn(samples.time_s, rate_dps, self.turn, self.stands_deg)
 
-    def stand_s(self) -> tuple[float, float]:
-        """When it came to its stand: by the reports, in the host's time, and by the gyro, in the board's."""
-        return self.clocks.host_s(self.turn.time_s(self.stands_deg)), self.felt().stands_s
+    def reports_stand_s(self) -> float:
+        """When it came to its stand by the reports, in the host's time."""
+        return self.clocks.host_s(self.turn.time_s(self.stands_deg))
 
     @property
     def hidden_dps(self) -> float:

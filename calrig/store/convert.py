@@ -219,7 +219,7 @@ def _unpacked(blob: bytes) -> dict[str, np.ndarray[Any, Any]]:
         KeyError,
         EOFError,
         OSError,
-        NotImplementedError,
+        RuntimeError,  # a password, a method of compression that Python does not know
     ) as error:
         raise Unreadable(f"raw samples cannot be unpacked any more: {error}") from error
 

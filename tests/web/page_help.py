@@ -38,6 +38,15 @@ def ambiguous_poses():
     return ["target_deg,reading_deg,approach", "-60,-59.2,0", *poses]
 
 
+def cancelled_by_who_comes_back(page, expect, work):
+    """Work that stands at 40 % says so, after a reload as well, and is cancelled there."""
+    expect(page.locator(f"#{work}-says")).to_contain_text("40 % of it is done")
+    page.reload()
+    expect(page.locator(f"#{work}-says")).to_contain_text("40 % of it is done")
+    page.click(f"#{work}-cancel")
+    expect(page.locator(f"#{work}-told")).to_have_text("Cancelled: nothing was kept of it.")
+
+
 def readings(client, run_id):
     """The times of all readings that an ended run has announced."""
     lines = client.get(f"/api/runs/{run_id}/events").text.splitlines()

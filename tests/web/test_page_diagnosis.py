@@ -13,7 +13,13 @@ from calrig.calibration.effects import CATALOGUE
 from calrig.run_ids import short_name
 from calrig.runs import follow_up
 
-from .page_help import BACKLASH_DEG, NOISE_DEG, ambiguous_poses, figures_of
+from .page_help import (
+    BACKLASH_DEG,
+    NOISE_DEG,
+    ambiguous_poses,
+    cancelled_by_who_comes_back,
+    figures_of,
+)
 from .page_help import imported_lines as imported
 from .slow_work import LET_GO, slow_design
 
@@ -240,11 +246,7 @@ def test_what_is_ambiguous_leads_to_the_run_that_separates_it(page, client, go, 
         slow.setattr(heavy, "AT_ONCE_S", 0.0)
         slow.setattr(follow_up, "designed", slow_design)
         page.click("#follow-up")
-        expect(page.locator("#follow-up-says")).to_contain_text("40 % of it is done")
-        page.reload()
-        expect(page.locator("#follow-up-says")).to_contain_text("40 % of it is done")
-        page.click("#follow-up-cancel")
-        expect(page.locator("#follow-up-told")).to_have_text("Cancelled: nothing was kept of it.")
+        cancelled_by_who_comes_back(page, expect, "follow-up")
     assert len(client.get("/api/runs?unit=AMBIGUOUS").json()["items"]) == 1
 
     page.click("#follow-up")

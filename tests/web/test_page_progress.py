@@ -7,7 +7,7 @@ import pytest
 from calrig.analysis import diagnoses
 from calrig.api import heavy, noise, solve
 
-from .page_help import imported
+from .page_help import cancelled_by_who_comes_back, imported
 from .slow_work import LET_GO, slow_design, slow_study, slow_trace
 
 IMPORT = "**/api/imports?wait=false"
@@ -102,11 +102,7 @@ def test_a_log_shows_how_much_of_it_is_done_and_is_cancelled_by_who_comes_back(
     go("#/noise")
     page.set_input_files("#log", {"name": "log.csv", "mimeType": "text/csv", "buffer": b"accel_x_g\n0.1\n"})
     page.click("#analyse")
-    expect(page.locator("#log-says")).to_contain_text("40 % of it is done")
-    page.reload()
-    expect(page.locator("#log-says")).to_contain_text("40 % of it is done")
-    page.click("#log-cancel")
-    expect(page.locator("#log-told")).to_have_text("Cancelled: nothing was kept of it.")
+    cancelled_by_who_comes_back(page, expect, "log")
     assert client.get("/api/log-studies").json() == before
 
 

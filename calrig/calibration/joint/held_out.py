@@ -14,7 +14,7 @@ import numpy as np
 from calrig.calibration.joint.least_squares import Fit, fitted
 from calrig.calibration.joint.problem import Problem
 from calrig.calibration.joint.table import BoolArray, Intp, Table
-from calrig.calibration.joint.told import Progress, unheard, within
+from calrig.calibration.progress import Progress, unheard, within
 from calrig.estimation.angles import FloatArray
 
 STRETCHES = 6

@@ -23,8 +23,8 @@ from calrig.calibration.joint.report_parts import (
 )
 from calrig.calibration.joint.said import sentences
 from calrig.calibration.joint.solution import Solution
-from calrig.calibration.joint.told import Progress, unheard
 from calrig.calibration.joint.unit_model import CURVATURES, NAMES, PER_C
+from calrig.calibration.progress import Progress, unheard
 
 
 def solution_document(

@@ -18,8 +18,8 @@ from calrig.calibration.joint.outliers import outliers_said
 from calrig.calibration.joint.problem import Problem
 from calrig.calibration.joint.stage_map import TURN_DEG, resolved_orders
 from calrig.calibration.joint.table import Mounted, Table
-from calrig.calibration.joint.told import Progress, unheard
 from calrig.calibration.pose import DiagnosisError
+from calrig.calibration.progress import Progress, unheard
 
 FEWEST_SPARE = 8
 """Responses beside the parameters, which the noise is found from."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from calrig.calibration.joint.held_out import HeldOut, predicted
 from calrig.calibration.joint.three_axis_fit import ThreeAxisFit, fitted_whole
-from calrig.calibration.joint.told import Progress, unheard
+from calrig.calibration.progress import Progress, unheard
 
 
 def held_out_of_whole(fit: ThreeAxisFit, progress: Progress = unheard) -> HeldOut:

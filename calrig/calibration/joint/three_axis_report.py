@@ -24,8 +24,8 @@ from calrig.calibration.joint.three_axis_held_out import held_out_of_whole
 from calrig.calibration.joint.three_axis_plane import InPlane, in_plane, worth_of_whole
 from calrig.calibration.joint.three_axis_said import three_axis_sentences
 from calrig.calibration.joint.three_axis_solution import ThreeAxisSolution
-from calrig.calibration.joint.told import Progress, unheard
 from calrig.calibration.joint.unit_model import CURVATURES, NAMES, PER_C
+from calrig.calibration.progress import Progress, unheard
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,8 +21,8 @@ from calrig.calibration.joint.three_axis_fit import (
 )
 from calrig.calibration.joint.three_axis_problem import ThreeAxisProblem
 from calrig.calibration.joint.three_axis_table import ThreeAxisTable, three_axis_table
-from calrig.calibration.joint.told import Progress, unheard
 from calrig.calibration.pose import DiagnosisError
+from calrig.calibration.progress import Progress, unheard
 
 FEWEST_SPARE = 12
 """Responses beside the parameters, which the noise is found from."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -18,18 +17,14 @@ from calrig.calibration.plan_design.task import (
     Task,
 )
 from calrig.calibration.plan_design.traced import could_show_enough, excess_of, with_suspects
+from calrig.calibration.progress import Progress, unheard
 
 MOST_POSES = dwell_designs.POSES[-1]
 MOST_TRIED = 40
 """Designs whose suspects are looked at, most of them among the quickest."""
-Told = Callable[[float], None]
 
 
-def _unheard(_share: float) -> None:
-    """Nobody asked how far it is."""
-
-
-def quickest(task: Task, goals: Goals, told: Told = _unheard) -> Design:
+def quickest(task: Task, goals: Goals, told: Progress = unheard) -> Design:
     """The design of least time that reaches the goals; tells the share that is done.
 
     With `trace`, the first by time that hides no more of an effect than is allowed (`traced.allowed_deg`), as

@@ -23,8 +23,7 @@ UNREADABLE = (
     EOFError,
     OSError,
     OverflowError,
-    RuntimeError,
-    NotImplementedError,
+    RuntimeError,  # a password, a method of compression that Python does not know
     ValueError,
     KeyError,
     IndexError,

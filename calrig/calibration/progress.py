@@ -1,4 +1,4 @@
-"""How far a joint solution is, as a share of all there is to do: it takes seconds where units are many."""
+"""How far a computation is, as a share of all there is to do."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 Progress = Callable[[float], None]
 """Is told the share, 0 to 1."""
 SOLVED = 0.65
-"""Of solving and holding out together, about, with four units as with thirty."""
+"""Of solving jointly and holding out together, about, with four units as with thirty."""
 
 
 def unheard(_share: float) -> None:
