@@ -247,9 +247,9 @@ class Plan(BaseModel):
 
     def _swept(self, ends_deg: list[float], rng: random.Random) -> list[PlannedPose]:
         """A dwell, and of each pass its stretches and the dwell at its end; inner ends are jittered."""
-        poses = [PlannedPose(0, 0, min(ends_deg))]
+        poses = [PlannedPose(0, 0, ends_deg[0])]
         for sweep in range(self.sweeps):
-            first, *inner, last = self._ordered(ends_deg, sweep, rng)
+            first, *inner, last = ends_deg if sweep % 2 == 0 else ends_deg[::-1]
             inner = [round(one + rng.uniform(-self.jitter_deg, self.jitter_deg), 6) for one in inner]
             for ends in pairwise([first, *inner, last]):
                 poses.append(PlannedPose(len(poses), sweep, sum(ends) / 2, stretch_deg=ends))

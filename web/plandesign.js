@@ -101,10 +101,10 @@ function shown({ plan, expected, limit, suspects, says }) {
     ["Time on the rig", `about ${duration(expected.duration_s)}`],
     ["Expanded uncertainty", significant(expected.expanded_uncertainty_deg, 3, "°")],
     ["Bias, standard error", significant(expected.bias_std_deg, 2, "°")],
-    limit && ["Lower bound of the time", duration(limit.duration_s)],
+    ["Lower bound of the time", duration(limit.duration_s)],
   ];
   return [
-    h("dl", { class: "figures" }, rows.filter(Boolean).map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value)))),
+    h("dl", { class: "figures" }, rows.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value)))),
     suspects.length > 0 && tableBox("Detectable effects", tableOf(suspects)),
     h("ul", { class: "says" }, says.map((sentence) => h("li", {}, sentence))),
   ];

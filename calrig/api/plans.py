@@ -97,7 +97,10 @@ class ExpectedAnswer(Answer):
 
 
 class LimitAnswer(Answer):
-    """A time that no plan is under; without `sweep`, no plan of dwells."""
+    """A time that no plan is under; without `sweep`, no plan of dwells.
+
+    Where a time was given: no plan that reaches as much as this one.
+    """
 
     duration_s: float
     why: str
@@ -118,11 +121,11 @@ class SuspectAnswer(Answer):
 
 
 class DesignAnswer(Answer):
-    """`limit` is null where a time was given."""
+    """The plan, what to expect of it, and how near it is to the best that could be."""
 
     plan: Plan
     expected: ExpectedAnswer
-    limit: LimitAnswer | None
+    limit: LimitAnswer
     suspects: list[SuspectAnswer]
     says: list[str]
 

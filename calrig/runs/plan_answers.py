@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from calrig.analysis.errors import Invalid
 from calrig.calibration.plan_design.design import ended, quickest, within
+from calrig.calibration.plan_design.goals import Goals
 from calrig.calibration.plan_design.limit import limit_s
 from calrig.calibration.plan_design.settling import SHARE, forgotten_s
 from calrig.calibration.plan_design.task import Design, OutOfReachError, Task
@@ -26,15 +27,17 @@ SETTLED_AFTER = 4
 class Designed:
     """A plan, what is expected of it, the time that none is under, and what to know of it.
 
-    `whole` is the design, `design` as much of it as a run is expected to take.
+    `whole` is the design, `design` as much of it as a run is expected to take. Of a plan for a time, no plan
+    reaches as much in less than `limit_s`.
     """
 
     plan: Plan
     design: Design
     whole: Design
-    limit_s: float | None
+    limit_s: float
     says: tuple[str, ...]
     may_sweep: bool = False
+    for_a_time: bool = False
 
     def document(self) -> dict[str, Any]:
         """CONTRACT section 9's answer, and `suspects`: what would be found of each."""
@@ -47,7 +50,7 @@ class Designed:
                 "bias_std_deg": expected.bias_std_deg,
                 "scale_std": expected.scale_std,
             },
-            "limit": None if self.limit_s is None else {"duration_s": self.limit_s, "why": _why(self)},
+            "limit": {"duration_s": self.limit_s, "why": _why(self)},
             "suspects": [
                 {
                     "name": one.name,
@@ -81,9 +84,17 @@ def answer(asked: Question, progress: Callable[[float], None] = lambda _: None) 
         raise Invalid(str(error), [field]) from error
     design = ended(task, wanted.goals, whole)
     made = _plan_of(asked, task, whole)
-    least_s = limit_s(task, wanted.goals) if wanted.time_s is None else None
+    least_s = _limit_s(task, wanted, whole)
     says = _says(asked, task, design, whole)
-    return Designed(made, design, whole, least_s, says, task.sweeping is not None)
+    return Designed(made, design, whole, least_s, says, task.sweeping is not None, wanted.time_s is not None)
+
+
+def _limit_s(task: Task, wanted: Wanted, design: Design) -> float:
+    """The time that no plan for what is wanted is under; for a time, none that reaches as much in less."""
+    if wanted.time_s is None:
+        return limit_s(task, wanted.goals)
+    reached = Goals(design.expanded_deg, design.bias_std_deg, design.scale_std)
+    return limit_s(task, reached, must_show=False)
 
 
 def _plan_of(asked: Question, task: Task, design: Design) -> Plan:
@@ -148,11 +159,12 @@ def _stops_deg(design: Design) -> tuple[float, ...]:
 
 
 def _why(made: Designed) -> str:
+    data = "the data that this plan's uncertainty needs" if made.for_a_time else "the data that are needed"
     if made.may_sweep:
-        return "the data that are needed, taken all of the time and where they say most"
+        return f"{data}, taken all of the time and where they say most"
     twice = made.whole.suspects and made.plan.until is None
     ways = "two ways through the range" if twice else "one way through the range"
-    return f"{ways}, and dwells at its two ends alone: less time does not hold the data"
+    return f"{ways}, and dwells at its two ends alone: less time does not hold {data}"
 
 
 def _says(asked: Question, task: Task, design: Design, whole: Design) -> tuple[str, ...]:

@@ -33,4 +33,6 @@ def precision_shown(run: Run) -> Precision | None:
     n, noise_deg = result["n_poses"], result["noise_deg"]
     if left is None or noise_deg is None or n < FEWEST_POSES:
         return None
-    return precision_of_run(short_name(run.id), plan["dwell_s"], noise_deg, left * (n / (n - 2.0)) ** 0.5)
+    freedom = n - 2
+    scatter_deg = left * (n / freedom) ** 0.5
+    return precision_of_run(short_name(run.id), plan["dwell_s"], noise_deg, scatter_deg, freedom)

@@ -57,6 +57,13 @@ def test_a_plan_is_designed_for_an_uncertainty_and_a_run_takes_it(shared_client)
     assert (min(estimated["elevations_deg"]), max(estimated["elevations_deg"])) == (-40, 40)
 
 
+def test_a_plan_for_a_time_says_in_how_little_as_much_could_be_reached(shared_client):
+    told = shared_client.post("/api/plans/design", json={"time_s": 120}).raise_for_status().json()
+    limit = told["limit"]
+    assert 60 < limit["duration_s"] <= told["expected"]["duration_s"] <= 120
+    assert "this plan's uncertainty" in limit["why"]
+
+
 @pytest.mark.parametrize(
     ("wanted", "words"),
     [

@@ -289,6 +289,11 @@ def test_a_sweep_dwells_at_its_ends_and_has_stretches_between_them():
         assert before.stretch_deg[1] == after.stretch_deg[0]
 
 
+def test_a_sweep_begins_at_its_start():
+    poses = Plan(kind="sweep", start_deg=20, stop_deg=-20, step_deg=20, sweeps=2).poses((-90.0, 90.0))
+    assert [pose.target_deg for pose in poses] == [20, 10, -10, -20, -10, 10, 20]
+
+
 @pytest.mark.parametrize(
     ("given", "said"),
     [

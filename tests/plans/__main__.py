@@ -37,7 +37,7 @@ def times() -> None:
         fixed = trial.fixed()
         fixed_s, known = trial.stage_time_s(fixed), trial.kept(fixed, reference, RUNS)
         _row(words, "fixed", 52, fixed_s, 1.0, None, known)
-        for name, goals in _goals(known, fixed).items():
+        for name, goals in _goals(reference, fixed).items():
             for trace, sweeping in ((True, True), (True, False), (False, True), (False, False)):
                 task = trial.task(reference, trace=trace, sweeping=sweeping)
                 design = quickest(task, goals)
@@ -56,12 +56,12 @@ def times() -> None:
                 )
 
 
-def _goals(known: trial.Kept, fixed: Layout) -> dict[str, Goals]:
-    alike = trial.standard_errors(fixed)
+def _goals(reference: Reference, fixed: Layout) -> dict[str, Goals]:
+    expanded_deg, alike = trial.expected_deg(fixed, reference), trial.standard_errors(fixed)
     return {
-        "equal U": Goals(known.stated_deg),
-        "equal U, bias and scale": Goals(known.stated_deg, *alike),
-        "three times U": Goals(3.0 * known.stated_deg),
+        "equal U": Goals(expanded_deg),
+        "equal U, bias and scale": Goals(expanded_deg, *alike),
+        "three times U": Goals(3.0 * expanded_deg),
     }
 
 
@@ -121,38 +121,41 @@ def _turning() -> Plan:
     """The traced design of turns for the uncertainty of the fixed plan."""
     reference = REFERENCES["a map of 0.003°"]
     task = trial.task(reference, trace=True, sweeping=True)
-    sweep = quickest(task, Goals(trial.kept(trial.fixed(), reference, RUNS).stated_deg)).sweep
+    sweep = quickest(task, Goals(trial.expected_deg(trial.fixed(), reference))).sweep
     assert sweep is not None
     return sweep.plan(task.seed).model_copy(update={"settle_s": trial.SETTLE_S})
 
 
 def rigs(runs: int) -> None:
-    """What plans come to on simulated rigs after one run of the fixed plan, for what that has reached."""
-    _say("| plan | poses | s, said | s, taken | of the fixed | U said, ° | U | bias, std, ° | scale, std |")
-    _say("| --- | --- | --- | --- | --- | --- | --- | --- | --- |")
+    """What plans come to on simulated rigs in use, for what the fixed plan is expected to reach there."""
+    _say(
+        "| plan | poses | s said | s taken | of the fixed | U said, ° | U | bias std said | stated | scale |"
+    )
+    _say("| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |")
     for seed in range(runs):
         with rig_runs.bench(seed) as there:
+            there.run(Plan())  # which homes the stage: all that follow begin as on a rig in use
             fixed = there.run(Plan())
-            known = fixed.result
             _rig_row("fixed", None, fixed, fixed)
-            expanded_deg = known["over_range"]["expanded_uncertainty_deg"]
-            alike = Goals(expanded_deg, known["bias_std_deg"], known["scale_std"])
-            wanted = {"equal U": Goals(expanded_deg), "equal U, bias and scale": alike}
-            for name, goals in {**wanted, "three times U": Goals(3.0 * expanded_deg)}.items():
+            for name in ("equal U", "equal U, bias and scale", "three times U"):
                 for sweep in (True, False):
+                    alike = there.reached_by(trial.fixed())  # by the noise of the run before, as the design
+                    u_deg = alike.expanded_deg or 0.0
+                    goals = {"equal U": Goals(u_deg), "three times U": Goals(3.0 * u_deg)}.get(name, alike)
                     made = there.designed(goals, sweep=sweep)
                     _rig_row(f"{name}{', turning' if sweep else ''}", made, there.run(made.plan), fixed)
 
 
 def _rig_row(name: str, made: Designed | None, run: rig_runs.Carried, fixed: rig_runs.Carried) -> None:
-    said = ("–", "–")
+    said = ("–", "–", "–")
     if made is not None:
-        said = f"{made.design.duration_s:.0f}", f"{made.design.expanded_deg or 0.0:.4f}"
+        of = made.design
+        said = f"{of.duration_s:.1f}", f"{of.expanded_deg or 0.0:.4f}", f"{of.bias_std_deg:.4f}"
     found = run.result
     _say(
-        f"| {name} | {len(run.poses)} | {said[0]} | {run.took_s:.0f} | 1/{fixed.took_s / run.took_s:.2f} "
+        f"| {name} | {len(run.poses)} | {said[0]} | {run.took_s:.1f} | 1/{fixed.took_s / run.took_s:.2f} "
         f"| {said[1]} | {found['over_range']['expanded_uncertainty_deg']:.4f} "
-        f"| {found['bias_std_deg']:.4f} | {found['scale_std']:.1e} |"
+        f"| {said[2]} | {found['bias_std_deg']:.4f} | {found['scale_std']:.1e} |"
     )
 
 

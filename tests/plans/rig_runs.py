@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -28,6 +29,7 @@ from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.rig import SimulatedRig
 from calrig.simulator.virtual_clock import VirtualClock
 from calrig.store import Store
+from tests.blind.layout import Layout
 
 LONGEST_S = 3000.0
 TIME_SCALE = 3.0
@@ -66,6 +68,13 @@ class Bench:
         assert run.status == "completed" and run.result is not None, run.error
         took_s = self.time_scale * (self.clock.now_s() - began_s)
         return Carried(took_s, run.result, [stored.pose for stored in self.service.store.poses(run_id)])
+
+    def reached_by(self, plan: Layout) -> Goals:
+        """What a plan of dwells is expected to reach, by what the rig's last run showed of its noise."""
+        task = question(Wanted(Goals(1.0)), Plan(), self.settings, "A", self.service.store, {}).task
+        scatter_deg = task.precision.scatter_deg(plan.dwell_s)
+        of = task.stated(plan.target_deg.tolist(), plan.dwell_s, math.nan, scatter_deg)
+        return Goals(of.expanded_deg, of.bias_std_deg, of.scale_std)
 
     def designed(self, goals: Goals, *, sweep: bool) -> Designed:
         """The plan that the service would answer."""

@@ -55,6 +55,14 @@ def stage_time_s(plan: Layout) -> float:
     return HOMING_AND_START_S + moves_s + (len(places) - 1) * (plan.settle_s + plan.dwell_s + QUESTIONS_S)
 
 
+def expected_deg(plan: Layout, reference: Reference) -> float:
+    """Expanded uncertainty that a plan is expected to state, as of a design."""
+    scatter_deg = PRECISION.scatter_deg(plan.dwell_s)
+    of = task(reference, trace=False).stated(plan.target_deg.tolist(), plan.dwell_s, math.nan, scatter_deg)
+    assert of.expanded_deg is not None
+    return of.expanded_deg
+
+
 def standard_errors(plan: Layout) -> tuple[float, float]:
     """Of bias, degrees, and scale, by a plan."""
     _, bias, scale = leverage(plan.target_deg.tolist())

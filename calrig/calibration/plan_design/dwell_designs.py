@@ -31,7 +31,6 @@ SWEEPS_TRACED, AT_ENDS_TRACED = 2, 0.6
 def layouts(task: Task) -> Iterator[list[float]]:
     """Every layout that is tried, in the order of visiting: from the end that is nearer to the stage."""
     low, high = task.range_deg
-    from_above = abs(high - task.pace.stands_deg) < abs(low - task.pace.stands_deg)
     for n in POSES:
         for sweeps in SWEEPS:
             for at_ends in AT_ENDS:
@@ -41,7 +40,7 @@ def layouts(task: Task) -> Iterator[list[float]]:
                     continue
                 rng = np.random.default_rng([task.seed, n, sweeps, round(10 * at_ends)])
                 order = layout(task.range_deg, n, sweeps, at_ends, rng)
-                yield [round(low + high - one, DECIMALS) for one in order] if from_above else order
+                yield [round(low + high - one, DECIMALS) for one in order] if task.begins_above else order
 
 
 def reaching(task: Task, goals: Goals) -> Iterator[Design]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from calrig.calibration.plan_design.dwell_designs import POSES
-from calrig.calibration.plan_design.goals import Goals
+from calrig.calibration.plan_design.goals import NO_REFERENCE, Goals, scatter_wanted_deg
 from calrig.calibration.plan_design.rig_figures import Precision
 from calrig.calibration.plan_design.suspects import least_slow_deg
 from calrig.calibration.plan_design.sweep import PASSES, Sweep, least_stretch_s
@@ -17,17 +17,23 @@ BACK = 0.8
 """Of the way back, which ends at the last of its poses."""
 
 
-def limit_s(task: Task, goals: Goals) -> float:
+def limit_s(task: Task, goals: Goals, *, must_show: bool = True) -> float:
     """A time that no plan is under: the data where they say most, and what cannot be left out beside them.
 
     The poses stand at the two ends and nowhere else; they are as many as are soonest taken, and as could show
     an effect of time where effects are to be traced.
+
+    Args:
+        task: for what.
+        goals: to be reached.
+        must_show: whether a plan that hides more than is allowed is none; a plan for a time may.
     """
-    of_sweeps_s = math.inf if task.sweeping is None else _of_sweeps_s(task, goals)
-    return min(_of_dwells_s(task, goals), of_sweeps_s)
+    must_show = must_show and task.trace and not task.until and goals.expanded_deg is not None
+    of_sweeps_s = math.inf if task.sweeping is None else _of_sweeps_s(task, goals, must_show=must_show)
+    return min(_of_dwells_s(task, goals, must_show=must_show), of_sweeps_s)
 
 
-def _of_dwells_s(task: Task, goals: Goals) -> float:
+def _of_dwells_s(task: Task, goals: Goals, *, must_show: bool) -> float:
     """To the nearer end, and through the range; there and back where effects are to be traced in any case."""
     pace, stands_s = task.pace, math.inf
     fewest, ways = (FEWEST_TRACED, 1.0 + BACK) if task.trace else (POSES[0], 1.0)
@@ -37,14 +43,14 @@ def _of_dwells_s(task: Task, goals: Goals) -> float:
         if n * (SHORTEST_DWELL_S + pace.settle_s + pace.questions_s) > stands_s:
             break
         dwell_s = max(SHORTEST_DWELL_S, _at_the_ends_s(task, goals, n, task.precision))
-        if _shows(task, goals, n, dwell_s, task.precision):
+        if not must_show or _shows(task, goals, n, dwell_s, task.precision):
             stands_s = min(stands_s, n * (dwell_s + pace.settle_s + pace.questions_s))
-    first_s = min(pace.travel_s(abs(end_deg - pace.stands_deg)) for end_deg in task.range_deg)
-    return pace.begin_s + first_s + ways * pace.travel_s(task.range_deg[1] - task.range_deg[0]) + stands_s
+    ways_s = ways * pace.travel_s(task.range_deg[1] - task.range_deg[0])
+    return pace.begin_s + _to_an_end_s(task) + ways_s + stands_s
 
 
-def _of_sweeps_s(task: Task, goals: Goals) -> float:
-    """To the lower end, settling, and data in all of the rest, in stretches as short as can be."""
+def _of_sweeps_s(task: Task, goals: Goals, *, must_show: bool) -> float:
+    """To the nearer end, settling, and data in all of the rest, in stretches as short as can be."""
     assert task.sweeping is not None  # noqa: S101 (asked by limit_s)
     turning, precision = task.sweeping.turning, task.sweeping.precision
     least_s, passes = math.inf, 1 if task.until else PASSES[0]
@@ -53,22 +59,35 @@ def _of_sweeps_s(task: Task, goals: Goals) -> float:
             break
         turned = Sweep(task.range_deg, passes, max(1, (n - 1) // passes - 1), 1.0)
         stretch_s = max(least_stretch_s(turned, turning), _at_the_ends_s(task, goals, n, precision))
-        if _shows(task, goals, n, stretch_s, precision):
+        if not must_show or _shows(task, goals, n, stretch_s, precision):
             least_s = min(least_s, n * stretch_s)
     pace = task.pace
-    first_s = pace.travel_s(abs(task.range_deg[0] - pace.stands_deg)) + max(pace.settle_s, FIRST_SETTLE_S)
+    first_s = _to_an_end_s(task) + max(pace.settle_s, FIRST_SETTLE_S)
     return pace.begin_s + first_s + passes * pace.settle_s + (passes + 1) * pace.pass_s + least_s
 
 
+def _to_an_end_s(task: Task) -> float:
+    """The move to the end that is nearer to the stage."""
+    return min(task.pace.travel_s(abs(end_deg - task.pace.stands_deg)) for end_deg in task.range_deg)
+
+
 def _at_the_ends_s(task: Task, goals: Goals, n: int, precision: Precision) -> float:
-    """The shortest dwells with which so many poses reach the goals; infinite where none do."""
-    wanted_deg = task.scatter_wanted_deg(goals, [task.range_deg[k % 2] for k in range(n)])
+    """The shortest dwells with which so many poses reach the goals wherever they stand; infinite if none do.
+
+    Of a line over m ± h no n poses have less variance than n at the ends in the best of shares (Hoel and
+    Levine, 1964): 4/3 in the mean over the range, 1/h² of its slope, and at 0 1 within the range and (m/h)²
+    beyond it, all over n. An odd number of poses does not come to that.
+    """
+    low, high = task.range_deg
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    leverages = 4.0 / 3.0 / n, max(1.0, (middle / half) ** 2) / n, 1.0 / (n * half**2)
+    wanted_deg = scatter_wanted_deg(goals, task.type_b or NO_REFERENCE, n, leverages)
     return precision.dwell_s(wanted_deg) if wanted_deg > 0.0 else math.inf
 
 
 def _shows(task: Task, goals: Goals, n: int, dwell_s: float, precision: Precision) -> bool:
     """Whether so many such poses could show effects of time of the size that is not to hide."""
-    if not task.trace or task.until or goals.expanded_deg is None or math.isinf(dwell_s):
+    if math.isinf(dwell_s):
         return True
     rich_s = max(SHORTEST_DWELL_S, _at_the_ends_s(task, goals, RICH[0], precision))
     allowed = allowed_deg(task, goals, precision.scatter_deg(dwell_s))

@@ -9,6 +9,9 @@ from dataclasses import dataclass
 DATA_SHEET_WHITE = math.degrees(400e-6 / math.sqrt(2.0))
 """°·√s of an elevation by an MPU-6050: 400 µg/√Hz, one-sided (PS-MPU-6000A rev. 3.4, section 6.2)."""
 
+BEYOND_CHANCE = 0.05
+"""Level of the test that readings scatter by more than their noise."""
+
 
 @dataclass(frozen=True, slots=True)
 class Precision:
@@ -34,20 +37,30 @@ class Precision:
         return self.white_deg_rts**2 / left if left > 0.0 else math.inf
 
 
-def precision_of_run(run_id: str, dwell_s: float, stderr_deg: float, scatter_deg: float) -> Precision:
+def precision_of_run(
+    run_id: str, dwell_s: float, stderr_deg: float, scatter_deg: float, freedom: int
+) -> Precision:
     """As an earlier run had it: within its dwells, and what its residuals scatter beyond that.
+
+    Beyond it only where a χ² test says that there is more than chance makes of the noise: the residuals of 52
+    poses are 10 % off by themselves, and a scatter that no dwell averages out is paid for with half the time
+    again.
 
     Args:
         run_id: for the words.
         dwell_s: of its poses.
         stderr_deg: pooled standard error of a reading, from within the dwells.
         scatter_deg: standard deviation of the residuals, with everything accepted taken out.
+        freedom: degrees of freedom of that.
     """
-    pose_deg = math.sqrt(max(scatter_deg**2 - stderr_deg**2, 0.0))
-    said = (
-        f"a reading of {dwell_s:g} s is good to {stderr_deg:.2g}° within its dwell, and poses scatter by "
-        f"{pose_deg:.2g}° beyond that: run {run_id}"
-    )
+    from scipy.special import chdtri
+
+    said = f"a reading of {dwell_s:g} s is good to {stderr_deg:.2g}° within its dwell, and poses scatter by "
+    if freedom * scatter_deg**2 <= float(chdtri(freedom, BEYOND_CHANCE)) * stderr_deg**2:
+        said += f"no more than that and chance: run {run_id}"
+        return Precision(stderr_deg * math.sqrt(dwell_s), 0.0, said)
+    pose_deg = math.sqrt(scatter_deg**2 - stderr_deg**2)
+    said += f"{pose_deg:.2g}° beyond that: run {run_id}"
     return Precision(stderr_deg * math.sqrt(dwell_s), pose_deg, said)
 
 

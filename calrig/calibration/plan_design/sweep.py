@@ -10,7 +10,7 @@ from calrig.calibration.plan_design.rig_figures import Pace, Precision, Turning
 from calrig.plan import FIRST_SETTLE_S, LONGEST_STRETCH_DEG, Plan, PlannedPose
 
 PASSES = (2, 3, 4, 6, 8)
-STRETCHES = (6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 20, 22, 24, 26, 28, 30, 34, 38, 44, 50, 60, 80)
+STRETCHES = (*range(6, 31), 34, 38, 44, 50, 60, 80)
 """Of a pass."""
 RUN_UP_S = 0.25
 """After the stage has come up to its velocity and before it slows down: of no stretch."""
@@ -25,13 +25,13 @@ class Sweep:
     """Slow turns through a range.
 
     Attributes:
-        range_deg: lowest and highest elevation; it begins at the lowest.
+        ends_deg: of the range it turns through; it begins at the first.
         passes: how often it turns through the range.
         stretches: of a pass, of one length but for the jitter.
         stretch_s: how long each takes, and the dwells too.
     """
 
-    range_deg: tuple[float, float]
+    ends_deg: tuple[float, float]
     passes: int
     stretches: int
     stretch_s: float
@@ -39,7 +39,7 @@ class Sweep:
     @property
     def way_deg(self) -> float:
         """Of a pass."""
-        return self.range_deg[1] - self.range_deg[0]
+        return abs(self.ends_deg[1] - self.ends_deg[0])
 
     @property
     def step_deg(self) -> float:
@@ -53,11 +53,11 @@ class Sweep:
 
     def plan(self, seed: int | None = None) -> Plan:
         """What a run of it takes; jittered where there is a seed."""
-        low, high = self.range_deg
+        first, other = self.ends_deg
         return Plan(
             kind="sweep",
-            start_deg=low,
-            stop_deg=high,
+            start_deg=first,
+            stop_deg=other,
             step_deg=math.ceil(1e4 * self.step_deg) / 1e4,
             sweeps=self.passes,
             velocity_dps=self.velocity_dps,
@@ -68,7 +68,7 @@ class Sweep:
 
     def poses(self, seed: int | None = None) -> list[PlannedPose]:
         """In the order measured; a stretch's target is its middle."""
-        return self.plan(seed).poses(self.range_deg)
+        return self.plan(seed).poses((min(self.ends_deg), max(self.ends_deg)))
 
     def elevations_deg(self) -> list[float]:
         """Of the poses, without jitter."""
@@ -96,7 +96,7 @@ class Sweep:
 
     def duration_s(self, pace: Pace, turning: Turning) -> float:
         """From the beginning of the run to its end."""
-        first_s = pace.travel_s(abs(self.range_deg[0] - pace.stands_deg))
+        first_s = pace.travel_s(abs(self.ends_deg[0] - pace.stands_deg))
         stands_s = max(pace.settle_s, FIRST_SETTLE_S) + pace.pass_s
         return pace.begin_s + first_s + stands_s + self.times_s(pace, turning)[-1] + 0.5 * self.stretch_s
 
@@ -107,11 +107,11 @@ class Sweep:
         return math.sqrt(((n - outer) * whole**2 + outer * short**2) / n)
 
 
-def sweeps(range_deg: tuple[float, float], fewest_poses: int = 0) -> Iterator[Sweep]:
+def sweeps(ends_deg: tuple[float, float], fewest_poses: int = 0) -> Iterator[Sweep]:
     """Every sweep that is tried, its stretches still of one second."""
     for passes in PASSES:
         for stretches in STRETCHES:
-            made = Sweep(range_deg, passes, stretches, 1.0)
+            made = Sweep(ends_deg, passes, stretches, 1.0)
             if made.step_deg <= LONGEST_STRETCH_DEG and len(made) >= fewest_poses:
                 yield made
 

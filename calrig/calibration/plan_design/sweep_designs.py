@@ -85,7 +85,9 @@ def _stated(task: Task, sweeping: Sweeping, sweep: Sweep, order: list[float], ca
 
 
 def _tried(task: Task) -> Iterator[Sweep]:
-    return sweeps(task.range_deg, FEWEST_TRACED if task.trace else 0)
+    low, high = task.range_deg
+    ends_deg = (high, low) if task.begins_above else (low, high)
+    return sweeps(ends_deg, FEWEST_TRACED if task.trace else 0)
 
 
 def _stretch_s(sweep: Sweep, wanted_deg: float, least_s: float, sweeping: Sweeping) -> float:

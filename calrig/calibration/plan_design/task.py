@@ -12,7 +12,7 @@ from calrig.calibration.plan_design.suspects import SHOWN_BY_MOVING, Suspect
 from calrig.calibration.plan_design.sweep import Sweep
 
 SHORTEST_DWELL_S, LONGEST_DWELL_S = 0.5, 120.0
-DWELL_STEP_S = 0.05
+DWELL_STEP_S = 0.01
 FEWEST_TRACED = 28
 """Poses of a design that is to trace effects: of fewer a search finds none."""
 RESERVE = 1.25
@@ -75,6 +75,12 @@ class Task:
     seed: int = 0
     names: tuple[str, ...] = SHOWN_BY_MOVING
     sweeping: Sweeping | None = None
+
+    @property
+    def begins_above(self) -> bool:
+        """Whether the upper end is the nearer one to where the stage stands."""
+        low, high = self.range_deg
+        return abs(high - self.pace.stands_deg) < abs(low - self.pace.stands_deg)
 
     def scatter_wanted_deg(self, goals: Goals, order: list[float]) -> float:
         """The largest scatter of readings at these elevations with which the goals are reached."""

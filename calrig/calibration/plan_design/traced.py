@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from calrig.calibration.plan_design.goals import NO_REFERENCE, Goals
-from calrig.calibration.plan_design.layout import layout
+from calrig.calibration.plan_design.layout import layout, leverage
 from calrig.calibration.plan_design.suspects import (
     imagined_dwells,
     imagined_sweep,
@@ -19,12 +19,12 @@ from calrig.calibration.plan_design.suspects import (
 from calrig.calibration.plan_design.sweep import Sweep
 from calrig.calibration.plan_design.sweep_designs import made as swept
 from calrig.calibration.plan_design.task import Design, Task
-from calrig.plan import LONGEST_STRETCH_DEG
+from calrig.plan import LONGEST_STRETCH_DEG, Plan
 
-STANDARD_POSES = 52
+STANDARD_DEG = tuple(pose.target_deg for pose in Plan().poses((-90.0, 90.0)))
 """Of the default plan: what it shows beside the same noise is what a design is to show that may sweep."""
-AS_GOOD = 1.05
-"""Of what that shows: the promise itself is known no better (`python -m tests.plans suspects`)."""
+ITS_DRIFT = 1.031
+"""Times `least_slow_deg`: what it shows of a drift, over any range and at any velocity."""
 RICH = (60, 4, 0.3)
 """Poses, sweeps and share at the ends of a design that shows what dwells can show."""
 RICH_SWEEP = (4, 14)
@@ -49,7 +49,7 @@ def allowed_deg(task: Task, goals: Goals, scatter_deg: float) -> float:
     """RMS of an effect that may stay hidden.
 
     As large as the uncertainty wanted: more would not be covered. Where the rig may sweep, there is time for
-    more: as large as the default plan too leaves hidden of a drift, its readings as uncertain as is wanted.
+    more: no more than the default plan too leaves hidden of a drift, its readings as uncertain as is wanted.
 
     Args:
         task: for what.
@@ -59,9 +59,11 @@ def allowed_deg(task: Task, goals: Goals, scatter_deg: float) -> float:
     wanted_deg = goals.expanded_deg
     if task.sweeping is None:
         return scatter_deg if wanted_deg is None else wanted_deg
+    n = len(STANDARD_DEG)
     if wanted_deg is not None:
-        scatter_deg = (task.type_b or NO_REFERENCE).type_a_deg(wanted_deg, STANDARD_POSES - 2.0)
-    return AS_GOOD * least_slow_deg(STANDARD_POSES, scatter_deg)
+        type_a_deg = (task.type_b or NO_REFERENCE).type_a_deg(wanted_deg, n - 2.0)
+        scatter_deg = type_a_deg / math.sqrt(1.0 + leverage(list(STANDARD_DEG))[0])
+    return ITS_DRIFT * least_slow_deg(n, scatter_deg)
 
 
 def could_show_enough(task: Task, goals: Goals, found: Sequence[Design]) -> Sequence[Design]:
