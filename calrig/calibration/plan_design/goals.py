@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 from calrig.calibration.coverage import coverage_factor
 from calrig.calibration.uncertainty import Reference
@@ -54,23 +55,29 @@ class TypeB:
 
     def type_a_deg(self, expanded_deg: float, freedom: float) -> float:
         """The largest standard uncertainty of type A beside it; 0 where none is small enough."""
-        from scipy.optimize import brentq
-
-        least_deg = 1e-6 * expanded_deg
-        if self.expanded_deg(least_deg, freedom) >= expanded_deg:
-            return 0.0
-        found = brentq(
-            lambda type_a_deg: self.expanded_deg(type_a_deg, freedom) - expanded_deg,
-            least_deg,
-            expanded_deg,
-            xtol=1e-7 * expanded_deg,
-        )
-        return float(found) - 2e-7 * expanded_deg  # below the root by more than its tolerance
+        return _type_a_deg(self, expanded_deg, freedom)
 
     @property
     def least_deg(self) -> float:
         """The expanded uncertainty that no number of poses gets below."""
         return self.expanded_deg(1e-12 * max(self.std_deg, 1e-6), 1e9) if self.std_deg else 0.0
+
+
+@lru_cache(maxsize=4096)
+def _type_a_deg(type_b: TypeB, expanded_deg: float, freedom: float) -> float:
+    """Layouts ask for it again and again: a rectangular distribution's factor takes a millisecond."""
+    from scipy.optimize import brentq
+
+    least_deg = 1e-6 * expanded_deg
+    if type_b.expanded_deg(least_deg, freedom) >= expanded_deg:
+        return 0.0
+    found = brentq(
+        lambda type_a_deg: type_b.expanded_deg(type_a_deg, freedom) - expanded_deg,
+        least_deg,
+        expanded_deg,
+        xtol=1e-7 * expanded_deg,
+    )
+    return float(found) - 2e-7 * expanded_deg  # below the root by more than its tolerance
 
 
 NO_REFERENCE = TypeB(0.0, None)
