@@ -44,7 +44,8 @@ def see(share: float) -> None:
 
 
 def _until_seen(share: float) -> None:
-    while not SEEN.exists() or float(SEEN.read_text()) < share:
+    give_up_s = time.monotonic() + 60.0  # of a test that has failed
+    while (not SEEN.exists() or float(SEEN.read_text()) < share) and time.monotonic() < give_up_s:
         time.sleep(0.005)
 
 
