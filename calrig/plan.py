@@ -166,11 +166,6 @@ class Plan(BaseModel):
         return self.mounts_deg != [0.0] or self.mount_axis != "x"
 
     @property
-    def calibrates(self) -> bool:
-        """Whether its run gives a calibration of its unit."""
-        return calibrates(self.kind)
-
-    @property
     def turn_dps(self) -> float:
         """The velocity of a sweep: without one given, a stretch takes as long as a dwell."""
         return self.velocity_dps or self.step_deg / self.dwell_s
