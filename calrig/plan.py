@@ -31,9 +31,8 @@ MountAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
 """Which of the unit's axes lies along the stage's."""
 
 
-def calibrates(kind: str) -> bool:
-    """Whether a run of a plan of this kind gives a calibration of its unit."""
-    return kind in ("calibration", "sweep")
+CALIBRATING = ("calibration", "sweep")
+"""Kinds of plans whose runs give a calibration of their unit."""
 
 
 class PlanError(ValueError):

@@ -14,7 +14,7 @@ from calrig.analysis.origin import check_serial, provenance
 from calrig.analysis.results import refitted
 from calrig.analysis.stored_runs import checked_reason, counted_poses, ended_run, stored_run
 from calrig.export.poses_csv import CsvError
-from calrig.plan import calibrates
+from calrig.plan import CALIBRATING
 from calrig.store import Run, Store
 from calrig.store.records import Document
 
@@ -167,7 +167,7 @@ class Records:
         if run.result is None:
             return None
         kind = (run.plan or {}).get("kind", "calibration")
-        if not calibrates(kind):
+        if kind not in CALIBRATING:
             raise Conflict(f"run {run_id} is a {kind}: it fits nothing that a pose could be taken out of")
         left = [p.pose for p in poses if (counts if p.index == index else p.excluded is None)]
         if not left:
