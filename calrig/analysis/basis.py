@@ -18,9 +18,8 @@ def why_none(run: Run) -> str | None:
     A verification applies one, a static log stands still, a follow-up has the poses that tell suspects apart,
     and about another axis than the unit's x there is no elevation.
     """
-    kind = (run.plan or {}).get("kind", "calibration")
-    if kind not in CALIBRATING:
-        return f"is a {'static log' if kind == 'static' else kind}"
+    if run.kind not in CALIBRATING:
+        return f"is a {'static log' if run.kind == 'static' else run.kind}"
     if (axis := axis_of(run)) != "x":
         return f"had the unit's {axis} along the stage's axis: its poses are for the joint solution"
     return None if run.follows is None else f"is a follow-up of run {run.follows}"
