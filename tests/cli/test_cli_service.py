@@ -263,7 +263,7 @@ def test_a_token_goes_to_nobody_but_this_users_own_service(served, folder, tmp_p
                 context.setattr(os, "geteuid", lambda: os.getuid() + 1)
                 assert not listener.is_ours(here), "another user listens there"
         assert answering_at(tmp_path / "other.db") is None, "the port is anybody's now"
-        assert "by --server http://HOST:PORT, " in reason(
+        assert ", or ask it by --server http://HOST:PORT" in reason(
             "import", folder / "poses.csv", "--unit", "A", "--db", tmp_path / "other.db", status=1
         )
     assert answering_at(tmp_path / "other.db") is None, "nobody holds it any more"
