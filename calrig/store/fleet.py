@@ -52,7 +52,7 @@ _ONLY_GYRO_MEANS = sqlalchemy.and_(
     _COVARIATES.like("{" + "".join(f'"{name}":%,' for name in GYRO_MEANS) + f'"{checksums.KEY}":%}}'),
     len(GYRO_MEANS) == _KEYS,
 )
-"""As nearly all poses have them: told by their text, for reading them takes eight times as long as the rest."""
+"""As nearly all poses have them: told by their text, since reading them takes eight times the rest."""
 
 
 @dataclass(frozen=True, slots=True)
