@@ -34,8 +34,7 @@ class Commands(Listed):
         """Carries a command out."""
         try:
             done = super().invoke(ctx)
-            if sys.stdout:  # none where the shell has closed it
-                sys.stdout.flush()
+            sys.stdout.flush()
             return done
         except KeyboardInterrupt as left:
             _leave("; ".join(["interrupted", *getattr(left, "__notes__", [])]), 1)
