@@ -15,12 +15,11 @@ def forgiven():
     return [r"(409|422) \(", "ERR_FAILED"]
 
 
-def pressed(page, expect, instruction):
-    """Enter, as soon as it means something."""
-    expect(page.locator(".todo").first).to_have_text(instruction)
-    expect(
-        page.locator("[data-go]").first
-    ).to_be_enabled()  # an Enter meant for what stood there does nothing
+def pressed(page, expect, instruction, card=None):
+    """Enter, as soon as it means something, on the first rig or that of a card."""
+    at = card or page
+    expect(at.locator(".todo").first).to_have_text(instruction)
+    expect(at.locator("[data-go]").first).to_be_enabled()  # an Enter meant for what stood there does nothing
     page.keyboard.press("Enter")
 
 
@@ -106,6 +105,8 @@ def test_a_list_goes_unit_by_unit_with_one_key_and_is_the_same_in_another_tab(pa
     page.get_by_test_id("confirm").click()
     expect(page.locator(".todo")).to_have_text("This list is closed")
     assert client.get(f"/api/batches/{batch}").json()["closed_at"]
+    page.keyboard.type("]C1PQ-7\n")  # what is scanned now is of another list, and its symbology of none
+    expect(page.locator("#units")).to_have_value("PQ-7\n")
 
 
 def test_what_stops_a_unit_is_said_and_a_unit_that_is_to_be_turned_asks_in_the_same_place(
@@ -130,11 +131,13 @@ def test_of_several_rigs_enter_means_the_one_whose_board_knows_its_unit(
     fresh_page, expect, launch_rig, store_path
 ):
     page, rigs = fresh_page, [launch_rig("left", board={"serial": "TW-2"}), launch_rig("right")]
-    body = {"units": ["TW-1", "TW-2", "TW-3"], "rigs": ["left", "right"], "plan": LONG}
+    rigs.append(launch_rig("mute", board={"fault": "silent"}))
+    units = ["TW-1", "TW-2", "TW-3", "TW-4"]
+    body = {"units": units, "rigs": ["left", "right", "mute"], "plan": LONG}
     with running_service(store_path, *rigs) as service, serving(service) as client:
         batch = client.post("/api/batches", json=body).raise_for_status().json()
         page.goto(f"{client.base_url}/#/queue/{batch['id']}")
-        left, right = (page.locator(f"[data-rig-turn={name}]") for name in ("left", "right"))
+        left, right, mute = (page.locator(f"[data-rig-turn={name}]") for name in body["rigs"])
         expect(left.locator(".todo")).to_have_text("TW-2 is mounted, press Enter")
         expect(left.locator(".sight")).to_contain_text(
             "TW-2 is there, says its board; TW-1 stays in the list."
@@ -143,6 +146,13 @@ def test_of_several_rigs_enter_means_the_one_whose_board_knows_its_unit(
         pressed(page, expect, "TW-2 is mounted, press Enter")
         expect(left.locator(".todo")).to_have_text("TW-2 is being measured")
         expect(right.locator(".todo")).to_have_text(
-            "Mount TW-3, press Enter"
+            "Mount TW-4, scan it"
         )  # TW-1 stays where it was asked for
+        page.keyboard.type("TW-4\n")
+        expect(right.locator(".todo")).to_have_text("TW-4 is being measured")
+        pressed(page, expect, "Mount TW-3: no board answers yet", mute)
+        expect(page.locator("#queue-said")).to_contain_text("Not started. No unit answers")
+        assert len(client.get("/api/runs").json()["items"]) == 2
+        mute.get_by_role("button", name="Start TW-3 anyway").click()
+        expect(mute.locator(".big-unit")).to_contain_text("TW-3")
         page.goto("about:blank")
