@@ -167,7 +167,7 @@ export class RigCard {
   }
 
   /** What to do, by which key; the button, what both do, and the unit that they are about. */
-  #now({ name, state, status, busy_with: busy, on, seen, last, waiting_for: waits }, { closed, waiting, counts }) {
+  #now({ name, state, status, busy_with: busy, on, seen, last, designing, waiting_for: waits }, { closed, waiting, counts }) {
     if (on?.state === "running" && waits) {
       const angle = fixed(waits.mount_deg, Number.isInteger(waits.mount_deg) ? 0 : 2, "°");
       return { says: (key) => `Turn ${on.unit} to ${angle}, ${key}`, button: "It sits: go on", does: () => this.ask("resume", on.run_id) };
@@ -180,7 +180,7 @@ export class RigCard {
     if (!on && !this.taken) return { says: () => "No unit left for this rig" };
     const start = (unit) => ({ button: `Start ${unit}`, does: () => this.begin({ rig: name, unit }), unit });
     if (on?.state === "follow_up") {
-      if (this.designs) return { says: () => `Leave ${on.unit} mounted: its next run is being designed` };
+      if (this.designs || designing) return { says: () => `Leave ${on.unit} mounted: its next run is being designed` };
       const says = (key) => `Leave ${on.unit} mounted, ${key}: another run tells why`;
       return { ...start(on.unit), says, does: () => this.#followUp({ rig: name, unit: on.unit }) };
     }

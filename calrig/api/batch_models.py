@@ -106,6 +106,7 @@ class BatchRigAnswer(Answer):
     next: TurnAnswer | None
     last: TurnAnswer | None
     last_says: list[str]
+    designing: bool = Field(description="Whether the run that tells why is diagnosed for and designed now.")
     nothing_measured: bool = Field(description="By the run that `on` had here after that of `last`.")
 
 

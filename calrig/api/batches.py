@@ -209,11 +209,14 @@ def _rigs(context: ApiContext, standing: Standing) -> list[BatchRigAnswer]:
     states = {rig.name: rig for rig in context.service.rigs()}
     looks = context.service.looks()
     return [
-        _rig(standing, name, states.get(name), looks.get(name)) for name in standing.batch.document["rigs"]
+        _rig(context, standing, name, states.get(name), looks.get(name))
+        for name in standing.batch.document["rigs"]
     ]
 
 
-def _rig(standing: Standing, name: str, state: object, seen: Look | None) -> BatchRigAnswer:
+def _rig(
+    context: ApiContext, standing: Standing, name: str, state: object, seen: Look | None
+) -> BatchRigAnswer:
     on, then = standing.now.on[name], standing.now.then[name]
     run = standing.runs.get(on.run_id or "") if on is not None and on.state == "running" else None
     last = _last(standing, name)
@@ -231,6 +234,7 @@ def _rig(standing: Standing, name: str, state: object, seen: Look | None) -> Bat
         next=None if then is None else _turn(standing, then),
         last=None if last is None else _turn(standing, last),
         last_says=[] if ended is None or ended.verdict is None else ended.verdict.says,
+        designing=on is not None and context.batches.is_in_design(standing.batch.id, on.unit),
         nothing_measured=_came_to_nothing(standing, name, on, ended),
     )
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache
+from threading import Lock
 
 from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.plan import Plan
@@ -62,6 +63,8 @@ class RunBatches:
     def __init__(self, service: Service, now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> None:
         self._service, self._store, self._now = service, service.store, now
         self._ended_run = lru_cache(REMEMBERED)(service.run)
+        self._lock = Lock()
+        self._in_design: set[tuple[str, str]] = set()
 
     def make(
         self,
@@ -99,9 +102,7 @@ class RunBatches:
         if len(standing.now.turns) + len(serials) > MOST_UNITS:
             raise Invalid(f"a list has at most {MOST_UNITS} units: make another one", ["units"])
         if standing.batch.closed_at is None and not standing.takes_units(self._now()):
-            raise Conflict(
-                "nothing of this list was measured for hours: measure a unit of it, or make another list"
-            )
+            raise Conflict("this list is another day's: measure a unit of it first, or make another list")
         self._write(batch_id)
         return self._store.add_turns(batch_id, serials)
 
@@ -132,7 +133,8 @@ class RunBatches:
             raise Conflict(f"this list is not for rig {rig!r}")
         turn = _waiting(standing, unit)
         if turn.state == "follow_up":
-            run = self._follow_up(standing, turn, apart, who)
+            with self._designing(batch_id, unit):
+                run = self._follow_up(standing, turn, apart, who)
         else:
             run = self._service.start(
                 unit=unit,
@@ -156,6 +158,21 @@ class RunBatches:
             self._service.abort(run.id)  # nobody would know that it belongs to the list
             raise
         return run
+
+    def is_in_design(self, batch_id: str, unit: str) -> bool:
+        """Whether the run that tells why a unit fails is being designed by this program."""
+        return (batch_id, unit) in self._in_design
+
+    @contextmanager
+    def _designing(self, batch_id: str, unit: str) -> Iterator[None]:
+        with self._lock:
+            if self.is_in_design(batch_id, unit):
+                raise Conflict(f"{unit}: its next run is being designed")
+            self._in_design.add((batch_id, unit))
+        try:
+            yield
+        finally:
+            self._in_design.discard((batch_id, unit))
 
     def _follow_up(self, standing: Standing, turn: Turn, apart: Apart, who: str | None) -> Run:
         assert turn.run_id is not None  # noqa: S101 (of a follow-up)

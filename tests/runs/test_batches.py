@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -12,9 +12,11 @@ import pytest
 
 from calrig.analysis.errors import Conflict
 from calrig.runs.batches import RunBatches
+from calrig.runs.follow_up import Designed
 from calrig.runs.service import RunService
+from calrig.settings import RigSettings
 from calrig.store import Store
-from calrig.store.batches import Batch
+from calrig.store.batches import Batch, Turn
 from calrig.store.errors import Refused
 
 DOCUMENT = {"rigs": ["bench-1"], "plan": {}, "failed": "end", "operator": "ada", "note": "tray 7"}
@@ -90,3 +92,26 @@ def test_a_list_with_units_left_stays_open_and_takes_further_ones_once_it_goes_o
             batch.id, batch.turns, [replace(first, state="running", rig="bench-1", run_id=run.id)]
         )
         assert batches.add(batch.id, ["C"]) == []
+
+
+def test_of_two_who_ask_for_the_run_that_tells_why_one_has_it_designed(own_store: Store) -> None:
+    parts = {"stage": {"driver": "smc100", "port": "nowhere"}, "imu": {"driver": "calrig", "port": "nowhere"}}
+    with closing(RunService(own_store, [RigSettings(name="bench-1", **parts)])) as service:
+        batches = RunBatches(service)
+        batch = own_store.keep_batch({**DOCUMENT, "failed": "follow_up"}, ["A"])
+        run = own_store.create_run(unit="A", rig="bench-1", plan={}, status="running", provenance={})
+        own_store.update_run(run.id, status="completed")
+        of_it = Turn(0, "A", "failed", "bench-1", run.id)
+        follow_up = replace(of_it, position=1, state="follow_up")
+        own_store.write_turns(batch.id, batch.turns, [of_it, follow_up])
+
+        def apart(_: Callable[..., Designed]) -> Designed:
+            assert batches.is_in_design(batch.id, "A")
+            with pytest.raises(Conflict, match="A: its next run is being designed"):
+                batches.start(batch.id, "bench-1", "A", apart, None)
+            return "nothing is left to separate"
+
+        with pytest.raises(Conflict, match="A: nothing is left to separate"):
+            batches.start(batch.id, "bench-1", "A", apart, None)
+        assert not batches.is_in_design(batch.id, "A")
+        assert [turn.state for turn in batches.standing(batch.id).now.turns] == ["failed", "failed"]

@@ -51,6 +51,8 @@ def test_a_list_goes_unit_by_unit_with_one_key_and_is_the_same_in_another_tab(pa
     expect(page).to_have_title("DONE PQ-1 · calrig")
     assert word.evaluate("word => parseFloat(getComputedStyle(word).fontSize)") >= 96
     assert axe.run(page).violations_count == 0
+    page.reload()
+    expect(page).to_have_title("DONE PQ-1 · calrig")
     page.locator("#scan").fill(ODD)
     page.keyboard.press("Enter")
     expect(page.locator("#queue-error")).to_contain_text("printable")
@@ -105,6 +107,7 @@ def test_a_list_goes_unit_by_unit_with_one_key_and_is_the_same_in_another_tab(pa
     page.get_by_test_id("confirm").click()
     expect(page.locator(".todo")).to_have_text("This list is closed")
     assert client.get(f"/api/batches/{batch}").json()["closed_at"]
+    expect(page.locator("dialog")).to_have_count(0)
     page.keyboard.type("]C1PQ-7\n")  # what is scanned now is of another list, and its symbology of none
     expect(page.locator("#units")).to_have_value("PQ-7\n")
 
