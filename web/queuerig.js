@@ -83,7 +83,7 @@ export class RigCard {
     this.standing = standing;
     const { several, closed, waiting, counts } = standing;
     if (!waiting.has(this.taken)) this.taken = null;
-    const { says, button, does, unit, anyway } = this.#heard(rig, this.#now(rig, { closed, waiting, counts }));
+    const { says, button, does, unit, anyway } = this.#seen(rig, this.#now(rig, { closed, waiting, counts }));
     this.instruction = says;
     this.unit = unit ?? rig.on?.unit;
     this.does = may("operator") ? does : null;
@@ -159,11 +159,23 @@ export class RigCard {
     this.timer = setTimeout(() => (this.isCalm = this.go.disabled = false), CALM_MS);
   }
 
-  /** The same, where a board is known not to answer: who sees that it does may still start it by the button. */
-  #heard({ on, seen }, now) {
-    if (seen?.state !== "absent" || !now.does) return now;
-    const says = () => `${on.state === "follow_up" ? "Leave" : "Mount"} ${now.unit}: no board answers yet`;
-    return { ...now, says, button: `Start ${now.unit} anyway`, does: () => this.tell(`Not started. ${seen.says}`, this), anyway: now.does };
+  /** The same, where a look has found fault: no board answers, and only the button starts it; or it is to be asked for twice. */
+  #seen({ on, seen }, now) {
+    if (seen && !["askew", "looking"].includes(seen.state)) this.doubted = null;
+    if (!now.does || !["absent", "askew"].includes(seen?.state)) return now;
+    if (seen.state === "absent") {
+      const says = () => `${on.state === "follow_up" ? "Leave" : "Mount"} ${now.unit}: no board answers yet`;
+      return { ...now, says, button: `Start ${now.unit} anyway`, does: () => this.tell(`Not started. ${seen.says}`, this), anyway: now.does };
+    }
+    if (on.state !== "waiting") return now;
+    const does = () => {
+      const isToldAgain = this.doubted === now.unit;
+      this.doubted = isToldAgain ? null : now.unit;
+      if (isToldAgain) return now.does();
+      this.#calm();
+      return this.tell(`Not started. ${seen.says} If that is right, start it once more.`);
+    };
+    return { ...now, says: (key) => `Check ${now.unit}, ${key}`, does };
   }
 
   /** What to do, by which key; the button, what both do, and the unit that they are about. */

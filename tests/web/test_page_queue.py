@@ -7,6 +7,18 @@ from support import LONG, running_service, serving, wait_for
 
 pytestmark = pytest.mark.browser
 SHORT = {"elevations_deg": [0, 20], "sweeps": 1, "settle_s": 0.2, "dwell_s": 0.5}
+LISTENING = """
+    window.told = [];
+    window.Notification = class extends Notification { constructor(text, how) { super(text, how); told.push(text); } };
+    const create = AudioContext.prototype.createOscillator;
+    AudioContext.prototype.createOscillator = function () {
+        const tone = create.call(this), start = tone.start.bind(tone);
+        tone.start = (at) => { told.push(tone.frequency.value); start(at); };
+        return tone;
+    };
+    null;
+"""
+"""What is told beside the page: notifications and tones, as the browser is asked for them."""
 ODD = "Ä <b>7</b>\u202e\"'&#/%2F"
 
 
@@ -44,11 +56,15 @@ def test_a_list_goes_unit_by_unit_with_one_key_and_is_the_same_in_another_tab(pa
     expect(page.locator("#queue-units tbody tr")).to_have_count(3)
     expect(page.locator("#scan")).to_be_focused()
     expect(page.locator(".sight")).to_contain_text("see that it is PQ-1. It sits still")
+    page.context.grant_permissions(["notifications"])
+    page.evaluate(LISTENING)
     pressed(page, expect, "Mount PQ-1, press Enter")
     batch = page.url.split("/")[-1]
     word = page.locator(".big-word")
     expect(word).to_have_text("● DONE")
     expect(page).to_have_title("DONE PQ-1 · calrig")
+    assert page.evaluate("told") == [660, "DONE PQ-1"]
+    page.context.clear_permissions()
     assert word.evaluate("word => parseFloat(getComputedStyle(word).fontSize)") >= 96
     assert axe.run(page).violations_count == 0
     page.reload()
@@ -133,7 +149,8 @@ def test_what_stops_a_unit_is_said_and_a_unit_that_is_to_be_turned_asks_in_the_s
 def test_of_several_rigs_enter_means_the_one_whose_board_knows_its_unit(
     fresh_page, expect, launch_rig, store_path
 ):
-    page, rigs = fresh_page, [launch_rig("left", board={"serial": "TW-2"}), launch_rig("right")]
+    page, rigs = fresh_page, [launch_rig("left", board={"serial": "TW-2"})]
+    rigs.append(launch_rig("right", imu={"accel_gain_error_pct": [50, 50, 50]}))
     rigs.append(launch_rig("mute", board={"fault": "silent"}))
     units = ["TW-1", "TW-2", "TW-3", "TW-4"]
     body = {"units": units, "rigs": ["left", "right", "mute"], "plan": LONG}
@@ -145,12 +162,14 @@ def test_of_several_rigs_enter_means_the_one_whose_board_knows_its_unit(
         expect(left.locator(".sight")).to_contain_text(
             "TW-2 is there, says its board; TW-1 stays in the list."
         )
-        expect(right.locator(".todo")).to_have_text("Mount TW-2, scan it")
+        expect(right.locator(".todo")).to_have_text("Check TW-2, scan it")
         pressed(page, expect, "TW-2 is mounted, press Enter")
         expect(left.locator(".todo")).to_have_text("TW-2 is being measured")
         expect(right.locator(".todo")).to_have_text(
-            "Mount TW-4, scan it"
+            "Check TW-4, scan it"
         )  # TW-1 stays where it was asked for
+        page.keyboard.type("TW-4\n")
+        expect(page.locator("#queue-said")).to_contain_text("Its accelerometer feels 1.50 g at rest")
         page.keyboard.type("TW-4\n")
         expect(right.locator(".todo")).to_have_text("TW-4 is being measured")
         pressed(page, expect, "Mount TW-3: no board answers yet", mute)
