@@ -9,7 +9,9 @@ pytestmark = pytest.mark.browser
 SHORT = {"elevations_deg": [0, 20], "sweeps": 1, "settle_s": 0.2, "dwell_s": 0.5}
 LISTENING = """
     window.told = [];
-    window.Notification = class extends Notification { constructor(text, how) { super(text, how); told.push(text); } };
+    window.Notification = class extends Notification {
+        constructor(text, how) { super(text, how); told.push(text); }
+    };
     const create = AudioContext.prototype.createOscillator;
     AudioContext.prototype.createOscillator = function () {
         const tone = create.call(this), start = tone.start.bind(tone);
