@@ -152,11 +152,15 @@ export class RigCard {
     this.designs = false;
   }
 
-  /** From now on, for a moment, Enter starts nothing here. */
+  /** From now on, for a moment, Enter starts nothing here, and the second tap of two meets nothing that has come in the place of the button. */
   #calm() {
-    this.isCalm = this.go.disabled = true;
+    const set = (isCalm) => {
+      this.isCalm = this.go.disabled = isCalm;
+      this.element.classList.toggle("calm", isCalm);
+    };
+    set(true);
     clearTimeout(this.timer);
-    this.timer = setTimeout(() => (this.isCalm = this.go.disabled = false), CALM_MS);
+    this.timer = setTimeout(() => set(false), CALM_MS);
   }
 
   /** The same, where a look has found fault: no board answers, and only the button starts it; or it is to be asked for twice. */
