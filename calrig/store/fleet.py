@@ -50,7 +50,7 @@ _KEYS = sqlalchemy.func.length(_COVARIATES) - sqlalchemy.func.length(
 )
 _ONLY_GYRO_MEANS = sqlalchemy.and_(
     _COVARIATES.like("{" + "".join(f'"{name}":%,' for name in GYRO_MEANS) + f'"{checksums.KEY}":%}}'),
-    len(GYRO_MEANS) == _KEYS,
+    _KEYS == len(GYRO_MEANS),
 )
 """As nearly all poses have them: told by their text, since reading them takes eight times the rest."""
 
