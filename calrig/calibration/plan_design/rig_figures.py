@@ -67,7 +67,7 @@ def precision_of_run(
 NOT_MEASURED = Precision(
     DATA_SHEET_WHITE,
     0.0,
-    "this rig has no completed run to take the noise from: that of an MPU-6050's data sheet is assumed",
+    "no completed run of this rig tells the noise: that of an MPU-6050's data sheet is assumed",
 )
 
 
