@@ -98,7 +98,7 @@ def test_a_sweep_that_was_interrupted_goes_on_with_the_next_pass(
     bench: TruthRig, serve: Serve, store: Store
 ) -> None:
     first = serve(bench)
-    run = begin(first, SWEEP)
+    run = begin(first, SWEEP.model_copy(update={"start_deg": 30.0, "stop_deg": -30.0}))  # from above
     until(lambda: len(store.poses(run.id)) >= 14, "a whole pass")
     first.close()
     kept = [stored.pose for stored in store.poses(run.id)]
