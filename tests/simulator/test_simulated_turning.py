@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import serial
 from scipy.spatial.transform import Rotation
+from support import PATIENCE_S
 
 from calrig.simulator.bench import Bench
 from calrig.simulator.config import SimulatorSettings
@@ -139,7 +140,7 @@ def test_a_turning_stage_says_where_it_was_when_it_was_asked_or_a_told_time_befo
     }
     clock = VirtualClock()
     rig = SimulatedRig(SimulatorSettings.from_options({"preset": "ideal", "stage": stage}), clock)
-    with clock.taking_part(), rig, serial.serial_for_url(rig.stage_port, timeout=0.1) as port:
+    with clock.taking_part(), rig, serial.serial_for_url(rig.stage_port, timeout=PATIENCE_S) as port:
         port.write(home.encode())
         clock.sleep(3.0)
         begin_s = clock.now_s()

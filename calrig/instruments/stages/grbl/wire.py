@@ -135,7 +135,7 @@ class GrblWire:
             self.listen(lambda: bool(self.answers) or self.alarm is not None)
             if self.alarm is not None:
                 return None
-            sound = self.fence() and self._faults["unparsed"] == damage
+            sound = self.fence() and self._faults["unparsed"] == damage and not self._answers_an_inquiry()
             own = self.answers.pop() if self.answers else None
             self._count_late(len(self.answers))
             self.answers = []
@@ -143,6 +143,10 @@ class GrblWire:
                 return own
             self._faults["resent"] += 1
         return own if own in PERHAPS_DAMAGED else None
+
+    def _answers_an_inquiry(self) -> bool:
+        """Whether what has come is a late answer, in brackets, with an `ok` of its own."""
+        return any(remark[0] == "[" and not remark.startswith("[MSG:") for remark in self._remarks)
 
     def inquire(self, line: str, form: re.Pattern[str], sure: re.Pattern[str] | None = None) -> str | None:
         """Asks for what is answered in brackets; what it says twice alike, or once where that is enough.
