@@ -20,12 +20,12 @@ from calrig.api.job import Job
 from calrig.api.models import Answer, Body
 from calrig.calibration.plan_design.goals import Goals
 from calrig.plan import Plan, Until
-from calrig.runs.good_enough import goals_of
 from calrig.runs.plan_answers import answer
 from calrig.runs.plan_designs import Question, Wanted, question
 from calrig.runs.planned import estimate, grid_says
 from calrig.runs.reachable import require_reachable
 from calrig.runs.references import overdue_says
+from calrig.runs.stopping_rule import goals_of
 from calrig.runs.wall_clock import wall_pace
 
 router = APIRouter(tags=["runs"])

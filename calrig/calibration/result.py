@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from calrig.calibration.correction import AppliedEffect, fit_line_with_effects
-from calrig.calibration.early_end import AS_PLANNED, Ending, StoppedBy, cautious
 from calrig.calibration.effect import ApplyError
 from calrig.calibration.fit import Line, fit_line, residuals_deg, rms
 from calrig.calibration.over_range import OverRange, over_range
@@ -23,6 +22,7 @@ from calrig.calibration.pose_errors import (
     without_effects_deg,
 )
 from calrig.calibration.reference_figures import ReferenceFigures
+from calrig.calibration.sequential_stopping import AS_PLANNED, Ending, StoppedBy, cautious
 from calrig.calibration.uncertainty import Reference
 from calrig.estimation.angles import FloatArray
 

@@ -147,7 +147,7 @@ def hidden_dps(standing_dps: FloatArray, turning_dps: FloatArray) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Felt:
+class GyroTurn:
     """What the gyro says of one turn.
 
     Attributes:
@@ -164,7 +164,7 @@ class Felt:
     stands_s: float
 
 
-def felt_turn(time_s: FloatArray, rate_dps: FloatArray, turn: EvenTurn, stands_deg: float) -> Felt:
+def gyro_turn(time_s: FloatArray, rate_dps: FloatArray, turn: EvenTurn, stands_deg: float) -> GyroTurn:
     """Gain and delay by the gyro's account of a turn and of its end.
 
     The gain is that between the two ends of the even part. The delay is told by when the turn ends: at the
@@ -192,7 +192,7 @@ def felt_turn(time_s: FloatArray, rate_dps: FloatArray, turn: EvenTurn, stands_d
     noise_dps = float(np.std(np.diff(rate_dps[first : last + 1]))) / math.sqrt(2.0)
     # What is before it slows down counts in the way to come and in the velocity, and all but cancels out.
     behind_std_s = noise_dps * math.sqrt(stands - slows) * float(np.median(np.diff(time_s))) / abs(last_dps)
-    return Felt(gain, turn.time_s(stands_deg) - stands_s, behind_std_s, stands_s)
+    return GyroTurn(gain, turn.time_s(stands_deg) - stands_s, behind_std_s, stands_s)
 
 
 def turn_between(
@@ -233,9 +233,9 @@ def common_delay_s(stands_s: FloatArray, clocks: ClockLine, std_s: float) -> flo
 
     Args:
         stands_s: (k, 2) of each pass when it came to its stand: by the reports, in the host's time
-            (`ClockLine.host_s`), and by the gyro, in the board's (`Felt.stands_s`).
+            (`ClockLine.host_s`), and by the gyro, in the board's (`GyroTurn.stands_s`).
         clocks: as they are known by now.
-        std_s: of one (`Felt.behind_std_s`).
+        std_s: of one (`GyroTurn.behind_std_s`).
     """
     behind_s = clocks.board_s(stands_s[:, 0]) - stands_s[:, 1]
     agree = np.abs(behind_s - behind_s[-1]) <= AGREE * math.sqrt(2.0) * std_s
@@ -259,7 +259,7 @@ def filter_lag_deg(
     Args:
         time_s: (n,) from a stand on.
         rate_dps: (n,) as the gyro gives it, less its bias.
-        gain_error: `Felt.gain` − 1.
+        gain_error: `GyroTurn.gain` − 1.
         noise: what the filter assumes.
     """
     from scipy.signal import lfilter

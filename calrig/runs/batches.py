@@ -10,12 +10,14 @@ from functools import lru_cache
 from threading import Lock
 
 from calrig.analysis.errors import Conflict, Invalid, Unknown
+from calrig.analysis.stage_maps import kept_of
 from calrig.plan import Plan
 from calrig.processes.pool import Apart
 from calrig.runs.batch_serials import MOST_UNITS, checked
 from calrig.runs.batch_turns import Settled, settled
 from calrig.runs.mounting import Mount
 from calrig.runs.planned import planned_poses
+from calrig.runs.reachable import require_reachable
 from calrig.runs.services import Service
 from calrig.store import Run
 from calrig.store.batches import Batch, Turn
@@ -79,14 +81,16 @@ class RunBatches:
         """Keeps a new list; the same unit twice has one turn.
 
         Raises:
-            Invalid: no serials, too many, or what is none; a pose is beyond the limits of a rig.
+            Invalid: no serials, too many, or what is none; a rig cannot carry out or end the plan.
             Unknown: there is no such rig.
         """
         serials = checked(units)
         if not rigs:
             raise Invalid("a list is for one rig at least", ["rigs"])
         for name in rigs:
-            planned_poses(plan, self._service.known_rig(name))
+            settings, in_force = self._service.known_rig(name), kept_of(self._store, name, self._service.maps)
+            planned_poses(plan, settings)
+            require_reachable(plan, settings, "", self._store, in_force)
         document = {
             "rigs": list(dict.fromkeys(rigs)),
             "plan": plan.model_dump(mode="json"),

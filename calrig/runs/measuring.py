@@ -12,7 +12,6 @@ from calrig.analysis.results import ending_of, fitted
 from calrig.instruments.transcript import Tape, taped
 from calrig.runs.control import Control, Ended
 from calrig.runs.execution import Execution
-from calrig.runs.good_enough import REACHED, GoodEnough
 from calrig.runs.left_open import LeftOpen
 from calrig.runs.pace import Pace
 from calrig.runs.pose_taking import PoseTaking
@@ -21,6 +20,7 @@ from calrig.runs.resume import require_same_devices
 from calrig.runs.rig import Rig, open_rig
 from calrig.runs.stage_place import StagePlace
 from calrig.runs.static_log import keep_log
+from calrig.runs.stopping_rule import REACHED, StoppingRule
 from calrig.runs.suited import require_suited
 from calrig.runs.sweeping import Sweeping
 from calrig.runs.task import Task
@@ -87,7 +87,7 @@ class Measuring:
                 rig.place.take_up(rig.axis, homes=rig.stage_identity.homes)
             self.is_under_way = True
             pace = Pace(rig, self._control, self._recorder, task.earlier.clock_s)
-            taking = PoseTaking(task.plan, pace, task.earlier, self._good_enough())
+            taking = PoseTaking(task.plan, pace, task.earlier, self._stopping_rule())
             sweeping = Sweeping(task.plan, pace, taking)
             try:
                 if task.plan.kind == "static":
@@ -122,13 +122,13 @@ class Measuring:
                 )
             raise
 
-    def _good_enough(self) -> GoodEnough | None:
+    def _stopping_rule(self) -> StoppingRule | None:
         """What tells whether the run may end before its plan does; None of one that may not."""
         task = self._task
         if task.plan.until is None:
             return None
         accepted = self._store.effects_in_force(task.run.unit, task.run.rig)
-        return GoodEnough(task.plan.until, task.planned, accepted, self._origin)
+        return StoppingRule(task.plan.until, task.planned, accepted, self._origin)
 
     def _note_origin(self, rig: Rig) -> None:
         """Keeps what measures with the run; of a resumed one, that it was interrupted."""

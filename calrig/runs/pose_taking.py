@@ -16,10 +16,10 @@ from calrig.instruments.errors import BoardError
 from calrig.instruments.types import FloatArray, Samples
 from calrig.plan import Plan, PlannedPose
 from calrig.runs.felt_moves import KIND, FeltMoves, lost, told
-from calrig.runs.good_enough import GoodEnough
 from calrig.runs.own_gyro import OwnGyro
 from calrig.runs.pace import Pace
 from calrig.runs.resume import MOVE_OFF_DEG, Returned, way_back
+from calrig.runs.stopping_rule import StoppingRule
 from calrig.runs.stream import Phase, block_of
 from calrig.runs.task import Earlier
 from calrig.store.records import filtering_of
@@ -35,7 +35,7 @@ MOVED_DEG = 1e-4
 class PoseTaking:
     """The poses of a run so far, and what carries over from one to the next.
 
-    `felt` is what the unit felt of the moves between them. `good_enough` tells where the plan need not be
+    `felt` is what the unit felt of the moves between them. `stopping_rule` tells where the plan need not be
     carried out whole, `is_enough` whether that is so by now. `returned` is what the last pose before an
     interruption gave when it was measured once more.
     """
@@ -43,7 +43,7 @@ class PoseTaking:
     plan: Plan
     pace: Pace
     earlier: Earlier = field(default_factory=Earlier)
-    good_enough: GoodEnough | None = None
+    stopping_rule: StoppingRule | None = None
     returned: Returned | None = None
     is_enough: bool = field(init=False)
     gyro: OwnGyro = field(init=False)
@@ -214,7 +214,7 @@ class PoseTaking:
             raise lost(index, pose, check)
 
     def _reached(self) -> bool:
-        return self.good_enough is not None and self.good_enough.reached(self.poses)
+        return self.stopping_rule is not None and self.stopping_rule.reached(self.poses)
 
 
 def pose_of(planned: PlannedPose, samples: Samples, reading: Reading) -> Pose:

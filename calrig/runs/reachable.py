@@ -11,7 +11,7 @@ from calrig.calibration.plan_design.goals import TypeB
 from calrig.calibration.stage_reference import StageMap, map_reference
 from calrig.calibration.uncertainty import Reference
 from calrig.plan import Plan
-from calrig.runs.good_enough import goals_of
+from calrig.runs.stopping_rule import goals_of
 from calrig.settings import RigSettings
 from calrig.store import Store
 from calrig.store.records import Document

@@ -15,7 +15,7 @@ import numpy as np
 
 from calrig.calibration.motor_vibration import EndDifference, UnreportedTurn, disturbing, end_differences
 from calrig.estimation.reading import Reading
-from calrig.estimation.turning import Felt, clock_line, common_delay_s, scatter_g
+from calrig.estimation.turning import GyroTurn, clock_line, common_delay_s, scatter_g
 from calrig.instruments.errors import BoardError, StageError
 from calrig.plan import Plan, PlannedPose
 from calrig.runs.mounting import Mount
@@ -53,7 +53,7 @@ class Sweeping:
     pace: Pace
     taking: PoseTaking
     ends: list[EndDifference] = field(default_factory=list)
-    felt: list[Felt] = field(default_factory=list)
+    felt: list[GyroTurn] = field(default_factory=list)
     unreported: list[UnreportedTurn] = field(default_factory=list)
     stands_s: list[tuple[float, float]] = field(default_factory=list)
     scatter_g: list[tuple[float, float]] = field(default_factory=list)

@@ -18,10 +18,10 @@ from calrig.estimation.turning import (
     FEWEST_REPORTS,
     ClockLine,
     EvenTurn,
-    Felt,
+    GyroTurn,
     even_turn,
-    felt_turn,
     filter_lag_deg,
+    gyro_turn,
     hidden_dps,
     turn_between,
     turned_back,
@@ -133,11 +133,11 @@ class TurnedPass:
     noise: KalmanNoise
     rate_hz: float
 
-    def felt(self) -> Felt:
+    def felt(self) -> GyroTurn:
         """The gyro's gain, and by how much the stage's reports are behind the samples."""
         samples = self.kept.between(self.stood_s, self.dwell_s[0]).samples
         rate_dps = samples.gyro_dps[:, self.along] - self.bias_dps
-        return felt_turn(samples.time_s, rate_dps, self.turn, self.stands_deg)
+        return gyro_turn(samples.time_s, rate_dps, self.turn, self.stands_deg)
 
     def reports_stand_s(self) -> float:
         """When it came to its stand by the reports, in the host's time."""
@@ -194,7 +194,7 @@ class TurnedPass:
             for n, (begin_s, end_s) in zip(counts, spans, strict=True)
         )
 
-    def unreported_turn(self, last: PlannedPose, felt: Felt, bias_std_dps: float) -> UnreportedTurn:
+    def unreported_turn(self, last: PlannedPose, felt: GyroTurn, bias_std_dps: float) -> UnreportedTurn:
         """What the gyro says of the end beyond the stage's reports, from the last stretch to the dwell.
 
         Args:
@@ -212,7 +212,7 @@ class TurnedPass:
         return UnreportedTurn(sense, turned_deg - (self.stands_deg - was_deg), std_deg)
 
     def poses(
-        self, planned: list[PlannedPose], reading: Reading, felt: Felt, settle_s: float
+        self, planned: list[PlannedPose], reading: Reading, felt: GyroTurn, settle_s: float
     ) -> Iterator[Taken]:
         """The poses of its stretches in the order turned, then that of the dwell.
 

@@ -10,11 +10,11 @@ from scipy.signal import lfilter
 
 from calrig.calibration.correction import effects_on_reading_deg
 from calrig.calibration.diagnosis import diagnose, document
-from calrig.calibration.early_end import turned_both_ways
 from calrig.calibration.effects import EFFECTS
 from calrig.calibration.pose import Filtering, Pose
 from calrig.calibration.pose_errors import circumstances
 from calrig.calibration.responses import responses_of
+from calrig.calibration.sequential_stopping import turned_both_ways
 from calrig.calibration.stretches import stretches_deg
 from calrig.plan import Plan
 

@@ -12,8 +12,8 @@ from calrig.estimation.turning import (
     clock_line,
     common_delay_s,
     even_turn,
-    felt_turn,
     filter_lag_deg,
+    gyro_turn,
     hidden_dps,
     scatter_g,
     turn_between,
@@ -60,7 +60,7 @@ def test_the_age_of_reports_shows_when_the_turn_ends(behind_s, worm_deg):
     asked_s = np.arange(1.0, 13.5, 0.03)
     turn = even_turn(asked_s, reported_deg(asked_s - behind_s), FROM_DEG + 1.0, TO_DEG - 1.0)
     assert turn.velocity_dps == pytest.approx(VELOCITY_DPS, rel=1e-6)
-    felt = felt_turn(time_s, rate_dps, turn, TO_DEG)
+    felt = gyro_turn(time_s, rate_dps, turn, TO_DEG)
     assert felt.behind_s == pytest.approx(behind_s, abs=0.001 if worm_deg == 0.0 else 0.003)
     assert felt.gain == pytest.approx(1.02, abs=0.0005 if worm_deg == 0.0 else 0.003)
 
@@ -90,7 +90,7 @@ def test_a_delay_is_right_in_the_mean_and_scatters_as_is_said(acceleration_dps2,
     asked_s = np.arange(1.0, 13.5, 0.03)
     turn = even_turn(asked_s, reported_deg(asked_s, acceleration_dps2), FROM_DEG + 2.0, TO_DEG - 2.0)
     noise_dps = rng.normal(0.0, 0.05, (200, len(time_s)))
-    felt = [felt_turn(time_s, sampled_dps + one, turn, TO_DEG) for one in noise_dps]
+    felt = [gyro_turn(time_s, sampled_dps + one, turn, TO_DEG) for one in noise_dps]
     off_s = np.array([one.behind_s for one in felt]) + filter_s
     assert abs(off_s.mean()) < 1e-4  # half a thousandth of a degree
     assert np.mean([one.behind_std_s for one in felt]) == pytest.approx(off_s.std(), rel=0.3)

@@ -10,7 +10,7 @@ from calrig.analysis.results import fitted
 from calrig.calibration.plan_design.layout import layout
 from calrig.calibration.pose import Filtering, Pose
 from calrig.plan import Plan, Until
-from calrig.runs.good_enough import REACHED, GoodEnough
+from calrig.runs.stopping_rule import REACHED, StoppingRule
 
 PERFECT = {"rig": {"reference": {"std_deg": 1e-9, "kind": "setting", "distribution": "normal"}}}
 """Beside such a stage all of the uncertainty is of type A: what ending early could shrink."""
@@ -60,10 +60,10 @@ def covered(plan: Plan, times: float, share: float, runs: int, seed: int = 0) ->
     rng = np.random.default_rng(seed)
     planned = plan.poses((-90.0, 90.0))
     until = Until(expanded_uncertainty_deg=times * SCATTER_DEG)
-    known = GoodEnough(until, planned, [], PERFECT)
+    known = StoppingRule(until, planned, [], PERFECT)
     rows = []
     for _ in range(runs):
-        poses = _until_good_enough(known, share, rng)
+        poses = _until_stopped(known, share, rng)
         result = fitted(poses, [], PERFECT, ending=REACHED)
         assert result.over_range and result.bias_std_deg and result.scale and result.scale_std
         at_deg = rng.uniform(-60.0, 60.0)
@@ -81,7 +81,7 @@ def covered(plan: Plan, times: float, share: float, runs: int, seed: int = 0) ->
     return Covered(*np.mean(rows, axis=0).tolist())
 
 
-def _until_good_enough(known: GoodEnough, share: float, rng: np.random.Generator) -> list[Pose]:
+def _until_stopped(known: StoppingRule, share: float, rng: np.random.Generator) -> list[Pose]:
     """Poses until they are found good enough; of a sweep that is looked at after each pass."""
     turns = any(one.stretch_deg is not None for one in known.planned)
     poses: list[Pose] = []

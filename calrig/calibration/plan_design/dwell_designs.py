@@ -7,7 +7,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calrig.calibration.early_end import caution, has_the_line
 from calrig.calibration.plan_design.goals import Goals
 from calrig.calibration.plan_design.layout import DECIMALS, layout, way_s
 from calrig.calibration.plan_design.task import (
@@ -19,6 +18,7 @@ from calrig.calibration.plan_design.task import (
     rounded_down_s,
     rounded_up_s,
 )
+from calrig.calibration.sequential_stopping import caution, has_the_line
 from calrig.plan import FEWEST_UNTIL
 
 POSES = (4, 5, 6, 7, 8, 10, 12, 14, 16, 18, 20, 22, 25, 28, 32, 36, 40, 44, 48, 52, 56, 60, 80, 100, 140, 200)

@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 
-from calrig.calibration.early_end import caution
 from calrig.calibration.plan_design.goals import Goals
 from calrig.calibration.plan_design.sweep import Sweep, least_stretch_s, sweeps
 from calrig.calibration.plan_design.task import (
@@ -19,6 +18,7 @@ from calrig.calibration.plan_design.task import (
     rounded_down_s,
     rounded_up_s,
 )
+from calrig.calibration.sequential_stopping import caution
 from calrig.plan import FEWEST_UNTIL
 
 

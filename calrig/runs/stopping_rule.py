@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from calrig.analysis.results import fitted
-from calrig.calibration.early_end import Ending, has_the_line, turned_both_ways
 from calrig.calibration.plan_design.goals import Goals
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import Result
+from calrig.calibration.sequential_stopping import Ending, has_the_line, turned_both_ways
 from calrig.calibration.stage_reference import with_map
 from calrig.plan import PlannedPose, Until
 from calrig.store import AcceptedEffect
@@ -19,7 +19,7 @@ REACHED = Ending(may_be_early=True, stopped_by="until")
 
 
 @dataclass(frozen=True, slots=True)
-class GoodEnough:
+class StoppingRule:
     """What a run is to reach, and what its result follows from beside its poses.
 
     Attributes:
