@@ -89,16 +89,20 @@ class Run:
     limit: Limit | None = None
 
     @property
+    def kind(self) -> str:
+        """The kind of its plan; an import, which has none, is a calibration."""
+        return str((self.plan or {}).get("kind", "calibration"))
+
+    @property
     def verdict(self) -> Verdict | None:
         """Whether its result is good, after everything accepted; None while there is no result."""
         if self.result is None:
             return None
-        verification = (self.plan or {}).get("kind") == "verification"
         mismatches = self.faults.get("move_mismatch", 0)
         return verdict(
             self.result,
             self.diagnosis,
-            verification=verification,
+            verification=self.kind == "verification",
             move_mismatches=mismatches,
             limit=self.limit,
         )
