@@ -153,7 +153,7 @@ export class RigCard {
     this.leaving = null;
   }
 
-  /** From now on, for a moment, Enter starts nothing here, and the second tap of two meets nothing that has come in the place of the button. */
+  /** From now on, for a moment, Enter starts nothing here, and no tap does anything below the stop buttons. */
   #calm() {
     const set = (isCalm) => {
       this.isCalm = this.go.disabled = isCalm;
