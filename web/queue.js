@@ -165,7 +165,7 @@ class QueuePage {
     if (closed) document.getElementById("close-list")?.remove();
     for (const rig of list.rigs) {
       if (!this.cards.has(rig.name)) {
-        const begin = (turn) => this.#ask(`start on ${turn.rig}`, async () => this.#show(await post(`${this.path}/start`, turn)));
+        const begin = (turn, signal) => this.#ask(`start on ${turn.rig}`, async () => this.#show(await post(`${this.path}/start`, turn, signal)));
         const ask = (verb, run) => this.#ask(`${verb} ${run}`, () => post(`/api/runs/${encodeURIComponent(run)}/${verb}`));
         const card = new RigCard(rig.name, { begin, ask, tell: (text, about) => this.#tell(text, about) });
         this.cards.set(rig.name, card);
@@ -268,6 +268,7 @@ class QueuePage {
     try {
       await work();
     } catch (problem) {
+      if (problem.name === "AbortError") return; // cancelled here
       this.refused = problem;
       this.#say(problem);
     } finally {

@@ -9,7 +9,7 @@ export const TOO_SOON = "That was sooner than the instruction could be read: pre
 const SHAPES = { pass: "✓", fail: "✗", done: "●", stopped: "–" };
 const SIGHTS = { there: "✓", wrong: "✗", askew: "✗", absent: "–", moving: "…", looking: "…" };
 
-/** `begin({ rig, unit })` starts a turn; `ask(verb, run)` posts resume or abort; `tell(text)` says why nothing began. */
+/** `begin({ rig, unit }, signal)` starts a turn; `ask(verb, run)` posts resume or abort; `tell(text)` says why nothing began. */
 export class RigCard {
   constructor(name, { begin, ask, tell }) {
     this.name = name;
@@ -24,7 +24,7 @@ export class RigCard {
     this.bar = h("progress", { max: "1", value: "0", "aria-label": `Progress on ${name}`, hidden: true });
     this.more = h("p", { class: "muted" });
     this.go = h("button", { type: "button", class: "primary", "data-go": name, on: { click: () => this.press({ byHand: true }) } });
-    this.abort = h("button", { type: "button", class: "danger", on: { click: () => ask("abort", this.rig.on.run_id) } }, "Abort");
+    this.abort = h("button", { type: "button", class: "danger", on: { click: () => (this.leaving ? this.leaving.abort() : ask("abort", this.rig.on.run_id)) } });
     this.element = h(
       "section",
       { class: "card turn", "aria-label": `Rig ${name}`, "data-rig-turn": name },
@@ -106,7 +106,8 @@ export class RigCard {
     this.go.hidden = !this.does;
     this.go.textContent = button ?? "";
     this.go.classList.toggle("primary", !anyway);
-    this.abort.hidden = !under_way || !may("operator");
+    this.abort.hidden = !(under_way || this.leaving) || !may("operator");
+    this.abort.textContent = under_way ? "Abort" : "Cancel";
   }
 
   /** What the run came to that ended last here. */
@@ -145,14 +146,14 @@ export class RigCard {
 
   /** The service diagnoses and designs before such a run begins. */
   async #followUp(turn) {
-    this.designs = true;
+    this.leaving = new AbortController();
     this.show(this.rig, this.standing);
     this.point(false);
-    await this.begin(turn);
-    this.designs = false;
+    await this.begin(turn, this.leaving.signal);
+    this.leaving = null;
   }
 
-  /** From now on, for a moment, Enter starts nothing here, and the second tap of two meets nothing that has come in the place of the button. */
+  /** From now on, for a moment, Enter starts nothing here, and no tap does anything below the stop buttons. */
   #calm() {
     const set = (isCalm) => {
       this.isCalm = this.go.disabled = isCalm;
@@ -196,7 +197,7 @@ export class RigCard {
     if (!on && !this.taken) return { says: () => "No unit left for this rig" };
     const start = (unit) => ({ button: `Start ${unit}`, does: () => this.begin({ rig: name, unit }), unit });
     if (on?.state === "follow_up") {
-      if (this.designs || designing) return { says: () => `Leave ${on.unit} mounted: its next run is being designed` };
+      if (this.leaving || designing) return { says: () => `Leave ${on.unit} mounted: its next run is being designed` };
       const says = (key) => `Leave ${on.unit} mounted, ${key}: another run tells why`;
       return { ...start(on.unit), says, does: () => this.#followUp({ rig: name, unit: on.unit }) };
     }

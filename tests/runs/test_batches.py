@@ -115,3 +115,14 @@ def test_of_two_who_ask_for_the_run_that_tells_why_one_has_it_designed(own_store
             batches.start(batch.id, "bench-1", "A", apart, None)
         assert not batches.is_in_design(batch.id, "A")
         assert [turn.state for turn in batches.standing(batch.id).now.turns] == ["failed", "failed"]
+
+
+def test_who_looks_at_what_is_to_be_mounted_keeps_it_for_that_rig(own_store: Store) -> None:
+    with closing(RunService(own_store, [])) as service:
+        batches = RunBatches(service)
+        batch = own_store.keep_batch({**DOCUMENT, "rigs": ["l", "r"]}, ["A", "B", "C"])
+        a, b, c = batch.turns
+        batches.standing(batch.id)
+        assert own_store.batch(batch.id).turns == batch.turns, "whoever asks only changes nothing"
+        batches.look(batch.id)
+        assert own_store.batch(batch.id).turns == [replace(a, rig="l"), replace(b, rig="r"), c]
