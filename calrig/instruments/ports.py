@@ -101,7 +101,11 @@ class Port:
             _, ready, _ = select.select([], [descriptor], [], max(0.0, until_s - self.clock.now_s()))
             if not ready:
                 raise serial.SerialTimeoutException
-            left = left[os.write(descriptor, left) :]
+            try:
+                left = left[os.write(descriptor, left) :]
+            except BlockingIOError:  # the room was gone again
+                if self.clock.now_s() >= until_s:
+                    raise serial.SerialTimeoutException from None
 
     def change_baudrate(self, baudrate: int) -> None:
         """Goes on at another rate without opening the port anew, which would reset most boards again."""
