@@ -10,7 +10,7 @@ import numpy as np
 
 from calrig.calibration.blocked_folds import BLOCKS, Blocked, blocked, not_predictive, worse
 from calrig.calibration.candidates import candidates_of
-from calrig.calibration.channels import SCALE_UNIT_DEG
+from calrig.calibration.channels import ANGLE, SCALE_UNIT_DEG
 from calrig.calibration.cross_validation import FOLDS, CrossValidation, confirm, cross_validate
 from calrig.calibration.diagnosis_verdict import diagnosis_verdict
 from calrig.calibration.experiment_design import ambiguous_of, design
@@ -27,6 +27,8 @@ from calrig.calibration.search import Findings, search
 from calrig.estimation.angles import FloatArray
 
 BOOTSTRAPS = 999
+UNSEEN = 3.0
+"""How many times as far as the accelerometer's angle a reading strays that gravity does not account for."""
 WEAKEST_FIRST = ("ambiguous", "unnamed", "named")
 
 
@@ -93,7 +95,8 @@ def diagnose(
         blocks = blocked(left, [f.candidate for f in findings.found])
     lack = _lack_of_fit(kept, findings)
     said = warning_of(lack, found=bool(findings.found))
-    warnings = (*outliers, *incomplete, *r.warnings, *([] if said is None else [said]))
+    told = [sentence for sentence in (said, _unseen_by_gravity(findings)) if sentence is not None]
+    warnings = (*outliers, *incomplete, *r.warnings, *told)
     return Diagnosis(kept, findings, held_out, blocks, lack, warnings)
 
 
@@ -109,6 +112,22 @@ def _lack_of_fit(kept: Sequence[Sequence[Pose]], findings: Findings) -> LackOfFi
         parameters=of_reading - freed * int(r.starts.sum()),
         lag1_correlation=_lag1(residual_deg, float(r.rounding[0])),
         rounding_deg=float(r.rounding[0]),
+    )
+
+
+def _unseen_by_gravity(findings: Findings) -> str | None:
+    """That the reading strays where the accelerometer does not; None where it does not, or nothing tells."""
+    r = findings.responses
+    if ANGLE not in r.channels:
+        return None
+    residuals = findings.fitted.residuals
+    reading_deg, angle_deg = rms(residuals[:, 0]), rms(residuals[:, r.channels.index(ANGLE)])
+    if reading_deg <= UNSEEN * angle_deg:
+        return None
+    return (
+        f"the reading strays by {reading_deg:#.2g}° (RMS) where the accelerometer's angle strays by "
+        f"{angle_deg:#.2g}°: gravity does not see what moves it, so look at what filters the reading, or "
+        "leave out the accelerometer's columns where they are of another sensor"
     )
 
 

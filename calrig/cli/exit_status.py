@@ -17,6 +17,7 @@ STATUS = {
     "calrig.errors.WorkError": 1,
     "calrig.errors.InputError": 2,
     "calrig.settings.SettingsError": 2,
+    "calrig.store.errors.AddressOfNoStoreError": 2,
     "calrig.store.errors.StoreError": 1,
     "calrig.analysis.errors.RunsError": 1,
     "calrig.analysis.errors.Invalid": 2,

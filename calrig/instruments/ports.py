@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+import os
+import select
 import socket
 
 import serial
@@ -48,6 +50,7 @@ class Port:
         self.clock = _clock_of(wire)
         self._wire = wire
         self._tape = tape
+        self._descriptor = _descriptor_of(wire)
 
     def read(self, size: int) -> bytes:
         """Up to `size` bytes: returns when they are there, or with those that came within the time-out."""
@@ -75,7 +78,10 @@ class Port:
         if self._tape is not None:
             self._tape.note(">", data)  # before the answer can come
         try:
-            self._wire.write(data)
+            if self._descriptor is None:
+                self._wire.write(data)
+            else:
+                self._hand_over(data, self._descriptor)
         except serial.SerialTimeoutException as error:
             raise PortBlocked(
                 f"port {self.name} took nothing for {WRITE_TIMEOUT_S:g} s: is the device switched on, "
@@ -83,6 +89,23 @@ class Port:
             ) from error
         except OSError as error:
             raise self._gone("writing", error) from error
+
+    def _hand_over(self, data: bytes, descriptor: int) -> None:
+        # pyserial looks at the clock before it looks at the port: a thread that a busy machine kept waiting
+        # for so long would be told that a port took nothing which had taken all.
+        if not self._wire.is_open:
+            raise serial.PortNotOpenError
+        until_s = self.clock.now_s() + WRITE_TIMEOUT_S
+        left = memoryview(data)
+        while left:
+            _, ready, _ = select.select([], [descriptor], [], max(0.0, until_s - self.clock.now_s()))
+            if not ready:
+                raise serial.SerialTimeoutException
+            try:
+                left = left[os.write(descriptor, left) :]
+            except BlockingIOError:  # the room was gone again
+                if self.clock.now_s() >= until_s:
+                    raise serial.SerialTimeoutException from None
 
     def change_baudrate(self, baudrate: int) -> None:
         """Goes on at another rate without opening the port anew, which would reset most boards again."""
@@ -167,6 +190,14 @@ def device_of(url: str) -> str:
             f"those there are: {known or 'none that has a serial number'}"
         )
     return str(devices[0])
+
+
+def _descriptor_of(wire: serial.Serial) -> int | None:
+    """Of a port that the system itself knows by one: a POSIX tty or socket."""
+    try:
+        return int(wire.fileno()) if os.name == "posix" else None
+    except OSError:  # `rfc2217://`, `sim://`, `replay://`, …
+        return None
 
 
 def _send_small_writes_at_once(wire: serial.Serial) -> None:

@@ -7,6 +7,10 @@ class StoreError(Exception):
     """The store cannot be used. The message names the file, what happened and what to do."""
 
 
+class AddressOfNoStoreError(StoreError):
+    """What was given is neither a file's path nor the URL of a database that can hold a store."""
+
+
 class NotFound(StoreError):  # noqa: N818 (an answer, not a fault)
     """There is no such run or revision, or the run has no such pose."""
 

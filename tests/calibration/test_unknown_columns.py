@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from posed import posed
@@ -108,6 +110,39 @@ def test_two_columns_act_as_a_product_once_both_are_in_the_model():
     names, _ = found_in(run_with(0.05 * s + 0.05 * w + 0.04 * s * w, supply_v=supply_v, load_kg=load_kg))
     assert sorted(covariate for _, covariate, _ in names[:2]) == ["load_kg", "supply_v"]
     assert names[2] == ("unnamed", "supply_v·load_kg", "shape: product")
+
+
+def with_gravity(poses, turned_deg):
+    """The same poses with an accelerometer that sees some of what moves the reading, and 0.02° of noise."""
+    noise = np.random.default_rng(5).normal(0.0, 0.02, (N, 2))
+    true_deg = np.array([pose.target_deg for pose in poses]) + turned_deg
+    y, z = np.sin(np.radians(true_deg + noise[:, 0])), np.cos(np.radians(true_deg + noise[:, 1]))
+    return [replace(p, accel_y_g=float(a), accel_z_g=float(b)) for p, a, b in zip(poses, y, z, strict=True)]
+
+
+SUPPLY_V = 5.0 + 0.25 * np.sign(np.sin(TIME_S / 90.0))
+OF_SUPPLY_DEG = 0.3 * (SUPPLY_V - 5.0)
+
+
+@pytest.mark.parametrize(
+    ("gravity_deg", "form"),
+    [(0.0 * OF_SUPPLY_DEG, "linear, of the reading alone"), (OF_SUPPLY_DEG, "linear")],
+)
+def test_a_column_is_accused_whether_gravity_sees_what_it_does_or_not(gravity_deg, form):
+    _, (effect,) = found_in(with_gravity(run_with(OF_SUPPLY_DEG, supply_v=SUPPLY_V), gravity_deg))
+    assert (effect["name"], effect["covariate"]) == ("unnamed", "supply_v")
+    assert f"shape: {form}; no effect of the catalogue explains it as well" in effect["evidence"]
+    assert effect["parameters"]["size_deg"]["value"] == pytest.approx(0.15, abs=0.02)
+    told = "the reading moved and the accelerometer did not: look at what filters the reading"
+    assert (told in effect["evidence"]) is form.endswith("alone")
+
+
+def test_a_reading_that_strays_where_gravity_does_not_is_said_to():
+    wanders_deg = 0.2 * np.sin(TIME_S / 60.0)
+    diagnosis = diagnose([with_gravity(run_with(wanders_deg), 0.0)], bootstraps=99, cross_fit=False)
+    assert any("gravity does not see what moves it" in said for said in diagnosis.warnings)
+    both = diagnose([with_gravity(run_with(wanders_deg), wanders_deg)], bootstraps=99, cross_fit=False)
+    assert not any("gravity" in said for said in both.warnings)
 
 
 def test_a_product_alone_is_no_candidate_of_its_own():

@@ -37,6 +37,7 @@ def test_a_list_of_commands_cuts_no_summary(group):
         pytest.param(["run", "--unitt", "A"], "--unitt", id="no such option"),
         pytest.param(["serve", "--port", "70000"], "--port", id="no such port"),
         pytest.param(["export", "1", "--format", "xml"], "xml", id="no such format"),
+        pytest.param(["export", "1", "--db", "mysql://host/db"], "a store is a SQLite file", id="no store"),
     ],
 )
 def test_wrong_usage_is_2_and_says_what_is_wrong(arguments, words):

@@ -125,6 +125,27 @@ def test_a_device_that_takes_nothing_ends_the_write(server):
     peer.close()
 
 
+class Leaping:
+    """The wall's clock to a thread that waits a second for the processor wherever it looks at it."""
+
+    def __init__(self):
+        self.time_s = 0.0
+
+    def now_s(self):
+        self.time_s += 1.0
+        return self.time_s
+
+
+def test_a_port_that_takes_all_is_not_blamed_for_a_busy_machine(wire, server):
+    for url in (wire.path, url_of(server)):
+        port = open_it(url)
+        port.clock = Leaping()
+        port.write(b"1PA10\r\n")
+        port.close()
+    assert wire.recv() == b"1PA10\r\n"
+    assert server.accept()[0].recv(100) == b"1PA10\r\n"
+
+
 @pytest.mark.filterwarnings("ignore:set:DeprecationWarning:serial")
 def test_bytes_go_both_ways_over_rfc2217(server):
     def serve_an_echo():

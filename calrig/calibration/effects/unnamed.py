@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calrig.calibration.channels import MOVE
+from calrig.calibration.channels import ANGLE, MOVE, READING
 from calrig.calibration.column_forms import (
     LEAST_ARC_DEG,
     arc_deg,
@@ -41,6 +41,7 @@ from calrig.estimation.angles import FloatArray
 KNOTS = (3, 5)
 MORE_KNOTS, POSES_A_KNOT = (9, 17, 33), 12
 """Of the elevation, where there are so many poses to each: a potentiometer may be wavy all along."""
+OF_THE_READING = ", of the reading alone"
 CIRCLE, CIRCLE_2 = "circle, order 1", "circle, orders 1 and 2"
 PLACES = np.linspace(0.06, 0.94, 23)
 FEWEST_VALUES = 8
@@ -62,6 +63,8 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
         yield _shape(tilted(standardised(column)), name, "linear")
         yield from _of_one(column, name, tilted)
         yield from _in_time(r, name, at)
+        if ANGLE in r.channels:
+            yield from _of_the_reading(column, name)
     for name, factors, columns in products(r):
         yield replace(_shape(tilted(columns), name, "product"), beside=factors)
     if r.time_s is not None and np.ptp(r.time_s) > 0.0:
@@ -100,16 +103,27 @@ def _shape(
 
 
 def _of_one(z: FloatArray, name: str, seen_by: Shares) -> Iterator[Shape]:
-    values = len(np.unique(z))
-    for count in KNOTS:
-        if values > count + 1:
-            yield _shape(seen_by(natural_spline(z, count)), name, f"smooth {count}")
-    if values < FEWEST_VALUES:
+    for count in _counts(z):
+        yield _shape(seen_by(natural_spline(z, count)), name, f"smooth {count}")
+    if len(np.unique(z)) < FEWEST_VALUES:
         return
     for place in np.unique(np.quantile(z, PLACES)):
         at = {"at": float(place)}
         yield _shape(seen_by(np.maximum(z - place, 0.0) / np.ptp(z)), name, "kink", at)
         yield _shape(seen_by((z >= place).astype(float)), name, "step", at)
+
+
+def _counts(z: FloatArray) -> list[int]:
+    values = len(np.unique(z))
+    return [count for count in KNOTS if values > count + 1]
+
+
+def _of_the_reading(column: FloatArray, name: str) -> Iterator[Shape]:
+    """What gravity does not see: the column reaches the filter, or what is added to its output."""
+    alone = {"linear": standardised(column)}
+    alone |= {f"smooth {count}": natural_spline(column, count) for count in _counts(column)}
+    for form, columns in alone.items():
+        yield _shape({READING: columns}, name, f"{form}{OF_THE_READING}")
 
 
 def _in_time(r: Responses, name: str, at: Parameters) -> Iterator[Shape]:
@@ -164,6 +178,8 @@ def _evidence(r: Responses, shape: Shape) -> list[str]:
     if column is not None:
         of_unit = f" {unit}" if unit else ", of no unit that its name tells"
         said.append(f"{shape.covariate} went from {column.min():.5g} to {column.max():.5g}{of_unit}")
+    if shape.form.endswith(OF_THE_READING):
+        said.append("the reading moved and the accelerometer did not: look at what filters the reading")
     if shape.form == CIRCLE:
         said.append(
             f"`at` is where it is largest, in the {unit} of the column; size_deg is from there to the least"

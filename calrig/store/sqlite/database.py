@@ -19,7 +19,13 @@ from sqlmodel import Session
 from calrig.instruments.wanted import require_wanted
 from calrig.store.checksums import from_json, to_json
 from calrig.store.database import LOOK_S, Database
-from calrig.store.errors import NoStore, StoreDamagedError, StoreError, StoreUnavailableError
+from calrig.store.errors import (
+    AddressOfNoStoreError,
+    NoStore,
+    StoreDamagedError,
+    StoreError,
+    StoreUnavailableError,
+)
 from calrig.store.records import UNFINISHED, Size
 from calrig.store.revisions import revisions
 from calrig.store.sqlite import file_system, migrating
@@ -33,21 +39,21 @@ def database_path(url: str) -> Path:
     """The file that an SQLAlchemy URL names; `%3F` in it stands for `?`, and so on.
 
     Raises:
-        StoreError: it is not the URL of a SQLite file.
+        StoreError: it is not the URL of a SQLite file, or one that cannot be looked at.
     """
     try:
         parsed = make_url(url)
     except ArgumentError as error:
-        raise StoreError(f"{url!r} is neither a path nor an SQLAlchemy URL") from error
+        raise AddressOfNoStoreError(f"{url!r} is neither a path nor an SQLAlchemy URL") from error
     if parsed.get_backend_name() != "sqlite" or parsed.host or "?" in url:
         shown = parsed.render_as_string(hide_password=True)
-        raise StoreError(
+        raise AddressOfNoStoreError(
             f"{shown}: a store is a SQLite file (its path, or sqlite:///path) or postgresql+psycopg://…"
         )
     _, _, quoted = url.partition(":///")  # SQLAlchemy unquotes it from 2.1 on only
     named = unquote(quoted, errors="surrogateescape")
     if not named or named == ":memory:":
-        raise StoreError(f"{url}: a store in memory would be lost: name a file")
+        raise AddressOfNoStoreError(f"{url}: a store in memory would be lost: name a file")
     path = Path(named).resolve()
     try:
         path.exists()
