@@ -31,9 +31,10 @@ def filter_share(poses: Sequence[Pose]) -> FloatArray:
 
         κ = 1/(T·d) ∫₀ᵀ dτ ∫ₛ^(s+d) dt h(t + τ)
 
-    How long a move took is what lies between two dwells beside settling; without times it is a jump. The
-    constants of the filter, rate and dwell are those that the poses know (`Pose.filtering`), else the
-    contract's.
+    How long a move took is told by the stage's velocity and acceleration, and what else lies between two
+    dwells belongs to settling: the stage was asked whether it stands, and the board for a fresh sample. Where
+    they are not known the move took it all; without times it is a jump. The constants of the filter, rate and
+    dwell are those that the poses know (`Pose.filtering`), else the contract's.
 
     The filter goes on by the newest rate, so that it is ahead by half a sampling interval Δt while the stage
     turns, and shows of that, after the move too,
@@ -46,7 +47,11 @@ def filter_share(poses: Sequence[Pose]) -> FloatArray:
     known = [pose.filtering or Filtering() for pose in poses]
     settle_s = np.array([SETTLE_S if pose.settle_s is None else pose.settle_s for pose in poses])
     dwell_s = np.array([_dwell_s(pose, f) for pose, f in zip(poses, known, strict=True)])
-    move_s = _move_s(poses, settle_s, dwell_s)
+    between_s = _between_s(poses, settle_s, dwell_s)
+    ways_deg = np.abs(np.diff([pose.theta_deg for pose in poses], prepend=math.nan))
+    travel_s = np.array([_travel_s(way, f) for way, f in zip(ways_deg, known, strict=True)])
+    move_s = np.maximum(np.minimum(between_s, travel_s), SHORTEST_MOVE_S)
+    settle_s = settle_s + np.maximum(between_s - move_s, 0.0)
     share, lead = np.empty(len(poses)), np.empty(len(poses))
     for noise, rate_hz in {(f.noise, f.rate_hz) for f in known}:
         of_filter = np.array([(f.noise, f.rate_hz) == (noise, rate_hz) for f in known])
@@ -65,11 +70,20 @@ def _dwell_s(pose: Pose, filtering: Filtering) -> float:
     return filtering.dwell_s
 
 
-def _move_s(poses: Sequence[Pose], settle_s: FloatArray, dwell_s: FloatArray) -> FloatArray:
-    """(n,) how long each move took, no less than `SHORTEST_MOVE_S`."""
+def _between_s(poses: Sequence[Pose], settle_s: FloatArray, dwell_s: FloatArray) -> FloatArray:
+    """(n,) what lies between the dwell before and the settling; 0 where no times are known."""
     times = np.array([np.nan if pose.time_s is None else pose.time_s for pose in poses])
     between = np.diff(times, prepend=np.nan) - settle_s - (dwell_s + np.roll(dwell_s, 1)) / 2.0
-    return np.maximum(np.nan_to_num(between, nan=0.0), SHORTEST_MOVE_S)
+    return np.maximum(np.nan_to_num(between, nan=0.0), 0.0)
+
+
+def _travel_s(way_deg: float, filtering: Filtering) -> float:
+    """How long the stage turns so far, by a trapezoid of velocity; inf where that is not known."""
+    velocity, acceleration = filtering.velocity_dps, filtering.acceleration_dps2
+    if velocity is None or acceleration is None or not way_deg > 0.0:
+        return math.inf
+    peak = min(velocity, math.sqrt(way_deg * acceleration))
+    return way_deg / peak + peak / acceleration
 
 
 def _gain_error(poses: Sequence[Pose]) -> float:

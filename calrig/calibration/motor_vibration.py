@@ -3,7 +3,8 @@
 Vibration moves the mean of what is not linear: of the chip by its own second order and by clipping, of the
 elevation by the arc tangent of what is shaken. How much an accelerometer scatters does not tell by how much,
 only standing still does: the errors of the stretches, as a smooth curve of the elevation for each sense of
-turning, are continued to the dwells that were come to in that sense.
+turning, are continued to the dwells that were come to in that sense. What the table itself turned there
+beyond the stage's reports (a worm, a creep behind the motor) the gyro feels, and no vibration is that.
 """
 
 from __future__ import annotations
@@ -26,12 +27,27 @@ FEWEST_A_COLUMN = 2
 
 
 @dataclass(frozen=True, slots=True)
+class UnreportedTurn:
+    """What the gyro says that the table turned at the end of a pass beyond what the stage reported.
+
+    Attributes:
+        sense: of the pass, +1 or −1.
+        turn_deg, std_deg: from the mean of the last stretch to that of the dwell, and what the gyro's noise
+            and bias make of it.
+    """
+
+    sense: int
+    turn_deg: float
+    std_deg: float
+
+
+@dataclass(frozen=True, slots=True)
 class EndDifference:
     """How much more the unit reads at one end while the stage turns than standing.
 
     Attributes:
         elevation_deg: of the end.
-        difference_deg, std_deg: turning less standing, and its standard error.
+        difference_deg, std_deg: turning less standing but for what the table turned, and its standard error.
         p_value: of so large a difference by chance.
     """
 
@@ -50,8 +66,10 @@ class EndDifference:
         }
 
 
-def end_differences(poses: Sequence[Pose]) -> list[EndDifference]:
+def end_differences(poses: Sequence[Pose], unreported: Sequence[UnreportedTurn] = ()) -> list[EndDifference]:
     """What each end tells, by all poses of a sweep so far; empty where they are too few.
+
+    `unreported` are of the passes that are known: of a run that was resumed, those since.
 
     A least-squares fit of the stretches: the first two harmonics, which offsets, gains and axes of a unit and
     the eccentricity of a stage make, a straight line, and the sense of turning. The scatter about it is taken
@@ -78,8 +96,11 @@ def end_differences(poses: Sequence[Pose]) -> list[EndDifference]:
         if not at_end:
             continue
         row = _design(at_end, width, both=both).mean(axis=0)
-        difference = float(row @ beta) - float(_errors_deg(at_end).mean())
-        std_deg = scatter_deg * math.sqrt(float(row @ spread @ row) + 1.0 / len(at_end))
+        turn_deg, turn_std_deg = _mean_turn([one for one in unreported if one.sense == sense])
+        difference = float(row @ beta) - float(_errors_deg(at_end).mean()) + turn_deg
+        std_deg = math.hypot(
+            scatter_deg * math.sqrt(float(row @ spread @ row) + 1.0 / len(at_end)), turn_std_deg
+        )
         found.append(
             EndDifference(
                 at_end[0].target_deg, difference, std_deg, _by_chance(difference / std_deg, freedom)
@@ -92,6 +113,14 @@ def disturbing(ends: Sequence[EndDifference], chance: float) -> EndDifference | 
     """The end that differs by more than chance, and the method's own error, allow; of two the worse."""
     found = [end for end in ends if end.p_value * len(ends) < chance and abs(end.difference_deg) > OWN_DEG]
     return min(found, key=lambda end: end.p_value, default=None)
+
+
+def _mean_turn(those: Sequence[UnreportedTurn]) -> tuple[float, float]:
+    """The mean and its standard error; nothing where none is known."""
+    if not those:
+        return 0.0, 0.0
+    std_deg = math.sqrt(sum(one.std_deg**2 for one in those)) / len(those)
+    return sum(one.turn_deg for one in those) / len(those), std_deg
 
 
 def _is_end(pose: Pose, sense: int, low_deg: float, high_deg: float) -> bool:

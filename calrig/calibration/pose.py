@@ -45,13 +45,17 @@ class DiagnosisError(ValueError):
 class Filtering:
     """The filter that poses were read by, its rate, and how long a dwell was; the contract's by default.
 
-    `remembers` is False where what it still shows of the moves has been taken off the readings.
+    `remembers` is False where what it still shows of the moves has been taken off the readings. Velocity and
+    acceleration are those of the elevation, as the stage's controller tells them: None where it does not, and
+    a move is taken for as long as what lies between two dwells.
     """
 
     noise: KalmanNoise = field(default_factory=KalmanNoise)
     rate_hz: float = 200.0
     dwell_s: float = 2.0
     remembers: bool = True
+    velocity_dps: float | None = None
+    acceleration_dps2: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -195,6 +195,36 @@ def felt_turn(time_s: FloatArray, rate_dps: FloatArray, turn: EvenTurn, stands_d
     return Felt(gain, turn.time_s(stands_deg) - stands_s, behind_std_s, stands_s)
 
 
+def turn_between(
+    time_s: FloatArray,
+    rate_dps: FloatArray,
+    first_s: tuple[float, float],
+    second_s: tuple[float, float],
+    bias_std_dps: float,
+) -> tuple[float, float]:
+    """The turn from the mean of one span to the mean of a later one, and its standard error.
+
+    White noise of a one-sided density 2·N², integrated, makes the two means differ with a variance of
+    N²·(first/3 + gap + second/3): the integral of the squared weight that each instant's rate has.
+
+    Args:
+        time_s: (n,) samples from the begin of the first span to the end of the second.
+        rate_dps: (n,) less its bias; its noise is that of the second span, in which nothing turns.
+        first_s: begin and end of the one,
+        second_s: and of the other.
+        bias_std_dps: standard error of the bias.
+    """
+    steps_deg = np.diff(time_s) * (rate_dps[1:] + rate_dps[:-1]) / 2.0
+    angle_deg = np.concatenate([[0.0], np.cumsum(steps_deg)])
+    before, after = time_s <= first_s[1], time_s >= second_s[0]
+    first, gap, second = first_s[1] - first_s[0], second_s[0] - first_s[1], second_s[1] - second_s[0]
+    density = float(np.var(np.diff(rate_dps[after]))) / 2.0 * float(np.median(np.diff(time_s)))
+    walk_deg = math.sqrt(density * (first / 3.0 + gap + second / 3.0))
+    drift_deg = bias_std_dps * (first / 2.0 + gap + second / 2.0)
+    turn_deg = float(angle_deg[after].mean() - angle_deg[before].mean())
+    return turn_deg, math.hypot(walk_deg, drift_deg)
+
+
 def common_delay_s(stands_s: FloatArray, clocks: ClockLine, std_s: float) -> float:
     """By how much the stage's reports are behind the samples, by all passes that agree with the last.
 

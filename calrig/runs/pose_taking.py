@@ -22,6 +22,7 @@ from calrig.runs.pace import Pace
 from calrig.runs.resume import MOVE_OFF_DEG, Returned, way_back
 from calrig.runs.stream import Phase, block_of
 from calrig.runs.task import Earlier
+from calrig.store.records import filtering_of
 
 FEWEST_FOR_TARGET_S = 0.5
 """A dwell with `target_std_deg` is at least this long: a standard error from less is itself a guess."""
@@ -49,6 +50,7 @@ class PoseTaking:
     felt: FeltMoves = field(init=False)
     poses: list[Pose] = field(init=False)
     noise: KalmanNoise = field(init=False)
+    filtering: Filtering | None = field(init=False)
     approach: int = 0
 
     def __post_init__(self) -> None:
@@ -57,6 +59,7 @@ class PoseTaking:
         self.gyro = OwnGyro(AXES.index(self.plan.mount_axis[-1]), list(self.earlier.biases))
         self.felt = FeltMoves(self.poses, self.rig.board_identity.gyro_range_dps, self.plan.mount_axis)
         self.noise = KalmanNoise(**self.rig.settings.filter.model_dump())
+        self.filtering = filtering_of(self.rig.provenance(), self.plan.model_dump())
         self.is_enough = self._reached()  # by a run that was interrupted before it could say so
 
     def return_to_last(self) -> None:
@@ -183,7 +186,7 @@ class PoseTaking:
             gyro_move_deg=self.gyro.felt_deg(move, *times_s),
             settle_s=settle_s,
             covariates=of_mounts,
-            filtering=Filtering(self.noise, self.pace.rate_hz, self.plan.dwell_s),
+            filtering=self.filtering,
         )
         check = self.felt.take(pose, turned_deg, move, bias_std_dps, end_s - start_s)
         self.keep(pose, before, dwell.samples, check)

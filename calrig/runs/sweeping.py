@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.motor_vibration import EndDifference, disturbing, end_differences
+from calrig.calibration.motor_vibration import EndDifference, UnreportedTurn, disturbing, end_differences
 from calrig.estimation.reading import Reading
 from calrig.estimation.turning import Felt, clock_line, common_delay_s, scatter_g
 from calrig.instruments.errors import BoardError, StageError
@@ -42,6 +42,7 @@ class Sweeping:
     Attributes:
         ends: turning less standing, by all poses so far.
         felt: of each pass.
+        unreported: of each pass.
         stands_s: of each pass, as `common_delay_s` has them.
         scatter_g: of the accelerometer in each pass, turning and standing, RMS.
         restarts: of the board, by the last look.
@@ -52,6 +53,7 @@ class Sweeping:
     taking: PoseTaking
     ends: list[EndDifference] = field(default_factory=list)
     felt: list[Felt] = field(default_factory=list)
+    unreported: list[UnreportedTurn] = field(default_factory=list)
     stands_s: list[tuple[float, float]] = field(default_factory=list)
     scatter_g: list[tuple[float, float]] = field(default_factory=list)
     restarts: int = 0
@@ -195,6 +197,7 @@ class Sweeping:
             behind_s=common_delay_s(np.array(self.stands_s), turned.clocks, self.felt[-1].behind_std_s),
         )
         bias_std_dps = taking.gyro.dwelt(turned.dwell)
+        self.unreported.append(turned.unreported_turn(passed[-2], felt, bias_std_dps or 0.0))
         self.scatter_g.append((scatter_g(turned.even_samples.accel_g), scatter_g(turned.dwell.accel_g)))
         for taken in turned.poses(passed, reading, felt, self.plan.settle_s):
             if passed[0].index + taken.place < len(taking.poses):
@@ -209,7 +212,7 @@ class Sweeping:
         """Ends the run where the unit reads otherwise while the motor turns than standing."""
         turning_g, standing_g = np.sqrt(np.mean(np.square(self.scatter_g), axis=0)).tolist()
         shaken = turning_g > SHAKEN * standing_g
-        self.ends = end_differences(self.taking.poses)
+        self.ends = end_differences(self.taking.poses, self.unreported)
         worst = disturbing(self.ends, CHANCE_SHAKEN if shaken else CHANCE)
         if worst is not None:
             said = (

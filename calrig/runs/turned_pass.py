@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from calrig.calibration.motor_vibration import UnreportedTurn
 from calrig.calibration.pose import Filtering, Pose
 from calrig.estimation.angles import wrap_deg
 from calrig.estimation.gyro import dwell_bias
@@ -22,6 +23,7 @@ from calrig.estimation.turning import (
     felt_turn,
     filter_lag_deg,
     hidden_dps,
+    turn_between,
     turned_back,
 )
 from calrig.instruments.axis import Motion
@@ -191,6 +193,23 @@ class TurnedPass:
             n < max(2, FEWEST_OF_A_STRETCH * (end_s - begin_s) * self.rate_hz)
             for n, (begin_s, end_s) in zip(counts, spans, strict=True)
         )
+
+    def unreported_turn(self, last: PlannedPose, felt: Felt, bias_std_dps: float) -> UnreportedTurn:
+        """What the gyro says of the end beyond the stage's reports, from the last stretch to the dwell.
+
+        Args:
+            last: of the stretches.
+            felt: the gyro's gain, and the delay.
+            bias_std_dps: of `bias_dps`.
+        """
+        stretch_s = self._span_s(last, felt.behind_s)
+        samples = self.kept.between(stretch_s[0], self.dwell_s[1]).samples
+        rate_dps = (samples.gyro_dps[:, self.along] - self.bias_dps) / felt.gain
+        turned_deg, std_deg = turn_between(samples.time_s, rate_dps, stretch_s, self.dwell_s, bias_std_dps)
+        turning_s = samples.time_s[samples.time_s <= stretch_s[1]]
+        was_deg = float(self.turn.elevation_deg(turning_s + felt.behind_s).mean())
+        sense = 1 if self.turn.velocity_dps > 0.0 else -1
+        return UnreportedTurn(sense, turned_deg - (self.stands_deg - was_deg), std_deg)
 
     def poses(
         self, planned: list[PlannedPose], reading: Reading, felt: Felt, settle_s: float

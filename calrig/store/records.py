@@ -135,8 +135,24 @@ def filtering_of(provenance: Document, plan: Document | None) -> Filtering | Non
         return None
     usual = Filtering()
     rate_hz = board.get("rate_hz") or planned.get("rate_hz", usual.rate_hz)
-    dwell_s = float(planned.get("dwell_s", usual.dwell_s))
-    return Filtering(KalmanNoise(**stated), float(rate_hz), dwell_s, remembers=planned.get("kind") != "sweep")
+    return Filtering(
+        KalmanNoise(**stated),
+        float(rate_hz),
+        float(planned.get("dwell_s", usual.dwell_s)),
+        remembers=planned.get("kind") != "sweep",
+        **_motion_of(provenance, planned),
+    )
+
+
+def _motion_of(provenance: Document, planned: Document) -> dict[str, float]:
+    """Velocity and acceleration of the elevation, by controller and plan; nothing where one is not known."""
+    stage, configured = provenance.get("stage") or {}, (provenance.get("rig") or {}).get("stage") or {}
+    ratio = abs(configured.get("ratio") or 1.0)
+    velocity, acceleration = stage.get("velocity_dps"), stage.get("acceleration_dps2")
+    velocity_dps = planned.get("velocity_dps") or (velocity and velocity / ratio)
+    if not velocity_dps or not acceleration:
+        return {}
+    return {"velocity_dps": float(velocity_dps), "acceleration_dps2": float(acceleration / ratio)}
 
 
 class RunChanges(TypedDict, total=False):

@@ -75,6 +75,23 @@ def test_that_the_filter_goes_on_by_the_newest_rate_counts_where_the_gyro_tells_
     assert gain * filter_share(poses)[1] == pytest.approx(shown, abs=3e-5)
 
 
+@pytest.mark.parametrize("waited_s", [0.0, 0.3])
+def test_what_lies_between_two_dwells_beside_the_stages_turn_is_settling(waited_s):
+    time_s = np.arange(0.0, STILL_S + 5.0, 0.005)
+    angle_deg, took_s = trapezoid_deg(time_s - STILL_S, 10.0, 20.0, 80.0)
+    rate_dps = (1.0 + GAIN) * np.diff(angle_deg, prepend=0.0) / 0.005
+    filtered_deg = KalmanFilter().run(time_s + 0.005, angle_deg, rate_dps)
+    begins_s = STILL_S + took_s + waited_s + 1.0
+    dwell = (time_s >= begins_s) & (time_s < begins_s + 2.0)
+    shown = float((filtered_deg - angle_deg)[dwell].mean()) / (GAIN * 10.0)
+    known = Filtering(velocity_dps=20.0, acceleration_dps2=80.0)
+    poses = [
+        Pose(angle, angle, time_s=middle_s, settle_s=1.0, filtering=known)
+        for angle, middle_s in ((0.0, 0.0), (10.0, took_s + waited_s + 3.0))
+    ]
+    assert filter_share(poses)[1] == pytest.approx(shown, abs=0.0015)
+
+
 def test_what_a_pose_does_not_know_of_its_filter_is_the_contracts():
     known = Pose(0.0, 0.0, settle_s=1.0, filtering=Filtering(KalmanNoise(0.001, 0.003, 0.03), 200.0, 2.0))
     assert filter_share([Pose(0.0, 0.0)]) == pytest.approx(filter_share([known]))

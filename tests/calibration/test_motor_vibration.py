@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from calrig.calibration.motor_vibration import disturbing, end_differences
+from calrig.calibration.motor_vibration import UnreportedTurn, disturbing, end_differences
 from calrig.calibration.pose import Pose
 from calrig.plan import Plan
 
@@ -54,6 +56,26 @@ def test_offsets_gains_and_play_are_no_fault_of_the_motor():
     assert np.abs(differences.mean(axis=0)).max() < 0.7  # the second order of 60 mg is no harmonic's
     assert differences.std(axis=0) == pytest.approx([1.0, 1.0], abs=0.15)
     assert all(disturbing(end_differences(sweep(k)), 1e-4) is None for k in range(100))
+
+
+def test_what_the_table_turned_by_the_gyros_account_is_no_vibration():
+    catches_up_deg, gyro_deg = 0.12, 0.01
+    noise = np.random.default_rng(5)
+    poses = [
+        replace(pose, reading_deg=pose.reading_deg + catches_up_deg * (pose.approach or 0))
+        if pose.settle_s is not None
+        else pose
+        for pose in sweep(5)
+    ]
+    felt = [
+        UnreportedTurn(sense, catches_up_deg * sense + noise.normal(0.0, gyro_deg), gyro_deg)
+        for sense in (1, -1, 1, -1)
+    ]
+    assert disturbing(end_differences(poses), 1e-4) is not None
+    assert disturbing(end_differences(poses, felt), 1e-2) is None
+    stood_still = [UnreportedTurn(one.sense, noise.normal(0.0, gyro_deg), gyro_deg) for one in felt]
+    shaken = end_differences(sweep(5, shaken_g=(0.0, 0.003)), stood_still)
+    assert disturbing(shaken, 1e-4) is not None
 
 
 def test_the_first_pass_tells_its_own_end_and_a_few_stretches_none():

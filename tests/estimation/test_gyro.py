@@ -36,6 +36,18 @@ def test_a_dwells_bias_scatters_by_its_stated_error():
     assert chi2.ppf(1e-3, 900) < in_stated_variances < chi2.ppf(1.0 - 1e-3, 900)
 
 
+@pytest.mark.parametrize("slip_s", [0.05, 0.2])
+def test_a_slip_within_a_dwell_is_no_bias(slip_s):
+    time_s = np.arange(400) / 200.0
+    quiet_dps = 0.3 + np.random.default_rng(4).normal(0.0, 0.05, (400, 3))
+    slipping = (time_s >= 0.8) & (time_s < 0.8 + slip_s)
+    slipped_dps = quiet_dps + np.outer(slipping, [0.05 / slip_s, 0.0, 0.0])
+    quiet, slipped = dwell_bias(quiet_dps), dwell_bias(slipped_dps)
+    assert slipped.bias_dps[1:] == quiet.bias_dps[1:]
+    assert slipped.bias_dps[0] == pytest.approx(quiet.bias_dps[0], abs=0.002)
+    assert slipped_dps[:, 0].mean() > quiet_dps[:, 0].mean() + 0.02
+
+
 def test_an_axis_that_is_not_sent_is_not_known():
     gyro_dps = np.random.default_rng(0).normal(0.0, 0.1, (50, 3))
     gyro_dps[:, 2] = np.nan

@@ -16,6 +16,7 @@ from calrig.estimation.turning import (
     filter_lag_deg,
     hidden_dps,
     scatter_g,
+    turn_between,
     turned_back,
 )
 
@@ -140,3 +141,19 @@ def test_what_a_coarse_gyro_hides_is_half_of_its_step_unless_noise_carries_it_ov
 def test_reports_that_are_too_few_are_no_turn():
     with pytest.raises(ValueError, match="2 reports between"):
         even_turn(np.array([0.0, 1.0, 2.0]), np.array([-5.0, 0.0, 5.0]), -5.5, 1.0)
+
+
+def test_a_turn_from_mean_to_mean_scatters_as_is_said():
+    rng = np.random.default_rng(8)
+    time_s = np.arange(0.0, 6.0, 0.01)
+    angle_deg = np.clip(4.0 * (time_s - 1.0), 0.0, 8.0)
+    rate_dps = np.gradient(angle_deg, time_s)
+    first_s, second_s = (0.0, 2.0), (4.0, 6.0)
+    found = []
+    for _ in range(400):
+        bias_dps = rng.normal(0.0, 0.002)
+        noisy_dps = rate_dps + bias_dps + rng.normal(0.0, 0.05, len(time_s))
+        found.append(turn_between(time_s, noisy_dps, first_s, second_s, 0.002))
+    turns_deg, stds_deg = np.array(found).T
+    assert turns_deg.mean() == pytest.approx(8.0 - angle_deg[time_s <= 2.0].mean(), abs=0.003)
+    assert turns_deg.std() == pytest.approx(stds_deg.mean(), rel=0.12)

@@ -32,13 +32,14 @@ def main() -> None:
         _say(
             "rig",
             "completed",
-            "bias: RMS error",
+            "bias: mean error",
+            "RMS",
             "within two",
             "scale: RMS error",
             "within two",
             "up less down",
         )
-        _say(*["---"] * 7)
+        _say(*["---"] * 8)
         for name, options in CASES.items():
             _say(name, *_steady(list(pool.map(partial(_one, options), seeds()))))
         sys.stdout.write("\n")
@@ -66,6 +67,7 @@ def _steady(runs: list[Swept]) -> list[str]:
     sense = np.array([one.sense_error_deg for one in runs if one.run.result is not None])
     return [
         f"{len(results)} of {len(runs)}",
+        f"{bias[:, 0].mean():+.4f}° ± {bias[:, 0].std(ddof=1) / math.sqrt(len(bias)):.4f}°",
         f"{_rms(bias[:, 0]):.4f}°",
         _within(bias),
         f"{_rms(scale[:, 0]):.1e}",
