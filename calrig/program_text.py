@@ -8,15 +8,13 @@ from functools import cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 
-import calrig
-
 
 @cache
 def sha256_of_program(*parts: str) -> str:
     """SHA-256 of the text of some packages and modules, named as `store` or `store/records.py`."""
     digest = hashlib.sha256()
     for part in parts:
-        for name, content in sorted(_texts(files(calrig) / part, part)):
+        for name, content in sorted(_texts(files("calrig") / part, part)):
             digest.update(f"{name}\0{len(content)}\0".encode() + content)
     return digest.hexdigest()
 

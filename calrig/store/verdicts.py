@@ -40,6 +40,8 @@ JUDGED_WHOLE = 200
 """Runs for one page that another program has judged last."""
 AT_ONCE = 500
 """Rows that are read together."""
+WRITTEN_AT_ONCE = 20
+"""Runs in one transaction: others wait for their turn to write meanwhile."""
 _FOLLOWED = ("result", "diagnosis", "faults", "plan")
 """Columns that a verdict follows from; serial number, rig and limits are looked at when it is sought."""
 PROGRAM = sha256_of_program("calibration", "estimation", "store/records.py", "store/verdicts.py")
@@ -94,7 +96,7 @@ class Verdicts(Part):
             runs = {row.id: run_of(row) for row in session.exec(wanted.order_by(*NEWEST_FIRST))}
             end = None if last is None else session.get_one(RunTable, last)
             back = None if end is None else (end.uid, end.created_at)
-        found = [run for run in runs.values() if is_judged(run, judged)]
+        found = [run for run in runs.values() if _has(run, judged)]
         if len(found) > limit:
             found, more = found[:limit], True
             back = found[-1].id, found[-1].created_at
@@ -103,16 +105,19 @@ class Verdicts(Part):
         return JudgedRuns(found, next_cursor if more else None, back_to, whole)
 
     def judge(self, run_ids: Sequence[str]) -> None:
-        """Writes what the verdicts of runs follow from anew, by this program."""
-        with self._database.writing() as session:
-            for row in session.exec(select(RunTable).where(col(RunTable.uid).in_(run_ids))):
-                _keep(session.connection(), row)
+        """Writes what the verdicts of runs follow from anew, by this program, some at a time."""
+        for first in range(0, len(run_ids), WRITTEN_AT_ONCE):
+            some = col(RunTable.uid).in_(run_ids[first : first + WRITTEN_AT_ONCE])
+            with self._database.writing() as session:
+                for row in session.exec(select(RunTable).where(some)):
+                    _keep(session.connection(), row)
 
 
-def is_judged(run: Run, judged: Judged) -> bool:
-    """Whether a run has the verdict."""
-    verdict = run.verdict
-    return verdict is not None and judged in {verdict.answer, verdict.left}
+def _has(run: Run, judged: Judged) -> bool:
+    """Whether a run with a result has the verdict, by the rules that make it and without its words."""
+    assert run.result is not None  # noqa: S101 (others have no row here)
+    found = verdict_figures(run.result, run.diagnosis, **how_judged(run.plan, run.faults))
+    return judged in {found.answer(run.limit), found.left}
 
 
 def _narrow(session: Session, sought: Sought, cursor: str | None) -> sqlalchemy.Result[Any]:
@@ -144,7 +149,7 @@ def _matching(judged: Judged, limits: Sequence[Limit]) -> Callable[..., bool]:
 
 def _keep(connection: Connection, run: RunTable) -> None:
     """Writes what a run's verdict follows from; of a result that cannot be judged, that it is to be."""
-    connection.execute(sqlalchemy.delete(_KEPT).where(_KEPT.c.run_id == run.id))
+    connection.execute(sqlalchemy.delete(VerdictFiguresTable).where(_KEPT.c.run_id == run.id))
     if run.result is None:
         return
     try:
@@ -153,7 +158,7 @@ def _keep(connection: Connection, run: RunTable) -> None:
     except (KeyError, TypeError, ValueError, ArithmeticError):  # of somebody else's making
         found, is_sound = {}, False
     values = {"program": PROGRAM, **found} if is_sound else {"program": ""}
-    connection.execute(sqlalchemy.insert(_KEPT).values(run_id=run.id, **values))
+    connection.execute(sqlalchemy.insert(VerdictFiguresTable).values(run_id=run.id, **values))
 
 
 @event.listens_for(RunTable, "after_insert")
