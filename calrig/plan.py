@@ -31,9 +31,8 @@ MountAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
 """Which of the unit's axes lies along the stage's."""
 
 
-def calibrates(kind: str) -> bool:
-    """Whether a run of a plan of this kind gives a calibration of its unit."""
-    return kind in ("calibration", "sweep")
+CALIBRATING = ("calibration", "sweep")
+"""Kinds of plans whose runs give a calibration of their unit."""
 
 
 class PlanError(ValueError):
@@ -164,11 +163,6 @@ class Plan(BaseModel):
     def asks_for_mounts(self) -> bool:
         """Whether gravity is to show how the unit is clamped; a plan that says nothing asks nothing."""
         return self.mounts_deg != [0.0] or self.mount_axis != "x"
-
-    @property
-    def calibrates(self) -> bool:
-        """Whether its run gives a calibration of its unit."""
-        return calibrates(self.kind)
 
     @property
     def turn_dps(self) -> float:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import random
+import socket
 import subprocess
 import threading
 import time
 from collections.abc import Callable, Coroutine, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
 from http.client import HTTPConnection
 from pathlib import Path
@@ -121,6 +123,16 @@ def declared(client: httpx.Client, path: str, kind: str, n_bytes: int) -> tuple[
         return answer.status, json.loads(answer.read())["detail"]
 
 
+def lasting_port() -> int:
+    """A free port for a program that starts later, or twice: who asks for any port is not given this one."""
+    of_any = Path("/proc/sys/net/ipv4/ip_local_port_range")
+    below = int(of_any.read_text().split()[0]) if of_any.exists() else 32_768
+    for port in random.sample(range(below // 2, below), 100):
+        with suppress(OSError), socket.create_server(("127.0.0.1", port)):
+            return port
+    raise AssertionError("no port is free")
+
+
 @contextmanager
 def program(*command: object, **options: Any) -> Iterator[subprocess.Popen[str]]:
     """A process whose output is read as text; it ends here, whatever came of the test."""
@@ -172,13 +184,13 @@ def serving(service: Any, *, own_processes: bool = False, **options: Any) -> Ite
     from calrig.api.server import Server
 
     ready = threading.Event()
-    socket = listen("127.0.0.1", 0)
-    url = f"http://127.0.0.1:{socket.getsockname()[1]}"
+    listener = listen("127.0.0.1", 0)
+    url = f"http://127.0.0.1:{listener.getsockname()[1]}"
     app = create_app(service, **options)
     if not own_processes:
         app.state.context = replace(app.state.context, processes=shared_processes())
     server = Server(app, ready.set)
-    thread = threading.Thread(target=server.run, kwargs={"sockets": [socket]}, name="server", daemon=True)
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, name="server", daemon=True)
     thread.start()
     try:
         assert ready.wait(PATIENCE_S), "the server did not start"

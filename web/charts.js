@@ -17,6 +17,7 @@ let library;
 
 /** Plotly's own script, asked for with the first chart, while that chart's data are still under way. */
 function plotly() {
+  import("./paper.js").catch(() => {}); // where nobody answers, the next chart asks for it again
   library ??= new Promise((resolve, reject) => {
     const script = h("script", { src: SCRIPT.href });
     script.addEventListener("load", () => resolve(window.Plotly));
@@ -26,7 +27,6 @@ function plotly() {
       reject(new ApiError(`The charts' script ${SCRIPT.pathname} could not be loaded.`, 0));
     });
     document.head.append(script);
-    import("./paper.js");
   });
   return library;
 }

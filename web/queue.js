@@ -6,9 +6,9 @@ import { errorLine, fill, h } from "./dom.js";
 import { moment, plural } from "./format.js";
 import { may } from "./me.js";
 import { Bell } from "./queuebell.js";
-import { listForm } from "./queueform.js";
-import { readerTypesInto } from "./queuekeys.js";
-import { RigCard } from "./queuerig.js";
+import { keepForNext, listForm } from "./queueform.js";
+import { asRead, readerTypesInto } from "./queuekeys.js";
+import { RigCard, TOO_SOON } from "./queuerig.js";
 import { UnitsTable, counted, standingOf } from "./queuetable.js";
 
 const LOOK_MS = 500;
@@ -17,13 +17,14 @@ const BOARDS_MS = 2000; // how often the service is asked to look at the boards 
 const SCANNER_MS = 400; // an Enter so soon after a serial is the line feed of the scanner that sent it
 const TOUCH = matchMedia("(pointer: coarse)"); // there the focus brings a keyboard up over the instruction
 
-/** The newest open list, the one that the address names, or the form for another one (`#/queue/new`). */
+/** The newest list that is not another day's, the one that the address names, or the form for another one (`#/queue/new`). */
 export async function queueView({ root, parts: [id], signal }) {
   await styled();
   if (id && id !== "new") return new QueuePage(root, id, signal).begin();
   const lists = await get("/api/batches", signal);
   const open = lists.filter(({ closed_at: closed }) => !closed);
-  if (open.length && !id) return new QueuePage(root, open[0].id, signal).begin();
+  const today = open.find(({ takes_units: takes }) => takes);
+  if (today && !id) return new QueuePage(root, today.id, signal).begin();
   const last = lists.length ? await get(`/api/batches/${encodeURIComponent(lists[0].id)}`, signal) : null;
   const form = await listForm(last, signal);
   fill(root, h("h1", {}, "Queue"), open.length > 0 && openLists(open), form);
@@ -44,6 +45,13 @@ function styled() {
   });
 }
 
+/** What the keyboard does. */
+function meaning(closed, { left }) {
+  if (closed) return "This list takes no more units. Enter makes another list; a serial, scanned or typed, begins it.";
+  if (!left) return "Enter makes another list. A serial, scanned or typed, joins this one.";
+  return "Enter starts the unit that is mounted. A serial, scanned or typed, starts it where it is asked for, or joins the list.";
+}
+
 class QueuePage {
   constructor(root, id, signal) {
     this.root = root;
@@ -62,10 +70,12 @@ class QueuePage {
     this.scan = h("input", { id: "scan", type: "text", autocomplete: "off", spellcheck: "false", disabled: !may("operator") });
     this.add = h("button", { type: "submit" }, "Enter");
     this.facts = h("p", { class: "facts" });
+    this.means = h("label", { for: "scan" });
+    this.other = h("a", { href: "#/queue/new" }, "Make another list");
     this.form = h(
       "form",
       { class: "scan", on: { submit: (event) => this.#entered(event), keydown: (event) => event.repeat && event.key === "Enter" && event.preventDefault() } },
-      h("label", { for: "scan" }, "Enter starts the unit that is mounted. A serial, scanned or typed, starts it where it is asked for, or joins the list."),
+      this.means,
       h("div", { class: "scan-line" }, this.scan, this.add),
     );
     this.clock = new Worker(new URL("./queueclock.js", import.meta.url));
@@ -98,8 +108,7 @@ class QueuePage {
   }
 
   #closing({ closed_at: closed }) {
-    const other = h("a", { href: "#/queue/new" }, "Make another list");
-    if (closed || !may("operator")) return other;
+    if (closed || !may("operator")) return this.other;
     const end = async () => this.#show(await post(`${this.path}/close`));
     const close = () => {
       const { left } = counted(this.list.units);
@@ -107,7 +116,7 @@ class QueuePage {
       const text = `${plural(left, "unit")} of it not measured. A list that is closed stays so; a run under way goes on.`;
       return askConfirmation({ title: "Close this list?", text, action: "Close it" }, end);
     };
-    return [other, h("button", { id: "close-list", type: "button", class: "small", on: { click: close } }, "Close this list")];
+    return [this.other, h("button", { id: "close-list", type: "button", class: "small", on: { click: close } }, "Close this list")];
   }
 
   #soon(after) {
@@ -150,7 +159,9 @@ class QueuePage {
     const counts = counted(list.units);
     const closed = Boolean(list.closed_at);
     const standing = { several: list.rigs.length > 1, closed, waiting, counts };
-    this.form.hidden = closed;
+    this.isOver = closed || !counts.left;
+    this.means.textContent = meaning(closed, counts);
+    this.other.classList.toggle("button", this.isOver);
     if (closed) document.getElementById("close-list")?.remove();
     for (const rig of list.rigs) {
       if (!this.cards.has(rig.name)) {
@@ -186,30 +197,43 @@ class QueuePage {
   /** Enter alone, or a serial and Enter: what a bar-code reader types, faster than the service answers. */
   #entered(event) {
     event.preventDefault();
-    const serial = this.scan.value.trim();
+    const serial = asRead(this.scan.value);
     this.scan.value = "";
     if (serial) {
       this.scannedAt = performance.now();
-      this.#scanned(serial);
+      if (this.list.closed_at) this.#another(serial);
+      else this.#scanned(serial);
     } else if (performance.now() - this.scannedAt > SCANNER_MS) {
-      if (this.meant) this.meant.press();
-      else if ([...this.cards.values()].some((card) => card.asks)) this.#tell("Several rigs are ready: scan the unit that is mounted, or press its button.");
+      if (this.isOver) this.#another();
+      else if (this.meant) this.meant.press();
+      else if ([...this.cards.values()].some((card) => card.asks)) this.#tell("Several rigs ask for a unit: scan the one that is mounted, or press its button.");
     }
+  }
+
+  /** To the form for another list, once what stands here can have been read; a serial goes with it. */
+  #another(serial = "") {
+    if (serial) keepForNext(serial);
+    else if ([...this.cards.values()].some((card) => card.isCalm)) return this.#tell(TOO_SOON);
+    location.hash = this.other.hash;
   }
 
   #scanned(typed) {
     const known = this.list.units.map(({ unit }) => unit);
     const alike = (unit) => unit.toLowerCase() === typed.toLowerCase();
     const serial = known.includes(typed) ? typed : (known.find(alike) ?? typed); // a reader may send other case
-    const card = [...this.cards.values()].find((one) => one.asks && one.unit === serial);
-    if (card) return card.press({ named: card.taken !== serial });
+    const cards = [...this.cards.values()];
+    const theirs = cards.filter((one) => one.asks && one.unit === serial);
+    const card = theirs.find((one) => !one.isSilent) ?? theirs[0];
+    if (card && !card.isSilent) return card.press({ named: card.taken !== serial });
     const waits = this.list.units.some(({ unit, state }) => unit === serial && state === "waiting");
-    const asking = [...this.cards.values()].filter((one) => one.asks && one.rig.on.state === "waiting");
-    if (waits && asking.length === 1) {
-      asking[0].take(serial);
+    const asking = cards.filter((one) => one.asks && one.rig.on?.state === "waiting");
+    const place = cards.find((one) => one.hasNothing) ?? (!card && asking.length === 1 ? asking[0] : null);
+    if (waits && place) {
+      place.take(serial);
       this.#choose();
-      return this.#tell(`${serial} comes before the others.`);
+      return this.#tell(place.rig.on ? `${serial} comes before the others.` : `${serial} may go to rig ${place.name} as well.`);
     }
+    if (card) return card.press();
     this.untold.push(serial);
     return this.#ask("join", () => this.#join());
   }

@@ -23,6 +23,7 @@ export class Bell {
     this.heard = now;
     const running = rigs.every(({ on }) => on?.state === "running");
     if (running) document.title = `${rigs.map(({ on }) => on.unit).join(", ")} · calrig`;
+    if (!before && rigs.length === 1 && !running) setTimeout(() => entitle(outcome(rigs[0]))); // loaded anew; after the view has its title
     if (!before) return;
     for (const rig of rigs.filter(({ name }) => before.get(name) !== now.get(name) && before.has(name))) this.#tell(rig, before.get(rig.name));
   }
@@ -31,7 +32,7 @@ export class Bell {
     const ended = last && !before.startsWith(last.run_id);
     if (!ended && !on?.why) return;
     const [word, unit] = ended ? [last.word, last.unit] : ["stopped", on.unit];
-    document.title = `${word.toUpperCase()} ${unit} · calrig`;
+    entitle([word, unit]);
     if (!this.muted) sound(TONES_HZ[word]);
     if ("Notification" in window && Notification.permission === "granted") notify(`${word.toUpperCase()} ${unit}`, name);
   }
@@ -54,6 +55,16 @@ export class Bell {
   async #allow() {
     this.ask.hidden = (await Notification.requestPermission()) !== "default";
   }
+}
+
+/** What a rig came to last: a word and its unit; null before there is any. */
+function outcome({ last, on, nothing_measured: stopped }) {
+  if (stopped) return ["stopped", on.unit];
+  return last && [last.word, last.unit];
+}
+
+function entitle(came) {
+  if (came) document.title = `${came[0].toUpperCase()} ${came[1]} · calrig`;
 }
 
 /** The last of each rig stays in view. */

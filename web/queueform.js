@@ -4,10 +4,15 @@ import { get, post } from "./api.js";
 import { errorLine, field, h, onSubmit } from "./dom.js";
 import { plural } from "./format.js";
 import { planForm } from "./plan.js";
-import { readerTypesInto } from "./queuekeys.js";
+import { asRead, readerTypesInto } from "./queuekeys.js";
 
 const OPERATOR_KEY = "calrig.operator";
 const UNITS_KEY = "calrig.queue-units"; // scanned and not sent yet: a reload and the way back keep them
+
+/** Has a serial stand in the form of the next list, beside what does. */
+export function keepForNext(serial) {
+  sessionStorage.setItem(UNITS_KEY, [...lines(sessionStorage.getItem(UNITS_KEY) ?? ""), serial, ""].join("\n"));
+}
 
 /** `last` is the list made before, null without one: rigs and plan are those until somebody says otherwise. */
 export async function listForm(last, signal) {
@@ -103,6 +108,6 @@ async function text(file) {
 function lines(text) {
   return text
     .split(/\r?\n/)
-    .map((line) => line.trim())
+    .map(asRead)
     .filter(Boolean);
 }

@@ -3,6 +3,13 @@
 const TAKES_LETTERS = "input:not([type=checkbox], [type=radio], [type=file]), textarea, select, dialog";
 const TAKES_ENTER = "input, textarea, select, dialog, button, a, summary";
 
+const SYMBOLOGY = /^\][A-Za-z][0-9A-Za-z]/; // ISO/IEC 15424: "]C1" before a GS1-128, where a reader is set to send it
+
+/** The serial in what a reader has typed. */
+export function asRead(line) {
+  return line.trim().replace(SYMBOLOGY, "");
+}
+
 /** What nobody else takes of the keyboard goes to the end of `input`: letters also from a button that has the focus. */
 export function readerTypesInto(input, signal) {
   const heard = ({ key, ctrlKey, altKey, metaKey }) => {

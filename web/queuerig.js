@@ -5,6 +5,7 @@ import { duration, fixed } from "./format.js";
 import { may } from "./me.js";
 
 const CALM_MS = 700; // an Enter meant for what stood here before starts nothing
+export const TOO_SOON = "That was sooner than the instruction could be read: press Enter once more.";
 const SHAPES = { pass: "✓", fail: "✗", done: "●", stopped: "–" };
 const SIGHTS = { there: "✓", wrong: "✗", askew: "✗", absent: "–", moving: "…", looking: "…" };
 
@@ -22,7 +23,7 @@ export class RigCard {
     this.why = h("p", { class: "error", hidden: true });
     this.bar = h("progress", { max: "1", value: "0", "aria-label": `Progress on ${name}`, hidden: true });
     this.more = h("p", { class: "muted" });
-    this.go = h("button", { type: "button", class: "primary", "data-go": name, on: { click: () => this.press() } });
+    this.go = h("button", { type: "button", class: "primary", "data-go": name, on: { click: () => this.press({ byHand: true }) } });
     this.abort = h("button", { type: "button", class: "danger", on: { click: () => ask("abort", this.rig.on.run_id) } }, "Abort");
     this.element = h(
       "section",
@@ -50,6 +51,16 @@ export class RigCard {
     return this.asks && ["there", "wrong"].includes(this.rig.seen?.state) && this.rig.seen.serial === this.unit;
   }
 
+  /** Whether no board answers here: Enter and a scan start nothing, the button does, by its label. */
+  get isSilent() {
+    return this.rig.seen?.state === "absent";
+  }
+
+  /** Whether it is idle for want of a unit. */
+  get hasNothing() {
+    return !this.rig.on && this.rig.state === "idle";
+  }
+
   /** The unit that Enter is about: that of the instruction. */
   unit = null;
 
@@ -59,11 +70,11 @@ export class RigCard {
     this.show(this.rig, this.standing);
   }
 
-  /** What Enter means here; nothing in the moment after it has changed, unless the unit was named. */
-  press({ named = false } = {}) {
+  /** What Enter means here, or the button, `byHand`; nothing in the moment after it has changed, unless the unit was named. */
+  press({ named = false, byHand = false } = {}) {
     if (!this.does) return null;
-    if (this.isCalm && !named) return this.tell("That was sooner than the instruction could be read: press Enter once more.");
-    return this.does();
+    if (this.isCalm && !named) return this.tell(TOO_SOON);
+    return byHand && this.anyway ? this.anyway() : this.does();
   }
 
   /** `standing`: whether the list has `several` rigs, is `closed`, which units wait, as a Set, and how many are what. */
@@ -71,10 +82,12 @@ export class RigCard {
     this.rig = rig;
     this.standing = standing;
     const { several, closed, waiting, counts } = standing;
-    const { says, button, does, unit } = this.#now(rig, { closed, waiting, counts });
+    if (!waiting.has(this.taken)) this.taken = null;
+    const { says, button, does, unit, anyway } = this.#seen(rig, this.#now(rig, { closed, waiting, counts }));
     this.instruction = says;
     this.unit = unit ?? rig.on?.unit;
     this.does = may("operator") ? does : null;
+    this.anyway = anyway;
     fill(this.title, several && `Rig ${rig.name}`);
     this.title.hidden = !several;
     const under_way = rig.on?.state === "running";
@@ -86,12 +99,13 @@ export class RigCard {
     this.why.hidden = !why || rig.nothing_measured; // then it stands above
     this.why.className = rig.on?.run_id ? "error" : "muted";
     fill(this.why, why && [rig.on.run_id && [runLink(rig.on.run_id, "Run "), ": "], why]);
-    const then = this.unit === rig.on?.unit ? rig.next?.unit : rig.on.unit;
+    const then = this.unit === rig.on?.unit ? rig.next?.unit : rig.on?.unit;
     this.bar.hidden = !under_way;
     this.bar.value = rig.progress?.fraction ?? 0;
     fill(this.more, under_way ? [`${left(rig)}. `, runLink(rig.on.run_id, "Run ")] : !closed && then && `Then ${then}`);
     this.go.hidden = !this.does;
     this.go.textContent = button ?? "";
+    this.go.classList.toggle("primary", !anyway);
     this.abort.hidden = !under_way || !may("operator");
   }
 
@@ -138,31 +152,55 @@ export class RigCard {
     this.designs = false;
   }
 
-  /** From now on, for a moment, Enter starts nothing here. */
+  /** From now on, for a moment, Enter starts nothing here, and the second tap of two meets nothing that has come in the place of the button. */
   #calm() {
-    this.isCalm = this.go.disabled = true;
+    const set = (isCalm) => {
+      this.isCalm = this.go.disabled = isCalm;
+      this.element.classList.toggle("calm", isCalm);
+    };
+    set(true);
     clearTimeout(this.timer);
-    this.timer = setTimeout(() => (this.isCalm = this.go.disabled = false), CALM_MS);
+    this.timer = setTimeout(() => set(false), CALM_MS);
+  }
+
+  /** The same, where a look has found fault: no board answers, and only the button starts it; or it is to be asked for twice. */
+  #seen({ on, seen }, now) {
+    if (seen && !["askew", "looking"].includes(seen.state)) this.doubted = null;
+    if (!now.does || !["absent", "askew"].includes(seen?.state)) return now;
+    if (seen.state === "absent") {
+      const says = () => `${on.state === "follow_up" ? "Leave" : "Mount"} ${now.unit}: no board answers yet`;
+      return { ...now, says, button: `Start ${now.unit} anyway`, does: () => this.tell(`Not started. ${seen.says}`, this), anyway: now.does };
+    }
+    if (on.state !== "waiting") return now;
+    const does = () => {
+      const isToldAgain = this.doubted === now.unit;
+      this.doubted = isToldAgain ? null : now.unit;
+      if (isToldAgain) return now.does();
+      this.#calm();
+      return this.tell(`Not started. ${seen.says} If that is right, start it once more.`);
+    };
+    return { ...now, says: (key) => `Check ${now.unit}, ${key}`, does };
   }
 
   /** What to do, by which key; the button, what both do, and the unit that they are about. */
-  #now({ name, state, status, busy_with: busy, on, seen, last, waiting_for: waits }, { closed, waiting, counts }) {
+  #now({ name, state, status, busy_with: busy, on, seen, last, designing, waiting_for: waits }, { closed, waiting, counts }) {
     if (on?.state === "running" && waits) {
       const angle = fixed(waits.mount_deg, Number.isInteger(waits.mount_deg) ? 0 : 2, "°");
       return { says: (key) => `Turn ${on.unit} to ${angle}, ${key}`, button: "It sits: go on", does: () => this.ask("resume", on.run_id) };
     }
     if (on?.state === "running") return { says: () => `${on.unit} is ${status === "paused" ? "paused" : "being measured"}` };
-    if (closed) return { says: () => "This list is closed" };
+    if (closed && counts.left) return { says: () => "This list is closed" };
+    if (!counts.left) return { says: () => `All measured: ${counts.good} done, ${counts.poor} failed` };
     if (busy) return { says: () => `Rig ${name} is busy` };
     if (state === "offline") return { says: () => `Rig ${name} is offline` };
-    if (!on) return { says: () => (counts.left ? "No unit left for this rig" : `No unit left: ${counts.good} done, ${counts.poor} failed`) };
+    if (!on && !this.taken) return { says: () => "No unit left for this rig" };
     const start = (unit) => ({ button: `Start ${unit}`, does: () => this.begin({ rig: name, unit }), unit });
-    if (on.state === "follow_up") {
-      if (this.designs) return { says: () => `Leave ${on.unit} mounted: its next run is being designed` };
+    if (on?.state === "follow_up") {
+      if (this.designs || designing) return { says: () => `Leave ${on.unit} mounted: its next run is being designed` };
       const says = (key) => `Leave ${on.unit} mounted, ${key}: another run tells why`;
       return { ...start(on.unit), says, does: () => this.#followUp({ rig: name, unit: on.unit }) };
     }
-    const asked = waiting.has(this.taken) && !seen?.serial ? this.taken : on.unit; // a board's own word counts for more
+    const asked = this.taken && !seen?.serial ? this.taken : on.unit; // a board's own word counts for more
     const says = (key) => `Mount ${asked}, ${key}`;
     if (seen?.state !== "wrong") return { ...start(asked), says };
     if (seen.serial !== last?.unit && waiting.has(seen.serial)) {

@@ -37,7 +37,7 @@ export async function startView({ root, query, signal }) {
   );
   if (!TOUCH.matches) unit.focus({ preventScroll: true }); // a reader of bar codes types where the focus is
   await Promise.all([runs.refresh(), rigs.length > 0 && place.look()]);
-  import("./run.js"); // where Start leads
+  import("./run.js").catch(() => {}); // where Start leads, which asks for it again
   keepFresh(rigList, runs, rigs, signal);
 }
 

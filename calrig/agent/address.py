@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from sqlalchemy import make_url
 
-from calrig.errors import WorkError
+from calrig.errors import InputError, WorkError
 from calrig.store.engines import EXTRA, is_centre
 
 
@@ -12,10 +12,11 @@ def checked_url(url: str) -> str:
     """The URL of a centre's database in libpq's own form.
 
     Raises:
-        WorkError: it names none; or by it somebody on the network could listen, or take the centre's place.
+        InputError: it names none.
+        WorkError: by it somebody on the network could listen, or take the centre's place.
     """
     if not is_centre(url):
-        raise WorkError("an agent needs the URL of its centre's database: --db postgresql+psycopg://…")
+        raise InputError("an agent needs the URL of its centre's database: --db postgresql+psycopg://…")
     try:
         import procrastinate  # noqa: F401 (whether they are there)
         import psycopg  # noqa: F401

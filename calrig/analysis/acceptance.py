@@ -58,7 +58,7 @@ class Acceptance:
     def _refitted(self, run_id: str, who: str | None, why: str) -> Run:
         """The run with its result as what is in force now gives it; its unit's next draft is made."""
         run = stored_run(self._store, run_id)
-        if run.result is not None and (run.plan or {}).get("kind") != "verification":
+        if run.result is not None and run.kind != "verification":
             poses = counted_poses(self._store, run_id)
             run = self._store.set_result(run_id, refitted(self._store, run, poses))
         self._issuer.redraft(run, by=who, reason=why)

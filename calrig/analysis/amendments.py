@@ -14,7 +14,7 @@ from calrig.analysis.origin import check_serial, provenance
 from calrig.analysis.results import refitted
 from calrig.analysis.stored_runs import checked_reason, counted_poses, ended_run, stored_run
 from calrig.export.poses_csv import CsvError
-from calrig.plan import calibrates
+from calrig.plan import CALIBRATING
 from calrig.store import Run, Store
 from calrig.store.records import Document
 
@@ -166,9 +166,8 @@ class Records:
             raise Unknown(f"run {run_id} has no pose {index}")
         if run.result is None:
             return None
-        kind = (run.plan or {}).get("kind", "calibration")
-        if not calibrates(kind):
-            raise Conflict(f"run {run_id} is a {kind}: it fits nothing that a pose could be taken out of")
+        if run.kind not in CALIBRATING:
+            raise Conflict(f"run {run_id} is a {run.kind}: it fits nothing that a pose could be taken out of")
         left = [p.pose for p in poses if (counts if p.index == index else p.excluded is None)]
         if not left:
             raise Conflict(f"pose {index} is the last one that run {run_id} rests on: void the run instead")
@@ -198,7 +197,7 @@ def _chain(run_id: str, of_unit: Sequence[Run]) -> list[str]:
 
 
 def _check_movable(run: Run, moving: Set[str], of_unit: Sequence[Run]) -> None:
-    if (run.plan or {}).get("kind") == "verification" and run.result is not None:
+    if run.kind == "verification" and run.result is not None:
         raise Conflict(
             f"run {run.id} is a verification: its result is what the calibration of unit {run.unit!r} left; "
             "void it, and verify the right unit"

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from calrig.analysis.errors import Conflict
 from calrig.analysis.mounts import axis_of
-from calrig.plan import calibrates
+from calrig.plan import CALIBRATING
 from calrig.store import AcceptedEffect, Run
 from calrig.store.issued import Revision
 from calrig.store.records import Document
@@ -18,9 +18,8 @@ def why_none(run: Run) -> str | None:
     A verification applies one, a static log stands still, a follow-up has the poses that tell suspects apart,
     and about another axis than the unit's x there is no elevation.
     """
-    kind = (run.plan or {}).get("kind", "calibration")
-    if not calibrates(kind):
-        return f"is a {'static log' if kind == 'static' else kind}"
+    if run.kind not in CALIBRATING:
+        return f"is a {'static log' if run.kind == 'static' else run.kind}"
     if (axis := axis_of(run)) != "x":
         return f"had the unit's {axis} along the stage's axis: its poses are for the joint solution"
     return None if run.follows is None else f"is a follow-up of run {run.follows}"

@@ -15,7 +15,7 @@ from calrig.analysis.errors import Unknown
 from calrig.analysis.histories import Histories
 from calrig.analysis.unit_changes import RULE, change_of
 from calrig.calibration.changed_runs import FALSE_DISCOVERY_RATE
-from calrig.calibration.compare import Components, components, drift
+from calrig.calibration.compare import Components, components, drift_deg_per_day
 from calrig.calibration.repeatability import Repeatability
 from calrig.store import ComparisonRow, Store
 
@@ -105,8 +105,7 @@ def _row(row: ComparisonRow, effects: Mapping[str, list[str]]) -> Row:
 
 
 def _drift(runs: Sequence[Row]) -> float | None:
-    found = drift([run["finished_at"] for run in runs], [run["bias_deg"] for run in runs])
-    return found.deg_per_day if found else None
+    return drift_deg_per_day([run["finished_at"] for run in runs], [run["bias_deg"] for run in runs])
 
 
 def _spread(

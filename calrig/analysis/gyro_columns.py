@@ -20,12 +20,13 @@ if TYPE_CHECKING:
 def poses_with_gyro(store: Store, run_id: str) -> list[Pose]:
     """The poses that count, each with its dwell's means, its move's turns, and the host's time.
 
-    A run with mounts has them in its poses; of one without they are made of its samples while these are kept.
+    A run with mounts has the turns in its poses; of one without they are made of its samples while these are
+    kept.
     A move is told where neither of its two poses was excluded, and none of its samples is missing.
     """
     stored = store.poses(run_id, include_excluded=True)
     poses = [one.pose for one in stored]
-    if not any(GYRO_MEANS[0] in pose.covariates for pose in poses):
+    if not any(GYRO_MOVES[0] in pose.covariates for pose in poses):
         poses = _of_samples(store, run_id, poses, [one.index for one in stored])
     announced = store.poses_announced_at(run_id)
     after = [None, *stored[:-1]]

@@ -151,8 +151,8 @@ class Issuer:
                 return None
         return self._store.issue(base.id, self._draft(base, fit, by=by, reason=reason))
 
-    def release(self, unit: str, number: int, *, by: str | None, reason: str) -> Revision:
-        """Puts a draft or a superseded revision in force.
+    def release(self, unit: str, number: int, *, by: str | None, reason: str | None) -> Revision:
+        """Puts a draft or a superseded revision in force; a reason is kept with it where there is one.
 
         Raises:
             Refused: it is in force, or was withdrawn.
@@ -161,7 +161,7 @@ class Issuer:
         found = self._store.revision(unit, number)
         if found is not None and (voided := stored_run(self._store, found.run_id).voided):
             raise Conflict(f"run {found.run_id} of revision {number} is voided ({voided['reason']})")
-        return self._store.release(unit, number, by, checked_reason(reason))
+        return self._store.release(unit, number, by, None if reason is None else checked_reason(reason))
 
     def withdraw(self, unit: str, number: int, *, by: str | None, reason: str) -> Revision:
         """Takes a revision back for good.

@@ -26,7 +26,7 @@ NAMES = (*COLUMNS, "angle_deg")
 
 def require_static(run: Run) -> None:
     """Raises Conflict where a run moved its unit, so that its samples are not noise alone."""
-    if (run.plan or {}).get("kind") != "static":
+    if run.kind != "static":
         raise Conflict(
             f"run {run.id} moved its unit: start a run with a static plan, and its log tells the noise"
         )
@@ -85,7 +85,7 @@ def _latest_static_run(store: Store, unit: str) -> Run:
     while True:
         runs, cursor = store.runs(unit=unit, status="completed", limit=200, cursor=cursor)
         for run in runs:
-            if run.voided is None and (run.plan or {}).get("kind") == "static":
+            if run.voided is None and run.kind == "static":
                 return run
         if cursor is None:
             raise Conflict(

@@ -10,18 +10,12 @@ from pydantic import Field
 from calrig.api.callers import Who, requires
 from calrig.api.context import Context, KnownRun
 from calrig.api.errors import problems
-from calrig.api.models import Body, Reason, RunAnswer
+from calrig.api.models import Body, Reason, ReasonIfAny, RunAnswer
 from calrig.store import Run
 
 router = APIRouter(tags=["runs"])
 
 PoseIndex = Annotated[int, Path(ge=0, lt=2**31)]
-
-
-class ReasonIfAny(Body):
-    """Why something is to count again, where there is more to say than that."""
-
-    reason: str | None = None
 
 
 class Note(Body):

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from calrig.api.models import Answer, Body, MountAnswer, ProgressAnswer, Status
 from calrig.plan import Plan
-from calrig.runs.batches import serials_in
+from calrig.runs.batch_serials import serials_in
 
 LONGEST_CSV = 200_000
 Serials = Annotated[list[Annotated[str, Field(max_length=1000)]], Field(max_length=10_000)]
@@ -106,6 +106,7 @@ class BatchRigAnswer(Answer):
     next: TurnAnswer | None
     last: TurnAnswer | None
     last_says: list[str]
+    designing: bool = Field(description="Whether the run that tells why is diagnosed for and designed now.")
     nothing_measured: bool = Field(description="By the run that `on` had here after that of `last`.")
 
 
@@ -131,7 +132,7 @@ class BatchAnswer(Answer):
 
 
 class ListedBatch(Answer):
-    """A list among the others."""
+    """A list among the others; `takes_units` is false of one that is closed, or of another day."""
 
     id: str
     created_at: datetime
@@ -139,3 +140,4 @@ class ListedBatch(Answer):
     rigs: list[str]
     operator: str | None
     note: str | None
+    takes_units: bool

@@ -29,8 +29,9 @@ from calrig.api.context import ApiContext, Context
 from calrig.api.errors import problems
 from calrig.api.heavy import Heavy
 from calrig.api.models import ProgressAnswer
+from calrig.runs.batch_serials import serials_in
 from calrig.runs.batch_turns import word_of
-from calrig.runs.batches import Standing, serials_in
+from calrig.runs.batches import Standing
 from calrig.runs.look import Look
 from calrig.store import Run
 from calrig.store.batches import Turn
@@ -49,8 +50,9 @@ def list_batches(context: Context) -> object:
             rigs=one.document["rigs"],
             operator=one.document["operator"],
             note=one.document["note"],
+            takes_units=takes_units,
         )
-        for one in context.store.batches()
+        for one, takes_units in context.batches.listed()
     ]
 
 
@@ -116,7 +118,10 @@ def show_batch(batch_id: str, context: Context, if_none_match: Annotated[str, He
     summary="Add units to a list",
 )
 def add_units(batch_id: str, body: UnitsBody, context: Context) -> object:
-    """At its end; what it has already stays where it is, and is told in `known`."""
+    """At its end; what it has already stays where it is, and is told in `known`, unless it failed for good.
+
+    409 where nothing of the list was measured for hours: it is another day's.
+    """
     known = context.batches.add(batch_id, body.serials())
     return _answer(context, batch_id, known)
 
@@ -204,11 +209,14 @@ def _rigs(context: ApiContext, standing: Standing) -> list[BatchRigAnswer]:
     states = {rig.name: rig for rig in context.service.rigs()}
     looks = context.service.looks()
     return [
-        _rig(standing, name, states.get(name), looks.get(name)) for name in standing.batch.document["rigs"]
+        _rig(context, standing, name, states.get(name), looks.get(name))
+        for name in standing.batch.document["rigs"]
     ]
 
 
-def _rig(standing: Standing, name: str, state: object, seen: Look | None) -> BatchRigAnswer:
+def _rig(
+    context: ApiContext, standing: Standing, name: str, state: object, seen: Look | None
+) -> BatchRigAnswer:
     on, then = standing.now.on[name], standing.now.then[name]
     run = standing.runs.get(on.run_id or "") if on is not None and on.state == "running" else None
     last = _last(standing, name)
@@ -226,7 +234,8 @@ def _rig(standing: Standing, name: str, state: object, seen: Look | None) -> Bat
         next=None if then is None else _turn(standing, then),
         last=None if last is None else _turn(standing, last),
         last_says=[] if ended is None or ended.verdict is None else ended.verdict.says,
-        nothing_measured=_came_to_nothing(standing, on, ended),
+        designing=on is not None and context.batches.is_in_design(standing.batch.id, on.unit),
+        nothing_measured=_came_to_nothing(standing, name, on, ended),
     )
 
 
@@ -243,11 +252,12 @@ def _last(standing: Standing, rig: str) -> Turn | None:
     return max((t for t in mine if t.run_id), key=lambda t: str(_finished(standing, t)), default=None)
 
 
-def _came_to_nothing(standing: Standing, on: Turn | None, last: Run | None) -> bool:
-    """Whether the turn that is to be taken again had its run after what was measured last."""
+def _came_to_nothing(standing: Standing, rig: str, on: Turn | None, last: Run | None) -> bool:
+    """Whether the turn that is to be taken again had its run here, after what was measured last."""
     if on is None or on.state != "waiting" or on.run_id is None:
         return False
-    return last is None or standing.runs[on.run_id].created_at > last.created_at
+    run = standing.runs[on.run_id]
+    return run.rig == rig and (last is None or run.created_at > last.created_at)
 
 
 def _finished(standing: Standing, turn: Turn) -> datetime | None:

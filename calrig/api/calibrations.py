@@ -17,7 +17,7 @@ from calrig.api.callers import Who, requires
 from calrig.api.context import ApiContext, Context, KnownUnit
 from calrig.api.errors import problems
 from calrig.api.heavy import Heavy
-from calrig.api.models import Answer, Body, Extremes, Reason
+from calrig.api.models import Answer, Body, Extremes, Reason, ReasonIfAny
 from calrig.calibration.verdict import Verdict
 from calrig.store.issued import Revision, RevisionStatus
 
@@ -198,9 +198,12 @@ def list_revisions(unit: KnownUnit, context: Context) -> object:
     responses=problems(404, 409, 413, 422),
     summary="Put a revision in force",
 )
-def release(unit: KnownUnit, revision: Number, body: Reason, context: Context, who: Who) -> object:
+def release(
+    unit: KnownUnit, revision: Number, context: Context, who: Who, body: ReasonIfAny | None = None
+) -> object:
     """A draft, or a superseded one again; the one in force until now is superseded."""
-    released = context.issuer.release(unit.serial, revision, by=who, reason=body.reason)
+    reason = None if body is None else body.reason
+    released = context.issuer.release(unit.serial, revision, by=who, reason=reason)
     return context.issuer.listed([released])[0]
 
 

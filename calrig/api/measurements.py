@@ -14,7 +14,7 @@ from calrig.analysis.mounts import axis_of, labels_of, mount_columns
 from calrig.api.context import ApiContext, Context, KnownRun
 from calrig.api.errors import problems, problems_in_json
 from calrig.api.models import PoseAnswer
-from calrig.calibration.pose import Pose
+from calrig.calibration.pose import GYRO_MEANS, Pose
 from calrig.calibration.pose_errors import raw_error_deg
 from calrig.export.poses_csv import write_pose_batches
 from calrig.export.samples_csv import write_samples_csv, write_samples_npz
@@ -76,6 +76,7 @@ def _streamed(pieces: Iterator[AnyStr], media_type: str, name: str = "") -> Resp
 def _pose(stored: StoredPose, residual_deg: float | None, run: Run) -> dict[str, Any]:
     axis = axis_of(run)
     return {
+        **dict.fromkeys(GYRO_MEANS),
         **stored.pose.row(),
         **mount_columns(run.id, axis, stored.pose),
         "index": stored.index,

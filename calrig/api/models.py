@@ -58,6 +58,12 @@ class Reason(Body):
     reason: str
 
 
+class ReasonIfAny(Body):
+    """The same, where what is done may say enough."""
+
+    reason: str | None = None
+
+
 class Problem(Answer):
     """Every error; the header `Calrig-Fields` names places in the body: `plan.elevations_deg[1]`."""
 
@@ -246,6 +252,9 @@ class PoseAnswer(BaseModel):
     accel_z_g: float | None
     gyro_move_deg: float | None
     settle_s: float | None
+    gyro_x_dps: float | None = Field(description="Mean over the dwell, as of the other two axes.")
+    gyro_y_dps: float | None
+    gyro_z_dps: float | None
     mount: str = Field(description="Poses that share it were taken without the unit being touched.")
     mount_deg: float = Field(description="The angle at which the unit was clamped, nominally.")
     mount_axis: str = Field(description="Which of the unit's axes lay along the stage's.")

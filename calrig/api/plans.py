@@ -12,6 +12,7 @@ from starlette.concurrency import run_in_threadpool
 
 from calrig.analysis.errors import Invalid
 from calrig.analysis.limits import cannot_pass_on
+from calrig.analysis.stage_maps import kept_of
 from calrig.api.context import ApiContext, Context
 from calrig.api.errors import problems
 from calrig.api.heavy import ACCEPTED, Heavy, Wait
@@ -23,6 +24,7 @@ from calrig.runs.good_enough import goals_of
 from calrig.runs.plan_answers import answer
 from calrig.runs.plan_designs import Question, Wanted, question
 from calrig.runs.planned import estimate, grid_says
+from calrig.runs.reachable import require_reachable
 from calrig.runs.references import overdue_says
 from calrig.runs.wall_clock import wall_pace
 
@@ -63,10 +65,12 @@ def estimate_plan(body: PlanOnRig, context: Context) -> EstimateAnswer:
     last run which the rig completed.
     """
     rig = context.service.known_rig(body.rig)
-    said = estimate(body.plan, rig, context.store)
-    cannot = cannot_pass_on(rig, body.unit, body.plan, context.store, context.service.maps)
+    store, maps = context.store, context.service.maps
+    said = estimate(body.plan, rig, store)
+    require_reachable(body.plan, rig, body.unit, store, kept_of(store, rig.name, maps))
+    cannot = cannot_pass_on(rig, body.unit, body.plan, store, maps)
     warnings = [*overdue_says(rig), *grid_says(body.plan), *cannot]
-    wall_s = wall_pace(rig, context.store) * said.duration_s
+    wall_s = wall_pace(rig, store) * said.duration_s
     return EstimateAnswer(**asdict(said), wall_s=wall_s, warnings=warnings)
 
 

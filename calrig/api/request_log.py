@@ -10,10 +10,10 @@ from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from calrig.api.callers import caller_of
+from calrig.api.origin_check import HARMLESS
 
 log = logging.getLogger(__name__)
 
-READING = frozenset({"GET", "HEAD", "OPTIONS"})
 LOOKING = re.compile(r"/api/batches/[^/]+/look")
 """What a page asks for every few seconds, and changes nothing that is kept."""
 REFUSED = frozenset({401, 403})
@@ -42,7 +42,7 @@ class RequestLog:
         try:
             await self.app(scope, receive, noted)
         finally:
-            reads = scope["method"] in READING or LOOKING.fullmatch(scope["path"])
+            reads = scope["method"] in HARMLESS or LOOKING.fullmatch(scope["path"])
             if not reads or status in REFUSED or status >= 500:
                 _say(scope, status, time.monotonic() - began_s)
 

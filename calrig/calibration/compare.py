@@ -15,14 +15,6 @@ SECONDS_PER_DAY = 86_400.0
 
 
 @dataclass(frozen=True, slots=True)
-class Drift:
-    """Drift of a unit's bias with its standard error (None from two runs: a line through both)."""
-
-    deg_per_day: float
-    std_deg_per_day: float | None
-
-
-@dataclass(frozen=True, slots=True)
 class Components:
     """Standard deviations between units and within one; None where the runs do not tell."""
 
@@ -30,8 +22,8 @@ class Components:
     within: float | None
 
 
-def drift(finished_at: Sequence[datetime], bias_deg: Sequence[float]) -> Drift | None:
-    """Straight line of a unit's bias over the day its runs finished, by least squares.
+def drift_deg_per_day(finished_at: Sequence[datetime], bias_deg: Sequence[float]) -> float | None:
+    """Slope of a unit's bias over the day its runs finished, by least squares.
 
     Args:
         finished_at: when each run finished; all with or all without a time zone.
@@ -43,16 +35,11 @@ def drift(finished_at: Sequence[datetime], bias_deg: Sequence[float]) -> Drift |
     if len(finished_at) < 2 or max(finished_at) - min(finished_at) < SHORTEST_DRIFT:
         return None
     days = [(at - finished_at[0]).total_seconds() / SECONDS_PER_DAY for at in finished_at]
-    n = len(days)
-    mean_day, mean_bias = sum(days) / n, sum(bias_deg) / n
+    mean_day, mean_bias = sum(days) / len(days), sum(bias_deg) / len(days)
     # Plain floats: a unit has a few runs, for which numpy's calls would cost ten times the sums
     power = sum((day - mean_day) ** 2 for day in days)
     pairs = list(zip(days, bias_deg, strict=True))
-    slope = sum((day - mean_day) * (bias - mean_bias) for day, bias in pairs) / power
-    if n == 2:
-        return Drift(slope, None)
-    left = sum((bias - mean_bias - slope * (day - mean_day)) ** 2 for day, bias in pairs)
-    return Drift(slope, math.sqrt(left / (n - 2) / power))
+    return sum((day - mean_day) * (bias - mean_bias) for day, bias in pairs) / power
 
 
 def components(unit: Sequence[int], value: Sequence[float | None]) -> Components:

@@ -6,7 +6,7 @@ that did not serve to decide (confirmation).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -22,6 +22,7 @@ from calrig.calibration.model import model_columns
 from calrig.calibration.near_rivals import Rivals
 from calrig.calibration.noise_model import fit
 from calrig.calibration.pose import Pose
+from calrig.calibration.progress import Progress, unheard
 from calrig.calibration.responses import Responses, responses_of
 from calrig.calibration.run_changes import with_free_levels
 from calrig.calibration.search import Findings, search
@@ -50,7 +51,7 @@ def cross_validate(
     rng: np.random.Generator,
     rivals: Rivals | None = None,
     noises: Noises = MappingProxyType({}),
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = unheard,
 ) -> CrossValidation:
     """Predicts every pose once, by a search and a fit over the other folds; base on the same folds.
 
@@ -60,15 +61,14 @@ def cross_validate(
         rng: of the gate's bootstrap.
         rivals: what a search of all poses found, to be held against again in each fold.
         noises: what noise gained in that search: likelihood ratios, which know no pose's reading.
-        progress: is told the share of folds done after each.
+        progress: is told the share of folds done before each.
     """
     fold = folds_of(r)
     base = np.zeros(len(r))
     final = np.zeros(len(r))
     folds = int(fold.max()) + 1
     for k in range(folds):
-        if k and progress is not None:
-            progress(k / folds)
+        progress(k / folds)
         train, test = np.flatnonzero(fold != k), np.flatnonzero(fold == k)
         seen = r.rows(train)
         base[test] = errors_deg(r, (), fit(seen, seen.base).beta, test)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -20,6 +20,7 @@ from calrig.calibration.leave_one_out import standing_without_one
 from calrig.calibration.near_rivals import near_rivals
 from calrig.calibration.pose import Pose
 from calrig.calibration.pose_columns import complete
+from calrig.calibration.progress import Progress, unheard, within
 from calrig.calibration.report import effect_documents, model_words
 from calrig.calibration.responses import Responses, names_of, responses_of
 from calrig.calibration.search import Findings, search
@@ -57,7 +58,7 @@ def diagnose(
     seed: int = 0,
     bootstraps: int = BOOTSTRAPS,
     cross_fit: bool = True,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = unheard,
 ) -> Diagnosis:
     """Traces what bias and scale leave of the poses to the effects the model lacks.
 
@@ -84,7 +85,7 @@ def diagnose(
     blocks: tuple[Blocked, ...] = ()
     if cross_fit:
         of_kept = [c.rows(findings.kept) for c in candidates]
-        of_folds = None if progress is None else _after_the_first(progress)
+        of_folds = within(progress, 1.0 / (1.0 + FOLDS), 1.0)  # the search over all poses has been done
         rivals = near_rivals(findings.found)
         held_out = cross_validate(left, of_kept, rng, rivals, findings.noises, of_folds)
         predictive = not_predictive(left, findings.found, findings.fitted, of_kept)
@@ -94,16 +95,6 @@ def diagnose(
     said = warning_of(lack, found=bool(findings.found))
     warnings = (*outliers, *incomplete, *r.warnings, *([] if said is None else [said]))
     return Diagnosis(kept, findings, held_out, blocks, lack, warnings)
-
-
-def _after_the_first(progress: Callable[[float], None]) -> Callable[[float], None]:
-    """Of the searches in folds, told as a share of all searches, the one over all poses having been done."""
-
-    def of_folds(share: float) -> None:
-        progress((1.0 + share * FOLDS) / (1.0 + FOLDS))
-
-    of_folds(0.0)
-    return of_folds
 
 
 def _lack_of_fit(kept: Sequence[Sequence[Pose]], findings: Findings) -> LackOfFit:
@@ -223,7 +214,7 @@ def trace(
     plan: dict[str, Any] | None = None,
     limits_deg: tuple[float, float] | None = None,
     deciding: Sequence[int] | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = unheard,
 ) -> dict[str, Any]:
     """All of CONTRACT section 5: diagnosis, the run that would separate what is ambiguous, confirmation.
 

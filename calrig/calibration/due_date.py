@@ -29,14 +29,11 @@ class Forecast:
     """A straight line through a history, and until when it stays within its limits.
 
     Attributes:
-        drift_per_day, drift_std: with its standard error.
         due_day: days since the first run, of the last one or later; None where the forecast does not tell.
         why: in words.
         fits: whether the history lies on a line as well as its variances say (χ², 99 %).
     """
 
-    drift_per_day: float
-    drift_std: float
     due_day: float | None
     why: str
     fits: bool
@@ -92,11 +89,11 @@ def forecast(
               _leaves(limits[1] - level, -slope, level_var, slope_var, last))  # fmt: skip
     sooner = abs(slope) > SIGNIFICANT * std and due < last + interval_days
     if not (tells or sooner):
-        return Forecast(slope, std, None, "its history does not tell yet how it drifts", fits)
+        return Forecast(None, "its history does not tell yet how it drifts", fits)
     longest = last + max(LONGEST * interval_days, history)
     if due > longest:
-        return Forecast(slope, std, longest + centre, "no limit is reached as far as can be foreseen", fits)
-    return Forecast(slope, std, due + centre, "its drift may have reached a limit by then", fits)
+        return Forecast(longest + centre, "no limit is reached as far as can be foreseen", fits)
+    return Forecast(due + centre, "its drift may have reached a limit by then", fits)
 
 
 def _leaves(room: float, slope: float, level_var: float, slope_var: float, last: float) -> float:

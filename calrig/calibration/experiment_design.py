@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -16,6 +16,7 @@ from calrig.calibration.effects import covariate_of
 from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import NoiseModel, fit, stacked
 from calrig.calibration.pose import Pose
+from calrig.calibration.progress import Progress, unheard
 from calrig.calibration.ranking import SAME, Found
 from calrig.calibration.responses import Responses, responses_of
 from calrig.calibration.run_changes import with_free_levels
@@ -90,7 +91,7 @@ def design(
     findings: Findings,
     limits_deg: tuple[float, float],
     seed: int = 0,
-    progress: Callable[[float], None] = lambda _: None,
+    progress: Progress = unheard,
 ) -> FollowUp | str:
     """The follow-up run for a diagnosis, or the reason why no run on this rig would help.
 
@@ -240,7 +241,7 @@ def _greedy(
     trial: _Trial,
     limits_deg: tuple[float, float],
     rng: np.random.Generator,
-    progress: Callable[[float], None],
+    progress: Progress,
 ) -> list[float]:
     low, high = limits_deg
     step = (high - low) / (PLACES - 1)

@@ -24,6 +24,7 @@ __all__ = ["Gravity", "GravityError", "calibrate_by_gravity", "gravity_document"
 FEWEST_POSES = 9
 """Six unknowns, and something left to judge them by when one pose is left out."""
 BOOTSTRAPS = 999
+SEED = 0
 NEAR_1_G = (0.75, 1.25)
 MG = 1e3
 ALIKE = 0.2
@@ -61,7 +62,6 @@ def calibrate_by_gravity(
     time_s: FloatArray | None = None,
     gyro_dps: FloatArray | None = None,
     temperature_c: FloatArray | None = None,
-    seed: int = 0,
 ) -> Gravity:
     """Calibrates an accelerometer from a log in which it was laid down in many attitudes by hand.
 
@@ -69,8 +69,7 @@ def calibrate_by_gravity(
         accel_g: (N, 3) samples in g; rows that are not finite are left out.
         time_s: (N,) increasing.
         gyro_dps: (N, 3), helps to tell static from moving.
-        temperature_c: (N,).
-        seed: of the bootstrap.
+        temperature_c: (N,) °C.
 
     Raises:
         GravityError: no motion, too few static poses, poses that do not determine bias and scale, or values
@@ -84,11 +83,11 @@ def calibrate_by_gravity(
     poses = static_poses(accel_g[whole], time_s=kept[0], gyro_dps=kept[1], temperature_c=kept[2])
     lost = int((~whole).sum())
     said = (f"{lost} samples without all three axes were left out",) if lost else ()
-    return trace_gravity(poses, seed=seed, warnings=said)
+    return trace_gravity(poses, warnings=said)
 
 
 def trace_gravity(
-    poses: StaticPoses, *, seed: int = 0, bootstraps: int = BOOTSTRAPS, warnings: tuple[str, ...] = ()
+    poses: StaticPoses, *, bootstraps: int = BOOTSTRAPS, warnings: tuple[str, ...] = ()
 ) -> Gravity:
     """Fits bias and scale to static poses, then finds what they lack, with family-wise p-values.
 
@@ -96,7 +95,7 @@ def trace_gravity(
         GravityError: too few poses, or poses that do not determine bias and scale.
     """
     _refuse_what_determines_nothing(poses)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(SEED)
     problem = Problem.of(poses)
     base = fit_gravity(problem)
     final, found = search(problem, base, rng, bootstraps)

@@ -13,9 +13,8 @@ import numpy as np
 
 from calrig.calibration.effect import Origin
 from calrig.calibration.static_detector import BoolArray, GravityError, StaticPoses
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import AXES, FloatArray
 
-AXES = "xyz"
 MISALIGNMENT = "misalignment"
 BASE = 6
 LEAST_SIGHT = 0.05

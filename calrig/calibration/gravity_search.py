@@ -22,6 +22,7 @@ from calrig.calibration.gravity_model import (
     linearised,
     undetermined_pairs,
 )
+from calrig.calibration.ranking import MARGIN
 from calrig.estimation.angles import FloatArray
 
 FREEDOM = 3
@@ -30,8 +31,6 @@ WIDTH = 3
 """Parameters of every candidate: one for each axis or pair of axes."""
 LEVEL = 0.01
 BOOTSTRAPS_HELD_OUT = 499
-MARGIN = 6.0
-"""In −2 log likelihood, between a name and the next: as in the diagnosis of poses on a stage."""
 LEAST_FREEDOM_OF_A_POSE = 0.05
 SMALLEST = 1e-12
 LEAST_SHARE = 1e-7

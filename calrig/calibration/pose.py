@@ -27,14 +27,15 @@ KNOWN = (
 )
 COLUMNS = (*REQUIRED, *KNOWN)
 GYRO_MEANS = ("gyro_x_dps", "gyro_y_dps", "gyro_z_dps")
+"""Among the covariates: what each axis of the gyro says of the dwell."""
 GYRO_MOVES = ("gyro_move_x_deg", "gyro_move_y_deg", "gyro_move_z_deg")
-"""Among the covariates of poses of a run with mounts: what each axis of the gyro says of dwell and move."""
+"""Likewise, of a run with mounts: of the move into it."""
 MOUNT_DEG = "mount_deg"
 """Likewise: the angle at which the unit was clamped; 0 where it is not said."""
 HOST_TIME = "host_time_s"
 """Likewise: when the pose was taken by the host's clock, beside `time_s` by the board's."""
 OF_MOUNTS = (MOUNT_DEG, *GYRO_MEANS, *GYRO_MOVES)
-"""What no diagnosis of elevations looks into."""
+"""What no diagnosis of elevations looks into, though covariates in the store."""
 
 
 class DiagnosisError(ValueError):

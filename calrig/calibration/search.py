@@ -60,7 +60,6 @@ def search(
     rng: np.random.Generator,
     *,
     bootstraps: int,
-    level: float = LEVEL,
     decide_only: bool = False,
     rivals: Rivals | None = None,
     noises: Noises = MappingProxyType({}),
@@ -75,17 +74,16 @@ def search(
         candidates: of these poses (`candidates_of`).
         rng: of the gate's bootstrap.
         bootstraps: how many a step.
-        level: of the gate.
         decide_only: whether no p-value will be told.
         rivals: of each effect that a search of more poses found, the labels it is to be held against again.
         noises: what noise gained there.
     """
     judge = partial(gate, rng=rng, bootstraps=bootstraps, decide_only=decide_only)
     if len(r.run_ids) < 2:
-        return _beside_curves(r, candidates, judge, level, rivals, noises)
+        return _beside_curves(r, candidates, judge, rivals, noises)
     levels = [is_level(r, c.columns) for c in candidates]
     shapes = [c for c, of_level in zip(candidates, levels, strict=True) if not of_level]
-    judge = partial(judge, level=level / 2.0)
+    judge = partial(judge, level=LEVEL / 2.0)
     within = _search(with_free_levels(r), shapes, judge, rivals=rivals, noises=noises)
     kept = within.kept
     # what a place was scanned for shows within the runs or not at all
@@ -104,7 +102,6 @@ def _beside_curves(
     r: Responses,
     candidates: Sequence[Candidate],
     judge: Callable[..., Verdict],
-    level: float,
     rivals: Rivals | None,
     noises: Noises,
 ) -> Findings:
@@ -112,14 +109,14 @@ def _beside_curves(
 
     The better of the two stands, by likelihood with penalties, in the same poses.
     """
-    first = _search(r, candidates, partial(judge, level=AT_FIRST * level), rivals=rivals, noises=noises)
+    first = _search(r, candidates, partial(judge, level=AT_FIRST * LEVEL), rivals=rivals, noises=noises)
     r = r.rows(first.kept)
     free = with_free_curve(r)
     if free is None or not leaves_more(r, first.fitted.residuals[:, 0]):
         return first
     offered = [c.rows(first.kept) for c in candidates]
     others = [c for c in offered if not is_of_the_curve(c)]
-    judge = partial(judge, level=(1.0 - AT_FIRST) * level)
+    judge = partial(judge, level=(1.0 - AT_FIRST) * LEVEL)
     between = _search(free, others, judge, rivals=rivals, noises=noises)
     r, curves = r.rows(between.kept), [c.rows(between.kept) for c in offered if is_of_the_curve(c)]
     judge = partial(judge, noise=_noise_beside(between))

@@ -21,7 +21,7 @@ def concluded(store: Store, issuer: Issuer, run: Run, stored: Sequence[StoredPos
     poses, gyro = [one.pose for one in stored if one.excluded is None], gyro_of(run)
     if not poses:
         return None, None
-    if (run.plan or {}).get("kind") == "verification":
+    if run.kind == "verification":
         try:
             applied = active_calibration(store, run.unit, run.rig, run.provenance.get("verifies_revision"))
         except Conflict:  # it was verified by a revision that this store has never had

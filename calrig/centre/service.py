@@ -21,12 +21,12 @@ from calrig.plan import MountAxis, Plan
 from calrig.runs.bus import Bus
 from calrig.runs.errands import Errand, Errands
 from calrig.runs.follow_up import Designed, FollowUpQuestion
-from calrig.runs.good_enough import require_a_reference
 from calrig.runs.look import Look
 from calrig.runs.meter import Meter
 from calrig.runs.new_run import NewRun, rig_followed_up_on
 from calrig.runs.ordered import order_part
 from calrig.runs.planned import planned_poses
+from calrig.runs.reachable import require_reachable
 from calrig.runs.rig_states import RigState
 from calrig.runs.stopping import BY_REQUEST
 from calrig.settings import RigSettings
@@ -129,8 +129,9 @@ class CentreService:
 
     def _order(self, on: BenchRig, wanted: NewRun, *, waits: bool = False) -> Run:
         planned = planned_poses(wanted.plan, on.settings)
-        require_a_reference(wanted.plan, on.settings, self.store)
         wanted = wanted.as_of_now(self.store, on.settings.name, self.maps)
+        in_force = wanted.origin.get("stage_map")
+        require_reachable(wanted.plan, on.settings, wanted.unit, self.store, in_force)
         if on.is_offline and not waits:
             said = f"rig {on.settings.name!r}: bench {on.bench.name} {seen(on.bench)}"
             raise Conflict(f'{said}: ask with "queue": true to wait until it is there')

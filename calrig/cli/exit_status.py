@@ -24,6 +24,7 @@ STATUS = {
     "calrig.api.access.AccessError": 2,
 }
 """Exit status by kind of error; by name, for importing them all would take a second to say one line."""
+ASK_IT = ", or ask it by --server http://HOST:PORT"
 
 
 class Commands(Listed):
@@ -33,8 +34,7 @@ class Commands(Listed):
         """Carries a command out."""
         try:
             done = super().invoke(ctx)
-            if sys.stdout:  # none where the shell has closed it
-                sys.stdout.flush()
+            sys.stdout.flush()
             return done
         except KeyboardInterrupt as left:
             _leave("; ".join(["interrupted", *getattr(left, "__notes__", [])]), 1)
@@ -46,7 +46,13 @@ class Commands(Listed):
             status = _exit_status(error)
             if status is None:
                 raise
-            _leave(str(error), status)
+            _leave(f"{error}{self._or_ask(ctx, error)}", status)
+
+    def _or_ask(self, ctx: Any, error: Exception) -> str:
+        """What else helps where a service holds the store that a command with `--server` wants to write."""
+        command = self.get_command(ctx, ctx.invoked_subcommand or "")
+        may_ask = command is not None and any(option.name == "server" for option in command.params)
+        return ASK_IT if may_ask and getattr(error, "is_served", False) else ""
 
 
 def _leave(reason: str, status: int) -> NoReturn:

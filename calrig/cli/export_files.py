@@ -111,7 +111,7 @@ def export_all(folder: Path, db: str | None) -> None:
         def pieces() -> Iterator[PackedPoses]:
             nonlocal n_poses
             n_runs = 0
-            for piece in store.packed_poses(runs):
+            for piece in store.packed_poses(runs, with_gyro=True):
                 yield piece
                 n_runs, n_poses = n_runs + len(piece), n_poses + int(piece.first[-1])
                 show(n_runs / len(runs))

@@ -82,6 +82,7 @@ def local_service(
                     f"--db: {shown(url)} is a centre's, whose benches carry runs out: start the run at the "
                     "centre's page, or at the bench of the rig"
                 )
+            require_drivers(settings, rigs)
             maps = configured_maps(settings)
             configured, troubles = {rig.name: rig for rig in settings.rig}, dict[str, str]()
 
@@ -97,6 +98,20 @@ def local_service(
         service = RunService(store, powered, record, issuer, maps)
         stack.callback(service.close)
         yield service
+
+
+def require_drivers(settings: Settings, rigs: Sequence[RigSettings]) -> None:
+    """Raises InputError where a rig names a driver that there is none of."""
+    from calrig.instruments.drivers import require_known
+    from calrig.instruments.errors import InstrumentError
+
+    for rig in rigs:
+        if rig.stage is None or rig.imu is None:  # a simulated one, which knows its own
+            continue
+        try:
+            require_known(rig.stage.driver, rig.imu.driver)
+        except InstrumentError as error:
+            raise InputError(f"{settings.file}: rig {rig.name!r}: {error}") from error
 
 
 @contextmanager

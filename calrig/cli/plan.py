@@ -148,7 +148,7 @@ def _poses(plan: dict[str, Any]) -> str:
 
 
 def _print(document: dict[str, Any]) -> None:
-    from calrig.cli.printing import number, print_line, print_table
+    from calrig.cli.printing import number, print_sentence, print_table
 
     expected: dict[str, Any] = document["expected"]
     limit: dict[str, Any] | None = document["limit"]
@@ -174,5 +174,5 @@ def _print(document: dict[str, Any]) -> None:
     if shown:
         print_table(("detected with power 80 %", "residual, RMS", "parameter"), shown)
     for sentence in document["says"]:
-        print_line(f"· {sentence}")
-    print_line("calrig plan … --json has the plan; calrig run --plan FILE.json takes its `plan`.")
+        print_sentence(f"· {sentence}")
+    print_sentence("To run it: calrig plan … --json > plan.json; calrig run --unit SERIAL --plan plan.json")

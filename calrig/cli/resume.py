@@ -45,7 +45,7 @@ def resume(
     from calrig.analysis.stored_runs import stored_run
     from calrig.cli.local_service import local_service
     from calrig.cli.run import rig_named
-    from calrig.cli.run_here import RunHere
+    from calrig.cli.run_here import RunHere, ends_told_once
     from calrig.settings import load_settings, store_url
     from calrig.store import Store
 
@@ -53,5 +53,5 @@ def resume(
     with Store.open(url, writer=None) as store:
         run = stored_run(store, whole_id(store, run_id))
     rigs = () if run.rig is None else (rig_named(settings, run.rig),)  # an imported one is refused in words
-    with local_service(url, "resume", rigs, settings, record) as service:
+    with ends_told_once(), local_service(url, "resume", rigs, settings, record) as service:
         carry_out(lambda: RunHere(service, service.resume(run.id)), run.unit, as_json=as_json)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from calrig.cli.local_service import require_drivers
 from calrig.cli.options import Config, Db, Json, Server
 from calrig.cli.running_service import running_service
 
@@ -57,6 +58,7 @@ def _here(config: str | None, scan: bool) -> dict[str, Any]:
     from calrig.settings import load_settings
 
     settings = load_settings(config)
+    require_drivers(settings, settings.rig)
     shown: dict[str, Any] = {"rigs": [_configured(rig) for rig in settings.rig]}
     if scan:
         from dataclasses import asdict

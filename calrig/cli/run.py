@@ -59,12 +59,12 @@ def run(
 
     from calrig.analysis.limits import cannot_pass_on
     from calrig.cli.local_service import local_service
-    from calrig.cli.run_here import RunHere
+    from calrig.cli.run_here import RunHere, ends_told_once
     from calrig.settings import load_settings, store_url
 
     settings = load_settings(config)
     chosen = rig_named(settings, rig)
-    with local_service(store_url(db), "run", (chosen,), settings, record) as service:
+    with ends_told_once(), local_service(store_url(db), "run", (chosen,), settings, record) as service:
         _warn(cannot_pass_on(chosen, unit, the_plan, service.store, service.maps))
         start = partial(
             service.start, unit=unit, rig=chosen.name, plan=the_plan, operator=operator, note=note

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, cast
 
 from calrig.cli.followed import LOOK_S, Refusal
+from calrig.errors import WorkError
 
 if TYPE_CHECKING:
     from calrig.plan import MountAxis
@@ -62,19 +64,32 @@ class RunHere:
 
 
 class RunElsewhere:
-    """A run that another program carries out into the same file; as `calrig.cli.followed.Watched`."""
+    """A run that another program carries out into the same file; as `calrig.cli.followed.Watched`.
 
-    def __init__(self, store: Store, run: Run) -> None:
+    `is_written` tells whether a program writes to that file.
+    """
+
+    def __init__(self, store: Store, run: Run, is_written: Callable[[], bool]) -> None:
         self.id, self.is_over = run.id, False
         self.status, self.progress = str(run.status), dict(run.progress)
-        self._store, self._seen = store, 0
+        self._store, self._seen, self._is_written = store, 0, is_written
 
     def news(self) -> Sequence[Event]:
-        """Events since the last look."""
+        """Events since the last look.
+
+        Raises:
+            WorkError: nobody carries it out any more.
+        """
         from calrig.analysis.stored_runs import stored_run
         from calrig.store import AT_REST
 
+        is_written = self._is_written()  # before the run is read: who has ended it may be gone
         run = stored_run(self._store, self.id)
+        if run.status not in AT_REST and not is_written:
+            raise WorkError(
+                f"run {self.id} is {run.status} in the store, and no program is there that carries it out; "
+                f"`calrig resume {self.id}` goes on with it"
+            )
         events = self._store.events_after(self.id, self._seen)
         self._seen = events[-1].seq if events else self._seen
         self.status, self.progress = str(run.status), dict(run.progress)
@@ -95,6 +110,18 @@ def document_of(run: Run) -> dict[str, Any]:
     from calrig.api.models import RunAnswer
 
     return RunAnswer.model_validate(run).model_dump(mode="json")
+
+
+@contextmanager
+def ends_told_once() -> Iterator[None]:
+    """Keeps the log from telling how a run ends: where there is a terminal, the command does."""
+    log = logging.getLogger("calrig.runs.recorder")
+    before = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
 
 
 @contextmanager

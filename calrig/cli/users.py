@@ -8,6 +8,7 @@ from urllib.parse import quote
 
 import typer
 
+from calrig.cli.exit_status import ASK_IT
 from calrig.cli.help_listing import Listed
 from calrig.cli.options import Db, Json, Server
 from calrig.errors import WorkError
@@ -139,9 +140,7 @@ def _store(db: str | None) -> Store:
     try:
         return Store.open(store_url(db), writer="users")
     except Taken as error:
-        if "--server" in str(error):
-            raise
-        raise WorkError(f"{error}; or ask a service that holds it: --server http://HOST:PORT") from error
+        raise WorkError(f"{error}{ASK_IT}") from error
 
 
 def _path(name: str) -> str:

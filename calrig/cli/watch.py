@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -34,9 +35,20 @@ def watch(run_id: RunId, as_json: Json = False, db: Db = None, server: Server = 
     from calrig.settings import store_url
     from calrig.store import Store
 
-    with Store.open(store_url(db), writer=None) as store:
+    url = store_url(db)
+    with Store.open(url, writer=None) as store:
         run = stored_run(store, whole_id(store, run_id))
-        _watch(RunElsewhere(store, run), run.unit, as_json=as_json)
+        is_written = _is_written(url)
+        _watch(RunElsewhere(store, run, is_written), run.unit, as_json=as_json)
+
+
+def _is_written(url: str) -> Callable[[], bool]:
+    """What tells whether a program writes to a store; to a centre's any number may."""
+    from calrig.store.engines import is_centre
+    from calrig.store.sqlite.database import database_path
+    from calrig.store.sqlite.lock import living_writer
+
+    return lambda: is_centre(url) or living_writer(database_path(url)) is not None
 
 
 def _watch(run: Watched, unit: str, *, as_json: bool) -> None:

@@ -24,6 +24,8 @@ def wrap_deg(angle_deg: float | FloatArray) -> float | FloatArray:
 
 
 AXES = "xyz"
+STANDARD_GRAVITY_MPS2 = 9.80665
+"""1 g (3rd CGPM, 1901)."""
 
 
 def along_axis(vectors: FloatArray, axis: str) -> FloatArray:

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.application import Application
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import AXES, STANDARD_GRAVITY_MPS2, FloatArray
 from calrig.export.cells import Cells, CsvError
 from calrig.export.csv_table import Table, read_rows, there_are
 from calrig.export.log_table import header_of
@@ -21,10 +21,8 @@ from calrig.export.pieces import pieces_of
 
 READING, TEMPERATURE = "reading_deg", "temperature_c"
 ADDED = ("elevation_deg", "elevation_std_deg")
-AXES = "xyz"
-STANDARD_GRAVITY_MPS2 = 9.80665
-"""What an acceleration is divided by, by the unit in its column's name."""
 UNITS = {"g": 1.0, "mps2": STANDARD_GRAVITY_MPS2}
+"""What an acceleration is divided by, by the unit in its column's name."""
 Triple = tuple[int | None, int, int]
 """Places of x (None where it is not there), y and z."""
 NAMES = {READING, TEMPERATURE, *(f"accel_{axis}_{unit}" for axis in AXES for unit in UNITS)}

@@ -16,9 +16,9 @@ from calrig.calibration.result import Result
 from calrig.calibration.stage_reference import in_words
 from calrig.calibration.uncertainty import Reference, uncertainty
 from calrig.estimation.angles import FloatArray
+from calrig.export.calibration_file import SCHEMA
 from calrig.store.records import AcceptedEffect, Document
 
-SCHEMA = "calrig.calibration/2"
 MODEL = "elevation = (reading − bias − effects)/scale"
 
 

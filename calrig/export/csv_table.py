@@ -46,7 +46,6 @@ def read_tables(
     data: bytes,
     required: Sequence[str],
     *,
-    max_rows: int = MAX_ROWS,
     progress: Callable[[float], None] | None = None,
 ) -> Iterator[Table]:
     """Reads UTF-8 CSV with a header row; BOM, CRLF and blank lines are accepted.
@@ -72,9 +71,9 @@ def read_tables(
     n = 0
     for table in _batches(rows, header, line, dialect):
         n += len(table.rows)
-        if n > max_rows:
-            at = table.lines[len(table.rows) - (n - max_rows)]
-            raise CsvError(f"the file has more than {max_rows} rows", line=at)
+        if n > MAX_ROWS:
+            at = table.lines[len(table.rows) - (n - MAX_ROWS)]
+            raise CsvError(f"the file has more than {MAX_ROWS} rows", line=at)
         if n * len(header) > MAX_CELLS:
             at = table.lines[MAX_CELLS // len(header) - (n - len(table.rows))]
             raise CsvError(f"the file has more than {MAX_CELLS} cells", line=at)

@@ -55,21 +55,6 @@ def write_poses(folder: Path, pieces: Iterable[PackedPoses]) -> list[Path]:
     return written
 
 
-def read_poses(source: Path) -> Iterator[PackedPoses]:
-    """The runs of a Parquet file or of those in a folder, some at a time, each whole.
-
-    Args:
-        source: as `write_poses` made it, or with at least `run_id`, `target_deg` and `reading_deg`, the poses
-            of a run one after the other, none of them in two files. Every numeric column is read.
-
-    Raises:
-        InputError: there is no such file, or it is none of those.
-        WorkError: pyarrow is not installed.
-    """
-    for file in parquet_files(source):
-        yield from read_file(file)
-
-
 def parquet_files(source: Path) -> list[Path]:
     """The files of a folder in the order of their names, or the file itself; InputError without any."""
     files = sorted(source.glob("*.parquet")) if source.is_dir() else [source]
@@ -79,7 +64,16 @@ def parquet_files(source: Path) -> list[Path]:
 
 
 def read_file(file: Path) -> Iterator[PackedPoses]:
-    """The runs of one file; as `read_poses`."""
+    """The runs of a Parquet file, some at a time, each whole.
+
+    Args:
+        file: as `write_poses` made it, or with at least `run_id`, `target_deg` and `reading_deg`, the poses
+            of a run one after the other, none of them in another file. Every numeric column is read.
+
+    Raises:
+        InputError: it is no such file.
+        WorkError: pyarrow is not installed.
+    """
     pa = _pyarrow()
     from pyarrow import parquet
 

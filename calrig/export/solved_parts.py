@@ -20,7 +20,8 @@ from calrig.calibration.joint.three_axis_solution import ThreeAxisSolution
 from calrig.calibration.stage_reference import MAP_SCHEMA
 from calrig.canonical_json import with_sha256
 from calrig.estimation.angles import FloatArray, wrap_deg
-from calrig.export.calibration_json import MODEL, SCHEMA
+from calrig.export.calibration_file import SCHEMA
+from calrig.export.calibration_json import MODEL
 
 Solved = Solution | ThreeAxisSolution
 

@@ -9,18 +9,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import AXES, STANDARD_GRAVITY_MPS2, FloatArray
 from calrig.export.cells import CsvError
 from calrig.export.csv_table import there_are
 from calrig.export.log_table import LogTable, read_log_table
 
-STANDARD_GRAVITY_MPS2 = 9.80665
 COUNTS = 32768
 """Full scale of a register of 16 bits is the range (CONTRACT section 3.1)."""
 MAX_SAMPLES = 20_000_000
 """More than a day at 200 Hz."""
 MAX_BYTES = 1_500_000_000
-AXES = "xyz"
 TIME, TEMPERATURE = "time_s", "temperature_c"
 _SENSOR = re.compile(r"(accel|gyro)_([xyz])_(g|mps2|dps|rps|lsb)")
 _UNITS = {"accel": ("g", "mps2", "lsb"), "gyro": ("dps", "rps", "lsb")}

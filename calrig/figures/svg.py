@@ -17,6 +17,8 @@ FONT = "font-family='Libertinus Serif, DejaVu Serif, serif' font-size='11'"
 INK = "#24292f"
 LEFT, RIGHT, TOP, BOTTOM = 62.0, 10.0, 34.0, 40.0
 """Margins, in the picture's own units."""
+WIDTH, BAND = 680.0, 110.0
+"""Of the picture; the height that each y axis gets."""
 MARKS = {
     "triangle-up": ((0.0, -1.1), (1.0, 0.7), (-1.0, 0.7)),
     "triangle-down": ((0.0, 1.1), (1.0, -0.7), (-1.0, -0.7)),
@@ -25,16 +27,16 @@ MARKS = {
 _PLAIN = ("&lt;", "<"), ("&gt;", ">"), ("&amp;", "&")
 
 
-def svg_of(figure: Figure, width: float = 680.0, band: float = 110.0) -> str:
-    """The picture; `band` is the height that each y axis gets.
+def svg_of(figure: Figure) -> str:
+    """The picture.
 
     Raises:
         ValueError: a trace is not one of markers.
     """
     layout = figure["layout"]
     axes = {key: value for key, value in layout.items() if key.startswith("yaxis")}
-    height = TOP + BOTTOM + band * len(axes)
-    frame = (LEFT, width - RIGHT, TOP, height - BOTTOM)
+    height = TOP + BOTTOM + BAND * len(axes)
+    frame = (LEFT, WIDTH - RIGHT, TOP, height - BOTTOM)
     traces = figure["data"]
     if any(trace.get("mode") != "markers" for trace in traces):
         raise ValueError("only figures of points are drawn as SVG")
@@ -47,7 +49,7 @@ def svg_of(figure: Figure, width: float = 680.0, band: float = 110.0) -> str:
     body += _annotations(layout.get("annotations", ()), frame)
     body += _legend(traces, frame)
     return (
-        f"<svg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 {width:g} {height:g}' width='{width:g}' "
+        f"<svg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 {WIDTH:g} {height:g}' width='{WIDTH:g}' "
         f"height='{height:g}' {FONT}>{''.join(body)}</svg>\n"
     )
 

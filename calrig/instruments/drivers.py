@@ -89,13 +89,24 @@ def known_devices() -> list[AnyDevice]:
     return devices
 
 
-def _offered(kind: str, driver: str, built_in: Mapping[str, AnyDevice]) -> object:
-    """What opens a device that another package offers."""
+def require_known(stage: str, board: str) -> None:
+    """Raises InstrumentError where there is no stage driver, or no board driver, of a name; opens nothing."""
+    for kind, driver, built_in in (("stage", stage, STAGES), ("board", board, BOARDS)):
+        if driver not in built_in:
+            _entry(kind, driver, built_in)
+
+
+def _entry(kind: str, driver: str, built_in: Mapping[str, AnyDevice]) -> EntryPoint:
     offered = entry_points(group=f"calrig.{kind}s")
     if driver not in offered.names:
         known = ", ".join(sorted({*built_in, *offered.names}))
         raise InstrumentError(f"no {kind} driver is called {driver!r}; there are: {known}")
-    loaded = _load(kind, offered[driver])
+    return offered[driver]
+
+
+def _offered(kind: str, driver: str, built_in: Mapping[str, AnyDevice]) -> object:
+    """What opens a device that another package offers."""
+    loaded = _load(kind, _entry(kind, driver, built_in))
     return loaded.opens if isinstance(loaded, StageDevice | BoardDevice) else loaded
 
 

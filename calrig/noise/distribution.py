@@ -46,7 +46,6 @@ class Distribution:
         skewness, kurtosis: third and fourth standardised moment, the latter less a Gaussian's 3.
         gaussian: whether a Gaussian fits at 1 %; None where nothing can be said.
         p_value: of the test; None where `gaussian` is.
-        undecided: why there is no verdict, one sentence; None where there is one.
         outliers: samples further out than chance and the channel's slow course would have them.
         step: what the values are multiples of; 0 where there is no telling.
         edges: (B + 1,) of the histogram's bins, each of a whole number of steps.
@@ -59,7 +58,6 @@ class Distribution:
     kurtosis: float
     gaussian: bool | None
     p_value: float | None
-    undecided: str | None
     outliers: int
     step: float
     edges: FloatArray
@@ -83,7 +81,7 @@ def distribution_of(x: FloatArray) -> Distribution:
         skewness = float(squares @ centred) / (len(x) * std**3)
         kurtosis = float(squares @ squares) / (len(x) * variance**2) - 3.0
     del squares
-    p_value, undecided = _verdict(centred, mean, std, step, skewness, kurtosis)
+    p_value = _p_value(centred, mean, std, step, skewness, kurtosis)
     edges, counts = _histogram(x, std, step)
     return Distribution(
         mean=mean,
@@ -92,7 +90,6 @@ def distribution_of(x: FloatArray) -> Distribution:
         kurtosis=kurtosis,
         gaussian=None if p_value is None else p_value >= SIGNIFICANCE,
         p_value=p_value,
-        undecided=undecided,
         outliers=count_outliers(x, step),
         step=step,
         edges=edges,
@@ -115,24 +112,19 @@ def step_of(x: FloatArray) -> float:
     return float(gaps.sum() / whole.sum())
 
 
-def _verdict(
+def _p_value(
     centred: FloatArray, mean: float, std: float, step: float, skewness: float, kurtosis: float
-) -> tuple[float | None, str | None]:
-    """The p-value of a Gaussian, or why there is none."""
-    if std == 0.0:
-        return None, "All values are the same."
-    if step > COARSEST * std:
-        return None, f"Steps of {step:.3g} are too coarse for a standard deviation of {std:.3g}."
+) -> float | None:
+    """The p-value of a Gaussian; None of values in coarse steps, and of few independent ones (a drift)."""
+    if std == 0.0 or step > COARSEST * std:
+        return None
     third, fourth = effective_sample_sizes(centred)
     if fourth < FEWEST_INDEPENDENT or third < FEWEST_INDEPENDENT:
-        return (
-            None,
-            f"The samples are worth about {third:.0f} independent ones only, as in a log that drifts.",
-        )
+        return None
     expected = _rounded_gaussian(mean, std, step) if step > 0.0 else (0.0, 0.0)
     z3 = _skewness_score(skewness - expected[0], third)
     z4 = _kurtosis_score(kurtosis - expected[1], fourth)
-    return math.exp(-0.5 * (z3 * z3 + z4 * z4)), None
+    return math.exp(-0.5 * (z3 * z3 + z4 * z4))
 
 
 def _rounded_gaussian(mean: float, std: float, step: float) -> tuple[float, float]:

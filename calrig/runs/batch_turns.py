@@ -17,6 +17,7 @@ Word = Literal["pass", "fail", "done"]
 TRIES = 2
 """Turns that a unit which fails has in a list, follow-ups not counted."""
 POOR = ("fail", "conditional_fail")
+OVER = ("done", "failed", "removed")
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +35,11 @@ class Settled:
     written: list[Turn]
     on: dict[str, Turn | None]
     then: dict[str, Turn | None]
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether every unit has had all its turns."""
+        return all(turn.state in OVER for turn in self.turns)
 
 
 def settled(turns: Sequence[Turn], runs: Mapping[str, Run], rigs: Sequence[str], failed: Failed) -> Settled:
@@ -93,14 +99,19 @@ def _ended(turn: Turn, run: Run) -> Turn:
 
 
 def _on(turns: Sequence[Turn], rigs: Sequence[str]) -> dict[str, Turn | None]:
-    """Each rig's turn: under way, come to nothing before, a follow-up, kept for it, else the next."""
+    """Each rig's turn: under way, come to nothing before, a follow-up, kept for it, else the next.
+
+    A rig that is left without any has what is kept for another one that has something else before it.
+    """
     on: dict[str, Turn | None] = {}
     for rig in rigs:
         mine = [
             turn for turn in turns if turn.rig == rig and turn.state in ("running", "waiting", "follow_up")
         ]
         on[rig] = min(mine, key=_urgency, default=None)
-    return _filled(on, turns)
+    on = _filled(on, turns)
+    taken = {turn.position for turn in on.values() if turn is not None}
+    return _filled(on, [replace(turn, rig=None) for turn in turns if turn.position not in taken])
 
 
 def _kept(turns: Sequence[Turn], rigs: Sequence[str]) -> dict[str, Turn | None]:

@@ -2,31 +2,31 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
 from functools import lru_cache
+from threading import Lock
 
 from calrig.analysis.errors import Conflict, Invalid, Unknown
-from calrig.analysis.origin import check_serial
 from calrig.plan import Plan
 from calrig.processes.pool import Apart
+from calrig.runs.batch_serials import MOST_UNITS, checked
 from calrig.runs.batch_turns import Settled, settled
 from calrig.runs.mounting import Mount
 from calrig.runs.planned import planned_poses
 from calrig.runs.services import Service
 from calrig.store import Run
 from calrig.store.batches import Batch, Turn
-from calrig.store.errors import ChangedMeanwhile
+from calrig.store.errors import ChangedMeanwhile, Refused, StoreError
 
-MOST_UNITS = 2000
 AT_ONCE = 20
 """How often a list is read again where others write it at the same moment."""
-NAMES = ("unit", "serial", "serial number", "serial_number", "sn")
-"""Headings over the serials of a table."""
+FINISHED = timedelta(hours=1)
+"""How long a list stays open after its last unit: for what is found at the bottom of the box."""
+QUIET = timedelta(hours=8)
+"""After so long without a run a list that has units left takes no further ones: it is another day's."""
 REMEMBERED = 4096
 """Runs that have ended, which a look at a list need not read again."""
 
@@ -45,13 +45,26 @@ class Standing:
         plan = Plan.model_validate(self.batch.document["plan"])
         return Mount(plan.mounts_deg[0], plan.mount_axis)
 
+    @property
+    def active_at(self) -> datetime:
+        """When the list was made, or a run of it began or ended last."""
+        ran = [run.finished_at or run.created_at for run in self.runs.values()]
+        return max([self.batch.created_at, *ran])
+
+    def takes_units(self, now: datetime) -> bool:
+        """Whether units may be added."""
+        is_running = any(turn.state == "running" for turn in self.now.turns)
+        return self.batch.closed_at is None and (is_running or now - self.active_at < QUIET)
+
 
 class RunBatches:
     """The lists of a service. Thread-safe."""
 
-    def __init__(self, service: Service) -> None:
-        self._service, self._store = service, service.store
+    def __init__(self, service: Service, now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> None:
+        self._service, self._store, self._now = service, service.store, now
         self._ended_run = lru_cache(REMEMBERED)(service.run)
+        self._lock = Lock()
+        self._in_design: set[tuple[str, str]] = set()
 
     def make(
         self,
@@ -85,9 +98,11 @@ class RunBatches:
 
     def add(self, batch_id: str, units: Sequence[str]) -> list[str]:
         """Adds units at the end; gives those that the list has already. Errors as of `make` and the store."""
-        serials = checked(units)
-        if len(self.standing(batch_id).now.turns) + len(serials) > MOST_UNITS:
+        serials, standing = checked(units), self.standing(batch_id)
+        if len(standing.now.turns) + len(serials) > MOST_UNITS:
             raise Invalid(f"a list has at most {MOST_UNITS} units: make another one", ["units"])
+        if standing.batch.closed_at is None and not standing.takes_units(self._now()):
+            raise Conflict("this list is another day's: measure a unit of it first, or make another list")
         self._write(batch_id)
         return self._store.add_turns(batch_id, serials)
 
@@ -118,7 +133,8 @@ class RunBatches:
             raise Conflict(f"this list is not for rig {rig!r}")
         turn = _waiting(standing, unit)
         if turn.state == "follow_up":
-            run = self._follow_up(standing, turn, apart, who)
+            with self._designing(batch_id, unit):
+                run = self._follow_up(standing, turn, apart, who)
         else:
             run = self._service.start(
                 unit=unit,
@@ -131,7 +147,10 @@ class RunBatches:
 
         def begun(now: Standing) -> list[Turn]:
             under_way = replace(_waiting(now, unit), state="running", rig=run.rig, run_id=run.id, why=None)
-            return [under_way, *_kept(now.now, rig, under_way)]
+            shown, own = dict(now.now.on), now.now.on[rig]
+            if own is None or own.position == under_way.position:
+                shown[rig] = now.now.then[rig]
+            return [*_kept(shown), under_way]
 
         try:
             self._write(batch_id, begun)
@@ -139,6 +158,21 @@ class RunBatches:
             self._service.abort(run.id)  # nobody would know that it belongs to the list
             raise
         return run
+
+    def is_in_design(self, batch_id: str, unit: str) -> bool:
+        """Whether the run that tells why a unit fails is being designed by this program."""
+        return (batch_id, unit) in self._in_design
+
+    @contextmanager
+    def _designing(self, batch_id: str, unit: str) -> Iterator[None]:
+        with self._lock:
+            if self.is_in_design(batch_id, unit):
+                raise Conflict(f"{unit}: its next run is being designed")
+            self._in_design.add((batch_id, unit))
+        try:
+            yield
+        finally:
+            self._in_design.discard((batch_id, unit))
 
     def _follow_up(self, standing: Standing, turn: Turn, apart: Apart, who: str | None) -> Run:
         assert turn.run_id is not None  # noqa: S101 (of a follow-up)
@@ -155,10 +189,16 @@ class RunBatches:
             raise Conflict(f"{turn.unit}: {why}") from error
 
     def look(self, batch_id: str) -> Standing:
-        """Has the boards of idle rigs looked at: whether the unit asked for is there. Moves nothing."""
+        """Has the boards of idle rigs looked at: whether the unit asked for is there. Moves nothing.
+
+        Who looks is about to mount what he is shown: it is kept for that rig from now on.
+        """
         standing = self.standing(batch_id)
         if standing.batch.closed_at is not None:
             return standing
+        if _kept(standing.now.on):
+            with suppress(Refused):  # somebody else writes: the next look does
+                self._write(batch_id, lambda now: _kept(now.now.on))
         for rig, turn in standing.now.on.items():
             if turn is not None and turn.state != "running":
                 with suppress(Unknown, Conflict):  # a rig that is no more shows as offline
@@ -167,11 +207,28 @@ class RunBatches:
 
     def close(self, batch_id: str) -> None:
         """Ends a list; what is under way goes on."""
-        self._write(batch_id)
-        self._store.close_batch(batch_id)
+        self._write(batch_id, closed_at=self._now())
+
+    def listed(self) -> list[tuple[Batch, bool]]:
+        """The lists made last, the newest first; and of each whether units may be added."""
+        lists = []
+        for batch in self._store.batches():
+            standing = None if batch.closed_at is not None else self.standing(batch.id)
+            now = (batch, False) if standing is None else (standing.batch, standing.takes_units(self._now()))
+            lists.append(now)
+        return lists
 
     def standing(self, batch_id: str) -> Standing:
-        """How a list stands now; changes nothing."""
+        """How a list stands now. One that was finished a while ago is closed by whoever asks first."""
+        standing = self._read(batch_id)
+        closed_at = standing.active_at + FINISHED
+        if standing.batch.closed_at is None and standing.now.is_finished and closed_at <= self._now():
+            with suppress(StoreError):  # the next who asks does
+                self._store.write_turns(batch_id, standing.batch.turns, standing.now.written, closed_at)
+            standing = self._read(batch_id)
+        return standing
+
+    def _read(self, batch_id: str) -> Standing:
         batch = self._store.batch(batch_id)
         runs = {turn.run_id: self._run(turn) for turn in batch.turns if turn.run_id is not None}
         document = batch.document
@@ -182,7 +239,12 @@ class RunBatches:
         assert turn.run_id is not None  # noqa: S101 (as asked for)
         return self._service.run(turn.run_id) if turn.state == "running" else self._ended_run(turn.run_id)
 
-    def _write(self, batch_id: str, changed: Callable[[Standing], Iterable[Turn]] = lambda _: ()) -> None:
+    def _write(
+        self,
+        batch_id: str,
+        changed: Callable[[Standing], Iterable[Turn]] = lambda _: (),
+        closed_at: datetime | None = None,
+    ) -> None:
         """Writes what has become of the turns, and those that `changed` gives of how the list stands.
 
         Where somebody else writes at the same moment, at another rig or with a scanner, it is done anew.
@@ -192,70 +254,12 @@ class RunBatches:
             written = (*standing.now.written, *changed(standing))
             by_position = {turn.position: turn for turn in written}
             try:
-                self._store.write_turns(batch_id, standing.batch.turns, by_position.values())
+                self._store.write_turns(batch_id, standing.batch.turns, by_position.values(), closed_at)
             except ChangedMeanwhile:
                 if not left:
                     raise
             else:
                 return
-
-
-def checked(units: Sequence[str]) -> list[str]:
-    """Serials without blanks around them, each once, lines without any left out.
-
-    Raises:
-        Invalid: none is left, or too many; or one is no serial, and which.
-    """
-    serials = list(dict.fromkeys(unit.strip() for unit in units if unit.strip()))
-    if not serials:
-        raise Invalid("no serial number was given: scan or paste some, one a line", ["units"])
-    if len(serials) > MOST_UNITS:
-        raise Invalid(f"a list has at most {MOST_UNITS} units, not {len(serials)}", ["units"])
-    for number, serial in enumerate(serials, start=1):
-        _check(serial, f"serial {number}", "units")
-    return serials
-
-
-def serials_in(table: str) -> tuple[list[str], int]:
-    """The serials of a CSV, and how many rows have none.
-
-    They are in the column headed `unit` or `serial`, else in the first, whose first row counts. A line
-    `sep=;` before all others, which spreadsheets write, names the delimiter.
-
-    Raises:
-        Invalid: it is no CSV, or one is no serial; says in which line.
-    """
-    text = table.removeprefix("\ufeff")
-    if "\ufffd" in text:
-        raise Invalid("the file is not UTF-8: save it as “CSV UTF-8”", ["csv"])
-    lines = list(io.StringIO(text, newline="")) or [""]
-    named = re.fullmatch(r"sep=(.)\s*", lines[0])
-    n_skipped = 1 if named else 0
-    delimiter = named[1] if named else max(",;\t", key=lines[0].count)
-    reader = csv.reader(lines[n_skipped:], delimiter=delimiter)
-    try:
-        rows = [(n_skipped + reader.line_num, row) for row in reader if row]
-    except csv.Error as error:
-        raise Invalid(f"the file is no CSV: {error}", ["csv"]) from error
-    headings = [cell.strip().casefold() for cell in rows[0][1]] if rows else []
-    column = next((headings.index(name) for name in NAMES if name in headings), None)
-    if column is None:
-        column = 0
-    else:
-        del rows[0]
-    found = [(line, row[column].strip() if len(row) > column else "") for line, row in rows]
-    for line, serial in found:
-        if serial:
-            _check(serial, f"line {line}", "csv")
-    serials = [serial for _, serial in found if serial]
-    return serials, len(found) - len(serials)
-
-
-def _check(serial: str, where: str, field: str) -> None:
-    try:
-        check_serial(serial)
-    except Invalid as error:
-        raise Invalid(f"{where}, {serial[:40]!a}: {error}", [field]) from error
 
 
 def _waiting(standing: Standing, unit: str) -> Turn:
@@ -272,16 +276,10 @@ def _waiting(standing: Standing, unit: str) -> Turn:
     )
 
 
-def _kept(now: Settled, rig: str, begun: Turn) -> list[Turn]:
+def _kept(shown: Mapping[str, Turn | None]) -> list[Turn]:
     """Turns to be kept for the rigs whose pages show them: what a person holds already stays theirs."""
-    shown = {name: turn for name, turn in now.on.items() if name != rig}
-    own = now.on[rig]
-    shown[rig] = now.then[rig] if own is None or own.position == begun.position else own
     return [
         replace(turn, rig=name)
         for name, turn in shown.items()
-        if turn is not None
-        and turn.state == "waiting"
-        and turn.rig is None
-        and turn.position != begun.position
+        if turn is not None and turn.state == "waiting" and turn.rig != name
     ]

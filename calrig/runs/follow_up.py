@@ -13,6 +13,7 @@ from calrig.analysis.unresolved import Unresolved, found_in
 from calrig.calibration.diagnosis import trace
 from calrig.calibration.experiment_design import FollowUp, design
 from calrig.calibration.pose import DiagnosisError, Pose
+from calrig.calibration.progress import Progress, unheard, within
 from calrig.calibration.search import Findings
 from calrig.calibration.sprt import SequentialTest
 from calrig.plan import Plan, PlannedPose
@@ -68,7 +69,7 @@ class FollowUpQuestion:
 def designed(
     poses: list[list[Pose]],
     limits_deg: tuple[float, float],
-    progress: Callable[[float], None] = lambda _: None,
+    progress: Progress = unheard,
 ) -> Designed:
     """Finds the suspects in the poses of runs, and designs the run that separates them."""
     try:
@@ -76,7 +77,7 @@ def designed(
     except DiagnosisError as error:
         return str(error)
     progress(SEARCHED)
-    found = design(poses, findings, limits_deg, progress=lambda k: progress(SEARCHED + (1 - SEARCHED) * k))
+    found = design(poses, findings, limits_deg, progress=within(progress, SEARCHED, 1.0))
     return found if isinstance(found, str) else (findings, found)
 
 

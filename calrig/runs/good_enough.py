@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from calrig.analysis.errors import Invalid
 from calrig.analysis.results import fitted
 from calrig.calibration.early_end import Ending, has_the_line, turned_both_ways
 from calrig.calibration.plan_design.goals import Goals
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import Result
 from calrig.calibration.stage_reference import with_map
-from calrig.plan import Plan, PlannedPose, Until
-from calrig.settings import RigSettings
-from calrig.store import AcceptedEffect, Store
+from calrig.plan import PlannedPose, Until
+from calrig.store import AcceptedEffect
 from calrig.store.records import Document, map_of
 
 REACHED = Ending(may_be_early=True, stopped_by="until")
@@ -56,14 +54,3 @@ def holds(until: Until, result: Result) -> bool:
 def goals_of(until: Until) -> Goals:
     """The same, as plans are designed for it."""
     return Goals(until.expanded_uncertainty_deg, until.bias_std_deg, until.scale_std)
-
-
-def require_a_reference(plan: Plan, rig: RigSettings, store: Store) -> None:
-    """Invalid where a run waits for an uncertainty that nobody could state on this rig."""
-    wanted_deg = None if plan.until is None else plan.until.expanded_uncertainty_deg
-    if wanted_deg is not None and rig.reference is None and store.stage_map(rig.name) is None:
-        raise Invalid(
-            f"rig {rig.name!r} does not say what its angle is worth: no expanded uncertainty is known that "
-            "a run could end by",
-            ["plan.until.expanded_uncertainty_deg"],
-        )

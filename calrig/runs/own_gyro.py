@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numpy as np
-
-from calrig.calibration.pose import GYRO_MEANS, GYRO_MOVES
+from calrig.calibration.pose import GYRO_MOVES
 from calrig.calibration.result import GyroFigures
 from calrig.estimation.gyro import GyroBias, dwell_bias, felt_move_deg, gyro_scale, run_bias
 from calrig.instruments.types import Samples
@@ -48,15 +46,9 @@ class OwnGyro:
         biases = [*self.biases[-1:], dwell_bias(dwell.gyro_dps)]
         return _mean_dps(biases, self.along) or 0.0
 
-    def of_all_axes(
-        self, dwell: Samples, move: Samples, period_s: float, lasts_s: float
-    ) -> dict[str, float | None]:
-        """Mean rates of a dwell and turns over the move before it about each axis, as a pose's covariates."""
-        means = [float(mean) for mean in dwell.gyro_dps.mean(axis=0)]
-        known = {name: None if np.isnan(mean) else mean for name, mean in zip(GYRO_MEANS, means, strict=True)}
-        return known | {
-            name: self.felt_deg(move, period_s, lasts_s, axis) for axis, name in enumerate(GYRO_MOVES)
-        }
+    def felt_about_axes_deg(self, move: Samples, period_s: float, lasts_s: float) -> dict[str, float | None]:
+        """The turns over the move into the last dwell about each axis, as a pose's covariates."""
+        return {name: self.felt_deg(move, period_s, lasts_s, axis) for axis, name in enumerate(GYRO_MOVES)}
 
     def figures(self, moves: list[tuple[float, float]]) -> GyroFigures:
         """What dwells and moves say; `moves` pairs what the unit turned with what it felt, degrees."""

@@ -8,13 +8,12 @@ from functools import partial
 
 from calrig.analysis.errors import Invalid
 from calrig.analysis.stage_maps import kept_of
-from calrig.calibration.plan_design.goals import Goals, TypeB
+from calrig.calibration.plan_design.goals import Goals
 from calrig.calibration.plan_design.rig_figures import Pace
 from calrig.calibration.plan_design.task import Task
-from calrig.calibration.stage_reference import StageMap
-from calrig.calibration.uncertainty import Reference
 from calrig.plan import Plan, Until
 from calrig.runs.precision import precision_of
+from calrig.runs.reachable import reference_worth
 from calrig.runs.rig_pace import RigPace, rig_pace
 from calrig.runs.settling import Settling, settling_of
 from calrig.runs.sweep_figures import MaySweep, may_sweep
@@ -79,12 +78,13 @@ def question(
         raise Invalid(f"a plan over {high - low:g}° has no scale: give it a range", ["plan.start_deg"])
     settling, pace = settling_of(rig, plan, store), rig_pace(rig, store)
     precision = precision_of(rig, unit, store)
+    in_force = maps.get(rig.name) if store is None else kept_of(store, rig.name, maps)
     turns = may_sweep(rig, plan, store, pace, precision) if wanted.sweep else MaySweep()
     task = Task(
         range_deg=(low, high),
         precision=precision,
         pace=_pace(plan, pace, settling.least_s),
-        type_b=_type_b(rig, store, maps),
+        type_b=reference_worth(rig, unit, plan.elevations(), store, in_force),
         trace=wanted.trace,
         until=wanted.until is not None,
         seed=plan.seed,
@@ -97,13 +97,3 @@ def _pace(plan: Plan, known: RigPace, settle_s: float) -> Pace:
     velocity_dps = None if plan.kind == "sweep" else plan.velocity_dps  # of a sweep, that of its turns
     travel_s = partial(known.travel_s, velocity_dps=velocity_dps)
     return Pace(travel_s, settle_s, known.questions_s, known.begin_s, known.stands_deg, known.pass_s)
-
-
-def _type_b(rig: RigSettings, store: Store | None, maps: Mapping[str, Document]) -> TypeB | None:
-    in_force = maps.get(rig.name) if store is None else kept_of(store, rig.name, maps)
-    if in_force is not None:
-        return TypeB(StageMap.from_document(in_force).std_deg, None)
-    stated = rig.reference
-    if stated is None or stated.std_deg is None:
-        return None
-    return TypeB(stated.std_deg, Reference(stated.std_deg, stated.kind, stated.distribution))

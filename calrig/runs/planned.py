@@ -7,7 +7,6 @@ from itertools import pairwise
 
 from calrig.analysis.errors import Invalid
 from calrig.plan import Plan, PlanError, PlannedPose
-from calrig.runs.good_enough import require_a_reference
 from calrig.runs.rig_pace import rig_pace
 from calrig.settings import RigSettings
 from calrig.store import Store
@@ -71,7 +70,6 @@ def estimate(plan: Plan, rig: RigSettings, store: Store) -> PlanEstimate:
         Invalid: an elevation lies beyond the rig's limits.
     """
     planned = planned_poses(plan, rig)
-    require_a_reference(plan, rig, store)
     static = plan.kind == "static"
     pace = rig_pace(rig, store)
     dwells = [pose for pose in planned if pose.stretch_deg is None]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calrig.calibration.move_check import MoveCheck
-from calrig.calibration.pose import MOUNT_DEG, Filtering, Pose
+from calrig.calibration.pose import GYRO_MEANS, MOUNT_DEG, Filtering, Pose
 from calrig.estimation.angles import AXES
 from calrig.estimation.kalman import KalmanNoise
 from calrig.estimation.reading import Reading, dwell_reading
@@ -174,18 +174,18 @@ class PoseTaking:
             None if before_deg is None or self.pace.stage_deg is None else self.pace.stage_deg - before_deg
         )
         times_s = 1.0 / self.pace.rate_hz, self.rig.axis.travel_s(turned_deg or 0.0)
+        taken = pose_of(planned, dwell.samples, reading)
         of_mounts: dict[str, float | None] = {}
         if self.plan.asks_for_mounts:
-            of_axes = self.gyro.of_all_axes(dwell.samples, move, *times_s)
-            of_mounts = {MOUNT_DEG: planned.mount_deg, **of_axes}
+            of_mounts = {MOUNT_DEG: planned.mount_deg, **self.gyro.felt_about_axes_deg(move, *times_s)}
         pose = replace(
-            pose_of(planned, dwell.samples, reading),
+            taken,
             approach=self.approach,
             time_s=(start_s + end_s) / 2,
             stage_deg=self.pace.stage_deg,
             gyro_move_deg=self.gyro.felt_deg(move, *times_s),
             settle_s=settle_s,
-            covariates=of_mounts,
+            covariates={**taken.covariates, **of_mounts},
             filtering=self.filtering,
         )
         check = self.felt.take(pose, turned_deg, move, bias_std_dps, end_s - start_s)
@@ -230,6 +230,11 @@ def pose_of(planned: PlannedPose, samples: Samples, reading: Reading) -> Pose:
         accel_x_g=_mean(samples.accel_g[:, 0]),
         accel_y_g=_mean(samples.accel_g[:, 1]),
         accel_z_g=_mean(samples.accel_g[:, 2]),
+        covariates={
+            name: mean
+            for name, rate_dps in zip(GYRO_MEANS, samples.gyro_dps.T, strict=True)
+            if (mean := _mean(rate_dps)) is not None
+        },
     )
 
 

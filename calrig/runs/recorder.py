@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Unpack
 
 from calrig.analysis.mounts import mount_columns
-from calrig.calibration.pose import Pose
+from calrig.calibration.pose import GYRO_MEANS, Pose
 from calrig.calibration.pose_errors import raw_error_deg
 from calrig.instruments.clock import Clock
 from calrig.runs.bus import Bus
@@ -52,6 +52,7 @@ class Recorder:
         self._status: Status = "queued"
         self._poses_total = poses_total
         self._poses_done = self._poses_before = poses_before
+        self._planned_s: Sequence[float] = [1.0] * poses_total
         self._first_pose_began_s = self._now_s()
         self._paused_s = 0.0
         self._waiting_for: WaitingFor | None = None
@@ -106,9 +107,14 @@ class Recorder:
         level = logging.WARNING if status in {"failed", "interrupted"} else logging.INFO
         log.log(level, "run %s is %s%s", self.run_id, status, f": {error}" if error else "")
 
-    def poses_begin(self) -> None:
-        """The first pose begins: the time left is computed from here."""
+    def poses_begin(self, planned_s: Sequence[float] = ()) -> None:
+        """The first pose begins: the time left is computed from here.
+
+        Args:
+            planned_s: about what each pose of the plan takes, by the plan; without it all take as long.
+        """
         self._first_pose_began_s = self._now_s()
+        self._planned_s = planned_s or self._planned_s
 
     def update(self, **changes: Unpack[RunChanges]) -> None:
         """Stores what nobody is told of."""
@@ -131,7 +137,13 @@ class Recorder:
         progress = self._progress()
         mount = mount_columns(self.run_id, self._axis, pose)
         sense = -1 if self._axis.startswith("-") else 1
-        told = {"index": index, **pose.row(), **mount, "raw_error_deg": raw_error_deg(pose, sense)}
+        told = {
+            "index": index,
+            **dict.fromkeys(GYRO_MEANS),
+            **pose.row(),
+            **mount,
+            "raw_error_deg": raw_error_deg(pose, sense),
+        }
         events: list[Announced] = [("pose", told), ("progress", progress), *also]
         self._store.add_pose(self.run_id, index, pose, blocks, events, progress=progress, faults=dict(faults))
         self.meter.pose()
@@ -183,10 +195,11 @@ class Recorder:
             self._bus.wake(self.run_id)
 
     def _progress(self) -> Progress:
-        measured, remaining_s = self._poses_done - self._poses_before, None
-        if measured:
-            a_pose_s = (self._now_s() - self._first_pose_began_s) / measured
-            remaining_s = round(a_pose_s * (self._poses_total - self._poses_done), 1)
+        remaining_s = None
+        measured_s = sum(self._planned_s[self._poses_before : self._poses_done])
+        if measured_s:
+            pace = (self._now_s() - self._first_pose_began_s) / measured_s
+            remaining_s = round(pace * sum(self._planned_s[self._poses_done : self._poses_total]), 1)
         return {
             "poses_done": self._poses_done,
             "poses_total": self._poses_total,

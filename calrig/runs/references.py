@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import UTC, date, datetime
+from datetime import UTC, datetime
 
 from calrig.analysis.errors import Conflict
 from calrig.laboratory import STANDARDS
@@ -11,13 +11,13 @@ from calrig.settings import RigSettings
 CALLED = dict(zip(STANDARDS, ("the stage", "the thermometer", "the time base"), strict=True))
 
 
-def overdue_says(rig: RigSettings, day: date | None = None) -> list[str]:
-    """A sentence for each standard whose certificate is overdue today, or on a day."""
-    day = day or datetime.now(UTC).date()
+def overdue_says(rig: RigSettings) -> list[str]:
+    """A sentence for each standard whose certificate is overdue today (UTC)."""
+    today = datetime.now(UTC).date()
     said = []
     for key in STANDARDS:
         standard = getattr(rig, key)
-        if standard is not None and standard.due is not None and day > standard.due:
+        if standard is not None and standard.due is not None and today > standard.due:
             named = f" {standard.certificate}" if standard.certificate else ""
             said.append(
                 f"The certificate{named} of {CALLED[key]} of rig {rig.name} was due on {standard.due} and is "

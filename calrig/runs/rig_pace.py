@@ -65,8 +65,8 @@ def rig_pace(rig: RigSettings, store: Store | None) -> RigPace:
     if store is None or not runs:
         return RigPace()
     velocity_dps, acceleration_dps2 = _speed(runs[0], rig)
-    stopping = (_beside_s(run, _poses(store, run), _speed(run, rig)) for run in runs if not _is_sweep(run))
-    turning = (_beside_s(run, _poses(store, run), _speed(run, rig)) for run in runs if _is_sweep(run))
+    stopping = (_beside_s(run, _poses(store, run), _speed(run, rig)) for run in runs if run.kind != "sweep")
+    turning = (_beside_s(run, _poses(store, run), _speed(run, rig)) for run in runs if run.kind == "sweep")
     questions_s = next((one for one in stopping if one is not None), QUESTIONS_S)
     pass_s = next((one for one in turning if one is not None), questions_s)
     stands_deg = next((poses[-1].target_deg for run in runs if (poses := _poses(store, run))), None)
@@ -93,10 +93,6 @@ def _speed(run: Run, rig: RigSettings) -> tuple[float, float]:
     )
 
 
-def _is_sweep(run: Run) -> bool:
-    return (run.plan or {}).get("kind") == "sweep"
-
-
 def _tells(run: Run) -> bool:
     """Whether a run's dwells were as long as its plan says, and nothing came between them."""
     plan = run.plan or {}
@@ -117,7 +113,7 @@ def _beside_s(run: Run, poses: Sequence[Pose], speed: tuple[float, float]) -> fl
     """
     if not _tells(run):
         return None
-    plan, pace, turns = Plan.model_validate(run.plan), RigPace(*speed), _is_sweep(run)
+    plan, pace, turns = Plan.model_validate(run.plan), RigPace(*speed), run.kind == "sweep"
     velocity_dps = plan.turn_dps if turns else plan.velocity_dps
     dwells = [pose for pose in poses if pose.settle_s is not None][1:] if turns else poses
     beside_s = sorted(

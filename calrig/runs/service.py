@@ -190,10 +190,10 @@ class RunService:
         """As `stop`, in a thread that is this rig's alone; who asks while it is being told shares that."""
         rig = self._rig(rig_name)
         self.crew.call_off(rig_name)
-        telling = threading.Thread(
-            target=self._starts.queue.call_off(rig_name), name=f"waited for {rig_name}"
-        )
-        telling.start()  # beside the stop, which waits for no store
+        # Beside the stop, which waits for no store; a daemon, for a store that hangs is to keep no process.
+        tell = self._starts.queue.call_off(rig_name)
+        telling = threading.Thread(target=tell, name=f"call-off at {rig_name}", daemon=True)
+        telling.start()
 
         def stopped() -> RigState:
             telling.join(ANSWER_S)

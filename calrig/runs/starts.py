@@ -11,11 +11,11 @@ from calrig.analysis.issuing import Issuer
 from calrig.runs.bus import Bus
 from calrig.runs.clamps import Clamps
 from calrig.runs.crew import Crew
-from calrig.runs.good_enough import require_a_reference
 from calrig.runs.meter import Meter
 from calrig.runs.new_run import NewRun
 from calrig.runs.planned import planned_poses
 from calrig.runs.queue import RunQueue
+from calrig.runs.reachable import require_reachable
 from calrig.runs.references import require_in_date
 from calrig.runs.resume import waiting_task
 from calrig.runs.sightings import Sightings
@@ -70,8 +70,8 @@ class Starts:
         plan = wanted.plan
         require_in_date(settings)
         planned = planned_poses(plan, settings)
-        require_a_reference(plan, settings, self._store)
         wanted = wanted.as_of_now(self._store, settings.name, self._maps)
+        require_reachable(plan, settings, wanted.unit, self._store, wanted.origin.get("stage_map"))
         with self.lock:
             self.clamps.require_still(settings.name)
             try:

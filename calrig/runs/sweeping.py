@@ -21,6 +21,7 @@ from calrig.plan import Plan, PlannedPose
 from calrig.runs.mounting import Mount
 from calrig.runs.pace import Pace
 from calrig.runs.pose_taking import DWELL_TRIES, PoseTaking
+from calrig.runs.sweep_times import planned_times_s
 from calrig.runs.sweep_waits import wait_before_sweep
 from calrig.runs.turned_pass import Seen, TurnedPass
 
@@ -75,7 +76,8 @@ class Sweeping:
             taking.return_to_last()
         else:
             taking.move_off(planned)
-        pace.recorder.poses_begin()
+        first_s = pace.rig.axis.travel_s(planned[0].target_deg - (pace.stage_deg or 0.0))
+        pace.recorder.poses_begin(planned_times_s(self.plan, planned, len(taking.poses), first_s))
         if not taking.poses:
             wait_before_sweep(self.plan, pace)
             taking.take(planned[0], self.plan.first_settle_s)

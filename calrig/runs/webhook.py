@@ -225,7 +225,7 @@ def document(run: Run) -> Document:
         "run_id": run.id,
         "unit": run.unit,
         "rig": run.rig,
-        "kind": (run.plan or {}).get("kind", "calibration"),
+        "kind": run.kind,
         "status": run.status,
         "error": run.error,
         "operator": run.operator,

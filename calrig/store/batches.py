@@ -81,25 +81,35 @@ class Batches(Part):
     def add_turns(self, batch_id: str, units: Sequence[str]) -> list[str]:
         """Adds units at the end of an open list; gives those that it has already, whose turn stays as it is.
 
+        One that failed for good gets another turn: who names it again has mended it.
+
         Raises:
             NotFound: there is no such list.
             Refused: it is closed.
         """
         with self._database.writing() as session:
             batch = _open(session, batch_id)
-            known = {turn.unit for turn in batch.turns if turn.state != "removed"}
+            last = {turn.unit: turn.state for turn in batch.turns}
+            known = {unit for unit, state in last.items() if state not in ("removed", "failed")}
             new = [unit for unit in units if unit not in known]
             first = len(batch.turns)
             session.add_all(_row(batch_id, Turn(first + k, unit)) for k, unit in enumerate(new))
             return [unit for unit in units if unit in known]
 
-    def write_turns(self, batch_id: str, before: Sequence[Turn], after: Iterable[Turn]) -> None:
+    def write_turns(
+        self,
+        batch_id: str,
+        before: Sequence[Turn],
+        after: Iterable[Turn],
+        closed_at: datetime | None = None,
+    ) -> None:
         """Writes what became of turns, unless somebody has written another thing meanwhile.
 
         Args:
             batch_id: of an open list.
             before: every turn, as it was read.
             after: those that are new or changed.
+            closed_at: ends the list as of then: nothing of it begins any more; None leaves it open.
 
         Raises:
             NotFound: there is no such list.
@@ -113,14 +123,8 @@ class Batches(Part):
                 )
             for turn in after:
                 session.merge(_row(batch_id, turn))
-
-    def close_batch(self, batch_id: str) -> None:
-        """Ends a list: nothing of it begins any more."""
-        with self._database.writing() as session:
-            _open(session, batch_id)
-            row = session.get_one(BatchTable, batch_id)
-            row.closed_at = datetime.now(UTC)
-            session.add(row)
+            if closed_at is not None:
+                session.get_one(BatchTable, batch_id).closed_at = closed_at
 
 
 def _open(session: Session, batch_id: str) -> Batch:

@@ -173,7 +173,7 @@ class Benches(Part):
                 row.run_uid, row.bench, row.rig, row.epoch, row.wish, row.taken_epoch, revoked_at is not None
             )
 
-    def withdraw_order(self, run_id: str, error: str | None = None) -> bool:
+    def withdraw_order(self, run_id: str) -> bool:
         """Takes an order back that its bench has not taken; returns whether there was one.
 
         A run that was never begun is `aborted`, one that was to be resumed `interrupted` as before.
@@ -181,7 +181,7 @@ class Benches(Part):
         with self._database.writing() as session:
             if not take_back(session, col(RunOrderTable.run_uid) == run_id):
                 return False
-            _settle(session, error)
+            _settle(session, None)
             return True
 
     def settle_withdrawn(self, error: str | None = NOT_BEGUN) -> None:

@@ -114,7 +114,7 @@ class Enrolment(Part):
             append(session, Act("bench_enrolled", detail={"bench": row.name}), now)
             return row.name, url
 
-    def revoke_bench(self, name: str, *, who: str | None = None, now: datetime | None = None) -> Membership:
+    def revoke_bench(self, name: str, *, who: str | None = None) -> Membership:
         """Lets a bench in no more and ends its connections; what it measured stays.
 
         It is locked out before anything is written: it may hold the very lock that a write waits for.
@@ -129,7 +129,7 @@ class Enrolment(Part):
 
             with self._database.staging() as connection:
                 shut_out(connection, role)
-        now = now or datetime.now(UTC)
+        now = datetime.now(UTC)
         with self._database.writing() as session:
             row = _known(session, name)
             if row.revoked_at is None:

@@ -28,7 +28,15 @@ class NotText(StoreError):  # noqa: N818 (likewise)
 
 
 class Taken(StoreError):  # noqa: N818 (likewise)
-    """Another program writes to the store; the message says which."""
+    """Another program writes to the store; the message says which.
+
+    Attributes:
+        is_served: whether that one can be asked over HTTP.
+    """
+
+    def __init__(self, said: str, *, is_served: bool = False) -> None:
+        super().__init__(said)
+        self.is_served = is_served
 
 
 class StoreUnavailableError(StoreError):

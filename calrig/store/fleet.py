@@ -15,7 +15,7 @@ import sqlalchemy
 from sqlmodel import Session
 
 from calrig.calibration.packed_poses import PackedPoses
-from calrig.calibration.pose import COLUMNS
+from calrig.calibration.pose import COLUMNS, GYRO_MEANS
 from calrig.estimation.angles import FloatArray
 from calrig.store import checksums
 from calrig.store.convert import POSE_NUMBERS
@@ -45,6 +45,14 @@ _N_CHECKED = 2 + len(POSE_NUMBERS)
 """Numbers that a pose's checksum is over, the first of `_ROW`."""
 _COVARIATES = sqlalchemy.cast(_POSE.covariates, sqlalchemy.String)
 _NO_COVARIATES = ("{}", checksums.stored_text({}))
+_KEYS = sqlalchemy.func.length(_COVARIATES) - sqlalchemy.func.length(
+    sqlalchemy.func.replace(_COVARIATES, ",", "")
+)
+_ONLY_GYRO_MEANS = sqlalchemy.and_(
+    _COVARIATES.like("{" + "".join(f'"{name}":%,' for name in GYRO_MEANS) + f'"{checksums.KEY}":%}}'),
+    _KEYS == len(GYRO_MEANS),
+)
+"""As nearly all poses have them: told by their text, since reading them takes eight times the rest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,15 +85,19 @@ class Fleet(Part):
             last = rows[-1][0]
             yield [ListedRun(*row[:-1], n_poses=row[-1] or 0) for row in rows]
 
-    def packed_poses(self, runs: Sequence[ListedRun]) -> Iterator[PackedPoses]:
+    def packed_poses(self, runs: Sequence[ListedRun], *, with_gyro: bool = False) -> Iterator[PackedPoses]:
         """The poses that count of some runs, in the order of `completed_runs`, some runs at a time.
+
+        Args:
+            runs: those of `completed_runs` that are wanted.
+            with_gyro: whether the gyro's means over the dwells are wanted, too, which no screen looks into.
 
         Raises:
             StoreDamagedError: poses are missing, or are not what was stored.
         """
         for some in _together(runs):
             with self._database.reading() as session:
-                yield _packed(session, some)
+                yield _packed(session, some, with_gyro=with_gyro)
 
 
 def _together(runs: Sequence[ListedRun]) -> Iterator[Sequence[ListedRun]]:
@@ -100,7 +112,7 @@ def _together(runs: Sequence[ListedRun]) -> Iterator[Sequence[ListedRun]]:
         yield runs[begin:]
 
 
-def _packed(session: Session, runs: Sequence[ListedRun]) -> PackedPoses:
+def _packed(session: Session, runs: Sequence[ListedRun], *, with_gyro: bool) -> PackedPoses:
     numbers = np.array([run.number for run in runs])
     between = _POSE.run_id.between(int(numbers[0]), int(numbers[-1]))
     rows = _numbers(session, between)
@@ -110,7 +122,8 @@ def _packed(session: Session, runs: Sequence[ListedRun]) -> PackedPoses:
     rows = rows[rows[:, -1] == 0.0]
     first = np.searchsorted(rows[:, 0], [*numbers, np.inf]).astype(np.intp)
     columns = {name: np.ascontiguousarray(rows[:, 2 + k]) for k, name in enumerate(COLUMNS)}
-    covariates = _covariates(session, between, rows)
+    told = between if with_gyro else sqlalchemy.and_(between, sqlalchemy.not_(_ONLY_GYRO_MEANS))
+    covariates = _covariates(session, told, rows, () if with_gyro else GYRO_MEANS)
     ids, units, rigs = zip(*((run.id, run.unit, run.rig) for run in runs), strict=True)
     return PackedPoses(ids, first, {**columns, **covariates}, units, rigs)
 
@@ -138,9 +151,9 @@ def _check(rows: Numbers, runs: Sequence[ListedRun], of_run: npt.NDArray[np.intp
 
 
 def _covariates(
-    session: Session, between: sqlalchemy.ColumnElement[bool], rows: Numbers
+    session: Session, between: sqlalchemy.ColumnElement[bool], rows: Numbers, but: Sequence[str]
 ) -> dict[str, FloatArray]:
-    """(N,) each further column of the poses in these rows."""
+    """(N,) each further column of the poses in these rows, but for some."""
     wanted = (
         sqlalchemy.select(_POSE.run_id, _POSE.pose_index, _POSE.covariates)
         .where(between, _COVARIATES.not_in(_NO_COVARIATES))
@@ -152,6 +165,8 @@ def _covariates(
     for run, index, values in found:
         place = places.get((run, index))
         for name, value in values.items() if place is not None else ():
+            if name in but:
+                continue
             column = columns.setdefault(name, np.full(len(rows), np.nan))
             column[place] = np.nan if value is None else value
     return columns

@@ -137,7 +137,7 @@ class Issued(Part):
             rows = session.exec(wanted.order_by(col(IssuedCalibrationTable.unit))).all()
             return [_revision(row) for row in rows]
 
-    def release(self, unit: str, number: int, by: str | None, reason: str) -> Revision:
+    def release(self, unit: str, number: int, by: str | None, reason: str | None) -> Revision:
         """Puts a draft, or a superseded revision once more, in force in place of the one that was.
 
         Raises:

@@ -90,6 +90,11 @@ class Run:
     limit: Limit | None = None
 
     @property
+    def kind(self) -> str:
+        """The kind of its plan; an import, which has none, is a calibration."""
+        return str((self.plan or {}).get("kind", "calibration"))
+
+    @property
     def verdict(self) -> Verdict | None:
         """Whether its result is good, after everything accepted; None while there is no result."""
         if self.result is None:

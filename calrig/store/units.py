@@ -8,6 +8,7 @@ from typing import Any
 import sqlalchemy
 from sqlmodel import Session, col, delete, func, or_, select
 
+from calrig.plan import CALIBRATING
 from calrig.store.checksums import check_numbers
 from calrig.store.column_types import UtcText
 from calrig.store.convert import FIGURES, result_part, run_of
@@ -27,7 +28,7 @@ from calrig.store.trail import Act, append
 
 COUNTS = (
     col(RunTable.status) == "completed",
-    col(RunTable.kind) == "calibration",
+    col(RunTable.kind).in_(CALIBRATING),
     col(RunTable.voided_reason).is_(None),
 )
 """Of a run that makes a calibration; a follow-up does not, whose `follows` is set."""
@@ -114,7 +115,7 @@ class Units(Part):
         return found
 
     def latest_calibration_run(self, serial: str, *, follow_ups: bool = False) -> Run | None:
-        """The latest completed, not voided `calibration` run (or import) whose scale is known, or None.
+        """The latest completed, not voided calibration (or import) whose scale is known, or None.
 
         `follow_ups` counts those as well, as stores did before there were revisions.
         """

@@ -8,7 +8,7 @@ import threading
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -158,7 +158,8 @@ class HandWritten:
         rows = self.connection.execute(
             "SELECT document, data FROM parcel WHERE run_uid = %s ORDER BY id", (run_id,)
         ).fetchall()
-        return Delivery([document for document, _ in rows], [data for _, data in rows if data is not None])
+        blocks = {document["samples"]["number"]: data for document, data in rows if data is not None}
+        return Delivery([document for document, _ in rows], blocks)
 
     def ended(self, run_id: str) -> Delivery:
         """The same, once the run has ended."""
@@ -178,7 +179,7 @@ class Delivery:
     """A run's parcels in the order that they came in."""
 
     documents: list[dict[str, Any]]
-    blocks: list[bytes] = field(default_factory=list)
+    blocks: dict[int, bytes]
 
     @property
     def events(self) -> list[dict[str, Any]]:
@@ -202,8 +203,8 @@ class Delivery:
 
     @property
     def n_samples(self) -> int:
-        """Samples in all blocks."""
-        return sum(len(np.load(io.BytesIO(block))["time_s"]) for block in self.blocks)
+        """Samples in all blocks, whose numbers tell one that came twice."""
+        return sum(len(np.load(io.BytesIO(block))["time_s"]) for block in self.blocks.values())
 
 
 @contextmanager

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from a_bench import ENDLESS, Cable, HandWritten, Rig, agent_at
+from a_bench import ENDLESS, Cable, Delivery, HandWritten, Rig, agent_at
 from support import QUICK, wait_for
 
 from calrig.agent.link import LinkDown
@@ -19,7 +19,13 @@ def once_in_order(events: list[dict]) -> bool:
     return [event["seq"] for event in events] == list(range(1, len(events) + 1))
 
 
-def test_cut_off_in_mid_run_the_bench_ends_it_and_delivers_it_once(
+def again_from(before: Delivery) -> set[int]:
+    """Numbers of the events that may come first after a cut: the next, or those whose receipt was cut off."""
+    *_, last = (document["events"] for document in before.documents if document["events"])
+    return {last[0]["seq"], last[-1]["seq"] + 1}
+
+
+def test_cut_off_in_mid_run_the_bench_ends_it_and_goes_on_delivering_where_it_was(
     centre: HandWritten, rig: Rig, spool: Path, cable: Cable
 ) -> None:
     run_id = centre.order(plan={**QUICK, "sweeps": 30})
@@ -32,10 +38,14 @@ def test_cut_off_in_mid_run_the_bench_ends_it_and_delivers_it_once(
         wait_for(lambda: agent.service.store.outbox().n_parcels > 0, "outbox")
         cable.mend()
         told, store = centre.ended(run_id), agent.service.store
-    assert once_in_order(told.events)
-    assert told.poses == list(range(90))
-    assert told.states == ["queued", "running", "completed"]
+    assert once_in_order(before.events)
     assert told.documents[: len(before.documents)] == before.documents
+    since = [event["seq"] for event in told.events[len(before.events) :]]
+    assert since[0] in again_from(before)
+    assert since == list(range(since[0], since[-1] + 1))
+    assert sorted(set(told.poses)) == list(range(90))
+    states = {event["seq"]: event["data"]["status"] for event in told.events if event["type"] == "state"}
+    assert [*states.values()] == ["queued", "running", "completed"]
     with Store.open(f"sqlite:///{spool}", writer=None) as store:
         assert told.n_samples == len(store.samples(run_id))
 

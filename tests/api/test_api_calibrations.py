@@ -111,7 +111,7 @@ def test_a_downloaded_archive_is_whole_and_the_same_again(client, unit, tmp_path
     [
         ("calibrations/9/release", {"reason": "x"}, 404, "has no revision 9"),
         ("calibrations/1/release", {"reason": " "}, 422, "a reason is needed"),
-        ("calibrations/1/release", {}, 422, "Reason is missing"),
+        ("calibrations/1/withdraw", {}, 422, "Reason is missing"),
         ("calibrations", {"run_id": "999"}, 404, "there is no run 999"),
         ("calibrations", {"run_id": "OTHER", "effects": ["latency"]}, 409, "run OTHER is of unit"),
     ],
@@ -137,8 +137,13 @@ def test_the_feed_tells_what_was_done_since_a_time_over_all_units(client, unit):
     before = client.get("/api/calibrations").json()[-1]
     assert (before["what"], before["revision"], before["reason"]) == ("released", 1, "reviewed")
     act(client, unit, 1, "withdraw", "wrong")
+    assert client.post(f"{unit}/calibrations/2/release").raise_for_status().json()["status"] == "in_force"
     since = client.get("/api/calibrations", params={"since": before["at"]}).json()
-    assert [(one["what"], one["revision"]) for one in since] == [("released", 1), ("withdrawn", 1)]
+    assert [(one["what"], one["revision"], one["reason"]) for one in since] == [
+        ("released", 1, "reviewed"),
+        ("withdrawn", 1, "wrong"),
+        ("released", 2, None),
+    ]
     assert client.get("/api/calibrations", params={"since": "yesterday"}).status_code == 422
 
 

@@ -58,6 +58,12 @@ def test_samples_are_the_same_in_csv_and_npz(measured):
     for name in arrays:
         np.testing.assert_array_equal(arrays[name], table[name])
     assert np.all(np.diff(arrays["time_s"]) > 0)
+    dwell = np.load(io.BytesIO(client.get(f"{url}?pose=2&format=npz").content))
+    pose = client.get(f"/api/runs/{run['id']}/poses").json()[2]
+    for name in (
+        f"{what}_{axis}_{unit}" for what, unit in (("accel", "g"), ("gyro", "dps")) for axis in "xyz"
+    ):
+        assert pose[name] == pytest.approx(dwell[name].mean()), name
 
 
 def test_the_errors_of_the_poses_make_up_the_result(measured):

@@ -17,6 +17,11 @@ def test_the_default_plan_is_told_for_the_first_rig(shared_client):
     [
         ({"plan": {"stop_deg": 120}}, 422, "elevation 100° is beyond the rig's soft limits"),
         ({"plan": {"sweeps": 9999}}, 422, "the most a run takes is 10000"),
+        (
+            {"plan": {"until": {"expanded_uncertainty_deg": 0.3, "bias_std_deg": 0.1}}},
+            422,
+            "below what the stage's angle is worth: 0.477° is left",
+        ),
         ({"plan": {"step_deg": None}}, 422, "Step is not a number"),
         ({"rig": "elsewhere"}, 404, "no rig 'elsewhere'"),
     ],

@@ -42,6 +42,14 @@ def test_a_map_in_force_is_what_runs_rest_on_and_keep(client, store, quick_plan)
     assert shown["holds"]["state"] == "not_known"
     assert abs(np.mean(shown["map"]["error_deg"])) < 1e-12, "a constant is the mount's"
 
+    ends = {"start_deg": -40, "stop_deg": 40}
+    wanted = {"target_u_deg": 0.2, "trace": False, "plan": ends}
+    designed = client.post("/api/plans/design", json=wanted).raise_for_status().json()
+    assert 0.1 < designed["expected"]["expanded_uncertainty_deg"] <= 0.2
+    for expanded_deg, status in ((0.2, 200), (0.001, 422)):
+        until = {**ends, "until": {"expanded_uncertainty_deg": expanded_deg}}
+        assert client.post("/api/plans/estimate", json={"plan": until}).status_code == status
+
     run = calibrated(client, quick_plan)
     assert run["provenance"]["stage_map"]["sha256"] == kept.found.stage_map["sha256"]
     stage, old = run["result"]["reference"], before["result"]["reference"]

@@ -95,7 +95,8 @@ def test_requests_that_change_something_or_fail_are_said_and_no_token_is(client:
     begun = client.post("/api/runs", json={"unit": "AS-1", "plan": QUICK}).json()
     assert ended(client, begun["id"])["status"] == "completed"
     client.post(f"/api/runs/{begun['id']}/void", json={"reason": "trial"})
-    wait_for(lambda: "/void" in lines.getvalue(), "the last request's line, which follows its answer")
+    for line, follows in (("/void", "its answer"), ("is completed", "what the store has")):
+        wait_for(lambda line=line: line in lines.getvalue(), f"the line of {line}, which follows {follows}")
     written = lines.getvalue()
     said = [json.loads(line) for line in written.splitlines()]
     requests = [line for line in said if line["logger"] == "calrig.api.request_log"]

@@ -33,11 +33,12 @@ def test_a_run_is_counted(client: httpx.Client):
     begun = client.post("/api/runs", json={"unit": "AS-1", "plan": QUICK}).json()
     assert values(client)[of("calrig_rig_state", rig="bench-1", state="busy")] == 1
     assert ended(client, begun["id"])["status"] == "completed"
-    after = values(client)
+    of_its_end = of("calrig_runs_ended_total", rig="bench-1", status="completed")
+    after = wait_for(lambda: (v := values(client)).get(of_its_end) and v, "count of what the store has")
     assert after[of("calrig_poses_total", rig="bench-1")] == 6
     stored = sum(pose["n_samples"] for pose in client.get(f"/api/runs/{begun['id']}/poses").json())
     assert after[of("calrig_samples_total", rig="bench-1")] > stored
-    assert after[of("calrig_runs_ended_total", rig="bench-1", status="completed")] == 1
+    assert after[of_its_end] == 1
     assert after[of("calrig_runs", status="completed")] == 1
     assert after[of("calrig_store_up")] == 1
     assert after[of("calrig_store_size_bytes")] >= before[of("calrig_store_size_bytes")] > 0
@@ -52,13 +53,13 @@ def test_faults_are_counted_by_kind_as_the_run_has_them(launch_rig, store_path):
     with running_service(store_path, rig) as service, serving(service) as client:
         begun = client.post("/api/runs", json={"unit": "AS-1", "plan": QUICK}).json()
         run = ended(client, begun["id"])
-        counted = {
-            dict(labels)["kind"]: number
-            for (name, labels), number in values(client).items()
-            if name == "calrig_faults_total"
-        }
+
+        def counted() -> dict[str, float]:
+            said = values(client).items()
+            return {dict(labels)["kind"]: n for (name, labels), n in said if name == "calrig_faults_total"}
+
+        wait_for(lambda: counted() == run["faults"], "counts of what the store has")
     assert run["faults"]["crc"] > 0
-    assert counted == run["faults"]
 
 
 def test_a_resumed_run_counts_only_its_new_faults():
@@ -87,7 +88,8 @@ def test_event_clients_are_counted_while_they_listen(client: httpx.Client):
         assert values(client)[of("calrig_event_clients")] == 1
     wait_for(lambda: values(client)[of("calrig_event_clients")] == 0, "the client's leaving")
     client.post(f"/api/runs/{begun['id']}/abort")
-    assert values(client)[of("calrig_runs_ended_total", rig="bench-1", status="aborted")] == 1
+    of_its_end = of("calrig_runs_ended_total", rig="bench-1", status="aborted")
+    assert wait_for(lambda: values(client).get(of_its_end), "count of what the store has") == 1
 
 
 def test_no_label_grows_with_runs_or_units(shared_client: httpx.Client):

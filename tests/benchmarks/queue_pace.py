@@ -8,6 +8,7 @@ BOOT_S the board is reset whenever its port is opened and then hears nothing for
 
 from __future__ import annotations
 
+import argparse
 import json
 import statistics
 import sys
@@ -22,7 +23,6 @@ from rich import print as told
 from tests.trials.served import Served
 
 AIM_S = 3.0
-DEFAULTS = "11", "0"
 PLAN = {"elevations_deg": [-20, 20], "sweeps": 1, "settle_s": 0.2, "dwell_s": 0.5}
 TIME_SCALE = 6.0
 DEMO = """
@@ -93,5 +93,10 @@ def first_move(served, run_id: str) -> float:
 
 
 if __name__ == "__main__":
-    n_units, boot_s, *_ = [*sys.argv[1:], *DEFAULTS[len(sys.argv) - 1 :]]
-    sys.exit(main(int(n_units), float(boot_s)))
+    asked = argparse.ArgumentParser(prog="python -m tests.benchmarks.queue_pace", description=__doc__)
+    asked.add_argument("units", nargs="?", type=int, default=11, help="two or more: changes are timed")
+    asked.add_argument("boot_s", nargs="?", type=float, default=0.0)
+    given = asked.parse_args()
+    if given.units < 2:
+        asked.error("one unit has no change of unit to be timed: two or more")
+    sys.exit(main(given.units, given.boot_s))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from posed import posed
 
 from calrig.calibration.backward import parted, tenable
 from calrig.calibration.candidates import Candidate, candidate_of, candidates_of
 from calrig.calibration.effects import effect_of
-from calrig.calibration.pose import Pose
 from calrig.calibration.ranking import Found
 from calrig.calibration.responses import Responses, responses_of
 
@@ -24,15 +24,8 @@ WARMER_C = 6.0 * (1.0 - np.exp(-TIME_S / 150.0))
 def run_of(error_deg: np.ndarray) -> Responses:
     """A run over random elevations whose readings err by so much, noise beside."""
     readings_deg = 0.5 + THETA_DEG + error_deg + np.random.default_rng(3).normal(0.0, NOISE_DEG, N_POSES)
-    columns = (THETA_DEG, readings_deg, APPROACH, TIME_S, 24.0 + WARMER_C)
-    return responses_of(
-        [
-            [
-                Pose(target_deg=x, reading_deg=y, approach=int(a), time_s=t, temperature_c=c)
-                for x, y, a, t, c in zip(*(column.tolist() for column in columns), strict=True)
-            ]
-        ]
-    )
+    known = {"approach": APPROACH, "time_s": TIME_S, "temperature_c": 24.0 + WARMER_C}
+    return responses_of([posed(target_deg=THETA_DEG, reading_deg=readings_deg, **known)])
 
 
 def one(r: Responses, name: str, form: str = "") -> Candidate:

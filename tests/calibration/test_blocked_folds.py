@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from posed import posed
 
 from calrig.calibration.blocked_folds import blocked, not_predictive
 from calrig.calibration.candidates import Candidate, candidates_of
 from calrig.calibration.fit import rms
 from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import fit
-from calrig.calibration.pose import Pose
 from calrig.calibration.ranking import Found
 from calrig.calibration.responses import Responses, responses_of
 
@@ -25,14 +25,7 @@ def run_of(error_deg: np.ndarray, seed: int = 3) -> Responses:
     rng = np.random.default_rng(seed)
     theta_deg = rng.uniform(-60.0, 60.0, N_POSES)
     readings = 0.5 + 1.001 * theta_deg + error_deg + rng.normal(0.0, NOISE_DEG, N_POSES)
-    return responses_of(
-        [
-            [
-                Pose(target_deg=x, reading_deg=y, time_s=t)
-                for x, y, t in zip(theta_deg.tolist(), readings.tolist(), TIMES_S.tolist(), strict=True)
-            ]
-        ]
-    )
+    return responses_of([posed(target_deg=theta_deg, reading_deg=readings, time_s=TIMES_S)])
 
 
 def one(r: Responses, name: str, form: str = "") -> Candidate:
@@ -90,6 +83,6 @@ def test_a_block_that_hides_an_effect_is_predicted_without_it() -> None:
 
 
 def test_poses_at_one_elevation_are_blocked_in_time_alone() -> None:
-    run = [Pose(target_deg=20.0, reading_deg=20.0 + 1e-3 * t, time_s=t) for t in TIMES_S.tolist()]
-    r = responses_of([run])
+    there = np.full(N_POSES, 20.0)
+    r = responses_of([posed(target_deg=there, reading_deg=there + 1e-3 * TIMES_S, time_s=TIMES_S)])
     assert [b.along for b in blocked(r, [one(r, "time_drift")])] == ["time"]

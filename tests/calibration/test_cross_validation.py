@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from posed import posed
 
 from calrig.calibration.candidates import candidates_of
 from calrig.calibration.cross_validation import FOLDS, CrossValidation, cross_validate, folds_of
 from calrig.calibration.fit import rms
-from calrig.calibration.pose import Pose
 from calrig.calibration.responses import Responses, responses_of
 
 FIRST = 0
@@ -23,14 +23,7 @@ def readings_of_a_stage_with_play(count: int = 48) -> Responses:
     theta = rng.uniform(-60.0, 60.0, count)
     approach = np.sign(np.diff(theta, prepend=0.0))
     readings = 0.8 + 1.002 * theta - 0.06 * approach + rng.normal(0.0, 0.03, count)
-    return responses_of(
-        [
-            [
-                Pose(target_deg=x, reading_deg=y, approach=int(a))
-                for x, y, a in zip(theta.tolist(), readings.tolist(), approach, strict=True)
-            ]
-        ]
-    )
+    return responses_of([posed(target_deg=theta, reading_deg=readings, approach=approach)])
 
 
 def validated(r: Responses) -> CrossValidation:

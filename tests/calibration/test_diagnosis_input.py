@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from posed import posed
 from support import DATA
 
 from calrig.calibration.diagnosis import diagnose, document
@@ -24,15 +25,8 @@ def run_of(targets_deg: np.ndarray, seed: int = 5, **known: np.ndarray) -> list[
     """Poses of a rig with nothing wrong but bias, scale and noise."""
     noise_deg = np.random.default_rng(seed).normal(0.0, NOISE_DEG, len(targets_deg))
     readings_deg = 0.8 + 1.002 * targets_deg + noise_deg
-    return [
-        Pose(
-            target_deg=float(targets_deg[k]),
-            reading_deg=float(readings_deg[k]),
-            time_s=4.0 * k,
-            **{name: values[k] for name, values in known.items()},
-        )
-        for k in range(len(targets_deg))
-    ]
+    time_s = 4.0 * np.arange(len(targets_deg))
+    return posed(**{"target_deg": targets_deg, "reading_deg": readings_deg, "time_s": time_s, **known})
 
 
 def sweeps(count: int = 4) -> np.ndarray:

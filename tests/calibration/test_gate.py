@@ -6,14 +6,20 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 import pytest
+from posed import posed
 
 from calrig.calibration.candidates import Candidate, candidates_of
 from calrig.calibration.gate import Verdict, gate
 from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import NoiseModel, fit
-from calrig.calibration.pose import Pose
 from calrig.calibration.responses import Responses, responses_of
 from calrig.calibration.screen import Screen
+
+
+def run_of(targets_deg: np.ndarray, readings_deg: np.ndarray, **known: np.ndarray) -> Responses:
+    """A pose every four seconds."""
+    time_s = 4.0 * np.arange(len(targets_deg))
+    return responses_of([posed(target_deg=targets_deg, reading_deg=readings_deg, time_s=time_s, **known)])
 
 
 def readings_of_a_drifting_rig(count: int = 60, drift_deg: float = 0.1) -> Responses:
@@ -21,28 +27,14 @@ def readings_of_a_drifting_rig(count: int = 60, drift_deg: float = 0.1) -> Respo
     rng = np.random.default_rng(3)
     targets_deg = rng.permutation(np.linspace(-60.0, 60.0, count))
     errors_deg = 0.8 + drift_deg * np.arange(count) / count + rng.normal(0.0, 0.03, count)
-    return responses_of(
-        [
-            [
-                Pose(target_deg=target, reading_deg=target + error, time_s=4.0 * k)
-                for k, (target, error) in enumerate(zip(targets_deg, errors_deg, strict=True))
-            ]
-        ]
-    )
+    return run_of(targets_deg, targets_deg + errors_deg)
 
 
 def noise_alone(count: int, seed: int) -> Responses:
     rng = np.random.default_rng(seed)
     targets_deg = rng.permutation(np.linspace(-60.0, 60.0, count))
     readings_deg = targets_deg + rng.normal(0.0, 0.03, count)
-    return responses_of(
-        [
-            [
-                Pose(target_deg=target, reading_deg=reading, time_s=4.0 * k)
-                for k, (target, reading) in enumerate(zip(targets_deg, readings_deg, strict=True))
-            ]
-        ]
-    )
+    return run_of(targets_deg, readings_deg)
 
 
 def sum_of_squares(y: np.ndarray, columns: np.ndarray) -> float:
@@ -119,13 +111,7 @@ def test_power_grows_with_the_size_of_an_effect(shape: str, size_deg: float) -> 
     up = np.linspace(-60.0, 60.0, 13)
     targets = np.concatenate([up, up[::-1], up, up[::-1]])
     readings = targets + size_deg * of[shape] + np.random.default_rng(5).normal(0.0, 0.03, count)
-    poses = [
-        Pose(target_deg=t, reading_deg=y, time_s=4.0 * k, approach=int(a))
-        for k, (t, y, a) in enumerate(
-            zip(targets.tolist(), readings.tolist(), approach.tolist(), strict=True)
-        )
-    ]
-    assert judged(responses_of([poses]), 99).p_value == 1 / 100
+    assert judged(run_of(targets, readings, approach=approach), 99).p_value == 1 / 100
 
 
 @pytest.mark.parametrize("rho", [-0.3, 0.0, 0.6])
@@ -141,7 +127,7 @@ def test_innovations_coloured_again_are_the_residuals(rho: float) -> None:
 
 def test_poses_that_can_show_no_effect_are_like_noise() -> None:
     readings_deg = 0.8 + np.random.default_rng(5).normal(0.0, 0.03, 20)
-    r = responses_of([[Pose(target_deg=0.0, reading_deg=reading) for reading in readings_deg]])
+    r = responses_of([posed(target_deg=np.zeros(20), reading_deg=readings_deg)])
     assert candidates_of(r) == []
     assert judged(r, 199).p_value == 1.0
 
@@ -150,14 +136,5 @@ def test_where_physics_forbids_all_that_lead_something_is_found_all_the_same() -
     rng = np.random.default_rng(5)
     targets_deg = np.concatenate([np.arange(0.0, 360.0, 4.0), np.arange(356.0, -1.0, -4.0)])
     off_deg = 40.0 * np.sin(np.radians(targets_deg))  # no scale is off its axis by so much of its radius
-    r = responses_of(
-        [
-            [
-                Pose(target_deg=target, reading_deg=target + off + error, time_s=4.0 * k)
-                for k, (target, off, error) in enumerate(
-                    zip(targets_deg, off_deg, rng.normal(0.0, 0.03, len(targets_deg)), strict=True)
-                )
-            ]
-        ]
-    )
+    r = run_of(targets_deg, targets_deg + off_deg + rng.normal(0.0, 0.03, len(targets_deg)))
     assert judged(r, 99).p_value <= 0.02

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from posed import posed
 
 from calrig.calibration.lack_of_fit import LEVEL, LackOfFit, lack_of_fit, warning_of
-from calrig.calibration.pose import Pose
 
 SWEEP_DEG = np.linspace(-60.0, 60.0, 25)
 TARGETS_DEG = np.concatenate([SWEEP_DEG, SWEEP_DEG[::-1], SWEEP_DEG, SWEEP_DEG[::-1]])
@@ -18,10 +18,8 @@ def held(residual_deg: np.ndarray, *, targets_deg: np.ndarray = TARGETS_DEG, dwe
     """A residual after bias and scale, held against the pure error."""
     line = np.polyfit(targets_deg, residual_deg, 1)
     left_deg = residual_deg - np.polyval(line, targets_deg)
-    run = [
-        Pose(target_deg=t, reading_deg=t + e, approach=int(a), reading_stderr_deg=dwell_deg)
-        for t, e, a in zip(targets_deg.tolist(), left_deg.tolist(), APPROACH, strict=True)
-    ]
+    read_deg = targets_deg + left_deg
+    run = posed(target_deg=targets_deg, reading_deg=read_deg, approach=APPROACH, reading_stderr_deg=dwell_deg)
     lag1 = float(left_deg[1:] @ left_deg[:-1] / (left_deg @ left_deg))
     return lack_of_fit(
         [run],

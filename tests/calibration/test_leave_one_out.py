@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from posed import posed
 
 from calrig.calibration.candidates import candidates_of
 from calrig.calibration.leave_one_out import standing_without_one
-from calrig.calibration.pose import Pose
 from calrig.calibration.ranking import Found
 from calrig.calibration.responses import Responses, responses_of
 
@@ -21,14 +21,7 @@ def run_of(theta_deg: np.ndarray, fraction: float = FRACTION) -> Responses:
     noise_deg = np.random.default_rng(2).normal(0.0, NOISE_DEG, len(theta_deg))
     readings_deg = theta_deg - fraction * move_deg + noise_deg
     approach = np.sign(move_deg)
-    return responses_of(
-        [
-            [
-                Pose(target_deg=x, reading_deg=y, approach=int(a))
-                for x, y, a in zip(theta_deg.tolist(), readings_deg.tolist(), approach, strict=True)
-            ]
-        ]
-    )
+    return responses_of([posed(target_deg=theta_deg, reading_deg=readings_deg, approach=approach)])
 
 
 def judged(r: Responses) -> Found:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from posed import posed
 
 from calrig.calibration.conformity import Limit
 from calrig.calibration.fit import Line
@@ -26,10 +27,7 @@ def poses(n=52, scale=1.002, bias_deg=0.8, bent_deg=0.0, seed=0):
     reading = (
         bias_deg + scale * theta + bent_deg * np.cos(np.radians(6.0 * theta)) + rng.normal(0, NOISE_DEG, n)
     )
-    return [
-        Pose(target_deg=float(a), reading_deg=float(r), reading_stderr_deg=NOISE_DEG)
-        for a, r in zip(theta, reading, strict=True)
-    ]
+    return posed(target_deg=theta, reading_deg=reading, reading_stderr_deg=NOISE_DEG)
 
 
 def judged(reference=STAGE, calibration=None, move_mismatches=0, *, of=None, **asked):

@@ -6,13 +6,13 @@ import math
 
 import numpy as np
 import pytest
+from posed import posed
 from scipy.linalg import block_diag
 from scipy.signal import lfilter
 from scipy.stats import multivariate_normal
 
 from calrig.calibration.lagged_products import PRIOR_RHO_STD
 from calrig.calibration.noise_model import fit, noise_of
-from calrig.calibration.pose import Pose
 from calrig.calibration.responses import Responses, responses_of
 
 RHO = 0.6
@@ -28,12 +28,8 @@ def runs_of_correlated_noise(lengths: tuple[int, ...] = LENGTHS, seed: int = 0) 
         innovations[0] = rng.normal()
         noise_deg = 0.03 * lfilter([1.0], [1.0, -RHO], innovations)
         targets_deg = rng.uniform(-60.0, 60.0, length)
-        runs.append(
-            [
-                Pose(target_deg=float(x), reading_deg=float(0.8 + x + e), time_s=4.0 * k)
-                for k, (x, e) in enumerate(zip(targets_deg, noise_deg, strict=True))
-            ]
-        )
+        readings_deg = 0.8 + targets_deg + noise_deg
+        runs.append(posed(target_deg=targets_deg, reading_deg=readings_deg, time_s=4.0 * np.arange(length)))
     return responses_of(runs)
 
 

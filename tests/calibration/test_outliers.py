@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from posed import posed
 
 from calrig.calibration.candidates import candidates_of
 from calrig.calibration.pose import Pose
@@ -21,10 +22,7 @@ def searched(run: list[Pose]) -> Findings:
 def run_of(theta: np.ndarray, error: np.ndarray, seed: int) -> list[Pose]:
     """0.8° of bias, noise of 0.03°, one pose every four seconds."""
     readings = 0.8 + 1.002 * theta + error + np.random.default_rng(seed).normal(0.0, 0.03, len(theta))
-    return [
-        Pose(target_deg=x, reading_deg=y, time_s=4.0 * k)
-        for k, (x, y) in enumerate(zip(theta.tolist(), readings.tolist(), strict=True))
-    ]
+    return posed(target_deg=theta, reading_deg=readings, time_s=4.0 * np.arange(len(theta)))
 
 
 def anywhere(seed: int) -> np.ndarray:

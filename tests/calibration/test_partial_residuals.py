@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from posed import posed
 
 from calrig.calibration.diagnosis import diagnose, document
 from calrig.calibration.partial_residuals import partial_residuals
-from calrig.calibration.pose import DiagnosisError, Pose
+from calrig.calibration.pose import DiagnosisError
 
 NOISE_DEG = 0.02
 
@@ -22,17 +23,8 @@ def measured(added, n=96, seed=3):
     readings = (
         0.8 + 1.002 * theta + added(approach, temperature_c, supply_v) + NOISE_DEG * rng.standard_normal(n)
     )
-    return [
-        Pose(
-            target_deg=float(theta[k]),
-            reading_deg=float(readings[k]),
-            approach=int(approach[k]),
-            time_s=3.0 * k,
-            temperature_c=float(temperature_c[k]),
-            covariates={"supply_v": float(supply_v[k])},
-        )
-        for k in range(n)
-    ]
+    known = {"approach": approach, "temperature_c": temperature_c, "supply_v": supply_v}
+    return posed(target_deg=theta, reading_deg=readings, time_s=3.0 * np.arange(n), **known)
 
 
 def found_in(poses):

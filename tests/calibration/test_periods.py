@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from posed import posed
 
 from calrig.calibration.candidates import candidate_of
 from calrig.calibration.diagnosis import diagnose, document
 from calrig.calibration.effects import EFFECTS
 from calrig.calibration.places import refined
-from calrig.calibration.pose import Pose
 from calrig.calibration.responses import responses_of
 from calrig.calibration.spectral_window import window_peaks
 
@@ -20,14 +20,8 @@ def measured(targets_deg, waves, rng, *, seconds_a_pose=None):
     """Poses of a stage whose table is off by waves (period, amplitude, phase), read with noise."""
     table = targets_deg + sum(a * np.sin(np.radians(360.0 * targets_deg / p + f)) for p, a, f in waves)
     readings = 0.5 + table + rng.normal(0.0, NOISE_DEG, len(table))
-    return [
-        Pose(
-            target_deg=float(target),
-            reading_deg=float(reading),
-            time_s=None if seconds_a_pose is None else seconds_a_pose * k,
-        )
-        for k, (target, reading) in enumerate(zip(targets_deg, readings, strict=True))
-    ]
+    time_s = None if seconds_a_pose is None else seconds_a_pose * np.arange(len(table))
+    return posed(target_deg=targets_deg, reading_deg=readings, time_s=time_s)
 
 
 def effects_in(poses):

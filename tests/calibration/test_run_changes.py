@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from blind.physics import Cause, Noise, measure
 
-from calrig.calibration.changes import changes
 from calrig.calibration.diagnosis import diagnose, document
 from calrig.calibration.diagnosis_verdict import diagnosis_verdict
 from calrig.calibration.partial_residuals import partial_residuals
@@ -65,12 +64,12 @@ def traced(*runs: list[Pose], cross_fit: bool = False) -> dict[str, object]:
     ],
 )
 def test_what_changed_between_two_runs_is_named_with_its_size(before, after, name, parameter, true):
-    found = changes(run_of(before, 1), run_of(after, 2), ("17", "18"), bootstraps=199)
-    (effect,) = found.effects
+    found = traced(run_of(before, 1), run_of(after, 2))
+    (effect,) = (one for one in found["effects"] if one["changed"] is not None)
     value = effect["parameters"][parameter]
     assert (effect["name"], effect["verdict"], effect["changed"]) == (name, "named", BETWEEN)
     assert value["value"] == pytest.approx(true, abs=5.0 * value["std"])
-    assert found.after_rms_deg < 1.1 * NOISE_DEG < found.before_rms_deg
+    assert found["final"]["fit_rms_deg"] < 1.1 * NOISE_DEG < found["base"]["fit_rms_deg"]
 
 
 def test_a_reading_that_moved_while_the_accelerometer_did_not_has_another_bias():

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from posed import posed
 
 from calrig.calibration.candidates import candidates_of, rebuilt
 from calrig.calibration.column_forms import arc_deg, delayed
 from calrig.calibration.column_units import is_circle, unit_of_column
 from calrig.calibration.diagnosis import diagnose, document
-from calrig.calibration.pose import Pose
 from calrig.calibration.responses import responses_of
 
 N = 90
@@ -22,16 +22,7 @@ def run_with(error_deg, **columns):
     rng = np.random.default_rng(4)
     theta = rng.uniform(-60.0, 60.0, N)
     reading = 0.5 + 1.001 * theta + error_deg + rng.normal(0.0, NOISE_DEG, N)
-    return [
-        Pose(
-            target_deg=float(theta[k]),
-            reading_deg=float(reading[k]),
-            time_s=float(TIME_S[k]),
-            settle_s=1.0,
-            covariates={name: float(column[k]) for name, column in columns.items()},
-        )
-        for k in range(N)
-    ]
+    return posed(target_deg=theta, reading_deg=reading, time_s=TIME_S, settle_s=1.0, **columns)
 
 
 def found_in(poses):

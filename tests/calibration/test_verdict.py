@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from posed import posed
 from scipy import stats
 
 from calrig.calibration.noise_bound import upper_limit
@@ -21,10 +22,7 @@ def poses(n, *, seed=0, backlash_deg=0.0, scale=1.002, stderr_deg=NOISE_DEG):
     theta = np.tile([*range(-60, 61, 10), *range(60, -61, -10)], n // 26 + 1)[:n]
     approach = np.tile([1] * 13 + [-1] * 13, n // 26 + 1)[:n]
     reading = 0.8 + scale * theta + backlash_deg / 2 * approach + rng.normal(0, NOISE_DEG, n)
-    return [
-        Pose(target_deg=float(t), reading_deg=float(r), approach=int(a), reading_stderr_deg=stderr_deg)
-        for t, r, a in zip(theta, reading, approach, strict=True)
-    ]
+    return posed(target_deg=theta, reading_deg=reading, approach=approach, reading_stderr_deg=stderr_deg)
 
 
 def result(n, effects=(), reference=None, **options):

@@ -44,7 +44,7 @@ def url(new_database: MakeDatabase) -> str:
 
 @pytest.fixture
 def bench(url: str) -> Iterator[TableBench]:
-    """Bench hall-2 with rig bench-1, seen just now."""
+    """Bench hall-2 with rig bench-1, in touch."""
     with closing(TableBench(url)) as bench:
         yield bench
 

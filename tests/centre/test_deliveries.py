@@ -80,8 +80,8 @@ def test_a_damaged_parcel_is_kept_and_said_and_keeps_no_other_run(
         centre = make_centre()
         wait_for(lambda: centre.store.run(measured.run.id), "run")
         centre.wait(measured.run.id, 60)
-    wait_for(lambda: bench.waiting() == len(measured.parcels), "mailbox with the damaged run's")
-    assert "not what was stored" in caplog.text
+        wait_for(lambda: bench.waiting() == len(measured.parcels), "mailbox with the damaged run's")
+        wait_for(lambda: "not what was stored" in caplog.text, "word of it, which follows")
     assert spoilt in caplog.text
     assert centre.store.run(spoilt) is None
 

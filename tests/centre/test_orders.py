@@ -74,8 +74,9 @@ def test_of_what_was_taken_only_the_bench_says_what_becomes(
 ):
     run_id = patient_centre.start(unit="A", plan=plan).id
     assert bench.take(run_id, 1) == "begin"
+    bench.beat(ago_s=4)
 
-    with pytest.raises(Conflict, match=r"hall-2 was last seen . s ago and cannot be told"):
+    with pytest.raises(Conflict, match=r"hall-2 was last seen \d+ s ago and cannot be told"):
         patient_centre.abort(run_id)
 
     assert patient_centre.run(run_id).status == "queued"
@@ -107,7 +108,7 @@ def test_what_cannot_be_ordered_is_said_before_anything_is_stored(
         with pytest.raises(error, match=why):
             centre.start(**{"unit": "A", "plan": plan, **wanted})
     bench.beat(ago_s=3600)
-    with pytest.raises(Conflict, match="bench hall-2 was last seen 3600 s ago"):
+    with pytest.raises(Conflict, match=r"bench hall-2 was last seen 3[67]\d\d s ago"):
         centre.start(unit="A", plan=plan)
 
     assert centre.store.runs() == ([], None)

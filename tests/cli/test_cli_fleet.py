@@ -89,6 +89,9 @@ def test_exported_poses_are_screened_in_the_stores_place(runs, scheduler):
 
 
 def test_a_store_that_is_taken_names_the_other_way(runs, scheduler):
-    with Store.open("sqlite:///calrig.db", writer="serve"):
-        assert "--out FILE" in reason("fleet", status=1)
+    with Store.open("sqlite:///calrig.db", writer="serve") as taken:
+        taken.answers_at("http://127.0.0.1:9")
+        said = reason("fleet", status=1)
+        assert "with --db, or keep what is found elsewhere with --out FILE" in said
+        assert "--server" not in said
         calrig("fleet", "--out", "found.db", "--scheduler", scheduler)

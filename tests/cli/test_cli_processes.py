@@ -9,6 +9,7 @@ import json
 import os
 import pty
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -106,6 +107,14 @@ def test_sigterm_ends_any_command_as_ctrl_c_does(folder):
         process.terminate()
         _, said = process.communicate()
     assert (process.returncode, said) == (1, "calrig: interrupted\n")
+
+
+def test_outputs_that_the_shell_has_closed_take_everything(folder):
+    run_id = calrig("import", "poses.csv", "--unit", "A").stdout.strip()
+    command = f"exec {shlex.join((*CALRIG, 'export', run_id))} >&-"
+    done = subprocess.run(["sh", "-c", command], stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.startswith("· ")
 
 
 @contextmanager

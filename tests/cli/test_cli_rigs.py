@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 
-from command_line import calrig
+from command_line import RIG, calrig, reason
 from serial.tools import list_ports
 from simulated_devices import plug
 
@@ -24,6 +24,11 @@ def test_what_is_configured_is_listed_with_its_ports(folder):
     shown = calrig("rigs").stdout
     assert "bench-1" in shown
     assert "smc100 on /dev/ttyABSENT0" in shown
+    (folder / "calrig.toml").write_text(RIG.replace("smc100", "smc10"))
+    for command in (["rigs"], ["run", "--unit", "A"]):
+        assert "rig 'bench-1': no stage driver is called 'smc10'; there are: esp301, " in reason(
+            *command, status=2
+        )
     (folder / "calrig.toml").unlink()
     assert "simulated" in calrig("rigs").stdout
 

@@ -57,13 +57,14 @@ def test_an_option_that_the_simulator_does_not_have_is_2_and_named(folder):
     assert "presset" in said
 
 
-def test_a_failed_run_is_1_and_json_still_says_what_happened(folder):
+def test_a_failed_run_is_1_and_json_still_says_what_happened(folder, caplog):
     done = calrig("run", "--unit", "A", "--json", status=1)
     run = json.loads(done.stdout)
     assert run["status"] == "failed"
     assert "/dev/ttyABSENT0" in run["error"]
     (line,) = done.stderr.splitlines()
     assert line == f"calrig: run {run['id']} failed: {run['error']}"
+    assert run["id"] not in caplog.text, "a log that nobody has set up goes to standard error, too"
 
 
 def test_that_no_unit_can_pass_is_said_before_the_stage_is_even_looked_for(folder):

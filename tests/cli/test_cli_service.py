@@ -263,7 +263,7 @@ def test_a_token_goes_to_nobody_but_this_users_own_service(served, folder, tmp_p
                 context.setattr(os, "geteuid", lambda: os.getuid() + 1)
                 assert not listener.is_ours(here), "another user listens there"
         assert answering_at(tmp_path / "other.db") is None, "the port is anybody's now"
-        assert "by --server http://HOST:PORT, " in reason(
+        assert ", or ask it by --server http://HOST:PORT" in reason(
             "import", folder / "poses.csv", "--unit", "A", "--db", tmp_path / "other.db", status=1
         )
     assert answering_at(tmp_path / "other.db") is None, "nobody holds it any more"
@@ -288,6 +288,9 @@ def test_a_run_of_another_program_is_watched_in_the_file(folder):
     assert said == [
         f"calrig: run {run.id} interrupted: the power went; `calrig resume {run.id}` goes on with it"
     ]
+    with Store.open(store_url(), writer="run") as store:
+        left = store.create_run(unit="A", rig=None, status="running", **given)
+    assert "is running in the store, and no program is there" in reason("watch", left.id[:8], status=1)
 
 
 def test_a_task_that_is_cancelled_cancels_the_work_that_it_waits_for(there, served, monkeypatch, caplog):

@@ -15,14 +15,13 @@ from typing import Any
 import httpx
 import pytest
 from a_centre import Centre, connect, of, turn
+from command_line import calrig
 from sqlalchemy import make_url
 from starlette.exceptions import HTTPException
 from support import serving
-from typer.testing import CliRunner, Result
 
 from calrig.api.access import Access
 from calrig.api.attempts import FORGOTTEN_S, MOST_ALL, MOST_EACH, Attempts
-from calrig.cli.main import app
 from calrig.runs.service import RunService
 from calrig.settings import CentreSettings
 from calrig.store import Store
@@ -246,12 +245,6 @@ class TestOverHttp:
                 5433,
                 {"sslmode": "verify-full"},
             )
-
-
-def calrig(*arguments: object, status: int = 0) -> Result:
-    done = CliRunner().invoke(app, [str(one) for one in arguments], catch_exceptions=False)
-    assert done.exit_code == status, done.output
-    return done
 
 
 class TestFromATerminal:

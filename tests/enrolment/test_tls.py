@@ -19,7 +19,7 @@ import psycopg
 import pytest
 from a_centre import Centre, connect, of
 from sqlalchemy import make_url
-from support import at_work, serving
+from support import at_work, lasting_port, serving
 from typer.testing import CliRunner, Result
 
 from calrig.cli.enroll import checked_by
@@ -75,9 +75,7 @@ def tls_server() -> Iterator[tuple[str, int, Path]]:
             (data / name).chmod(0o600)
             shutil.chown(data / name, account or os.geteuid())
         (data / "pg_hba.conf").write_text(HBA)
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            port = free.getsockname()[1]
+        port = lasting_port()
         tls = "-c ssl=on -c ssl_cert_file=server.pem -c ssl_key_file=server.key"
         listening = f"-h 127.0.0.1 -p {port} -k {folder} -c fsync=off {tls}"
         run("pg_ctl", "-w", "-D", str(data), "-l", str(data / "log"), "-o", listening, "start")

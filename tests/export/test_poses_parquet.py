@@ -8,7 +8,7 @@ import pytest
 from calrig.calibration.packed_poses import PackedPoses, packed
 from calrig.calibration.pose import Pose
 from calrig.errors import InputError
-from calrig.export.poses_parquet import read_poses, write_poses
+from calrig.export.poses_parquet import parquet_files, read_file, write_poses
 
 pa = pytest.importorskip("pyarrow")
 from pyarrow import parquet  # noqa: E402
@@ -42,14 +42,15 @@ def test_other_tools_find_the_contracts_columns_and_nulls(tmp_path):
 
 def test_poses_come_back_as_they_were(tmp_path):
     write_poses(tmp_path, [two_runs()])
-    (found,) = read_poses(tmp_path)
+    (file,) = parquet_files(tmp_path)
+    (found,) = read_file(file)
     assert_same(found, two_runs())
 
 
 def test_a_run_across_two_row_groups_is_one_run(tmp_path):
     (file,) = write_poses(tmp_path, [two_runs()])
     parquet.write_table(parquet.read_table(file), file, row_group_size=2)
-    found = list(read_poses(file))
+    found = list(read_file(file))
     assert [run for piece in found for run in piece.run_ids] == ["run-1", "run-2"]
     assert [n for piece in found for n in piece.counts.tolist()] == [3, 2]
 
@@ -62,8 +63,8 @@ def test_nothing_is_overwritten_and_what_is_no_table_of_poses_is_said(tmp_path):
     parquet.write_table(pa.table({"run_id": ["a"], "target_deg": [1.0]}), other)
     text.write_text("target_deg,reading_deg\n")
     with pytest.raises(InputError, match=r"other\.parquet: has no column reading_deg"):
-        list(read_poses(other))
+        list(read_file(other))
     with pytest.raises(InputError, match=r"text\.parquet: is no Parquet file"):
-        list(read_poses(text))
+        list(read_file(text))
     with pytest.raises(InputError, match="there is no Parquet file"):
-        list(read_poses(tmp_path / "absent"))
+        parquet_files(tmp_path / "absent")

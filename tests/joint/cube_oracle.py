@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .cube import CubeBench, Seat, WholeUnit
+from .oracle import slopes
 from .rig import Stage
 
-STEP = 1e-4
 LINEAR, CUBIC = 12, 18
 """Parameters of a unit."""
 DIAL_DEG = np.arange(-180.0, 180.0, 5.0)
@@ -32,7 +32,7 @@ def bound(bench: CubeBench, *, linear: bool) -> Bound:
     """What an efficient solution is wrong by."""
     start = _numbers(bench)
     free = np.array([k for k in range(len(start)) if k < LINEAR or k >= CUBIC or not linear])
-    columns = _slopes(lambda x: _felt(bench, x), start)[:, free] / math.radians(bench.noise_deg)
+    columns = slopes(lambda x: _felt(bench, x), start)[:, free] / math.radians(bench.noise_deg)
     scale = np.linalg.norm(columns, axis=0)
     _, size, turn = np.linalg.svd(columns / scale, full_matrices=False)
     told = size > 1e-6 * size[0]
@@ -40,7 +40,7 @@ def bound(bench: CubeBench, *, linear: bool) -> Bound:
         return Bound(math.inf, math.inf, math.inf, math.inf)
 
     def stds(function) -> np.ndarray:
-        parts = (_slopes(function, start)[:, free] / scale) @ turn[told].T / size[told]
+        parts = (slopes(function, start)[:, free] / scale) @ turn[told].T / size[told]
         return np.sqrt((parts**2).sum(axis=1))
 
     def rms(of: np.ndarray) -> float:
@@ -119,8 +119,3 @@ class _TurnedSeat(Seat):
         from scipy.spatial.transform import Rotation
 
         return Rotation.from_rotvec(self.more_deg, degrees=True) * super().rotation()
-
-
-def _slopes(function, start: np.ndarray) -> np.ndarray:
-    steps = STEP * np.eye(len(start))
-    return np.stack([(function(start + s) - function(start - s)) / (2.0 * STEP) for s in steps], axis=1)

@@ -32,11 +32,11 @@ def bound_deg(bench: Bench, *, linear: bool = False) -> float:
     def elevation(numbers: np.ndarray) -> np.ndarray:
         return angle_deg(_bench(bench, numbers).units[0], GRID_DEG)
 
-    columns = _slopes(response, start)[:, free]
+    columns = slopes(response, start)[:, free]
     slope = (angle_deg(bench.units[0], GRID_DEG + STEP) - angle_deg(bench.units[0], GRID_DEG - STEP)) / (
         2 * STEP
     )
-    wrong = -_slopes(elevation, start)[:, free] / slope[:, None]
+    wrong = -slopes(elevation, start)[:, free] / slope[:, None]
     wrong -= wrong.mean(axis=0)
     scale = np.linalg.norm(columns, axis=0)
     _, size, turn = np.linalg.svd(columns / scale, full_matrices=False)
@@ -78,6 +78,7 @@ def _bench(bench: Bench, numbers: np.ndarray) -> Bench:
     return Bench((unit,), stage, tuple(visits), bench.noise_deg)
 
 
-def _slopes(function, start: np.ndarray) -> np.ndarray:
+def slopes(function, start: np.ndarray) -> np.ndarray:
+    """(m, p) derivatives of a function (p,) → (m,), by differences."""
     steps = STEP * np.eye(len(start))
     return np.stack([(function(start + s) - function(start - s)) / (2.0 * STEP) for s in steps], axis=1)

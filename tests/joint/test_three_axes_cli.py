@@ -7,17 +7,9 @@ import json
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
-
-from calrig.cli.main import app
+from command_line import calrig
 
 from .cube import as_csv, drawn_cube_bench
-
-
-def calrig(*arguments, status=0):
-    done = CliRunner().invoke(app, [str(argument) for argument in arguments], catch_exceptions=False)
-    assert done.exit_code == status, done.output
-    return done
 
 
 @pytest.fixture(scope="module")

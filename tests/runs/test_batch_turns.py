@@ -96,3 +96,29 @@ def test_rigs_side_by_side_keep_what_their_pages_show() -> None:
     now = settled(turns, {"b": run("b", "running")}, ["l", "r"], "end")
     assert [(now.on[rig].unit, now.then[rig].unit) for rig in ("l", "r")] == [("A", "C"), ("B", "D")]  # type: ignore[union-attr]
     assert now.written == []
+
+
+def test_a_rig_that_is_left_without_a_unit_takes_what_is_kept_for_one_that_has_another_before_it() -> None:
+    turns = [Turn(0, "A", "running", "l", "a"), Turn(1, "B", "running", "r", "b"), Turn(2, "C", rig="l")]
+    runs = {"a": run("a", "running"), "b": run("b", "running")}
+    now = settled(turns, runs, ["l", "r"], "end")
+    assert now.then["l"] == turns[2] and now.then["r"] is None
+    now = settled(turns, {**runs, "b": run("b")}, ["l", "r"], "end")
+    assert now.on["r"] == replace(turns[2], rig=None) and now.then["l"] is None
+    taken = [*turns[:2], replace(turns[2], rig="r")]  # as the first look at it has written
+    now = settled(taken, {"a": run("a"), "b": run("b")}, ["l", "r"], "end")
+    assert (now.on["l"], now.on["r"]) == (None, taken[2]), "what a person has been shown stays where it is"
+
+
+def test_what_is_mounted_on_a_rig_or_asked_for_there_goes_to_no_other_one() -> None:
+    why = Turn(2, "A", "follow_up", "l", "p")
+    for held in (Turn(1, "B", rig="l"), Turn(1, "B", rig="l", run_id="n", why="it was aborted"), why):
+        now = settled([Turn(0, "A", "failed", "l", "p"), held], {}, ["l", "r"], "follow_up")
+        assert (now.on["l"], now.on["r"]) == (held, None)
+
+
+def test_a_list_is_finished_once_every_unit_has_had_all_its_turns() -> None:
+    turns = [Turn(0, "A", "running", "r", "p"), Turn(1, "B", "removed")]
+    assert not settled(turns, {"p": run("p", "running")}, ["r"], "end").is_finished
+    assert not settled(turns, {"p": POOR}, ["r"], "end").is_finished, "it is measured once more"
+    assert settled(turns, {"p": PLAIN}, ["r"], "end").is_finished

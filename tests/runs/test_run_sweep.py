@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from run_rigs import TruthRig, begin, states, until
+from run_rigs import CLOCK, TruthRig, begin, events, states, until
 
 from calrig.analysis.errors import Invalid
 from calrig.plan import Plan
@@ -37,8 +37,15 @@ def test_reports_that_are_late_and_a_gyro_that_is_wrong_leave_nothing_in_the_pos
         stage={"report_delay_s": 0.02},
         imu={**QUIET, "dlpf_cfg": 4, "gyro_scale_error_pct": [2.5, 0.0, 0.0]},
     )
-    run = swept(rig, serve)
+    service = serve(rig)
+    began = begin(service, SWEEP)
+    until(lambda: store.count_poses(began.id) == 1, "the first dwell", 60)
+    told_s, told_at_s = store.run(began.id).progress["remaining_s"], CLOCK.now_s()
+    run = service.wait(began.id, 120)
     assert (run.status, run.error) == ("completed", None)
+    assert told_s == pytest.approx(CLOCK.now_s() - told_at_s, rel=0.1), "left after the first dwell"
+    left_s = [event.data["remaining_s"] for event in events(store, run, "progress")]
+    assert left_s == sorted(left_s, reverse=True)
     poses = [stored.pose for stored in store.poses(run.id)]
     assert len(poses) == 1 + 2 * (12 + 1) == run.progress["poses_total"]
     assert [pose.settle_s for pose in poses].count(None) == 24

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -94,11 +95,15 @@ def test_a_stop_is_made_and_answered_though_the_store_is_locked(bench: TruthRig,
     ):
         run = begin(service, ENDLESS)
         moving(bench, service, run)
+        service.start(unit="AS-2", plan=ENDLESS, queue=True)
         with closing(sqlite3.connect(path, isolation_level=None)) as somebody:
             somebody.execute("BEGIN IMMEDIATE")
             assert service.abort(run.id).status == "aborted"
             assert bench.stands_for_good()
-            assert service.stop("bench-1").state == "idle"
+            stopping = service.begin_stop("bench-1")
+            calling_off = [one for one in threading.enumerate() if one.name == "call-off at bench-1"]
+            assert all(one.daemon for one in calling_off), "who waits for the store keeps no process"
+            assert stopping.result().state == "idle"
             somebody.execute("ROLLBACK")
         assert service.wait(run.id, 10).status == "aborted"
 

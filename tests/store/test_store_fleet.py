@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from calrig.calibration.packed_poses import packed
-from calrig.calibration.pose import Pose
+from calrig.calibration.pose import GYRO_MEANS, Pose
 from calrig.store import Run, Store, StoreDamagedError, fleet
 from calrig.store.fleet_findings import Finding
 
@@ -27,7 +27,10 @@ def poses(n: int, seed: int = 0) -> list[Pose]:
             approach=1 if k % 2 else None,
             temperature_c=None if k == 1 else -0.0,
             n_samples=400,
-            covariates={"humidity": float(rng.normal()), "lamp": None} if seed == 2 else {},
+            covariates={
+                **({"humidity": float(rng.normal()), "lamp": None} if seed == 2 else {}),
+                **({name: float(rng.normal()) for name in GYRO_MEANS} if seed in (1, 2) else {}),
+            },
         )
         for k in range(n)
     ]
@@ -54,8 +57,10 @@ def test_completed_runs_that_count_are_listed_with_what_was_found_in_them(store,
     ]
 
 
-@pytest.mark.parametrize("at_once", [1, 25, 100_000])
-def test_packed_poses_are_those_of_each_run_by_itself(store, new_run, monkeypatch, at_once):
+@pytest.mark.parametrize(
+    ("at_once", "with_gyro"), [(1, False), (25, True), (100_000, False), (100_000, True)]
+)
+def test_packed_poses_are_those_of_each_run_by_itself(store, new_run, monkeypatch, at_once, with_gyro):
     monkeypatch.setattr(fleet, "POSES_AT_ONCE", at_once)
     monkeypatch.setattr(fleet, "ROWS_AT_ONCE", 7)
     monkeypatch.setattr(fleet, "RUNS_AT_ONCE", 2)
@@ -63,7 +68,8 @@ def test_packed_poses_are_those_of_each_run_by_itself(store, new_run, monkeypatc
     new_run(poses=poses(5))  # goes on, among the others
     runs.append(completed(new_run, 8, 7))
     store.exclude_pose(runs[1].id, 4, "bumped", result=None)
-    pieces = list(store.packed_poses(listed(store)))
+    pieces = list(store.packed_poses(listed(store), with_gyro=with_gyro))
+    left_out = set() if with_gyro else set(GYRO_MEANS)
     assert [run for piece in pieces for run in piece.run_ids] == [run.id for run in runs]
     assert len(pieces) > 1 or at_once > 60
     for piece in pieces:
@@ -71,7 +77,8 @@ def test_packed_poses_are_those_of_each_run_by_itself(store, new_run, monkeypatc
             counted = [stored.pose for stored in store.poses(run_id, include_excluded=False)]
             expected = packed({run_id: counted}).columns
             found = piece.runs(np.array([k])).columns
-            for name in {*expected, *found}:
+            assert not left_out & set(found)
+            for name in {*expected, *found} - left_out:
                 column = expected.get(name, np.full(len(counted), np.nan))
                 np.testing.assert_array_equal(found.get(name, np.full(len(counted), np.nan)), column, name)
 

@@ -199,7 +199,7 @@ def test_the_calibration_in_force_is_the_latest_that_counts(store, new_run, resu
         run = new_run(plan=plan)
         return store.update_run(run.id, status=status, result={**result, **given})
 
-    in_force = finished()
+    in_force = finished(kind="sweep")
     voided = finished()
     finished(scale=None, scale_std=None)
     finished(kind="static")
@@ -217,8 +217,8 @@ def test_the_calibration_in_force_is_the_latest_that_counts(store, new_run, resu
 
 def test_a_comparison_holds_the_figures_of_completed_runs_by_unit_and_time(store, new_run, result):
     for unit in ("B", "A", "C"):
-        for bias in (0.1, 0.2):
-            run = new_run(unit=unit)
+        for kind, bias in (("calibration", 0.1), ("sweep", 0.2)):
+            run = new_run(unit=unit, plan={"kind": kind})
             store.update_run(run.id, status="completed", result={**result, "bias_deg": bias})
     store.void_run(run.id, "dropped")
     new_run(unit="A")

@@ -11,10 +11,12 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import nullcontext
 from itertools import islice
 from multiprocessing import get_context
 from pathlib import Path
 
+from calrig.simulator.virtual_clock import VirtualClock
 from calrig.store import Store
 
 from .counting import Count, Extent, none_of
@@ -106,11 +108,16 @@ def try_all(chosen: list[Case], workers: int) -> list[Outcome]:
 
 
 def try_one(case: Case) -> Outcome:
-    """One case, in a store of its own."""
-    with tempfile.TemporaryDirectory() as folder:
+    """One case, in a store of its own: over terminals, and a board without a clock in virtual time.
+
+    Its lines have the time at which they are heard, so that a busy machine would be in its readings. A Zaber
+    stage's library cannot be given time.
+    """
+    virtual = VirtualClock() if case.sketch is not None and case.stage != "zaber" else None
+    with tempfile.TemporaryDirectory() as folder, nullcontext() if virtual is None else virtual.taking_part():
         path = Path(folder)
         with Store.open(f"sqlite:///{path / 'calrig.db'}", writer="trial") as store:
-            return try_case(case, store, path)
+            return try_case(case, store, path, virtual)
 
 
 def _alone(name: str) -> None:

@@ -79,8 +79,14 @@ def test_what_a_file_says_of_itself_is_text_on_every_view(page, client, go, expe
     page.get_by_role("link", name="Compare with other units").click()
     for name in ("residuals", "bias", "scale", "rms"):
         expect(page.get_by_test_id(f"compare-{name}").locator(".legendtext")).to_have_text(MARKUP)
-    page.get_by_test_id("compare-bias").locator(".nsewdrag").hover()
-    expect(page.get_by_test_id("compare-bias").locator(".hoverlayer .name")).to_contain_text("><img")
+    chart = page.get_by_test_id("compare-bias")
+
+    def pointed_at():
+        chart.locator(".nsewdrag").hover(position={"x": 1, "y": 1})
+        chart.locator(".nsewdrag").hover()
+        return "><img" in "".join(chart.locator(".hoverlayer .name").all_text_contents())
+
+    wait_for(pointed_at, "name of what is pointed at")
     untouched(MARKUP)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from support import wait_for
 
 from .page_help import ambiguous_poses, imported, imported_lines
 
@@ -35,7 +36,12 @@ def test_on_paper_there_are_no_controls_and_nothing_is_cut(page, client, go, exp
     expect(page.locator(".plot .main-svg").first).to_be_visible()
     page.set_viewport_size({"width": 700, "height": 990})  # what A4 leaves between its margins
     page.emulate_media(media="print")
-    page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+
+    def is_sized_for_paper():
+        page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+        return page.locator(".plot .main-svg[viewBox]").count()
+
+    wait_for(is_sized_for_paper, "code that does it, which comes after the chart's")
     try:
         assert page.locator("button:visible, .frame:visible, .downloads:visible").count() == 0
         boxes = "boxes => boxes.filter(box => box.scrollHeight > box.clientHeight + 1).length"
@@ -43,7 +49,6 @@ def test_on_paper_there_are_no_controls_and_nothing_is_cut(page, client, go, exp
         assert page.evaluate("document.documentElement.scrollWidth") <= 700
         widths = "all => all.map(svg => svg.getBoundingClientRect().right)"
         assert max(page.locator(".plot .main-svg").evaluate_all(widths)) <= 700
-        assert page.locator(".plot .main-svg").first.get_attribute("viewBox")
     finally:
         page.evaluate("window.dispatchEvent(new Event('afterprint'))")
         page.emulate_media(media="screen")

@@ -131,7 +131,8 @@ def test_a_run_is_traced_to_backlash_and_the_effect_put_in_force(page, client, s
     go(f"#/runs/{verified['id']}")
     expect(verdict.locator(".headline")).to_have_text(verified["verdict"]["says"][0])
     expect(verdict).to_contain_text("As found, against the document: RMS error")
-    assert verified["verdict"]["ratio"] < 2.0  # by the raw reading it would be 67, without the effect 9
+    # By the raw reading it would be 67, without the effect 9; noise alone is beyond 2 once in 2,000 runs.
+    assert verified["verdict"]["ratio"] < 4.0
 
     go(f"#/runs/{run['id']}")
     page.click("#take-back-backlash")

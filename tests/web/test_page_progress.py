@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import logging
+
 import pytest
+from support import PATIENCE_S, wait_for
 
 from calrig.analysis import diagnoses
 from calrig.api import heavy, noise, solve
+from calrig.api.errors import CLIENT_LEFT
 
 from .page_help import cancelled_by_who_comes_back, imported
 from .slow_work import LET_GO, slow_design, slow_study, slow_trace
@@ -71,16 +75,19 @@ def test_a_diagnosis_that_a_person_cancels_ends_and_may_be_asked_for_again(begun
 
 
 def test_one_cancelled_before_the_service_has_named_it_is_given_up(
-    page, go, client, expect, slow_run, monkeypatch
+    page, go, client, expect, slow_run, monkeypatch, caplog
 ):
-    monkeypatch.setattr(heavy, "AT_ONCE_S", 60.0)
+    caplog.set_level(logging.INFO, "calrig.api.request_log")
+    monkeypatch.setattr(heavy, "AT_ONCE_S", PATIENCE_S)
     go(f"#/runs/{slow_run['id']}")
     page.click("#diagnose")
     expect(page.locator("#diagnosis-says")).to_contain_text("Searching all poses for effects")
     page.click("#diagnosis-cancel")
     expect(page.locator("#diagnosis-state")).to_have_text("Cancelled: nothing was kept of it.")
+    wait_for(
+        lambda: f"/diagnosis: {CLIENT_LEFT}" in caplog.text, "the service's word that nobody waits for it"
+    )
     LET_GO.touch()
-    client.post("/api/imports", files={"file": ("p.csv", "x")}, data={"unit": "SLOW-2"})  # comes behind it
     assert client.get(f"/api/runs/{slow_run['id']}/diagnosis").status_code == 404
 
 

@@ -7,6 +7,20 @@ from support import LONG, running_service, serving, wait_for
 
 pytestmark = pytest.mark.browser
 SHORT = {"elevations_deg": [0, 20], "sweeps": 1, "settle_s": 0.2, "dwell_s": 0.5}
+LISTENING = """
+    window.told = [];
+    window.Notification = class extends Notification {
+        constructor(text, how) { super(text, how); told.push(text); }
+    };
+    const create = AudioContext.prototype.createOscillator;
+    AudioContext.prototype.createOscillator = function () {
+        const tone = create.call(this), start = tone.start.bind(tone);
+        tone.start = (at) => { told.push(tone.frequency.value); start(at); };
+        return tone;
+    };
+    null;
+"""
+"""What is told beside the page: notifications and tones, as the browser is asked for them."""
 ODD = "Ä <b>7</b>\u202e\"'&#/%2F"
 
 
@@ -15,12 +29,11 @@ def forgiven():
     return [r"(409|422) \(", "ERR_FAILED"]
 
 
-def pressed(page, expect, instruction):
-    """Enter, as soon as it means something."""
-    expect(page.locator(".todo").first).to_have_text(instruction)
-    expect(
-        page.locator("[data-go]").first
-    ).to_be_enabled()  # an Enter meant for what stood there does nothing
+def pressed(page, expect, instruction, card=None):
+    """Enter, as soon as it means something, on the first rig or that of a card."""
+    at = card or page
+    expect(at.locator(".todo").first).to_have_text(instruction)
+    expect(at.locator("[data-go]").first).to_be_enabled()  # an Enter meant for what stood there does nothing
     page.keyboard.press("Enter")
 
 
@@ -45,13 +58,19 @@ def test_a_list_goes_unit_by_unit_with_one_key_and_is_the_same_in_another_tab(pa
     expect(page.locator("#queue-units tbody tr")).to_have_count(3)
     expect(page.locator("#scan")).to_be_focused()
     expect(page.locator(".sight")).to_contain_text("see that it is PQ-1. It sits still")
+    page.context.grant_permissions(["notifications"])
+    page.evaluate(LISTENING)
     pressed(page, expect, "Mount PQ-1, press Enter")
     batch = page.url.split("/")[-1]
     word = page.locator(".big-word")
     expect(word).to_have_text("● DONE")
     expect(page).to_have_title("DONE PQ-1 · calrig")
+    assert page.evaluate("told") == [660, "DONE PQ-1"]
+    page.context.clear_permissions()
     assert word.evaluate("word => parseFloat(getComputedStyle(word).fontSize)") >= 96
     assert axe.run(page).violations_count == 0
+    page.reload()
+    expect(page).to_have_title("DONE PQ-1 · calrig")
     page.locator("#scan").fill(ODD)
     page.keyboard.press("Enter")
     expect(page.locator("#queue-error")).to_contain_text("printable")
@@ -106,6 +125,9 @@ def test_a_list_goes_unit_by_unit_with_one_key_and_is_the_same_in_another_tab(pa
     page.get_by_test_id("confirm").click()
     expect(page.locator(".todo")).to_have_text("This list is closed")
     assert client.get(f"/api/batches/{batch}").json()["closed_at"]
+    expect(page.locator("dialog")).to_have_count(0)
+    page.keyboard.type("]C1PQ-7\n")  # what is scanned now is of another list, and its symbology of none
+    expect(page.locator("#units")).to_have_value("PQ-7\n")
 
 
 def test_what_stops_a_unit_is_said_and_a_unit_that_is_to_be_turned_asks_in_the_same_place(
@@ -129,20 +151,32 @@ def test_what_stops_a_unit_is_said_and_a_unit_that_is_to_be_turned_asks_in_the_s
 def test_of_several_rigs_enter_means_the_one_whose_board_knows_its_unit(
     fresh_page, expect, launch_rig, store_path
 ):
-    page, rigs = fresh_page, [launch_rig("left", board={"serial": "TW-2"}), launch_rig("right")]
-    body = {"units": ["TW-1", "TW-2", "TW-3"], "rigs": ["left", "right"], "plan": LONG}
+    page, rigs = fresh_page, [launch_rig("left", board={"serial": "TW-2"})]
+    rigs.append(launch_rig("right", imu={"accel_gain_error_pct": [50, 50, 50]}))
+    rigs.append(launch_rig("mute", board={"fault": "silent"}))
+    units = ["TW-1", "TW-2", "TW-3", "TW-4"]
+    body = {"units": units, "rigs": ["left", "right", "mute"], "plan": LONG}
     with running_service(store_path, *rigs) as service, serving(service) as client:
         batch = client.post("/api/batches", json=body).raise_for_status().json()
         page.goto(f"{client.base_url}/#/queue/{batch['id']}")
-        left, right = (page.locator(f"[data-rig-turn={name}]") for name in ("left", "right"))
+        left, right, mute = (page.locator(f"[data-rig-turn={name}]") for name in body["rigs"])
         expect(left.locator(".todo")).to_have_text("TW-2 is mounted, press Enter")
         expect(left.locator(".sight")).to_contain_text(
             "TW-2 is there, says its board; TW-1 stays in the list."
         )
-        expect(right.locator(".todo")).to_have_text("Mount TW-2, scan it")
+        expect(right.locator(".todo")).to_have_text("Check TW-2, scan it")
         pressed(page, expect, "TW-2 is mounted, press Enter")
         expect(left.locator(".todo")).to_have_text("TW-2 is being measured")
         expect(right.locator(".todo")).to_have_text(
-            "Mount TW-3, press Enter"
+            "Check TW-4, scan it"
         )  # TW-1 stays where it was asked for
+        page.keyboard.type("TW-4\n")
+        expect(page.locator("#queue-said")).to_contain_text("Its accelerometer feels 1.50 g at rest")
+        page.keyboard.type("TW-4\n")
+        expect(right.locator(".todo")).to_have_text("TW-4 is being measured")
+        pressed(page, expect, "Mount TW-3: no board answers yet", mute)
+        expect(page.locator("#queue-said")).to_contain_text("Not started. No unit answers")
+        assert len(client.get("/api/runs").json()["items"]) == 2
+        mute.get_by_role("button", name="Start TW-3 anyway").click()
+        expect(mute.locator(".big-unit")).to_contain_text("TW-3")
         page.goto("about:blank")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-from datetime import date
 
 import pytest
 from support import DATA
@@ -160,7 +159,7 @@ def test_runs_are_found_by_a_part_of_their_serial_or_note_and_the_way_back_keeps
     page.select_option("#filter-verdict", "")
     page.select_option("#filter-rig", "")
     page.fill("#filter-text", "GEHÄUSE")
-    page.fill("#filter-from", date.today().isoformat())
+    page.fill("#filter-from", first["created_at"][:10])
     expect(rows).to_have_count(1)
     rows.get_by_role("link").first.click()
     expect(page.locator("h1")).to_contain_text("FOUND-1")

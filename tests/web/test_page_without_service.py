@@ -5,13 +5,12 @@ from __future__ import annotations
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 
 import httpx
 import pytest
-from support import LONG, PATIENCE_S, wait_for
+from support import LONG, PATIENCE_S, lasting_port, wait_for
 
 pytestmark = pytest.mark.browser
 
@@ -49,19 +48,13 @@ def serve(tmp_path):
         process.wait(PATIENCE_S)
 
 
-@pytest.fixture
-def free_port():
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        return taken.getsockname()[1]
-
-
 def test_a_service_that_dies_is_said_to_be_gone_and_its_run_to_be_interrupted_when_it_is_back(
-    fresh_page, serve, free_port, forgiven, expect
+    fresh_page, serve, forgiven, expect
 ):
-    page = fresh_page
+    page, port = fresh_page, lasting_port()
     forgiven.append(r"net::ERR_")
-    process = serve(free_port)
-    url = f"http://127.0.0.1:{free_port}"
+    process = serve(port)
+    url = f"http://127.0.0.1:{port}"
     run = httpx.post(f"{url}/api/runs", json={"unit": "MPU-1", "plan": LONG}).raise_for_status().json()
     page.goto(f"{url}/#/runs/{run['id']}")
     expect(page.locator("#poses-table tbody tr").nth(1)).to_be_visible()
@@ -75,7 +68,7 @@ def test_a_service_that_dies_is_said_to_be_gone_and_its_run_to_be_interrupted_wh
     page.click("button.stop")
     expect(page.locator("#stop-line")).to_contain_text("cut its motor power")
 
-    serve(free_port)
+    serve(port)
     expect(page.locator("#banner")).to_be_hidden()
     expect(page.locator("#status")).to_have_text("interrupted")
     expect(page.locator("#abort")).to_be_hidden()

@@ -35,7 +35,6 @@ class Dwells:
         bias_dps, bias_std_dps: (3,) at no acceleration, and at the unit's reference temperature.
         dps_per_g, dps_per_g_std: (3, 3) of the gyro's axes (rows) by directions of acceleration.
         told: whether the poses tell `dps_per_g` and so the bias.
-        noise_dps: of a dwell's mean.
         left_dps: (poses, 3) what each dwell's mean differs by; 0 of those that have none.
     """
 
@@ -44,7 +43,6 @@ class Dwells:
     dps_per_g: FloatArray
     dps_per_g_std: FloatArray
     told: bool
-    noise_dps: float
     left_dps: FloatArray
 
 
@@ -82,6 +80,5 @@ def dwells_of(fit: ThreeAxisFit, unit: int) -> Dwells | None:
         values[PER_G].reshape(3, 3),
         stds[PER_G].reshape(3, 3),
         bool((stds[PER_G] < UNTOLD * LARGEST_DPS_PER_G).all()),
-        float(np.sqrt(variance)),
         left_dps,
     )

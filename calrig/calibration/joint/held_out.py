@@ -14,6 +14,7 @@ import numpy as np
 from calrig.calibration.joint.least_squares import Fit, fitted
 from calrig.calibration.joint.problem import Problem
 from calrig.calibration.joint.table import BoolArray, Intp, Table
+from calrig.calibration.joint.three_axis_fit import ThreeAxisFit, fitted_whole
 from calrig.calibration.progress import Progress, unheard, within
 from calrig.estimation.angles import FloatArray
 
@@ -38,7 +39,7 @@ Left = Callable[[FloatArray], FloatArray]
 def held_out(fit: Fit, progress: Progress = unheard) -> HeldOut:
     """Predicts every pose that was not left out as an outlier, once; tells the share that is done."""
     problem, believing = fit.problem, _without_map(fit.problem)
-    return predicted(
+    return _predicted(
         problem.table,
         fit.kept,
         lambda shown: fitted(believing, shown).left(),
@@ -47,10 +48,21 @@ def held_out(fit: Fit, progress: Progress = unheard) -> HeldOut:
     )
 
 
-def predicted(
-    table: Table, kept: BoolArray, believing: Left, solved: Left, progress: Progress = unheard
-) -> HeldOut:
-    """The same by any two fits of the poses kept: without the map, and with it."""
+def held_out_of_whole(fit: ThreeAxisFit, progress: Progress = unheard) -> HeldOut:
+    """The same of whole units."""
+    problem = fit.problem
+    believing = replace(problem, of=replace(problem.of, seen=_played_out(problem.table)), orders=())
+    return _predicted(
+        problem.table,
+        fit.kept,
+        lambda shown: fitted_whole(believing, shown).left(),
+        lambda shown: fitted_whole(problem, shown, fit.parameters).left(),
+        progress,
+    )
+
+
+def _predicted(table: Table, kept: BoolArray, believing: Left, solved: Left, progress: Progress) -> HeldOut:
+    """By any two fits of the poses kept: without the map, and with it."""
     folds = stretches(table, kept)
     return HeldOut(
         before_deg=_rms_deg(believing, folds, within(progress, 0.0, 0.5)),
@@ -66,8 +78,12 @@ def believing_the_stage(fit: Fit) -> Fit:
 
 
 def _without_map(problem: Problem) -> Problem:
-    table = problem.table
-    return replace(problem, table=replace(table, approach=np.zeros(len(table))), orders=())
+    return replace(problem, table=_played_out(problem.table), orders=())
+
+
+def _played_out(table: Table) -> Table:
+    """The poses as if the stage had no play."""
+    return replace(table, approach=np.zeros(len(table)))
 
 
 def stretches(table: Table, kept: BoolArray) -> Intp:

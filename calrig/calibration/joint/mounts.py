@@ -8,6 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
+from calrig.calibration.effect_terms import LEAST_TEMPERATURE_RANGE_C
 from calrig.calibration.joint.outliers import GROSS_G
 from calrig.calibration.joint.table import SENSES, Mount, Mounted, Table
 from calrig.calibration.motion import approach_of, has_history
@@ -19,7 +20,6 @@ FEWEST_POSES = 8
 FEWEST_OF_A_MOUNT = 2
 SAME_DEG = 12.0
 """Two lots of poses of one mount differ by no more: errors of 150 mg turn a vector by 9°."""
-LEAST_TEMPERATURE_RANGE_C = 0.05
 APART_DEG = 1.0
 """Of two angles of a stage at one time, what is more than how it is read."""
 TOLD = 3

@@ -11,20 +11,24 @@ its elevation nothing, and what is too small for the gate would bend it all the 
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from calrig.calibration.joint.linearised import Linearised
+from calrig.calibration.joint.parameters import Parameters
+from calrig.calibration.joint.stage_map import resolved_orders
 from calrig.calibration.joint.table import BoolArray, Intp
 from calrig.calibration.joint.unit_model import OF_CUBIC, OF_LINEAR
+from calrig.calibration.pose import DiagnosisError
 from calrig.estimation.angles import FloatArray
 
 LEVEL = 0.05
 """Family-wise: the chance that noise alone brings any order into the map."""
 DRAWS = 4000
 SEED = 0
+SPARE_AN_ORDER = 8
 TOLD = 1e-4
 """Share of an order's columns that the model must leave of them; what is left of less is rounding."""
 
@@ -47,6 +51,33 @@ class Choice:
 def of_the_unit(linear: bool) -> int:
     """Highest order that a unit's own error of angle has."""
     return OF_LINEAR if linear else OF_CUBIC
+
+
+def always(linear: bool, known: Sequence[float]) -> tuple[float, ...]:
+    """Orders that the map always has: those that units have as well, and those of gears that are known."""
+    return tuple(sorted({float(order) for order in range(1, of_the_unit(linear) + 1)} | set(known)))
+
+
+def offered(problem: Parameters, responses: int, fewest_spare: int) -> tuple[float, ...]:
+    """Orders that the map may have: as many more as leave the noise to be seen.
+
+    Args:
+        problem: with those that it always has.
+        responses: how many the poses have.
+        fewest_spare: responses beside the parameters, which the noise is found from.
+
+    Raises:
+        DiagnosisError: the poses are fewer than the parameters need.
+    """
+    needed = int(problem.free.sum())
+    spare = responses - needed
+    if spare < fewest_spare:
+        raise DiagnosisError(
+            f"{len(problem.table)} poses are too few for {needed} parameters of stage, mounts and units: "
+            "take more of each mount"
+        )
+    more = [order for order in resolved_orders(problem.table.dial_deg) if order not in problem.orders]
+    return tuple(sorted({*problem.orders, *more[: spare // SPARE_AN_ORDER]}))
 
 
 def chosen(rich: Linearised, known_orders: Collection[float] = ()) -> Choice:

@@ -13,17 +13,15 @@ from calrig.calibration.joint.lack_of_fit import MountTest, mount_tests
 from calrig.calibration.joint.least_squares import Fit, distances, fitted, without_outliers
 from calrig.calibration.joint.level import Level, level_of
 from calrig.calibration.joint.mounts import table_of
-from calrig.calibration.joint.order_choice import Choice, chosen, of_the_unit
+from calrig.calibration.joint.order_choice import Choice, always, chosen, offered
 from calrig.calibration.joint.outliers import outliers_said
 from calrig.calibration.joint.problem import Problem
-from calrig.calibration.joint.stage_map import TURN_DEG, resolved_orders
+from calrig.calibration.joint.stage_map import TURN_DEG
 from calrig.calibration.joint.table import Mounted, Table
-from calrig.calibration.pose import DiagnosisError
 from calrig.calibration.progress import Progress, unheard
 
 FEWEST_SPARE = 8
 """Responses beside the parameters, which the noise is found from."""
-SPARE_AN_ORDER = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,8 +114,9 @@ def solve_table(
 ) -> Solution:
     """The same of poses in columns."""
     known = [TURN_DEG / period for period in periods_deg]
-    orders = _offered(table, linear, known)
-    rich, weights = without_outliers(Problem(table, orders, linear))
+    problem = Problem(table, always(linear, known), linear)
+    orders = offered(problem, int((1 + table.has_vector).sum()), FEWEST_SPARE)
+    rich, weights = without_outliers(replace(problem, orders=orders))
     progress(0.5)
     correlated = replace(rich.problem, correlation=correlation_of(rich))
     progress(0.7)
@@ -136,21 +135,3 @@ def solve_table(
         mount_tests=tuple(mount_tests(fit)),
         warnings=(*warnings, *outliers_said(table, fit.kept, distances(fit))),
     )
-
-
-def _offered(table: Table, linear: bool, known: Sequence[float]) -> tuple[float, ...]:
-    """Orders that the map may have: those that it always has, and as many more as leave the noise to be seen.
-
-    Raises:
-        DiagnosisError: the poses are fewer than the parameters need.
-    """
-    always = {float(order) for order in range(1, of_the_unit(linear) + 1)} | set(known)
-    needed = int(Problem(table, tuple(always), linear).free.sum())
-    spare = int((1 + table.has_vector).sum()) - needed
-    if spare < FEWEST_SPARE:
-        raise DiagnosisError(
-            f"{len(table)} poses are too few for {needed} parameters of stage, mounts and units: take more "
-            "of each mount"
-        )
-    more = [order for order in resolved_orders(table.dial_deg) if order not in always]
-    return tuple(sorted({*always, *more[: spare // SPARE_AN_ORDER]}))

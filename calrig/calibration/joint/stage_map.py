@@ -21,6 +21,7 @@ LARGEST_BACKLASH_RAD = np.radians(5.0)
 ROUND_DEG = 330.0
 """Dial angles over such an arc go round: the orders of the turn come apart."""
 SAME_DIAL_DEG = 0.01
+GRID_DEG = 2.0
 
 
 def basis(dial_deg: FloatArray, approach: FloatArray, orders: Sequence[float]) -> FloatArray:
@@ -59,14 +60,14 @@ def _apart(dial_deg: FloatArray) -> FloatArray:
     return np.unique(np.round(np.mod(dial_deg, TURN_DEG) / SAME_DIAL_DEG))
 
 
-def dial_grid_deg(dial_deg: FloatArray, step_deg: float = 2.0) -> FloatArray:
+def dial_grid_deg(dial_deg: FloatArray) -> FloatArray:
     """(m,) angles over the part of the dial where poses stood: a turn once, an arc with both its ends."""
     if goes_round(dial_deg):
-        return np.arange(-TURN_DEG / 2.0, TURN_DEG / 2.0, step_deg)
+        return np.arange(-TURN_DEG / 2.0, TURN_DEG / 2.0, GRID_DEG)
     low, high = dial_deg.min(), dial_deg.max()
     if high - low >= TURN_DEG:  # an arc across the turn's end, counted from where no pose stood
         at = np.sort(np.mod(dial_deg, TURN_DEG))
         first = int(np.diff(at, append=at[0] + TURN_DEG).argmax()) + 1
         low = at[first % len(at)]
         high = low + TURN_DEG - widest_gap_deg(dial_deg)
-    return np.linspace(low, high, max(round((high - low) / step_deg), 1) + 1)
+    return np.linspace(low, high, max(round((high - low) / GRID_DEG), 1) + 1)

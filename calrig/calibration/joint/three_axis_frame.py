@@ -16,8 +16,8 @@ import numpy as np
 
 from calrig.calibration.joint.table import Intp
 from calrig.calibration.joint.three_axis_fit import UNTOLD, ThreeAxisFit
-from calrig.calibration.joint.three_axis_model import AXES, BIAS, CUBIC, LARGEST, SKEW, response
-from calrig.estimation.angles import FloatArray
+from calrig.calibration.joint.three_axis_model import BIAS, CUBIC, LARGEST, SKEW, response
+from calrig.estimation.angles import AXES, FloatArray
 
 Frame = Literal["sensor", "faces"]
 STEP = 1e-6

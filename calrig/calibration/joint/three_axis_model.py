@@ -17,9 +17,8 @@ from calrig.calibration.effects.accelerometer_offset import LARGEST_MG
 from calrig.calibration.effects.axis_mismatch import LARGEST_GAIN_PCT, LARGEST_SKEW_DEG
 from calrig.calibration.effects.temperature_offset import LARGEST_MG_PER_C
 from calrig.calibration.joint.unit_model import LARGEST_CURVATURE_G
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import AXES, FloatArray
 
-AXES = "xyz"
 BIAS, GAIN, SKEW = slice(0, 3), slice(3, 6), slice(6, 9)
 QUADRATIC, CUBIC, PER_C = slice(9, 12), slice(12, 15), slice(15, 18)
 WIDTH = 18

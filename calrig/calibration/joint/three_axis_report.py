@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from calrig.calibration.joint.elevation import Worth, polynomial_of
+from calrig.calibration.joint.held_out import held_out_of_whole
 from calrig.calibration.joint.mapped import Mapped, mapped
 from calrig.calibration.joint.report_parts import (
     UNITS,
@@ -20,7 +21,6 @@ from calrig.calibration.joint.report_parts import (
 )
 from calrig.calibration.joint.three_axis_frame import Accelerometer, Frame, accelerometer
 from calrig.calibration.joint.three_axis_gyro import WholeGyro, whole_gyro
-from calrig.calibration.joint.three_axis_held_out import held_out_of_whole
 from calrig.calibration.joint.three_axis_plane import InPlane, in_plane, worth_of_whole
 from calrig.calibration.joint.three_axis_said import three_axis_sentences
 from calrig.calibration.joint.three_axis_solution import ThreeAxisSolution

@@ -13,9 +13,8 @@ from calrig.calibration.joint.stage_map import TURN_DEG, goes_round, widest_gap_
 from calrig.calibration.joint.three_axis_fit import fitted_whole
 from calrig.calibration.joint.three_axis_frame import Frame, axes_of, seats_std_rad, untold
 from calrig.calibration.joint.three_axis_gyro import WholeGyro
-from calrig.calibration.joint.three_axis_model import AXES
 from calrig.calibration.joint.three_axis_solution import ThreeAxisSolution
-from calrig.estimation.angles import wrap_deg
+from calrig.estimation.angles import AXES, wrap_deg
 
 CLOCK_ERRORS = 3.0
 """Standard errors from which a clock is said to be off."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calrig.calibration.joint.order_choice import Choice, chosen, of_the_unit
+from calrig.calibration.joint.order_choice import Choice, always, chosen, offered
 from calrig.calibration.joint.outliers import outliers_said
-from calrig.calibration.joint.stage_map import TURN_DEG, resolved_orders
+from calrig.calibration.joint.stage_map import TURN_DEG
 from calrig.calibration.joint.table import Mounted, Table
 from calrig.calibration.joint.three_axis_fit import (
     ThreeAxisFit,
@@ -26,7 +26,6 @@ from calrig.calibration.progress import Progress, unheard
 
 FEWEST_SPARE = 12
 """Responses beside the parameters, which the noise is found from."""
-SPARE_AN_ORDER = 8
 MOST_TILT_DEG = 25.0
 
 
@@ -75,8 +74,9 @@ def solve_whole(
     table, warnings = three_axis_table(lots)
     known = [TURN_DEG / period for period in periods_deg]
     shape = np.ones((len(table.seen.units), 3))
-    problem = ThreeAxisProblem(table, (), linear, shape)
-    rich, weights = without_outlying_vectors(replace(problem, orders=_offered(problem, known)))
+    problem = ThreeAxisProblem(table, always(linear, known), linear, shape)
+    orders = offered(problem, 3 * len(problem.table), FEWEST_SPARE)
+    rich, weights = without_outlying_vectors(replace(problem, orders=orders))
     progress(0.5)
     rich = noise_of_axes(rich)
     correlated = replace(rich.problem, correlation=vector_correlation(rich))
@@ -86,24 +86,6 @@ def solve_whole(
     _refuse_another_face(fit)
     said = outliers_said(table.seen, fit.kept, vector_distances(fit))
     return ThreeAxisSolution(fit, choice, (*warnings, *said))
-
-
-def _offered(problem: ThreeAxisProblem, known: Sequence[float]) -> tuple[float, ...]:
-    """Orders that the map always has, and as many more as leave the noise to be seen.
-
-    Raises:
-        DiagnosisError: the poses are fewer than the parameters need.
-    """
-    always = {float(order) for order in range(1, of_the_unit(problem.linear) + 1)} | set(known)
-    needed = int(replace(problem, orders=tuple(always)).free.sum())
-    spare = 3 * len(problem.table) - needed
-    if spare < FEWEST_SPARE:
-        raise DiagnosisError(
-            f"{len(problem.table)} poses are too few for {needed} parameters of stage, mounts and whole "
-            "units: take more of each mount"
-        )
-    more = [order for order in resolved_orders(problem.table.dial_deg) if order not in always]
-    return tuple(sorted({*always, *more[: spare // SPARE_AN_ORDER]}))
 
 
 def _refuse_another_face(fit: ThreeAxisFit) -> None:

@@ -81,14 +81,8 @@ def _time_s(task: Task, goals: Goals, design: Design) -> float:
 
 
 def _why_none(task: Task, goals: Goals) -> str:
-    least_deg = task.type_b.least_deg if task.type_b else 0.0
-    if goals.expanded_deg is not None and goals.expanded_deg <= least_deg:
-        return (
-            f"an expanded uncertainty of {goals.expanded_deg:g}° is below what the stage's angle is worth: "
-            f"{least_deg:.3g}° is left however many poses there are; a better reference reaches it: a "
-            "certificate of less, or the stage's own map, which `calrig solve` finds of a unit clamped at "
-            "0°, 120° and 240°"
-        )
+    if task.type_b is not None and (beyond := task.type_b.why_beyond(goals)) is not None:
+        return beyond
     left = ""
     if task.type_b is not None and goals.expanded_deg is not None:
         worth_deg = task.type_b.expanded_deg(task.precision.pose_deg, MOST_POSES - 2.0)

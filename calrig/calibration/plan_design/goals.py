@@ -69,8 +69,21 @@ class TypeB:
 
     @property
     def least_deg(self) -> float:
-        """The expanded uncertainty that no number of poses gets below."""
-        return self.expanded_deg(1e-12 * max(self.std_deg, 1e-6), 1e9) if self.std_deg else 0.0
+        """The expanded uncertainty that no number of poses gets below; of settings a mean has none."""
+        if not self.std_deg or (self.reference is not None and self.reference.kind == "setting"):
+            return 0.0
+        return self.expanded_deg(1e-12 * max(self.std_deg, 1e-6), 1e9)
+
+    def why_beyond(self, goals: Goals) -> str | None:
+        """Why no number of poses reaches the expanded uncertainty, and what would; None where some may."""
+        if goals.expanded_deg is None or goals.expanded_deg > self.least_deg:
+            return None
+        return (
+            f"an expanded uncertainty of {goals.expanded_deg:g}° is below what the stage's angle is worth: "
+            f"{self.least_deg:.3g}° is left however many poses there are; a better reference reaches it: a "
+            "certificate of less, or the stage's own map, which `calrig solve` finds of a unit clamped at "
+            "0°, 120° and 240°"
+        )
 
 
 NO_REFERENCE = TypeB(0.0, None)

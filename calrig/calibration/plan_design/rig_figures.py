@@ -54,7 +54,7 @@ def precision_of_run(run_id: str, dwell_s: float, stderr_deg: float, scatter_deg
 NOT_MEASURED = Precision(
     DATA_SHEET_WHITE,
     0.0,
-    "this rig has no completed run to take the noise from: that of an MPU-6050's data sheet is assumed",
+    "no completed run of this rig tells the noise: that of an MPU-6050's data sheet is assumed",
 )
 
 

@@ -14,7 +14,8 @@ from calrig.calibration.effects import effect_of
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import build_result
 from calrig.calibration.stage_reference import dial_of, with_map
-from calrig.export.calibration_json import SCHEMA, calibration_content
+from calrig.export.calibration_file import SCHEMA
+from calrig.export.calibration_json import calibration_content
 from calrig.store.records import AcceptedEffect, Document, filtering_of, map_of
 
 FIGURES = (

@@ -29,11 +29,11 @@ def rounded(value: float, place: int) -> str:
     return format(abs(exact) if exact == 0 else exact, "f")
 
 
-def with_uncertainty(value: float, uncertainty: float | None, digits: int = DIGITS) -> tuple[str, str | None]:
+def with_uncertainty(value: float, uncertainty: float | None) -> tuple[str, str | None]:
     """A value and its uncertainty; without one the value has four digits, and None stands beside it."""
     if uncertainty is None or not uncertainty > 0.0:
         return by_itself(value, 4), None
-    place = place_of(uncertainty, digits)
+    place = place_of(uncertainty)
     return rounded(value, place), rounded(uncertainty, place)
 
 

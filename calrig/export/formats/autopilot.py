@@ -12,9 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import STANDARD_GRAVITY_MPS2, FloatArray
 from calrig.export.formats.triads import (
-    STANDARD_GRAVITY_MPS2,
     Accelerometer,
     NotHeldError,
     accelerometer_of,

@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import STANDARD_GRAVITY_MPS2, FloatArray
 from calrig.export.formats.autopilot import RAW_G
 from calrig.export.formats.triads import (
-    STANDARD_GRAVITY_MPS2,
     comments,
     origin_of,
     require_whole,

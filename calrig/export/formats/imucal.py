@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import STANDARD_GRAVITY_MPS2, FloatArray
 from calrig.export.formats.autopilot import RAW_DPS, RAW_G
 from calrig.export.formats.triads import (
-    STANDARD_GRAVITY_MPS2,
     NotHeldError,
     gyro_of,
     origin_of,

@@ -16,7 +16,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from calrig.export.formats.triads import AXES, STANDARD_GRAVITY_MPS2, NotHeldError, comments
+from calrig.estimation.angles import AXES, STANDARD_GRAVITY_MPS2
+from calrig.export.formats.triads import NotHeldError, comments
 
 ROS_TOPIC = "/imu0"
 

@@ -12,8 +12,6 @@ from calrig.calibration.application import effects_at_rest
 from calrig.calibration.effect_terms import MG
 from calrig.estimation.angles import FloatArray
 
-STANDARD_GRAVITY_MPS2 = 9.80665
-AXES = "xyz"
 LONGEST_LINE = 160
 HELD = frozenset({"accelerometer_offset", "axis_mismatch", "temperature_offset"})
 """Effects that an offset, a scale or a matrix holds; any other stays out of such a format, and it is said."""

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections import Counter
 from typing import Self
 
-from calrig.instruments.boards.reader import reader
+from calrig.instruments.boards.reader import ReadBoard
 from calrig.instruments.boards.sketch import Sketch
 from calrig.instruments.boards.sketch_lines import Record, SketchReader
 from calrig.instruments.boards.sketch_samples import SketchSamples
 from calrig.instruments.device import recognise
 from calrig.instruments.drivers import known_devices
-from calrig.instruments.errors import BoardError, InstrumentError
+from calrig.instruments.errors import BoardError
 from calrig.instruments.ports import Port, open_port
-from calrig.instruments.types import BoardIdentity, Samples
+from calrig.instruments.types import BoardIdentity
 from calrig.instruments.wanted import require_wanted
 
 READ_TIMEOUT_S = 0.004
@@ -34,7 +34,7 @@ NO_SENSOR = "all its values are 0: no sensor answers the board; check the wires 
 FROZEN = "its values do not change: the sensor's bus hangs; switch the board off and on"
 
 
-class SketchBoard:
+class SketchBoard(ReadBoard):
     """One board on a port; a thread reads from the first moment.
 
     It has no clock, so that a sample's time is that of its arrival: records that come in one read are spread
@@ -43,24 +43,15 @@ class SketchBoard:
     """
 
     def __init__(self, port: Port, sketch: Sketch) -> None:
-        self.faults: Counter[str] = Counter()
-        self._port = port
+        super().__init__(port, sketch.driver)
         self._sketch = sketch
-        self._name = f"board {sketch.driver} on {port.name}"
         self._reader = SketchReader(sketch, self.faults)
-        self._clock = port.clock
-        self._news = self._clock.condition()
-        self._closing = self._clock.event()
-        self._failure: InstrumentError | None = None
         self._identified = False
         self._samples: SketchSamples | None = None
-        self._blocks: list[Samples] = []
         self._seen_s: list[float] = []  # arrivals without a break, from which the rate is measured
         self._behind = False
         self._arrived_s = self._started_s = self._heard_s = self._clock.now_s()
-        read = reader(self._listen, self._fail, self._name)
-        self._thread = self._clock.thread(read, f"reader of {self._name}")
-        self._thread.start()
+        self._reading.start()
 
     @classmethod
     def open(cls, url: str, *, sketch: Sketch, baudrate: int | None = None) -> Self:
@@ -114,22 +105,6 @@ class SketchBoard:
             self._samples = SketchSamples(self._sketch, self.faults)
             self._started_s = self._arrived_s = self._clock.now_s()
 
-    def take(self, timeout_s: float) -> Samples:
-        """The valid samples since the last call, waiting up to timeout_s for the first one.
-
-        Raises:
-            BoardError: for too long the board has been silent, frozen, unreadable or without a sensor; or
-                it was reset and has taken its zero anew.
-            PortError: the port went away.
-        """
-        with self._news:
-            self._news.wait_for(lambda: self._blocks or self._failure, timeout_s)
-            blocks, self._blocks = self._blocks, []
-            if not blocks:
-                self._raise_failure()
-                self._check_health()
-            return Samples.join(blocks)
-
     def mark(self) -> None:
         """Nothing: it cannot be asked."""
 
@@ -142,12 +117,6 @@ class SketchBoard:
         """Takes no more samples; what came before can be taken."""
         with self._news:
             self._samples = None
-
-    def close(self) -> None:
-        """Closes the port; never raises."""
-        self._closing.set()
-        self._thread.join()
-        self._port.close()
 
     @property
     def _looks_like(self) -> str | None:
@@ -173,11 +142,6 @@ class SketchBoard:
                 with self._news:
                     self._digest(data, max(self._clock.now_s(), self._arrived_s + TICK_S))
                     self._news.notify_all()
-
-    def _fail(self, error: InstrumentError) -> None:
-        with self._news:
-            self._failure = error
-            self._news.notify_all()
 
     def _digest(self, data: bytes, now_s: float) -> None:
         self._heard_s = now_s
@@ -223,10 +187,6 @@ class SketchBoard:
             )
         if self._samples is not None:
             self._samples.restart()
-
-    def _raise_failure(self) -> None:
-        if self._failure is not None:
-            raise self._failure
 
     def _check_health(self) -> None:
         if self._samples is None:

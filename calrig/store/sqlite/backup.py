@@ -6,10 +6,11 @@ import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 
+from calrig.store.database import BUSY_TIMEOUT_S
 from calrig.store.errors import StoreError
 from calrig.store.sqlite import file_system, migrating
 from calrig.store.sqlite.connecting import connect
-from calrig.store.sqlite.copying import BUSY_TIMEOUT_S, copy_database
+from calrig.store.sqlite.copying import copy_database
 from calrig.store.sqlite.database import database_path
 
 

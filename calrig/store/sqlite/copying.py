@@ -7,6 +7,7 @@ import os
 import sqlite3
 from pathlib import Path
 
+from calrig.store.database import BUSY_TIMEOUT_S
 from calrig.store.errors import StoreError
 from calrig.store.sqlite import file_system
 from calrig.store.sqlite.connecting import connect
@@ -14,7 +15,6 @@ from calrig.store.sqlite.errors import damaged, store_error
 
 PAGES_AT_ONCE = 2000
 """Eight megabytes: between two such pieces Ctrl-C is heard."""
-BUSY_TIMEOUT_S = 10.0
 
 
 def copy_database(database: Path, target: Path) -> None:

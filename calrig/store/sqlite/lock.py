@@ -49,10 +49,10 @@ class WriterLock:
                 raise file_system.on_a_network_drive(
                     database, f"it cannot be locked: {error.strerror}"
                 ) from error
-            or_ask = "ask it by --server http://HOST:PORT, " if "at" in said else ""
             raise Taken(
                 f"{database}: {_in_words(said)} writes to it, and a store has one writer at a time: "
-                f"{or_ask}stop that one first, or name another database with --db"
+                "stop that one first, or name another database with --db",
+                is_served="at" in said,
             ) from error
         self._mine = {  # `pid` first: what begins with it is known to be a lock
             "pid": os.getpid(),

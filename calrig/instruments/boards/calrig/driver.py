@@ -11,10 +11,10 @@ from calrig.instruments.boards.calrig.mark import Mark
 from calrig.instruments.boards.calrig.packets import ACKNOWLEDGE, BAUDRATE, IDENTITY, SAMPLES, PacketDecoder
 from calrig.instruments.boards.calrig.sample_stream import SampleStream
 from calrig.instruments.boards.calrig.words import USELESS, read_identity, text_of, why_none, why_useless
-from calrig.instruments.boards.reader import reader
-from calrig.instruments.errors import BoardError, InstrumentError, PortError
+from calrig.instruments.boards.reader import ReadBoard
+from calrig.instruments.errors import BoardError, PortError
 from calrig.instruments.ports import Port, open_port
-from calrig.instruments.types import BoardIdentity, Samples
+from calrig.instruments.types import BoardIdentity
 from calrig.instruments.wanted import require_wanted
 
 READ_EVERY_S = 0.04
@@ -35,7 +35,7 @@ SILENCE_S = 4.0
 USELESS_S = 2.0
 
 
-class CalrigBoard:
+class CalrigBoard(ReadBoard):
     """One board on a port. A thread reads from the first moment; `take` must be called while it streams.
 
     A board that resets in the middle (it sends its identity again) is started again, counted as
@@ -44,14 +44,8 @@ class CalrigBoard:
     """
 
     def __init__(self, port: Port) -> None:
-        self.faults: Counter[str] = Counter()
-        self._port = port
-        self._name = f"board calrig on {port.name}"
+        super().__init__(port, "calrig")
         self._decoder = PacketDecoder(self.faults)
-        self._clock = port.clock
-        self._news = self._clock.condition()
-        self._closing = self._clock.event()
-        self._failure: InstrumentError | None = None
         self._identity: BoardIdentity | None = None
         self._stream: SampleStream | None = None
         self._start_line: str | None = None  # what it acknowledged; None again once told to stop
@@ -60,16 +54,13 @@ class CalrigBoard:
         self._asked = ""
         self._answer: tuple[int, str] | None = None
         self._last_words = ""
-        self._blocks: list[Samples] = []
         self._n_bytes = 0
         self._heard_at = self._valid_at = self._timed_at = self._restarted_at = self._clock.now_s()
         self._mark = Mark(lambda: self._send("ID"), self._clock.now_s)
         self._may_be_late = False  # whether samples were ever held up on their way since `start`
         self._is_reset = self._awaits_start = False
         self._faults_then: Counter[str] = Counter()
-        read = reader(self._listen, self._fail, self._name)
-        self._reader = self._clock.thread(read, f"reader of {self._name}")
-        self._reader.start()
+        self._reading.start()
 
     @classmethod
     def open(cls, url: str, *, baudrate: int | None = None) -> Self:
@@ -117,21 +108,6 @@ class CalrigBoard:
             self._command(f"START {rate_hz}")
             self._may_be_late = self._clock.now_s() - asked_s > LATE_S
 
-    def take(self, timeout_s: float) -> Samples:
-        """The valid samples since the last call, waiting up to timeout_s for the first one.
-
-        Raises:
-            BoardError: for too long the board has been silent, frozen, unreadable or without a sensor.
-            PortError: the port went away.
-        """
-        with self._news:
-            self._news.wait_for(lambda: self._blocks or self._failure, timeout_s)
-            blocks, self._blocks = self._blocks, []
-            if not blocks:
-                self._raise_failure()
-                self._check_health()
-            return Samples.join(blocks)
-
     def mark(self) -> None:
         """Asks for a sign in the stream: what comes after it was measured after this call.
 
@@ -159,9 +135,7 @@ class CalrigBoard:
             with contextlib.suppress(PortError), self._news:
                 self._start_line = None
                 self._send("STOP")
-        self._closing.set()
-        self._reader.join()
-        self._port.close()
+        super().close()
 
     def _send(self, line: str) -> None:
         require_wanted()
@@ -193,11 +167,6 @@ class CalrigBoard:
             data = self._port.read(65536)
             if data:
                 self._digest(data)
-
-    def _fail(self, error: InstrumentError) -> None:
-        with self._news:
-            self._failure = error
-            self._news.notify_all()
 
     def _digest(self, data: bytes) -> None:
         with self._news:
@@ -277,10 +246,6 @@ class CalrigBoard:
         self._is_reset, self._awaits_start = False, True
         self._restarted_at = self._clock.now_s()
         self._send(str(self._start_line))
-
-    def _raise_failure(self) -> None:
-        if self._failure is not None:
-            raise self._failure
 
     def _check_health(self) -> None:
         if self._start_line is None or self._stream is None:

@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 from calrig.simulator.bench import Bench
 from calrig.simulator.config import StageOptions
-from calrig.simulator.stage import Stage
+from calrig.simulator.stage import GARBLED, Stage
 from calrig.simulator.stages.grbl.modal import Modal
 from calrig.simulator.stages.grbl.words import (
     HARD_LIMIT,
@@ -31,7 +31,6 @@ LONGEST_LINE = 80
 MOST_KEPT = 128
 """Bytes that the Arduino's receive buffer holds while it homes or holds, and reads none."""
 REAL_TIME = b"?!~\x18\x85"
-GARBLED = bytes(byte ^ 0x15 for byte in range(256))
 WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
 
 
