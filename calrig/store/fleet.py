@@ -45,12 +45,12 @@ _N_CHECKED = 2 + len(POSE_NUMBERS)
 """Numbers that a pose's checksum is over, the first of `_ROW`."""
 _COVARIATES = sqlalchemy.cast(_POSE.covariates, sqlalchemy.String)
 _NO_COVARIATES = ("{}", checksums.stored_text({}))
-_KEYS = sqlalchemy.func.length(_COVARIATES) - sqlalchemy.func.length(
+_n_keys = sqlalchemy.func.length(_COVARIATES) - sqlalchemy.func.length(
     sqlalchemy.func.replace(_COVARIATES, ",", "")
 )
 _ONLY_GYRO_MEANS = sqlalchemy.and_(
     _COVARIATES.like("{" + "".join(f'"{name}":%,' for name in GYRO_MEANS) + f'"{checksums.KEY}":%}}'),
-    _KEYS == len(GYRO_MEANS),
+    _n_keys == len(GYRO_MEANS),
 )
 """As nearly all poses have them: told by their text, since reading them takes eight times the rest."""
 
