@@ -29,7 +29,7 @@ export function runRow(run, { withUnit = true } = {}) {
       statusPill(run.status),
       run.voided && h("span", { class: "tag", title: run.voided.reason }, "voided"),
       suspectTag(run.suspect),
-      run.verdict && h("small", { class: "under" }, verdictWords(run.verdict)),
+      run.verdict && h("small", { class: `under ${run.verdict.answer}` }, verdictWords(run.verdict)),
     ),
     h("td", {}, moment(run.finished_at ?? run.started_at ?? run.created_at)),
     h("td", { class: "number" }, run.result ? plusMinus(result.bias_deg, result.bias_std_deg, "°") : "–"),

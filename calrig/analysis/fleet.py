@@ -7,15 +7,12 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
-from functools import cache, partial
-from importlib.resources import files
-from importlib.resources.abc import Traversable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import calrig
 from calrig.analysis.diagnoses import Diagnoses
 from calrig.analysis.errors import RunsError
 from calrig.analysis.fleet_maps import PlaceSums, merged, place_sums, rig_maps
@@ -26,6 +23,7 @@ from calrig.calibration.packed_poses import PackedPoses, packed
 from calrig.calibration.pose import DiagnosisError
 from calrig.errors import WorkError
 from calrig.export.poses_parquet import parquet_files, read_file
+from calrig.program_text import sha256_of_program
 
 if TYPE_CHECKING:
     from calrig.store import Store
@@ -57,22 +55,9 @@ class Answer:
     error: str | None
 
 
-@cache
 def catalogue_version() -> str:
     """SHA-256 of the program text that decides what a diagnosis says: nothing else makes its verdicts."""
-    digest = hashlib.sha256()
-    for package in OF_THE_CATALOGUE:
-        for name, content in sorted(_texts(files(calrig) / package, package)):
-            digest.update(f"{name}\0{len(content)}\0".encode() + content)
-    return digest.hexdigest()
-
-
-def _texts(folder: Traversable, name: str) -> Iterator[tuple[str, bytes]]:
-    for part in folder.iterdir():
-        if part.is_dir():
-            yield from _texts(part, f"{name}/{part.name}")
-        elif part.name.endswith(".py"):
-            yield f"{name}/{part.name}", part.read_bytes()
+    return sha256_of_program(*OF_THE_CATALOGUE)
 
 
 def reanalyse(

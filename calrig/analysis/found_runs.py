@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Literal
 
 from calrig.store import Run, Store
+from calrig.store.errors import StoreError
 from calrig.store.run_search import Sought
-
-Judged = Literal[
-    "pass", "conditional_pass", "conditional_fail", "fail", "no_limits", "noise", "more_than_noise"
-]
-"""A verdict's `answer`, or its `left`."""
-MOST_JUDGED = 200
-"""Verdicts for one page: they follow the limits of today, and so are in no index."""
+from calrig.store.verdicts import Judged
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,17 +35,11 @@ def found_runs(
     Raises:
         ValueError: as there.
     """
-    n_looked_at = limit if judged is None else MOST_JUDGED
-    looked_at, next_cursor = store.sought_runs(sought, limit=n_looked_at, cursor=cursor)
-    found: list[Run] = []
-    for place, run in enumerate(looked_at):
-        if judged is None or _is(run, judged):
-            found.append(run)
-        if len(found) == limit and place < len(looked_at) - 1:
-            return FoundRuns(found, run.id, run.created_at)
-    return FoundRuns(found, next_cursor, looked_at[-1].created_at if looked_at else None)
-
-
-def _is(run: Run, judged: Judged) -> bool:
-    verdict = run.verdict
-    return verdict is not None and judged in {verdict.answer, verdict.left}
+    if judged is None:
+        items, next_cursor = store.sought_runs(sought, limit=limit, cursor=cursor)
+        return FoundRuns(items, next_cursor, items[-1].created_at if items else None)
+    found = store.judged_runs(sought, judged, limit=limit, cursor=cursor)
+    if found.judged_whole:
+        with suppress(StoreError):  # it is for the next search
+            store.judge(found.judged_whole)
+    return FoundRuns(found.items, found.next_cursor, found.back_to)

@@ -13,7 +13,7 @@ from pydantic import Field
 import calrig
 from calrig.analysis.check_unit import with_doubts
 from calrig.analysis.errors import Invalid
-from calrig.analysis.found_runs import Judged, found_runs
+from calrig.analysis.found_runs import found_runs
 from calrig.api.callers import Who, requires
 from calrig.api.context import Context, KnownRun
 from calrig.api.errands import answer_of
@@ -27,6 +27,7 @@ from calrig.run_ids import FEWEST
 from calrig.store import Run
 from calrig.store.convert import iso_utc
 from calrig.store.run_search import RunKind, Sought
+from calrig.store.verdicts import Judged
 
 router = APIRouter(tags=["runs"])
 BACK_TO = "Calrig-Back-To"
@@ -147,8 +148,8 @@ def list_runs(
 ) -> object:
     """A page of runs; `next_cursor` of the answer is `cursor` of the next question.
 
-    A verdict is judged anew for each run that may have it: a page of them may hold fewer than `limit`, even
-    none, and there are more as long as there is a `next_cursor`. The header `Calrig-Back-To` tells when the
+    A verdict follows the limits of today: a page of runs with it may hold fewer than `limit`, even none, and
+    there are more as long as there is a `next_cursor`. The header `Calrig-Back-To` tells when the
     oldest run was made that was looked at.
     """
     sought = Sought(

@@ -9,8 +9,9 @@ from typing import Any, Literal
 
 from calrig.calibration.conformity import Answer, Limit
 from calrig.calibration.diagnosis_verdict import ELSEWHERE, between_runs, not_repeated_better
-from calrig.calibration.limit_verdict import held_against
+from calrig.calibration.limit_verdict import held_against, measured_of, without_figures
 from calrig.calibration.noise_bound import CONFIDENCE, upper_limit
+from calrig.calibration.verdict_figures import FIGURES, Left, VerdictFigures
 from calrig.calibration.wording import deg
 
 FEW_POSES = 6
@@ -38,7 +39,7 @@ class Verdict:
     """
 
     answer: Answer | Literal["no_limits"]
-    left: Literal["noise", "more_than_noise"] | None
+    left: Left | None
     ratio: float | None
     says: tuple[str, ...]
     limit: str | None
@@ -75,13 +76,8 @@ def verdict(
         calibration: the document made of these poses, CONTRACT section 6; its figures are what the limit is
             held against, where there is one.
     """
-    fitted = 0 if verification else _fitted_parameters(result, diagnosis)
-    freedom = result["n_poses"] - fitted
-    ratio = _ratio(result, freedom)
-    bound = None if ratio is None else upper_limit(freedom)
-    left: Literal["noise", "more_than_noise"] | None = None
-    if ratio is not None and bound is not None:
-        left = "noise" if ratio <= bound else "more_than_noise"
+    ratio, bound, freedom = _over_noise(result, diagnosis, verification=verification)
+    left = _left(ratio, bound)
     held = None if limit is None else held_against(limit, result, calibration, relied_on=not move_mismatches)
     says = [
         *_mismatched(move_mismatches),
@@ -107,6 +103,34 @@ def verdict(
         probability_of_conformity=held.probability_of_conformity,
         probability_of_false_accept=held.probability_of_false_accept,
     )
+
+
+def verdict_figures(
+    result: Document, diagnosis: Document | None, *, verification: bool, move_mismatches: int
+) -> VerdictFigures:
+    """What `answer` and `left` of a run's verdict follow from, of the same arguments."""
+    ratio, bound, _ = _over_noise(result, diagnosis, verification=verification)
+    left, measured = _left(ratio, bound), measured_of(result)
+    if measured is None:
+        return VerdictFigures(left, without_figures(result), relied_on=not move_mismatches)
+    kept = {name: getattr(measured, name) for name in FIGURES}
+    return VerdictFigures(left, None, relied_on=not move_mismatches, **kept)
+
+
+def _over_noise(
+    result: Document, diagnosis: Document | None, *, verification: bool
+) -> tuple[float | None, float | None, int]:
+    """What is left over what noise would leave, the bound of noise alone, and the degrees of freedom."""
+    fitted = 0 if verification else _fitted_parameters(result, diagnosis)
+    freedom = result["n_poses"] - fitted
+    ratio = _ratio(result, freedom)
+    return ratio, None if ratio is None else upper_limit(freedom), freedom
+
+
+def _left(ratio: float | None, bound: float | None) -> Left | None:
+    if ratio is None or bound is None:
+        return None
+    return "noise" if ratio <= bound else "more_than_noise"
 
 
 def _fitted_parameters(result: Document, diagnosis: Document | None) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import Any, Literal, NamedTuple, NotRequired, TypedDict
@@ -98,14 +99,23 @@ class Run:
         """Whether its result is good, after everything accepted; None while there is no result."""
         if self.result is None:
             return None
-        mismatches = self.faults.get("move_mismatch", 0)
-        return verdict(
-            self.result,
-            self.diagnosis,
-            verification=self.kind == "verification",
-            move_mismatches=mismatches,
-            limit=self.limit,
-        )
+        how = how_judged(self.plan, self.faults)
+        return verdict(self.result, self.diagnosis, limit=self.limit, **how)
+
+
+class HowJudged(TypedDict):
+    """What a verdict follows from beside result, diagnosis and limit."""
+
+    verification: bool
+    move_mismatches: int
+
+
+def how_judged(plan: Document | None, faults: Mapping[str, int]) -> HowJudged:
+    """The same of a run with this plan and these faults."""
+    return {
+        "verification": (plan or {}).get("kind") == "verification",
+        "move_mismatches": faults.get("move_mismatch", 0),
+    }
 
 
 def reference_of(provenance: Document) -> Reference | None:

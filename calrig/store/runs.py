@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from datetime import UTC, datetime
 from typing import Unpack, get_args
 
+from sqlalchemy import ColumnElement
 from sqlmodel import Session, col, func, select, tuple_
 
 from calrig.calibration.pose import Pose
@@ -23,6 +24,8 @@ from calrig.store.trail import Act, What
 
 POSES_AT_ONCE = 1000
 """Read together: an import has a hundred thousand."""
+_MADE = col(RunTable.created_at), col(RunTable.id)
+NEWEST_FIRST = tuple(column.desc() for column in _MADE)
 
 
 class Runs(Part):
@@ -119,17 +122,12 @@ class Runs(Part):
         """
         if limit < 1:
             raise ValueError(f"limit is {limit}; a page holds at least 1 run")
-        made, number = col(RunTable.created_at), col(RunTable.id)
-        newest_first = made.desc(), number.desc()
-        page = select(RunTable.id).where(*sought.conditions()).order_by(*newest_first).limit(limit + 1)
+        page = select(RunTable.id).where(*sought.conditions()).order_by(*NEWEST_FIRST).limit(limit + 1)
         with self._database.reading() as session:
-            if cursor is not None:
-                last = find_run(session, cursor)
-                if last is None:
-                    raise ValueError(f"cursor {cursor!r} is not one that this list gave")
-                page = page.where(tuple_(made, number) < (last.created_at, last.id))
+            page = page.where(*older_than(session, cursor))
             # first which, from an index alone, then those rows: they are long, and lie apart
-            rows = select(RunTable).where(number.in_(page.scalar_subquery())).order_by(*newest_first)
+            which = col(RunTable.id).in_(page.scalar_subquery())
+            rows = select(RunTable).where(which).order_by(*NEWEST_FIRST)
             found = [run_of(row) for row in session.exec(rows)]
         return found[:limit], found[limit - 1].id if len(found) > limit else None
 
@@ -177,6 +175,20 @@ class Runs(Part):
         wanted = select(RunTable.status, func.count()).group_by(col(RunTable.status))
         with self._database.reading() as session:
             return {**dict.fromkeys(get_args(Status), 0), **dict(session.exec(wanted).all())}
+
+
+def older_than(session: Session, cursor: str | None) -> list[ColumnElement[bool]]:
+    """What holds of the runs after a cursor, the id of the last one shown; nothing without one.
+
+    Raises:
+        ValueError: no run has that id.
+    """
+    if cursor is None:
+        return []
+    last = find_run(session, cursor)
+    if last is None:
+        raise ValueError(f"cursor {cursor!r} is not one that this list gave")
+    return [tuple_(*_MADE) < (last.created_at, last.id)]
 
 
 def new_row(

@@ -34,6 +34,7 @@ from calrig.store.trail import Trail
 from calrig.store.units import Units
 from calrig.store.unpacking import Unpacking
 from calrig.store.users import Users
+from calrig.store.verdicts import Verdicts
 from calrig.store.webhook import Deliveries
 
 
@@ -64,6 +65,7 @@ class Store(
     Deliveries,
     StageMaps,
     LogStudies,
+    Verdicts,
 ):
     """An open store, shared by threads. Each method is one transaction, on the disk when it returns.
 

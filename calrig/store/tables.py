@@ -96,6 +96,30 @@ class CalibrationTable(SQLModel, table=True):
     crc32: int | None = Field(default=None, sa_type=Crc32)
 
 
+class VerdictFiguresTable(SQLModel, table=True):
+    """What a run's verdict follows from (`calibration.verdict_figures`), and which program text says so.
+
+    Written with the run's row by `calrig.store.verdicts`.
+    """
+
+    __tablename__ = "verdict_figures"
+
+    run_id: int = Field(primary_key=True, foreign_key="run.id")
+    program: str
+    left: str | None = None
+    without: str | None = None
+    relied_on: bool | None = None
+    largest_error_deg: float | None = None
+    error_expanded_deg: float | None = None
+    bias_deg: float | None = None
+    bias_expanded_deg: float | None = None
+    scale: float | None = None
+    scale_expanded: float | None = None
+    rms_deg: float | None = None
+    rms_expanded_deg: float | None = None
+    expanded_deg: float | None = None
+
+
 class PoseTable(SQLModel, table=True):
     """A pose: CONTRACT section 4's columns, `pass` as `sweep`."""
 

@@ -1,0 +1,141 @@
+"""Runs found by their verdict: always those that judging one by one gives, whatever was changed before."""
+
+from __future__ import annotations
+
+import random
+from typing import get_args
+
+import numpy as np
+from sqlmodel import update
+
+from calrig.calibration.conformity import Limit
+from calrig.calibration.pose import Pose
+from calrig.calibration.result import build_result
+from calrig.calibration.uncertainty import Reference
+from calrig.store import AcceptedEffect
+from calrig.store import verdicts as module
+from calrig.store.run_search import Sought
+from calrig.store.tables import VerdictFiguresTable
+from calrig.store.verdicts import Judged
+
+STAGE, PLANS = Reference(0.029, "harmonic"), [{"kind": "calibration"}, {"kind": "verification"}, None]
+LIMITS = [
+    Limit("error", "A*", max_error_deg=0.12, rule="guarded"),
+    Limit("line", rig="r", bias_deg=(-1.0, 1.0), scale=(0.99, 1.01), rule="guarded"),
+    Limit("rms", rms_deg=0.05, expanded_uncertainty_deg=0.055),
+    Limit("scale", "?", scale=(1.0015, 1.0025)),
+]
+
+
+def result(bent_deg=0.0, reference=STAGE, theta=range(-60, 61, 10), noise_deg=0.005, **given):
+    """What a sweep up and down gives of a unit whose readings are bent."""
+    at = np.array([*theta, *reversed(theta)], dtype=float)
+    wobble = np.random.default_rng(0).normal(0.0, 0.005, len(at))
+    reading = 0.8 + 1.002 * at + bent_deg * np.cos(np.radians(6.0 * at)) + wobble
+    poses = [
+        Pose(target_deg=float(a), reading_deg=float(r), reading_stderr_deg=noise_deg)
+        for a, r in zip(at, reading, strict=True)
+    ]
+    return {**build_result(poses, None, (), reference).to_dict(), **given}
+
+
+RESULTS = [
+    None,
+    result(),
+    result(0.08),
+    result(0.12),
+    result(0.2),
+    result(0.02, reference=None),
+    result(theta=[5.0] * 9),
+    result(noise_deg=None),
+    result(rms_with_effects_deg=0.0055),
+    result(over_range=None),
+    result(over_range=None, rms_calibrated_deg=None),
+]
+EFFECT = {"name": "backlash", "verdict": "named", "parameters": {"backlash_deg": {"value": 0.1, "std": 0.01}}}
+DIAGNOSIS = {"effects": [{**EFFECT, "confusable_with": []}], "noise": {}}
+
+
+def something_changes(store, run_id, chance):
+    """One of all that can change a verdict, or that should not."""
+    accepted = AcceptedEffect(run_id, None, "r", "backlash", "stage", {"backlash_deg": 0.1})
+    return chance.choice(
+        [
+            lambda: store.replace_limits(chance.sample(LIMITS, chance.randint(0, 4)), who=None),
+            lambda: store.set_result(run_id, chance.choice(RESULTS)),
+            lambda: store.update_run(run_id, faults={"move_mismatch": chance.randint(0, 1)}),
+            lambda: store.update_run(run_id, diagnosis=DIAGNOSIS),
+            lambda: store.accept_effects(run_id, [accepted]),
+            lambda: store.void_run(run_id, "the cable caught"),
+            lambda: store.move_runs({run_id: chance.choice(RESULTS)}, chance.choice("ABC"), "a wrong label"),
+            lambda: chance.random() < 0.3 and another_program_wrote(store),
+        ]
+    )
+
+
+def another_program_wrote(store):
+    """All figures, and by a rule of its own."""
+    with store._database.writing() as session:
+        session.exec(update(VerdictFiguresTable).values(program="another one", left="noise", relied_on=True))
+
+
+def found(store, judged, limit):
+    """Ids of all pages; as often as not, what was judged whole on the way is kept."""
+    ids, cursor = [], None
+    while True:
+        page = store.judged_runs(Sought(), judged, limit=limit, cursor=cursor)
+        assert len(page.items) <= limit
+        ids += [run.id for run in page.items]
+        if limit > 2:
+            store.judge(page.judged_whole)
+        cursor = page.next_cursor
+        if cursor is None:
+            return ids
+
+
+def test_whatever_a_verdict_follows_from_is_followed(store, new_run):
+    """With 24 degrees of freedom only noise is left, with one less, for an effect was fitted, more is."""
+    store.replace_limits([LIMITS[2]], who=None)
+    near = result(rms_with_effects_deg=1.275 * 0.005 / 1.002)
+    run_id = new_run(unit="A", rig="r", plan={"kind": "calibration"}, result=near).id
+    accepted = AcceptedEffect(run_id, None, "r", "backlash", "stage", {"backlash_deg": 0.1})
+    for change, judged in (
+        (lambda: None, {"pass", "noise"}),
+        (lambda: store.update_run(run_id, faults={"move_mismatch": 1}), {"conditional_pass", "noise"}),
+        (lambda: store.update_run(run_id, faults={}, diagnosis=DIAGNOSIS), {"pass", "noise"}),
+        (lambda: store.accept_effects(run_id, [accepted]), {"pass", "more_than_noise"}),
+        (lambda: store.update_run(run_id, plan={"kind": "verification"}), {"pass", "noise"}),
+        (lambda: store.replace_limits([LIMITS[0]], who=None), {"pass", "noise"}),
+        (lambda: store.set_result(run_id, result(0.5)), {"fail", "more_than_noise"}),
+        (lambda: store.move_runs({run_id: near}, "B", "a wrong label"), {"no_limits", "noise"}),
+        (lambda: store.set_result(run_id, None), set()),
+    ):
+        change()
+        assert said(store.run(run_id)) == judged
+        assert {one for one in get_args(Judged) if found(store, one, 5)} == judged
+
+
+def test_a_search_by_verdict_finds_what_judging_one_by_one_does(store, new_run, monkeypatch):
+    """Whatever was changed before; sought is what the run that was changed is now, or was."""
+    monkeypatch.setattr(module, "LOOKED_AT", 7)
+    monkeypatch.setattr(module, "JUDGED_WHOLE", 3)
+    chance, runs = random.Random(0), []
+    for place, given in enumerate(RESULTS):
+        plan, rig = PLANS[place % 3], chance.choice(["r", "s", None])
+        runs.append(new_run(unit=chance.choice(["A", "B", "AA"]), plan=plan, rig=rig, result=given).id)
+    sought = set()
+    for _ in range(50):
+        changed = chance.choice(runs)
+        was = said(store.run(changed))
+        something_changes(store, changed, chance)()
+        now = said(store.run(changed))
+        judged = chance.choice([*(was ^ now), *(was ^ now), *now] or get_args(Judged))
+        expected = [run_id for run_id in reversed(runs) if judged in said(store.run(run_id))]
+        assert found(store, judged, chance.randint(1, 5)) == expected
+        sought |= {judged} if expected else set()
+    assert len(sought) >= 5
+
+
+def said(run):
+    """The verdicts that a run is found by."""
+    return set() if run.verdict is None else {run.verdict.answer, run.verdict.left} - {None}
