@@ -106,6 +106,13 @@ def test_what_the_stage_is_worth_is_a_limit_that_is_said_with_what_would_help():
         quickest(trial.task(STAGE, trace=False), Goals(expanded_deg=0.4))
 
 
+def test_a_reference_with_an_error_of_each_setting_counts_as_results_count_it():
+    settings = Reference(0.05, "setting")
+    design = quickest(trial.task(settings, trace=False), Goals(expanded_deg=0.04))
+    assert design.expanded_deg == pytest.approx(0.04, rel=0.02)
+    assert stated_deg(design.elevations_deg, design.dwell_s, settings) == pytest.approx(0.04, rel=0.1)
+
+
 def test_scatter_that_no_dwell_averages_out_is_said_to_have_a_cause():
     task = trial.task(MAP, trace=False)
     scattered = precision_of_run("7", dwell_s=2.0, stderr_deg=0.01, scatter_deg=0.1, freedom=50)

@@ -10,6 +10,7 @@ import numpy as np
 
 from calrig.calibration.plan_design import dwell_designs, sweep_designs
 from calrig.calibration.plan_design.goals import Goals
+from calrig.calibration.plan_design.layout import BEST_OVER_RANGE
 from calrig.calibration.plan_design.task import (
     LONGEST_DWELL_S,
     Design,
@@ -85,7 +86,8 @@ def _why_none(task: Task, goals: Goals) -> str:
         return beyond
     left = ""
     if task.type_b is not None and goals.expanded_deg is not None:
-        worth_deg = task.type_b.expanded_deg(task.precision.pose_deg, MOST_POSES - 2.0)
+        type_b = task.type_b.of_line(BEST_OVER_RANGE / MOST_POSES)
+        worth_deg = type_b.expanded_deg(task.precision.pose_deg, MOST_POSES - 2.0)
         left = f"; they leave an expanded uncertainty of about {worth_deg:.3g}°"
     return (
         f"{MOST_POSES} poses of {LONGEST_DWELL_S:g} s do not reach what is wanted, for poses scatter by "

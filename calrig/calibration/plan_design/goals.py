@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 from calrig.calibration.coverage import coverage_factor
@@ -34,7 +34,8 @@ class Goals:
 class TypeB:
     """What the reference makes of an elevation: standard uncertainty, degrees, and its distribution.
 
-    `reference` is of a stage's certificate; a stage's map has its own covariance.
+    `reference` is of a stage's certificate; a stage's map has its own covariance. Of kind `setting`,
+    `std_deg` is of one setting: of a line through many, ask `of_line`.
     """
 
     std_deg: float
@@ -43,9 +44,21 @@ class TypeB:
     @property
     def distribution(self) -> str:
         """Of the error of an elevation."""
-        if self.reference is None or self.reference.kind == "setting":
+        if self.reference is None or self._is_of_settings:
             return "normal"
         return self.reference.distribution
+
+    @property
+    def _is_of_settings(self) -> bool:
+        return self.reference is not None and self.reference.kind == "setting"
+
+    def of_line(self, over_range: float) -> TypeB:
+        """What it makes of an elevation by a line whose mean variance over the range is this for scatter 1.
+
+        An error of each setting anew enters as a scatter does (`uncertainty.reference_part`); any other is
+        the same however many poses there are.
+        """
+        return replace(self, std_deg=self.std_deg * math.sqrt(over_range)) if self._is_of_settings else self
 
     def expanded_deg(self, type_a_deg: float, freedom: float) -> float:
         """The expanded uncertainty beside one of type A, as a result states it."""
@@ -60,7 +73,7 @@ class TypeB:
     @property
     def least_deg(self) -> float:
         """The expanded uncertainty that no number of poses gets below; of settings a mean has none."""
-        if not self.std_deg or (self.reference is not None and self.reference.kind == "setting"):
+        if not self.std_deg or self._is_of_settings:
             return 0.0
         return self.expanded_deg(1e-12 * max(self.std_deg, 1e-6), 1e9)
 
@@ -110,7 +123,7 @@ def scatter_wanted_deg(
     over_range, bias, scale = leverages
     allowed = [math.inf]
     if goals.expanded_deg is not None:
-        type_a_deg = type_b.type_a_deg(goals.expanded_deg, n_poses - 2.0)
+        type_a_deg = type_b.of_line(over_range).type_a_deg(goals.expanded_deg, n_poses - 2.0)
         allowed.append(type_a_deg / math.sqrt(1.0 + over_range))
     if goals.bias_std_deg is not None:
         allowed.append(goals.bias_std_deg / math.sqrt(bias))

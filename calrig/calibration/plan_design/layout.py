@@ -58,6 +58,10 @@ def way_s(elevations_deg: list[float], pace: Pace) -> float:
     return sum(pace.travel_s(abs(after - before)) for before, after in pairwise(elevations_deg))
 
 
+BEST_OVER_RANGE = 4.0 / 3.0
+"""Of n poses at the two ends, times n: no layout has less variance in the mean over the range."""
+
+
 def leverage(elevations_deg: list[float]) -> tuple[float, float, float]:
     """Of a line through poses of scatter 1: variance of elevation (mean over the range), bias, scale."""
     theta = np.array(elevations_deg)

@@ -6,6 +6,7 @@ import math
 
 from calrig.calibration.plan_design.dwell_designs import POSES
 from calrig.calibration.plan_design.goals import NO_REFERENCE, Goals, scatter_wanted_deg
+from calrig.calibration.plan_design.layout import BEST_OVER_RANGE
 from calrig.calibration.plan_design.rig_figures import Precision
 from calrig.calibration.plan_design.suspects import least_slow_deg
 from calrig.calibration.plan_design.sweep import PASSES, Sweep, least_stretch_s
@@ -84,7 +85,7 @@ def _at_the_ends_s(task: Task, goals: Goals, n: int, precision: Precision) -> fl
     """
     low, high = task.range_deg
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    leverages = 4.0 / 3.0 / n, max(1.0, (middle / half) ** 2) / n, 1.0 / (n * half**2)
+    leverages = BEST_OVER_RANGE / n, max(1.0, (middle / half) ** 2) / n, 1.0 / (n * half**2)
     wanted_deg = scatter_wanted_deg(goals, task.type_b or NO_REFERENCE, _as_good_as(n), leverages)
     return precision.dwell_s(wanted_deg) if wanted_deg > 0.0 else math.inf
 

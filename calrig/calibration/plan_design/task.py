@@ -101,7 +101,7 @@ class Task:
         expanded_deg: float | None = None
         if self.type_b is not None:
             type_a_deg = stated_deg * math.sqrt(1.0 + over_range)
-            expanded_deg = self.type_b.expanded_deg(type_a_deg, len(order) - 2.0)
+            expanded_deg = self.type_b.of_line(over_range).expanded_deg(type_a_deg, len(order) - 2.0)
         return Design(
             elevations_deg=tuple(order),
             dwell_s=dwell_s,

@@ -61,8 +61,9 @@ def allowed_deg(task: Task, goals: Goals, scatter_deg: float) -> float:
         return scatter_deg if wanted_deg is None else wanted_deg
     n = len(STANDARD_DEG)
     if wanted_deg is not None:
-        type_a_deg = (task.type_b or NO_REFERENCE).type_a_deg(wanted_deg, n - 2.0)
-        scatter_deg = type_a_deg / math.sqrt(1.0 + leverage(list(STANDARD_DEG))[0])
+        over_range = leverage(list(STANDARD_DEG))[0]
+        type_b = (task.type_b or NO_REFERENCE).of_line(over_range)
+        scatter_deg = type_b.type_a_deg(wanted_deg, n - 2.0) / math.sqrt(1.0 + over_range)
     return ITS_DRIFT * least_slow_deg(n, scatter_deg)
 
 
