@@ -93,12 +93,12 @@ class Port:
     def _hand_over(self, data: bytes, descriptor: int) -> None:
         # pyserial looks at the clock before it looks at the port: a thread that a busy machine kept waiting
         # for so long would be told that a port took nothing which had taken all.
-        if not self._wire.is_open:
-            raise serial.PortNotOpenError
+        self._require_open()
         until_s = self.clock.now_s() + WRITE_TIMEOUT_S
         left = memoryview(data)
         while left:
             _, ready, _ = select.select([], [descriptor], [], max(0.0, until_s - self.clock.now_s()))
+            self._require_open()  # the descriptor of one that was closed meanwhile may be another file's by now
             if not ready:
                 raise serial.SerialTimeoutException
             try:
@@ -106,6 +106,10 @@ class Port:
             except BlockingIOError:  # the room was gone again
                 if self.clock.now_s() >= until_s:
                     raise serial.SerialTimeoutException from None
+
+    def _require_open(self) -> None:
+        if not self._wire.is_open:
+            raise serial.PortNotOpenError
 
     def change_baudrate(self, baudrate: int) -> None:
         """Goes on at another rate without opening the port anew, which would reset most boards again."""
