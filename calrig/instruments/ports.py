@@ -98,7 +98,7 @@ class Port:
         left = memoryview(data)
         while left:
             _, ready, _ = select.select([], [descriptor], [], max(0.0, until_s - self.clock.now_s()))
-            self._require_open()  # the descriptor of one that was closed meanwhile may be another file's by now
+            self._require_open()  # of one closed meanwhile the descriptor may be another file's by now
             if not ready:
                 raise serial.SerialTimeoutException
             try:
