@@ -24,6 +24,8 @@ OWN_DEG = 0.01
 SINGULAR = 1e-9
 FEWEST_A_COLUMN = 2
 """Stretches of one pass."""
+FELT_STD = 2.0
+"""Standard errors: a turn that the gyro does not feel beyond them is none, and adds none of its noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,61 +68,87 @@ class EndDifference:
         }
 
 
-def end_differences(poses: Sequence[Pose], unreported: Sequence[UnreportedTurn] = ()) -> list[EndDifference]:
-    """What each end tells, by all poses of a sweep so far; empty where they are too few.
+@dataclass(frozen=True, slots=True)
+class Ends:
+    """What the ends of a sweep tell.
+
+    Attributes:
+        differences: of each end that is known.
+        p_value: of all of them by chance, taken together: what shakes an accelerometer biases both.
+    """
+
+    differences: tuple[EndDifference, ...] = ()
+    p_value: float = 1.0
+
+
+def end_differences(poses: Sequence[Pose], unreported: Sequence[UnreportedTurn] = ()) -> Ends:
+    """What the ends tell by all poses of a sweep so far; nothing where they are too few.
 
     `unreported` are of the passes that are known: of a run that was resumed, those since.
 
     A least-squares fit of the stretches: the first two harmonics, which offsets, gains and axes of a unit and
     the eccentricity of a stage make, a straight line, and the sense of turning. The scatter about it is taken
-    for that of the dwells too. Student's t of the difference at each end.
+    for that of the dwells too. Student's t of the difference at each end, and Fisher's F of both.
     """
     stretches = [pose for pose in poses if pose.settle_s is None]
     dwells = [pose for pose in poses if pose.settle_s is not None]
     if not stretches:
-        return []
+        return Ends()
     both = len({pose.approach for pose in stretches}) > 1
     width = len({round(pose.target_deg) for pose in stretches}) // FEWEST_A_COLUMN
     design = _design(stretches, width, both=both)
     freedom = len(stretches) - design.shape[1]
     if width < 3 or freedom < 2:
-        return []
+        return Ends()
     beta = np.linalg.lstsq(design, _errors_deg(stretches), rcond=SINGULAR)[0]
     left = _errors_deg(stretches) - design @ beta
-    scatter_deg = math.sqrt(float(left @ left) / freedom)
+    variance = float(left @ left) / freedom
     spread = np.linalg.pinv(design.T @ design, rcond=SINGULAR**2)
     low, high = (f(pose.theta_deg for pose in stretches) for f in (min, max))
-    found = []
+    rows, at, differences, own = [], [], [], []
     for sense in sorted({pose.approach for pose in stretches}, key=lambda s: s or 0):
         at_end = [pose for pose in dwells if pose.approach == sense and _is_end(pose, sense or 0, low, high)]
         if not at_end:
             continue
-        row = _design(at_end, width, both=both).mean(axis=0)
-        turn_deg, turn_std_deg = _mean_turn([one for one in unreported if one.sense == sense])
-        difference = float(row @ beta) - float(_errors_deg(at_end).mean()) + turn_deg
-        std_deg = math.hypot(
-            scatter_deg * math.sqrt(float(row @ spread @ row) + 1.0 / len(at_end)), turn_std_deg
-        )
-        found.append(
-            EndDifference(
-                at_end[0].target_deg, difference, std_deg, _by_chance(difference / std_deg, freedom)
-            )
-        )
-    return found
+        turn_deg, turn_std_deg = _beyond_chance([one for one in unreported if one.sense == sense])
+        rows.append(_design(at_end, width, both=both).mean(axis=0))
+        at.append(at_end[0].target_deg)
+        differences.append(float(rows[-1] @ beta) - float(_errors_deg(at_end).mean()) + turn_deg)
+        own.append(variance / len(at_end) + turn_std_deg**2)
+    if not rows:
+        return Ends()
+    covariance = variance * np.array(rows) @ spread @ np.array(rows).T + np.diag(own)
+    return _tested(at, np.array(differences), covariance, freedom)
 
 
-def disturbing(ends: Sequence[EndDifference], chance: float) -> EndDifference | None:
-    """The end that differs by more than chance, and the method's own error, allow; of two the worse."""
-    found = [end for end in ends if end.p_value * len(ends) < chance and abs(end.difference_deg) > OWN_DEG]
+def _tested(
+    at_deg: Sequence[float], differences_deg: FloatArray, covariance: FloatArray, freedom: int
+) -> Ends:
+    from scipy.special import fdtrc, stdtr
+
+    stds_deg = np.sqrt(np.diag(covariance))
+    by_chance = 2.0 * stdtr(freedom, -np.abs(differences_deg / stds_deg))
+    found = zip(at_deg, differences_deg.tolist(), stds_deg.tolist(), by_chance.tolist(), strict=True)
+    squares = float(differences_deg @ np.linalg.solve(covariance, differences_deg))
+    together = fdtrc(len(stds_deg), freedom, squares / len(stds_deg))
+    return Ends(tuple(EndDifference(*one) for one in found), float(together))
+
+
+def disturbing(ends: Ends, chance: float) -> EndDifference | None:
+    """The worse end, where they differ by more than chance, and the method's own error, allow."""
+    if ends.p_value >= chance:
+        return None
+    found = [end for end in ends.differences if abs(end.difference_deg) > OWN_DEG]
     return min(found, key=lambda end: end.p_value, default=None)
 
 
-def _mean_turn(those: Sequence[UnreportedTurn]) -> tuple[float, float]:
-    """The mean and its standard error; nothing where none is known."""
+def _beyond_chance(those: Sequence[UnreportedTurn]) -> tuple[float, float]:
+    """The mean turn and its standard error; nothing where it is no more than the gyro's own error."""
     if not those:
         return 0.0, 0.0
+    mean_deg = sum(one.turn_deg for one in those) / len(those)
     std_deg = math.sqrt(sum(one.std_deg**2 for one in those)) / len(those)
-    return sum(one.turn_deg for one in those) / len(those), std_deg
+    return (mean_deg, std_deg) if abs(mean_deg) > FELT_STD * std_deg else (0.0, 0.0)
 
 
 def _is_end(pose: Pose, sense: int, low_deg: float, high_deg: float) -> bool:
@@ -139,10 +167,3 @@ def _design(poses: Sequence[Pose], width: int, *, both: bool) -> FloatArray:
     if both:
         shapes.append(np.array([pose.approach for pose in poses], dtype=np.float64))
     return np.column_stack(shapes)
-
-
-def _by_chance(t: float, freedom: int) -> float:
-    """Both tails of Student's distribution."""
-    from scipy.special import stdtr
-
-    return float(2.0 * stdtr(freedom, -abs(t)))

@@ -7,13 +7,14 @@ motor biases the accelerometer while it turns (`calrig.calibration.motor_vibrati
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from calrig.calibration.motor_vibration import EndDifference, UnreportedTurn, disturbing, end_differences
+from calrig.calibration.motor_vibration import Ends, UnreportedTurn, disturbing, end_differences
 from calrig.estimation.reading import Reading
 from calrig.estimation.turning import GyroTurn, clock_line, common_delay_s, scatter_g
 from calrig.instruments.errors import BoardError, StageError
@@ -52,7 +53,7 @@ class Sweeping:
     plan: Plan
     pace: Pace
     taking: PoseTaking
-    ends: list[EndDifference] = field(default_factory=list)
+    ends: Ends = field(default_factory=Ends)
     felt: list[GyroTurn] = field(default_factory=list)
     unreported: list[UnreportedTurn] = field(default_factory=list)
     stands_s: list[tuple[float, float]] = field(default_factory=list)
@@ -199,7 +200,8 @@ class Sweeping:
             behind_s=common_delay_s(np.array(self.stands_s), turned.clocks, self.felt[-1].behind_std_s),
         )
         bias_std_dps = taking.gyro.dwelt(turned.dwell)
-        self.unreported.append(turned.unreported_turn(passed[-2], felt, bias_std_dps or 0.0))
+        of_two_dps = (bias_std_dps or 0.0) / math.sqrt(2.0)  # the bias is the mean of two dwells'
+        self.unreported.append(turned.unreported_turn(passed[-2], felt, of_two_dps))
         self.scatter_g.append((scatter_g(turned.even_samples.accel_g), scatter_g(turned.dwell.accel_g)))
         for taken in turned.poses(passed, reading, felt, self.plan.settle_s):
             if passed[0].index + taken.place < len(taking.poses):
@@ -232,5 +234,5 @@ class Sweeping:
             "velocity_dps": self.plan.turn_dps,
             "passes": [{"gyro_gain": f.gain, "reports_behind_s": f.behind_s} for f in self.felt],
             "scatter_g": [{"turning": turning, "standing": standing} for turning, standing in self.scatter_g],
-            "turning_less_standing": [end.document() for end in self.ends],
+            "turning_less_standing": [end.document() for end in self.ends.differences],
         }

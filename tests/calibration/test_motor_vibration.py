@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calrig.calibration.motor_vibration import UnreportedTurn, disturbing, end_differences
+from calrig.calibration.motor_vibration import Ends, UnreportedTurn, disturbing, end_differences
 from calrig.calibration.pose import Pose
 from calrig.plan import Plan
 
@@ -40,19 +40,27 @@ def sweep(seed: int, shaken_g: tuple[float, float] = (0.0, 0.0), backlash_deg: f
 
 
 def test_a_bias_of_the_turning_motor_is_told_with_its_size():
-    low, high = end_differences(sweep(1, shaken_g=(0.0, 0.003)))
+    ends = end_differences(sweep(1, shaken_g=(0.0, 0.003)))
+    low, high = ends.differences
     assert (low.elevation_deg, high.elevation_deg) == (-60.0, 60.0)
     # δθ = −sin θ·δz, in radians for 1 g
     for end in (low, high):
         expected_deg = -np.degrees(0.003) * np.sin(np.radians(end.elevation_deg))
         assert end.difference_deg == pytest.approx(expected_deg, abs=3 * end.std_deg)
-    worst = disturbing([low, high], 1e-4)
+    worst = disturbing(ends, 1e-4)
     assert worst is not None and abs(worst.difference_deg) > 0.1
+
+
+def test_what_biases_both_ends_is_found_where_neither_alone_would_tell():
+    found = [end_differences(sweep(k, shaken_g=(0.0, 0.0013))) for k in range(100)]
+    both = sum(disturbing(ends, 1e-4) is not None for ends in found)
+    alone = sum(min(end.p_value for end in ends.differences) < 1e-4 / 2 for ends in found)
+    assert both > alone + 5
 
 
 def test_offsets_gains_and_play_are_no_fault_of_the_motor():
     ends = [end_differences(sweep(k)) for k in range(300)]
-    differences = np.array([[end.difference_deg / end.std_deg for end in both] for both in ends])
+    differences = np.array([[end.difference_deg / end.std_deg for end in both.differences] for both in ends])
     assert np.abs(differences.mean(axis=0)).max() < 0.7  # the second order of 60 mg is no harmonic's
     assert differences.std(axis=0) == pytest.approx([1.0, 1.0], abs=0.15)
     assert all(disturbing(end_differences(sweep(k)), 1e-4) is None for k in range(100))
@@ -80,7 +88,7 @@ def test_what_the_table_turned_by_the_gyros_account_is_no_vibration():
 
 def test_the_first_pass_tells_its_own_end_and_a_few_stretches_none():
     first = sweep(3)[:14]
-    (end,) = end_differences(first)
+    (end,) = end_differences(first).differences
     assert end.elevation_deg == 60.0
-    assert end_differences(first[:4]) == []
-    assert disturbing([], 1e-4) is None
+    assert end_differences(first[:4]) == Ends()
+    assert disturbing(Ends(), 1e-4) is None
