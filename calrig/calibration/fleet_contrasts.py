@@ -12,13 +12,13 @@ import numpy.typing as npt
 from calrig.calibration.fleet_lines import Lines
 from calrig.calibration.fleet_scans import cycles, steps, waves
 from calrig.estimation.angles import FloatArray, wrap_deg
+from calrig.estimation.robust import MAD_TO_STD
 
 OUTLIER_STD = 4.5
 """Robust standard deviations, at which a residual is cut off: one pose gone wrong neither hides an effect nor
 makes one. One of 150,000 is as far off by chance."""
 CUTS = 2
 """Times that a base is fitted to what is cut: a pose wrong by 200 standard deviations is then found."""
-MAD_TO_STD = 1.4826
 Float32 = npt.NDArray[np.float32]
 
 

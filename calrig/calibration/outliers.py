@@ -17,9 +17,10 @@ from calrig.calibration.candidates import Candidate
 from calrig.calibration.model import model_columns
 from calrig.calibration.noise_model import fit
 from calrig.calibration.responses import Responses
+from calrig.estimation.robust import robust_std
 
 OUTLIER_STD = 12.0
-"""Robust standard deviations (1.4826 times the median absolute deviation) from the model without the pose."""
+"""Robust standard deviations (by the median absolute deviation) from the model without the pose."""
 MOST_SHARE = 0.03
 SUSPECTS = 3
 
@@ -47,7 +48,7 @@ def outlier(r: Responses, accepted: Sequence[Candidate], gain_to_beat: float = 0
         freed[k] = np.diag(r.known[k].astype(float))
         without = fit(r, np.concatenate([columns, freed], axis=2))
         others = np.delete(without.residuals[:, 0], k)
-        spread_deg = 1.4826 * float(np.median(np.abs(others - np.median(others))))
+        spread_deg = robust_std(others)
         distance_deg = abs(float(without.beta[columns.shape[2]]))
         gain = fitted.criterion - without.criterion - float(np.log(len(r))) * (len(r.channels) + 2)
         is_outlier = distance_deg > OUTLIER_STD * max(spread_deg, float(r.rounding[0]))

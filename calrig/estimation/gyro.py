@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from calrig.estimation.angles import FloatArray
 from calrig.estimation.autoregressive import MIN_SAMPLES, fit_autoregression
+from calrig.estimation.robust import robust_std
 
 MIN_TURN_DEG = 1.0
 """Shorter moves say more about noise and backlash than about scale."""
@@ -26,8 +27,6 @@ MOST_ERROR_SHARE = 0.005
 BLOCKS, FEWEST_OF_A_BLOCK = 20, 4
 """That a dwell is cut into where outliers are looked for; of fewer samples none are."""
 OUTLIER_STD = 5.0
-NORMAL = 1.4826
-"""Standard deviation over the median absolute deviation, of normal values."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,9 +73,8 @@ def _without_outliers(rate_dps: FloatArray) -> FloatArray:
         return rate_dps
     blocks, rest = rate_dps[: length * BLOCKS].reshape(BLOCKS, length), rate_dps[length * BLOCKS :]
     means = blocks.mean(axis=1)
-    off = np.abs(means - np.median(means))
     by_noise = float(np.std(np.diff(rate_dps))) / math.sqrt(2.0 * length)
-    outlying = off > OUTLIER_STD * max(NORMAL * float(np.median(off)), by_noise)
+    outlying = np.abs(means - np.median(means)) > OUTLIER_STD * max(robust_std(means), by_noise)
     return np.concatenate([blocks[~outlying].ravel(), rest]) if outlying.any() else rate_dps
 
 

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from calrig.estimation.angles import FloatArray
 from calrig.estimation.gyro import MIN_TURN_DEG
+from calrig.estimation.robust import MAD_TO_STD
 
 GAP_INTERVALS = 2.5
 """A gap is where more than this many ordinary intervals pass without a sample."""
@@ -75,7 +76,7 @@ def find_intervals(
     interval_s = float(np.median(np.diff(time)))
     rate = _slope(elevation, interval_s) if rate_dps is None else _smooth(rate_dps[within], interval_s)
     speed = np.abs(rate - np.median(rate))
-    threshold = max(_MIN_RATE_DPS, _SIGMAS * 1.4826 * float(np.median(speed)))
+    threshold = max(_MIN_RATE_DPS, _SIGMAS * MAD_TO_STD * float(np.median(speed)))
     margin_s = _MARGIN_S if rate_dps is not None else _MARGIN_WITHOUT_GYRO_S
     runs = _runs(speed > threshold, round(_JOIN_S / interval_s), round(margin_s / interval_s))
     first = within.start

@@ -143,13 +143,15 @@ def _lag(time_s: FloatArray, angle_deg: FloatArray, move: MoveReference) -> tupl
 def _integrated(
     time_s: FloatArray, elevation_deg: FloatArray, rate_dps: FloatArray, before: int, after: int
 ) -> FloatArray | None:
+    from scipy.integrate import cumulative_trapezoid
+
     head, tail = slice(0, before), slice(len(time_s) - after, None)
 
     def mean_at_ends(x: FloatArray) -> list[float]:
         return [float(x[head].mean()), float(x[tail].mean())]
 
     rate = rate_dps - np.interp(time_s, mean_at_ends(time_s), mean_at_ends(rate_dps))
-    turned = np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) * np.diff(time_s) / 2.0)])
+    turned = cumulative_trapezoid(rate, time_s, initial=0)
     (turned_from, turned_to), (from_deg, to_deg) = mean_at_ends(turned), mean_at_ends(elevation_deg)
     scale = (to_deg - from_deg) / (turned_to - turned_from) if turned_to != turned_from else math.inf
     if not _SCALE_RANGE[0] < scale < _SCALE_RANGE[1]:

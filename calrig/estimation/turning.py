@@ -214,8 +214,9 @@ def turn_between(
         second_s: and of the other.
         bias_std_dps: standard error of the bias.
     """
-    steps_deg = np.diff(time_s) * (rate_dps[1:] + rate_dps[:-1]) / 2.0
-    angle_deg = np.concatenate([[0.0], np.cumsum(steps_deg)])
+    from scipy.integrate import cumulative_trapezoid
+
+    angle_deg = cumulative_trapezoid(rate_dps, time_s, initial=0)
     before, after = time_s <= first_s[1], time_s >= second_s[0]
     first, gap, second = first_s[1] - first_s[0], second_s[0] - first_s[1], second_s[1] - second_s[0]
     density = float(np.var(np.diff(rate_dps[after]))) / 2.0 * float(np.median(np.diff(time_s)))

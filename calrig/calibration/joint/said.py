@@ -19,6 +19,7 @@ from calrig.calibration.joint.solution import Solution
 from calrig.calibration.joint.stage_map import TURN_DEG, goes_round, widest_gap_deg
 from calrig.calibration.joint.unit_model import NAMES
 from calrig.estimation.angles import wrap_deg
+from calrig.estimation.robust import robust_std
 
 SHARE = 0.3
 """Of the largest part of a direction: what has less is not named."""
@@ -250,7 +251,7 @@ def _of_readings(solution: Solution) -> list[str]:
     if not table.has_vector.any():
         return []
     apart = wrap_deg(np.degrees(table.reading - table.angle()))[table.has_vector & solution.fit.kept]
-    spread_deg = 1.4826 * float(np.median(np.abs(apart - np.median(apart))))
+    spread_deg = robust_std(apart)
     if spread_deg < max(APART_DEG, APART_NOISES * solution.noise_deg):
         return []
     return [
