@@ -36,6 +36,7 @@ def print_result(run: dict[str, Any]) -> None:
         print_table(headings, _rows_of(run["result"]), title=title)
     if run["verdict"] is not None:
         _print_sentences(run["verdict"]["says"])
+    print_warnings(run["provenance"].get("warnings", ()))
     mounts_deg = (run["plan"] or {}).get("mounts_deg", [0.0])
     if len(mounts_deg) > 1 and run["status"] == "completed":
         of = f"All of this is of the first mount ({mounts_deg[0]:g}°): " if run["result"] is not None else ""

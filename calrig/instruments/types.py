@@ -111,7 +111,8 @@ class StageIdentity:
     """Who a stage says it is, and what its controller allows, in the stage's own degrees.
 
     `homes`: it can look for its reference, so that nobody needs to remember where it stands;
-    `homes_each_time`: it has to, whenever its port was opened.
+    `homes_each_time`: it has to, whenever its port was opened. `warnings`: a sentence for each setting of the
+    controller that puts its angles in doubt, with what to set.
     """
 
     driver: str
@@ -121,6 +122,7 @@ class StageIdentity:
     acceleration_dps2: float | None
     homes: bool = True
     homes_each_time: bool = False
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,14 +53,16 @@ class Rig:
 
     def provenance(self) -> dict[str, object]:
         """Who and what measured, as it is stored with the run."""
+        stage = asdict(self.stage_identity)
+        warnings = [*overdue_says(self.settings), *stage.pop("warnings")]
         assert self.settings.stage is not None and self.settings.imu is not None  # noqa: S101 (open_rig saw)
         return {
             "rig": self.settings.model_dump(mode="json", exclude={"filter", "simulated"}),
             "simulated": self.settings.simulated is not None,
-            "stage": asdict(self.stage_identity),
+            "stage": stage,
             "board": asdict(self.board_identity),
             "filter": self.settings.filter.model_dump(),
-            **({"warnings": overdue} if (overdue := overdue_says(self.settings)) else {}),
+            **({"warnings": warnings} if warnings else {}),
         }
 
 

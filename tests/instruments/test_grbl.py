@@ -6,7 +6,7 @@ from stage_ports import InProcessPort, homed, until_it_stands
 
 from calrig.instruments.errors import Halted, StageError
 from calrig.instruments.stages.grbl.driver import Grbl
-from calrig.instruments.stages.grbl.words import ALARMS, ERRORS, parse_report
+from calrig.instruments.stages.grbl.protocol import ALARMS, ERRORS, parse_report
 from calrig.instruments.types import StageIdentity
 
 
@@ -32,14 +32,14 @@ def referenced(controller, stage):
 
 
 def test_it_says_what_its_settings_allow(controller, port, stage):
-    controller.settings[20] = "1"
     port.push(BANNER)
     assert stage.identify() == StageIdentity(
         "grbl", "Grbl 1.1h", (-180.0, 180.0), 20.0, 80.0, homes_each_time=True
     )
 
 
-def test_without_soft_limits_it_has_no_limits_of_its_own(stage):
+def test_without_soft_limits_it_has_no_limits_of_its_own(controller, stage):
+    controller.settings[20] = "0"
     assert stage.identify().limits_deg is None
 
 
@@ -49,7 +49,7 @@ def test_another_axis_has_its_own_letter_settings_and_place(controller, port):
     assert stage.identify().velocity_dps == 10.0
     assert stage.position_deg() == -7.25
     homed(stage).move(5)
-    assert f"{GO} G0 Y5" in controller.lines
+    assert f"{GO} Y5" in controller.lines
 
 
 def test_opening_and_identifying_moves_nothing_and_unlocks_nothing(controller, port, stage):
@@ -118,24 +118,29 @@ def test_a_move_goes_at_full_speed_or_at_the_velocity_set(controller, referenced
     referenced.move(-59.5)
     referenced.set_velocity(12.5)
     referenced.move(10)
-    assert [line for line in controller.lines if line[0] == "G"] == [f"{GO} G0 X-59.5", f"{GO} G1 X10 F750"]
+    assert [line for line in controller.lines if line[0] == "G"] == [
+        "G21 G90 G94 T211 M5 S211 F1200",
+        f"{GO} X-59.5",
+        "G21 G90 G94 T211 F750",
+        f"{GO} X10",
+    ]
     with pytest.raises(StageError, match=r"20°/s at most \(\$110\)"):
         referenced.set_velocity(21)
 
 
 def test_a_move_that_was_damaged_on_its_way_is_sent_again(controller, referenced):
-    controller.answers[f"{GO} G0 X10"] = [b"error:2\r\n"]
+    controller.answers[f"{GO} X10"] = [b"error:2\r\n"]
     referenced.move(10)
-    assert controller.lines.count(f"{GO} G0 X10") == 2
+    assert controller.lines.count(f"{GO} X10") == 2
     assert referenced.faults["resent"] == 1
 
 
 @pytest.mark.parametrize("number", sorted(ERRORS))
 def test_a_refused_move_is_refused_in_words(controller, referenced, number):
-    controller.answers[f"{GO} G0 X10"] = b"error:%d\r\n" % number
+    controller.answers[f"{GO} X10"] = b"error:%d\r\n" % number
     if number == 8:
         return  # never a G-code's answer
-    with pytest.raises(StageError, match=rf"refused G0 X10: .*\(error:{number}\)"):
+    with pytest.raises(StageError, match=rf"refused G1 X10: .*\(error:{number}\)"):
         referenced.move(10)
 
 
@@ -158,8 +163,8 @@ def test_an_alarm_costs_the_angle_until_it_is_homed_again(controller, port, refe
 
 
 def test_a_soft_limit_alarm_keeps_the_angle_and_is_unlocked(controller, referenced):
-    controller.answers[f"{GO} G0 X200"] = b"ALARM:2\r\n[MSG:Reset to continue]\r\n"
-    with pytest.raises(StageError, match="refused G0 X200: ALARM:2, soft limit"):
+    controller.answers[f"{GO} X200"] = b"ALARM:2\r\n[MSG:Reset to continue]\r\n"
+    with pytest.raises(StageError, match="refused G1 X200: ALARM:2, soft limit"):
         referenced.move(200)
     assert controller.resets == 1
     assert controller.lines[-2:] == ["$X", "$$"]
@@ -173,7 +178,7 @@ def test_a_count_that_changed_in_a_soft_limit_alarm_is_not_unlocked(controller, 
             controller.report = "<Alarm|MPos:1.000,0.000,0.000|FS:0,0>"
         return receive(data)
 
-    controller.answers[f"{GO} G0 X200"] = b"ALARM:2\r\n"
+    controller.answers[f"{GO} X200"] = b"ALARM:2\r\n"
     controller.receive = reset_and_lose
     with pytest.raises(StageError, match="soft limit"):
         referenced.move(200)
@@ -200,7 +205,7 @@ def test_without_homing_it_counts_from_where_it_was_switched_on_and_says_so(cont
 
 
 def test_an_echo_is_counted_and_is_no_answer(controller, referenced):
-    controller.answers[f"{GO} G0 X10"] = [f"{GO} G0 X10\r\nok\r\n".encode()]
+    controller.answers[f"{GO} X10"] = [f"{GO} X10\r\nok\r\n".encode()]
     referenced.move(10)
     assert referenced.faults["echo"] == 1
 
@@ -231,16 +236,16 @@ def test_a_refused_homing_is_said_at_once(controller, stage):
 
 
 def test_an_ok_of_another_command_is_not_taken_for_a_moves_own(controller, port, referenced):
-    controller.answers[f"{GO} G0 X10"] = b"ok\r\nerror:9\r\n"  # the first was late, and is another's
+    controller.answers[f"{GO} X10"] = b"ok\r\nerror:9\r\n"  # the first was late, and is another's
     with pytest.raises(StageError, match="error:9"):
         referenced.move(10)
     assert referenced.faults["late_reply"] == 1
 
 
 def test_a_move_whose_ok_is_lost_is_sent_again_to_the_same_place(controller, referenced):
-    controller.answers[f"{GO} G0 X10"] = [b"o\xfe\r\n", b"ok\r\n"]
+    controller.answers[f"{GO} X10"] = [b"o\xfe\r\n", b"ok\r\n"]
     referenced.move(10)
-    assert controller.lines.count(f"{GO} G0 X10") == 2
+    assert controller.lines.count(f"{GO} X10") == 2
 
 
 def test_while_it_runs_the_refused_listing_is_no_answer_to_the_move(controller, referenced):
@@ -273,7 +278,7 @@ def test_a_stop_sends_hold_and_jog_cancel_and_no_motion_after_it(controller, por
     before = len(port.sent)
     referenced.halt()
     assert port.sent[before:] == b"!\x85"
-    with pytest.raises(Halted, match="G0 X10 was not sent"):
+    with pytest.raises(Halted, match="G1 X10 was not sent"):
         referenced.move(10)
     with pytest.raises(Halted, match=r"\$H was not sent"):
         referenced.home()

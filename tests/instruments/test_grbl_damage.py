@@ -43,7 +43,7 @@ def test_no_damage_makes_a_refused_move_an_accepted_one(damages, refused):
     stage = homed(Grbl(port))
     stage.move(0)
     if refused:
-        script.answers[f"{GO} G0 X10"] = b"error:9\r\n"
+        script.answers[f"{GO} X10"] = b"error:9\r\n"
     port.damages = ["sound", *damages]
     try:
         stage.move(10)
@@ -54,7 +54,7 @@ def test_no_damage_makes_a_refused_move_an_accepted_one(damages, refused):
     port.damages = []
     script.answers.clear()
     stage.move(20)
-    assert script.lines[-2:] == [f"{GO} G0 X20", "$$"]
+    assert script.lines[-2:] == [f"{GO} X20", "$$"]
 
 
 def test_a_simulated_one_homes_moves_and_stops():

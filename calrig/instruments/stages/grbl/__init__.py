@@ -6,13 +6,15 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from calrig.instruments.device import Identity, Probe, StageDevice
-from calrig.instruments.stages.grbl.words import (
+from calrig.instruments.stages.grbl.protocol import (
     BANNER,
     BAUDRATE,
+    SETTING,
     VERSION,
     is_report_before_1_1,
     parse_report,
 )
+from calrig.instruments.stages.grbl.settings import general_warnings
 
 if TYPE_CHECKING:
     from calrig.instruments.stages.grbl.driver import Grbl
@@ -25,9 +27,8 @@ def _open(url: str, *, axis: int, baudrate: int | None) -> Grbl:
 
 
 def _matches(line: str) -> bool:
-    return bool(
-        BANNER.fullmatch(line) or VERSION.fullmatch(line) or parse_report(line) or is_report_before_1_1(line)
-    )
+    own = (BANNER, VERSION, SETTING)
+    return any(form.fullmatch(line) for form in own) or bool(parse_report(line) or is_report_before_1_1(line))
 
 
 def _identity(lines: Sequence[str]) -> Identity:
@@ -36,7 +37,9 @@ def _identity(lines: Sequence[str]) -> Identity:
     names += [f"Grbl {version[1]}{version[2] or ''}" for version in versions]
     states = [f", in {report.state}" for line in lines if (report := parse_report(line))]
     states += [", older than the 1.1 that calrig speaks" for line in lines if is_report_before_1_1(line)]
-    return Identity((names or ["Grbl"])[0] + (states or [""])[-1])
+    settings = {int(found[1]): float(found[2]) for line in lines if (found := SETTING.fullmatch(line))}
+    warnings = [f". {warning.removesuffix('.')}" for warning in general_warnings(settings)]
+    return Identity((names or ["Grbl"])[0] + (states or [""])[-1] + "".join(warnings))
 
 
 DEVICE = StageDevice(
@@ -54,5 +57,5 @@ DEVICE = StageDevice(
     ),
     matches=_matches,
     identity=_identity,
-    version_query=b"$I\n",
+    version_query=b"$I\n$$\n",
 )

@@ -8,7 +8,12 @@ from __future__ import annotations
 
 from calrig.instruments.errors import StageError
 from calrig.instruments.readback import AGREE_DEG
-from calrig.instruments.stages.grbl.words import Report
+from calrig.instruments.stages.grbl.protocol import Report
+
+STATE_ANGLE = (
+    "turn the stage to a known angle by hand and start a run that says so "
+    '("The stage stands at" on the page, calrig run --stage-at DEGREES)'
+)
 
 
 class Count:
@@ -19,6 +24,8 @@ class Count:
         lost: whether it was an angle and is none any more.
         offset_deg: the work coordinates' zero in machine coordinates, None before it was heard.
         shown_deg: the last one read.
+        step_deg: the angle of one step.
+        has_switch: whether a homing finds the angle again.
     """
 
     def __init__(self, index: int, name: str) -> None:
@@ -26,6 +33,8 @@ class Count:
         self.lost = False
         self.offset_deg: float | None = None
         self.shown_deg = 0.0
+        self.step_deg = 0.0
+        self.has_switch = True
         self._index = index
         self._name = name
         self._offset_heard: float | None = None
@@ -71,6 +80,12 @@ class Count:
             self.offset_deg = heard
         self._offset_heard = heard
 
+    def require(self) -> None:
+        """Raise StageError with what to do where the count was an angle and is none any more."""
+        if self.lost:
+            todo = "start again, so that it homes" if self.has_switch else STATE_ANGLE
+            raise StageError(f"{self._name} has lost its angle: {self.unreferenced}; then {todo}")
+
     def check(self, here_deg: float) -> None:
         """Accepts an angle at which the stage stands, on which two reports agree.
 
@@ -79,7 +94,6 @@ class Count:
         """
         if self._rests_deg is not None and abs(here_deg - self._rests_deg) > AGREE_DEG:
             self.lose(f"its count jumped from {self._rests_deg:g}° to {here_deg:g}° while it stood")
-        if self.lost:
-            raise StageError(f"{self._name} has lost its angle: {self.unreferenced}")
-        if self._target_deg is not None and abs(here_deg - self._target_deg) <= AGREE_DEG:
+        self.require()
+        if self._target_deg is not None and abs(here_deg - self._target_deg) <= AGREE_DEG + self.step_deg:
             self._rests_deg = here_deg

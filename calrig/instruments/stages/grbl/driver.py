@@ -1,8 +1,9 @@
 """GRBL 1.1 (driver `grbl`): an Arduino with a stepper shield turning the stage, one unit a degree.
 
 `axis` 1 is X, 2 Y, 3 Z. Angles are work coordinates: an offset that an operator has stored (`G54`) is kept.
-Where its count is no longer the stage's angle (`count`), `move` refuses and `position_deg` raises until
-it has been homed. `$X` is sent in one case alone: after a soft limit alarm, when no step was lost.
+Where its count is no longer the stage's angle (`count`, `marks`), `move` refuses and `position_deg` raises
+until it has been homed. A controller that an alarm has locked is reset, which moves nothing and unlocks
+nothing. `$X` is sent in one case alone: after a soft limit alarm, when no step was lost.
 """
 
 from __future__ import annotations
@@ -15,25 +16,30 @@ from typing import Self
 from calrig.instruments import readback
 from calrig.instruments.errors import InstrumentError, StageError
 from calrig.instruments.ports import Port, open_port
-from calrig.instruments.stages.grbl.controller_settings import RATE, ControllerSettings
-from calrig.instruments.stages.grbl.count import Count
-from calrig.instruments.stages.grbl.modes import MARK, OF_A_MOVE, Modes
-from calrig.instruments.stages.grbl.states import status_of
-from calrig.instruments.stages.grbl.wire import RESET, STOP, GrblWire
-from calrig.instruments.stages.grbl.words import (
+from calrig.instruments.stages.grbl.count import STATE_ANGLE, Count
+from calrig.instruments.stages.grbl.link import RESET, STOP, GrblLink
+from calrig.instruments.stages.grbl.marks import OF_A_LINE, Marks
+from calrig.instruments.stages.grbl.protocol import (
     BAUDRATE,
     NOT_1_1,
     SOFT_LIMIT,
-    UNTIL_RESET,
     VERSION,
     Report,
     alarm_words,
     error_words,
 )
+from calrig.instruments.stages.grbl.settings import RATE, ControllerSettings
 from calrig.instruments.stages.lines import plain, unanswered
 from calrig.instruments.types import StageIdentity, StageStatus
 
 LOOKS_FOR_OFFSET = 24  # idle, GRBL adds its offset to every tenth report
+ASSUMED_VELOCITY_DPS = 1.0  # of a controller that does not list its own
+UNUSABLE = {
+    "Hold": StageStatus("disabled", "HOLD: it stands, and keeps what is left of its move until it is reset"),
+    "Door": StageStatus("disabled", "DOOR: the safety door is open"),
+    "Sleep": StageStatus("disabled", "SLEEP: its motors are off"),
+    "Check": StageStatus("configuration", "CHECK: it moves nothing until $C"),
+}
 
 
 class Grbl:
@@ -46,13 +52,13 @@ class Grbl:
         self._index = axis - 1
         self._letter = "XYZABC"[self._index]
         self._name = f"stage grbl, axis {self._letter}, on {port.name}"
-        self._wire = GrblWire(port, self.faults)
+        self._link = GrblLink(port, self.faults)
         self._count = Count(self._index, self._name)
         self._asking = threading.RLock()
         self._settings: ControllerSettings | None = None
         self._resets = 0
         self._homing = False
-        self._modes = Modes(self._wire, self._name)
+        self._marks = Marks(self._link, self._name)
         self._firmware: str | None = None
         self._feed_per_min: float | None = None
 
@@ -75,27 +81,25 @@ class Grbl:
             offset_deg, travel_deg = self._count.offset_deg or 0.0, settings.travel_deg
             return StageIdentity(
                 driver="grbl",
-                firmware=self._firmware or self._wire.firmware,
+                firmware=self._firmware or self._link.firmware,
                 limits_deg=(-travel_deg - offset_deg, travel_deg - offset_deg) if travel_deg else None,
                 velocity_dps=settings.velocity_dps,
                 acceleration_dps2=settings.acceleration_dps2,
                 homes=settings.homes,
                 homes_each_time=settings.homes,
+                warnings=settings.warnings,
             )
 
     def status(self) -> StageStatus:
         """State and alarm in words (StageError if it does not answer)."""
         with self._asking:
+            report = None
             if self._homing:
-                report = self._wire.look_in_passing()
+                report = self._link.look_in_passing()
                 self._heed()
-            else:
-                report = self._look()
-            if report is None and self._wire.locked:
-                return StageStatus("not_referenced", f"ALARM ({self._count.unreferenced})")
-            if report is None:
+            if self._homing and report is None:
                 return StageStatus("homing", "HOME (it answers nothing until it is done)")
-            return self._status(report)
+            return self._status(report or self._report())
 
     def position_deg(self) -> float:
         """Where a standing stage says it is: two reports in a row that agree, three on a wire with faults.
@@ -124,7 +128,7 @@ class Grbl:
 
     def set_velocity(self, velocity_dps: float) -> None:
         """Sets the velocity of the moves that follow (StageError above the controller's own)."""
-        most_dps = self._settings.velocity_dps if self._settings else None
+        most_dps = self._most_dps
         if most_dps is not None and velocity_dps > most_dps * (1 + 1e-9):
             raise StageError(
                 f"{self._name} turns at {most_dps:g}°/s at most (${RATE + self._index}): {velocity_dps:g}°/s"
@@ -139,25 +143,20 @@ class Grbl:
             Halted: it was halted; nothing was sent.
         """
         with self._asking:
-            self._wire.lines.refuse_if_halted("$H", self._name)
-            if self._settings is None:
-                self._report()
+            self._link.lines.refuse_if_halted("$H", self._name)
+            report = self._report()
             if self._settings and not self._settings.homes:
                 raise StageError(
                     f"{self._name} has no homing ($22=0) and no angle ({self._count.unreferenced}): "
-                    "turn the stage to a known angle by hand and start a run that says so "
-                    '("The stage stands at" on the page, calrig run --stage-at DEGREES)'
+                    f"{'reset the controller, ' if report.state == 'Alarm' else ''}{STATE_ANGLE}"
                 )
-            if self._wire.locked:
-                self._wire.restart()
-            report = self._report()
             if report.state not in ("Idle", "Alarm"):
                 raise StageError(f"{self._name} homes only from Idle and Alarm and is in {report.state}")
-            self._wire.alarm, self._resets = None, self._wire.resets
+            self._link.alarm, self._resets = None, self._link.resets
             self._count.begin(None)
             self._homing = True  # before it is sent: a stop from here on must be one that homing heeds
-            self._wire.begin("$H", self._name)
-            self._wire.listen(lambda: bool(self._wire.answers) or self._wire.alarm is not None, 0.2)
+            self._link.begin("$H", self._name)
+            self._link.listen(lambda: bool(self._link.answers) or self._link.alarm is not None, 0.2)
             self._heed()
             if not self._homing:
                 raise StageError(f"{self._name} refused $H: {self._count.unreferenced}")
@@ -169,24 +168,24 @@ class Grbl:
             StageError: it has no reference, is not idle, or refused the move, in words.
             Halted: it was halted; nothing was sent.
         """
-        word = f"{self._letter}{plain(target_deg)}"
-        feed = self._feed_per_min
-        command = f"G0 {word}" if feed is None else f"G1 {word} F{plain(feed)}"
+        command = f"G1 {self._letter}{plain(target_deg)}"
         with self._asking:
-            self._wire.lines.refuse_if_halted(command, self._name)
+            self._link.lines.refuse_if_halted(command, self._name)
             before = self._report()
             self._see_that_it_was_not_reset(before)
             if before.state != "Idle" or self._count.unreferenced:
                 raise StageError(f"{self._name} takes no move: it is in {self._status(before).words}")
-            if not self._modes.marked:
-                self._require_ok(MARK, self._modes.mark())
-            if self._modes.changed:
-                self.faults["modes_changed"] += 1
+            self._mark()
+            self._see_that_it_was_not_reset(before)
+            self._count.require()
             self._count.begin(target_deg)
-            answer = self._wire.command(f"{OF_A_MOVE} {command}", moving=self._name)
-            if self._wire.alarm == SOFT_LIMIT:
+            answer = self._link.command(f"{OF_A_LINE} {command}", moving=self._name)
+            if self._link.alarm == SOFT_LIMIT:
                 self._unlock(before)
                 raise StageError(f"{self._name} refused {command}: {alarm_words(SOFT_LIMIT)}")
+            if answer != "ok":
+                self._see_that_it_was_not_reset(before)
+                self._count.require()
             self._require_ok(command, answer)
 
     def halt(self) -> None:
@@ -194,33 +193,27 @@ class Grbl:
 
         Homing heeds no feed hold: there the controller is reset, which stops it dead.
         """
-        self._wire.lines.halt(STOP + RESET if self._homing else STOP)
+        self._link.lines.halt(STOP + RESET if self._homing else STOP)
 
     def close(self) -> None:
         """Closes the port; never raises. What a stop has left of a move is thrown away."""
         with self._asking:
-            if self._wire.lines.halted:
+            if self._link.lines.halted:
                 with contextlib.suppress(InstrumentError):
-                    report = self._wire.look(attempts=1)
+                    report = self._link.look(attempts=1)
                     if report and report.state == "Hold" and not report.moves:
-                        self._wire.restart()
-            self._wire.lines.close()
+                        self._link.restart()
+            self._link.lines.close()
 
     def _report(self) -> Report:
         """A report, of a controller that is awake and known (StageError if it does not answer)."""
-        report = self._look()
-        if report is None:
-            raise StageError(f"{self._name} has lost its angle: {self._count.unreferenced}; {UNTIL_RESET}")
-        return report
-
-    def _look(self) -> Report | None:
-        """The same; None where an alarm has locked it up."""
-        report = self._wire.look() if self._settings else self._wire.wake()
+        report = self._link.look() if self._settings else self._link.wake()
+        if report is None and self._link.locked:  # its motor was stopped, and it answers only after a reset
+            self._link.restart()
+            report = self._link.look()
         self._heed()
-        if report is None and self._wire.locked:
-            return None
-        if report is None and self._wire.before_1_1:
-            raise StageError(f"{self._name} speaks as {self._wire.firmware or 'a GRBL'} does, {NOT_1_1}")
+        if report is None and self._link.before_1_1:
+            raise StageError(f"{self._name} speaks as {self._link.firmware or 'a GRBL'} does, {NOT_1_1}")
         if report is None:
             self._settings = None  # they are read again when it answers again
             raise StageError(unanswered(self._name, "?", self.faults, "power, cable and baud rate"))
@@ -230,26 +223,38 @@ class Grbl:
         return report
 
     def _see_that_it_was_not_reset(self, report: Report) -> None:
-        """Asks an idle one for what no reset leaves as it was (StageError where it does not answer)."""
-        why = self._modes.check() if report.state == "Idle" else None
+        """Looks at an idle one's marks (StageError where it does not answer)."""
+        why = self._marks.check() if report.state == "Idle" else None
         self._heed()
         if why is not None and not self._count.lost:
-            self._modes.marked = False
+            self._marks.forget()
             self._count.lose(why)
+
+    @property
+    def _most_dps(self) -> float | None:
+        return self._settings.velocity_dps if self._settings else None
+
+    def _mark(self) -> None:
+        """Sets feed rate and marks where they are not set."""
+        feed_per_min = self._feed_per_min or (self._most_dps or ASSUMED_VELOCITY_DPS) * 60
+        if self._marks.feed_per_min != feed_per_min:
+            line = self._marks.line(feed_per_min)
+            self._require_ok(line, self._link.command(line))
+            self._marks.accepted(feed_per_min)
 
     def _learn(self, report: Report) -> Report:
         """Reads settings and offset, twice alike each, and whether the count can be an angle."""
-        settings = ControllerSettings.read(self._wire, self._index)
+        settings = ControllerSettings.read(self._link, self._index)
         if settings is None:
             raise StageError(f"{self._name} does not list its settings ($$) twice alike: check the cable")
-        if settings.in_inches:
-            raise StageError(f"{self._name} reports in inches: set $13=0, so that a unit is a degree")
+        settings.require_usable(self._name)
+        self._count.step_deg, self._count.has_switch = settings.step_deg, settings.homes
         for _ in range(LOOKS_FOR_OFFSET):
-            if self._count.offset_deg is not None or not report.machine:
+            if self._count.offset_deg is not None:
                 break
-            report = self._wire.look() or report
+            report = self._link.look() or report
             self._count.hear_offset(report)
-        if (version := self._wire.inquire("$I", VERSION)) is not None:
+        if (version := self._link.inquire("$I", VERSION)) is not None:
             self._firmware = f"Grbl {version}"
         self._settings = settings
         if not settings.homes and not self._count.has_moved and report.state == "Idle":
@@ -259,24 +264,38 @@ class Grbl:
 
     def _heed(self) -> None:
         """Draws the consequences of what came unasked."""
-        if self._wire.resets != self._resets:
-            self._resets, self._modes.marked, self._homing = self._wire.resets, False, False
-            if self._count.has_moved:
+        if self._link.resets != self._resets:
+            self._resets, self._homing = self._link.resets, False
+            self._marks.forget()
+            if self._count.has_moved or self._count.unreferenced is None:
                 self._count.lose("it was reset, and its count with it")
-        if self._wire.alarm is not None:
+        if self._link.alarm is not None:
             self._homing = False
-            self._count.lose(alarm_words(self._wire.alarm))
-        if self._homing and self._wire.answers and self._wire.answers[-1] != "ok":
+            self._count.lose(alarm_words(self._link.alarm))
+        if self._homing and self._link.answers and self._link.answers[-1] != "ok":
             self._homing = False
-            self._count.unreferenced = error_words(self._wire.answers[-1])
+            self._count.unreferenced = error_words(self._link.answers[-1])
 
     def _status(self, report: Report) -> StageStatus:
-        if self._homing and report.state == "Idle" and (self._wire.answers or self._wire.fence()):
+        if self._homing and report.state == "Idle" and (self._link.answers or self._link.fence()):
             self._heed()
             if self._homing:
-                self._homing, self._count.unreferenced, self._wire.answers = False, None, []
-        why, has_switch = self._count.unreferenced, bool(self._settings and self._settings.homes)
-        return status_of(report, self._homing, bool(self._settings), why, has_switch=has_switch)
+                self._homing, self._count.unreferenced, self._link.answers = False, None, []
+        if self._homing and report.state == "Alarm":  # while it homes, it reports nothing
+            self._homing, self._count.unreferenced = False, "homing failed"
+        state, why = report.state, self._count.unreferenced
+        if self._homing or state == "Home":
+            return StageStatus("homing", "HOME")
+        if report.moves and self._settings is None:
+            return StageStatus("homing", f"{state.upper()}, not by calrig")
+        if report.moves:
+            return StageStatus("moving", state.upper())
+        if state in UNUSABLE:
+            return UNUSABLE[state]
+        if why or state == "Alarm":
+            return StageStatus("not_referenced", f"{state.upper()} ({why or 'locked'})")
+        place = "" if self._count.has_switch else ", counting from where it was switched on"
+        return StageStatus("ready", f"IDLE{place}")
 
     def _require_ok(self, command: str, answer: str | None) -> None:
         self._heed()
@@ -288,11 +307,11 @@ class Grbl:
 
     def _unlock(self, before: Report) -> None:
         """After a soft limit alarm, in which no step is lost: reset, compare the count, then unlock."""
-        if self._wire.restart():
-            self._wire.alarm, self._resets = None, self._wire.resets
-            self._modes.marked = False
-            after = self._wire.look()
-            if after and self._wire.alarm is None and after.position == before.position:
-                self._require_ok("$X", self._wire.command("$X"))
+        if self._link.restart():
+            self._link.alarm, self._resets = None, self._link.resets
+            self._marks.forget()
+            after = self._link.look()
+            if after and self._link.alarm is None and after.position == before.position:
+                self._require_ok("$X", self._link.command("$X"))
                 return
         self._count.lose("its count changed in a soft limit alarm")

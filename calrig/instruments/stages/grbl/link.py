@@ -1,4 +1,4 @@
-"""What comes from a GRBL controller, each line by its kind, and every `ok` held against its own command.
+"""The serial link to a GRBL controller: each line by its kind, and every `ok` matched to its own command.
 
 `ok` and `error:n` do not say what they answer. So every command is followed by the listing of settings
 (`$$`), which moves nothing and looks like nothing else: lines are answered in order, so the last answer
@@ -12,13 +12,14 @@ from collections import Counter, deque
 from collections.abc import Callable
 
 from calrig.instruments.ports import Port
-from calrig.instruments.stages.grbl.words import (
+from calrig.instruments.stages.grbl.protocol import (
     ALARM,
     BANNER,
     LOCKED_UNTIL_RESET,
     REMARK,
     REPLY,
     SETTING,
+    TAKES_RESET,
     Report,
     is_report_before_1_1,
     parse_report,
@@ -32,6 +33,10 @@ WAKE_TIMEOUT_S = 3.0
 """A boot loader listens for two before GRBL does."""
 WAKE_AGAIN_S = 1.0
 """No boot loader follows on a reset by wire: the banner comes at once."""
+RESET_TIMEOUT_S = 1.0
+"""Of a controller that moves, the banner comes 0.53 s after the reset."""
+ALARM_PAUSE_S = 1.0
+"""After most alarms GRBL answers nothing and takes no reset for 0.5 s."""
 ATTEMPTS = 4
 MOST_LISTINGS = 6
 MOST_REMARKS = 16
@@ -46,7 +51,7 @@ BUSY = "error:8"
 """How the listing itself is refused while a move is under way; no G-code ever is."""
 
 
-class GrblWire:
+class GrblLink:
     """One controller on a port.
 
     Attributes:
@@ -67,6 +72,7 @@ class GrblWire:
         self.resets = 0
         self.alarm: int | None = None
         self.locked = False
+        self._pauses = False
         self.before_1_1 = False
         self.answers: list[str] = []
         self.settings: dict[int, float] = {}
@@ -82,11 +88,14 @@ class GrblWire:
         for _ in range(1 if self.lines.halted else attempts):  # a stop goes first
             self.catch_up()
             self._report = None
+            self._wait_out_pause()
             if self.locked:
                 return None
             self.lines.send(b"?")
-            if self.listen(lambda: self._report is not None or self.locked or self.before_1_1):
-                return self._report
+            if self.listen(lambda: self._report is not None or self._pauses or self.before_1_1):
+                if self._report or not self._pauses or self.locked:
+                    return self._report
+                continue
             self._in_doubt = True
             if attempts > 1:  # one that is just waking up answers none
                 self._faults["no_reply"] += 1
@@ -102,7 +111,7 @@ class GrblWire:
 
     def _look_for(self, timeout_s: float) -> Report | None:
         deadline_s = self._now_s() + timeout_s
-        while self._now_s() < deadline_s and not self.before_1_1:
+        while self._now_s() < deadline_s and not (self.before_1_1 or self.locked):
             if report := self.look(attempts=1):
                 return report
         return None
@@ -204,10 +213,17 @@ class GrblWire:
         return {}
 
     def restart(self) -> bool:
-        """Resets the controller, which moves nothing; whether its banner came."""
+        """Resets the controller once it takes a reset, which moves nothing; whether its banner came."""
+        self._wait_out_pause()
         seen = self.resets
         self.lines.send(RESET)
-        return self.listen(lambda: self.resets != seen, 2 * REPLY_TIMEOUT_S)
+        return self.listen(lambda: self.resets != seen, RESET_TIMEOUT_S)
+
+    def _wait_out_pause(self) -> None:
+        """After an alarm, wait until the controller answers or takes a reset again."""
+        if self._pauses:
+            self.listen(lambda: not self._pauses, ALARM_PAUSE_S)
+            self._pauses = False
 
     def listen(self, until: Callable[[], bool], timeout_s: float | None = None) -> bool:
         """Takes in lines until something holds or time is up; whether it holds."""
@@ -255,15 +271,18 @@ class GrblWire:
         elif alarm := ALARM.fullmatch(line):
             self.alarm = int(alarm[1])
             self.locked = self.alarm in LOCKED_UNTIL_RESET
+            self._pauses = True
         elif banner := BANNER.fullmatch(line):
             self.firmware = banner[1]
             self.resets += 1
-            self.locked = False
+            self.locked = self._pauses = False
+            self.answers, self.settings = [], {}  # of a line that an alarm refused, or of a failed homing
         elif line in ("$$", self._sent):
             self._faults["echo"] += 1
         elif is_report_before_1_1(line):
             self.before_1_1 = True
         elif REMARK.fullmatch(line):
+            self._pauses &= line != TAKES_RESET
             self._remarks.append(line)
         elif line:
             self._faults["unparsed"] += 1

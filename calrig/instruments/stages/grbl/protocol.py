@@ -1,4 +1,4 @@
-"""What GRBL 1.1 says: its reports taken apart, its alarms and errors in words (gnea/grbl, doc/csv)."""
+"""Messages of GRBL 1.1: reports taken apart, alarms and errors in words (gnea/grbl, doc/csv)."""
 
 from __future__ import annotations
 
@@ -28,12 +28,13 @@ REMARK = re.compile(r"\[[^\[\]]*\]|>.*:(?:ok|error:\d+)|\$N\d=.*")
 
 SOFT_LIMIT = 2
 LOCKED_UNTIL_RESET = (1, SOFT_LIMIT)
-UNTIL_RESET = "it answers nothing until it is reset: see what is in the way of the stage, then home it"
+TAKES_RESET = "[MSG:Reset to continue]"
+"""What follows on an alarm that locks, half a second later; a reset sent before is thrown away."""
 NOT_1_1 = (
     "and not as GRBL 1.1, which alone calrig knows: put 1.1 on the controller and enter its $ settings again"
 )
 ALARMS = {
-    1: "a hard limit switch was hit, and steps are likely lost",
+    1: "a limit switch was hit: GRBL has stopped the motor by itself, and steps are likely lost",
     2: "soft limit: the target lies beyond the travel",
     3: "it was reset while it moved, and steps are likely lost",
     4: "probe not in its initial state",
