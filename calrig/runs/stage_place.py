@@ -103,8 +103,8 @@ class StagePlace:
             return
         try:
             self.stands(axis.elevation_deg())
-        except InstrumentError as error:
-            log.warning("where the stage of rig %r was left is not known: %s", self._rig.name, error)
+        except InstrumentError:  # why, the run's own failure says
+            log.warning("where the stage of rig %r was left is not known", self._rig.name)
             self.leaves()
 
     def _expected_deg(self, stage_deg: float, mount: Mount) -> float:

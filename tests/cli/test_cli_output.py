@@ -41,11 +41,13 @@ def test_a_serial_number_is_no_markup_and_what_is_not_known_is_said(capsys):
             "plan": {},
             "result": result,
             "verdict": None,
+            "provenance": {"warnings": ["$1=25 lets the table sag."]},
         }
     )
     shown = capsys.readouterr().out
     assert "unit [red]AS-1[/red], on bench-1" in shown
     assert "not known" in shown
+    assert "warning: $1=25 lets the table sag." in shown
 
 
 def test_printable_text_stays_as_it_is():

@@ -1,4 +1,4 @@
-"""The driver against recorded conversations with unmodified GRBL (../shared/wire; its README describes them)."""
+"""The driver against conversations recorded from unmodified GRBL (../shared/wire, described there)."""
 
 from __future__ import annotations
 

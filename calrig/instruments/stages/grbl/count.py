@@ -92,8 +92,9 @@ class Count:
         Raises:
             StageError: the count has jumped, or is no angle any more for another reason.
         """
-        if self._rests_deg is not None and abs(here_deg - self._rests_deg) > AGREE_DEG:
-            self.lose(f"its count jumped from {self._rests_deg:g}° to {here_deg:g}° while it stood")
+        rests_deg = None if self.lost else self._rests_deg  # a reset, where one was seen, is why it jumps
+        if rests_deg is not None and abs(here_deg - rests_deg) > AGREE_DEG:
+            self.lose(f"its count jumped from {rests_deg:g}° to {here_deg:g}° while it stood")
         self.require()
         if self._target_deg is not None and abs(here_deg - self._target_deg) <= AGREE_DEG + self.step_deg:
             self._rests_deg = here_deg
