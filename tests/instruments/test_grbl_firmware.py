@@ -117,6 +117,13 @@ def test_a_move_names_no_feed_rate_so_that_a_controller_that_was_reset_refuses_i
     assert " F300 S211" in controller.modal
 
 
+def test_an_alarm_in_place_of_the_modal_state_is_named(controller, stage):
+    stage.move(0)
+    controller.plays = {"$G": HIT, "\x18": [(0.026, WELCOME), (0.028, UNLOCK)]}
+    with pytest.raises(StageError, match="lost its angle: ALARM:1"):
+        stage.position_deg()
+
+
 @pytest.mark.parametrize("line", ["G0 X5", "G92 X5", "G4 P0", "F100 T211", "M3 S500 T211"])
 def test_a_line_of_another_programs_costs_the_angle(controller, stage, line):
     stage.move(10)

@@ -48,7 +48,7 @@ class Marks:
     def accepted(self, feed_per_min: float) -> None:
         """Note the marks as `$G` shows them once `line` was accepted (StageError without an answer)."""
         if not self._marks:  # a build without variable spindle shows no S
-            self._marks = self._words() & {LINE_MARK, RESET_MARK}
+            self._marks = (self._words() or frozenset()) & {LINE_MARK, RESET_MARK}
         self.feed_per_min = feed_per_min
 
     def forget(self) -> None:
@@ -64,6 +64,8 @@ class Marks:
         if self.feed_per_min is None:
             return None
         words = self._words()
+        if words is None:
+            return alarm_words(self._link.alarm or 0)
         feed = next((float(word[1:]) for word in words if word[0] == "F"), 0.0)
         if self._marks <= words and abs(feed - self.feed_per_min) <= 1:  # it is shown without decimals
             return None
@@ -72,9 +74,9 @@ class Marks:
         seen = " ".join(sorted(word for word in words if word[0] in "TFS"))
         return f"another program sends it G-code ({seen}; calrig set {' '.join(sorted(self._marks))})"
 
-    def _words(self) -> frozenset[str]:
+    def _words(self) -> frozenset[str] | None:
+        """The modal state; None where an alarm came instead."""
         said = self._link.inquire("$G", MODES, _MARKED)
-        if said is None:
-            why = alarm_words(self._link.alarm) if self._link.alarm else "check the serial cable"
-            raise StageError(f"{self._name} does not answer $G with its modal state: {why}")
-        return frozenset(said.split())
+        if said is None and self._link.alarm is None:
+            raise StageError(f"{self._name} does not answer $G with its modal state: check the serial cable")
+        return None if said is None else frozenset(said.split())
