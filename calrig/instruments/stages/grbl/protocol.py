@@ -34,7 +34,7 @@ NOT_1_1 = (
     "and not as GRBL 1.1, which alone calrig knows: put 1.1 on the controller and enter its $ settings again"
 )
 ALARMS = {
-    1: "a limit switch was hit: GRBL has stopped the motor by itself, and steps are likely lost; clear its way",
+    1: "a limit switch was hit: GRBL has stopped the motor by itself; steps are likely lost; clear its way",
     2: "soft limit: the target lies beyond the travel",
     3: "it was reset while it moved, and steps are likely lost",
     4: "probe not in its initial state",
