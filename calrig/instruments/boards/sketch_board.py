@@ -161,6 +161,7 @@ class SketchBoard(ReadBoard):
             self._seen_s.clear()
         if None in found:
             self._begin_anew(now_s)
+            self._arrived_s = max(self._arrived_s, now_s - READ_TIMEOUT_S)  # none came in the silence before
             found = found[len(found) - found[::-1].index(None) :]
         records = [record for record in found if record is not None]
         if not records:
