@@ -146,7 +146,8 @@ class Worker:
         self._left_rig(self)
         self.control.leave(Left(seen=False))
         done = self._measuring
-        told = [error, *done.warnings] if error else done.warnings
+        # A warning of the stage quotes why it gave no answer, which may be what ended the run.
+        told = [error, *(one.replace(f" ({error})", "") for one in done.warnings)] if error else done.warnings
         fields: RunChanges = {**done.fields, "error": "; ".join(told) or None}
         fields["status"] = status
         if status != "completed":
