@@ -152,6 +152,10 @@ def test_a_resumption_takes_along_where_its_stage_stands(
     centre: CentreService, bench: TableBench, measured: Measured
 ):
     run_id = _interrupted(centre, bench, measured)
+    with pytest.raises(Invalid, match="has homing"):
+        centre.resume(run_id, 12.5)
+    known = centre.run(run_id).provenance
+    centre.store.update_run(run_id, provenance={**known, "stage": {**known["stage"], "homes": False}})
     centre.resume(run_id, 12.5)
     assert bench.order(run_id).document["stage_at_deg"] == 12.5
     centre.store.withdraw_order(run_id)
