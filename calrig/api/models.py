@@ -190,6 +190,7 @@ class ResultAnswer(LineAnswer):
     reference_says: str | None = Field(
         None, description="Why the stage's map was not used, or what errors are relative to."
     )
+    lost_says: str | None = Field(None, description="What of the plan could not be measured.")
 
 
 class VoidedAnswer(Answer):

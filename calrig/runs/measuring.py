@@ -101,7 +101,7 @@ class Measuring:
             finally:
                 self.fields["faults"] = rig.faults()
                 self._note_return(taking)
-                if sweeping.felt:
+                if sweeping.felt or sweeping.lost:
                     self._origin = {**self._origin, "sweep": sweeping.provenance()}
                     self.fields["provenance"] = self._origin
         if task.plan.kind != "static":

@@ -1,4 +1,4 @@
-"""A run was killed while its stage without homing moved: whoever resumes it on the page says where that stands."""
+"""A run was killed while its stage, which has no homing, moved: who resumes it says where that stands."""
 
 from __future__ import annotations
 
