@@ -48,7 +48,8 @@ class Killed:
 
     @property
     def remembered_deg(self) -> float | None:
-        return self.service.store.left_at("stepper").stage_deg
+        left_deg: float | None = self.service.store.left_at("stepper").stage_deg
+        return left_deg
 
     def table_deg(self) -> float:
         return table(self.simulated)[0]
@@ -61,7 +62,8 @@ class Killed:
         """Resumes the run, and gives it once it has ended or is interrupted again."""
         self.simulated.stage.reset()  # as opening its port resets it, wherever the table is
         self.client.post(f"{self.path}/resume", json=body).raise_for_status()
-        return ended(self.client, self.run_id)
+        run: dict[str, Any] = ended(self.client, self.run_id)
+        return run
 
 
 def killed_in_a_move(store_path: Path, **stage: Any) -> Iterator[Killed]:
