@@ -81,6 +81,7 @@ def verdict(
     held = None if limit is None else held_against(limit, result, calibration, relied_on=not move_mismatches)
     says = [
         *_mismatched(move_mismatches),
+        *([result["lost_says"]] if result.get("lost_says") else []),
         *(() if held is None else held.says),
         *([] if verification else _clamped(result)),
         *_left_in_words(left, ratio, bound, freedom, alone=held is None),

@@ -75,7 +75,9 @@ class Measuring:
                 task.rig,
                 self._control,
                 self.warnings.append,
-                StagePlace(self._store, task.rig, task.run.unit, resumes=task.interruption is not None),
+                StagePlace(
+                    self._store, task.rig, task.run, task.stage_at_deg, resumes=task.interruption is not None
+                ),
                 task.earlier.faults,
                 None if left_open is None else left_open.taken_over(tapes),
             ) as rig,
@@ -99,7 +101,7 @@ class Measuring:
             finally:
                 self.fields["faults"] = rig.faults()
                 self._note_return(taking)
-                if sweeping.felt:
+                if sweeping.felt or sweeping.lost:
                     self._origin = {**self._origin, "sweep": sweeping.provenance()}
                     self.fields["provenance"] = self._origin
         if task.plan.kind != "static":
