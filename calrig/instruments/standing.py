@@ -22,8 +22,7 @@ def stop_until_it_stands(stage: Stage, clock: Clock, timeout_s: float) -> None:
 
     One that stood when it was first seen is looked at once more, however late that was: opening its port may
     have reset its controller, which answers nothing until it has woken up. A look that is not answered says
-    nothing of the stage, and the looks before and after it are compared. A controller that has stopped by
-    itself and gives no angle is to say so twice.
+    nothing of the stage, and the looks before and after it are compared.
 
     Raises:
         StageError: it still moves, whatever it says of itself, or does not answer, after timeout_s: only
@@ -31,7 +30,7 @@ def stop_until_it_stands(stage: Stage, clock: Clock, timeout_s: float) -> None:
         PortError: the port is gone.
     """
     deadline_s = clock.now_s() + timeout_s
-    seen_deg: list[float | None] = []
+    seen_deg: list[float] = []
     while True:
         failure: InstrumentError | None = None
         try:
@@ -41,8 +40,8 @@ def stop_until_it_stands(stage: Stage, clock: Clock, timeout_s: float) -> None:
             if status.state in IN_MOTION:
                 seen_deg = []
             else:
-                seen_deg = [*seen_deg[-2:], None if status.has_stopped else stage.glimpse_deg()]
-                if _is_one_place(seen_deg):
+                seen_deg = [*seen_deg[-2:], stage.glimpse_deg()]
+                if len(seen_deg) > 1 and agree(*seen_deg[-2:]):
                     return
                 said += _unlike(seen_deg)
                 if len(seen_deg) == 1:
@@ -57,27 +56,16 @@ def stop_until_it_stands(stage: Stage, clock: Clock, timeout_s: float) -> None:
         clock.sleep(LOOKS_APART_S)
 
 
-def _is_one_place(seen_deg: list[float | None]) -> bool:
-    """Whether the last two looks found the stage at one angle, or both its controller stopped by itself."""
-    if len(seen_deg) < 2:
-        return False
-    before_deg, now_deg = seen_deg[-2:]
-    if before_deg is None or now_deg is None:
-        return before_deg is now_deg
-    return agree(before_deg, now_deg)
-
-
-def _unlike(seen_deg: list[float | None]) -> str:
+def _unlike(seen_deg: list[float]) -> str:
     """What the last looks say where they differ.
 
     One report may have been damaged on the wire. So the stage is said to turn only where three in a row go
     the same way, and by no more than the smaller of the two steps.
     """
-    known_deg = [angle_deg for angle_deg in seen_deg if angle_deg is not None]
-    if len(known_deg) < 2:
+    if len(seen_deg) < 2:
         return ""
-    steps_deg = [after - before for before, after in pairwise(known_deg)]
+    steps_deg = [after - before for before, after in pairwise(seen_deg)]
     smaller_deg = min(steps_deg, key=abs)
     if len(steps_deg) == 2 and math.prod(steps_deg) > 0.0 and not agree(smaller_deg, 0.0):
         return f", and turned by {smaller_deg:.2f}° meanwhile"
-    return f", and its reports differ ({', '.join(f'{angle_deg:.2f}°' for angle_deg in known_deg)})"
+    return f", and its reports differ ({', '.join(f'{angle_deg:.2f}°' for angle_deg in seen_deg)})"
