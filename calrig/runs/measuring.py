@@ -9,6 +9,7 @@ from pathlib import Path
 
 from calrig.analysis.issuing import Fitted, Issuer
 from calrig.analysis.results import ending_of, fitted
+from calrig.analysis.stored_runs import stored_run
 from calrig.instruments.transcript import Tape, taped
 from calrig.runs.control import Control, Ended
 from calrig.runs.execution import Execution
@@ -174,5 +175,6 @@ class Measuring:
         result = fitted(poses, accepted, self._origin, gyro, ending)
         self.fields["result"] = result.to_dict()
         excluded = [one.index for one in stored if one.excluded is not None]
-        now = replace(run, provenance=self._origin, faults=self.fields["faults"])
+        progress = stored_run(self._store, run.id).progress
+        now = replace(run, provenance=self._origin, faults=self.fields["faults"], progress=progress)
         self.draft = self._issuer.completing(now, Fitted(poses, result, accepted, excluded))
