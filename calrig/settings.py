@@ -17,7 +17,6 @@ from pydantic import (
     model_validator,
 )
 
-from calrig.calibration.doubts import REMOUNT_LIMIT_DEG
 from calrig.invalid_fields import first_problem
 from calrig.laboratory import STANDARDS, LaboratorySettings, Overdue, StandardSettings, Strict
 from calrig.limit_settings import LimitSettings
@@ -101,7 +100,7 @@ class RigSettings(Strict):
     name: Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[\w.-]+$")]
     limits_deg: tuple[float, float] = (-90.0, 90.0)
     release: ReleasePolicy = "auto"
-    remount_limit_deg: float = Field(default=REMOUNT_LIMIT_DEG, gt=0)
+    remount_limit_deg: float = Field(default=1.0, gt=0)
     """How far remounting may turn a unit, where fewer than three repeats tell."""
     stage: StageSettings | None = None
     imu: BoardSettings | None = None

@@ -140,7 +140,7 @@ def change_between(store: Store, before: ComparisonRow, now: ComparisonRow) -> t
 
 
 def _remounted(rows: Sequence[ComparisonRow]) -> list[bool]:
-    """Return of each run whether the unit was mounted since its run before: another one was there meanwhile."""
+    """Return of each run whether its unit was certainly mounted since its run before, if it had any."""
     by_rig: dict[str | None, str] = {}
     by_unit: dict[str, str | None] = {}
     found = [True] * len(rows)

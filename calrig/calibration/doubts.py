@@ -29,7 +29,7 @@ ZERO_G_DEG = 4.6
 """What an MPU-6050's zero-g output of 80 mg, its largest (PS-MPU-6000A, 6.2), does to an elevation: the bias
 that a sound unit may have before it was ever calibrated."""
 REMOUNT_LIMIT_DEG = 1.0
-"""Default of a rig's `remount_limit_deg`: a hand clamps to a degree."""
+"""As a rig's `remount_limit_deg` is by default: a hand clamps to a degree."""
 STAYS_A_DRAFT = "So its calibration is not released by itself: a person decides, and gives a reason."
 """What a verdict says after its doubts."""
 COVERS = 2.0
