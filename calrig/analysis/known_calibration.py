@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 from calrig.analysis.change_words import difference_in_words
+from calrig.analysis.histories import change_between
 from calrig.calibration.doubts import (
     Doubt,
     Line,
@@ -159,14 +160,12 @@ def _change_doubts(
     content: Document,
     remount_limit_deg: float,
 ) -> list[Doubt]:
-    from calrig.analysis.histories import change_between
-
     before, now = _row(Candidate.of(known.run), known.result), _row(new, result)
     found, k = change_between(store, before, now)
     if any(one is None for one in found.pooled):
         other_stage = known.run.rig != new.rig
-        lines = [Line.of(one, other_stage=other_stage) for one in (known.result, result)]
-        return remount_doubts(*lines, content["range_deg"], remount_limit_deg, known.name)
+        then, line = (Line.of(one, other_stage=other_stage) for one in (known.result, result))
+        return remount_doubts(then, line, content["range_deg"], remount_limit_deg, known.name)
     if not found.changed[k]:
         return []
     return repeat_doubts(difference_in_words(found.figures, k, "changed"), known.name)
