@@ -148,7 +148,7 @@ class RunPage {
     fill(
       this.header,
       heading(run),
-      wayOn(run, (verb) => this.#goOn(verb)),
+      wayOn(run, (verb, body) => this.#goOn(verb, body)),
       amendments(run, this.path, this.ended),
     );
     this.live.show(run);
@@ -231,7 +231,7 @@ class RunPage {
   }
 
   /** Resumes an interrupted run, or one that is held, and follows it; or ends it. */
-  async #goOn(verb) {
+  async #goOn(verb, body) {
     if (this.isGoingOn) return;
     this.error.say(null);
     const told = document.getElementById("going-on");
@@ -239,7 +239,7 @@ class RunPage {
     this.isGoingOn = true;
     try {
       const { ended } = this;
-      this.#show(await post(`${this.path}/${verb}`));
+      this.#show(await post(`${this.path}/${verb}`, body));
       if (ended) await this.begin(); // one that waited is followed already
     } catch (error) {
       if (told) told.textContent = "";

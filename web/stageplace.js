@@ -1,12 +1,12 @@
-// Where a stage without homing stands, by the word of whoever starts a run: folded until it is asked for.
+// Where a stage without homing stands, by the word of whoever starts or resumes a run.
 
 import { get } from "./api.js";
 import { field, fill, h, runName } from "./dom.js";
 
 const ASKED_FOR = "--stage-at"; // in the error of a run that needs to know
 
-/** `value()` is the elevation or null; `look()` opens it where the last run on `rigName()` ended for want of it. */
-export function stagePlace(rigName, signal) {
+/** The field; `value()` is the elevation or null. */
+export function placeField() {
   const input = h("input", {
     id: "stage_at_deg",
     type: "number",
@@ -15,13 +15,22 @@ export function stagePlace(rigName, signal) {
     max: "360",
     placeholder: "as remembered",
   });
+  return {
+    element: field("stage_at_deg", "The stage stands at, °", input),
+    value: () => (input.value === "" ? null : Number(input.value)),
+  };
+}
+
+/** The field folded up; `look()` opens it where the last run on `rigName()` ended for want of it. */
+export function stagePlace(rigName, signal) {
+  const place = placeField();
   const why = h("p", { id: "stage-at-why", class: "muted" });
   const element = h(
     "details",
     { id: "stage-place" },
     h("summary", {}, "Stage without homing"),
     why,
-    field("stage_at_deg", "The stage stands at, °", input),
+    place.element,
   );
 
   async function look() {
@@ -31,7 +40,7 @@ export function stagePlace(rigName, signal) {
     if (rig !== rigName()) return;
     const [last] = items;
     const isAskedFor = Boolean(last?.error?.includes(ASKED_FOR));
-    element.open = isAskedFor || input.value !== "";
+    element.open = isAskedFor || place.value() !== null;
     fill(
       why,
       isAskedFor
@@ -40,5 +49,5 @@ export function stagePlace(rigName, signal) {
     );
   }
 
-  return { element, look, value: () => (input.value === "" ? null : Number(input.value)) };
+  return { element, look, value: place.value };
 }

@@ -114,7 +114,8 @@ class RigOrders:
 
     def _begin(self, run_id: str, wish: str, document: Document) -> None:
         if self._store.run(run_id) is not None:
-            self._service.resume(run_id)
+            said_deg = document.get("stage_at_deg") if wish == "resume" else None
+            self._service.resume(run_id, said_deg)
         elif wish == "resume":
             raise Conflict(NOT_HERE)
         else:

@@ -14,7 +14,7 @@ from calrig.calibration.doubts import (
     Line,
     clamping_doubts,
     displacement_doubts,
-    move_doubts,
+    pose_doubts,
     position_doubts,
     remount_doubts,
     repeat_doubts,
@@ -35,7 +35,6 @@ class Candidate:
         run_id: None before it is stored.
         finished_at: aware; now, while it is being completed.
         mismatches: moves in which unit and stage disagree.
-        planned, done: poses.
         homes: whether the stage can look for its reference.
     """
 
@@ -44,8 +43,6 @@ class Candidate:
     run_id: str | None = None
     finished_at: datetime = field(default_factory=lambda: datetime.now(UTC))
     mismatches: int = 0
-    planned: int = 0
-    done: int = 0
     homes: bool = True
 
     @classmethod
@@ -57,15 +54,8 @@ class Candidate:
             run_id=run.id,
             finished_at=run.finished_at or datetime.now(UTC),
             mismatches=run.faults.get("move_mismatch", 0),
-            planned=run.progress["poses_total"],
-            done=run.progress["poses_done"],
             homes=(run.provenance.get("stage") or {}).get("homes") is not False,
         )
-
-    @property
-    def doubts(self) -> list[Doubt]:
-        """About its poses, whatever the unit."""
-        return move_doubts(self.mismatches, self.planned - self.done, self.planned)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,18 +108,19 @@ def doubts_about(
         content: what its revision would say, CONTRACT section 6.
         remount_limit_deg: of its rig.
     """
-    known = known_calibration(store, new.unit)
+    known, own = known_calibration(store, new.unit), pose_doubts(result, new.mismatches)
+    lost = _lost_doubts(store, new.unit, content)
     if known is None:
-        return [*new.doubts, *clamping_doubts(result["bias_deg"], None, remount_limit_deg)]
+        return [*own, *clamping_doubts(result["bias_deg"], None, remount_limit_deg), *lost]
     if known.run.id == new.run_id:  # the same poses once more: other effects, or some excluded
-        return new.doubts
+        return [*own, *lost]
     changed = _change_doubts(store, known, new, result, content, remount_limit_deg)
     return [
-        *new.doubts,
+        *own,
         *changed,
         *position_doubts(changed, homes=new.homes),
         *clamping_doubts(result["bias_deg"], known.result["bias_deg"], remount_limit_deg),
-        *_lost_doubts(store, new.unit, content),
+        *lost,
     ]
 
 
@@ -138,7 +129,11 @@ def solution_doubts(store: Store, runs: Sequence[Run], content: Document) -> lis
 
     It finds the angles of the mounts by itself, so that no clamping is compared.
     """
-    own = {doubt.says: doubt for run in runs for doubt in Candidate.of(run).doubts}
+    own = {
+        doubt.says: doubt
+        for run in runs
+        for doubt in pose_doubts(run.result or {}, run.faults.get("move_mismatch", 0))
+    }
     return [*own.values(), *_lost_doubts(store, content["unit"], content)]
 
 

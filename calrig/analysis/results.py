@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,13 +38,14 @@ def fitted(
     Args:
         poses: those that count, at least one.
         accepted: effects in force for the unit and the rig.
-        provenance: of the run; says what the stage was worth when it was made.
+        provenance: of the run; says what the stage was worth when it was made, and what of a sweep was lost.
         gyro: what the run's samples say of the gyro.
         ending: how it came to its end.
     """
     effects = as_applied(accepted if not rest_on_map(poses) else [e for e in accepted if e.unit is not None])
     reference = reference_over(poses, provenance, bent=bool(effects))
-    return build_result(poses, gyro, effects, reference, unused_map_says(poses, provenance), ending)
+    result = build_result(poses, gyro, effects, reference, unused_map_says(poses, provenance), ending)
+    return replace(result, lost_says=(provenance.get("sweep") or {}).get("lost"))
 
 
 def rest_on_map(poses: Sequence[Pose]) -> bool:

@@ -35,6 +35,18 @@ class Answer(BaseModel):
     model_config = ConfigDict(extra="forbid", from_attributes=True)
 
 
+StageAt = Annotated[
+    Annotated[float, Field(ge=-360, le=360)] | None,
+    Field(description="Elevation at which a stage without homing stands, by the word of who looked."),
+]
+
+
+class ResumeRun(Body):
+    """How a run goes on. `stage_at_deg` is for an interrupted run on a stage without homing."""
+
+    stage_at_deg: StageAt = None
+
+
 class StartRun(Body):
     """A run to start. Without `rig`, the first one configured."""
 
@@ -43,10 +55,7 @@ class StartRun(Body):
     plan: Plan = Plan()
     operator: Annotated[str, Field(max_length=200)] | None = None
     note: Annotated[str, Field(max_length=10_000)] | None = None
-    stage_at_deg: Annotated[float, Field(ge=-360, le=360)] | None = Field(
-        default=None,
-        description="Elevation at which a stage without homing stands, by the word of somebody who looked.",
-    )
+    stage_at_deg: StageAt = None
     queue: bool = Field(
         default=False,
         description="Whether it waits its turn where the rig is busy or, at a centre, its bench away.",
@@ -183,6 +192,7 @@ class ResultAnswer(LineAnswer):
     reference_says: str | None = Field(
         None, description="Why the stage's map was not used, or what errors are relative to."
     )
+    lost_says: str | None = Field(None, description="What of the plan could not be measured.")
 
 
 class VoidedAnswer(Answer):

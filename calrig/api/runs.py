@@ -18,7 +18,7 @@ from calrig.api.callers import Who, requires
 from calrig.api.context import Context, KnownRun
 from calrig.api.errands import answer_of
 from calrig.api.errors import problems
-from calrig.api.models import Answer, Health, RigAnswer, RunAnswer, RunList, StartRun, Status
+from calrig.api.models import Answer, Health, ResumeRun, RigAnswer, RunAnswer, RunList, StartRun, Status
 from calrig.instruments import scan as ports
 from calrig.instruments.clock import WALL
 from calrig.instruments.scan import Kind
@@ -221,13 +221,13 @@ def pause_run(run: KnownRun, context: Context) -> Run:
     "/api/runs/{run_id}/resume",
     dependencies=[requires("operator")],
     response_model=RunAnswer,
-    responses=problems(404, 409),
+    responses=problems(404, 409, 422),
     summary="Go on with a paused or interrupted run",
 )
-def resume_run(run: KnownRun, context: Context) -> Run:
+def resume_run(run: KnownRun, context: Context, body: ResumeRun | None = None) -> Run:
     """Takes a pause that has not begun yet back, too. An interrupted run is `queued` again.
 
-    409 where its rig is busy or not as it was. Where other devices answer than before, or the unit was
-    touched, it becomes `interrupted` again with the reason in `error`.
+    409 where its rig is busy or not as it was. Where other devices answer than before, the unit was
+    touched, or gravity contradicts `stage_at_deg`, it becomes `interrupted` again with the reason in `error`.
     """
-    return context.service.resume(run.id)
+    return context.service.resume(run.id, None if body is None else body.stage_at_deg)

@@ -86,7 +86,8 @@ def doubts_of(result: Document, *, move_mismatches: int, verification: bool = Fa
     stored = result.get("doubts")
     if stored is not None:
         return [Doubt(**one) for one in stored]
-    return [*move_doubts(move_mismatches), *([] if verification else clamping_doubts(result["bias_deg"]))]
+    clamping = [] if verification else clamping_doubts(result["bias_deg"])
+    return [*pose_doubts(result, move_mismatches), *clamping]
 
 
 def to_dicts(doubts: Sequence[Doubt]) -> list[dict[str, str]]:
@@ -94,7 +95,7 @@ def to_dicts(doubts: Sequence[Doubt]) -> list[dict[str, str]]:
     return [asdict(one) for one in doubts]
 
 
-def move_doubts(mismatches: int, missing_poses: int = 0, planned_poses: int = 0) -> list[Doubt]:
+def pose_doubts(result: Document, mismatches: int) -> list[Doubt]:
     """Return what makes a run's own poses doubtful."""
     found = []
     if mismatches:
@@ -106,13 +107,8 @@ def move_doubts(mismatches: int, missing_poses: int = 0, planned_poses: int = 0)
                 "have lost steps or slipped there, and poses before and after do not belong together.",
             )
         )
-    if missing_poses > 0:
-        found.append(
-            Doubt(
-                "missing_poses",
-                f"Not to be relied on: {missing_poses} of {planned_poses} planned poses were not measured.",
-            )
-        )
+    if result.get("lost_says"):
+        found.append(Doubt("missing_poses", result["lost_says"]))
     return found
 
 

@@ -64,6 +64,7 @@ class Result:
         line: the fit itself, with covariance and residual scatter, for the unit's calibration.
         line_with_effects: the same once accepted effects are taken out; None without any.
         stopped_by: its plan, which was carried out whole, or `until`, which was reached before.
+        lost_says: what of the plan could not be measured; None where nothing is missing.
     """
 
     bias_deg: float
@@ -83,6 +84,7 @@ class Result:
     line_with_effects: Line | None = field(default=None, repr=False)
     reference_says: str | None = None
     stopped_by: StoppedBy = "plan"
+    lost_says: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The result ready for JSON, with the contract's keys and null for what is not known."""
@@ -96,9 +98,10 @@ class Result:
 
 
 def _as_before_maps(document: dict[str, Any]) -> dict[str, Any]:
-    """Without what only results by a map have to say: those of before were kept without it."""
-    if document["reference_says"] is None:
-        del document["reference_says"]
+    """Without what only some results have to say: those of before were kept without it."""
+    for says in ("reference_says", "lost_says"):
+        if document[says] is None:
+            del document[says]
     if document["reference"] is not None and document["reference"]["line_covariance"] is None:
         del document["reference"]["line_covariance"]
     return document

@@ -28,6 +28,7 @@ from calrig.runs.ordered import order_part
 from calrig.runs.planned import planned_poses
 from calrig.runs.reachable import require_reachable
 from calrig.runs.rig_states import RigState
+from calrig.runs.stage_place import check_stage_at
 from calrig.runs.stopping import BY_REQUEST
 from calrig.settings import RigSettings
 from calrig.store import AT_REST, Run, Store, StoreError
@@ -223,22 +224,26 @@ class CentreService:
         """Has the run hold after the pose in hand."""
         return self._ask_of_run(run_id, "pause", "paused")
 
-    def resume(self, run_id: str) -> Run:
+    def resume(self, run_id: str, stage_at_deg: float | None = None) -> Run:
         """Has a paused run go on; orders the bench of an interrupted one to take it up again.
+
+        `stage_at_deg` as of `RunService.resume`.
 
         Raises:
             Unknown: there is no such run.
+            Invalid: its stage has homing, and an elevation was given.
             Conflict: it is neither paused nor interrupted, or its bench is away.
             Refused: its rig is busy.
         """
         run = self.run(run_id)
+        check_stage_at(run, stage_at_deg)
         if run.status != "interrupted":
             return self._ask_of_run(run_id, "resume", "resumed")
         order = self.store.order_of(run_id)
         if order is not None and self._rigs.known(order.rig).is_offline:
             bench = self._bench(order.bench)
             raise Conflict(f"run {run_id} cannot be resumed: bench {bench.name} {seen(bench)}")
-        return self.store.order_resumption(run_id)
+        return self.store.order_resumption(run_id, stage_at_deg)
 
     def _ask_of_run(self, run_id: str, kind: Kind, wish: str) -> Run:
         run, order = self.run(run_id), self.store.order_of(run_id)

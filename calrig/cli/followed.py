@@ -170,5 +170,7 @@ def print_end(ended: dict[str, Any], *, as_json: bool) -> None:
         output.print_result(ended)
     if ended["status"] != "completed":
         why = f": {ended['error']}" if ended["error"] else ""
-        on = f"; `calrig resume {ended['id']}` goes on with it" if ended["status"] == "interrupted" else ""
+        is_told = f"`calrig resume {ended['id']}" in why  # with what it needs to be told
+        is_resumable = ended["status"] == "interrupted" and not is_told
+        on = f"; `calrig resume {ended['id']}` goes on with it" if is_resumable else ""
         raise WorkError(f"run {ended['id']} {ended['status']}{why}{on}")

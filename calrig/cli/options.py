@@ -31,6 +31,12 @@ Rig = Annotated[
     str | None,
     typer.Option(metavar="NAME", help="Rig; without it the first one configured.", autocompletion=names.rigs),
 ]
+StageAt = Annotated[
+    float | None,
+    typer.Option(
+        min=-360, max=360, metavar="DEG", help="Elevation at which a stage without homing stands now."
+    ),
+]
 UnitSerial = Annotated[
     str,
     typer.Option("--unit", metavar="SERIAL", help="Serial number of the unit.", autocompletion=names.units),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from calrig.cli.options import Config, Db, Json, Record, Server
+from calrig.cli.options import Config, Db, Json, Record, Server, StageAt
 from calrig.cli.running_service import running_service, whole_id_there
 from calrig.cli.typed_ids import whole_id
 from calrig.cli.watch import RunId
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 def resume(
     run_id: RunId,
+    stage_at: StageAt = None,
     as_json: Json = False,
     record: Record = None,
     db: Db = None,
@@ -24,6 +25,7 @@ def resume(
     """Resume an interrupted run, or one that is paused at the service; Ctrl-C aborts it.
 
     Rig, board and stage have to be the same, and the unit untouched: the last pose is measured once more.
+    Of a stage without homing that was on its way, say where it stands (`--stage-at`).
     """
     from calrig.cli.followed import carry_out
 
@@ -35,7 +37,7 @@ def resume(
         refuse_own_rigs("resume", there, config, record)
 
         def resumed(found: Run) -> Run:
-            found.resume()
+            found.resume(stage_at_deg=stage_at)
             return found
 
         found = there.run(whole_id_there(there, run_id))
@@ -54,4 +56,4 @@ def resume(
         run = stored_run(store, whole_id(store, run_id))
     rigs = () if run.rig is None else (rig_named(settings, run.rig),)  # an imported one is refused in words
     with ends_told_once(), local_service(url, "resume", rigs, settings, record) as service:
-        carry_out(lambda: RunHere(service, service.resume(run.id)), run.unit, as_json=as_json)
+        carry_out(lambda: RunHere(service, service.resume(run.id, stage_at)), run.unit, as_json=as_json)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calrig.cli.input_files import read_plan_file
-from calrig.cli.options import Config, Db, Json, Record, Rig, Server, UnitSerial
+from calrig.cli.options import Config, Db, Json, Record, Rig, Server, StageAt, UnitSerial
 from calrig.cli.running_service import running_service
 from calrig.errors import InputError
 
@@ -27,12 +27,7 @@ def run(
     as_json: Json = False,
     operator: Annotated[str | None, typer.Option(help="Who runs it; kept with the run.")] = None,
     note: Annotated[str | None, typer.Option(help="Kept with the run.")] = None,
-    stage_at: Annotated[
-        float | None,
-        typer.Option(
-            min=-360, max=360, metavar="DEG", help="Elevation at which a stage without homing stands now."
-        ),
-    ] = None,
+    stage_at: StageAt = None,
     record: Record = None,
     db: Db = None,
     config: Config = None,

@@ -91,9 +91,16 @@ class Run:
         """Holds the run once the pose in hand is done."""
         return self._ask("pause")
 
-    def resume(self) -> RunRecord:
-        """Goes on with a run that is paused, waits for its unit to be turned, or was interrupted."""
-        return self._ask("resume")
+    def resume(self, *, stage_at_deg: float | None = None) -> RunRecord:
+        """Goes on with a run that is paused, waits for its unit to be turned, or was interrupted.
+
+        Args:
+            stage_at_deg: elevation at which the stage of an interrupted run stands, if it has no homing.
+
+        Raises:
+            Refused: it is neither, its rig is busy or not as it was, or its stage has homing.
+        """
+        return self._ask("resume", {} if stage_at_deg is None else {"stage_at_deg": stage_at_deg})
 
     def diagnose(self, *more: str, told: Told = unheard) -> Diagnosis:
         """Traces what bias and scale leave, with more runs of the unit; the service keeps it with the run.
@@ -135,8 +142,8 @@ class Run:
         figure: dict[str, Any] = self._link.get(f"{self._path}/figures/{name}")
         return figure
 
-    def _ask(self, what: str) -> RunRecord:
-        self._record = RunRecord.of(self._link.post(f"{self._path}/{what}", {}))
+    def _ask(self, what: str, body: dict[str, Any] | None = None) -> RunRecord:
+        self._record = RunRecord.of(self._link.post(f"{self._path}/{what}", body or {}))
         return self._record
 
 

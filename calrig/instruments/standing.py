@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from itertools import pairwise
+
 from calrig.instruments.clock import Clock
 from calrig.instruments.errors import InstrumentError, PortBlocked, StageError
 from calrig.instruments.readback import agree
@@ -10,13 +13,17 @@ from calrig.instruments.types import Stage
 LOOKS_APART_S = 0.05
 """Between two looks: a stage that says it stands, and creeps on at more than 0.2°/s, is found out."""
 IN_MOTION = ("moving", "homing")
+CUT = "cut its motor power"
+"""What is left to do about a stage that is not known to stand."""
 
 
 def stop_until_it_stands(stage: Stage, clock: Clock, timeout_s: float) -> None:
     """Halts a stage, and goes on sending stop until two looks in a row find it standing at one angle.
 
     One that stood when it was first seen is looked at once more, however late that was: opening its port may
-    have reset its controller, which answers nothing until it has woken up.
+    have reset its controller, which answers nothing until it has woken up. A look that is not answered says
+    nothing of the stage, and the looks before and after it are compared. A controller that has stopped by
+    itself and gives no angle is to say so twice.
 
     Raises:
         StageError: it still moves, whatever it says of itself, or does not answer, after timeout_s: only
@@ -24,30 +31,53 @@ def stop_until_it_stands(stage: Stage, clock: Clock, timeout_s: float) -> None:
         PortError: the port is gone.
     """
     deadline_s = clock.now_s() + timeout_s
-    before_deg: float | None = None
+    seen_deg: list[float | None] = []
     while True:
         failure: InstrumentError | None = None
         try:
             stage.halt()
-            status, here_deg = stage.status(), stage.glimpse_deg()
-        except (StageError, PortBlocked) as error:
-            failure, before_deg, said = error, None, str(error)
-        else:
+            status = stage.status()
             said = f"it says {status.words}"
             if status.state in IN_MOTION:
-                before_deg = None
-            elif before_deg is None:
-                before_deg = here_deg
-                clock.sleep(LOOKS_APART_S)
-                continue
-            elif agree(before_deg, here_deg):
-                return
+                seen_deg = []
             else:
-                said += f", and turned by {here_deg - before_deg:.2g}° meanwhile"
-                before_deg = here_deg
+                seen_deg = [*seen_deg[-2:], None if status.has_stopped else stage.glimpse_deg()]
+                if _is_one_place(seen_deg):
+                    return
+                said += _unlike(seen_deg)
+                if len(seen_deg) == 1:
+                    clock.sleep(LOOKS_APART_S)
+                    continue
+        except (StageError, PortBlocked) as error:
+            failure, said = error, str(error)
         if clock.now_s() > deadline_s:
             raise StageError(
-                f"the stage is not known to stand {timeout_s:g} s after it was told to stop ({said}): "
-                "cut its motor power"
+                f"the stage is not known to stand {timeout_s:g} s after it was told to stop ({said}): {CUT}"
             ) from failure
         clock.sleep(LOOKS_APART_S)
+
+
+def _is_one_place(seen_deg: list[float | None]) -> bool:
+    """Whether the last two looks found the stage at one angle, or both its controller stopped by itself."""
+    if len(seen_deg) < 2:
+        return False
+    before_deg, now_deg = seen_deg[-2:]
+    if before_deg is None or now_deg is None:
+        return before_deg is now_deg
+    return agree(before_deg, now_deg)
+
+
+def _unlike(seen_deg: list[float | None]) -> str:
+    """What the last looks say where they differ.
+
+    One report may have been damaged on the wire. So the stage is said to turn only where three in a row go
+    the same way, and by no more than the smaller of the two steps.
+    """
+    known_deg = [angle_deg for angle_deg in seen_deg if angle_deg is not None]
+    if len(known_deg) < 2:
+        return ""
+    steps_deg = [after - before for before, after in pairwise(known_deg)]
+    smaller_deg = min(steps_deg, key=abs)
+    if len(steps_deg) == 2 and math.prod(steps_deg) > 0.0 and not agree(smaller_deg, 0.0):
+        return f", and turned by {smaller_deg:.2f}° meanwhile"
+    return f", and its reports differ ({', '.join(f'{angle_deg:.2f}°' for angle_deg in known_deg)})"

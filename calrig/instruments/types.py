@@ -129,11 +129,13 @@ class StageStatus:
 
     `state` is `not_referenced`, `homing`, `moving`, `ready`, `disabled` or `configuration` (somebody is
     changing the controller's set-up); `words` says the same for a person, with the controller's own error
-    bits where there are any.
+    bits where there are any. `has_stopped`: the controller has said that it stopped by itself, and until it
+    is reset it sends no step, answers no further question and gives no angle.
     """
 
     state: str
     words: str
+    has_stopped: bool = False
 
 
 class Board(Protocol):

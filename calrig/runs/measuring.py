@@ -9,7 +9,6 @@ from pathlib import Path
 
 from calrig.analysis.issuing import Fitted, Issuer
 from calrig.analysis.results import ending_of, fitted
-from calrig.analysis.stored_runs import stored_run
 from calrig.instruments.transcript import Tape, taped
 from calrig.runs.control import Control, Ended
 from calrig.runs.execution import Execution
@@ -76,7 +75,9 @@ class Measuring:
                 task.rig,
                 self._control,
                 self.warnings.append,
-                StagePlace(self._store, task.rig, task.run.unit, resumes=task.interruption is not None),
+                StagePlace(
+                    self._store, task.rig, task.run, task.stage_at_deg, resumes=task.interruption is not None
+                ),
                 task.earlier.faults,
                 None if left_open is None else left_open.taken_over(tapes),
             ) as rig,
@@ -100,7 +101,7 @@ class Measuring:
             finally:
                 self.fields["faults"] = rig.faults()
                 self._note_return(taking)
-                if sweeping.felt:
+                if sweeping.felt or sweeping.lost:
                     self._origin = {**self._origin, "sweep": sweeping.provenance()}
                     self.fields["provenance"] = self._origin
         if task.plan.kind != "static":
@@ -175,6 +176,5 @@ class Measuring:
         result = fitted(poses, accepted, self._origin, gyro, ending)
         self.fields["result"] = result.to_dict()
         excluded = [one.index for one in stored if one.excluded is not None]
-        progress = stored_run(self._store, run.id).progress
-        now = replace(run, provenance=self._origin, faults=self.fields["faults"], progress=progress)
+        now = replace(run, provenance=self._origin, faults=self.fields["faults"])
         self.draft = self._issuer.completing(now, Fitted(poses, result, accepted, excluded))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from calrig.analysis.errors import NotTheSame
 from calrig.calibration.move_check import MoveCheck
 from calrig.calibration.pose import GYRO_MEANS, MOUNT_DEG, Filtering, Pose
 from calrig.estimation.angles import AXES
@@ -76,7 +77,10 @@ class PoseTaking:
         name = f"pose {len(self.poses) - 1}, measured again"
         _, end_s, reading = self.measure(name, last.target_deg, self.plan.settle_s)
         returned = Returned(last, reading)
-        returned.require_same_unit()
+        try:
+            returned.require_same_unit()
+        except NotTheSame as why:
+            raise self.rig.place.doubted(why) from why
         self.returned = returned
         self.pace.forget(end_s)
 

@@ -128,6 +128,14 @@ class Recorder:
         """None will be measured after the pose that is told next."""
         self._poses_total = self._poses_done + 1
 
+    def end_here(self) -> None:
+        """None of the planned poses that are left will be measured; announces how far the run has come."""
+        self.flush()
+        self._poses_total = self._poses_done
+        progress = self._progress()
+        self._store.update_run(self.run_id, events=[("progress", progress)], progress=progress)
+        self._bus.wake(self.run_id)
+
     def pose(
         self, index: int, pose: Pose, blocks: list[SampleBlock], faults: Mapping[str, int], *also: Announced
     ) -> None:

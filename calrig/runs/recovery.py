@@ -7,10 +7,12 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 from calrig.instruments.errors import InstrumentError
+from calrig.instruments.standing import CUT
 from calrig.runs.queue import HELD, waits_its_turn
 from calrig.runs.rig import stop_stage
+from calrig.runs.stage_place import is_lost_since, resumed_by
 from calrig.settings import RigSettings
-from calrig.store import Store
+from calrig.store import Run, Store
 
 log = logging.getLogger(__name__)
 
@@ -49,8 +51,16 @@ def mark_interrupted(store: Store, troubles: Mapping[str, str], *, keeps_queue: 
         left.append(run)
         trouble = troubles.get(run.rig or "")
         log.warning("run %s was interrupted: %s", run.id, trouble or "its stage stands")
-        store.update_run(run.id, status="interrupted", error=f"{DIED}; {trouble}" if trouble else DIED)
+        said = [DIED, *([trouble] if trouble else []), *_where_it_stands(store, run)]
+        store.update_run(run.id, status="interrupted", error="; ".join(said))
     return [run.id for run in left]
+
+
+def _where_it_stands(store: Store, run: Run) -> list[str]:
+    """What resuming a run needs to be told whose stage has no homing and was on its way."""
+    if not is_lost_since(store, run):
+        return []
+    return [f"its stage has no homing, and where it stands is not known: {resumed_by(run.id)}"]
 
 
 def _stopped(name: str, rig: RigSettings | None) -> str | None:
@@ -62,5 +72,6 @@ def _stopped(name: str, rig: RigSettings | None) -> str | None:
     try:
         stop_stage(rig)
     except InstrumentError as error:
-        return f"its stage could not be told to stop ({error}): see that it stands, or cut its motor power"
+        advice = "" if CUT in str(error) else f", or {CUT}"
+        return f"its stage could not be told to stop ({error}): see that it stands{advice}"
     return None

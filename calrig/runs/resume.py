@@ -48,13 +48,14 @@ REMOUNTED_DEG = 0.5
 """More than a unit turns by itself: 19 °C of warm-up turn an MPU-6050 by 0.28° (the measured warm-up log)."""
 
 
-def resumed_task(store: Store, run: Run, settings: RigSettings) -> Task:
+def resumed_task(store: Store, run: Run, settings: RigSettings, stage_at_deg: float | None) -> Task:
     """What is left of an interrupted run.
 
     Args:
         store: has its poses and samples.
         run: an interrupted one.
         settings: of its rig, as it is configured now.
+        stage_at_deg: a person's word for the elevation at which a stage without homing stands.
 
     Raises:
         Conflict: it cannot go on, because the rig was configured otherwise, and how.
@@ -82,6 +83,7 @@ def resumed_task(store: Store, run: Run, settings: RigSettings) -> Task:
             "reason": run.error,
             "resumed_at": datetime.now(UTC).isoformat(timespec="seconds"),
         },
+        stage_at_deg=stage_at_deg,
     )
 
 

@@ -13,6 +13,7 @@ from calrig.instruments.clock import Clock
 from calrig.instruments.drivers import open_board, open_stage
 from calrig.instruments.errors import InstrumentError, PortError
 from calrig.instruments.ports import clock_of
+from calrig.instruments.standing import CUT
 from calrig.instruments.types import Board, BoardIdentity, Stage, StageIdentity
 from calrig.instruments.wanted import while_wanted
 from calrig.runs.control import Control, Left
@@ -174,9 +175,7 @@ def _stop_when_back(
             return control.leave(Left(seen=True))
         except PortError as error:
             if clock.now_s() > give_up_s:
-                return _not_seen(
-                    error, "the stage could not be told to stop: cut its motor power", control, warn
-                )
+                return _not_seen(error, f"the stage could not be told to stop: {CUT}", control, warn)
         except InstrumentError as error:
             return _not_seen(error, str(error), control, warn)
         clock.sleep(AGAIN_S)

@@ -25,6 +25,7 @@ from calrig.runs.new_run import NewRun, rig_followed_up_on
 from calrig.runs.references import require_in_date
 from calrig.runs.resume import resumed_task
 from calrig.runs.rig_states import RigState, state_of
+from calrig.runs.stage_place import check_stage_at
 from calrig.runs.starts import Starts
 from calrig.runs.states import check_transition
 from calrig.runs.stopping import Stops
@@ -223,30 +224,36 @@ class RunService:
         self._worker(run_id, "paused").control.pause()
         return self.run(run_id)
 
-    def resume(self, run_id: str) -> Run:
+    def resume(self, run_id: str, stage_at_deg: float | None = None) -> Run:
         """Has a paused run go on, or takes the wish for a pause back; resumes an interrupted run.
 
-        A run that waited while the service was started anew waits its turn again.
+        A run that waited while the service was started anew waits its turn again. `stage_at_deg` is a
+        person's word for the elevation at which the stage of an interrupted run stands, if it has no homing.
 
         Raises:
             Unknown: there is no such run.
+            Invalid: its stage has homing, and an elevation was given.
             Conflict: it is neither paused nor interrupted; its rig is busy, not configured any more, or
                 configured otherwise, and how; the unit that it waits for is not clamped as asked, by gravity.
         """
         run = self.run(run_id)
+        check_stage_at(run, stage_at_deg)
         if run.status == "interrupted":
-            return self._resume_interrupted(run)
+            return self._resume_interrupted(run, stage_at_deg)
         if self._starts.queue.go(run_id):
             return self.run(run_id)
         self._worker(run_id, "resumed").go_on()
         return self.run(run_id)
 
-    def _resume_interrupted(self, run: Run) -> Run:
+    def _resume_interrupted(self, run: Run, stage_at_deg: float | None) -> Run:
         settings = self._rigs.get(run.rig or "")
         if settings is None:
-            raise Conflict(f"run {run.id} was on rig {run.rig!r}, which is not configured any more")
+            raise Conflict(
+                f"run {run.id} was on rig {run.rig!r}, which is not configured any more: configure it again, "
+                "or end the run"
+            )
         require_in_date(settings)
-        task = resumed_task(self.store, run, settings)
+        task = resumed_task(self.store, run, settings, stage_at_deg)
         with self._starts.lock:
             self.crew.require_free(settings.name, run.id)
             check_transition(run.id, self.run(run.id).status, "queued")  # somebody else may have been first

@@ -79,7 +79,7 @@ class Service(Protocol):
     def pause(self, run_id: str) -> Run:
         """Has a run hold."""
 
-    def resume(self, run_id: str) -> Run:
+    def resume(self, run_id: str, stage_at_deg: float | None = None) -> Run:
         """Has a run go on."""
 
     def close(self) -> None:

@@ -19,7 +19,6 @@ from calrig.runs.reachable import require_reachable
 from calrig.runs.references import require_in_date
 from calrig.runs.resume import waiting_task
 from calrig.runs.sightings import Sightings
-from calrig.runs.stage_place import leave_at
 from calrig.runs.stopping import BY_REQUEST
 from calrig.runs.task import Task
 from calrig.runs.worker import Worker
@@ -81,10 +80,17 @@ class Starts:
                 if not waits or self._crew.is_closing:
                     raise
                 return self._wait_in_turn(settings.name, wanted, len(planned))
-            if wanted.stage_at_deg is not None:
-                leave_at(self._store, settings, wanted.stage_at_deg)
             run = wanted.keep(self._store, settings.name, len(planned))
-            self.employ(Task(run, settings, plan, planned, wanted.follow_up, wanted.verifies))
+            task = Task(
+                run,
+                settings,
+                plan,
+                planned,
+                wanted.follow_up,
+                wanted.verifies,
+                stage_at_deg=wanted.stage_at_deg,
+            )
+            self.employ(task)
         return run
 
     def employ(self, task: Task) -> None:

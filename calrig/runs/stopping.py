@@ -12,6 +12,7 @@ from calrig.analysis.errors import Conflict
 from calrig.instruments.clock import WALL, Clock, Event
 from calrig.instruments.errors import InstrumentError
 from calrig.instruments.ports import clock_of
+from calrig.instruments.standing import CUT
 from calrig.runs.control import End
 from calrig.runs.crew import Crew
 from calrig.runs.errands import Errand, Errands
@@ -88,7 +89,7 @@ class Stops:
         except InstrumentError as error:
             if self._stop_run_on(rig):  # a run may just have taken the port
                 return
-            advice = "" if "cut its motor power" in str(error) else ": cut its motor power"
+            advice = "" if CUT in str(error) else f": {CUT}"
             raise Conflict(
                 f"the stage of rig {rig.name!r} cannot be told to stop ({error}){advice}"
             ) from error
@@ -114,7 +115,7 @@ def _not_open(rig: RigSettings, what: str) -> str:
     port = "" if rig.stage is None else f" {rig.stage.port}"
     return (
         f"the stage of rig {rig.name!r} cannot be told to stop: {what}{port} has not opened within "
-        f"{OPENS_S:g} s; it is told as soon as it does, but do not wait for that: cut its motor power"
+        f"{OPENS_S:g} s; it is told as soon as it does, but do not wait for that: {CUT}"
     )
 
 
@@ -133,7 +134,7 @@ def _told(worker: Worker, end: End) -> bool:
     if left is None:
         raise Conflict(
             f"the stage of rig {worker.rig.name!r} was told to stop, and within {SEEN_S:g} s run "
-            f"{worker.run_id} could not see that it stands: cut its motor power"
+            f"{worker.run_id} could not see that it stands: {CUT}"
         )
     if left.trouble is not None:
         raise Conflict(f"rig {worker.rig.name!r}: {left.trouble}")

@@ -17,7 +17,7 @@ import numpy as np
 from calrig.calibration.motor_vibration import Ends, UnreportedTurn, disturbing, end_differences
 from calrig.estimation.reading import Reading
 from calrig.estimation.turning import GyroTurn, clock_line, common_delay_s, scatter_g
-from calrig.instruments.errors import BoardError, StageError
+from calrig.instruments.errors import BoardError, InstrumentError, StageError
 from calrig.plan import Plan, PlannedPose
 from calrig.runs.mounting import Mount
 from calrig.runs.pace import Pace
@@ -28,13 +28,28 @@ from calrig.runs.turned_pass import Seen, TurnedPass
 
 CHANCE, CHANCE_SHAKEN = 1e-4, 1e-2
 """A difference of turning and standing so improbable ends a run; the sooner where the unit is shaken."""
+UNTRUSTED = (
+    "samples of a stretch were missing, or the stage's reports came too late to be trusted; check cables and "
+    "rate, and let this machine do nothing else meanwhile"
+)
 SHAKEN = 1.1
 """Times the scatter standing: what a vibration of half the chip's noise makes of it."""
 RUN_UP_S = 0.15
 """After the stage has come up to its velocity, and before it slows down: its reports and the board's lag."""
 
+FEWEST_PASSES = 2
+"""One in each sense: what play and delay do to the bias then cancels out."""
+
 COARSEST_DPS = 0.1
 """What the steps of its rates may hide: 0.01° over the end of a turn, by which the delay is told."""
+
+
+class PassLost(InstrumentError):  # noqa: N818 (what became of a pass, which may end a run well)
+    """A pass cannot be measured, however often it is repeated; the message says why."""
+
+
+class UnevenTurn(StageError):  # noqa: N818 (likewise)
+    """The stage did not turn evenly by its reports and the clocks, or one of the three stood for a while."""
 
 
 @dataclass
@@ -48,6 +63,7 @@ class Sweeping:
         stands_s: of each pass, as `common_delay_s` has them.
         scatter_g: of the accelerometer in each pass, turning and standing, RMS.
         restarts: of the board, by the last look.
+        lost: why the run ended before the last pass, for a person; None where it did not.
     """
 
     plan: Plan
@@ -59,14 +75,17 @@ class Sweeping:
     stands_s: list[tuple[float, float]] = field(default_factory=list)
     scatter_g: list[tuple[float, float]] = field(default_factory=list)
     restarts: int = 0
+    lost: str | None = None
 
     def carry_out(self, planned: list[PlannedPose]) -> None:
         """Homes the stage where it must be, dwells at one end, then takes the passes that are left.
 
+        A pass that cannot be measured ends it; so many before it as `FEWEST_PASSES` are a result.
+
         Raises:
             Ended: the run was asked to end.
-            InstrumentError: a device failed, the stage does not turn evenly, or its motor biases the
-                accelerometer while it turns; the poses so far are stored.
+            InstrumentError: a device failed, the stage does not turn evenly from the first pass on, or its
+                motor biases the accelerometer while it turns; the poses so far are stored.
             NotTheSame: after an interruption the last pose reads otherwise by far.
         """
         taking, pace = self.taking, self.pace
@@ -87,7 +106,14 @@ class Sweeping:
         for passed in self._passes(planned):
             if passed[0].sweep > 0:
                 wait_before_sweep(self.plan, pace)
-            self._take(planned[passed[0].index - 1].target_deg, passed)
+            try:
+                self._take(planned[passed[0].index - 1].target_deg, passed)
+            except PassLost as why:
+                if passed[0].sweep < FEWEST_PASSES or len(taking.poses) != passed[0].index:
+                    raise
+                self.lost = f"The run ended after {passed[0].sweep} of {self.plan.sweeps} passes: {why}."
+                pace.recorder.end_here()
+                return
             if taking.is_enough:
                 return
             pace.hold_while_paused()
@@ -103,8 +129,12 @@ class Sweeping:
                 passed = []
 
     def _take(self, from_deg: float, passed: list[PlannedPose]) -> None:
-        """One pass, turned anew where samples of it are missing; makes and stores its poses."""
-        end = passed[-1]
+        """One pass, turned anew where it cannot be measured; makes and stores its poses.
+
+        Raises:
+            PassLost: it could not be measured `DWELL_TRIES` times over.
+        """
+        end, why = passed[-1], ""
         for _ in range(DWELL_TRIES):
             self._go_to(from_deg)
             seen = self._turn(end.target_deg)
@@ -112,17 +142,18 @@ class Sweeping:
                 f"pose {end.index}", end.target_deg, self.plan.settle_s
             )
             self.pace.see_that_it_stands()
-            turned = None if self._began_anew() else self._turned(seen, passed, (start_s, end_s))
+            why = UNTRUSTED
+            try:
+                turned = None if self._began_anew() else self._turned(seen, passed, (start_s, end_s))
+            except UnevenTurn as error:
+                turned, why = None, str(error)
             if turned is not None:
                 self._keep(turned, passed, reading)
                 self.pace.forget(end_s)
                 return self._hold_against_the_dwells()
             self.pace.rig.board.faults["retried_pose"] += 1
-        raise BoardError(
-            f"the pass from {from_deg:g}° to {end.target_deg:g}°, {DWELL_TRIES} times over: samples "
-            "of a stretch were missing, or the stage's reports came too late to be trusted; check cables and "
-            "rate, and let this machine do nothing else meanwhile"
-        )
+            self.pace.clocks.clear()  # one that stood for a while lies on two lines, before and after
+        raise PassLost(f"the pass from {from_deg:g}° to {end.target_deg:g}°, {DWELL_TRIES} times over: {why}")
 
     def _began_anew(self) -> bool:
         """Whether the board was reset since the last look: its time goes on by the host's, no line does."""
@@ -152,7 +183,12 @@ class Sweeping:
     def _turned(
         self, seen: Seen, passed: list[PlannedPose], dwell_s: tuple[float, float]
     ) -> TurnedPass | None:
-        """The pass by reports and gyro; None where samples are missing, or the clocks were out of step."""
+        """The pass by reports and gyro; None where samples are missing, or the clocks were out of step.
+
+        Raises:
+            UnevenTurn: the stage's reports lie on no line.
+            InstrumentError: stage or board can take no pass so.
+        """
         pace, taking, axis = self.pace, self.taking, self.pace.rig.axis
         kept = pace.stream.kept()
         dwell = kept.between(*dwell_s).samples
@@ -166,9 +202,9 @@ class Sweeping:
             clocks = clock_line(np.array(pace.clocks))
             turn = seen.even_turn(axis.run_up_deg() + RUN_UP_S * self.plan.turn_dps, clocks)
         except ValueError as error:
-            raise StageError(
-                f"the stage turned from {seen.from_deg:g}° to {seen.to_deg:g}° at {self.plan.turn_dps:g}°/s: "
-                f"{error}; take a plan of dwells, or another velocity"
+            raise UnevenTurn(
+                f"the stage turned at {self.plan.turn_dps:g}°/s: {error}; take a plan of dwells, or another "
+                "velocity"
             ) from error
         turned = TurnedPass(
             kept, pace.stood_at_s, dwell_s, seen.from_deg, pace.stage_deg or seen.to_deg, turn,
@@ -235,4 +271,5 @@ class Sweeping:
             "passes": [{"gyro_gain": f.gain, "reports_behind_s": f.behind_s} for f in self.felt],
             "scatter_g": [{"turning": turning, "standing": standing} for turning, standing in self.scatter_g],
             "turning_less_standing": [end.document() for end in self.ends.differences],
+            **({} if self.lost is None else {"lost": self.lost}),
         }

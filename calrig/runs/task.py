@@ -44,6 +44,7 @@ class Task:
         verifies: of a verification.
         earlier: what was measured before an interruption.
         interruption: what the run's provenance is to say of it; None where there was none.
+        stage_at_deg: a person's word for the elevation at which a stage without homing stands.
     """
 
     run: Run
@@ -54,3 +55,4 @@ class Task:
     verifies: ActiveCalibration | None = None
     earlier: Earlier = field(default_factory=Earlier)
     interruption: dict[str, Any] | None = None
+    stage_at_deg: float | None = None

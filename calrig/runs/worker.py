@@ -6,6 +6,7 @@ What is measured meanwhile is `measuring`'s.
 from __future__ import annotations
 
 import logging
+import re
 import threading
 from collections.abc import Callable
 from dataclasses import replace
@@ -31,6 +32,8 @@ log = logging.getLogger(__name__)
 
 LOOKS_S = 10.0
 """How long who says Go waits for what gravity says of the unit, s of the rig's clock."""
+COUNTS = re.compile(r" \(faults so far: [^()]*\)")
+"""As `instruments.stages.lines.unanswered` has them."""
 TRY_AGAIN_S = 1.0
 """How often a store that refuses a run's end is asked again: a disk does not stay full for ever."""
 
@@ -146,7 +149,7 @@ class Worker:
         self._left_rig(self)
         self.control.leave(Left(seen=False))
         done = self._measuring
-        told = [error, *done.warnings] if error else done.warnings
+        told = [error, *(_not_again(one, error) for one in done.warnings)] if error else done.warnings
         fields: RunChanges = {**done.fields, "error": "; ".join(told) or None}
         fields["status"] = status
         if status != "completed":
@@ -185,3 +188,10 @@ class Worker:
                 return False
             self._concluded, self.untold = True, None
             return True
+
+
+def _not_again(warning: str, error: str) -> str:
+    """A warning without the reason that it quotes, where that is what ended the run, but for its counts."""
+    quoted = f" ({COUNTS.sub('', error)})"
+    bare = COUNTS.sub("", warning)
+    return bare.replace(quoted, "") if quoted in bare else warning

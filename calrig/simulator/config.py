@@ -43,20 +43,30 @@ def _one_of(names: Sequence[str]) -> AfterValidator:
 class StageOptions(Options):
     """The stage's controller. `fault` makes it hang, answer garbage, or echo what it hears.
 
-    `driver` is the dialect it speaks, `firmware` what it calls itself (without: the dialect's own), `homing`
-    whether a GRBL has a limit switch to home to.
+    `driver` is the dialect it speaks, `firmware` what it calls itself (without: the dialect's own). Of a GRBL
+    alone: `homing` is whether it has limit switches and homes to them ($21, $22).
     """
 
     driver: Annotated[str, _one_of(STAGES)] = "smc100"
     axis: int = Field(default=1, ge=1, le=31)
     firmware: str | None = None
     homing: bool = True
+    switch_deg: float | None = -1.0
+    """Where the switch closes that a GRBL homes to, a pull-off ($27) below home; None: none ever closes."""
+    settings: dict[int, float] = Field(default_factory=dict)
+    """What `$n=` has stored in a GRBL, over what its other options make of it: `{20: 1}` for soft limits."""
+    g54_deg: float | None = None
+    """Machine coordinate of a GRBL's stored work zero; None: where it stands after homing."""
+    blank_eeprom: bool = False
+    """Nothing was ever stored in a GRBL: it takes its build's defaults and says so."""
     velocity_dps: Positive = 20.0
     acceleration_dps2: Positive = 80.0
     homing_velocity_dps: Positive = 10.0
     limits_deg: tuple[Annotated[float, Field(le=0)], NotNegative] = (-175.0, 175.0)
     report_delay_s: NotNegative = 0.0
     """How old an angle is when the controller says it; whether it turns, it says at once."""
+    boot_s: NotNegative = 0.0
+    """How long the boot loader of a GRBL's Arduino listens after a reset, before its firmware begins."""
     fault: StageFault | None = None
 
 

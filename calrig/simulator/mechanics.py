@@ -72,6 +72,27 @@ class Mechanics:
             self._references.append(_Reference(arrival.at_s, home_deg, encoder_deg))
         return arrival
 
+    def follow(self, way: Sequence[Segment]) -> Arrival:
+        """Turns the motor along a way, as pulses command a stepper: it goes on from wherever it is.
+
+        The way may count from any origin; its first segment begins where and when the motor is to go on.
+        """
+        lag_s = self._options.following_lag_s
+        begin_s = way[0].start_s + lag_s
+        origin_deg = self._motor.state(begin_s)[0] - way[0].position_deg
+        return self._drive(
+            [
+                segment._replace(
+                    start_s=segment.start_s + lag_s, position_deg=segment.position_deg + origin_deg
+                )
+                for segment in way
+            ]
+        )
+
+    def draw_homing_error_deg(self) -> float:
+        """Draws how far a switch is off this time."""
+        return float(self._rng.normal(0.0, self._options.homing_std_deg))
+
     def halt(self, at_s: float, acceleration_dps2: float) -> float:
         """Decelerates whatever moves; returns the instant at which it stands. A homing under way is lost."""
         begin_s = at_s + self._options.following_lag_s

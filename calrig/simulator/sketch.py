@@ -1,26 +1,31 @@
 """What a public Arduino sketch is, and what several of them do alike.
 
 A sketch is set up once after a reset, then prints a record again and again. It gets vectors: the specific
-force in g, the rate in °/s, the die's temperature in °C.
+force in g, the rate in °/s, the die's temperature in °C. What each prints, and when, is as recorded from the
+unmodified sketch on a simulated ATmega328P; what was not recorded (the ElectronicCats sketches, a missing
+sensor but for two of them) is as its source says.
 """
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 STANDARD_GRAVITY_MPS2 = 9.80665
+A_CHARACTER = math.inf
+"""The pause of a sketch that waits for a character."""
 Vector = tuple[float, float, float]
 
 
 class Motion(NamedTuple):
-    """What the chip measures at one instant."""
+    """What the chip measures at one instant, in s of the board's time."""
 
     accel_g: Vector
     gyro_dps: Vector
     die_c: float
+    at_s: float
 
 
 class Found(NamedTuple):
@@ -30,29 +35,34 @@ class Found(NamedTuple):
     genuine: bool
 
 
+Setup = Iterator[tuple[str, float]]
+"""What a sketch prints at its start, piece by piece, each with the pause after it in s."""
+
+
 class Sketch(ABC):
     """A sketch, which prints as its own source does.
 
-    `driver` is calrig's for what it prints, `pause_s` lies between two records, `setup_s` is what its set-up
-    takes.
+    Attributes:
+        driver: calrig's for what it prints.
+        pause_s: from the end of a print to the next reading of the chip.
+        reads: how often it reads the chip for one record, `pause_s` apart.
     """
 
     driver: str
     baudrate = 115200
     pause_s = 0.0
-    setup_s = 0.1
-
-    def prompt(self, found: Found) -> str:  # noqa: ARG002
-        """What it prints before it waits for a character; nothing where it does not wait."""
-        return ""
+    reads = 1
 
     @abstractmethod
-    def setup(self, found: Found, still: Motion) -> tuple[str, bool]:
-        """What it prints at its start, and whether it goes on from there."""
+    def setup(self, found: Found, read: Callable[[], Motion]) -> Setup:
+        """Yield what it prints before its first record, reading the chip as it goes."""
+
+    def follow(self, motion: Motion) -> None:  # noqa: B027 (most print each reading)
+        """Take a reading that is not printed."""
 
     @abstractmethod
-    def record(self, motion: Motion, dt_s: float) -> str:
-        """What it prints each time."""
+    def record(self, motion: Motion) -> str:
+        """Return what it prints each time."""
 
 
 class Complementary(Sketch):
@@ -62,21 +72,33 @@ class Complementary(Sketch):
         self._gyro_offset: Vector = (0.0, 0.0, 0.0)
         self._accel_offset: Vector = (0.0, 0.0, 0.0)
         self._angle = (0.0, 0.0)
-        self._yaw = 0.0
+        self._yaw = self._last_s = 0.0
 
-    def start(self, still: Motion, *, zero_accel: bool = False) -> None:
-        """Takes the rate where it stands for none, and with `zero_accel` its attitude for level."""
+    def begin(self, motion: Motion) -> None:
+        """Start at the attitude that the accelerometer measures."""
+        self._angle, self._yaw, self._last_s = self.tilt(self._less_offset(motion)), 0.0, motion.at_s
+
+    def zero(self, still: Motion, *, accel: bool = False) -> None:
+        """Take the rate at rest for none, and with `accel` the attitude for level, by subtracting vectors."""
         self._gyro_offset = still.gyro_dps
         x, y, z = still.accel_g
-        self._accel_offset = (x, y, z - 1) if zero_accel else (0.0, 0.0, 0.0)
-        self._angle, self._yaw = tilt(self._less_offset(still)), 0.0
+        self._accel_offset = (x, y, z - 1) if accel else (0.0, 0.0, 0.0)
 
-    def follow(self, motion: Motion, dt_s: float) -> tuple[float, float, float]:
-        """Angles about x, y and z, degrees, after a step."""
+    def tilt(self, motion: Motion) -> tuple[float, float]:
+        """Roll and pitch by the accelerometer, degrees."""
+        return tilt(motion)
+
+    def follow(self, motion: Motion) -> None:
+        """Take a reading into the angle."""
+        self.angles(motion)
+
+    def angles(self, motion: Motion) -> Vector:
+        """Angles about x, y and z, degrees, after a reading."""
+        dt_s, self._last_s = motion.at_s - self._last_s, motion.at_s
         motion = self._less_offset(motion)
         self._angle = pair(
             0.98 * (angle + rate * dt_s) + 0.02 * tilt
-            for angle, rate, tilt in zip(self._angle, motion.gyro_dps[:2], tilt(motion), strict=True)
+            for angle, rate, tilt in zip(self._angle, motion.gyro_dps[:2], self.tilt(motion), strict=True)
         )
         self._yaw += motion.gyro_dps[2] * dt_s
         return (*self._angle, self._yaw)
@@ -84,7 +106,14 @@ class Complementary(Sketch):
     def _less_offset(self, motion: Motion) -> Motion:
         ax, ay, az = (a - o for a, o in zip(motion.accel_g, self._accel_offset, strict=True))
         gx, gy, gz = (g - o for g, o in zip(motion.gyro_dps, self._gyro_offset, strict=True))
-        return Motion((ax, ay, az), (gx, gy, gz), motion.die_c)
+        return motion._replace(accel_g=(ax, ay, az), gyro_dps=(gx, gy, gz))
+
+
+def stop(text: str) -> Setup:
+    """Print and do nothing more, whatever is sent."""
+    yield text, 0.0
+    while True:
+        yield "", A_CHARACTER
 
 
 def lines(*texts: str) -> str:

@@ -22,16 +22,18 @@ class Stage(ABC):
 
     Attributes:
         fault: breaks it on purpose, at any time: `hang`, `garbage`, `echo` or None.
-        interval_s: wall time until it may speak unasked; None while it only answers.
     """
-
-    interval_s: float | None = None
 
     def __init__(self, options: StageOptions, bench: Bench, now: Callable[[], float]) -> None:
         self.fault: StageFault | None = options.fault
         self._options = options
         self._bench = bench
         self._now = now
+
+    @property
+    def interval_s(self) -> float | None:
+        """Wall time until it may speak unasked; None while it only answers."""
+        return None
 
     @abstractmethod
     def reset(self) -> None:

@@ -7,6 +7,7 @@ pyserial opens it through `protocol_sim`. Nothing here knows whether the port's 
 from __future__ import annotations
 
 import errno
+import math
 from collections.abc import Callable
 from itertools import count
 from typing import ClassVar
@@ -53,7 +54,8 @@ class SimWire:
         self._readers: Waits = []
         self._wanted = 1
         self._user: object | None = None
-        self._is_up = self._is_due = False
+        self._is_up = False
+        self._due_s = math.inf
 
     def start(self) -> None:
         """Switches the device on."""
@@ -133,13 +135,16 @@ class SimWire:
     def _emit(self) -> None:
         if self._is_up:
             self.say(self._device.emit())
-            if self._device.interval_s is not None and not self._is_due:
-                self._is_due = True
-                self.clock.at(self.clock.now_s() + self._device.interval_s, self._due)
+            if self._device.interval_s is not None:
+                due_s = self.clock.now_s() + self._device.interval_s
+                if due_s < self._due_s:
+                    self._due_s = due_s
+                    self.clock.at(due_s, self._due)
 
     def _due(self) -> None:
-        self._is_due = False
-        self._emit()
+        if self.clock.now_s() >= self._due_s:
+            self._due_s = math.inf
+            self._emit()
 
     def _require_up(self, user: object) -> None:
         if not self._is_up or self._user is not user:

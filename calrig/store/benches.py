@@ -133,8 +133,11 @@ class Benches(Part):
             _wake(session, bench, rig, row.uid, order.epoch)
             return run_of(row)
 
-    def order_resumption(self, run_id: str) -> Run:
+    def order_resumption(self, run_id: str, stage_at_deg: float | None = None) -> Run:
         """Orders the bench of an interrupted run to take it up again.
+
+        `stage_at_deg` is a person's word for where a stage without homing stands now; what was said when
+        the run was ordered first does not count any more.
 
         Raises:
             NotFound: there is no such run.
@@ -151,7 +154,12 @@ class Benches(Part):
             epoch = session.scalar(
                 update(RunOrderTable)
                 .where(col(RunOrderTable.run_uid) == run_id)
-                .values(epoch=RunOrderTable.epoch + 1, wish="resume", ordered_at=datetime.now(UTC))
+                .values(
+                    epoch=RunOrderTable.epoch + 1,
+                    wish="resume",
+                    document={**order.document, "stage_at_deg": stage_at_deg},
+                    ordered_at=datetime.now(UTC),
+                )
                 .returning(col(RunOrderTable.epoch))
             )
             assert epoch is not None  # noqa: S101 (orders are never deleted)

@@ -148,6 +148,21 @@ def test_an_interrupted_run_is_taken_up_by_a_new_order(
     assert bench.take(run_id, 2) == "resume"
 
 
+def test_a_resumption_takes_along_where_its_stage_stands(
+    centre: CentreService, bench: TableBench, measured: Measured
+):
+    run_id = _interrupted(centre, bench, measured)
+    with pytest.raises(Invalid, match="has homing"):
+        centre.resume(run_id, 12.5)
+    known = centre.run(run_id).provenance
+    centre.store.update_run(run_id, provenance={**known, "stage": {**known["stage"], "homes": False}})
+    centre.resume(run_id, 12.5)
+    assert bench.order(run_id).document["stage_at_deg"] == 12.5
+    centre.store.withdraw_order(run_id)
+    centre.resume(run_id)
+    assert bench.order(run_id).document["stage_at_deg"] is None, "what was said before does not count"
+
+
 def test_a_resumption_that_was_not_taken_is_taken_back_and_the_bench_ends_the_run(
     patient_centre: CentreService, bench: TableBench, measured: Measured
 ):

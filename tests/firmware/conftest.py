@@ -9,9 +9,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
+import serial
 from firmware_board import FirmwareBoard, Line
-from firmware_build import build_core, build_harness, build_sketch, missing
+from firmware_build import TWIN, build_core, build_harness, build_sketch, build_twin, missing
 from firmware_physics import Served, Swing
+from firmware_twin import Twin
+
+from calrig.simulator.virtual_clock import VirtualClock
 
 
 class Built(NamedTuple):
@@ -58,3 +62,26 @@ def switch_on(built: Built) -> Iterator[Callable[..., Bench]]:
 def bench(switch_on: Callable[..., Bench]) -> Bench:
     """A board at 115200 with a healthy sensor."""
     return switch_on()
+
+
+@pytest.fixture(scope="session")
+def twin_program(built: Built, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The rig of ../shared/twin, compiled; skips where it is not there."""
+    if not TWIN.is_file():
+        pytest.skip(f"the simulated controllers are not in {TWIN.parent}")
+    return build_twin(tmp_path_factory.mktemp("twin"))
+
+
+@pytest.fixture
+def start_twin(
+    built: Built, twin_program: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Callable[..., Twin]]:
+    """Switches a twin on whose board runs the sketch; it ends with the test."""
+    with ExitStack() as stack:
+
+        def start(clock: VirtualClock, options: str = "") -> Twin:
+            # What opens a serial port of the system lives in this clock, as what opens `sim://` does.
+            monkeypatch.setattr(serial.Serial, "clock", clock, raising=False)
+            return stack.enter_context(Twin(twin_program, built.elf(115200), tmp_path, clock, options))
+
+        yield start

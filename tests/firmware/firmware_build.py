@@ -9,6 +9,7 @@ from pathlib import Path
 
 SKETCH = Path(__file__).parents[2] / "calrig" / "firmware" / "calrig_imu"
 HARNESS = Path(__file__).parent / "harness"
+TWIN = Path(__file__).parents[3] / "shared" / "twin" / "twin.c"
 ARDUINO = Path("/usr/share/arduino/hardware/arduino/avr")
 CORE, VARIANT = ARDUINO / "cores" / "arduino", ARDUINO / "variants" / "standard"
 SIMAVR = Path("/usr/include/simavr/sim_avr.h")
@@ -74,6 +75,14 @@ def build_harness(folder: Path) -> Path:
     sources = [str(source) for source in sorted(HARNESS.glob("*.c"))]
     strict = ["-std=gnu11", "-O2", "-Wall", "-Wextra", "-Werror", "-isystem", str(SIMAVR.parent)]
     _run(["gcc", *strict, *sources, "-o", str(program), "-lsimavr", "-lelf", "-lm", "-lutil"])
+    return program
+
+
+def build_twin(folder: Path) -> Path:
+    """The rig of ../shared/twin, in step with the test's clock."""
+    program = folder / "twin"
+    options = ["-O2", "-isystem", str(SIMAVR.parent), "-include", str(HARNESS / "twin_in_step.h")]
+    _run(["gcc", *options, str(TWIN), "-o", str(program), "-lsimavr", "-lelf", "-lutil", "-lm"])
     return program
 
 

@@ -83,11 +83,15 @@ class SimulatedEnd:
 
     def keep_sending(self, pieces, every_s: float = 0.01):
         """Sends one piece after the other until they, the returned event or the test's end say: enough."""
+        return self.play((every_s, piece) for piece in pieces)
+
+    def play(self, timed):
+        """The same of pairs: how long after the one before, and the piece."""
         enough = CLOCK.event()
 
         def send():
-            for piece in pieces:
-                if enough.wait(every_s):
+            for after_s, piece in timed:
+                if enough.wait(after_s):
                     return
                 self.send(piece)
 

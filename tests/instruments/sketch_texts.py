@@ -73,7 +73,11 @@ BANNERS = {
     b"DO NOT MOVE MPU6050...\r\nDone!\r\nX : 0.52\r\nY : -1.33\r\nZ : 0.07\r\n"
     b"Program will start after 3 seconds\r\n========================================",
     "dmp-ypr": b"Initializing I2C devices...\r\nTesting device connections...\r\n"
-    b"MPU6050 connection successful\r\n\nSend any character to begin DMP programming and demo: \r\n",
+    b"MPU6050 connection successful\r\n\nSend any character to begin DMP programming and demo: \r\n"
+    b"Initializing DMP...\r\n>*......>......"
+    b"0.00000,\t-1020.00000,\t278.00000,\t-11.00000,\t-3.00000,\t1.00000\n"
+    b"\nEnabling DMP...\r\nEnabling interrupt detection (Arduino external interrupt 0)...\r\n"
+    b"DMP ready! Waiting for first interrupt...\r\n",
 }
 ELECTRONIC_CATS = (
     b"Initializing MPU...\r\nTesting MPU6050 connection...\r\nMPU6050 connection successful\r\n"

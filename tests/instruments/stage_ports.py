@@ -49,7 +49,11 @@ class InProcessPort:
         return len(self._arrived)
 
     def read_some(self) -> bytes:
-        self.clock.sleep(READ_S if self.waiting() else EMPTY_READ_S)
+        for _ in range(round(EMPTY_READ_S / READ_S)):
+            waits = self.waiting()
+            self.clock.sleep(READ_S)
+            if waits:
+                break
         data, self._arrived = self._arrived, b""
         return data
 

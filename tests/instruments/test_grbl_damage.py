@@ -6,7 +6,7 @@ import pytest
 from grbl_script import BANNER, GO, IDLE, Script
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from stage_ports import KINDS, InProcessPort, homed, moved_to, simulated, until_it_stands
+from stage_ports import KINDS, READ_S, InProcessPort, homed, moved_to, simulated, until_it_stands
 
 from calrig.instruments.errors import StageError
 from calrig.instruments.stages.grbl.driver import Grbl
@@ -119,10 +119,15 @@ def test_a_reset_whose_banner_is_lost_on_the_way_to_0_is_known_and_0_is_not_beli
     moved_to(stage, 60)
     stage.move(0)
     port.device.reset()
+    port.clock.sleep(READ_S)
     port.lose_what_is_said()
     if homing:  # somebody unlocks it, so that it says Idle
         port.device.receive(b"$X\n")
-    assert "<Idle|MPos:0.000" in port.device.receive(b"?").decode()
+        port.clock.sleep(READ_S)
+        port.lose_what_is_said()
+    port.device.receive(b"?")
+    port.clock.sleep(READ_S)
+    assert "<Idle|MPos:0.000" in port.device.emit().decode()
     with pytest.raises(StageError, match="lost its angle: it was reset, and its count with it"):
         stage.position_deg()
     with pytest.raises(StageError, match="takes no move"):

@@ -10,6 +10,7 @@ from scripted_stage import Clock, ScriptedStage
 from calrig.instruments.axis import Axis, Motion
 from calrig.instruments.axis_goal import travel_time_s
 from calrig.instruments.errors import Halted, LimitError, PortBlocked, StageError
+from calrig.instruments.types import StageStatus
 
 
 @pytest.fixture
@@ -299,6 +300,64 @@ def test_a_stage_that_says_it_stands_and_moves_on_is_to_be_cut_from_power(axis, 
     stage.glimpse_deg = lambda: 1.0 * clock.at_s  # it creeps at 1°/s
     with pytest.raises(StageError, match=r"says READY, and turned by 0.05° meanwhile.*cut its motor power"):
         axis.confirm_stopped(timeout_s=2.0)
+
+
+def looks(stage, monkeypatch, *angles_deg):
+    """Has each look at the stage find the next of these angles, the last of them ever after."""
+    left = list(angles_deg)
+    monkeypatch.setattr(stage, "glimpse_deg", lambda: left.pop(0) if len(left) > 1 else left[0])
+
+
+def test_one_damaged_report_delays_the_end_of_a_stop_and_makes_no_motion(axis, stage, monkeypatch):
+    looks(stage, monkeypatch, 12.5, 112.5, 12.5)
+    axis.confirm_stopped(timeout_s=2.0)
+    assert stage.sent == ["ST"] * 4
+
+
+def test_reports_that_differ_to_the_last_are_shown_and_are_no_turn(axis, stage, clock, monkeypatch):
+    monkeypatch.setattr(stage, "glimpse_deg", lambda: 112.5 if round(clock.at_s / 0.05) % 2 else 12.5)
+    with pytest.raises(StageError, match=r"reports differ \(.*112.50°.*\)") as raised:
+        axis.confirm_stopped(timeout_s=2.0)
+    assert "turned by" not in str(raised.value)
+    assert "e+" not in str(raised.value)
+
+
+def test_a_turn_is_told_by_the_smaller_of_two_steps_since_one_report_may_be_damaged(
+    axis, stage, clock, monkeypatch
+):
+    damaged_at_s = clock.at_s + 1.0
+    monkeypatch.setattr(
+        stage, "glimpse_deg", lambda: clock.at_s + 100.0 * (abs(clock.at_s - damaged_at_s) < 0.01)
+    )
+    with pytest.raises(StageError, match=r"turned by 0.05° meanwhile"):
+        axis.confirm_stopped(timeout_s=0.99)
+
+
+def test_a_look_that_is_not_answered_says_nothing_of_those_before_and_after_it(axis, stage, monkeypatch):
+    status, left = stage.status, [False, True, True, False]
+
+    def status_now_and_then():
+        if left and left.pop(0):
+            raise StageError("it does not answer")
+        return status()
+
+    monkeypatch.setattr(stage, "status", status_now_and_then)
+    axis.confirm_stopped(timeout_s=2.0)
+    assert stage.sent == ["ST"] * 4
+
+
+def test_a_controller_that_has_stopped_by_itself_stands_though_it_gives_no_angle(axis, stage, monkeypatch):
+    def no_angle():
+        raise StageError("it has lost its angle")
+
+    monkeypatch.setattr(stage, "glimpse_deg", no_angle)
+    with pytest.raises(StageError, match=r"lost its angle\): cut its motor power"):
+        axis.confirm_stopped(timeout_s=2.0)
+    locked = StageStatus("not_referenced", "ALARM", has_stopped=True)
+    monkeypatch.setattr(stage, "status", lambda: locked)
+    stage.sent.clear()
+    axis.confirm_stopped(timeout_s=2.0)
+    assert stage.sent == ["ST"] * 2
 
 
 def blocked(stage, times):

@@ -14,6 +14,7 @@ from calrig.instruments.boards.sketch_board import READ_TIMEOUT_S, SketchBoard
 from calrig.instruments.errors import BoardError, PortError
 
 RAW, LIGHT = BY_DRIVER["i2cdev-raw"], BY_DRIVER["mpu6050-light"]
+KALMAN, PLOTTER = BY_DRIVER["tkj-kalman"], BY_DRIVER["adafruit-plotter"]
 
 
 @pytest.fixture
@@ -181,6 +182,48 @@ def test_a_reset_is_counted_and_a_raw_board_goes_on(wire, opened):
     wire.keep_sending(itertools.chain([b"a/g:\t1\t2", BANNERS["i2cdev-raw"]], counting(RAW)))
     take_n(board, 20)
     assert board.faults["board_reset"] == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "half", "first"),
+    [
+        (KALMAN, b"30.11\t34.16", b""),
+        (KALMAN, b"", b""),
+        (PLOTTER, b"AccelX:0.", b"\r\n"),
+        (PLOTTER, b"", b"\r\n"),
+    ],
+)
+def test_a_reset_that_no_banner_tells_is_seen_by_the_boot_loaders_silence(wire, opened, text, half, first):
+    board, enough = started(wire, opened, text)
+    take_n(board, 3)
+    enough.set()
+    wire.play(itertools.chain([(0.01, half), (1.6, first)], ((0.01, line) for line in counting(text))))
+    reset_s = CLOCK.now_s()
+    for _ in range(TAKES):
+        if len(board.take(0.1)) and board.faults["board_reset"]:
+            break
+    assert board.faults == {"board_reset": 1, **({"unparsed": 1} if half else {})}
+    # its own filter begins with one noisy sample: what it says meanwhile is no sample
+    assert CLOCK.now_s() - reset_s == pytest.approx(1.6 + text.sketch.settles_s, abs=0.15)
+
+
+def test_bytes_that_waited_while_this_process_slept_are_no_reset(wire, opened):
+    board, enough = started(wire, opened, KALMAN)
+    take_n(board, 3)
+    enough.set()
+    waited = b"".join(itertools.islice(counting(KALMAN, 7), 40))
+    wire.play(itertools.chain([(1.6, waited)], ((0.01, line) for line in counting(KALMAN))))
+    take_n(board, 60)
+    assert not board.faults
+
+
+def test_a_bus_error_that_the_kalman_sketch_prints_is_a_fault_and_no_end(wire, opened):
+    board, enough = started(wire, opened, KALMAN)
+    take_n(board, 3)
+    enough.set()
+    wire.keep_sending(itertools.chain([b"i2cRead failed: 4\r\n"], counting(KALMAN, 9)))
+    take_n(board, 10)
+    assert board.faults == {"board_error": 1}
 
 
 @pytest.mark.parametrize("driver", ["mpu6050-light", "tockn", "dmp-ypr"])

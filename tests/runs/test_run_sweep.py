@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from itertools import pairwise
 from typing import Any
@@ -157,3 +158,68 @@ def test_a_sweep_beyond_the_limits_is_refused_by_the_name_of_its_ends(bench: Tru
     with pytest.raises(Invalid, match="beyond the rig's soft limits") as refused:
         begin(serve(bench), Plan(kind="sweep", start_deg=-100, stop_deg=30))
     assert refused.value.fields == ["plan.start_deg"]
+
+
+SHORT_SWEEP = SWEEP.model_copy(update={"start_deg": -15.0, "stop_deg": 15.0})
+
+
+def stall(rig: TruthRig, monkeypatch: pytest.MonkeyPatch, every_s: float = math.inf) -> None:
+    """Has the rig's own time stand for 0.25 s, now and every so often: table and devices, not the host."""
+    clock, began_s = rig.simulated.clock, CLOCK.now_s()
+    before = clock._now_s
+
+    def now_s() -> float:
+        times, since_s = divmod(CLOCK.now_s() - began_s, every_s)
+        return before() - 0.25 * times - min(since_s, 0.25)
+
+    monkeypatch.setattr(clock, "_now_s", now_s)
+
+
+def in_the_midst_of_a_pass(rig: TruthRig, store: Store, run: Run, n_poses: int) -> None:
+    """Until so many poses are stored and the table is about half-way to the other end."""
+    until(lambda: len(store.poses(run.id)) >= n_poses and rig.moves(), "pass", 120)
+    until(lambda: abs(rig.table_deg(rig.now_s)) < 3, "its middle", 60)
+
+
+def test_a_pass_in_which_the_rig_stood_for_a_moment_is_turned_anew(
+    make_rig: MakeRig, serve: Serve, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = make_rig(time_scale=1.0, imu=QUIET)
+    service = serve(rig)
+    run = begin(service, SHORT_SWEEP)
+    in_the_midst_of_a_pass(rig, store, run, 8)
+    stall(rig, monkeypatch)
+    ended = service.wait(run.id, 300)
+    assert (ended.status, ended.error) == ("completed", None)
+    assert ended.faults["retried_pose"] == 1
+    poses = [stored.pose for stored in store.poses(run.id)]
+    assert len(poses) == 15
+    assert np.abs([pose.reading_deg - pose.theta_deg - 0.8 for pose in poses]).max() < 0.02
+    assert ended.result is not None and "lost_says" not in ended.result
+
+
+@pytest.mark.parametrize("good", [1, 2])
+def test_passes_that_are_never_even_end_the_run_with_those_before_if_both_senses_are_there(
+    make_rig: MakeRig, serve: Serve, store: Store, monkeypatch: pytest.MonkeyPatch, good: int
+) -> None:
+    rig = make_rig(time_scale=1.0, imu=QUIET)
+    service = serve(rig)
+    run = begin(service, SHORT_SWEEP.model_copy(update={"sweeps": 3}))
+    n_whole = 1 + 7 * good
+    in_the_midst_of_a_pass(rig, store, run, n_whole)
+    stall(rig, monkeypatch, every_s=4.0)
+    ended = service.wait(run.id, 300)
+    assert ended.faults["retried_pose"] >= 3
+    assert len(store.poses(run.id)) == n_whole
+    if good == 1:
+        assert ended.status == "failed"
+        assert "3 times over" in (ended.error or "") and "does not turn evenly" in (ended.error or "")
+        return
+    assert (ended.status, ended.error) == ("completed", None)
+    done = ended.progress
+    assert (done["poses_done"], done["poses_total"], done["fraction"]) == (n_whole, n_whole, 1.0)
+    assert ended.result is not None and ended.result["bias_deg"] == pytest.approx(0.8, abs=0.01)
+    assert ended.verdict is not None
+    (said,) = [one for one in ended.verdict.says if "after 2 of 3 passes" in one]
+    assert "from -15° to 15°, 3 times over" in said and "does not turn evenly" in said
+    assert ended.result["lost_says"] == said

@@ -1,4 +1,4 @@
-"""The simulated board prints what sketches.md says the public sketches print."""
+"""The simulated board prints what the public sketches print, when they print it: facts of ../shared/wire."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ import math
 import re
 
 import pytest
+from wire_recordings import in_pieces
 
 from calrig.simulator.bench import Bench
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.dialects import board_of
 from calrig.simulator.rig import SimulatedRig
-from calrig.simulator.sketch_board import SketchBoard
+from calrig.simulator.sketch_board import BOOT_S, SketchBoard
 
 NUMBER = r"-?\d+\.\d\d"
 LINES = {
@@ -26,15 +27,24 @@ LINES = {
     "tockn": rf"angleX : {NUMBER}\tangleY : {NUMBER}\tangleZ : {NUMBER}\r\n",
     "dmp-ypr": rf"ypr\t{NUMBER}\t{NUMBER}\t{NUMBER}\r\n",
 }
-A_SECOND = {  # lines or records; sketches.md, and what passes at the baud rate
-    "i2cdev-raw": (8, 10),
-    "i2cdev-raw-fast": (95, 130),
-    "tkj-kalman": (110, 200),
-    "adafruit-plotter": (50, 95),
-    "adafruit-basic": (1.5, 2.1),
-    "mpu6050-light": (20, 45),
-    "tockn": (15, 30),
-    "dmp-ypr": (60, 101),
+A_SECOND = {  # lines or records, as recorded; the fast sketch's as sketches.md says
+    "i2cdev-raw": 9.9,
+    "i2cdev-raw-fast": 110,
+    "tkj-kalman": 150,
+    "adafruit-plotter": 74,
+    "adafruit-basic": 1.98,
+    "mpu6050-light": 33.3,
+    "tockn": 21.7,
+    "dmp-ypr": 100,
+}
+FIRST_S = {  # from the boot loader's end to the end of the first record
+    "i2cdev-raw": 0.033,
+    "tkj-kalman": 0.108,
+    "adafruit-plotter": 0.412,
+    "adafruit-basic": 0.422,
+    "mpu6050-light": 1.886,
+    "tockn": 5.102,
+    "dmp-ypr": 2.174,  # from its character
 }
 
 
@@ -56,37 +66,111 @@ class Board:
 
 
 def running(sketch, **board):
+    """One that has begun, at the end of a line."""
     it = Board(sketch, **board)
     it.said(2)
     it.device.receive(b"s")
     it.said(8)
+    to_the_end_of_a_record(it, sketch)
     return it
+
+
+def to_the_end_of_a_record(it, sketch, step_s=0.0005):
+    """What it prints until a record is whole."""
+    text = ""
+    while not (text.endswith("\n") and re.search(f"{LINES[sketch]}$", text)):
+        it.now_s += step_s
+        text += it.device.emit().decode()
+    return text
+
+
+def pieces(it, until_s):
+    """What it prints until then as a recording has it."""
+
+    def said():
+        while it.now_s < until_s:
+            it.now_s += 0.002
+            yield it.now_s - BOOT_S, it.device.emit().decode()
+
+    return in_pieces(said())
 
 
 @pytest.mark.parametrize("sketch", sorted(LINES))
 def test_it_prints_its_lines_at_its_pace_and_nothing_else(sketch):
-    text = running(sketch).said(18)
+    it = running(sketch)
+    from_s = it.now_s
+    text = it.said(from_s + 10) + to_the_end_of_a_record(it, sketch)
     assert re.fullmatch(f"({LINES[sketch]})+", text)
-    least, most = A_SECOND[sketch]
-    assert least <= len(re.findall(LINES[sketch], text)) / 10 <= most
+    assert len(re.findall(LINES[sketch], text)) / (it.now_s - from_s) == pytest.approx(
+        A_SECOND[sketch], rel=0.05
+    )
+
+
+@pytest.mark.parametrize("sketch", sorted(FIRST_S))
+def test_its_first_record_comes_when_the_real_one_s_does(sketch):
+    it = Board(sketch)
+    if sketch == "dmp-ypr":
+        it.said(2)
+        it.device.receive(b"s")
+    begun_s = it.now_s or BOOT_S
+    to_the_end_of_a_record(it, sketch, 0.001)
+    assert it.now_s - begun_s == pytest.approx(FIRST_S[sketch], rel=0.05, abs=0.005)
+
+
+def test_a_banner_comes_over_seconds():
+    said = [(piece.text[:12], piece.t_s) for piece in pieces(Board("tockn"), BOOT_S + 3)]
+    seconds = {
+        "\r\n": 1.0,
+        "============": 1.05,
+        "DO NOT MOVE ": 1.1,
+        ".": 1.36,
+        "Done!\r\n": 2.01,
+        "Program will": 2.08,
+    }
+    for text, at_s in seconds.items():
+        assert dict(reversed(said))[text] == pytest.approx(at_s, abs=0.02)
+
+
+def test_the_dmp_calibrates_for_two_seconds_and_says_its_offsets():
+    it = Board("dmp-ypr")
+    it.said(2)
+    it.device.receive(b"s")
+    text = it.said(5)
+    marks = r">\*\.{6}>\.{6}" if ">*" in text else r">\.{6}>\.{6}"
+    assert re.search(rf"DMP\.\.\.\r\n{marks}(-?\d+\.0{{5}}(,\t|\n)){{6}}\nEnabling DMP\.\.\.\r\n", text)
 
 
 def test_raw_registers_are_those_of_the_chip():
     it = running("i2cdev-raw")
-    ax, ay, az, *gyro = map(int, it.said(9).splitlines()[0].split("\t")[1:])
+    ax, ay, az, *gyro = map(int, it.said(it.now_s + 1).splitlines()[0].split("\t")[1:])
     assert math.degrees(math.atan2(ay, az)) == pytest.approx(4, abs=0.5)  # where a stage powers up
     assert math.hypot(ax, ay, az) == pytest.approx(16384, rel=0.02)
     assert max(map(abs, gyro)) < 100
 
 
-@pytest.mark.parametrize(("sketch", "place"), [("tkj-kalman", 3), ("tockn", 0), ("dmp-ypr", 2)])
+@pytest.mark.parametrize(("sketch", "place"), [("tkj-kalman", 3), ("tockn", 0)])
 def test_an_angle_sketch_sends_the_elevation_about_x(sketch, place):
-    numbers = re.findall(NUMBER, running(sketch).said(9).splitlines()[0])
+    it = running(sketch)
+    numbers = re.findall(NUMBER, it.said(it.now_s + 1).splitlines()[0])
     assert float(numbers[place]) == pytest.approx(4, abs=0.5)
 
 
-def test_one_that_takes_where_it_starts_for_level_says_0_there():
-    assert abs(float(re.findall(NUMBER, running("mpu6050-light").said(9))[0])) < 0.5
+@pytest.mark.parametrize(("sketch", "place"), [("mpu6050-light", 0), ("dmp-ypr", 2)])
+def test_one_that_takes_where_it_starts_for_level_says_0_there(sketch, place):
+    it = running(sketch)
+    numbers = re.findall(NUMBER, it.said(it.now_s + 1).splitlines()[0])
+    assert abs(float(numbers[place])) < 0.5
+
+
+def test_the_light_sketch_begins_where_it_stands_and_falls_to_0_within_a_second():
+    records = [
+        float(re.match(r"X : (\S+)\t", p.text)[1])
+        for p in pieces(Board("mpu6050-light"), 4)
+        if "\t" in p.text
+    ]
+    assert records[0] == pytest.approx(4 * 0.98**8, abs=0.3)
+    assert records[1] / records[0] == pytest.approx(0.98**8, abs=0.05)
+    assert abs(records[33]) < 0.2
 
 
 @pytest.mark.parametrize(
@@ -126,7 +210,7 @@ def test_the_dmp_waits_for_a_character():
     assert it.said(5).endswith("\nSend any character to begin DMP programming and demo: \r\n")
     assert it.said(10) == ""
     it.device.receive(b"s")
-    assert "ypr\t" in it.said(12)
+    assert "ypr\t" in it.said(13)
 
 
 @pytest.mark.parametrize(
@@ -136,7 +220,7 @@ def test_the_dmp_waits_for_a_character():
         ("i2cdev-raw", "clone", rf"connection failed\r\n({LINES['i2cdev-raw']})+"),
         ("i2cdev-raw-fast", "clone", r"MPU6050 connection failed\r\n"),
         ("tkj-kalman", "clone", "Error reading sensor"),
-        ("tkj-kalman", "zeros", ""),
+        ("tkj-kalman", "zeros", r"(i2cWrite failed: 2\r\n)+"),
         ("adafruit-plotter", "clone", "Failed to find MPU6050 chip\r\n"),
         ("adafruit-basic", "zeros", "Failed to find MPU6050 chip\r\n"),
         ("mpu6050-light", "clone", rf"Done!\n\r\n({LINES['mpu6050-light']})+"),
@@ -145,13 +229,14 @@ def test_the_dmp_waits_for_a_character():
 )
 def test_a_clone_or_no_sensor_is_what_each_sketch_makes_of_it(sketch, fault, text):
     said = Board(sketch, fault=fault).said(6)
-    assert re.search(f"^{text}$" if not text else f"{text}$", said)
+    whole = said if said.endswith("sensor") else said[: said.rfind("\n") + 1]
+    assert re.search(f"^{text}$" if not text else f"{text}$", whole)
 
 
 def test_frozen_lines_go_on_with_the_same_values():
     it = running("i2cdev-raw")
     it.device.fault = "frozen"
-    lines = it.said(12).splitlines()
+    lines = it.said(12).splitlines()[:-1]
     assert len(lines) > 20
     assert len(set(lines)) == 1
 
@@ -169,6 +254,18 @@ def test_a_reset_prints_the_banner_again():
     it.device.fault = "reset"
     assert it.said(12).count("Initializing I2C devices...\r\n") == 1
     assert it.said(18).count("Initializing I2C devices...\r\n") == 1
+
+
+def test_a_reset_cuts_the_line_that_is_being_sent_and_a_sketch_without_banner_is_just_silent():
+    it = running("tkj-kalman")
+    it.now_s += 0.003
+    half = it.device.emit().decode()
+    it.device.fault = "reset"
+    assert half and "\n" not in half
+    reset_s = it.now_s
+    glued, *_ = pieces(it, reset_s + BOOT_S + 0.13)
+    assert re.fullmatch(LINES["tkj-kalman"], glued.text)
+    assert glued.t_s + BOOT_S - reset_s == pytest.approx(BOOT_S + FIRST_S["tkj-kalman"], abs=0.01)
 
 
 @pytest.mark.parametrize(

@@ -36,6 +36,9 @@ class Sketch:
         stops: what it says and then sends nothing, also without an end of line.
         remarks: what it says and goes on.
         mute: why it may send nothing at all.
+        is_mute_at_reset: its setup prints nothing that surely tells a reset: a silence as long as a boot
+            loader's is taken for one.
+        settles_s: how long after such a reset its own filter needs, whose angle is left out meanwhile.
         checks_chip: it goes on only with the WHO_AM_I of an MPU-6050.
         frozen_after_s: how long equal records may be honest; 0 where two in a row never are.
         zeroes_at_reset: it takes a zero anew when it starts, so that what it sends before and after a reset
@@ -60,6 +63,8 @@ class Sketch:
     stops: re.Pattern[str] | None = None
     remarks: re.Pattern[str] | None = None
     mute: str = ""
+    is_mute_at_reset: bool = False
+    settles_s: float = 0.0
     checks_chip: bool = False
     frozen_after_s: float = FROZEN_AFTER_S
     zeroes_at_reset: bool = False

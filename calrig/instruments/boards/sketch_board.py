@@ -26,6 +26,8 @@ MEASURE_RECORDS = 3
 SILENCE_S = 4.0
 """Longer than the 3 s that a board may take from a reset to its first line."""
 QUIET_S = 2.0
+RESET_S = 0.5
+"""No boot loader takes less."""
 USELESS_S = 2.0
 TICK_S = 1e-6
 ANOTHERS_LINES = 3
@@ -50,6 +52,7 @@ class SketchBoard(ReadBoard):
         self._samples: SketchSamples | None = None
         self._seen_s: list[float] = []  # arrivals without a break, from which the rate is measured
         self._behind = False
+        self._settled_s = 0.0
         self._arrived_s = self._started_s = self._heard_s = self._clock.now_s()
         self._reading.start()
 
@@ -144,16 +147,21 @@ class SketchBoard(ReadBoard):
                     self._news.notify_all()
 
     def _digest(self, data: bytes, now_s: float) -> None:
-        self._heard_s = now_s
+        silent_s, self._heard_s = now_s - self._heard_s, now_s
+        found: list[Record | None] = []
+        # After a long silence few bytes are a reset's; many have waited, because this process slept.
+        if self._sketch.is_mute_at_reset and silent_s > RESET_S and len(data) < BACKLOG_BYTES:
+            found = [None] if self._reader.begin_anew() else []
         try:
-            found = self._reader.feed(data)
+            found += self._reader.feed(data)
         except BoardError as error:  # of lines, which know no port
             raise BoardError(f"{self._name}: {error}") from error
         self._behind = len(data) >= BACKLOG_BYTES or (self._behind and len(found) > 1)
         if self._behind:
             self._seen_s.clear()
         if None in found:
-            self._begin_anew()
+            self._begin_anew(now_s)
+            self._arrived_s = max(self._arrived_s, now_s - READ_TIMEOUT_S)  # none came in the silence before
             found = found[len(found) - found[::-1].index(None) :]
         records = [record for record in found if record is not None]
         if not records:
@@ -166,15 +174,16 @@ class SketchBoard(ReadBoard):
         self._keep(times_s, records)
 
     def _keep(self, times_s: list[float], records: list[Record]) -> None:
-        if self._samples is None:
+        if self._samples is None or times_s[-1] < self._settled_s:
             return
         since_start_s = [time_s - self._started_s for time_s in times_s]
         block = self._samples.push(list(zip(since_start_s, records, strict=True)))
         if len(block):
             self._blocks.append(block)
 
-    def _begin_anew(self) -> None:
+    def _begin_anew(self, now_s: float) -> None:
         """The board was reset."""
+        self._settled_s = now_s + self._sketch.settles_s
         if not self._identified:
             self._seen_s.clear()
             return

@@ -62,6 +62,13 @@ class SketchReader:
             self._drop("")
         return found
 
+    def begin_anew(self) -> bool:
+        """Drop half a line, in which a reset made the board fall silent; return whether a record had come."""
+        if self._tail or self._place:
+            self._drop(self._tail.decode("latin-1"))
+        self._tail, was_in_stream, self._in_stream = b"", self._in_stream, False
+        return was_in_stream
+
     @property
     def n_strange(self) -> int:
         """How many bytes have come since the last record."""

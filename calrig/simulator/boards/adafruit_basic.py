@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from calrig.simulator.sketch import Found, Motion, Sketch, lines, si
+from collections.abc import Callable
+
+from calrig.simulator.sketch import Found, Motion, Setup, Sketch, lines, si, stop
 from calrig.simulator.sketch_board import running
 
 
@@ -10,16 +12,17 @@ class Basic(Sketch):
     """That sketch."""
 
     driver = "adafruit-basic"
-    pause_s = 0.5
+    pause_s = 0.501
 
-    def setup(self, found: Found, still: Motion) -> tuple[str, bool]:  # noqa: ARG002, D102
-        if not (found.sensor and found.genuine):
-            return lines("Adafruit MPU6050 test!", "Failed to find MPU6050 chip"), False
+    def setup(self, found: Found, read: Callable[[], Motion]) -> Setup:  # noqa: ARG002, D102
+        good = found.sensor and found.genuine
+        yield lines("Adafruit MPU6050 test!"), 0.30 if good else 0.05
+        if not good:
+            yield from stop(lines("Failed to find MPU6050 chip"))
         ranges = ("Accelerometer range set to: +-8G", "Gyro range set to: +- 500 deg/s")
-        banner = ("Adafruit MPU6050 test!", "MPU6050 Found!", *ranges, "Filter bandwidth set to: 21 Hz", "")
-        return lines(*banner), True
+        yield lines("MPU6050 Found!", *ranges, "Filter bandwidth set to: 21 Hz", ""), 0.1
 
-    def record(self, motion: Motion, dt_s: float) -> str:  # noqa: ARG002, D102
+    def record(self, motion: Motion) -> str:  # noqa: D102
         (ax, ay, az), (gx, gy, gz) = si(motion)
         return lines(
             f"Acceleration X: {ax}, Y: {ay}, Z: {az} m/s^2",

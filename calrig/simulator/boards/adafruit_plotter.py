@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from calrig.simulator.sketch import Found, Motion, Sketch, lines, si
+from collections.abc import Callable
+
+from calrig.simulator.sketch import Found, Motion, Setup, Sketch, lines, si, stop
 from calrig.simulator.sketch_board import running
 
 
@@ -10,13 +12,16 @@ class Plotter(Sketch):
     """That sketch."""
 
     driver = "adafruit-plotter"
-    pause_s = 0.010
+    pause_s = 0.0122
 
-    def setup(self, found: Found, still: Motion) -> tuple[str, bool]:  # noqa: ARG002, D102
+    def setup(self, found: Found, read: Callable[[], Motion]) -> Setup:  # noqa: ARG002, D102
         good = found.sensor and found.genuine
-        return lines("" if good else "Failed to find MPU6050 chip"), good
+        yield "", 0.305 if good else 0.05
+        if not good:
+            yield from stop(lines("Failed to find MPU6050 chip"))
+        yield lines(""), 0.1
 
-    def record(self, motion: Motion, dt_s: float) -> str:  # noqa: ARG002, D102
+    def record(self, motion: Motion) -> str:  # noqa: D102
         accel, gyro = si(motion)
         values = (
             (f"Accel{a}:{v}" for a, v in zip("XYZ", accel, strict=True)),

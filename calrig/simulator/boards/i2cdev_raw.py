@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from calrig.simulator.sketch import Found, Motion, Sketch, lines
+from collections.abc import Callable
+
+from calrig.simulator.sketch import Found, Motion, Setup, Sketch, lines
 from calrig.simulator.sketch_board import running
 
 
@@ -10,14 +12,14 @@ class Raw(Sketch):
     """That sketch."""
 
     driver = "i2cdev-raw"
-    baudrate, pause_s = 38400, 0.1
+    baudrate, pause_s = 38400, 0.1012
 
-    def setup(self, found: Found, still: Motion) -> tuple[str, bool]:  # noqa: ARG002, D102
+    def setup(self, found: Found, read: Callable[[], Motion]) -> Setup:  # noqa: ARG002, D102
         outcome = "successful" if found.sensor and found.genuine else "failed"
         told = ("Initializing I2C devices...", "Testing device connections...")
-        return lines(*told, f"MPU6050 connection {outcome}"), True
+        yield lines(*told, f"MPU6050 connection {outcome}"), 0.0
 
-    def record(self, motion: Motion, dt_s: float) -> str:  # noqa: ARG002, D102
+    def record(self, motion: Motion) -> str:  # noqa: D102
         accel = [_i16(16384 * a) for a in motion.accel_g]
         gyro = [_i16(131 * g) for g in motion.gyro_dps]
         return lines("\t".join(["a/g:", *map(str, accel + gyro)]))

@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from calrig.simulator.boards.i2cdev_raw import Raw
-from calrig.simulator.sketch import Found, Motion, lines
+from calrig.simulator.sketch import Found, Motion, Setup, lines, stop
 from calrig.simulator.sketch_board import running
 
 
 class FastRaw(Raw):
     """That sketch."""
 
-    driver = "i2cdev-raw"
-    pause_s = 0.0
+    pause_s = 0.009
 
-    def setup(self, found: Found, still: Motion) -> tuple[str, bool]:  # noqa: ARG002, D102
-        told = lines("Initializing MPU...", "Testing MPU6050 connection...")
+    def setup(self, found: Found, read: Callable[[], Motion]) -> Setup:  # noqa: ARG002, D102
+        yield lines("Initializing MPU...", "Testing MPU6050 connection..."), 0.0
         if not (found.sensor and found.genuine):
-            return told + lines("MPU6050 connection failed"), False
+            yield from stop(lines("MPU6050 connection failed"))
         offsets = lines("Updating internal sensor offsets...\n") + "\t0\t0\t0\t0\t0\t0\n"
-        return told + lines("MPU6050 connection successful") + offsets, True
+        yield lines("MPU6050 connection successful") + offsets, 0.0
 
 
 BOARD = running(FastRaw)

@@ -1,8 +1,10 @@
-"""TKJElectronics/KalmanFilter examples/MPU6050: waits for ever for a sensor that is not there."""
+"""TKJElectronics/KalmanFilter examples/MPU6050: no banner; tries for ever to reach a sensor."""
 
 from __future__ import annotations
 
-from calrig.simulator.sketch import Found, Motion, Sketch, lines, pair, tilt
+from collections.abc import Callable
+
+from calrig.simulator.sketch import Found, Motion, Setup, Sketch, lines, pair, stop, tilt
 from calrig.simulator.sketch_board import running
 
 
@@ -10,15 +12,21 @@ class TkjKalman(Sketch):
     """That sketch."""
 
     driver = "tkj-kalman"
-    pause_s = 0.002
+    pause_s = 0.0066
 
-    def setup(self, found: Found, still: Motion) -> tuple[str, bool]:  # noqa: D102
+    def setup(self, found: Found, read: Callable[[], Motion]) -> Setup:  # noqa: D102
+        while not found.sensor:
+            yield lines("i2cWrite failed: 2"), 0.0003
+        if not found.genuine:
+            yield from stop("Error reading sensor")
+        yield "", 0.102
+        still = read()
+        self._last_s = still.at_s
         self._gyro = self._complementary = tilt(still)
         self._kalman = tuple(_TkjFilter(angle) for angle in self._gyro)
-        clone = found.sensor and not found.genuine
-        return "Error reading sensor" if clone else "", found.sensor and found.genuine
 
-    def record(self, motion: Motion, dt_s: float) -> str:  # noqa: D102
+    def record(self, motion: Motion) -> str:  # noqa: D102
+        dt_s, self._last_s = motion.at_s - self._last_s, motion.at_s
         turned, rate = tilt(motion), motion.gyro_dps[:2]
         self._gyro = pair(g + r * dt_s for g, r in zip(self._gyro, rate, strict=True))
         self._complementary = pair(

@@ -1,25 +1,37 @@
-"""tockn/MPU6050_tockn examples/GetAngle: the banner's last line has no end."""
+"""tockn/MPU6050_tockn examples/GetAngle: takes the gyro's zero at its start, its level from gravity."""
 
 from __future__ import annotations
 
-from calrig.simulator.sketch import Complementary, Found, Motion, lines
+import math
+from collections.abc import Callable
+
+from calrig.simulator.sketch import Complementary, Found, Motion, Setup, lines
 from calrig.simulator.sketch_board import running
 
 
 class Tockn(Complementary):
-    """That sketch."""
+    """That sketch. Its banner's last line has no end."""
 
     driver = "tockn"
-    baudrate, setup_s = 9600, 4.0
+    baudrate, pause_s = 9600, 0.002
 
-    def setup(self, found: Found, still: Motion) -> tuple[str, bool]:  # noqa: ARG002, D102
-        self.start(still)
+    def setup(self, found: Found, read: Callable[[], Motion]) -> Setup:  # noqa: ARG002, D102
+        self.begin(read())
+        yield "", 1.0
+        yield lines("", "=" * 40, "Calculating gyro offsets") + "DO NOT MOVE MPU6050.", 0.323
+        yield ".", 0.323
+        yield ".", 0.323
+        self.zero(read())
         offsets = [f"{a} : {o:.2f}" for a, o in zip("XYZ", self._gyro_offset, strict=True)]
-        told = ("", "=" * 40, "Calculating gyro offsets", "DO NOT MOVE MPU6050...", "Done!", *offsets)
-        return lines(*told, "Program will start after 3 seconds") + "=" * 40, True
+        yield lines("", "Done!", *offsets, "Program will start after 3 seconds") + "=" * 40, 3.0
 
-    def record(self, motion: Motion, dt_s: float) -> str:  # noqa: D102
-        x, y, z = self.follow(motion, dt_s)
+    def tilt(self, motion: Motion) -> tuple[float, float]:  # noqa: D102
+        x, y, z = motion.accel_g
+        roll, pitch = math.atan2(y, math.hypot(x, z)), -math.atan2(x, math.hypot(y, z))
+        return math.degrees(roll), math.degrees(pitch)
+
+    def record(self, motion: Motion) -> str:  # noqa: D102
+        x, y, z = self.angles(motion)
         return lines(f"angleX : {x:.2f}\tangleY : {y:.2f}\tangleZ : {z:.2f}")
 
 

@@ -18,7 +18,8 @@ SKETCH = Sketch(
     accel=(0, 1 / STANDARD_GRAVITY_MPS2),
     gyro=(3, math.degrees(1)),
     ranges=(16, 250),
-    banner=re.compile(r"^$"),
+    banner=re.compile(r"^$"),  # which only ends the line that a reset cut short
+    is_mute_at_reset=True,
     stops=re.compile(r"Failed to find MPU6050 chip"),
     checks_chip=True,
 )

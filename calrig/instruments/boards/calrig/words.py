@@ -105,7 +105,7 @@ def why_none(last_words: str, n_bytes: int, overlong: bytes = b"") -> str:
         )
     if n_bytes:
         return f"{n_bytes} bytes came but no identity: wrong baud rate, or another sketch on it?"
-    return "it is silent: is it powered, on this port, and does it carry calrig's sketch?"
+    return "it is silent: check its power, port and baud rate, and that it carries calrig's sketch"
 
 
 def why_useless(faults: Counter[str], *, went_on: bool, reads_zero: bool) -> str:

@@ -19,7 +19,8 @@ SKETCH = Sketch(
     banner=re.compile(
         r"Initializing (I2C devices|DMP)\.\.\.|Testing (device connections|MPU6050 connection)\.\.\."
         r"|MPU6050 connection successful|Send any character to begin|Enabling (DMP|interrupt detection)"
-        r"|DMP ready! Waiting for first interrupt|These are the Active offsets"
+        r"|^>[*.]*>[*.]*(-?\d+\.0{5}(,\t)?){6}$|DMP ready! Waiting for first interrupt"
+        r"|These are the Active offsets"
     ),
     stops=re.compile(r"DMP Initialization failed \(code \d+\)"),
     remarks=re.compile(r"MPU6050 connection failed|FIFO overflow!"),

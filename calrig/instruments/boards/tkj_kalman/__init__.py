@@ -16,7 +16,10 @@ SKETCH = Sketch(
     bounds=(180, 400, 400, 400, 180, 400, 400, 400),
     angle=3,
     stops=re.compile(r"Error reading sensor"),
-    mute="this sketch waits in silence for a sensor that does not answer: check the sensor's wires",
+    remarks=re.compile(r"i2c(Read|Write) (failed: \d|timeout)"),
+    mute="this sketch falls silent where the sensor's bus hangs: check the sensor's wires",
+    is_mute_at_reset=True,
+    settles_s=2.0,
     checks_chip=True,
 )
 DEVICE = board_device(SKETCH)

@@ -1,4 +1,4 @@
-"""GetAngle of MPU6050_tockn: an angle filtered on the board, its zero where it stood at its start."""
+"""GetAngle of MPU6050_tockn: an angle filtered on the board, which takes the gyro's zero at its start."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SKETCH = Sketch(
     driver="tockn",
     source="tockn/MPU6050_tockn, examples/GetAngle",
     baudrate=9600,
-    pace="about 20 lines a second: more do not pass at 9600 baud",
+    pace="about 22 lines a second: more do not pass at 9600 baud",
     lines=line_forms("angleX : %\tangleY : %\tangleZ : %"),
     bounds=(400, 400, 99999),
     angle=0,

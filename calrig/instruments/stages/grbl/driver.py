@@ -92,7 +92,7 @@ class Grbl:
             else:
                 report = self._look()
             if report is None and self._wire.locked:
-                return StageStatus("not_referenced", f"ALARM ({self._count.unreferenced})")
+                return StageStatus("not_referenced", f"ALARM ({self._count.unreferenced})", has_stopped=True)
             if report is None:
                 return StageStatus("homing", "HOME (it answers nothing until it is done)")
             return self._status(report)

@@ -145,7 +145,8 @@ class Board:
             "gyro_range_dps": self._imu.gyro_range_dps,
             "max_rate_hz": self._options.max_rate_hz,
         }
-        return packet(IDENTITY, json.dumps(identity, ensure_ascii=False).encode())
+        text = json.dumps(identity, ensure_ascii=False, separators=(",", ":"))
+        return packet(IDENTITY, text.encode())
 
     def _due_samples(self) -> list[bytes]:
         stream = self._stream

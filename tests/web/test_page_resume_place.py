@@ -1,0 +1,62 @@
+"""A run was killed while its stage, which has no homing, moved: who resumes it says where that stands."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support import QUICK, running_service, serving, wait_for
+
+from calrig.plan import Plan
+from calrig.settings import RigSettings
+
+pytestmark = pytest.mark.browser
+
+
+@pytest.fixture
+def stepper(launch_rig: Any) -> RigSettings:
+    """A rig whose stage has no homing, switched on at its zero."""
+    stage = {"driver": "grbl", "homing": False}
+    settings: RigSettings = launch_rig("stepper-killed", stage=stage, mechanics={"power_up_deg": 0.0})
+    return settings
+
+
+@pytest.fixture
+def killed(stepper: RigSettings, store_path: Path) -> tuple[str, float]:
+    """A run that was killed in a move, and the elevation at which its stage stands since."""
+    with running_service(store_path, stepper) as service:
+        run = service.start(unit="AS-1", plan=Plan.model_validate({**QUICK, "sweeps": 4}))
+        wait_for(lambda: len(service.store.poses(run.id)) >= 2, "two poses")
+        service.close()
+        stands_deg = service.store.left_at(stepper.name).stage_deg
+        service.store.leave_at(stepper.name, None)  # which no program does that is killed
+    return run.id, stands_deg
+
+
+@pytest.fixture
+def client(killed: tuple[str, float], stepper: RigSettings, store_path: Path) -> Iterator[Any]:
+    with running_service(store_path, stepper) as service, serving(service) as client:
+        yield client
+
+
+def test_who_resumes_a_run_says_where_a_stage_without_homing_stands(
+    page: Any, client: Any, killed: tuple[str, float], expect: Any, forgiven: list[str]
+) -> None:
+    forgiven.append("422")
+    run_id, stands_deg = killed
+    field, resume = page.get_by_label("The stage stands at, °"), page.locator("#resume-interrupted")
+    page.goto(f"{client.base_url}/#/runs/{run_id}")
+    expect(page.locator("#stage-at-why")).to_contain_text("no homing")
+    resume.click()
+    expect(page.locator("#view")).to_contain_text('"The stage stands at" where the page resumes the run')
+    for wrong, why in (("4000", "at most 360"), (f"{stands_deg + 50:.1f}", "gravity says")):
+        field.fill(wrong)
+        resume.click()
+        expect(page.locator("#view")).to_contain_text(why)
+        expect(page.locator("#status")).to_have_text("interrupted")
+    field.fill(f"{stands_deg:.2f}")
+    resume.click()
+    expect(page.locator("#status")).to_have_text("completed")
+    expect(field).to_have_count(0)

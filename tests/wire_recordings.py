@@ -1,0 +1,73 @@
+"""What unmodified firmware said on its serial line: the recordings of ../shared/wire (README there)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+WIRE = Path(__file__).parents[2] / "shared" / "wire"
+BOOT_LOADER_S = 1.5
+SILENCE_S = 0.05
+"""What ends a piece that has no line end."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """At t_s after the reset line `way` is `from` the device, `to` it, or an `event` in words."""
+
+    t_s: float
+    way: str
+    text: str
+
+    @property
+    def data(self) -> bytes:
+        return self.text.encode("latin-1")
+
+
+def recording(name: str) -> list[Event]:
+    """A conversation, without the time of lines that were left out of the file."""
+    path = WIRE / f"{name}.jsonl"
+    if not path.is_file():
+        pytest.skip(f"the recorded conversation {path.name} is not in ../shared/wire")
+    head, *rows = (json.loads(line) for line in path.read_text(encoding="utf-8").splitlines())
+    events = []
+    for row in rows:
+        left_out_s = sum(
+            cut["to_s"] - cut["from_s"] for cut in head.get("cut", []) if cut["to_s"] <= row["t"]
+        )
+        way = next(key for key in ("from", "to", "event") if key in row)
+        events.append(Event(row["t"] - left_out_s, way, row[way]))
+    return events
+
+
+def starts(events: list[Event]) -> list[list[Event]]:
+    """What came after each reset, in s from the boot loader's end; bytes in flight at the reset left out."""
+    resets = [k for k, event in enumerate(events) if event.text == "reset line"]
+    return [
+        [
+            Event(event.t_s - events[first].t_s - BOOT_LOADER_S, event.way, event.text)
+            for event in events[first + 1 : last]
+            if event.t_s > events[first].t_s + BOOT_LOADER_S
+        ]
+        for first, last in zip(resets, [*resets[1:], len(events)], strict=True)
+    ]
+
+
+def in_pieces(said: Iterable[tuple[float, str]]) -> list[Event]:
+    """What came in time, as a recording has it: a line, or a part of one before a silence."""
+    pieces: list[Event] = []
+    text, last_s = "", 0.0
+    for at_s, came in said:
+        for character in came:
+            if text and at_s - last_s > SILENCE_S:
+                pieces.append(Event(last_s, "from", text))
+                text = ""
+            text, last_s = text + character, at_s
+            if character == "\n":
+                pieces.append(Event(last_s, "from", text))
+                text = ""
+    return pieces
