@@ -100,6 +100,8 @@ class RigSettings(Strict):
     name: Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[\w.-]+$")]
     limits_deg: tuple[float, float] = (-90.0, 90.0)
     release: ReleasePolicy = "auto"
+    remount_limit_deg: float = Field(default=1.0, gt=0)
+    """How far remounting may turn a unit, where fewer than three repeats tell."""
     stage: StageSettings | None = None
     imu: BoardSettings | None = None
     clamp: ClampSettings | None = None

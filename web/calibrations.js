@@ -36,6 +36,7 @@ export class Calibrations {
     fill(
       this.inForce,
       h("h2", { id: "in-force-title" }, "Calibration in force"),
+      this.#waiting(revisions, current),
       document ? this.#document(document, current) : none(revisions),
     );
     this.revisions.hidden = !revisions.length;
@@ -43,6 +44,20 @@ export class Calibrations {
       this.revisions,
       h("h2", { id: "revisions-title" }, "Revisions"),
       tableBox("Revisions of this unit's calibration", this.#table(revisions)),
+    );
+  }
+
+  /** The newest draft, where something speaks against releasing it and a person has not decided yet. */
+  #waiting([newest], current) {
+    if (newest?.status !== "draft" || !newest.warnings.length) return null;
+    const stays = current ? `Revision ${current.revision} stays in force until then.` : "None is in force until then.";
+    return h(
+      "div",
+      { class: "verdict poor", role: "status", "data-testid": "draft-warnings" },
+      h("p", { class: "headline" }, `Revision ${newest.revision} is a draft: a person decides on its release. ${stays}`),
+      newest.warnings.map((reason) => h("p", {}, reason)),
+      h("p", {}, runLink(newest.run_id, "From run ")),
+      may("releaser") && h("p", { class: "buttons" }, this.#release(newest)),
     );
   }
 
@@ -87,7 +102,7 @@ export class Calibrations {
         h("td", {}, moment(one.issued_at), one.issued_by && ` by ${one.issued_by}`),
         h("td", {}, runLink(one.run_id, "run ")),
         h("td", {}, one.effects.map((name) => name.replaceAll("_", " ")).join(", ") || "–"),
-        h("td", { class: "wrap" }, [one.reason, ...one.stale].filter(Boolean).map((text) => h("p", {}, text))),
+        h("td", { class: "wrap" }, [one.reason, ...one.warnings, ...one.stale].filter(Boolean).map((text) => h("p", {}, text))),
         h("td", { class: "buttons" }, this.#actions(one)),
       ),
     );
@@ -95,18 +110,23 @@ export class Calibrations {
     return h("table", { id: "revisions-table" }, head, h("tbody", {}, rows));
   }
 
-  #actions({ revision, status }) {
-    const path = `${this.path}/calibrations/${revision}`;
-    const action = (verb, text) =>
-      h("button", { type: "button", on: { click: () => ask(verb, revision, text, path) } }, `${verb}…`);
+  #actions(one) {
+    if (!may("releaser")) return [];
+    const withdrawn = "It is kept, struck through, and can never be in force again.";
     return [
-      may("releaser") &&
-        (status === "draft" || status === "superseded") &&
-        action("Release", "It is put in force; the revision in force until now is superseded."),
-      may("releaser") &&
-        status !== "withdrawn" &&
-        action("Withdraw", "It is kept, struck through, and can never be in force again."),
+      (one.status === "draft" || one.status === "superseded") && this.#release(one),
+      one.status !== "withdrawn" && this.#action("Withdraw", one.revision, withdrawn),
     ];
+  }
+
+  #release({ revision, warnings }) {
+    const text = ["It is put in force; the revision in force until now is superseded.", ...warnings].join(" ");
+    return this.#action("Release", revision, text);
+  }
+
+  #action(verb, revision, text) {
+    const path = `${this.path}/calibrations/${revision}`;
+    return h("button", { type: "button", on: { click: () => ask(verb, revision, text, path) } }, `${verb}…`);
   }
 
   #redraft(runId) {

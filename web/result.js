@@ -1,6 +1,6 @@
 // A run's result: the figures with their errors, and beside them whether they are good.
 
-import { h } from "./dom.js";
+import { h, unitHref } from "./dom.js";
 import { NOT_KNOWN, isKnown, plusMinus, range, significant } from "./format.js";
 
 // By the answer to the limits; without any, by what is left.
@@ -9,6 +9,7 @@ const COLOURS = {
   conditional_pass: "fair",
   conditional_fail: "fair",
   fail: "poor",
+  undecided: "fair",
   noise: "good",
   more_than_noise: "poor",
 };
@@ -24,8 +25,8 @@ export function noResultAbout(axis) {
 /** The card's content for a run that has a result. */
 export function resultCard(run) {
   const counts = run.status === "completed" && !run.voided;
-  const { answer, left } = run.verdict;
-  const judged = run.faults.move_mismatch ? "fail" : answer === "no_limits" ? left : answer;
+  const { answer, left, reliable } = run.verdict;
+  const judged = reliable === false ? "fail" : answer === "no_limits" ? left : answer;
   const colour = (counts && COLOURS[judged]) || "unknown";
   const [headline, ...sentences] = [...reservation(run), ...run.verdict.says];
   return [
@@ -44,6 +45,7 @@ export function resultCard(run) {
         h("h3", {}, "Verdict"),
         h("p", { class: "headline" }, headline),
         sentences.map((sentence) => h("p", {}, sentence)),
+        reliable === false && counts && h("p", {}, h("a", { href: unitHref(run.unit) }, "Drafts of this unit")),
       ),
     ),
   ];

@@ -11,6 +11,7 @@ const CHOICES = {
     ["conditional_pass", "conditional pass"],
     ["conditional_fail", "conditional fail"],
     ["fail", "fail"],
+    ["undecided", "undecided"],
     ["no_limits", "no limits"],
     ["noise", "only noise left"],
     ["more_than_noise", "more than noise left"],

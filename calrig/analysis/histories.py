@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
+from itertools import compress, pairwise
 
 import numpy as np
 
@@ -104,6 +104,56 @@ def histories(store: Store, serials: Sequence[str] | None = None) -> Histories:
         serials: those of interest, told whole beside the `POOLED` latest runs of all; None for all of all.
     """
     rows = store.comparison(serials, latest=POOLED)
+    units, day, figures = _arrays(store, rows)
+    packed = tuple(
+        _Packed(*(np.ascontiguousarray(getattr(runs, name)).tobytes() for name in Runs.__slots__))
+        for runs in figures
+    )
+    return Histories(rows, units, day, figures, _changes(packed))
+
+
+def change_between(store: Store, before: ComparisonRow, now: ComparisonRow) -> tuple[Changes, int]:
+    """Test a unit's new run against the one that its calibration in force is of, as `histories` tests runs.
+
+    How units repeat is known by the other runs alone: the new one does not judge itself. Where another unit
+    was on the rig since, the unit was remounted, and only runs after a remounting tell what that adds.
+
+    Args:
+        store: has all other runs, and perhaps these two.
+        before: the run in force.
+        now: the new run of the same unit.
+
+    Returns:
+        The changes between all runs, without the unit's own after `before`; and the place of this pair.
+    """
+    rows = [row for row in store.comparison([now.unit], latest=POOLED) if row.run_id != now.run_id]
+    known = list({row.run_id: row for row in [*rows, before, now]}.values())
+    since = (row.unit == now.unit and row.finished_at > before.finished_at for row in known)
+    is_remounted = any(compress(_remounted(known), since))
+    repeats = list(compress(rows, _remounted(rows))) if is_remounted else rows
+    pooled = changes(_arrays(store, repeats)[2]).pooled
+    own = [row for row in rows if row.unit == now.unit and row.run_id != before.run_id]
+    own = [row for row in own if row.finished_at < before.finished_at]
+    others = [row for row in rows if row.unit != now.unit]
+    rows = [*own, before, now, *others]
+    return changes(_arrays(store, rows)[2], pooled), len(own)
+
+
+def _remounted(rows: Sequence[ComparisonRow]) -> list[bool]:
+    """Return of each run whether its unit was certainly mounted since its run before, if it had any."""
+    by_rig: dict[str | None, str] = {}
+    by_unit: dict[str, str | None] = {}
+    found = [True] * len(rows)
+    for place in sorted(range(len(rows)), key=lambda place: rows[place].finished_at):
+        row = rows[place]
+        stayed = row.unit in by_unit and by_unit[row.unit] == row.rig and by_rig[row.rig] == row.unit
+        found[place] = not stayed
+        by_rig[row.rig], by_unit[row.unit] = row.unit, row.rig
+    return found
+
+
+def _arrays(store: Store, rows: list[ComparisonRow]) -> tuple[list[str], FloatArray, tuple[Runs, Runs]]:
+    """Serials of the units, (N,) days and the figures of runs that come by unit, the oldest first."""
     serials = list(dict.fromkeys(row.unit for row in rows))
     rigs = {name: place for place, name in enumerate(dict.fromkeys(row.rig for row in rows))}
     unit = np.repeat(np.arange(len(serials)), _counts(rows)) if rows else np.empty(0, dtype=np.intp)
@@ -115,11 +165,7 @@ def histories(store: Store, serials: Sequence[str] | None = None) -> Histories:
         Runs(unit, rig, day_of_rig, _column(rows, name), _column(rows, std), stage[:, place])
         for place, (name, std) in enumerate(FIGURES)
     )
-    packed = tuple(
-        _Packed(*(np.ascontiguousarray(getattr(runs, name)).tobytes() for name in Runs.__slots__))
-        for runs in figures
-    )
-    return Histories(rows, serials, day, (figures[0], figures[1]), _changes(packed))
+    return serials, day, (figures[0], figures[1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,6 +208,8 @@ def _stage_variances(store: Store, rows: list[ComparisonRow], unit: IntArray, ri
     places = np.unique(np.concatenate([first[moved], second[moved]]))
     known = store.reference_figures([rows[place].run_id for place in places])
     for place in places:
-        bias, scale = known.get(rows[place].run_id, (0.0, None))
+        own = rows[place].result.get("reference") or {}  # of a run that is not stored yet
+        unstored = own.get("bias_std_deg", 0.0), own.get("scale_std")
+        bias, scale = known.get(rows[place].run_id, unstored)
         found[place] = bias**2, (scale or 0.0) ** 2
     return found

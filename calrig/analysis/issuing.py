@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
 from calrig.analysis.basis import basis_of, changed_since, chosen_effects, why_none, why_not_now
-from calrig.analysis.errors import Conflict
+from calrig.analysis.errors import Conflict, Invalid
 from calrig.analysis.imported import Imported
+from calrig.analysis.known_calibration import Candidate, doubts_about, solution_doubts
 from calrig.analysis.results import ending_of, fitted, gyro_of, reference_over
 from calrig.analysis.solved_drafts import solution_changes, solved_content, solved_run, solved_verdict
 from calrig.analysis.stored_runs import checked_reason, stored_run
 from calrig.calibration.conformity import limit_for
+from calrig.calibration.doubts import REMOUNT_LIMIT_DEG, Doubt, to_dicts
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import Result
-from calrig.calibration.verdict import verdict
+from calrig.calibration.verdict import Verdict, verdict
 from calrig.export.calibration_json import calibration_content
 from calrig.settings import ReleasePolicy, RigSettings
 from calrig.store import AcceptedEffect, Run, Store
@@ -28,20 +30,37 @@ BROUGHT_OVER = "in force when this store began to issue revisions"
 
 @dataclass(frozen=True, slots=True)
 class Releases:
-    """Who puts drafts in force: a rig's own `release`; of imports, the one of the first rig configured."""
+    """Who puts drafts in force: a rig's own `release`; of imports, the one of the first rig configured.
+
+    Attributes:
+        of_rig: the policy of each rig.
+        default: of imports.
+        remount_limits_deg: how far remounting may turn a unit on each rig; of others, the usual limit.
+    """
 
     of_rig: dict[str, ReleasePolicy]
     default: ReleasePolicy = "auto"
+    remount_limits_deg: dict[str, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, rigs: Sequence[RigSettings]) -> Releases:
         """As configured; `auto` where nothing is."""
-        return cls({rig.name: rig.release for rig in rigs}, rigs[0].release if rigs else "auto")
+        return cls(
+            {rig.name: rig.release for rig in rigs},
+            rigs[0].release if rigs else "auto",
+            {rig.name: rig.remount_limit_deg for rig in rigs},
+        )
 
-    def puts_in_force(self, rig: str | None, answer: str) -> bool:
-        """Whether a draft with this answer to its limits is in force as soon as it is made."""
+    def puts_in_force(self, rig: str | None, judged: Verdict) -> bool:
+        """Whether a draft with this verdict is in force as soon as it is made; never one that is in doubt."""
         policy = self.of_rig.get(rig or "", self.default)
-        return answer != "fail" if policy == "auto" else policy == "pass" and answer == "pass"
+        if not judged.reliable:
+            return False
+        return judged.answer != "fail" if policy == "auto" else policy == "pass" and judged.answer == "pass"
+
+    def remount_limit_deg(self, rig: str | None) -> float:
+        """How far remounting may turn a unit on a rig."""
+        return self.remount_limits_deg.get(rig or "", REMOUNT_LIMIT_DEG)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +72,20 @@ class Fitted:
     accepted: Sequence[AcceptedEffect]
     excluded: Sequence[int] = ()
     chosen: Sequence[str] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class JudgedContent:
+    """What a revision would say, why it would not be released by itself, and its verdict."""
+
+    content: Document
+    doubts: Sequence[Doubt]
+    verdict: Verdict
+
+    def draft(self, basis: Document, *, releases: bool, by: str | None, reason: str | None = None) -> Draft:
+        """The draft of it."""
+        doubts = to_dicts(self.doubts)
+        return Draft(self.content, basis, self.verdict.to_dict(), releases, by, reason, doubts)
 
 
 class Issuer:
@@ -73,12 +106,13 @@ class Issuer:
 
     def importing(self, imported: Imported, *, by: str | None) -> Draft | None:
         """What poses make as they are imported; None where they are not about x, or leave the scale open."""
-        if imported.content is None or imported.result is None:
+        content, result = imported.content, imported.result
+        if content is None or result is None:
             return None
-        limit = limit_for(self._store.limits(), imported.content["unit"], imported.content["rig"])
-        judged = verdict(imported.result, limit=limit, calibration=imported.content)
-        releases = self._releases.puts_in_force(None, judged.answer)
-        return Draft(imported.content, basis_of(imported.accepted, (), None), judged.to_dict(), releases, by)
+        judged = self._judged(Candidate(content["unit"], content["rig"]), result, content)
+        releases = self._releases.puts_in_force(None, judged.verdict)
+        basis = basis_of(imported.accepted, (), None)
+        return judged.draft(basis, releases=releases, by=by)
 
     def draft(
         self,
@@ -120,10 +154,13 @@ class Issuer:
         solution = self._store.solution(solution_id)
         run = solved_run(self._store, unit, solution)
         content, poses = solved_content(self._store, unit, solution), self._store.poses(run.id)
-        judged = solved_verdict(self._store, content, run, solution, poses)
+        runs = [stored_run(self._store, one) for one in solution.found.basis.runs]
+        doubts = solution_doubts(self._store, [one for one in runs if one.unit == unit], content)
+        content = _with_warnings(content, doubts)
+        judged = solved_verdict(self._store, content, run, solution, poses, doubts)
         excluded = self._store.excluded_poses(run.id)
         basis = {**basis_of((), excluded, []), "solution": solution.id}
-        releases = self._releases.puts_in_force(run.rig, judged.answer)
+        releases = self._releases.puts_in_force(run.rig, judged)
         return self._store.issue(run.id, Draft(content, basis, judged.to_dict(), releases, by, reason))
 
     def redraft(self, changed: Run, *, by: str | None, reason: str) -> Revision | None:
@@ -157,8 +194,11 @@ class Issuer:
         Raises:
             Refused: it is in force, or was withdrawn.
             Conflict: its run has been voided.
+            Invalid: its document has warnings, and there is no reason.
         """
         found = self._store.revision(unit, number)
+        if found is not None and found.warnings and not (reason or "").strip():
+            raise Invalid(f"revision {number} has warnings: a reason is needed to release it", ["reason"])
         if found is not None and (voided := stored_run(self._store, found.run_id).voided):
             raise Conflict(f"run {found.run_id} of revision {number} is voided ({voided['reason']})")
         return self._store.release(unit, number, by, None if reason is None else checked_reason(reason))
@@ -184,6 +224,7 @@ class Issuer:
                 "reason": one.reason,
                 "sha256": one.sha256,
                 "verdict": one.verdict,
+                "warnings": one.warnings,
                 "stale": reasons,
             }
             for one, reasons in zip(revisions, self._stale(revisions), strict=True)
@@ -237,18 +278,29 @@ class Issuer:
             ),
             provenance=run.provenance,
         )
-        mismatches = run.faults.get("move_mismatch", 0)
+        judged = self._judged(Candidate.of(run), fit.result.to_dict(), content, run.diagnosis)
+        if releases is None:
+            releases = self._releases.puts_in_force(run.rig, judged.verdict)
+        basis = basis_of(fit.accepted, fit.excluded, fit.chosen)
+        return judged.draft(basis, releases=releases, by=by, reason=reason)
+
+    def _judged(
+        self, new: Candidate, result: Document, content: Document, diagnosis: Document | None = None
+    ) -> JudgedContent:
+        """What a run would give its unit, with its doubts and its verdict."""
+        remount_limit_deg = self._releases.remount_limit_deg(new.rig)
+        doubts = doubts_about(self._store, new, result, content, remount_limit_deg)
         judged = verdict(
-            fit.result.to_dict(),
-            run.diagnosis,
-            move_mismatches=mismatches,
-            limit=limit_for(self._store.limits(), run.unit, run.rig),
+            {**result, "doubts": to_dicts(doubts)},
+            diagnosis,
+            limit=limit_for(self._store.limits(), new.unit, new.rig),
             calibration=content,
         )
-        if releases is None:
-            releases = self._releases.puts_in_force(run.rig, judged.answer)
-        basis = basis_of(fit.accepted, fit.excluded, fit.chosen)
-        return Draft(content, basis, judged.to_dict(), releases, by, reason)
+        return JudgedContent(_with_warnings(content, doubts), doubts, judged)
+
+
+def _with_warnings(content: Document, doubts: Sequence[Doubt]) -> Document:
+    return {**content, "warnings": [one.says for one in doubts]}
 
 
 class NoDrafts(Issuer):
@@ -277,6 +329,7 @@ def issued_since(store: Store, since: datetime | None) -> list[Document]:
             "sha256": entry.act.detail["sha256"],
             "by": entry.act.who,
             "reason": entry.act.reason,
+            "warnings": entry.act.detail.get("warnings", []),
         }
         for entry in store.trail(what=("drafted", "released", "withdrawn"), since=since, limit=EVERY_ENTRY)
     ]

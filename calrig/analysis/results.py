@@ -91,7 +91,9 @@ def refitted(store: Store, run: Run, poses: Sequence[Pose]) -> Document:
     What it says of the gyro stays: that is from samples, which may have been pruned.
     """
     accepted = store.effects_in_force(run.unit, run.rig)
-    return fitted(poses, accepted, run.provenance, gyro_of(run), ending_of(run)).to_dict()
+    result = fitted(poses, accepted, run.provenance, gyro_of(run), ending_of(run)).to_dict()
+    doubts = (run.result or {}).get("doubts")  # until the next draft says
+    return result if doubts is None else {**result, "doubts": doubts}
 
 
 def gyro_of(run: Run) -> GyroFigures | None:

@@ -14,6 +14,7 @@ from calrig.analysis.results import gyro_of
 from calrig.analysis.stored_runs import stored_run
 from calrig.calibration.conformity import limit_for
 from calrig.calibration.correction import numbers_of
+from calrig.calibration.doubts import Doubt, to_dicts
 from calrig.calibration.effect import ApplyError
 from calrig.calibration.pose import MOUNT_DEG, Pose, of_first_mount
 from calrig.calibration.reference_figures import ReferenceFigures
@@ -122,7 +123,12 @@ def solved_content(store: Store, unit: str, solution: StoredSolution) -> Documen
 
 
 def solved_verdict(
-    store: Store, content: Document, run: Run, solution: StoredSolution, poses: Sequence[StoredPose]
+    store: Store,
+    content: Document,
+    run: Run,
+    solution: StoredSolution,
+    poses: Sequence[StoredPose],
+    doubts: Sequence[Doubt],
 ) -> Verdict:
     """The solution held against the limits, by what it leaves of the poses of its run.
 
@@ -142,8 +148,7 @@ def solved_verdict(
     except ApplyError as error:
         raise Conflict(f"run {run.id}: {error}") from error
     return verdict(
-        _as_one_calibration(result.to_dict()),
-        move_mismatches=run.faults.get("move_mismatch", 0),
+        {**_as_one_calibration(result.to_dict()), "doubts": to_dicts(doubts)},
         limit=limit_for(store.limits(), content["unit"], content["rig"]),
         calibration=content,
     )

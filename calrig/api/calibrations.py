@@ -89,6 +89,10 @@ class CalibrationAnswer(Answer):
     uncertainty: UncertaintyAnswer
     temperature_c: Extremes | None
     provenance: dict[str, Any]
+    warnings: list[str] = Field(
+        default=[],
+        description="Why the verdict was not reliable when it was made; documents of before lack it.",
+    )
 
 
 class RevisionAnswer(Answer):
@@ -103,6 +107,7 @@ class RevisionAnswer(Answer):
     reason: str | None
     sha256: str
     verdict: Verdict
+    warnings: list[str] = Field(description="Why it was not released by itself; a reason is needed to do so.")
     stale: list[str]
 
 
@@ -117,6 +122,7 @@ class IssuedAnswer(Answer):
     sha256: str
     by: str | None
     reason: str | None
+    warnings: list[str] = Field(description="Those of the revision.")
 
 
 class NewDraft(Body):
@@ -201,7 +207,10 @@ def list_revisions(unit: KnownUnit, context: Context) -> object:
 def release(
     unit: KnownUnit, revision: Number, context: Context, who: Who, body: ReasonIfAny | None = None
 ) -> object:
-    """A draft, or a superseded one again; the one in force until now is superseded."""
+    """A draft, or a superseded one again; the one in force until now is superseded.
+
+    422 without a reason, where the revision has warnings.
+    """
     reason = None if body is None else body.reason
     released = context.issuer.release(unit.serial, revision, by=who, reason=reason)
     return context.issuer.listed([released])[0]

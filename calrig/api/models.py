@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from calrig.calibration.doubts import Doubt
 from calrig.calibration.over_range import OverRange
 from calrig.calibration.verdict import Verdict
 from calrig.plan import Plan
@@ -187,6 +188,7 @@ class ResultAnswer(LineAnswer):
     reference: ReferenceAnswer | None = None  # of runs stored before it was computed: null
     over_range: OverRange | None = None  # likewise
     stopped_by: Literal["plan", "until"] = "plan"
+    doubts: list[Doubt] = []
     reference_says: str | None = Field(
         None, description="Why the stage's map was not used, or what errors are relative to."
     )

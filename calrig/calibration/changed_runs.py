@@ -102,7 +102,7 @@ class Changes:
         return self.figures[0].first
 
 
-def changes(figures: tuple[Runs, ...]) -> Changes:
+def changes(figures: tuple[Runs, ...], known: tuple[Repeatability | None, ...] | None = None) -> Changes:
     """Which units changed between which runs.
 
     A pair's p-value is the least of its figures, times their number; a unit's the least of its pairs, times
@@ -111,12 +111,14 @@ def changes(figures: tuple[Runs, ...]) -> Changes:
 
     Args:
         figures: the same runs in one figure after the other.
+        known: how each figure repeats, by other runs; estimated from these without it.
     """
     first, second = pairs(figures[0].unit)
     apart = np.zeros(len(first), dtype=bool)
-    for runs in figures:
-        apart |= _standing_out(runs, first, second)
-    pooled = tuple(repeatability(runs, second[apart]) for runs in figures)
+    if known is None:
+        for runs in figures:
+            apart |= _standing_out(runs, first, second)
+    pooled = known or tuple(repeatability(runs, second[apart]) for runs in figures)
     found = tuple(differences(*both) for both in zip(figures, pooled, strict=True))
     p_value = _least(np.array([one.p_value for one in found]), axis=0)
     unit = figures[0].unit[first] if len(first) else np.empty(0, dtype=np.intp)

@@ -2,7 +2,8 @@
 
 The simple rule takes the measured figure for the true one: of units at their limit, half are wrongly
 accepted. The guarded rule keeps them away from the limit L by w = guard·U, and has four answers (ILAC-G8,
-4.2.3): pass ≤ L − w < conditional pass ≤ L < conditional fail ≤ L + w < fail.
+4.2.3): pass ≤ L − w < conditional pass ≤ L < conditional fail ≤ L + w < fail. What lies within its limit
+and has no known uncertainty is undecided.
 """
 
 from __future__ import annotations
@@ -19,9 +20,9 @@ from calrig.calibration.uncertainty import Reference, reference_part
 from calrig.calibration.wording import deg, significant
 from calrig.estimation.angles import FloatArray
 
-Answer = Literal["pass", "conditional_pass", "conditional_fail", "fail"]
-ANSWERS: tuple[Answer, ...] = ("pass", "conditional_pass", "conditional_fail", "fail")
-"""From the best to the worst."""
+Answer = Literal["pass", "conditional_pass", "conditional_fail", "fail", "undecided"]
+ANSWERS: tuple[Answer, ...] = ("pass", "conditional_pass", "conditional_fail", "undecided", "fail")
+"""In the order in which the later one decides over the earlier ones, of several figures."""
 Interval = tuple[float, float]
 
 
@@ -90,9 +91,9 @@ def decide(limit: Limit, beyond: float, expanded: float | None, *, known: bool =
     if limit.rule == "simple":
         if not within:
             return "fail"
-        return "pass" if known and expanded is not None else "conditional_pass"
+        return "pass" if known and expanded is not None else "undecided"
     if expanded is None or not known:
-        return "conditional_pass" if within else "conditional_fail"
+        return "undecided" if within else "conditional_fail"
     width = limit.guard * expanded
     if within:
         return "pass" if beyond <= -width else "conditional_pass"
@@ -100,7 +101,7 @@ def decide(limit: Limit, beyond: float, expanded: float | None, *, known: bool =
 
 
 def worst(answers: Sequence[Answer]) -> Answer:
-    """The answer to all of them together."""
+    """The answer to all of them together, by the order of `ANSWERS`."""
     return max(answers, key=ANSWERS.index)
 
 

@@ -23,6 +23,7 @@ IN_WORDS: dict[Answer, str] = {
     "conditional_pass": "Conditional pass",
     "conditional_fail": "Conditional fail",
     "fail": "Fail",
+    "undecided": "Undecided",
 }
 
 
@@ -130,7 +131,7 @@ def held_against(
         limit: that matches the unit.
         result: CONTRACT section 2's, with `over_range`.
         calibration: CONTRACT section 6's, of the same poses; its figures go before those of the result.
-        relied_on: False where something says that the poses do not belong together.
+        relied_on: False where there is a doubt about the result: it is undecided then, unless it fails.
     """
     measured = measured_of(result, calibration)
     if measured is None:
@@ -155,7 +156,7 @@ def held_against(
 
 def without_figures(result: Document) -> Answer:
     """The answer where no error over the range was kept, or there is none."""
-    return "fail" if result["rms_calibrated_deg"] is None else "conditional_pass"
+    return "fail" if result["rms_calibrated_deg"] is None else "undecided"
 
 
 def _nothing_to_hold(limit: Limit, result: Document) -> LimitVerdict:
@@ -164,7 +165,7 @@ def _nothing_to_hold(limit: Limit, result: Document) -> LimitVerdict:
     if answer == "fail":
         return LimitVerdict(answer, (f"Fail {against}: the reading does not follow the stage.",), 0.0, None)
     says = (
-        f"Conditional pass {against}: not decided.",
+        f"Undecided {against}.",
         "An earlier version of calrig computed this result, and did not keep what limits ask about.",
     )
     return LimitVerdict(answer, says, None, None)

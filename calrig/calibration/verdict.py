@@ -9,14 +9,13 @@ from typing import Any, Literal
 
 from calrig.calibration.conformity import Answer, Limit
 from calrig.calibration.diagnosis_verdict import ELSEWHERE, between_runs, not_repeated_better
+from calrig.calibration.doubts import STAYS_A_DRAFT, doubts_of
 from calrig.calibration.limit_verdict import held_against, measured_of, without_figures
 from calrig.calibration.noise_bound import CONFIDENCE, upper_limit
 from calrig.calibration.verdict_figures import FIGURES, Left, VerdictFigures
 from calrig.calibration.wording import deg
 
 FEW_POSES = 6
-CLAMPED_DEG = 10.0
-"""More than a unit's own bias, and care in clamping: an MPU-6050's 80 mg of zero-g output are 4.6°."""
 WORTH_APPLYING = 3.0
 """Standard errors by which a scale must differ from 1 before it is worth applying."""
 
@@ -36,6 +35,8 @@ class Verdict:
         probability_of_conformity: that what the limit asks holds of the true figures; None without a limit,
             and where it is not known.
         probability_of_false_accept: of a pass, that it is wrong.
+        reliable: False where a person must look before anything is released; None in verdicts that were
+            issued before there was this word.
     """
 
     answer: Answer | Literal["no_limits"]
@@ -45,6 +46,7 @@ class Verdict:
     limit: str | None
     probability_of_conformity: float | None = None
     probability_of_false_accept: float | None = None
+    reliable: bool | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The verdict ready for JSON."""
@@ -71,19 +73,20 @@ def verdict(
         result: CONTRACT section 2's, bias and scale (and accepted effects) with what they leave.
         diagnosis: the run's last one, CONTRACT section 5; None before.
         verification: a calibration made earlier was applied; nothing was fitted to these poses.
-        move_mismatches: of the run's moves, how many the unit felt otherwise than the stage reported.
+        move_mismatches: of the run's moves, how many the unit felt otherwise than the stage reported; counts
+            where the result keeps no `doubts`.
         limit: that matches the unit; None where none does.
         calibration: the document made of these poses, CONTRACT section 6; its figures are what the limit is
             held against, where there is one.
     """
     ratio, bound, freedom = _over_noise(result, diagnosis, verification=verification)
     left = _left(ratio, bound)
-    held = None if limit is None else held_against(limit, result, calibration, relied_on=not move_mismatches)
+    doubts = doubts_of(result, move_mismatches=move_mismatches, verification=verification)
+    held = None if limit is None else held_against(limit, result, calibration, relied_on=not doubts)
     says = [
-        *_mismatched(move_mismatches),
-        *([result["lost_says"]] if result.get("lost_says") else []),
+        *(one.says for one in doubts),
+        *([STAYS_A_DRAFT] if doubts and not verification else []),
         *(() if held is None else held.says),
-        *([] if verification else _clamped(result)),
         *_left_in_words(left, ratio, bound, freedom, alone=held is None),
         _before_and_after(result, verification=verification),
         *_of_the_stage(result, freedom, left),
@@ -94,7 +97,7 @@ def verdict(
     if result["n_poses"] < FEW_POSES:
         says.append(f"It rests on only {_poses(result['n_poses'])}.")
     if limit is None or held is None:
-        return Verdict(answer="no_limits", left=left, ratio=ratio, says=tuple(says), limit=None)
+        return Verdict("no_limits", left, ratio, tuple(says), limit=None, reliable=not doubts)
     return Verdict(
         answer=held.answer,
         left=left,
@@ -103,6 +106,7 @@ def verdict(
         limit=limit.name,
         probability_of_conformity=held.probability_of_conformity,
         probability_of_false_accept=held.probability_of_false_accept,
+        reliable=not doubts,
     )
 
 
@@ -112,10 +116,11 @@ def verdict_figures(
     """What `answer` and `left` of a run's verdict follow from, of the same arguments."""
     ratio, bound, _ = _over_noise(result, diagnosis, verification=verification)
     left, measured = _left(ratio, bound), measured_of(result)
+    relied_on = not doubts_of(result, move_mismatches=move_mismatches, verification=verification)
     if measured is None:
-        return VerdictFigures(left, without_figures(result), relied_on=not move_mismatches)
+        return VerdictFigures(left, without_figures(result), relied_on=relied_on)
     kept = {name: getattr(measured, name) for name in FIGURES}
-    return VerdictFigures(left, None, relied_on=not move_mismatches, **kept)
+    return VerdictFigures(left, None, relied_on=relied_on, **kept)
 
 
 def _over_noise(
@@ -173,16 +178,6 @@ def _left_in_words(
         noise if left == "noise" else "More than noise is left.",
         f"The residual RMS is {ratio:.2f} times what noise alone predicts; noise alone stays under "
         f"{bound:.2f} in {100 * CONFIDENCE:.0f} % of runs ({freedom} degrees of freedom).",
-    ]
-
-
-def _mismatched(count: int) -> list[str]:
-    if not count:
-        return []
-    return [
-        f"Not to be relied on: in {count} move{'' if count == 1 else 's'} the unit felt another turn than "
-        "the stage reported; it may have lost steps or slipped there, and poses before and after do not "
-        "belong together."
     ]
 
 
@@ -255,16 +250,6 @@ def _scale(result: Document) -> list[str]:
     if distance > WORTH_APPLYING * math.hypot(std, of_stage):
         return [f"{words}."]
     return [f"{words}, but no more than the stage's own uncertainty allows."]
-
-
-def _clamped(result: Document) -> list[str]:
-    bias_deg = result["bias_deg"]
-    if abs(bias_deg) <= CLAMPED_DEG:
-        return []
-    return [
-        f"The unit reads {bias_deg:+.0f}° where the stage stands at 0°: it is clamped at another angle than "
-        "the plan says, or the stage's zero is another one."
-    ]
 
 
 def _scale_as_applied(result: Document) -> tuple[float | None, float | None]:

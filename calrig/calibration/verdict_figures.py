@@ -75,13 +75,11 @@ def decisions(limit: Limit, figures: Figures) -> dict[str, Decided | None]:
 
 
 def taken_together(found: Iterable[Decided | None], *, relied_on: bool) -> Answer:
-    """The answer to all that a limit asks: what cannot be decided, or relied on, is never passed."""
-    all_of_them = list(found)
-    decided = [one.answer for one in all_of_them if one is not None]
-    answer = worst(decided or ["conditional_pass"])
-    if answer == "pass" and (len(decided) < len(all_of_them) or not relied_on):
-        return "conditional_pass"
-    return answer
+    """Return the answer to all that a limit asks: undecided where a part is, unless another part fails."""
+    answers: list[Answer] = ["undecided" if one is None else one.answer for one in found]
+    if not (answers and relied_on):
+        answers.append("undecided")
+    return worst(answers)
 
 
 def _at_most(
@@ -106,7 +104,7 @@ class VerdictFigures:
     Attributes:
         left: as `calrig.calibration.verdict.Verdict` has it.
         without: the answer to any limit, where there are no figures to hold against it; else None.
-        relied_on: False where something says that the poses do not belong together.
+        relied_on: False where there is a doubt about the result (`calrig.calibration.doubts`).
         largest_error_deg: and all others as of `Figures`.
     """
 

@@ -90,9 +90,10 @@ class Result(Document):
 class Verdict(Document):
     """The answer to the limits that match, what is left, and sentences that say it."""
 
-    answer: Literal["pass", "conditional_pass", "conditional_fail", "fail", "no_limits"]
+    answer: Literal["pass", "conditional_pass", "conditional_fail", "fail", "undecided", "no_limits"]
     left: str | None
     says: list[str]
+    reliable: bool | None = None
 
 
 class RunRecord(Document):

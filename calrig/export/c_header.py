@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import textwrap
 import zlib
 from collections.abc import Mapping
 from typing import Any
@@ -27,6 +28,7 @@ BEYOND_C = (40.0, 20.0, 10.0, 0.0)
 """Beyond the temperatures of the calibration, the first of these at which the correction can be taken out."""
 STEP_DEG = 0.5
 LONGEST_LINE = 160
+LONGEST_WARNING = 100
 Effects = list[tuple[str, Parameters]]
 Terms = list[str | VectorInC]
 
@@ -203,6 +205,8 @@ def _comment(
         f"range {low:.6g} to {high:.6g} deg; expanded uncertainty {worth}",
         f"effects: {', '.join(effects) or 'none'}",
     ]
+    for one in document.get("warnings") or ():
+        lines += textwrap.wrap(f"WARNING: {_in_ascii(one)}", LONGEST_WARNING)
     if left_out:
         lines.append(f"accepted, but not of this unit at rest: {', '.join(left_out)}")
     if any(effect_of(name).covariate is TEMPERATURE for name in effects):
@@ -210,6 +214,12 @@ def _comment(
         lines.append(f"for temperatures from {coldest:.4g} to {warmest:.4g} degrees Celsius")
         lines.append("where no thermometer is read, pass the reference temperature of the effects")
     return ["/*", *(f" * {_harmless(line)}" for line in lines), " */"]
+
+
+def _in_ascii(text: str) -> str:
+    for sign, instead in (("°", " deg"), ("−", "-"), ("±", "+-")):
+        text = text.replace(sign, instead)
+    return text
 
 
 def _harmless(text: str) -> str:

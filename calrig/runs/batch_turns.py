@@ -77,7 +77,7 @@ def settled(turns: Sequence[Turn], runs: Mapping[str, Run], rigs: Sequence[str],
 def word_of(run: Run) -> Word | None:
     """What a run came to, in one word; None where it has not ended or nothing was measured.
 
-    A conditional pass is no more than `done`: its limit may be undecided.
+    A conditional pass is no more than `done`, nor is what is undecided.
     """
     if run.status == "failed" and run.progress["poses_done"]:
         return "fail"

@@ -12,6 +12,9 @@ from calrig.runs.look import Look
 from calrig.runs.rig_states import RigState
 from calrig.settings import BoardSettings, RigSettings, StageSettings
 
+TOLD = ("limits_deg", "release", "remount_limit_deg", "reference", "filter")
+"""Settings that a bench tells its centre."""
+
 
 def said_of(state: RigState, settings: RigSettings, seen: Look | None) -> dict[str, Any]:
     """What a bench says of one of its rigs, an entry of `bench.said["rigs"]`; ports are its own affair."""
@@ -23,7 +26,7 @@ def said_of(state: RigState, settings: RigSettings, seen: Look | None) -> dict[s
         "state": state.state,
         "run_id": state.run_id,
         "seen": None if seen is None else asdict(seen),
-        **settings.model_dump(mode="json", include={"limits_deg", "release", "reference", "filter"}),
+        **settings.model_dump(mode="json", include=set(TOLD)),
     }
 
 
@@ -38,7 +41,7 @@ def settings_of(said: dict[str, Any]) -> RigSettings:
         stage=StageSettings(driver=said.get("stage") or "", port=""),
         imu=BoardSettings(driver=said.get("imu") or "", port=""),
         simulated={} if said.get("simulated") else None,
-        **{key: said[key] for key in ("limits_deg", "release", "reference", "filter") if key in said},
+        **{key: said[key] for key in TOLD if key in said},
     )
 
 

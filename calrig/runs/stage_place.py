@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 
 from calrig.analysis.errors import Conflict, Invalid, NotTheSame
+from calrig.analysis.known_calibration import known_calibration
 from calrig.estimation.angles import wrap_deg
 from calrig.instruments.axis import Axis
 from calrig.instruments.errors import InstrumentError, StageError
@@ -130,12 +131,12 @@ class StagePlace:
             self.leaves()
 
     def _expected_deg(self, stage_deg: float, mount: Mount) -> float:
-        """What the unit reads there by its last calibration on this rig; the elevation, where it has none."""
+        """What the unit reads there by its calibration in force; the elevation, if none is of this rig."""
         theta_deg = wrap_deg(mount.felt_at(stage_deg))
-        run = self._store.latest_calibration_run(self._unit)
-        if run is None or run.result is None or run.rig != self._rig.name or mount.axis != "x":
+        known = known_calibration(self._store, self._unit)
+        if known is None or known.run.rig != self._rig.name or mount.axis != "x":
             return theta_deg
-        return float(run.result["bias_deg"] + run.result["scale"] * theta_deg)
+        return float(known.result["bias_deg"] + known.result["scale"] * theta_deg)
 
 
 def resumed_by(run_id: str) -> str:

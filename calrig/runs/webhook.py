@@ -39,6 +39,7 @@ TAKEN = timedelta(seconds=60)
 LOOK_S = 1.0
 CLOSE_S = 1.0
 """How long a try under way is waited for at the end: it is made again, and told by `Calrig-Delivery`."""
+VERDICT = ("answer", "reliable", "says")
 RESULT = ("bias_deg", "scale", "rms_raw_deg", "rms_calibrated_deg", "rms_with_effects_deg", "n_poses")
 SIGNATURE = "Calrig-Signature"
 SHORTEST_SECRET = 16
@@ -229,7 +230,7 @@ def document(run: Run) -> Document:
         "status": run.status,
         "error": run.error,
         "operator": run.operator,
-        "verdict": None if verdict is None else {"answer": verdict.answer, "says": list(verdict.says)},
+        "verdict": None if verdict is None else {name: verdict.to_dict()[name] for name in VERDICT},
         "result": None if result is None else {name: result.get(name) for name in RESULT},
         "finished_at": None if run.finished_at is None else run.finished_at.isoformat(),
     }

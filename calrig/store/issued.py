@@ -33,6 +33,8 @@ class Draft:
         verdict: CONTRACT section 2's, as it was when it was made.
         releases: whether it is put in force as it is made.
         by: who made it; None where nobody is known by name.
+        doubts: why it is not released by itself (`calrig.calibration.doubts`), kept with the run's result as
+            well; None where they are not about the run's own result.
     """
 
     content: Document
@@ -41,6 +43,7 @@ class Draft:
     releases: bool
     by: str | None = None
     reason: str | None = None
+    doubts: list[Document] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +66,11 @@ class Revision:
     def document(self) -> Document:
         """CONTRACT section 6."""
         return cast(Document, json.loads(self.text))
+
+    @property
+    def warnings(self) -> list[str]:
+        """Why it was not released by itself; documents of before say nothing of it."""
+        return list(self.document.get("warnings") or ())
 
 
 def issue(session: Session, run: RunTable, draft: Draft) -> IssuedCalibrationTable:
@@ -93,6 +101,8 @@ def issue(session: Session, run: RunTable, draft: Draft) -> IssuedCalibrationTab
         reason=draft.reason,
     )
     session.add(row)
+    if draft.doubts is not None and run.result is not None:
+        run.result = {**run.result, "doubts": draft.doubts}
     session.flush()
     _note(session, "drafted", row, draft.by, draft.reason, now)
     if draft.releases:
@@ -201,8 +211,10 @@ def _note(
     now: datetime,
     detail: Document | None = None,
 ) -> None:
-    said = {"sha256": row.sha256, **(detail or {})}
-    act = trail.Act(what, by, row.unit, None, _revision(row).run_id, row.revision, reason, said)
+    revision = _revision(row)
+    warnings = {"warnings": revision.warnings} if revision.warnings else {}
+    said = {"sha256": row.sha256, **warnings, **(detail or {})}
+    act = trail.Act(what, by, row.unit, None, revision.run_id, row.revision, reason, said)
     trail.append(session, act, now)
 
 

@@ -31,7 +31,14 @@ from calrig.store.runs import NEWEST_FIRST, older_than
 from calrig.store.tables import RunTable, VerdictFiguresTable
 
 Judged = Literal[
-    "pass", "conditional_pass", "conditional_fail", "fail", "no_limits", "noise", "more_than_noise"
+    "pass",
+    "conditional_pass",
+    "conditional_fail",
+    "fail",
+    "undecided",
+    "no_limits",
+    "noise",
+    "more_than_noise",
 ]
 """A verdict's `answer`, or its `left`."""
 LOOKED_AT = 20_000

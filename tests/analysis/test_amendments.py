@@ -37,6 +37,12 @@ def new_run(store: Store) -> Callable[..., Run]:
     return make
 
 
+def figures(run: Run) -> dict[str, Any]:
+    """A run's result without what is said of its latest draft."""
+    assert run.result is not None
+    return {name: value for name, value in run.result.items() if name != "doubts"}
+
+
 def told(store: Store, **asked: Any) -> list[tuple[Any, ...]]:
     """What the trail says of acts after the runs were made, but for the drafts that they led to."""
     acts = [entry.act for entry in store.trail(**asked)]
@@ -73,7 +79,7 @@ class TestUndone:
     ) -> None:
         run = new_run()
         assert records.exclude_pose(run.id, 3, "bumped", who="ada").result != run.result
-        assert records.include_pose(run.id, 3, who="ada").result == run.result
+        assert figures(records.include_pose(run.id, 3, who="ada")) == figures(run)
         assert [pose.excluded for pose in store.poses(run.id)] == [None] * len(POSES)
         assert told(store) == [("excluded", "ada", run.id, "bumped"), ("included", "ada", run.id, None)]
         assert last_detail(store) == {"pose": 3, "excluded": "bumped"}
@@ -124,7 +130,7 @@ class TestMoved:
     ) -> None:
         run, stays = new_run(), new_run()
         moved = records.move(run.id, "RIGHT", "misread", who="ada")
-        assert (moved.unit, moved.result) == ("RIGHT", run.result)
+        assert (moved.unit, figures(moved)) == ("RIGHT", figures(run))
         assert [row.run_id for row in store.comparison(["RIGHT"])] == [run.id]
         assert [row.run_id for row in store.comparison(["WRONG"])] == [stays.id]
         for unit in ("WRONG", "RIGHT"):
@@ -136,11 +142,11 @@ class TestMoved:
         self, new_run: Callable[..., Run], records: Records, store: Store
     ) -> None:
         right = diagnosed(store, new_run(unit="RIGHT"), 3.0)
-        with_effects = Acceptance(store).accept(right.id, [OFFSET]).result
+        with_effects = figures(Acceptance(store).accept(right.id, [OFFSET]))
         run = new_run()
         assert run.result is not None
         assert run.result["rms_with_effects_deg"] is None
-        assert records.move(run.id, "RIGHT", "misread").result == with_effects
+        assert figures(records.move(run.id, "RIGHT", "misread")) == with_effects
 
     def test_follow_ups_move_along(self, new_run: Callable[..., Run], records: Records, store: Store) -> None:
         first = new_run()

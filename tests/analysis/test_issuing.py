@@ -17,6 +17,7 @@ from calrig.analysis.errors import Conflict, Invalid
 from calrig.analysis.issuing import BROUGHT_OVER, Issuer, Releases
 from calrig.calibration.pose import Pose
 from calrig.calibration.result import build_result
+from calrig.calibration.verdict import Verdict
 from calrig.canonical_json import canonical
 from calrig.store import Run, Store, StoreDamagedError
 from calrig.store.errors import Refused
@@ -142,18 +143,23 @@ def test_by_its_limits_alone_nothing_is_released_where_there_are_none(store):
 
 
 @pytest.mark.parametrize(
-    ("policy", "answer", "released"),
+    ("policy", "answer", "reliable", "released"),
     [
-        ("auto", "no_limits", True),
-        ("auto", "conditional_fail", True),
-        ("auto", "fail", False),
-        ("pass", "pass", True),
-        ("pass", "conditional_pass", False),
-        ("manual", "pass", False),
+        ("auto", "no_limits", True, True),
+        ("auto", "no_limits", False, False),
+        ("auto", "conditional_fail", True, True),
+        ("auto", "undecided", True, True),
+        ("auto", "undecided", False, False),
+        ("auto", "fail", True, False),
+        ("pass", "pass", True, True),
+        ("pass", "conditional_pass", True, False),
+        ("pass", "undecided", True, False),
+        ("manual", "pass", True, False),
     ],
 )
-def test_who_puts_a_draft_in_force(policy, answer, released):
-    assert Releases({"bench": policy}).puts_in_force("bench", answer) is released
+def test_who_puts_a_draft_in_force(policy, answer, reliable, released):
+    judged = Verdict(answer, "noise", 1.0, (), None, reliable=reliable)
+    assert Releases({"bench": policy}).puts_in_force("bench", judged) is released
 
 
 def test_a_person_chooses_which_accepted_effects_enter(lab):

@@ -8,7 +8,7 @@ import re
 
 import plotly.graph_objects as go
 import pytest
-from clamped import clamped
+from clamped import clamped, rows_of
 from support import LONG, POSES, imported, wait_for
 
 from calrig.api import heavy
@@ -122,6 +122,27 @@ def test_a_solution_becomes_a_revision_with_a_certificate_that_rests_on_gravity(
     ):
         answer = shared_client.post(f"{path}s", json=body)
         assert (answer.status_code, words in answer.json()["detail"]) == (status, True), answer.text
+
+
+def test_a_plain_run_displaces_no_solution(shared_client):
+    """Neither a good one, whose U is larger, nor one that was made while the clamp still stood elsewhere."""
+    runs = [clamped(shared_client, "AS-6", angle)["id"] for angle in (0, 120, 240)]
+    solution = shared_client.post("/api/solve", json={"runs": runs}).raise_for_status().json()["id"]
+    path = "/api/units/AS-6/calibration"
+    solved = shared_client.post(f"{path}s", json={"solve": solution}).raise_for_status().json()
+    assert (solved["status"], solved["warnings"]) == ("in_force", [])
+    good = clamped(shared_client, "AS-6", 0)
+    rows = [row.split(",") for row in rows_of(240.0, 0)]
+    forgotten = "\n".join(["target_deg,reading_deg", *(",".join(row[:2]) for row in rows)])
+    elsewhere = imported(shared_client, "AS-6", forgotten, rig="bench-1")
+    for run, kinds in (
+        (good, {"solution_in_force"}),
+        (elsewhere, {"solution_in_force", "changed", "clamping"}),
+    ):
+        assert {doubt["kind"] for doubt in run["result"]["doubts"]} == kinds
+    newest, before, *_ = shared_client.get(f"{path}s").json()
+    assert (newest["status"], before["status"]) == ("draft", "draft")
+    assert shared_client.get(path).json()["revision"] == solved["revision"]
 
 
 def test_what_a_revision_rests_on_and_counts_no_more_is_on_its_certificate(shared_client):

@@ -10,6 +10,7 @@ from pathlib import Path
 import platformdirs
 import pytest
 
+from calrig.calibration.doubts import REMOUNT_LIMIT_DEG
 from calrig.settings import DEMO_RIG, SettingsError, load_settings, packed, store_url
 
 CONTRACT_EXAMPLE = """
@@ -59,6 +60,7 @@ def test_the_contract_s_example_is_read_whole(tmp_path: Path) -> None:
     assert (bench.reference.std_deg, bench.reference.kind) == (0.29, "harmonic")
     assert bench.reference.certificate == "PTB 4711"
     assert bench.simulated is None
+    assert (bench.release, bench.remount_limit_deg) == ("auto", REMOUNT_LIMIT_DEG)
 
 
 def test_without_a_configuration_there_is_the_demo_rig() -> None:

@@ -101,7 +101,7 @@ def test_whatever_a_verdict_follows_from_is_followed(store, new_run):
     accepted = AcceptedEffect(run_id, None, "r", "backlash", "stage", {"backlash_deg": 0.1})
     for change, judged in (
         (lambda: None, {"pass", "noise"}),
-        (lambda: store.update_run(run_id, faults={"move_mismatch": 1}), {"conditional_pass", "noise"}),
+        (lambda: store.update_run(run_id, faults={"move_mismatch": 1}), {"undecided", "noise"}),
         (lambda: store.update_run(run_id, faults={}, diagnosis=DIAGNOSIS), {"pass", "noise"}),
         (lambda: store.accept_effects(run_id, [accepted]), {"pass", "more_than_noise"}),
         (lambda: store.update_run(run_id, plan={"kind": "verification"}), {"pass", "noise"}),

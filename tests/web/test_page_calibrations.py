@@ -63,6 +63,30 @@ def test_there_is_a_way_back_and_each_step_has_a_reason(page, client, go, expect
     ]
 
 
+def test_a_person_sees_why_a_draft_was_not_released_and_releases_it_with_a_reason(page, client, go, expect):
+    imported(client, "DOUBT-1")
+    run = imported(client, "DOUBT-1", bias_deg=6.5)
+    says = run["result"]["doubts"][0]["says"]
+    go(f"#/runs/{run['id']}")
+    expect(page.get_by_test_id("verdict")).to_contain_text(says)
+    expect(page.get_by_test_id("verdict")).to_contain_text("a person decides, and gives a reason")
+    page.get_by_role("link", name="Drafts of this unit").click()
+    waiting = page.get_by_test_id("draft-warnings")
+    expect(waiting).to_contain_text("Revision 2 is a draft")
+    expect(waiting).to_contain_text("Revision 1 stays in force until then")
+    expect(waiting).to_contain_text(says)
+    expect(page.locator("#revisions-table [data-revision='2']")).to_contain_text(says)
+    waiting.get_by_role("button", name="Release…").click()
+    expect(page.get_by_role("dialog")).to_contain_text(says)
+    confirm(page, "the sensor was glued in anew")
+    expect(page.locator("#revisions-table [data-revision='2']")).to_contain_text("in force")
+    expect(waiting).to_have_count(0)
+    assert in_force(client, "DOUBT-1")["revision"] == 2
+    released = client.get("/api/calibrations").json()[-1]
+    assert (released["what"], released["reason"]) == ("released", "the sensor was glued in anew")
+    assert says in released["warnings"]
+
+
 def test_the_page_says_what_the_revision_in_force_rests_on_that_has_changed(page, client, go, expect):
     run = imported(client, "STALE-1")
     client.post(f"/api/runs/{run['id']}/void", json={"reason": "wrong stage"}).raise_for_status()

@@ -17,7 +17,7 @@ CONFORMITY = {
     "conditional_fail": "conditionalFail",
     "fail": "fail",
 }
-"""The verdict's answers in the schema's words."""
+"""The verdict's answers in the schema's words, which has none for `undecided`: the declaration says it."""
 BASIC = "basic"
 OWN = "calrig"
 _BASIC_LINK = "https://digilab.ptb.de/dkd/refType/vocab/"
@@ -226,7 +226,7 @@ def _conformity(said: Certificate) -> list[ET.Element]:
             dcc("norm", "JCGM 106:2012"),
             dcc("norm", "ILAC-G8:09/2019"),
             words("declaration", *found.says),
-            dcc("conformity", CONFORMITY[found.answer]),
+            None if found.answer not in CONFORMITY else dcc("conformity", CONFORMITY[found.answer]),
             refType="basic_conformity",
             refId="results",
         )
