@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from calrig.calibration.application import Application
-from calrig.calibration.effect import ApplyError
+from calrig.calibration.regression import ApplyError
+from calrig.calibration.results import Application
 from calrig.errors import InputError
 from calrig.estimation.angles import FloatArray
 from calrig.export.calibration_file import read_document

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from calrig.calibration.pose import Pose
-from calrig.calibration.result import build_result
+from calrig.calibration.poses import Pose
+from calrig.calibration.results.result import build_result
 from calrig.run_ids import new_run_id
 from calrig.store import Run, Store
 from calrig.store.convert import figures_of, run_row

@@ -18,8 +18,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 from empty_store import lay_empty_store
 from support import known_as
 
-from calrig.calibration.diagnosis import diagnose
-from calrig.calibration.pose import Pose
+from calrig.calibration.diagnosis.tracing import diagnose
+from calrig.calibration.poses import Pose
 from calrig.plan import Plan
 from calrig.runs.service import RunService
 from calrig.simulator.config import SimulatorSettings

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from calrig.calibration.diagnosis import diagnose, document
+from calrig.calibration.diagnosis.tracing import diagnose, document
 from calrig.export.poses_csv import read_poses
 
 DATA = Path(os.environ.get("CALRIG_DATA", Path(__file__).parents[2] / "shared" / "data"))

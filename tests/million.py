@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from blind.cells import backlash, bias_tempco
 from blind.physics import Noise, measure, timeline
 
-from calrig.calibration.result import build_result
+from calrig.calibration.results.result import build_result
 from calrig.plan import Plan
 from calrig.store.checksums import of_numbers, sealed, to_json
 from calrig.store.convert import FIGURES, figures_of

@@ -22,7 +22,7 @@ from dated_runs import gave, lay
 from empty_store import lay_empty_store
 from sqlalchemy import insert, make_url
 
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.store import Store
 from calrig.store.convert import pose_values
 from calrig.store.tables import EventTable, PoseTable

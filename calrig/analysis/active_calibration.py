@@ -11,13 +11,19 @@ from calrig.analysis.basis import why_none, why_not_now
 from calrig.analysis.errors import Conflict, Unknown
 from calrig.analysis.results import as_applied, pose_residuals_deg, rest_on_map
 from calrig.analysis.stored_runs import stored_run
-from calrig.calibration.correction import AppliedEffect, numbers_of
-from calrig.calibration.effect import ApplyError
-from calrig.calibration.fit import Line
-from calrig.calibration.pose import Pose
-from calrig.calibration.pose_errors import as_clamped, corrected_residuals_deg
-from calrig.calibration.reference_figures import ReferenceFigures
-from calrig.calibration.result import GyroFigures, Result, apply_calibration
+from calrig.calibration.line import Line
+from calrig.calibration.poses import Pose
+from calrig.calibration.regression import ApplyError
+from calrig.calibration.results import (
+    AppliedEffect,
+    GyroFigures,
+    Result,
+    apply_calibration,
+    as_clamped,
+    corrected_residuals_deg,
+    numbers_of,
+)
+from calrig.calibration.uncertainty import ReferenceFigures
 from calrig.estimation.angles import FloatArray
 from calrig.export.calibration_json import line_of
 from calrig.store import Run, Store

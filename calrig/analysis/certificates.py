@@ -10,7 +10,7 @@ from calrig.analysis.errors import Conflict
 from calrig.analysis.results import rest_on_map
 from calrig.analysis.solved_drafts import gone_since, solution_changes, solved_poses
 from calrig.analysis.stored_runs import stored_run
-from calrig.calibration.conformity import Limit
+from calrig.calibration.uncertainty import Limit
 from calrig.export.certificate.content import Certificate
 from calrig.export.certificate.making import Sources, certificate_of
 from calrig.export.certificate.pdf import Attached, CannotPrintError, pdf_of

@@ -7,8 +7,8 @@ import re
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from calrig.calibration.changed_runs import Differences
 from calrig.calibration.effects import EFFECTS
+from calrig.calibration.histories import Differences
 
 FIGURES = (("bias", "°"), ("scale", ""))
 STANDS_OUT = 3.0

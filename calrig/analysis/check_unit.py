@@ -11,7 +11,7 @@ import numpy as np
 
 from calrig.analysis.errors import Unknown
 from calrig.analysis.histories import FIGURES, Histories, histories
-from calrig.calibration.control_chart import RIG_CHART, Checks, checks
+from calrig.calibration.histories import RIG_CHART, Checks, checks
 from calrig.store import CheckUnit, Run, Store
 
 Document = dict[str, Any]

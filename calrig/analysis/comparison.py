@@ -14,9 +14,13 @@ from calrig.analysis.due_dates import DueDates
 from calrig.analysis.errors import Unknown
 from calrig.analysis.histories import Histories
 from calrig.analysis.unit_changes import RULE, change_of
-from calrig.calibration.changed_runs import FALSE_DISCOVERY_RATE
-from calrig.calibration.compare import Components, components, drift_deg_per_day
-from calrig.calibration.repeatability import Repeatability
+from calrig.calibration.histories import (
+    FALSE_DISCOVERY_RATE,
+    Components,
+    Repeatability,
+    components,
+    drift_deg_per_day,
+)
 from calrig.store import ComparisonRow, Store
 
 Row = dict[str, Any]

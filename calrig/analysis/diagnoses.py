@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from calrig.analysis.errors import Conflict, Unknown
 from calrig.analysis.stored_runs import counted_poses, limits_of, poses_together, runs_together, stored_run
-from calrig.calibration.diagnosis import trace
-from calrig.calibration.partial_residuals import PartialResidual, partial_residuals
-from calrig.calibration.pose import DiagnosisError
+from calrig.calibration.diagnosis import PartialResidual, partial_residuals, trace
+from calrig.calibration.poses import DiagnosisError
 from calrig.store.records import Run
 
 if TYPE_CHECKING:

@@ -10,9 +10,8 @@ from typing import Any, Literal
 import numpy as np
 
 from calrig.analysis.histories import SECONDS_PER_DAY, Histories, histories
-from calrig.calibration.conformity import Limit, limit_for
-from calrig.calibration.due_date import Bounds, Forecast, forecast
-from calrig.calibration.variance_components import IntArray
+from calrig.calibration.histories import Bounds, Forecast, IntArray, forecast
+from calrig.calibration.uncertainty import Limit, limit_for
 from calrig.estimation.angles import FloatArray
 from calrig.store import Store
 

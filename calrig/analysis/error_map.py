@@ -14,13 +14,12 @@ import numpy as np
 
 from calrig.analysis.joint_solutions import mounted
 from calrig.analysis.stored_runs import ended_run
-from calrig.calibration.joint.table import Mounted
-from calrig.calibration.pose import DiagnosisError
-from calrig.calibration.stage_reference import StageMap
+from calrig.calibration.poses import DiagnosisError
+from calrig.calibration.separation import MountedPoses, StageMap
 from calrig.store.records import Run
 
 if TYPE_CHECKING:
-    from calrig.calibration.joint.solution import Solution
+    from calrig.calibration.separation import Solution
     from calrig.store import Store
 
 MOST_RUNS = 12
@@ -73,12 +72,12 @@ def error_map(store: Store, rig: str) -> ErrorMap:
     return solved_map(lots_of(store, basis), basis)
 
 
-def lots_of(store: Store, basis: Basis) -> list[Mounted]:
+def lots_of(store: Store, basis: Basis) -> list[MountedPoses]:
     """The poses that a map rests on."""
     return mounted(store, [ended_run(store, run_id) for run_id, _ in basis.runs])
 
 
-def solved_map(lots: Sequence[Mounted], basis: Basis) -> ErrorMap:
+def solved_map(lots: Sequence[MountedPoses], basis: Basis) -> ErrorMap:
     """The map of these poses; takes some seconds.
 
     Args:
@@ -86,8 +85,7 @@ def solved_map(lots: Sequence[Mounted], basis: Basis) -> ErrorMap:
         basis: what they are of.
     """
     # a tenth of a second that a service need not start with
-    from calrig.calibration.joint.advice import advised
-    from calrig.calibration.joint.solution import solve
+    from calrig.calibration.separation import advised, solve
 
     if not lots:
         return _untold(basis, "the rig has no completed run")

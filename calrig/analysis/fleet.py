@@ -18,9 +18,8 @@ from calrig.analysis.errors import RunsError
 from calrig.analysis.fleet_maps import PlaceSums, merged, place_sums, rig_maps
 from calrig.analysis.fleet_workers import Workers, own_processes
 from calrig.analysis.stored_runs import poses_together, runs_together
-from calrig.calibration.fleet_screen import screen
-from calrig.calibration.packed_poses import PackedPoses, packed
-from calrig.calibration.pose import DiagnosisError
+from calrig.calibration.fleet_screen import PackedPoses, packed, screen
+from calrig.calibration.poses import DiagnosisError
 from calrig.errors import WorkError
 from calrig.export.poses_parquet import parquet_files, read_file
 from calrig.program_text import sha256_of_program

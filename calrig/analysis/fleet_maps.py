@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from calrig.calibration.packed_poses import PackedPoses
+from calrig.calibration.fleet_screen import PackedPoses
 from calrig.estimation.angles import FloatArray
 
 FEWEST_UNITS = 3

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calrig.calibration.pose import GYRO_MEANS, GYRO_MOVES, HOST_TIME, Pose
+from calrig.calibration.poses import GYRO_MEANS, GYRO_MOVES, HOST_TIME, Pose
 from calrig.estimation.angles import FloatArray
 from calrig.estimation.gyro import MISSING_PERIODS, moves_about_axes
 

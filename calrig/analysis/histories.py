@@ -9,9 +9,7 @@ from itertools import compress, pairwise
 
 import numpy as np
 
-from calrig.calibration.changed_runs import Changes, changes
-from calrig.calibration.repeatability import Repeatability, Runs, pairs
-from calrig.calibration.variance_components import IntArray
+from calrig.calibration.histories import Changes, IntArray, Repeatability, Runs, changes, pairs
 from calrig.estimation.angles import FloatArray
 from calrig.store import ComparisonRow, Store
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calrig.analysis.results import as_applied
-from calrig.calibration.result import build_result
+from calrig.calibration.results import build_result
 from calrig.export.calibration_json import calibration_content
 from calrig.export.mounted_csv import read_run
 from calrig.export.poses_csv import PoseColumns

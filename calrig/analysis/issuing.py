@@ -13,10 +13,9 @@ from calrig.analysis.known_calibration import Candidate, doubts_about, solution_
 from calrig.analysis.results import ending_of, fitted, gyro_of, reference_over
 from calrig.analysis.solved_drafts import solution_changes, solved_content, solved_run, solved_verdict
 from calrig.analysis.stored_runs import checked_reason, stored_run
-from calrig.calibration.conformity import limit_for
-from calrig.calibration.doubts import REMOUNT_LIMIT_DEG, Doubt, to_dicts
-from calrig.calibration.pose import Pose
-from calrig.calibration.result import Result
+from calrig.calibration.poses import Pose
+from calrig.calibration.results import Result
+from calrig.calibration.uncertainty import REMOUNT_LIMIT_DEG, Doubt, limit_for, to_dicts
 from calrig.calibration.verdict import Verdict, verdict
 from calrig.export.calibration_json import calibration_content
 from calrig.settings import ReleasePolicy, RigSettings

@@ -10,8 +10,8 @@ from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.analysis.gyro_columns import poses_with_gyro
 from calrig.analysis.mounts import axis_of
 from calrig.analysis.stored_runs import counted_poses, ended_run, limits_of
-from calrig.calibration.joint.table import Mounted
-from calrig.calibration.pose import MOUNT_DEG, Pose
+from calrig.calibration.poses import MOUNT_DEG, Pose
+from calrig.calibration.separation import MountedPoses
 from calrig.run_ids import short_name
 from calrig.store.records import Run
 from calrig.store.solved import Basis, Frame, Solved
@@ -60,7 +60,7 @@ class Question:
 
     rig: str | None
     basis: Basis
-    lots: Sequence[Mounted]
+    lots: Sequence[MountedPoses]
     limits_deg: tuple[float, float] | None = None
 
 
@@ -98,11 +98,8 @@ def answer(asked: Question, progress: Callable[[float], None] = lambda _: None) 
         DiagnosisError: the poses cannot be solved, and why.
     """
     # a tenth of a second that a service need not start with
-    from calrig.calibration.joint.poses_left import poses_left
-    from calrig.calibration.joint.report import solution_document
-    from calrig.calibration.joint.solution import solve
-    from calrig.calibration.joint.three_axis_table import whole_units
     from calrig.calibration.progress import SOLVED, within
+    from calrig.calibration.separation import pose_residuals, solution_document, solve, whole_units
     from calrig.export.joint_documents import map_document, unit_document
 
     solving, telling = within(progress, 0.0, SOLVED), within(progress, SOLVED, 1.0)
@@ -124,14 +121,13 @@ def answer(asked: Question, progress: Callable[[float], None] = lambda _: None) 
         document=solution_document(solution, asked.limits_deg, telling),
         calibrations={serial: unit_document(solution, k, asked.rig) for k, serial in units},
         stage_map=map_document(solution, asked.rig),
-        poses=poses_left(solution),
+        poses=pose_residuals(solution),
     )
 
 
 def _answer_whole(asked: Question, solving: Progress, telling: Progress) -> Solved:
     """Of units clamped by several faces; no picture is drawn of their poses."""
-    from calrig.calibration.joint.three_axis_report import three_axis_document
-    from calrig.calibration.joint.three_axis_solution import solve_whole
+    from calrig.calibration.separation import solve_whole, three_axis_document
     from calrig.export.three_axis_documents import three_axis_documents
 
     basis = asked.basis
@@ -175,7 +171,7 @@ def _named(wanted: Wanted) -> str:
     return units if wanted.rig is None else f"on rig {wanted.rig!r} {units}"
 
 
-def mounted(store: Store, runs: Sequence[Run]) -> list[Mounted]:
+def mounted(store: Store, runs: Sequence[Run]) -> list[MountedPoses]:
     """The poses of runs that count, a lot for each clamping."""
     names = {run.id: short_name(run.id) for run in runs}
     if len(set(names.values())) < len(names):
@@ -185,7 +181,7 @@ def mounted(store: Store, runs: Sequence[Run]) -> list[Mounted]:
     return [lot for run in runs for lot in _lots(run, names[run.id], poses_of(store, run.id))]
 
 
-def _lots(run: Run, name: str, poses: Sequence[Pose]) -> list[Mounted]:
+def _lots(run: Run, name: str, poses: Sequence[Pose]) -> list[MountedPoses]:
     """One for each angle: as its poses have it, else as its plan of one mount does."""
     plan = run.plan or {}
     planned = plan.get("mounts_deg") or [0.0]
@@ -195,6 +191,6 @@ def _lots(run: Run, name: str, poses: Sequence[Pose]) -> list[Mounted]:
         bare = replace(pose, covariates={k: v for k, v in pose.covariates.items() if k != MOUNT_DEG})
         lots.setdefault(float(planned[0]) if own is None and len(planned) == 1 else own, []).append(bare)
     return [
-        Mounted(run.unit, f"{name} {angle or 0.0:g}°", angle, run.id, own, axis_of(run))
+        MountedPoses(run.unit, f"{name} {angle or 0.0:g}°", angle, run.id, own, axis_of(run))
         for angle, own in lots.items()
     ]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from calrig.analysis.change_words import difference_in_words
 from calrig.analysis.histories import change_between
-from calrig.calibration.doubts import (
+from calrig.calibration.uncertainty import (
     Doubt,
     Line,
     clamping_doubts,

@@ -9,9 +9,8 @@ import numpy as np
 
 from calrig.analysis.errors import Conflict, Invalid
 from calrig.analysis.stage_maps import kept_of
-from calrig.calibration.conformity import Limit, cannot_pass, limit_for
-from calrig.calibration.stage_reference import StageMap, map_reference
-from calrig.calibration.uncertainty import Reference
+from calrig.calibration.separation import StageMap, map_reference
+from calrig.calibration.uncertainty import Limit, Reference, cannot_pass, limit_for
 from calrig.limit_settings import LimitSettings
 from calrig.plan import Plan
 from calrig.settings import RigSettings, Settings

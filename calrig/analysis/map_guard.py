@@ -6,9 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 
 from calrig.analysis.joint_solutions import mounted
-from calrig.calibration.map_check import MapCheck, checked
-from calrig.calibration.stage_reference import StageMap
-from calrig.calibration.wording import deg, percent
+from calrig.calibration.separation import MapCheck, StageMap, checked
+from calrig.calibration.uncertainty import deg, percent
 from calrig.store import Run, Store
 from calrig.store.records import Document
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from calrig.calibration.pose import MOUNT_DEG, Pose
+from calrig.calibration.poses import MOUNT_DEG, Pose
 from calrig.export.poses_csv import Labels
 from calrig.store import Run
 

@@ -8,13 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calrig.calibration.correction import AppliedEffect, numbers_of
-from calrig.calibration.pose import Pose, of_first_mount
-from calrig.calibration.pose_errors import residuals
-from calrig.calibration.result import GyroFigures, Result, build_result
-from calrig.calibration.sequential_stopping import AS_PLANNED, Ending
-from calrig.calibration.stage_reference import beyond_in_words, dial_of, map_reference
-from calrig.calibration.uncertainty import Reference
+from calrig.calibration.poses import Pose, of_first_mount
+from calrig.calibration.results import AppliedEffect, GyroFigures, Result, build_result, numbers_of, residuals
+from calrig.calibration.separation import beyond_in_words, dial_of, map_reference
+from calrig.calibration.uncertainty import AS_PLANNED, Ending, Reference
 from calrig.store.records import AcceptedEffect, Document, Run, map_of, reference_of
 
 if TYPE_CHECKING:

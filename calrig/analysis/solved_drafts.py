@@ -12,15 +12,11 @@ from calrig.analysis.basis import why_none
 from calrig.analysis.errors import Conflict, Unknown
 from calrig.analysis.results import gyro_of
 from calrig.analysis.stored_runs import stored_run
-from calrig.calibration.conformity import limit_for
-from calrig.calibration.correction import numbers_of
-from calrig.calibration.doubts import Doubt, to_dicts
-from calrig.calibration.effect import ApplyError
-from calrig.calibration.pose import MOUNT_DEG, Pose, of_first_mount
-from calrig.calibration.reference_figures import ReferenceFigures
-from calrig.calibration.result import apply_calibration
-from calrig.calibration.stage_reference import MapError, StageMap, with_map
-from calrig.calibration.uncertainty import Reference
+from calrig.calibration.poses import MOUNT_DEG, Pose, of_first_mount
+from calrig.calibration.regression import ApplyError
+from calrig.calibration.results import apply_calibration, numbers_of
+from calrig.calibration.separation import MapError, StageMap, with_map
+from calrig.calibration.uncertainty import Doubt, Reference, ReferenceFigures, limit_for, to_dicts
 from calrig.calibration.verdict import Verdict, verdict
 from calrig.estimation.angles import wrap_deg
 from calrig.export.calibration_json import line_of

@@ -15,7 +15,7 @@ import numpy as np
 
 from calrig.analysis.errors import Conflict, Unknown
 from calrig.analysis.map_guard import holds
-from calrig.calibration.stage_reference import MapError, StageMap, in_words
+from calrig.calibration.separation import MapError, StageMap, in_words
 from calrig.settings import RigSettings, Settings, SettingsError
 from calrig.store import Store
 from calrig.store.records import Document

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.analysis.mounts import axis_of
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.store.records import AT_REST, Run
 
 if TYPE_CHECKING:

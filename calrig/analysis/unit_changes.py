@@ -10,8 +10,7 @@ import numpy as np
 from calrig.analysis.change_words import difference_in_words, traced_in_words
 from calrig.analysis.errors import Unknown
 from calrig.analysis.histories import FIGURES, Histories, histories
-from calrig.calibration.changed_runs import FALSE_DISCOVERY_RATE
-from calrig.calibration.control_chart import UNIT_CHART, ControlChart, control_chart
+from calrig.calibration.histories import FALSE_DISCOVERY_RATE, UNIT_CHART, ControlChart, control_chart
 from calrig.estimation.angles import FloatArray
 from calrig.store import Store
 

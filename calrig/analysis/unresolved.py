@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 
 from calrig.analysis.errors import Conflict
 from calrig.analysis.stored_runs import poses_together, runs_together
-from calrig.calibration.diagnosis import diagnose
-from calrig.calibration.pose import DiagnosisError, Pose
-from calrig.calibration.search import Findings
+from calrig.calibration.diagnosis import Findings, diagnose
+from calrig.calibration.poses import DiagnosisError, Pose
 from calrig.processes.pool import run_apart
 
 if TYPE_CHECKING:

@@ -16,8 +16,8 @@ from calrig.api.errors import problems
 from calrig.api.heavy import ACCEPTED, Heavy, Wait
 from calrig.api.job import Job
 from calrig.api.models import Answer, Body, RunAnswer
-from calrig.calibration.effect import Origin
-from calrig.calibration.pose import DiagnosisError
+from calrig.calibration.poses import DiagnosisError
+from calrig.calibration.regression import Origin
 from calrig.store import Run
 
 router = APIRouter(tags=["diagnoses"])

@@ -5,8 +5,8 @@
 from fastapi import APIRouter
 
 from calrig.api.models import Answer
-from calrig.calibration.effect import ORIGINS, Effect, Origin, Scope
 from calrig.calibration.effects import EFFECTS
+from calrig.calibration.regression import ORIGINS, Effect, Origin, Scope
 
 router = APIRouter(tags=["diagnoses"])
 

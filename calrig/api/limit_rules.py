@@ -11,7 +11,7 @@ from calrig.api.callers import Who, requires
 from calrig.api.context import Context
 from calrig.api.errors import problems
 from calrig.api.models import Answer
-from calrig.calibration.conformity import Limit
+from calrig.calibration.uncertainty import Limit
 from calrig.limit_settings import LimitSettings
 
 MOST_LIMITS = 100

@@ -14,8 +14,8 @@ from calrig.analysis.mounts import axis_of, labels_of, mount_columns
 from calrig.api.context import ApiContext, Context, KnownRun
 from calrig.api.errors import problems, problems_in_json
 from calrig.api.models import PoseAnswer
-from calrig.calibration.pose import GYRO_MEANS, Pose
-from calrig.calibration.pose_errors import raw_error_deg
+from calrig.calibration.poses import GYRO_MEANS, Pose
+from calrig.calibration.results import raw_error_deg
 from calrig.export.poses_csv import write_pose_batches
 from calrig.export.samples_csv import write_samples_csv, write_samples_npz
 from calrig.store import Run, Store, StoredPose

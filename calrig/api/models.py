@@ -7,8 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from calrig.calibration.doubts import Doubt
-from calrig.calibration.over_range import OverRange
+from calrig.calibration.uncertainty import Doubt, RangeErrors
 from calrig.calibration.verdict import Verdict
 from calrig.plan import Plan
 
@@ -186,7 +185,7 @@ class ResultAnswer(LineAnswer):
     temperature_c: Extremes | None
     gyro: GyroAnswer
     reference: ReferenceAnswer | None = None  # of runs stored before it was computed: null
-    over_range: OverRange | None = None  # likewise
+    over_range: RangeErrors | None = None  # likewise
     stopped_by: Literal["plan", "until"] = "plan"
     doubts: list[Doubt] = []
     reference_says: str | None = Field(

@@ -18,7 +18,7 @@ from calrig.api.errors import problems
 from calrig.api.heavy import ACCEPTED, Heavy, Wait
 from calrig.api.job import Job
 from calrig.api.models import Answer, Body
-from calrig.calibration.plan_design.goals import Goals
+from calrig.calibration.plan_design import Goals
 from calrig.plan import Plan, Until
 from calrig.runs.plan_answers import answer
 from calrig.runs.plan_designs import Question, Wanted, question

@@ -19,7 +19,7 @@ from calrig.api.heavy import ACCEPTED, Heavy, Wait
 from calrig.api.job import Job
 from calrig.api.models import Figure
 from calrig.api.solve_models import ListedSolution, PosesLeft, SolutionAnswer, Solve
-from calrig.calibration.pose import DiagnosisError
+from calrig.calibration.poses import DiagnosisError
 from calrig.export.joint_files import in_file
 from calrig.figures.joint import joint_figure
 from calrig.store.solutions import ListedSolution as Listed

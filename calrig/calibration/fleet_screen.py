@@ -1,4 +1,12 @@
-"""The screen of a fleet: of a million runs, those in which a diagnosis could find something.
+"""What the screen of a fleet scans for in each run: a step, a cycle in the order of poses, a wave.
+
+Poses of many runs one after the other in arrays: what a million runs are read and screened in.
+
+Bias and scale of many runs at once, as `calrig.calibration.fit` has them of one.
+
+What the screen of a fleet looks along: runs of one number of poses as matrices, and their contrasts.
+
+The screen of a fleet: of a million runs, those in which a diagnosis could find something.
 
 Each run's residual about its own line is held against a fixed set of contrasts: directions in which an effect
 of the catalogue, or one without a name, would show. All contrasts have the same bar, so that together they
@@ -13,18 +21,503 @@ What the diagnosis does not judge, the screen does not either: the first pose of
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy import fft
 from scipy.special import betainc, ndtr
 
-from calrig.calibration.fleet_contrasts import Block, Share, channel_shares
-from calrig.calibration.fleet_lines import Lines, lines_of
-from calrig.calibration.packed_poses import Intp, PackedPoses
-from calrig.calibration.responses import FEWEST_POSES
-from calrig.estimation.angles import FloatArray
+from calrig.calibration.line import MIN_SCALE
+from calrig.calibration.poses import COLUMNS, MOUNT_DEG, OF_MOUNTS, Pose
+from calrig.calibration.regression.responses import FEWEST_POSES
+from calrig.estimation.angles import FloatArray, wrap_deg
+from calrig.estimation.robust import MAD_TO_STD
+
+Float32 = npt.NDArray[np.float32]
+Complex64 = npt.NDArray[np.complex64]
+Intp = npt.NDArray[np.intp]
+TINY = np.finfo(np.float32).tiny
+BEYOND = 5
+"""Times the waves that as many places spread evenly resolve: as far as the diagnosis searches periods."""
+NO_ARC = 1e-6
+"""Below it the poses are at one elevation."""
+PLACES = 8
+"""Of the grid to a half period of the shortest wave, in two arcs: on the nearest of them it loses 5 %."""
+FEWEST_BESIDE = 2
+"""Poses on either side of a step."""
+SINGULAR = 0.05
+"""Of the square of the poses: a wave whose sine and cosine are as alike as that counts as one column."""
+SHORTEST = 0.05
+"""Squared length of a step that bias and scale nearly explain, below which it is no contrast."""
+
+
+def steps(channel: Float32, tilted: Float32, squares: FloatArray) -> tuple[FloatArray, int]:
+    """The largest share of squares along a step after any pose, bias and scale fitted beside it.
+
+    Args:
+        channel: (R, m) residuals that bias and scale have no part in any more.
+        tilted: (R, m) the unit column of scale.
+        squares: (R,) of the channel.
+
+    Returns:
+        (R,) the share, and how many contrasts were looked along.
+    """
+    m = channel.shape[1]
+    k = np.arange(1, m)
+    left = np.cumsum(channel, axis=1)[:, :-1]
+    length = (k * (m - k) / m).astype(np.float32) - np.cumsum(tilted, axis=1)[:, :-1] ** 2
+    inner = slice(FEWEST_BESIDE - 1, m - FEWEST_BESIDE)
+    shares = left[:, inner] ** 2 / np.maximum(length[:, inner], SHORTEST)
+    return shares.max(axis=1) / np.maximum(squares, TINY), shares.shape[1]
+
+
+def cycles(channel: Float32, squares: FloatArray) -> tuple[FloatArray, int]:
+    """The largest share along a cycle of whole half periods in the order of the poses; as `waves`."""
+    m = channel.shape[1]
+    seen = fft.rfft(channel, 2 * m, axis=1)[:, 1:m]
+    doubled = fft.fft(np.ones(m), 2 * m)[2::2].astype(np.complex64)
+    return _gain_along(seen, doubled, m).max(axis=1) / np.maximum(squares, TINY), m - 1
+
+
+def waves(channel: Float32, theta: Float32, squares: FloatArray) -> tuple[FloatArray, Intp]:
+    """The largest share along a wave over elevation, of any whole number of half periods in the arc.
+
+    Lomb's periodogram (Astrophysics and Space Science 39, 1976) by two fast transforms, of the residuals and
+    of the poses, each laid on the nearest place of a fine grid. What bias and scale take of a wave is not
+    added back, so that the share is at most what it is beside them.
+
+    Args:
+        channel: (R, m) residuals.
+        theta: (R, m) elevations, in any unit.
+        squares: (R,) of the channel.
+
+    Returns:
+        (R,) the share, and how many contrasts were looked along in each run: poses at few elevations tell
+        fewer waves apart.
+    """
+    runs, m = channel.shape
+    n_waves = BEYOND * m
+    n_grid = fft.next_fast_len(PLACES * n_waves, real=True)
+    least = theta.min(axis=1)[:, None]
+    arc = theta.max(axis=1)[:, None] - least
+    arc = np.where(arc > NO_ARC, arc, np.float32(1.0))
+    place = np.rint((theta - least) * ((n_grid // 2 - 1) / arc)).astype(np.intp)
+    place += n_grid * np.arange(runs)[:, None]
+
+    def on_grid(values: Float32 | None) -> Float32:
+        weights = None if values is None else values.ravel()
+        laid = np.bincount(place.ravel(), weights, runs * n_grid).reshape(runs, n_grid)
+        return laid.astype(np.float32)
+
+    poses = on_grid(None)
+    resolved = BEYOND * np.count_nonzero(poses, axis=1)
+    seen = fft.rfft(on_grid(channel), axis=1)[:, 1 : n_waves + 1]
+    shares = _gain_along(seen, fft.rfft(poses, axis=1)[:, 2 : 2 * n_waves + 1 : 2], m)
+    shares[np.arange(n_waves) >= resolved[:, None]] = 0.0
+    return shares.max(axis=1) / np.maximum(squares, TINY), resolved
+
+
+def _gain_along(seen: Complex64, doubled: Complex64, m: int) -> FloatArray:
+    """(R, w) sums of squares along w waves, each by least squares of its sine and cosine.
+
+    Args:
+        seen: (R, w) Σ e·exp(−ix) over the m poses of a run, at the phases x of a wave.
+        doubled: (R, w) or (w,) Σ exp(−2ix).
+        m: how many poses.
+    """
+    a, b, c2, s2 = seen.real, seen.imag, doubled.real, doubled.imag
+    both = a * a + b * b
+    determinant = m * m - (c2 * c2 + s2 * s2)
+    fitted = 2.0 * (m * both - c2 * (a * a - b * b) - 2.0 * s2 * a * b)
+    is_pair = determinant > SINGULAR * m * m
+    return np.where(is_pair, fitted / np.maximum(determinant, 1.0), both / m)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PackedPoses:
+    """The poses that count of R runs, N together, each run's in the order measured.
+
+    Attributes:
+        run_ids: of the R runs.
+        first: (R + 1,) where each run's poses begin, and N.
+        columns: (N,) each: CONTRACT section 4's numeric columns and covariates by name, NaN where not known.
+        units, rigs: (R,) what each run is of and was made on, None where not known.
+    """
+
+    run_ids: tuple[str, ...]
+    first: Intp
+    columns: Mapping[str, FloatArray]
+    units: tuple[str | None, ...]
+    rigs: tuple[str | None, ...]
+
+    def __len__(self) -> int:
+        return len(self.run_ids)
+
+    @property
+    def counts(self) -> Intp:
+        """(R,) poses of each run."""
+        return np.diff(self.first)
+
+    @property
+    def theta_deg(self) -> FloatArray:
+        """(N,) the elevation that each pose stands for, as `Pose.theta_deg`."""
+        target, stage = self.columns["target_deg"], self.columns.get("stage_deg")
+        dial = target if stage is None else np.where(np.isnan(stage), target, stage)
+        mount = self.columns.get(MOUNT_DEG)
+        return dial if mount is None else dial + wrap_deg(np.nan_to_num(mount))
+
+    @property
+    def covariates(self) -> list[str]:
+        """Columns that CONTRACT section 4 does not know."""
+        return [name for name in self.columns if name not in (*COLUMNS, *OF_MOUNTS)]
+
+    def of_first_mounts(self) -> PackedPoses:
+        """Of runs with several mounts, the poses of the first one, as `of_first_mount`."""
+        mount = self.columns.get(MOUNT_DEG)
+        if mount is None or not len(mount):
+            return self
+        mount_deg = np.nan_to_num(mount)
+        of_run = np.repeat(np.arange(len(self)), self.counts)
+        at_first_deg = mount_deg[np.minimum(self.first[:-1], len(mount_deg) - 1)]
+        kept = mount_deg == at_first_deg[of_run]
+        counts = np.bincount(of_run[kept], minlength=len(self))
+        first = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
+        return replace(
+            self, first=first, columns={name: column[kept] for name, column in self.columns.items()}
+        )
+
+    def runs(self, chosen: Intp) -> PackedPoses:
+        """Some of the runs, in the order given."""
+        counts = self.counts[chosen]
+        first = np.concatenate([[0], np.cumsum(counts)])
+        rows = np.repeat(self.first[chosen] - first[:-1], counts) + np.arange(first[-1])
+        columns = {name: column[rows] for name, column in self.columns.items()}
+        run_ids, units, rigs = (
+            tuple(names[k] for k in chosen.tolist()) for names in (self.run_ids, self.units, self.rigs)
+        )
+        return PackedPoses(run_ids, first, columns, units, rigs)
+
+
+def packed(runs: Mapping[str, Sequence[Pose]]) -> PackedPoses:
+    """Poses of runs by id, as arrays, of units and rigs that are not told."""
+    rows = [pose.row() for poses in runs.values() for pose in poses]
+    counts = [len(poses) for poses in runs.values()]
+    names = dict.fromkeys(name for row in rows for name in row)
+    columns = {name: _numbers(row.get(name) for row in rows) for name in names}
+    first = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
+    unknown = (None,) * len(runs)
+    return PackedPoses(tuple(runs), first, columns, unknown, unknown)
+
+
+def _numbers(values: Iterable[float | None]) -> FloatArray:
+    return np.array(list(values), dtype=np.float64)  # None becomes NaN
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lines:
+    """The lines through R runs of n poses each.
+
+    Attributes:
+        theta_deg: (R, n) elevations.
+        given: the other columns of the poses by name, (R, n) each; `covariates` are those without physics.
+        left_deg: (R, n) readings less the line.
+        bias_deg, scale: (R,); NaN where all poses were commanded to one elevation, which tells no scale.
+        rms_deg: (R,) of what is left.
+    """
+
+    theta_deg: FloatArray
+    given: dict[str, FloatArray]
+    covariates: Sequence[str]
+    left_deg: FloatArray
+    bias_deg: FloatArray
+    scale: FloatArray
+    rms_deg: FloatArray
+
+    @property
+    def residual_deg(self) -> FloatArray:
+        """(R, n) what is left in degrees of elevation; NaN where the reading does not follow the stage."""
+        factor = np.where(np.isnan(self.scale), 1.0, self.scale)
+        factor = np.where(np.abs(factor) < MIN_SCALE, np.nan, factor)
+        return np.asarray(self.left_deg / factor[:, None])
+
+    @property
+    def is_rounding(self) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+        """(R,) whether nothing is left but what arithmetic leaves."""
+        largest = np.maximum(360.0, np.abs(self.theta_deg).max(axis=1))
+        arithmetic = self.theta_deg.shape[1] * np.finfo(np.float64).eps * largest
+        return np.asarray(self.rms_deg <= arithmetic)
+
+
+def lines_of(poses: PackedPoses, theta_deg: FloatArray, rows: Intp) -> Lines:
+    """The lines of runs by least squares.
+
+    Args:
+        poses: packed.
+        theta_deg: (N,) their elevations.
+        rows: (R, n) the poses of each run.
+    """
+    theta = theta_deg[rows]
+    given = {name: column[rows] for name, column in poses.columns.items()}
+    error = given["reading_deg"] - theta
+    error = error[:, :1] + wrap_deg(error - error[:, :1])  # all on the turn of the first
+    centre, level = theta.mean(axis=1), error.mean(axis=1)
+    off = theta - centre[:, None]
+    power = (off * off).sum(axis=1)
+    turns = (np.ptp(given["target_deg"], axis=1) > 0.0) & (power > 0.0)
+    slope = np.divide((off * error).sum(axis=1), power, out=np.zeros(len(power)), where=turns)
+    left = error - level[:, None] - slope[:, None] * off
+    return Lines(
+        theta_deg=theta,
+        given=given,
+        covariates=poses.covariates,
+        left_deg=left,
+        bias_deg=np.asarray(wrap_deg(level - slope * centre)),
+        scale=np.where(turns, 1.0 + slope, np.nan),
+        rms_deg=np.sqrt((left * left).mean(axis=1)),
+    )
+
+
+OUTLIER_STD = 4.5
+"""Robust standard deviations, at which a residual is cut off: one pose gone wrong neither hides an effect nor
+makes one. One of 150,000 is as far off by chance."""
+CUTS = 2
+"""Times that a base is fitted to what is cut: a pose wrong by 200 standard deviations is then found."""
+
+
+class Share(NamedTuple):
+    """The largest share (R,) of a channel's squares along any of some contrasts of `columns` columns each.
+
+    `kind` is a field of `Screened`; `contrasts` (R,) or a number counts those that a run has; `freedom` are
+    the degrees of freedom of what the channel's base leaves.
+    """
+
+    kind: str
+    largest: FloatArray
+    contrasts: npt.NDArray[np.intp] | int
+    columns: int
+    freedom: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Block:
+    """What is judged of R runs of m + 1 poses each: all but the first of a run, matrices (R, m).
+
+    Attributes:
+        lag1_correlation: (R,) of the reading's residual.
+        lag1_expected: (R,) of white noise, of which the line took its part; `lag1_std` is about it.
+        direction_deg: (R,) as `fleet_screen.Screened`.
+        theta: elevation, radians.
+        line: orthonormal columns of bias and scale.
+        channels: what is judged, by name: `reading`, and where known `norm` (the acceleration's magnitude)
+            and `lag` (the reading less the accelerometer's angle), each in units of its own size, with
+            nothing of its base left in it.
+        known: further quantities by name.
+        covariates: names of those that calrig has no physics for.
+        warmth: temperature less its mean, over its norm.
+    """
+
+    lag1_correlation: FloatArray
+    lag1_expected: FloatArray
+    lag1_std: float
+    direction_deg: FloatArray
+    theta: Float32
+    line: Sequence[Float32]
+    channels: dict[str, Float32]
+    known: dict[str, Float32]
+    covariates: Sequence[str]
+    warmth: Float32
+
+    @classmethod
+    def of(cls, lines: Lines) -> Block:
+        """Of the runs that these lines are through."""
+        judged = lines.theta_deg[:, 1:]
+        m = judged.shape[1]
+        ones = np.full(judged.shape, m**-0.5, dtype=np.float32)
+        tilted = _normal(_less(judged - judged.mean(axis=1)[:, None], [ones]))
+        line = [ones, tilted]
+        known = dict(_quantities(lines.theta_deg, lines.given, lines.covariates))
+        warmth = _normal(known["temperature_c"])
+        reading = _judged(lines.left_deg[:, 1:], line)
+        squares = np.maximum(_dot(reading, reading), np.finfo(np.float32).tiny)
+        return cls(
+            lag1_correlation=_dot(reading[:, 1:], reading[:, :-1]) / squares,
+            lag1_expected=-((m - 1) / m + _dot(tilted[:, 1:], tilted[:, :-1])) / (m - 2),
+            lag1_std=(m - 2) / (m * (m - 1.0) ** 0.5),
+            direction_deg=_difference(lines.left_deg[:, 1:], known["approach"]),
+            theta=np.radians(judged).astype(np.float32),
+            line=line,
+            channels={"reading": reading, **dict(_witnesses(lines.given, line, warmth))},
+            known=known,
+            covariates=lines.covariates,
+            warmth=warmth,
+        )
+
+
+def channel_shares(block: Block) -> list[Share]:
+    """Each channel along each kind of contrast."""
+    reading, known = block.channels["reading"], block.known
+    m = reading.shape[1]
+    s, c = np.sin(block.theta), np.cos(block.theta)
+    around = {"sin": s, "cos": c, "sin 2": 2.0 * s * c, "cos 2": c * c - s * s}
+    warm = block.warmth
+    of_reading: dict[str, list[Float32]] = {
+        "direction": [known["approach"]],
+        "motion": [known["move_deg"]],
+        "temperature": [warm, warm * s, warm * c, warm * around["sin 2"]],
+        "time": [known["time"], known["log_time"]],
+        "elevation": [_scaled(block.theta) ** 2, _scaled(block.theta) ** 3],
+        "covariate": [known[name] for name in block.covariates],
+    }
+    found = [
+        _along(kind, reading, columns, block.line, m - 2) for kind, columns in of_reading.items() if columns
+    ]
+    squares = _dot(reading, reading)
+    tilted = block.line[1]
+    found += [
+        Share("time", *steps(reading, tilted, squares), 1, m - 2),
+        Share("time", *cycles(reading, squares), 2, m - 2),
+        Share("elevation", *waves(reading, block.theta, squares), 2, m - 2),
+    ]
+    if "norm" in block.channels:
+        columns = [*around.values(), *(warm * column for column in around.values())]
+        base = [block.line[0], warm]
+        found.append(_along("gravity", block.channels["norm"], columns, base, m - 2))
+    if "lag" in block.channels:
+        columns = [known["move_deg"], known["approach"]]
+        found.append(_along("motion", block.channels["lag"], columns, block.line, m - 2))
+    return found
+
+
+def _along(
+    kind: str, channel: Float32, columns: Sequence[Float32], base: Sequence[Float32], freedom: int
+) -> Share:
+    """The largest share of a channel's squares along any of the columns (R, m), each beside the base."""
+    squares = np.maximum(_dot(channel, channel), np.finfo(np.float32).tiny)
+    largest, contrasts = np.zeros(len(channel)), np.zeros(len(channel), dtype=np.intp)
+    for column in columns:
+        beside = _normal(_less(column, base))
+        along = _dot(channel, beside)
+        largest = np.maximum(largest, along**2 / squares)
+        contrasts += along != 0.0  # it is where the column, or the channel, is not known
+    return Share(kind, largest, contrasts, 1, freedom)
+
+
+def _quantities(
+    theta_deg: FloatArray, given: dict[str, FloatArray], covariates: Sequence[str]
+) -> Iterator[tuple[str, Float32]]:
+    """Columns (R, m) that effects are functions of; zero throughout where one is not known."""
+    move = np.diff(theta_deg, axis=1)
+    unknown = np.full(theta_deg.shape, np.nan)
+    approach = given.get("approach", unknown)[:, 1:]
+    approach = np.where(np.isnan(approach) | (approach == 0.0), np.sign(move), approach)
+    time_s = given.get("time_s", unknown)
+    ordinal = np.broadcast_to(np.arange(theta_deg.shape[1], dtype=np.float64), theta_deg.shape)
+    is_known = ~np.isnan(time_s).any(axis=1, keepdims=True)
+    time_s = np.where(is_known, time_s, ordinal)
+    since = time_s[:, 1:] - time_s[:, :1]
+    shortest = np.maximum(np.ptp(time_s, axis=1), 1e-9)[:, None] / (10.0 * theta_deg.shape[1])
+    yield "approach", _centred(approach, scaled=False)
+    yield "move_deg", _centred(move)
+    yield "time", _centred(since)
+    yield "log_time", _centred(np.log(np.maximum(since, shortest)))
+    for name in ("temperature_c", *covariates):
+        yield name, _centred(given.get(name, unknown)[:, 1:])
+
+
+def _witnesses(
+    given: dict[str, FloatArray], line: Sequence[Float32], warmth: Float32
+) -> Iterator[tuple[str, Float32]]:
+    """The acceleration's magnitude, and the reading less the accelerometer's angle, where they are known."""
+    if "accel_y_g" not in given or "accel_z_g" not in given:
+        return
+    y, z = given["accel_y_g"][:, 1:], given["accel_z_g"][:, 1:]
+    x = np.nan_to_num(given["accel_x_g"][:, 1:]) if "accel_x_g" in given else 0.0
+    norm = np.nan_to_num(_off_mean(np.sqrt(x * x + y * y + z * z)))
+    yield "norm", _judged(norm, [line[0], warmth])
+    angle = wrap_deg(given["reading_deg"][:, 1:] - np.degrees(np.arctan2(y, z)))
+    yield "lag", _judged(np.nan_to_num(_off_mean(angle)), line)
+
+
+def _difference(left: FloatArray, approach: Float32) -> FloatArray:
+    """(R,) mean after upward less mean after downward moves; NaN where there are none of either."""
+    up = approach > 0.0
+    n_up, n = up.sum(axis=1), left.shape[1]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        after_up = np.where(up, left, 0.0).sum(axis=1)
+        return np.asarray(after_up / n_up - (left.sum(axis=1) - after_up) / (n - n_up))
+
+
+def _off_mean(values: FloatArray) -> FloatArray:
+    """(R, m) values less the mean of those of their run that are known."""
+    known = ~np.isnan(values)
+    total = np.where(known, values, 0.0).sum(axis=1)
+    return np.asarray(values - (total / np.maximum(known.sum(axis=1), 1))[:, None])
+
+
+def _centred(values: FloatArray, *, scaled: bool = True) -> Float32:
+    """(R, m) the same about their mean, of order 1; what is not known, and what never changes, is 0."""
+    off = np.nan_to_num(_off_mean(values))
+    if scaled:
+        off /= np.maximum(np.abs(off).max(axis=1), np.finfo(np.float32).tiny)[:, None]
+    return off.astype(np.float32)
+
+
+def _scaled(theta: Float32) -> Float32:
+    """(R, m) elevation about its mean, in halves of its arc: powers of it stay of order 1."""
+    off = theta - theta.mean(axis=1)[:, None]
+    return np.asarray(off / np.maximum(np.abs(off).max(axis=1), np.finfo(np.float32).tiny)[:, None])
+
+
+def _judged(values: npt.NDArray[np.floating], base: Sequence[Float32]) -> Float32:
+    """(R, m) what the base leaves of values over their size, without what is far beyond the others of a run.
+
+    Values beyond `OUTLIER_STD` times the spread are brought back to it. One of them draws the base towards
+    itself and hides behind that, so the base is fitted to what is left of it, and all are held against that,
+    anew.
+    """
+    size = np.maximum(np.abs(values).max(axis=1), np.finfo(np.float64).tiny)[:, None]
+    left = _less(values / size, base)
+    for _ in range(CUTS):
+        cut = _cut(left)
+        kept = _less(cut, base)
+        left = left - (cut - kept)
+    return _less(_cut(left), base)
+
+
+def _cut(values: Float32) -> Float32:
+    middle = values.shape[1] // 2
+    spread = MAD_TO_STD * np.partition(np.abs(values), middle, axis=1)[:, middle, None]
+    bound = np.where(spread > 0.0, OUTLIER_STD * spread, np.float32(np.inf))
+    return np.asarray(np.clip(values, -bound, bound), dtype=np.float32)
+
+
+def _dot(a: Float32, b: Float32) -> FloatArray:
+    """(R,) products of rows."""
+    return np.asarray(np.einsum("ij,ij->i", a, b), dtype=np.float64)
+
+
+def _less(values: npt.NDArray[np.floating], base: Sequence[Float32]) -> Float32:
+    """(R, m) what orthonormal columns leave of values."""
+    left = values.astype(np.float32)
+    for column in base:
+        left = left - np.einsum("ij,ij->i", left, column)[:, None] * column
+    return left
+
+
+def _normal(column: Float32) -> Float32:
+    """(R, m) of length 1; zero where next to nothing was left of a column of order 1."""
+    length = np.sqrt(_dot(column, column))
+    kept = length > LITTLE * column.shape[1] ** 0.5
+    factor = np.divide(1.0, length, out=np.zeros_like(length), where=kept)
+    return column * factor.astype(np.float32)[:, None]
+
+
+LITTLE = 1e-4
+"""Of a column of order 1, beside the base: what single precision leaves of one that the base explains."""
+
 
 LEVEL = 0.05
 """Of runs of white noise that stand out, at most: five times what the diagnosis' gate lets pass, so that

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.estimation.angles import FloatArray, wrap_deg
 
 OWN_DEG = 0.01

@@ -33,8 +33,8 @@ def apply(
     ] = None,
 ) -> None:
     """Print the readings with calibrated elevations and standard uncertainties, as CSV."""
-    from calrig.calibration.application import Application
-    from calrig.calibration.effect import ApplyError
+    from calrig.calibration.regression import ApplyError
+    from calrig.calibration.results import Application
     from calrig.export.applied_csv import Applier
     from calrig.export.calibration_file import read_document
     from calrig.export.cells import CsvError

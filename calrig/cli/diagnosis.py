@@ -33,7 +33,7 @@ def diagnose(
 
     Runs are diagnosed by the service that holds their store, where one does: it keeps the diagnosis.
     """
-    from calrig.calibration.pose import DiagnosisError
+    from calrig.calibration.poses import DiagnosisError
     from calrig.cli import output
 
     files = [source for source in sources if names_a_file(source)]
@@ -57,7 +57,7 @@ def gravity(
     accel_range: AccelRange = None,
 ) -> None:
     """Calibrate the accelerometer against |a| = 1 g, without a stage, and trace the residual."""
-    from calrig.calibration.gravity import calibrate_by_gravity, gravity_document
+    from calrig.calibration.separation import calibrate_by_gravity, gravity_document
     from calrig.calibration.static_detector import GravityError
     from calrig.cli import output
     from calrig.export.cells import CsvError

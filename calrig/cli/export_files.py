@@ -13,7 +13,7 @@ from calrig.cli.progress import late_bar
 from calrig.errors import InputError, WorkError
 
 if TYPE_CHECKING:
-    from calrig.calibration.packed_poses import PackedPoses
+    from calrig.calibration.fleet_screen import PackedPoses
     from calrig.client import Client
     from calrig.store import Store
     from calrig.store.issued import Revision

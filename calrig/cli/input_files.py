@@ -12,7 +12,7 @@ from calrig.cli.typed_ids import looks_like_an_id
 from calrig.errors import InputError
 
 if TYPE_CHECKING:
-    from calrig.calibration.pose import Pose
+    from calrig.calibration.poses import Pose
     from calrig.export.static_csv import StaticLog
     from calrig.plan import Plan
 

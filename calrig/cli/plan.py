@@ -113,7 +113,7 @@ def _designed_there(there: Client, asked: _Asked) -> dict[str, Any]:
 def _designed_here(asked: _Asked, db: str | None, config: str | None) -> dict[str, Any]:
     from calrig.analysis.errors import Invalid
     from calrig.analysis.stage_maps import configured_maps
-    from calrig.calibration.plan_design.goals import Goals
+    from calrig.calibration.plan_design import Goals
     from calrig.cli.progress import late_bar
     from calrig.plan import Until
     from calrig.runs.plan_answers import answer

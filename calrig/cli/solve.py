@@ -18,7 +18,7 @@ from calrig.errors import InputError, WorkError
 
 if TYPE_CHECKING:
     from calrig.analysis.joint_solutions import Question, Wanted
-    from calrig.calibration.joint.table import Mounted
+    from calrig.calibration.separation import MountedPoses
     from calrig.store.solved import Frame, Solved
 
 NOT_DRAWN = "solve: --plot is of units clamped by one face: leave it out, nothing was solved"
@@ -148,8 +148,8 @@ def _check_options(frame: str, limits: tuple[float, float] | None) -> None:
 
 def _answer(asked: Question, *, is_drawn: bool) -> Solved:
     from calrig.analysis.joint_solutions import answer
-    from calrig.calibration.joint.three_axis_table import whole_units
-    from calrig.calibration.pose import DiagnosisError
+    from calrig.calibration.poses import DiagnosisError
+    from calrig.calibration.separation import whole_units
     from calrig.cli.progress import late_bar
 
     if is_drawn and whole_units(asked.lots):
@@ -161,7 +161,7 @@ def _answer(asked: Question, *, is_drawn: bool) -> Solved:
         raise InputError(str(error)) from error
 
 
-def _of_lots(lots: Sequence[Mounted], wanted: Wanted) -> Question:
+def _of_lots(lots: Sequence[MountedPoses], wanted: Wanted) -> Question:
     from calrig.analysis.joint_solutions import Question
 
     units = list(dict.fromkeys(lot.unit for lot in lots))
@@ -179,7 +179,7 @@ def _of_runs(wanted: Wanted, db: str | None) -> Question:
         return question(store, replace(wanted, runs=[whole_id(store, typed) for typed in wanted.runs]))
 
 
-def _of_files(files: Sequence[str], units: Sequence[str]) -> tuple[list[Mounted], list[str]]:
+def _of_files(files: Sequence[str], units: Sequence[str]) -> tuple[list[MountedPoses], list[str]]:
     """Poses of each clamping, and what is to be said of how they were read."""
     if len(units) > 1 and len(units) != len(files):
         raise InputError(
@@ -191,7 +191,7 @@ def _of_files(files: Sequence[str], units: Sequence[str]) -> tuple[list[Mounted]
     return [lot for lots, _ in read for lot in lots], [sentence for _, said in read for sentence in said]
 
 
-def _of_file(file: Path, serial: str | None) -> tuple[list[Mounted], list[str]]:
+def _of_file(file: Path, serial: str | None) -> tuple[list[MountedPoses], list[str]]:
     from calrig.export.mounted_csv import read_mounted
     from calrig.export.poses_csv import CsvError
 

@@ -12,7 +12,7 @@ from typing import IO
 import numpy as np
 import numpy.typing as npt
 
-from calrig.calibration.application import Application
+from calrig.calibration.results import Application
 from calrig.estimation.angles import AXES, STANDARD_GRAVITY_MPS2, FloatArray
 from calrig.export.cells import Cells, CsvError
 from calrig.export.csv_table import Table, read_rows, there_are

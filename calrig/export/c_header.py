@@ -11,12 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.application import effects_at_rest
-from calrig.calibration.correction import effects_on_reading_deg, felt_elevation_deg
-from calrig.calibration.effect import TEMPERATURE, ApplyError, Circumstances, NotInFlight, Parameters
-from calrig.calibration.effect_terms import c_literal
 from calrig.calibration.effects import effect_of
-from calrig.calibration.sensor_vector import VectorInC
+from calrig.calibration.regression import (
+    TEMPERATURE,
+    ApplyError,
+    Circumstances,
+    NotInFlight,
+    Parameters,
+    VectorInC,
+    c_literal,
+)
+from calrig.calibration.results import effects_at_rest, effects_on_reading_deg, felt_elevation_deg
 from calrig.estimation.angles import FloatArray
 from calrig.export.c_vectors import acceleration_function, test_vectors
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.application import Application
-from calrig.calibration.effect_terms import c_literal
+from calrig.calibration.regression import c_literal
+from calrig.calibration.results import Application
 from calrig.estimation.angles import FloatArray
 from calrig.export.formats.triads import is_curved
 

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 
 from calrig.calibration.effects import effect_of
-from calrig.calibration.fit import Line
-from calrig.calibration.pose import Pose, of_first_mount
-from calrig.calibration.reference_figures import ReferenceFigures
-from calrig.calibration.result import Result
-from calrig.calibration.stage_reference import in_words
-from calrig.calibration.uncertainty import Reference, uncertainty
+from calrig.calibration.line import Line
+from calrig.calibration.poses import Pose, of_first_mount
+from calrig.calibration.results import Result
+from calrig.calibration.separation import in_words
+from calrig.calibration.uncertainty import Reference, ReferenceFigures, uncertainty
 from calrig.estimation.angles import FloatArray
 from calrig.export.calibration_file import SCHEMA
 from calrig.store.records import AcceptedEffect, Document

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from calrig.calibration.joint.report import level_document, parameters_of
-from calrig.calibration.joint.solution import Solution
-from calrig.calibration.joint.unit_model import NAMES
+from calrig.calibration.separation import NAMES, Solution, level_document, parameters_of
 from calrig.export.solved_parts import calibration, effects_of_values, stage_map
 
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from calrig.calibration.joint.clamping import FACES
-from calrig.calibration.joint.table import Mounted
-from calrig.calibration.pose import MOUNT_DEG, Pose
+from calrig.calibration.poses import MOUNT_DEG, Pose
+from calrig.calibration.separation import FACES, MountedPoses
 from calrig.export.cells import CsvError
 from calrig.export.poses_csv import (
     Labels,
@@ -106,7 +105,7 @@ def _degrees(angle: float | None) -> str:
     return "no stated angle" if angle is None else f"{angle:g}°"
 
 
-def read_mounted(data: bytes, source: str, unit: str | None = None) -> tuple[list[Mounted], list[str]]:
+def read_mounted(data: bytes, source: str, unit: str | None = None) -> tuple[list[MountedPoses], list[str]]:
     """The poses of a file, a lot for each clamping.
 
     Args:
@@ -123,7 +122,7 @@ def read_mounted(data: bytes, source: str, unit: str | None = None) -> tuple[lis
 
 def lots_of(
     poses: Sequence[Pose], labels: Sequence[Labels], source: str, unit: str | None = None
-) -> list[Mounted]:
+) -> list[MountedPoses]:
     """Poses of one file or run by their clamping, in the order measured.
 
     Without a label a mount is called by its source, and its angle where there is one.
@@ -143,7 +142,8 @@ def lots_of(
         bare = replace(pose, covariates={k: v for k, v in pose.covariates.items() if k != MOUNT_DEG})
         lots.setdefault((serial, name, angle, axis), []).append(bare)
     return [
-        Mounted(serial, name, angle, source, own, axis) for (serial, name, angle, axis), own in lots.items()
+        MountedPoses(serial, name, angle, source, own, axis)
+        for (serial, name, angle, axis), own in lots.items()
     ]
 
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import overload
 
-from calrig.calibration.pose import COLUMNS, INTEGER, MOUNT_DEG, REQUIRED, Pose
+from calrig.calibration.poses import COLUMNS, INTEGER, MOUNT_DEG, REQUIRED, Pose
 from calrig.export.cells import Cells, CsvError, for_spreadsheet, from_spreadsheet
 from calrig.export.csv_table import read_tables
 

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.packed_poses import PackedPoses
-from calrig.calibration.pose import INTEGER, REQUIRED
+from calrig.calibration.fleet_screen import PackedPoses
+from calrig.calibration.poses import INTEGER, REQUIRED
 from calrig.errors import InputError, WorkError
 
 POSES_A_FILE = 2_000_000

@@ -8,16 +8,20 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.coverage import COVERAGE, coverage_factor
 from calrig.calibration.effects import effect_of
-from calrig.calibration.fit import rms
-from calrig.calibration.joint.elevation import Worth
-from calrig.calibration.joint.mapped import mapped
-from calrig.calibration.joint.report_parts import Value, map_document, worth_document
-from calrig.calibration.joint.solution import Solution
-from calrig.calibration.joint.table import Table
-from calrig.calibration.joint.three_axis_solution import ThreeAxisSolution
-from calrig.calibration.stage_reference import MAP_SCHEMA
+from calrig.calibration.line import rms
+from calrig.calibration.separation import (
+    MAP_SCHEMA,
+    ElevationUncertainty,
+    Solution,
+    Table,
+    ThreeAxisSolution,
+    Value,
+    map_document,
+    mapped,
+    uncertainty_document,
+)
+from calrig.calibration.uncertainty import COVERAGE, coverage_factor
 from calrig.canonical_json import with_sha256
 from calrig.estimation.angles import FloatArray, wrap_deg
 from calrig.export.calibration_file import SCHEMA
@@ -41,7 +45,7 @@ _ADDED = {"y_mg", "z_mg", "y_mg_per_c", "z_mg_per_c", *_CURVATURES}
 def calibration(
     solution: Solved,
     unit: int,
-    worth: Worth,
+    worth: ElevationUncertainty,
     own: Mapping[str, Any],
     provenance: Mapping[str, Any],
     rig: str | None,
@@ -67,7 +71,7 @@ def calibration(
         "run_id": None,
         "calibrated_at": None,
         "rig": rig,
-        **worth_document(worth),
+        **uncertainty_document(worth),
         "model": MODEL,
         "bias_deg": 0.0,
         "scale": 1.0,
@@ -140,7 +144,7 @@ def stage_map(solution: Solved, separable: bool, rig: str | None) -> dict[str, A
     return with_sha256(document)
 
 
-def _covariance(solution: Solved, worth: Worth) -> FloatArray:
+def _covariance(solution: Solved, worth: ElevationUncertainty) -> FloatArray:
     """(2, 2) of bias and scale: of the line through errors of the elevation over the range."""
     line = np.linalg.pinv(np.stack([np.ones(len(worth.elevation_deg)), worth.elevation_deg], axis=1))
     covariance = solution.fit.covariance_of(line @ worth.by_parameters)

@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from typing import Any
 
-from calrig.calibration.joint.three_axis_frame import Frame
-from calrig.calibration.joint.three_axis_report import (
+from calrig.calibration.separation import (
+    Frame,
+    ThreeAxisSolution,
     WholeUnit,
     accelerometer_document,
     gyro_document,
     plane_parameters,
     units_of,
 )
-from calrig.calibration.joint.three_axis_solution import ThreeAxisSolution
 from calrig.export.solved_parts import calibration, effects_of_values, stage_map
 
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from calrig.calibration.diagnosis import PartialResidual
 from calrig.calibration.effects import covariate_of
-from calrig.calibration.partial_residuals import PartialResidual
 from calrig.estimation.angles import FloatArray
 from calrig.figures.parts import APPROACHES, GREY, PALETTE, Figure, as_text, error_bars, layout_of
 

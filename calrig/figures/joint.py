@@ -31,7 +31,7 @@ def joint_figure(name: str, document: Mapping[str, Any], poses: Mapping[str, Seq
     Args:
         name: of the picture.
         document: CONTRACT section 8.
-        poses: columns as `calrig.calibration.joint.poses_left` gives them.
+        poses: columns as `calrig.calibration.separation.report` gives them.
     """
     if name == "map":
         return _map(document, poses)

@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.estimation.angles import wrap_deg
 from calrig.figures.parts import (
     APPROACHES,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from calrig.calibration.move_check import MoveCheck, MoveWatch, gyro_move_std_deg
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.estimation.angles import along_axis
 from calrig.instruments.errors import StageError
 from calrig.instruments.types import Samples

@@ -10,12 +10,9 @@ from typing import TYPE_CHECKING, Any
 from calrig.analysis.errors import Conflict
 from calrig.analysis.stored_runs import poses_together, runs_together
 from calrig.analysis.unresolved import Unresolved, found_in
-from calrig.calibration.diagnosis import trace
-from calrig.calibration.experiment_design import FollowUp, design
-from calrig.calibration.pose import DiagnosisError, Pose
+from calrig.calibration.diagnosis import Findings, FollowUp, SequentialTest, design, trace
+from calrig.calibration.poses import DiagnosisError, Pose
 from calrig.calibration.progress import Progress, unheard, within
-from calrig.calibration.search import Findings
-from calrig.calibration.sprt import SequentialTest
 from calrig.plan import Plan, PlannedPose
 from calrig.processes.pool import WorkError, run_apart
 from calrig.store import Run

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.estimation.angles import AXES, along_axis, elevation_deg, wrap_deg
 from calrig.instruments.types import FloatArray
 from calrig.plan import MountAxis

@@ -9,7 +9,7 @@ from pydantic import TypeAdapter
 
 from calrig.analysis.active_calibration import ActiveCalibration
 from calrig.analysis.unresolved import Unresolved
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.plan import Plan
 from calrig.runs.follow_up import FollowUpRun
 from calrig.runs.new_run import NewRun

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from calrig.calibration.pose import GYRO_MOVES
-from calrig.calibration.result import GyroFigures
+from calrig.calibration.poses import GYRO_MOVES
+from calrig.calibration.results import GyroFigures
 from calrig.estimation.gyro import GyroBias, dwell_bias, felt_move_deg, gyro_scale, run_bias
 from calrig.instruments.types import Samples
 

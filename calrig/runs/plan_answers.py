@@ -10,11 +10,18 @@ from typing import Any
 from pydantic import ValidationError
 
 from calrig.analysis.errors import Invalid
-from calrig.calibration.plan_design.design import ended, quickest, within
-from calrig.calibration.plan_design.goals import Goals
-from calrig.calibration.plan_design.limit import limit_s
-from calrig.calibration.plan_design.settling import SHARE, forgotten_s
-from calrig.calibration.plan_design.task import Design, OutOfReachError, Task
+from calrig.calibration.plan_design import (
+    SHARE,
+    Design,
+    DesignProblem,
+    Goals,
+    OutOfReachError,
+    ended,
+    forgotten_s,
+    limit_s,
+    quickest,
+    within,
+)
 from calrig.plan import Plan
 from calrig.runs.plan_designs import Question, Wanted
 from calrig.runs.settling import Settling
@@ -89,7 +96,7 @@ def answer(asked: Question, progress: Callable[[float], None] = lambda _: None) 
     return Designed(made, design, whole, least_s, says, task.sweeping is not None, wanted.time_s is not None)
 
 
-def _limit_s(task: Task, wanted: Wanted, design: Design) -> float:
+def _limit_s(task: DesignProblem, wanted: Wanted, design: Design) -> float:
     """The time that no plan for what is wanted is under; for a time, none that reaches as much in less."""
     if wanted.time_s is None:
         return limit_s(task, wanted.goals)
@@ -97,7 +104,7 @@ def _limit_s(task: Task, wanted: Wanted, design: Design) -> float:
     return limit_s(task, reached, must_show=False)
 
 
-def _plan_of(asked: Question, task: Task, design: Design) -> Plan:
+def _plan_of(asked: Question, task: DesignProblem, design: Design) -> Plan:
     """What is kept, with the design in it."""
     common = {
         **asked.plan.model_dump(),
@@ -129,8 +136,8 @@ def _valid(fields: dict[str, Any]) -> Plan:
 
 
 def _settled(
-    task: Task, wanted: Wanted, settling: Settling, progress: Callable[[float], None]
-) -> tuple[Task, Design]:
+    task: DesignProblem, wanted: Wanted, settling: Settling, progress: Callable[[float], None]
+) -> tuple[DesignProblem, Design]:
     """The design that waits long enough for the filter to forget its own moves."""
     for done in range(SETTLED_AFTER):
 
@@ -167,7 +174,7 @@ def _why(made: Designed) -> str:
     return f"{ways}, and dwells at its two ends alone: less time does not hold {data}"
 
 
-def _says(asked: Question, task: Task, design: Design, whole: Design) -> tuple[str, ...]:
+def _says(asked: Question, task: DesignProblem, design: Design, whole: Design) -> tuple[str, ...]:
     precision = task.sweeping.precision if task.sweeping and whole.sweep else task.precision
     said = [f"{precision.said[0].upper()}{precision.said[1:]}.", *_how_it_moves(asked, task, whole)]
     if task.type_b is None:
@@ -194,7 +201,7 @@ def _says(asked: Question, task: Task, design: Design, whole: Design) -> tuple[s
     return tuple(said)
 
 
-def _how_it_moves(asked: Question, task: Task, whole: Design) -> list[str]:
+def _how_it_moves(asked: Question, task: DesignProblem, whole: Design) -> list[str]:
     waits_s, settling = task.pace.settle_s, asked.settling
     because = "" if waits_s <= settling.least_s else ", and the filter has forgotten the moves"
     waits = f"It waits {waits_s:g} s after each move: {settling.said}{because}."

@@ -8,9 +8,7 @@ from functools import partial
 
 from calrig.analysis.errors import Invalid
 from calrig.analysis.stage_maps import kept_of
-from calrig.calibration.plan_design.goals import Goals
-from calrig.calibration.plan_design.rig_figures import Pace
-from calrig.calibration.plan_design.task import Task
+from calrig.calibration.plan_design import DesignProblem, Goals, Pace
 from calrig.plan import Plan, Until
 from calrig.runs.precision import precision_of
 from calrig.runs.reachable import reference_worth
@@ -45,7 +43,7 @@ class Question:
 
     wanted: Wanted
     plan: Plan
-    task: Task
+    task: DesignProblem
     settling: Settling
     no_sweep: str | None = None
 
@@ -80,7 +78,7 @@ def question(
     precision = precision_of(rig, unit, store)
     in_force = maps.get(rig.name) if store is None else kept_of(store, rig.name, maps)
     turns = may_sweep(rig, plan, store, pace, precision) if wanted.sweep else MaySweep()
-    task = Task(
+    task = DesignProblem(
         range_deg=(low, high),
         precision=precision,
         pace=_pace(plan, pace, settling.least_s),

@@ -9,7 +9,7 @@ import numpy as np
 
 from calrig.analysis.errors import NotTheSame
 from calrig.calibration.move_check import MoveCheck
-from calrig.calibration.pose import GYRO_MEANS, MOUNT_DEG, Filtering, Pose
+from calrig.calibration.poses import GYRO_MEANS, MOUNT_DEG, Filtering, Pose
 from calrig.estimation.angles import AXES
 from calrig.estimation.kalman import KalmanNoise
 from calrig.estimation.reading import Reading, dwell_reading

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from calrig.calibration.plan_design.rig_figures import NOT_MEASURED, Precision, precision_of_run
+from calrig.calibration.plan_design import NOT_MEASURED, Precision, precision_of_run
 from calrig.run_ids import short_name
 from calrig.settings import RigSettings
 from calrig.store import Run, Store

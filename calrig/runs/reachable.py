@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from calrig.analysis.errors import Invalid
-from calrig.calibration.plan_design.goals import TypeB
-from calrig.calibration.stage_reference import StageMap, map_reference
+from calrig.calibration.plan_design import TypeB
+from calrig.calibration.separation import StageMap, map_reference
 from calrig.calibration.uncertainty import Reference
 from calrig.plan import Plan
 from calrig.runs.stopping_rule import goals_of

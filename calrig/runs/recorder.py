@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Unpack
 
 from calrig.analysis.mounts import mount_columns
-from calrig.calibration.pose import GYRO_MEANS, Pose
-from calrig.calibration.pose_errors import raw_error_deg
+from calrig.calibration.poses import GYRO_MEANS, Pose
+from calrig.calibration.results import raw_error_deg
 from calrig.instruments.clock import Clock
 from calrig.runs.bus import Bus
 from calrig.runs.meter import RunMeter

@@ -20,7 +20,7 @@ from calrig.analysis.active_calibration import ActiveCalibration, active_calibra
 from calrig.analysis.errors import Conflict, NotTheSame
 from calrig.analysis.stage_maps import provenance_part
 from calrig.analysis.unresolved import unresolved
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.estimation.angles import wrap_deg
 from calrig.estimation.gyro import GyroBias, dwell_bias
 from calrig.estimation.reading import Reading

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from statistics import fmean
 
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.instruments.axis_goal import travel_time_s
 from calrig.plan import Plan
 from calrig.settings import RigSettings

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calrig.calibration.plan_design.settling import GAIN_ERROR, LEAST_S, Gyro, ring_down_s
-from calrig.calibration.pose import Filtering
+from calrig.calibration.plan_design import GAIN_ERROR, LEAST_S, Gyro, ring_down_s
+from calrig.calibration.poses import Filtering
 from calrig.estimation.angles import AXES
 from calrig.estimation.kalman import KalmanNoise
 from calrig.plan import Plan

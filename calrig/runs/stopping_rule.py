@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from calrig.analysis.results import fitted
-from calrig.calibration.plan_design.goals import Goals
-from calrig.calibration.pose import Pose
-from calrig.calibration.result import Result
-from calrig.calibration.sequential_stopping import Ending, has_the_line, turned_both_ways
-from calrig.calibration.stage_reference import with_map
+from calrig.calibration.plan_design import Goals
+from calrig.calibration.poses import Pose
+from calrig.calibration.results import Result
+from calrig.calibration.separation import with_map
+from calrig.calibration.uncertainty import Ending, has_the_line, turned_both_ways
 from calrig.plan import PlannedPose, Until
 from calrig.store import AcceptedEffect
 from calrig.store.records import Document, map_of

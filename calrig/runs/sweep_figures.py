@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from calrig.calibration.plan_design.rig_figures import Precision, Turning
-from calrig.calibration.plan_design.task import Sweeping
+from calrig.calibration.plan_design import Precision, Sweeping, Turning
 from calrig.plan import Plan
 from calrig.run_ids import short_name
 from calrig.runs.precision import precision_shown

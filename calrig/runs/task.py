@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from calrig.analysis.active_calibration import ActiveCalibration
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.estimation.gyro import GyroBias
 from calrig.plan import Plan, PlannedPose
 from calrig.runs.follow_up import FollowUpRun

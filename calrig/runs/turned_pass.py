@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calrig.calibration.motor_vibration import UnreportedTurn
-from calrig.calibration.pose import Filtering, Pose
+from calrig.calibration.poses import Filtering, Pose
 from calrig.estimation.angles import wrap_deg
 from calrig.estimation.gyro import dwell_bias
 from calrig.estimation.kalman import KalmanNoise

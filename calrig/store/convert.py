@@ -16,8 +16,8 @@ import numpy as np
 from sqlalchemy.orm import object_session
 from sqlmodel import Session, select
 
-from calrig.calibration.conformity import Limit, limit_for
-from calrig.calibration.pose import Filtering, Pose
+from calrig.calibration.poses import Filtering, Pose
+from calrig.calibration.uncertainty import Limit, limit_for
 from calrig.run_ids import is_run_id
 from calrig.store import checksums
 from calrig.store.errors import NotFound, Unreadable

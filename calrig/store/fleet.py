@@ -14,8 +14,8 @@ import numpy.typing as npt
 import sqlalchemy
 from sqlmodel import Session
 
-from calrig.calibration.packed_poses import PackedPoses
-from calrig.calibration.pose import COLUMNS, GYRO_MEANS
+from calrig.calibration.fleet_screen import PackedPoses
+from calrig.calibration.poses import COLUMNS, GYRO_MEANS
 from calrig.estimation.angles import FloatArray
 from calrig.store import checksums
 from calrig.store.convert import POSE_NUMBERS

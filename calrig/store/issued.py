@@ -33,7 +33,7 @@ class Draft:
         verdict: CONTRACT section 2's, as it was when it was made.
         releases: whether it is put in force as it is made.
         by: who made it; None where nobody is known by name.
-        doubts: why it is not released by itself (`calrig.calibration.doubts`), kept with the run's result as
+        doubts: why it is not released by itself (`calibration.uncertainty.doubts`), kept with the result as
             well; None where they are not about the run's own result.
     """
 

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.store.records import Document, Status
 
 Text = Annotated[str, Field(max_length=10_000)]

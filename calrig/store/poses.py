@@ -9,8 +9,8 @@ from typing import Any, Unpack
 from sqlmodel import Session, col, delete, func, insert, select
 from sqlmodel.sql.expression import SelectOfScalar
 
-from calrig.calibration.pose import Filtering, Pose
-from calrig.calibration.stage_reference import StageMap
+from calrig.calibration.poses import Filtering, Pose
+from calrig.calibration.separation import StageMap
 from calrig.store.convert import (
     joined_arrays,
     labelled_block,

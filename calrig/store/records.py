@@ -10,10 +10,9 @@ from typing import Any, Literal, NamedTuple, NotRequired, TypedDict
 import numpy as np
 import numpy.typing as npt
 
-from calrig.calibration.conformity import Limit
-from calrig.calibration.pose import Filtering, Pose
-from calrig.calibration.stage_reference import StageMap
-from calrig.calibration.uncertainty import Reference
+from calrig.calibration.poses import Filtering, Pose
+from calrig.calibration.separation import StageMap
+from calrig.calibration.uncertainty import Limit, Reference
 from calrig.calibration.verdict import Verdict, verdict
 from calrig.estimation.kalman import KalmanNoise
 

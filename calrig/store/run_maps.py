@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from sqlmodel import Session, col, select
 
-from calrig.calibration.stage_reference import StageMap, with_map
+from calrig.calibration.separation import StageMap, with_map
 from calrig.store.errors import Unreadable
 from calrig.store.records import StoredPose, map_of
 from calrig.store.tables import PoseTable, RunTable

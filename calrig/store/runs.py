@@ -10,7 +10,7 @@ from typing import Unpack, get_args
 from sqlalchemy import ColumnElement
 from sqlmodel import Session, col, func, select, tuple_
 
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.run_ids import is_uuid, new_run_id
 from calrig.store import event_log, issued, staging, trail
 from calrig.store.convert import figures_of, find_run, run_of, run_row

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from sqlalchemy import Column, Connection, MetaData, Table
 from sqlmodel import Session, insert, literal, select
 
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.store import checksums
 from calrig.store.convert import POSE_NUMBERS, pose_values
 from calrig.store.database import Database

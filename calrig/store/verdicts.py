@@ -18,9 +18,8 @@ import sqlalchemy
 from sqlalchemy import Connection, event
 from sqlmodel import Session, col, select
 
-from calrig.calibration.conformity import Limit, limit_for
-from calrig.calibration.verdict import verdict_figures
-from calrig.calibration.verdict_figures import Left, VerdictFigures
+from calrig.calibration.uncertainty import Limit, limit_for
+from calrig.calibration.verdict import Left, VerdictFigures, verdict_figures
 from calrig.program_text import sha256_of_program
 from calrig.store.convert import run_of
 from calrig.store.database import Part

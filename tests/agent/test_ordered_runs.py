@@ -9,9 +9,9 @@ from support import QUICK
 
 from calrig.analysis.active_calibration import ActiveCalibration
 from calrig.analysis.unresolved import Unresolved
-from calrig.calibration.fit import Line
-from calrig.calibration.pose import Filtering, Pose
-from calrig.calibration.reference_figures import ReferenceFigures
+from calrig.calibration.line import Line
+from calrig.calibration.poses import Filtering, Pose
+from calrig.calibration.uncertainty.budget import ReferenceFigures
 from calrig.plan import Plan
 from calrig.runs.follow_up import FollowUpRun
 from calrig.runs.new_run import NewRun

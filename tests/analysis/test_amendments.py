@@ -11,8 +11,8 @@ from calrig.analysis.acceptance import Acceptance
 from calrig.analysis.amendments import Records
 from calrig.analysis.errors import Conflict, Invalid
 from calrig.analysis.results import refitted
-from calrig.calibration.pose import Pose
-from calrig.calibration.result import build_result
+from calrig.calibration.poses import Pose
+from calrig.calibration.results.result import build_result
 from calrig.plan import Plan
 from calrig.store import Run, Store
 from calrig.store.errors import NotFound, Refused

@@ -8,8 +8,8 @@ import pytest
 
 from calrig.analysis.acceptance import Acceptance
 from calrig.analysis.errors import Conflict
-from calrig.calibration.pose import Pose
-from calrig.calibration.result import build_result
+from calrig.calibration.poses import Pose
+from calrig.calibration.results.result import build_result
 from calrig.store import Run, Store
 
 POSES = [Pose(x, 0.8 + x, approach=1) for x in (-60.0, -30.0, 0.0, 30.0, 60.0)]

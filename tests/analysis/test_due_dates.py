@@ -7,7 +7,7 @@ from datetime import timedelta
 from dated_runs import at, gave, lay, ran
 
 from calrig.analysis.due_dates import DueDates, due_dates
-from calrig.calibration.conformity import Limit
+from calrig.calibration.uncertainty.conformity import Limit
 from calrig.store import Store
 
 YEAR = 365.0

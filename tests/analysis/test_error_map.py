@@ -10,12 +10,12 @@ import pytest
 from joint.rig import Bench, Design, Stage, drawn_stage, drawn_unit
 
 from calrig.analysis.error_map import MOST_RUNS, basis_of, error_map
-from calrig.calibration.joint.table import Mounted
-from calrig.calibration.result import build_result
+from calrig.calibration.results.result import build_result
+from calrig.calibration.separation.pose_table import MountedPoses
 from calrig.store import Run, Store
 
 
-def laid(store: Store, lot: Mounted, rig: str = "bench-1") -> Run:
+def laid(store: Store, lot: MountedPoses, rig: str = "bench-1") -> Run:
     """A run of one clamping."""
     return store.create_run(
         unit=lot.unit,
@@ -29,7 +29,7 @@ def laid(store: Store, lot: Mounted, rig: str = "bench-1") -> Run:
 
 
 @pytest.fixture
-def bench() -> tuple[Stage, Sequence[Mounted]]:
+def bench() -> tuple[Stage, Sequence[MountedPoses]]:
     """A stage worth 0.29° and what is measured on it: of one unit three clampings, of another one."""
     rng = np.random.default_rng(15)
     stage = drawn_stage(rng, gap_deg=0.05)

@@ -13,9 +13,9 @@ import pytest
 from calrig.analysis import fleet
 from calrig.analysis.fleet import reanalyse
 from calrig.analysis.fleet_workers import Workers, own_processes
-from calrig.calibration.pose import Pose
-from calrig.calibration.pose_errors import residuals
-from calrig.calibration.result import build_result
+from calrig.calibration.poses import Pose
+from calrig.calibration.results.pose_errors import residuals
+from calrig.calibration.results.result import build_result
 from calrig.errors import WorkError
 from calrig.export.poses_parquet import write_poses
 from calrig.store import Run, Store

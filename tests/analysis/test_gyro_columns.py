@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calrig.analysis.gyro_columns import poses_with_gyro
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.store import Store
 from calrig.store.records import SampleBlock
 

@@ -15,8 +15,8 @@ from calrig.analysis.acceptance import Acceptance
 from calrig.analysis.amendments import Records
 from calrig.analysis.errors import Conflict, Invalid
 from calrig.analysis.issuing import BROUGHT_OVER, Issuer, Releases
-from calrig.calibration.pose import Pose
-from calrig.calibration.result import build_result
+from calrig.calibration.poses import Pose
+from calrig.calibration.results.result import build_result
 from calrig.calibration.verdict import Verdict
 from calrig.canonical_json import canonical
 from calrig.store import Run, Store, StoreDamagedError

@@ -12,7 +12,7 @@ from calrig.analysis.certificates import certificate
 from calrig.analysis.issuing import Issuer
 from calrig.analysis.results import fitted, refitted
 from calrig.analysis.stage_maps import provenance_part, put_in_force
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.laboratory import LaboratorySettings
 from calrig.store import AcceptedEffect, Run, Store
 

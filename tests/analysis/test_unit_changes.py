@@ -14,7 +14,7 @@ from calrig.analysis.diagnoses import Diagnoses
 from calrig.analysis.errors import Unknown
 from calrig.analysis.histories import histories
 from calrig.analysis.unit_changes import charts, unit_changes
-from calrig.calibration.diagnosis import diagnose, document
+from calrig.calibration.diagnosis.tracing import diagnose, document
 from calrig.plan import Plan
 from calrig.store import Store
 

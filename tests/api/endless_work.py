@@ -25,8 +25,8 @@ SEEN = AT_WORK / "seen"
 
 
 def watched(*poses: Any, progress: Callable[[float], None], **asked: Any) -> dict[str, Any]:
-    """As `calrig.calibration.diagnosis.trace`; goes on whenever somebody has seen how far it is."""
-    from calrig.calibration.diagnosis import trace
+    """As `calrig.calibration.diagnosis.tracing.trace`; goes on whenever somebody has seen how far it is."""
+    from calrig.calibration.diagnosis.tracing import trace
 
     def told(share: float) -> None:
         progress(share)

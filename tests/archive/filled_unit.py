@@ -12,7 +12,7 @@ from calrig.analysis.amendments import Records
 from calrig.analysis.certificates import certificate_dcc
 from calrig.analysis.issuing import Issuer
 from calrig.analysis.stage_maps import provenance_part, put_in_force
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.export.archive.contents import unit_archive
 from calrig.laboratory import LaboratorySettings
 from calrig.store import AcceptedEffect, SampleBlock, Store

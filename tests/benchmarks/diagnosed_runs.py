@@ -8,7 +8,7 @@ import numpy as np
 from blind.cells import GRID, backlash, bias_tempco, eccentricity, offset_anywhere, package_turn, periodic
 from blind.physics import Noise, measure, timeline
 
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.plan import Plan
 
 QUIET = Noise(reading_deg=0.009, norm_mg=0.1, move_deg=0.01)

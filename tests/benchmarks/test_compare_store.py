@@ -12,7 +12,7 @@ from pydantic_core import to_json
 from calrig.analysis import histories
 from calrig.analysis.comparison import compared_runs, comparison
 from calrig.analysis.due_dates import due_dates
-from calrig.calibration.conformity import Limit
+from calrig.calibration.uncertainty.conformity import Limit
 from calrig.store import Store
 from calrig.store.tables import CalibrationTable, RunTable, UnitTable
 

@@ -18,8 +18,8 @@ import pytest
 from blind.peers import forward_bic, library
 from diagnosed_runs import demo_run, eleven_turns, three_effects
 
-from calrig.calibration.diagnosis import diagnose
-from calrig.calibration.pose import Pose
+from calrig.calibration.diagnosis.tracing import diagnose
+from calrig.calibration.poses import Pose
 
 pytestmark = pytest.mark.benchmark(timer=time.process_time)
 

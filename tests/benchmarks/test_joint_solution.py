@@ -16,11 +16,11 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from joint.rig import Bench, Design, drawn_stage, drawn_unit
 
-from calrig.calibration.joint.least_squares import fitted
-from calrig.calibration.joint.mounts import table_of
-from calrig.calibration.joint.problem import Problem
-from calrig.calibration.joint.report import solution_document
-from calrig.calibration.joint.solution import solve
+from calrig.calibration.separation.least_squares import fitted
+from calrig.calibration.separation.mounts import table_of
+from calrig.calibration.separation.problem import Problem
+from calrig.calibration.separation.report import solution_document
+from calrig.calibration.separation.solution import solve
 
 ORDERS = tuple(float(order) for order in range(1, 13))
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calrig.calibration.conformity import Limit
-from calrig.calibration.pose import Pose
-from calrig.calibration.result import build_result
-from calrig.calibration.uncertainty import Reference
+from calrig.calibration.poses import Pose
+from calrig.calibration.results.result import build_result
+from calrig.calibration.uncertainty.budget import Reference
+from calrig.calibration.uncertainty.conformity import Limit
 from calrig.store import Store
 from calrig.store.run_search import Sought
 from calrig.store.tables import RunTable, UnitTable

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from calrig.calibration.diagnosis import BOOTSTRAPS, diagnose, document
+from calrig.calibration.diagnosis.tracing import BOOTSTRAPS, diagnose, document
 
 from . import oracles
 from .cells import CELLS, Cell

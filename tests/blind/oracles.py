@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from calrig.calibration.candidates import Candidate, candidates_of
-from calrig.calibration.cross_validation import folds_of
-from calrig.calibration.model import model_columns
-from calrig.calibration.noise_model import NoiseModel, stacked
-from calrig.calibration.ranking import MARGIN
-from calrig.calibration.responses import Responses
-from calrig.calibration.sensor_model import fitted_model
+from calrig.calibration.diagnosis.candidate_fits import MARGIN
+from calrig.calibration.diagnosis.candidates import Candidate, candidates_of, model_columns
+from calrig.calibration.diagnosis.held_out import folds_of
+from calrig.calibration.diagnosis.sensor_model import fitted_model
+from calrig.calibration.regression.noise_model import NoiseModel, stacked
+from calrig.calibration.regression.responses import Responses
 
 from .physics import Noise, Truth
 

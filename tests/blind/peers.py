@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 
 Library = list[tuple[str, np.ndarray]]
 """Name and columns (n, p), bias and scale taken out, unit spread."""

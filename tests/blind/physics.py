@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.plan import Plan
 from calrig.simulator.bench import Bench
 from calrig.simulator.config import SimulatorSettings

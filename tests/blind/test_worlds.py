@@ -10,8 +10,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from calrig.calibration.diagnosis import diagnose, document
-from calrig.calibration.fit import fit_line, residuals_deg
+from calrig.calibration.diagnosis.tracing import diagnose, document
+from calrig.calibration.line import fit_line, residuals_deg
 
 from .layout import timeline
 from .limits import AT_THE_LIMIT, TIMES_THE_LIMIT, distance

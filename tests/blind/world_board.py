@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from calrig.calibration.diagnosis import BOOTSTRAPS, diagnose, document
-from calrig.calibration.responses import responses_of
+from calrig.calibration.diagnosis.tracing import BOOTSTRAPS, diagnose, document
+from calrig.calibration.regression.responses import responses_of
 
 from . import oracles
 from .board import suspects, words

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.estimation.kalman import KalmanFilter
 from calrig.simulator.config import ImuOptions, MountOptions
 from calrig.simulator.imu import Imu, Surroundings

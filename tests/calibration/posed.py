@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 
 
 def posed(**columns: ArrayLike | None) -> list[Pose]:

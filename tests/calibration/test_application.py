@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from calrig.analysis.results import fitted
-from calrig.calibration.application import Application
-from calrig.calibration.correction import effects_on_reading_deg
-from calrig.calibration.effect import Circumstances
-from calrig.calibration.pose import Pose
-from calrig.calibration.uncertainty import Reference
+from calrig.calibration.poses import Pose
+from calrig.calibration.regression.effect import Circumstances
+from calrig.calibration.results.correction import Application, effects_on_reading_deg
+from calrig.calibration.uncertainty.budget import Reference
 from calrig.export.calibration_json import calibration_content
 
 BIAS_DEG, SCALE, NOISE_DEG, STAGE_DEG = 0.25, 1.002, 0.05, 0.06

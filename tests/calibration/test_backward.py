@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from posed import posed
 
-from calrig.calibration.backward import parted, tenable
-from calrig.calibration.candidates import Candidate, candidate_of, candidates_of
+from calrig.calibration.diagnosis.candidate_fits import SelectedEffect
+from calrig.calibration.diagnosis.candidates import Candidate, candidate_of, candidates_of
+from calrig.calibration.diagnosis.selection import parted, tenable
 from calrig.calibration.effects import effect_of
-from calrig.calibration.ranking import Found
-from calrig.calibration.responses import Responses, responses_of
+from calrig.calibration.regression.responses import Responses, responses_of
 
 N_POSES = 96
 NOISE_DEG = 0.01
@@ -34,7 +34,7 @@ def one(r: Responses, name: str, form: str = "") -> Candidate:
 
 def labels_of(r: Responses, *names: str) -> tuple[list[str], list[str]]:
     """Names kept and dropped of a model that they entered in this order."""
-    found = [Found(one(r, name), (), 0.001, np.inf) for name in names]
+    found = [SelectedEffect(one(r, name), (), 0.001, np.inf) for name in names]
     kept, dropped = parted(r, found)
     return [f.candidate.label for f in kept], dropped
 

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from posed import posed
 
-from calrig.calibration.blocked_folds import blocked, not_predictive
-from calrig.calibration.candidates import Candidate, candidates_of
-from calrig.calibration.fit import rms
-from calrig.calibration.model import model_columns
-from calrig.calibration.noise_model import fit
-from calrig.calibration.ranking import Found
-from calrig.calibration.responses import Responses, responses_of
+from calrig.calibration.diagnosis.candidate_fits import SelectedEffect
+from calrig.calibration.diagnosis.candidates import Candidate, candidates_of, model_columns
+from calrig.calibration.diagnosis.held_out import blocked, not_predictive
+from calrig.calibration.line import rms
+from calrig.calibration.regression.noise_model import fit
+from calrig.calibration.regression.responses import Responses, responses_of
 
 N_POSES = 96
 NOISE_DEG = 0.01
@@ -36,7 +35,7 @@ def one(r: Responses, name: str, form: str = "") -> Candidate:
 def judged(r: Responses, candidate: Candidate) -> str:
     """The verdict on a name that stood alone, once it has to predict blocks."""
     whole = fit(r, model_columns(r, [candidate]))
-    (found,) = not_predictive(r, [Found(candidate, (), 0.001, 50.0)], whole, candidates_of(r))
+    (found,) = not_predictive(r, [SelectedEffect(candidate, (), 0.001, 50.0)], whole, candidates_of(r))
     return found.verdict
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import linregress
 
-from calrig.calibration.compare import components, drift_deg_per_day
+from calrig.calibration.histories.between_runs import components, drift_deg_per_day
 
 START = datetime(2024, 1, 1, tzinfo=UTC)
 

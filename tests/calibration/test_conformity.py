@@ -9,8 +9,8 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from calrig.calibration.conformity import Limit, beyond_interval, cannot_pass, decide, limit_for
-from calrig.calibration.uncertainty import Reference
+from calrig.calibration.uncertainty.budget import Reference
+from calrig.calibration.uncertainty.conformity import Limit, beyond_interval, cannot_pass, decide, limit_for
 
 THETA_DEG = np.tile(np.arange(-60.0, 61.0, 10.0), 4)
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import kstest, norm
 from scipy.stats import t as student_t
 
-from calrig.calibration.control_chart import (
+from calrig.calibration.histories.charts import (
     RIG_CHART,
     Ewma,
     checks,

@@ -10,16 +10,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calrig.calibration.correction import (
+from calrig.calibration.effects import CATALOGUE
+from calrig.calibration.poses import Pose
+from calrig.calibration.regression.effect import ApplyError, Circumstances
+from calrig.calibration.regression.responses import responses_of
+from calrig.calibration.results.correction import (
     calibrated_elevation_deg,
     effects_on_reading_deg,
     fit_line_with_effects,
     numbers_of,
 )
-from calrig.calibration.effect import ApplyError, Circumstances
-from calrig.calibration.effects import CATALOGUE
-from calrig.calibration.pose import Pose
-from calrig.calibration.responses import responses_of
 
 THETA_DEG = np.array([-60.0, -25.0, 0.0, 10.0, 45.0, 60.0])
 GIVEN = Circumstances(

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from calrig.calibration.coverage import coverage_factor
-from calrig.calibration.fit import fit_line
-from calrig.calibration.uncertainty import Reference, uncertainty
+from calrig.calibration.line import fit_line
+from calrig.calibration.uncertainty.budget import Reference, uncertainty
+from calrig.calibration.uncertainty.coverage import coverage_factor
 
 HALF_A_DEGREE = 0.5 / math.sqrt(3.0)
 

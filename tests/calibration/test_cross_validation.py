@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from posed import posed
 
-from calrig.calibration.candidates import candidates_of
-from calrig.calibration.cross_validation import FOLDS, CrossValidation, cross_validate, folds_of
-from calrig.calibration.fit import rms
-from calrig.calibration.responses import Responses, responses_of
+from calrig.calibration.diagnosis.candidates import candidates_of
+from calrig.calibration.diagnosis.held_out import FOLDS, CrossValidation, cross_validate, folds_of
+from calrig.calibration.line import rms
+from calrig.calibration.regression.responses import Responses, responses_of
 
 FIRST = 0
 """The fold that is left out first: what the others do is no part of how its search is drawn."""

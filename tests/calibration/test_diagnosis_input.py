@@ -13,9 +13,9 @@ import pytest
 from posed import posed
 from support import DATA
 
-from calrig.calibration.diagnosis import diagnose, document
-from calrig.calibration.diagnosis_verdict import diagnosis_verdict
-from calrig.calibration.pose import DiagnosisError, Pose
+from calrig.calibration.diagnosis.tracing import diagnose, document
+from calrig.calibration.diagnosis.verdict import diagnosis_verdict
+from calrig.calibration.poses import DiagnosisError, Pose
 from calrig.export.poses_csv import read_poses
 
 NOISE_DEG = 0.03

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from calrig.calibration.diagnosis_verdict import diagnosis_verdict
+from calrig.calibration.diagnosis.verdict import diagnosis_verdict
 
 NO_NAME = {"name": "unnamed", "verdict": "unnamed", "covariate": "time_s", "confusable_with": []}
 

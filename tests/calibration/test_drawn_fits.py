@@ -6,12 +6,17 @@ import numpy as np
 import pytest
 from blind.cells import CELLS
 
-from calrig.calibration.candidates import candidates_of
-from calrig.calibration.drawn_fits import DrawnFits
-from calrig.calibration.lagged_products import lagged_products
-from calrig.calibration.model import model_columns
-from calrig.calibration.noise_model import ITERATIONS, NoiseModel, fit, noise_of, stacked
-from calrig.calibration.responses import Responses, responses_of
+from calrig.calibration.diagnosis.candidates import candidates_of, model_columns
+from calrig.calibration.diagnosis.significance_test import DrawnFits
+from calrig.calibration.regression.noise_model import (
+    ITERATIONS,
+    NoiseModel,
+    fit,
+    lagged_products,
+    noise_of,
+    stacked,
+)
+from calrig.calibration.regression.responses import Responses, responses_of
 
 
 def step_by_step(

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from calrig.calibration.due_date import COVERAGE, forecast
+from calrig.calibration.histories.charts import COVERAGE, forecast
 
 YEAR = 365.0
 

@@ -15,22 +15,17 @@ from effect_causes import CAUSES, measured
 from fastapi.testclient import TestClient
 
 from calrig.api.app import api
-from calrig.calibration.candidates import candidates_of, documented_forms, rebuilt
-from calrig.calibration.correction import (
-    calibrated_elevation_deg,
-    effects_on_reading_deg,
-    numbers_of,
-)
-from calrig.calibration.diagnosis import diagnose
-from calrig.calibration.effect import Circumstances, EffectError, NotInFlight
+from calrig.calibration.diagnosis.candidates import candidates_of, documented_forms, model_columns, rebuilt
+from calrig.calibration.diagnosis.report import effect_documents
+from calrig.calibration.diagnosis.selection import search
+from calrig.calibration.diagnosis.tracing import diagnose
 from calrig.calibration.effects import CATALOGUE, EFFECTS
-from calrig.calibration.model import model_columns
-from calrig.calibration.noise_model import fit
-from calrig.calibration.pose_errors import circumstances
-from calrig.calibration.report import effect_documents
-from calrig.calibration.responses import responses_of
-from calrig.calibration.run_changes import RUN
-from calrig.calibration.search import search
+from calrig.calibration.regression.effect import Circumstances, EffectError, NotInFlight
+from calrig.calibration.regression.noise_model import fit
+from calrig.calibration.regression.responses import responses_of
+from calrig.calibration.regression.run_changes import RUN
+from calrig.calibration.results.correction import calibrated_elevation_deg, effects_on_reading_deg, numbers_of
+from calrig.calibration.results.pose_errors import circumstances
 from calrig.export.c_header import c_header
 
 

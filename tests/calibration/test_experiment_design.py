@@ -7,14 +7,13 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from calrig.calibration.candidates import candidates_of
-from calrig.calibration.experiment_design import LEAST_SEPARATION, FollowUp, design
-from calrig.calibration.model import model_columns
-from calrig.calibration.noise_model import fit
-from calrig.calibration.pose import Pose
-from calrig.calibration.ranking import Found
-from calrig.calibration.responses import responses_of
-from calrig.calibration.search import Findings
+from calrig.calibration.diagnosis.candidate_fits import SelectedEffect
+from calrig.calibration.diagnosis.candidates import candidates_of, model_columns
+from calrig.calibration.diagnosis.experiment_design import LEAST_SEPARATION, FollowUp, design
+from calrig.calibration.diagnosis.selection import Findings
+from calrig.calibration.poses import Pose
+from calrig.calibration.regression.noise_model import fit
+from calrig.calibration.regression.responses import responses_of
 
 LIMITS_DEG = (-90.0, 90.0)
 PLAY_DEG, NOISE_DEG = 0.06, 0.025
@@ -38,7 +37,7 @@ def designed(measured: list[Pose]) -> FollowUp:
     r = responses_of([measured])
     (play,), (moves,) = ([c for c in candidates_of(r) if c.name == name] for name in ("backlash", "settling"))
     columns = model_columns(r, [play])
-    found = Found(play, (moves,), p_value=0.005, lead=1.0)
+    found = SelectedEffect(play, (moves,), p_value=0.005, lead=1.0)
     kept = np.arange(len(r))
     findings = Findings(r, kept, (found,), fit(r, columns), columns, least_p_value=0.005)
     follow_up = design([measured], findings, LIMITS_DEG)

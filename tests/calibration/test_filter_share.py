@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calrig.calibration.filter_share import filter_share
-from calrig.calibration.pose import Filtering, Pose
+from calrig.calibration.poses import Filtering, Pose
+from calrig.calibration.regression.motion import filter_share
 from calrig.estimation.kalman import KalmanFilter, KalmanNoise
 
 GAIN = 0.01

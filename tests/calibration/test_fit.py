@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2, linregress
 
-from calrig.calibration.fit import fit_line, residuals_deg, rms
+from calrig.calibration.line import fit_line, residuals_deg, rms
 
 GRID_DEG = np.tile(np.arange(-60.0, 61.0, 10.0), 4)
 

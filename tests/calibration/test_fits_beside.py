@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 from blind.cells import CELLS
 
-from calrig.calibration.candidates import candidates_of
-from calrig.calibration.fits_beside import fits_beside
-from calrig.calibration.model import model_columns
-from calrig.calibration.near_rivals import near_among, near_rivals
-from calrig.calibration.noise_model import fit
-from calrig.calibration.responses import responses_of
-from calrig.calibration.search import search
+from calrig.calibration.diagnosis.candidate_fits import fit_candidates
+from calrig.calibration.diagnosis.candidates import candidates_of, model_columns
+from calrig.calibration.diagnosis.selection import competing_candidates, near_among, search
+from calrig.calibration.regression.noise_model import fit
+from calrig.calibration.regression.responses import responses_of
 
 
 def test_fits_beside_a_model_are_those_of_one_after_the_other() -> None:
@@ -25,7 +23,7 @@ def test_fits_beside_a_model_are_those_of_one_after_the_other() -> None:
     some = [*candidates[::40], next(c for c in candidates if c.shape.replaces)]
     assert {c.columns.shape[2] for c in some} >= {1, 2, 5}
 
-    together = fits_beside(r, lambda more: model_columns(r, more), some)
+    together = fit_candidates(r, lambda more: model_columns(r, more), some)
 
     for k, candidate in enumerate(some):
         alone = fit(r, model_columns(r, [candidate]))
@@ -40,7 +38,7 @@ def test_a_fold_asks_again_of_what_was_found_and_of_what_came_near() -> None:
     findings = search(r, candidates, np.random.default_rng(1), bootstraps=99)
     backlash = next(f for f in findings.found if f.candidate.name == "backlash")
 
-    near = {c.label for c in near_among(candidates, backlash, near_rivals(findings.found))}
+    near = {c.label for c in near_among(candidates, backlash, competing_candidates(findings.found))}
 
     assert {f.candidate.label for f in findings.found} <= near < {c.label for c in candidates}
     assert near_among(candidates, backlash, None) == candidates

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from posed import posed
 
-from calrig.calibration.candidates import Candidate, candidates_of
-from calrig.calibration.gate import Verdict, gate
-from calrig.calibration.model import model_columns
-from calrig.calibration.noise_model import NoiseModel, fit
-from calrig.calibration.responses import Responses, responses_of
-from calrig.calibration.screen import Screen
+from calrig.calibration.diagnosis.candidates import Candidate, candidates_of, model_columns
+from calrig.calibration.diagnosis.screen import Screen
+from calrig.calibration.diagnosis.significance_test import Verdict, gate
+from calrig.calibration.regression.noise_model import NoiseModel, fit
+from calrig.calibration.regression.responses import Responses, responses_of
 
 
 def run_of(targets_deg: np.ndarray, readings_deg: np.ndarray, **known: np.ndarray) -> Responses:

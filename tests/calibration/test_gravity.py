@@ -10,9 +10,16 @@ from scipy.optimize import least_squares
 from scipy.stats import binom
 from support import DATA
 
-from calrig.calibration.gravity import GravityError, calibrate_by_gravity, gravity_document, trace_gravity
-from calrig.calibration.gravity_model import EFFECTS, Problem, fit_gravity
-from calrig.calibration.gravity_search import search
+from calrig.calibration.separation.gravity import (
+    EFFECTS,
+    GravityError,
+    Problem,
+    calibrate_by_gravity,
+    fit_gravity,
+    gravity_document,
+    search,
+    trace_gravity,
+)
 from calrig.calibration.static_detector import StaticPoses, static_poses
 from calrig.export.static_csv import accel_g_of, read_static
 

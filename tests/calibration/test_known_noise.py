@@ -8,14 +8,18 @@ import numpy as np
 import pytest
 from blind.cells import CELLS
 
-from calrig.calibration.candidates import Candidate, candidates_of
-from calrig.calibration.cross_validation import folds_of
-from calrig.calibration.gate import Verdict, gate
-from calrig.calibration.judged import Judged
-from calrig.calibration.known_noise import FEWEST, OTHER_RHO, KnownNoise
-from calrig.calibration.model import model_columns
-from calrig.calibration.noise_model import NoiseModel, fit
-from calrig.calibration.responses import Responses, responses_of
+from calrig.calibration.diagnosis.candidates import Candidate, candidates_of, model_columns
+from calrig.calibration.diagnosis.held_out import folds_of
+from calrig.calibration.diagnosis.significance_test import (
+    FEWEST,
+    OTHER_RHO,
+    FamilyTest,
+    NullGains,
+    Verdict,
+    gate,
+)
+from calrig.calibration.regression.noise_model import NoiseModel, fit
+from calrig.calibration.regression.responses import Responses, responses_of
 
 LEVEL, OF_ALL, OF_FOLD = 0.0075, 999, 270
 
@@ -24,7 +28,7 @@ def judged(
     r: Responses,
     candidates: Sequence[Candidate],
     bootstraps: int = OF_FOLD,
-    known: KnownNoise | None = None,
+    known: NullGains | None = None,
 ) -> Verdict:
     def columns_with(more: Sequence[Candidate]) -> np.ndarray:
         return model_columns(r, more)
@@ -54,7 +58,7 @@ def test_a_fold_decides_by_noise_drawn_in_all_poses_as_by_its_own(cell: str, pas
 
 
 def test_noise_of_another_correlation_or_without_a_label_tells_nothing() -> None:
-    known = KnownNoise(("backlash", "settling"), np.arange(2.0 * FEWEST).reshape(FEWEST, 2), rho=0.5)
+    known = NullGains(("backlash", "settling"), np.arange(2.0 * FEWEST).reshape(FEWEST, 2), rho=0.5)
     alike, slower = (NoiseModel(np.eye(1), np.array([0.5 + more])) for more in (0.0, OTHER_RHO + 0.01))
     assert known.of(["settling"], alike) == pytest.approx(known.gains[:, 1:])
     assert known.of(["settling"], slower) is None
@@ -75,6 +79,6 @@ def test_draws_tell_what_the_p_value_is_sure_of(draws: int, exceeded: int, passe
     gains = np.full((draws, 1), 1.0)
     gains[:exceeded] = 50.0
     observed = np.array([40.0])
-    found = Judged(["unnamed time_s"], observed, gains, [np.array([True])])
+    found = FamilyTest(["unnamed time_s"], observed, gains, [np.array([True])])
     assert found.exceeded.tolist() == [exceeded]
     assert found.passes(LEVEL, margin=60.0, bootstraps=OF_FOLD) is passes

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from posed import posed
 
-from calrig.calibration.lack_of_fit import LEVEL, LackOfFit, lack_of_fit, warning_of
+from calrig.calibration.diagnosis.lack_of_fit import LEVEL, LackOfFit, lack_of_fit, warning_of
 
 SWEEP_DEG = np.linspace(-60.0, 60.0, 25)
 TARGETS_DEG = np.concatenate([SWEEP_DEG, SWEEP_DEG[::-1], SWEEP_DEG, SWEEP_DEG[::-1]])

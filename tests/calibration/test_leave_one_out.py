@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from posed import posed
 
-from calrig.calibration.candidates import candidates_of
-from calrig.calibration.leave_one_out import standing_without_one
-from calrig.calibration.ranking import Found
-from calrig.calibration.responses import Responses, responses_of
+from calrig.calibration.diagnosis.candidate_fits import SelectedEffect
+from calrig.calibration.diagnosis.candidates import candidates_of
+from calrig.calibration.diagnosis.held_out import standing_without_one
+from calrig.calibration.regression.responses import Responses, responses_of
 
 NOISE_DEG = 0.01
 STEP_DEG = 5.0
@@ -24,10 +24,10 @@ def run_of(theta_deg: np.ndarray, fraction: float = FRACTION) -> Responses:
     return responses_of([posed(target_deg=theta_deg, reading_deg=readings_deg, approach=approach)])
 
 
-def judged(r: Responses) -> Found:
+def judged(r: Responses) -> SelectedEffect:
     """Settling, named against backlash by these poses, once each pose has been left out."""
     of = {c.name: c for c in candidates_of(r) if c.named}
-    claimed = Found(of["settling"], (), 0.001, 50.0, runners_up=(of["backlash"],))
+    claimed = SelectedEffect(of["settling"], (), 0.001, 50.0, runners_up=(of["backlash"],))
     (found,) = standing_without_one(r, [claimed])
     return found
 
@@ -56,5 +56,5 @@ def test_what_moves_of_many_lengths_decide_stays_named() -> None:
 def test_a_name_that_had_rivals_before_keeps_them_and_gets_no_others() -> None:
     r = run_of(even_steps())
     of = {c.name: c for c in candidates_of(r) if c.named}
-    before = Found(of["settling"], (of["backlash"],), 0.001, 1.0, runners_up=(of["backlash"],))
+    before = SelectedEffect(of["settling"], (of["backlash"],), 0.001, 1.0, runners_up=(of["backlash"],))
     assert standing_without_one(r, [before]) == (before,)

@@ -8,12 +8,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from posed import posed
 
-from calrig.calibration.conformity import Limit
-from calrig.calibration.fit import Line
-from calrig.calibration.pose import Pose
-from calrig.calibration.reference_figures import ReferenceFigures
-from calrig.calibration.result import apply_calibration, build_result
-from calrig.calibration.uncertainty import Reference
+from calrig.calibration.line import Line
+from calrig.calibration.poses import Pose
+from calrig.calibration.results.result import apply_calibration, build_result
+from calrig.calibration.uncertainty.budget import Reference, ReferenceFigures
+from calrig.calibration.uncertainty.conformity import Limit
 from calrig.calibration.verdict import verdict
 from calrig.limit_settings import LimitSettings
 

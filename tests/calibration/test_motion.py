@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calrig.calibration.diagnosis import diagnose, document
-from calrig.calibration.motion import approach_of, motion_of, moves_deg
-from calrig.calibration.pose import Pose
-from calrig.calibration.responses import responses_of
+from calrig.calibration.diagnosis.tracing import diagnose, document
+from calrig.calibration.poses import Pose
+from calrig.calibration.regression.motion import approach_of, motion_of, moves_deg
+from calrig.calibration.regression.responses import responses_of
 
 SPEED_DPS = 36.0
 DELAY_S = 0.035

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calrig.calibration.motor_vibration import Ends, UnreportedTurn, disturbing, end_differences
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.plan import Plan
 
 NOISE_DEG = 0.012

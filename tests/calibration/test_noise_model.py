@@ -11,9 +11,8 @@ from scipy.linalg import block_diag
 from scipy.signal import lfilter
 from scipy.stats import multivariate_normal
 
-from calrig.calibration.lagged_products import PRIOR_RHO_STD
-from calrig.calibration.noise_model import fit, noise_of
-from calrig.calibration.responses import Responses, responses_of
+from calrig.calibration.regression.noise_model import PRIOR_RHO_STD, fit, noise_of
+from calrig.calibration.regression.responses import Responses, responses_of
 
 RHO = 0.6
 LENGTHS = (30, 50, 20)

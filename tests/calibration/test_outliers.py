@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from posed import posed
 
-from calrig.calibration.candidates import candidates_of
-from calrig.calibration.pose import Pose
-from calrig.calibration.responses import responses_of
-from calrig.calibration.search import Findings, search
+from calrig.calibration.diagnosis.candidates import candidates_of
+from calrig.calibration.diagnosis.selection import Findings, search
+from calrig.calibration.poses import Pose
+from calrig.calibration.regression.responses import responses_of
 
 N_POSES = 120
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from posed import posed
 
-from calrig.calibration.diagnosis import diagnose, document
-from calrig.calibration.partial_residuals import partial_residuals
-from calrig.calibration.pose import DiagnosisError
+from calrig.calibration.diagnosis.report import partial_residuals
+from calrig.calibration.diagnosis.tracing import diagnose, document
+from calrig.calibration.poses import DiagnosisError
 
 NOISE_DEG = 0.02
 

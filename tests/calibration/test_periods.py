@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from posed import posed
 
-from calrig.calibration.candidates import candidate_of
-from calrig.calibration.diagnosis import diagnose, document
+from calrig.calibration.diagnosis.candidate_fits import refined
+from calrig.calibration.diagnosis.candidates import candidate_of
+from calrig.calibration.diagnosis.tracing import diagnose, document
 from calrig.calibration.effects import EFFECTS
-from calrig.calibration.places import refined
-from calrig.calibration.responses import responses_of
-from calrig.calibration.spectral_window import window_peaks
+from calrig.calibration.effects.stage_periodic import window_peaks
+from calrig.calibration.regression.responses import responses_of
 
 NOISE_DEG = 0.05
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calrig.calibration.candidates import candidates_of
-from calrig.calibration.correction import effects_on_reading_deg
-from calrig.calibration.diagnosis import diagnose, document
-from calrig.calibration.effect import Circumstances
-from calrig.calibration.play import travel_deg
-from calrig.calibration.pose import Pose
-from calrig.calibration.responses import responses_of
-from calrig.calibration.result import build_result
-from calrig.calibration.sensor_model import fitted_model
+from calrig.calibration.diagnosis.candidates import candidates_of
+from calrig.calibration.diagnosis.sensor_model import fitted_model
+from calrig.calibration.diagnosis.tracing import diagnose, document
+from calrig.calibration.poses import Pose
+from calrig.calibration.regression.effect import Circumstances
+from calrig.calibration.regression.motion import travel_deg
+from calrig.calibration.regression.responses import responses_of
+from calrig.calibration.results.correction import effects_on_reading_deg
+from calrig.calibration.results.result import build_result
 
 NOISE_DEG, PLAY_DEG = 0.02, 0.4
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import false_discovery_control
 
-from calrig.calibration.changed_runs import changes
-from calrig.calibration.false_discovery import rejection_level
-from calrig.calibration.repeatability import Runs, outlying, repeatability
+from calrig.calibration.histories.between_runs import changes, rejection_level
+from calrig.calibration.histories.repeatability import Runs, outlying, repeatability
 
 BENJAMINI_HOCHBERG = [0.0001, 0.0004, 0.0019, 0.0095, 0.0201, 0.0278, 0.0298, 0.0344, 0.0459, 0.3240,
                       0.4262, 0.5719, 0.6528, 0.7590, 1.0000]  # fmt: skip

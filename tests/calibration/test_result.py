@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from support import DATA
 
-from calrig.calibration.fit import Line
-from calrig.calibration.pose import Pose
-from calrig.calibration.pose_errors import residuals
-from calrig.calibration.result import RELATIVE, GyroFigures, apply_calibration, build_result
-from calrig.calibration.uncertainty import Reference
+from calrig.calibration.line import Line
+from calrig.calibration.poses import Pose
+from calrig.calibration.results.pose_errors import residuals
+from calrig.calibration.results.result import RELATIVE, GyroFigures, apply_calibration, build_result
+from calrig.calibration.uncertainty.budget import Reference
 
 
 def test_a_runs_result_has_the_contracts_keys_and_is_json():

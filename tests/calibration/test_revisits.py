@@ -8,14 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calrig.calibration.candidates import Candidate, candidates_of
-from calrig.calibration.diagnosis import diagnose, document
-from calrig.calibration.gate import Verdict, gate
-from calrig.calibration.model import model_columns
-from calrig.calibration.noise_model import fit
-from calrig.calibration.pose import Pose
-from calrig.calibration.responses import Responses, responses_of
-from calrig.calibration.revisits import is_of_the_curve, leaves_more, with_free_curve
+from calrig.calibration.diagnosis.candidates import Candidate, candidates_of, model_columns
+from calrig.calibration.diagnosis.selection import is_of_the_curve, leaves_more, with_free_curve
+from calrig.calibration.diagnosis.significance_test import Verdict, gate
+from calrig.calibration.diagnosis.tracing import diagnose, document
+from calrig.calibration.poses import Pose
+from calrig.calibration.regression.noise_model import fit
+from calrig.calibration.regression.responses import Responses, responses_of
 
 STROKES, NOISE_DEG, LOAD_DEG = 8, 0.05, 0.4
 

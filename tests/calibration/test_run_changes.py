@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from blind.physics import Cause, Noise, measure
 
-from calrig.calibration.diagnosis import diagnose, document
-from calrig.calibration.diagnosis_verdict import diagnosis_verdict
-from calrig.calibration.partial_residuals import partial_residuals
-from calrig.calibration.pose import DiagnosisError, Pose
-from calrig.calibration.responses import responses_of
-from calrig.calibration.search import Findings
+from calrig.calibration.diagnosis.report import partial_residuals
+from calrig.calibration.diagnosis.selection import Findings
+from calrig.calibration.diagnosis.tracing import diagnose, document
+from calrig.calibration.diagnosis.verdict import diagnosis_verdict
+from calrig.calibration.poses import DiagnosisError, Pose
+from calrig.calibration.regression.responses import responses_of
 from calrig.plan import Plan
 
 PLAN = Plan(start_deg=-60.0, stop_deg=60.0, step_deg=7.5, sweeps=2, jitter_deg=2.0)

@@ -14,14 +14,14 @@ import pytest
 from blind.cells import Cell
 from blind.physics import Cause, Noise
 
-from calrig.calibration.candidates import documented_forms
-from calrig.calibration.correction import calibrated_elevation_deg, effects_on_reading_deg, numbers_of
-from calrig.calibration.diagnosis import diagnose, document
-from calrig.calibration.effect import Circumstances
-from calrig.calibration.responses import responses_of
-from calrig.calibration.result import build_result
-from calrig.calibration.sensor_model import fitted_model
-from calrig.calibration.standard_errors import covariance_of
+from calrig.calibration.diagnosis.candidates import documented_forms
+from calrig.calibration.diagnosis.report import covariance_of
+from calrig.calibration.diagnosis.sensor_model import fitted_model
+from calrig.calibration.diagnosis.tracing import diagnose, document
+from calrig.calibration.regression.effect import Circumstances
+from calrig.calibration.regression.responses import responses_of
+from calrig.calibration.results.correction import calibrated_elevation_deg, effects_on_reading_deg, numbers_of
+from calrig.calibration.results.result import build_result
 
 NOISE = Noise(reading_deg=0.009, norm_mg=0.1, move_deg=0.006)
 SKEW_DEG = math.degrees(math.asin(0.02))

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, norm, t
 
-from calrig.calibration.conformity import Limit
-from calrig.calibration.over_range import OverRange
-from calrig.calibration.specific_risk import probability_of_conformity
-from calrig.calibration.uncertainty import Reference
+from calrig.calibration.uncertainty.budget import RangeErrors, Reference
+from calrig.calibration.uncertainty.conformity import Limit, probability_of_conformity
 
 NODES_DEG = tuple(range(-60, 61, 10))
 
@@ -33,7 +31,7 @@ def found(error_deg=0.0, nodes_deg=NODES_DEG, **options):
         "highest_error_deg": errors,
         "mean_error_deg": 0.0,
     }
-    return OverRange(**{**figures, **options})
+    return RangeErrors(**{**figures, **options})
 
 
 def probability(limit, one, reference, *, level_known=True, rms_deg=0.0):

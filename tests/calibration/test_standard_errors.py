@@ -9,11 +9,11 @@ import pytest
 from blind.causes import eccentricity
 from blind.cells import Cell
 
-from calrig.calibration.candidates import documented_forms
-from calrig.calibration.effect_terms import amplitude_and_phase
-from calrig.calibration.responses import responses_of
-from calrig.calibration.sensor_model import fitted_model
-from calrig.calibration.standard_errors import covariance_of
+from calrig.calibration.diagnosis.candidates import documented_forms
+from calrig.calibration.diagnosis.report import covariance_of
+from calrig.calibration.diagnosis.sensor_model import fitted_model
+from calrig.calibration.regression.responses import responses_of
+from calrig.calibration.regression.terms import amplitude_and_phase
 
 
 @pytest.mark.statistical

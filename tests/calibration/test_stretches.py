@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from calrig.calibration.correction import effects_on_reading_deg
-from calrig.calibration.diagnosis import diagnose, document
+from calrig.calibration.diagnosis.tracing import diagnose, document
 from calrig.calibration.effects import EFFECTS
-from calrig.calibration.pose import Filtering, Pose
-from calrig.calibration.pose_errors import circumstances
-from calrig.calibration.responses import responses_of
-from calrig.calibration.sequential_stopping import turned_both_ways
-from calrig.calibration.stretches import stretches_deg
+from calrig.calibration.poses import Filtering, Pose
+from calrig.calibration.regression.motion import stretches_deg
+from calrig.calibration.regression.responses import responses_of
+from calrig.calibration.results.correction import effects_on_reading_deg
+from calrig.calibration.results.pose_errors import circumstances
+from calrig.calibration.uncertainty.sequential_stopping import turned_both_ways
 from calrig.plan import Plan
 
 VELOCITY_DPS, NOISE_DEG, GYRO_NOISE_DEG = 4.0, 0.01, 0.006

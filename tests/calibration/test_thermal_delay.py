@@ -10,7 +10,7 @@ from blind.causes import package_turn, slow_heat
 from blind.cells import CELLS, Cell
 from blind.physics import Cause
 
-from calrig.calibration.diagnosis import diagnose, document
+from calrig.calibration.diagnosis.tracing import diagnose, document
 
 LAG_S = 40.0
 

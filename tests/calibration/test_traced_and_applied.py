@@ -9,10 +9,10 @@ from blind.causes import bias_tempco, package_turn
 from blind.cells import Cell
 from blind.physics import Cause
 
-from calrig.calibration.correction import numbers_of
-from calrig.calibration.diagnosis import diagnose, trace
-from calrig.calibration.partial_residuals import partial_residuals
-from calrig.calibration.result import build_result
+from calrig.calibration.diagnosis.report import partial_residuals
+from calrig.calibration.diagnosis.tracing import diagnose, trace
+from calrig.calibration.results.correction import numbers_of
+from calrig.calibration.results.result import build_result
 
 DEG_PER_C = 0.1
 NOISE_DEG = 0.03

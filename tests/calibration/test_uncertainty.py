@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from calrig.calibration.fit import fit_line
-from calrig.calibration.uncertainty import Reference, reference_part, uncertainty
+from calrig.calibration.line import fit_line
+from calrig.calibration.uncertainty.budget import Reference, reference_part, uncertainty
 
 STAGE = Reference(std_deg=0.29)
 

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from posed import posed
 
-from calrig.calibration.candidates import candidates_of, rebuilt
-from calrig.calibration.column_forms import arc_deg, delayed
-from calrig.calibration.column_units import is_circle, unit_of_column
-from calrig.calibration.diagnosis import diagnose, document
-from calrig.calibration.responses import responses_of
+from calrig.calibration.diagnosis.candidates import candidates_of, rebuilt
+from calrig.calibration.diagnosis.tracing import diagnose, document
+from calrig.calibration.effects.unnamed import arc_deg, delayed, is_circle, unit_of_column
+from calrig.calibration.regression.responses import responses_of
 
 N = 90
 TIME_S = 20.0 * np.arange(N)

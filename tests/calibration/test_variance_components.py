@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from calrig.calibration.compare import components
-from calrig.calibration.variance_components import Layout, variance_components
+from calrig.calibration.histories.between_runs import components
+from calrig.calibration.histories.repeatability import Layout, variance_components
 
 SIRSTV = (
     (196.3052, 196.1240, 196.1890, 196.2569, 196.3403),

@@ -7,10 +7,10 @@ import pytest
 from posed import posed
 from scipy import stats
 
-from calrig.calibration.noise_bound import upper_limit
-from calrig.calibration.pose import Pose
-from calrig.calibration.result import build_result
-from calrig.calibration.uncertainty import Reference
+from calrig.calibration.diagnosis.verdict import upper_limit
+from calrig.calibration.poses import Pose
+from calrig.calibration.results.result import build_result
+from calrig.calibration.uncertainty.budget import Reference
 from calrig.calibration.verdict import verdict
 
 NOISE_DEG = 0.02

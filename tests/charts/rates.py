@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from calrig.calibration.control_chart import UNIT_CHART, control_chart
+from calrig.calibration.histories.charts import UNIT_CHART, control_chart
 
 Floats = npt.NDArray[np.float64]
 Signals = Callable[[Floats, Floats], npt.NDArray[np.bool_]]

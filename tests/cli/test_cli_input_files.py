@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from command_line import calrig, reason
 
-from calrig.calibration.pose import COLUMNS
+from calrig.calibration.poses import COLUMNS
 from calrig.cli.input_files import read_plan_file
 
 LARGE, ROOM = 2_000_000_000, 1_000_000_000

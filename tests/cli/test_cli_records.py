@@ -11,7 +11,7 @@ import pytest
 from command_line import POSES, calrig, reason
 from support import LONG, wait_for
 
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.settings import store_url
 from calrig.store import Store
 

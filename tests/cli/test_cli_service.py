@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 import calrig as package
 from calrig.api import heavy
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.cli import names
 from calrig.cli.main import app
 from calrig.settings import store_url

@@ -14,7 +14,7 @@ from command_line import calrig, reason
 from support import imported, serving
 
 from calrig import load
-from calrig.calibration.correction import calibrated_elevation_deg
+from calrig.calibration.results.correction import calibrated_elevation_deg
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from pathlib import Path
 import platformdirs
 import pytest
 
-from calrig.calibration.doubts import REMOUNT_LIMIT_DEG
+from calrig.calibration.uncertainty.doubts import REMOUNT_LIMIT_DEG
 from calrig.settings import DEMO_RIG, SettingsError, load_settings, packed, store_url
 
 CONTRACT_EXAMPLE = """

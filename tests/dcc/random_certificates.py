@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.conformity import ANSWERS, Limit
 from calrig.calibration.effects import CATALOGUE
-from calrig.calibration.pose import Pose
-from calrig.calibration.result import build_result
-from calrig.calibration.uncertainty import Reference
+from calrig.calibration.poses import Pose
+from calrig.calibration.results.result import build_result
+from calrig.calibration.uncertainty.budget import Reference
+from calrig.calibration.uncertainty.conformity import ANSWERS, Limit
 from calrig.canonical_json import canonical, sha256_of
 from calrig.export.calibration_json import calibration_content
 from calrig.export.certificate.content import Certificate

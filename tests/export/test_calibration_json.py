@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from calrig.analysis.results import fitted
-from calrig.calibration.pose import Pose
-from calrig.calibration.result import GyroFigures
-from calrig.calibration.uncertainty import Reference
+from calrig.calibration.poses import Pose
+from calrig.calibration.results.result import GyroFigures
+from calrig.calibration.uncertainty.budget import Reference
 from calrig.export.calibration_json import calibration_content
 from calrig.store import AcceptedEffect
 

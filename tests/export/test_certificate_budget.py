@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calrig.calibration.conformity import Limit
-from calrig.calibration.pose import Pose
-from calrig.calibration.result import build_result
-from calrig.calibration.uncertainty import Reference
+from calrig.calibration.poses import Pose
+from calrig.calibration.results.result import build_result
+from calrig.calibration.uncertainty.budget import Reference
+from calrig.calibration.uncertainty.conformity import Limit
 from calrig.calibration.verdict import verdict
 from calrig.export.calibration_json import calibration_content
 from calrig.export.certificate.budget import budget_of

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support import DATA
 
-from calrig.calibration.pose import COLUMNS, Pose
+from calrig.calibration.poses import COLUMNS, Pose
 from calrig.export import csv_table
 from calrig.export.cells import CsvError
 from calrig.export.mounted_csv import read_run

@@ -11,9 +11,9 @@ import plotly.graph_objects as go
 import pytest
 
 from calrig import figures
-from calrig.calibration.partial_residuals import PartialResidual
-from calrig.calibration.pose import Pose
-from calrig.calibration.pose_errors import residuals
+from calrig.calibration.diagnosis.report import PartialResidual
+from calrig.calibration.poses import Pose
+from calrig.calibration.results.pose_errors import residuals
 
 
 def poses(bias_deg=0.8, scale=1.01, sweeps=2):

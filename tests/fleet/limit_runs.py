@@ -13,7 +13,7 @@ from blind.layout import Layout, timeline
 from blind.limits import AT_THE_LIMIT, distance
 from blind.physics import measure, shape_deg, surroundings
 
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 
 MAKES: dict[str, tuple[Callable[[float], Draw], float, float]] = {
     "backlash": (causes.backlash, 0.08, 0.0),

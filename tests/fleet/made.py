@@ -8,9 +8,8 @@ import numpy as np
 from blind.cells import CELLS
 from blind.physics import Noise
 
-from calrig.calibration.fleet_screen import screen
-from calrig.calibration.packed_poses import PackedPoses, packed
-from calrig.calibration.pose import Pose
+from calrig.calibration.fleet_screen import PackedPoses, packed, screen
+from calrig.calibration.poses import Pose
 
 SILENT = Noise(reading_deg=0.0, norm_mg=0.0, move_deg=0.0)
 OF_THE_SCREEN = (

@@ -7,8 +7,7 @@ import pytest
 from blind.board import Rate
 from blind.cells import CELLS
 
-from calrig.calibration.fleet_screen import LEVEL, screen
-from calrig.calibration.packed_poses import packed
+from calrig.calibration.fleet_screen import LEVEL, packed, screen
 
 from .limit_runs import MAKES, at_the_limit
 from .made import fleet

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.correction import calibrated_elevation_deg
-from calrig.calibration.effect import Circumstances
-from calrig.calibration.joint.solution import Solution, solve
+from calrig.calibration.regression.effect import Circumstances
+from calrig.calibration.results.correction import calibrated_elevation_deg
+from calrig.calibration.separation.solution import Solution, solve
 from calrig.export.joint_documents import effects_of
 
 from .oracle import angle_deg, bound_deg, calibrated_error_deg

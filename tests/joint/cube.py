@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calrig.calibration.joint.table import Mounted
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
+from calrig.calibration.separation.pose_table import MountedPoses
 from calrig.simulator.config import ImuOptions
 from calrig.simulator.imu import Imu, Surroundings
 
@@ -113,7 +113,7 @@ class CubeBench:
         """(n, 3) without noise."""
         return self.unit.felt_g(self.up(seat, self.dial_deg, self.approach))
 
-    def measured(self, rng: np.random.Generator, name: str = "U0") -> list[Mounted]:
+    def measured(self, rng: np.random.Generator, name: str = "U0") -> list[MountedPoses]:
         """The poses of each seat; with turns, their gyro as well."""
         return [self._of_seat(seat, k, name, rng) for k, seat in enumerate(self.seats)]
 
@@ -122,7 +122,7 @@ class CubeBench:
         dip = Rotation.from_euler("y", self.dip_deg, degrees=True)
         return (seat.rotation() * Rotation.from_euler("x", -table[:, None], degrees=True) * dip).apply(what)
 
-    def _of_seat(self, seat: Seat, place: int, name: str, rng: np.random.Generator) -> Mounted:
+    def _of_seat(self, seat: Seat, place: int, name: str, rng: np.random.Generator) -> MountedPoses:
         dial = np.concatenate([self.dial_deg, self.dial_deg[-1] + 360.0 * np.cumsum(self.turns)])
         approach = np.concatenate([self.approach, np.sign(self.turns)])
         vector = self.unit.felt_g(self.up(seat, dial, approach))
@@ -142,7 +142,7 @@ class CubeBench:
             )
             for k in range(len(dial))
         ]
-        return Mounted(name, f"m{place}", seat.angle_deg, "cube", poses, seat.face)
+        return MountedPoses(name, f"m{place}", seat.angle_deg, "cube", poses, seat.face)
 
     def _gyro(
         self, seat: Seat, dial: np.ndarray, approach: np.ndarray, rng: np.random.Generator
@@ -224,7 +224,7 @@ def drawn_cube_bench(
     )
 
 
-def as_csv(lots: list[Mounted]) -> str:
+def as_csv(lots: list[MountedPoses]) -> str:
     """The poses as a file for `calrig solve`."""
     names = ("target_deg", "stage_deg", "reading_deg", "approach", "time_s", *ACCEL)
     own = [name for name in (*MEANS, *MOVES) if any(name in p.covariates for lot in lots for p in lot.poses)]

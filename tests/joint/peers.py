@@ -21,11 +21,11 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from calrig.calibration.gravity_model import EFFECTS, Problem, fit_gravity
-from calrig.calibration.joint.table import Mounted
-from calrig.calibration.joint.three_axis_frame import accelerometer
-from calrig.calibration.joint.three_axis_solution import solve_whole
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
+from calrig.calibration.separation.gravity import EFFECTS, Problem, fit_gravity
+from calrig.calibration.separation.pose_table import MountedPoses
+from calrig.calibration.separation.three_axis_fit import solve_whole
+from calrig.calibration.separation.three_axis_frame import accelerometer
 from calrig.calibration.static_detector import StaticPoses, static_poses
 from calrig.export.static_csv import accel_g_of, read_static
 
@@ -94,21 +94,21 @@ def _squares(bench: CubeBench, found: Found) -> np.ndarray:
     return np.array([np.mean(error[:3] ** 2), np.mean(error[3:6] ** 2), np.mean(error[6:] ** 2), scale])
 
 
-def _solved(lots: list[Mounted], *, linear: bool) -> Found:
+def _solved(lots: list[MountedPoses], *, linear: bool) -> Found:
     fit = solve_whole(lots, linear=linear).fit
     whole = accelerometer(fit, 0)
     assert whole is not None
     return whole.bias_g, whole.matrix, felt_turns_found(fit)
 
 
-def _by_gravity(lots: list[Mounted]) -> Found:
+def _by_gravity(lots: list[MountedPoses]) -> Found:
     raw = _vectors(lots)
     poses = StaticPoses(raw, None, None, np.zeros((len(raw), 2), dtype=np.intp))
     fit = fit_gravity(Problem.of(poses), MISALIGNED)
     return fit.bias_g, fit.matrix, None
 
 
-def _by_ferraris(bench: CubeBench, lots: list[Mounted], rng: np.random.Generator) -> Found:
+def _by_ferraris(bench: CubeBench, lots: list[MountedPoses], rng: np.random.Generator) -> Found:
     """Each of six positions as the dial has it: of the two mounts that come by it, both."""
     from imucal import FerrarisCalibration, FerrarisSignalRegions
 
@@ -131,7 +131,7 @@ def _by_ferraris(bench: CubeBench, lots: list[Mounted], rng: np.random.Generator
 
 
 def _turn_samples(
-    bench: CubeBench, lot: Mounted, seat: Seat, rng: np.random.Generator
+    bench: CubeBench, lot: MountedPoses, seat: Seat, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """Samples of one upward turn, the mean of all that were made."""
     lasts_s = 360.0 / bench.velocity_dps
@@ -156,7 +156,7 @@ def tedaldi_accelerometer(raw_g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return p[6:9], matrix_of(p)
 
 
-def _by_tedaldi(lots: list[Mounted]) -> Found:
+def _by_tedaldi(lots: list[MountedPoses]) -> Found:
     """Accelerometer by lengths; gyro: the least of Σ|u_a − u_g|², from one rest to the next."""
     bias, matrix = tedaldi_accelerometer(_vectors(lots))
     before, after, turns = [], [], []
@@ -178,11 +178,11 @@ def _by_tedaldi(lots: list[Mounted]) -> Found:
     return bias, matrix, np.array(sizes)
 
 
-def _vectors(lots: list[Mounted]) -> np.ndarray:
+def _vectors(lots: list[MountedPoses]) -> np.ndarray:
     return np.array([_of(pose, ACCEL) for lot in lots for pose in lot.poses])
 
 
-def _turns(lot: Mounted) -> Iterable[tuple[int, Pose]]:
+def _turns(lot: MountedPoses) -> Iterable[tuple[int, Pose]]:
     return zip(FIVE_TURNS, lot.poses[-len(FIVE_TURNS) :], strict=True)
 
 

@@ -13,8 +13,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from calrig.calibration.joint.table import Mounted
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
+from calrig.calibration.separation.pose_table import MountedPoses
 from calrig.simulator.config import ImuOptions
 from calrig.simulator.imu import Imu, Surroundings
 
@@ -108,14 +108,14 @@ class Bench:
         )
         return unit.felt_g(force, visit.die_c)[:, 1:]
 
-    def measured(self, rng: np.random.Generator, *, accel: bool = True) -> list[Mounted]:
+    def measured(self, rng: np.random.Generator, *, accel: bool = True) -> list[MountedPoses]:
         """The poses of each clamping."""
         found = []
         for visit in self.visits:
             vector = self.felt_g(visit) + self._noise_g(rng, len(visit.dial_deg))
             poses = poses_of(visit, vector, accel=accel)
             axis = "-x" if visit.reversed else "x"
-            found.append(Mounted(f"U{visit.unit}", visit.name, visit.nominal_deg, "rig", poses, axis))
+            found.append(MountedPoses(f"U{visit.unit}", visit.name, visit.nominal_deg, "rig", poses, axis))
         return found
 
     def _noise_g(self, rng: np.random.Generator, n: int) -> np.ndarray:

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calrig.calibration.joint.advice import advised
-from calrig.calibration.joint.report import solution_document
+from calrig.calibration.separation.messages import advised
+from calrig.calibration.separation.report import solution_document
 
 from .cases import BOUNDS, COVERAGE, UNTOLD, Case, error_deg, judge, solved
 from .oracle import bound_deg

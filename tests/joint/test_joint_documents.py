@@ -8,10 +8,9 @@ import json
 import numpy as np
 import pytest
 
-from calrig.calibration.application import Application
-from calrig.calibration.correction import calibrated_elevation_deg, numbers_of
-from calrig.calibration.joint.report import solution_document
-from calrig.calibration.joint.stage_map import basis
+from calrig.calibration.results.correction import Application, calibrated_elevation_deg, numbers_of
+from calrig.calibration.separation.report import solution_document
+from calrig.calibration.separation.stage_map import basis
 from calrig.export.c_header import c_header
 from calrig.export.joint_documents import map_document, unit_document
 from calrig.export.joint_files import joint_files

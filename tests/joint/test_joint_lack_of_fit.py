@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calrig.calibration.joint.lack_of_fit import misfits
-from calrig.calibration.joint.report import solution_document
-from calrig.calibration.joint.solution import solve
+from calrig.calibration.separation.lack_of_fit import misfits
+from calrig.calibration.separation.report import solution_document
+from calrig.calibration.separation.solution import solve
 
 from .cases import ROUGH
 from .rig import Bench, Unit, poses_of

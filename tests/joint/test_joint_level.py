@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calrig.calibration.joint.report import solution_document
-from calrig.calibration.joint.solution import solve
-from calrig.calibration.pose import DiagnosisError
+from calrig.calibration.poses import DiagnosisError
+from calrig.calibration.separation.report import solution_document
+from calrig.calibration.separation.solution import solve
 from calrig.export.joint_documents import unit_document
 
 from .cases import GRID, absolute_error_deg

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calrig.calibration.joint.least_squares import fitted
-from calrig.calibration.joint.problem import Problem
-from calrig.calibration.joint.report import solution_document
-from calrig.calibration.joint.solution import solve
-from calrig.calibration.joint.unit_model import sensed
-from calrig.calibration.pose import DiagnosisError
+from calrig.calibration.poses import DiagnosisError
+from calrig.calibration.separation.least_squares import fitted
+from calrig.calibration.separation.problem import Problem
+from calrig.calibration.separation.report import solution_document
+from calrig.calibration.separation.solution import solve
+from calrig.calibration.separation.unit_model import sensed
 
 from .cases import BOUNDS, SEVENTHS, TURN, Case, error_deg, solved
 from .rig import ISSUE_UNIT, Bench, Design, Stage, Unit

@@ -8,11 +8,11 @@ import math
 import numpy as np
 import pytest
 
-from calrig.calibration.map_check import checked
-from calrig.calibration.pose import Pose
-from calrig.calibration.result import build_result
-from calrig.calibration.stage_reference import MapError, StageMap, dial_of, map_reference, with_map
-from calrig.calibration.uncertainty import Reference
+from calrig.calibration.poses import Pose
+from calrig.calibration.results.result import build_result
+from calrig.calibration.separation.map_validity import checked
+from calrig.calibration.separation.stage_reference import MapError, StageMap, dial_of, map_reference, with_map
+from calrig.calibration.uncertainty.budget import Reference
 from calrig.canonical_json import sha256_of
 from calrig.export.joint_documents import map_document
 

@@ -7,13 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calrig.calibration.joint.clamping import face_matrix, stage_direction, tilted
-from calrig.calibration.joint.three_axis_fit import fitted_whole
-from calrig.calibration.joint.three_axis_frame import accelerometer
-from calrig.calibration.joint.three_axis_model import sensed_vector
-from calrig.calibration.joint.three_axis_report import three_axis_document
-from calrig.calibration.joint.three_axis_solution import solve_whole
-from calrig.calibration.pose import DiagnosisError
+from calrig.calibration.poses import DiagnosisError
+from calrig.calibration.separation.three_axis_fit import fitted_whole, solve_whole
+from calrig.calibration.separation.three_axis_frame import accelerometer
+from calrig.calibration.separation.three_axis_model import sensed_vector
+from calrig.calibration.separation.three_axis_report import three_axis_document
+from calrig.calibration.separation.three_axis_table import face_matrix, stage_direction, tilted
 from calrig.estimation.gyro import moves_about_axes
 
 from .cube import MOVES, Seat, drawn_cube_bench

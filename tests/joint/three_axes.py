@@ -7,13 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calrig.calibration.joint.gyro_dwells import dwells_of
-from calrig.calibration.joint.gyro_turns import turns_of
-from calrig.calibration.joint.mapped import mapped
-from calrig.calibration.joint.three_axis_fit import ThreeAxisFit
-from calrig.calibration.joint.three_axis_frame import accelerometer
-from calrig.calibration.joint.three_axis_gyro import whole_gyro
-from calrig.calibration.joint.three_axis_solution import ThreeAxisSolution, solve_whole
+from calrig.calibration.separation.map_report import mapped
+from calrig.calibration.separation.three_axis_fit import ThreeAxisFit, ThreeAxisSolution, solve_whole
+from calrig.calibration.separation.three_axis_frame import accelerometer
+from calrig.calibration.separation.three_axis_gyro import dwells_of, turns_of, whole_gyro
 
 from .cube import CubeBench, drawn_cube_bench
 from .cube_oracle import DIAL_DEG, bound, figures_of, map_error_deg, sensor_figures

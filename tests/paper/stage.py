@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calrig.calibration.pose import Pose
-from calrig.calibration.result import build_result
+from calrig.calibration.poses import Pose
+from calrig.calibration.results.result import build_result
 from calrig.estimation.kalman import KalmanFilter
 
 from .sensor import RATE_HZ, benches, log_of

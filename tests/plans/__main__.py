@@ -12,12 +12,11 @@ import sys
 
 import numpy as np
 
-from calrig.calibration.plan_design.design import quickest
-from calrig.calibration.plan_design.goals import Goals
+from calrig.calibration.plan_design.design import limit_s, quickest
+from calrig.calibration.plan_design.design_problem import Goals
 from calrig.calibration.plan_design.layout import layout
-from calrig.calibration.plan_design.limit import limit_s
-from calrig.calibration.plan_design.suspects import imagined_dwells, suspects
-from calrig.calibration.uncertainty import Reference
+from calrig.calibration.plan_design.smallest_effects import imagined_dwells, suspects
+from calrig.calibration.uncertainty.budget import Reference
 from calrig.plan import Plan
 from calrig.runs.plan_answers import Designed
 from tests.blind import causes

@@ -8,7 +8,7 @@ import numpy as np
 
 from calrig.analysis.results import fitted
 from calrig.calibration.plan_design.layout import layout
-from calrig.calibration.pose import Filtering, Pose
+from calrig.calibration.poses import Filtering, Pose
 from calrig.plan import Plan, Until
 from calrig.runs.stopping_rule import REACHED, StoppingRule
 

@@ -17,9 +17,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from empty_store import lay_empty_store
 
-from calrig.calibration.diagnosis import diagnose
-from calrig.calibration.plan_design.goals import Goals
-from calrig.calibration.pose import Pose
+from calrig.calibration.diagnosis.tracing import diagnose
+from calrig.calibration.plan_design.design_problem import Goals
+from calrig.calibration.poses import Pose
 from calrig.plan import Plan
 from calrig.runs.plan_answers import Designed, answer
 from calrig.runs.plan_designs import Wanted, question

@@ -8,16 +8,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calrig.calibration.fit import fit_line
-from calrig.calibration.plan_design.design import quickest, within
-from calrig.calibration.plan_design.goals import Goals, TypeB
-from calrig.calibration.plan_design.layout import layout
-from calrig.calibration.plan_design.limit import limit_s
-from calrig.calibration.plan_design.rig_figures import Pace, Precision, Turning, precision_of_run
-from calrig.calibration.plan_design.suspects import imagined_dwells, suspects
-from calrig.calibration.plan_design.task import OutOfReachError, Sweeping, Task
+from calrig.calibration.line import fit_line
+from calrig.calibration.plan_design.design import limit_s, quickest, within
+from calrig.calibration.plan_design.design_problem import (
+    DesignProblem,
+    Goals,
+    OutOfReachError,
+    Sweeping,
+    TypeB,
+)
+from calrig.calibration.plan_design.layout import Pace, Precision, Turning, layout, precision_of_run
+from calrig.calibration.plan_design.smallest_effects import imagined_dwells, suspects
 from calrig.calibration.plan_design.traced import allowed_deg
-from calrig.calibration.uncertainty import Reference, uncertainty
+from calrig.calibration.uncertainty.budget import Reference, uncertainty
 from calrig.instruments.axis_goal import travel_time_s
 from calrig.plan import Plan
 from calrig.runs.rig_pace import HOMING_AND_START_S, QUESTIONS_S
@@ -154,7 +157,7 @@ def test_no_design_is_under_the_limit_on_slow_and_fast_stages(
     )
     precision = Precision(white_deg_rts, 0.0, "made up")
     turns = Sweeping(Turning(velocity_dps, acceleration_dps2), precision)
-    task = Task(range_deg, precision, pace, TypeB(0.003, MAP), trace, sweeping=turns)
+    task = DesignProblem(range_deg, precision, pace, TypeB(0.003, MAP), trace, sweeping=turns)
     for goals in (Goals(3.0 * white_deg_rts), Goals(3.0 * white_deg_rts, white_deg_rts / 8.0)):
         assert limit_s(task, goals) <= quickest(task, goals).duration_s
 

@@ -9,13 +9,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from calrig.calibration.diagnosis import diagnose
-from calrig.calibration.plan_design.goals import TypeB
-from calrig.calibration.plan_design.layout import leverage
-from calrig.calibration.plan_design.rig_figures import DATA_SHEET_WHITE, Pace, Precision, Turning
-from calrig.calibration.plan_design.task import Sweeping, Task
-from calrig.calibration.result import build_result
-from calrig.calibration.uncertainty import Reference, uncertainty
+from calrig.calibration.diagnosis.tracing import diagnose
+from calrig.calibration.plan_design.design_problem import DesignProblem, Sweeping, TypeB
+from calrig.calibration.plan_design.layout import DATA_SHEET_WHITE, Pace, Precision, Turning, leverage
+from calrig.calibration.results.result import build_result
+from calrig.calibration.uncertainty.budget import Reference, uncertainty
 from calrig.instruments.axis_goal import travel_time_s
 from calrig.plan import Plan
 from calrig.runs.rig_pace import HOMING_AND_START_S, QUESTIONS_S
@@ -36,11 +34,11 @@ def travel_s(distance_deg: float) -> float:
 PACE = Pace(travel_s, SETTLE_S, QUESTIONS_S, HOMING_AND_START_S, pass_s=QUESTIONS_S)
 
 
-def task(reference: Reference, *, trace: bool, sweeping: bool = False) -> Task:
+def task(reference: Reference, *, trace: bool, sweeping: bool = False) -> DesignProblem:
     """Of ±60° on an ordinary stage, which may turn without stopping."""
     turns = Sweeping(Turning(VELOCITY_DPS, ACCELERATION_DPS2), PRECISION) if sweeping else None
     type_b = TypeB(reference.std_deg, reference)
-    return Task((-60.0, 60.0), PRECISION, PACE, type_b, trace, sweeping=turns)
+    return DesignProblem((-60.0, 60.0), PRECISION, PACE, type_b, trace, sweeping=turns)
 
 
 def fixed() -> Layout:

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calrig.analysis.errors import NotTheSame
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.estimation.reading import Reading
 from calrig.runs.resume import Returned, way_back
 

@@ -9,8 +9,8 @@ import pytest
 from run_rigs import TruthRig, begin, pass_time, plan
 
 from calrig.analysis.joint_solutions import Wanted, question
-from calrig.calibration.joint.three_axis_report import three_axis_document
-from calrig.calibration.joint.three_axis_solution import solve_whole
+from calrig.calibration.separation.three_axis_fit import solve_whole
+from calrig.calibration.separation.three_axis_report import three_axis_document
 from calrig.runs.service import RunService
 from calrig.store import Store
 

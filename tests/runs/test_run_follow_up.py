@@ -9,8 +9,8 @@ from run_rigs import TruthRig, diagnosed
 from support import running_service
 
 from calrig.analysis.errors import Conflict
-from calrig.calibration.pose import Pose
-from calrig.calibration.result import build_result
+from calrig.calibration.poses import Pose
+from calrig.calibration.results.result import build_result
 from calrig.plan import Plan
 
 ONE_SWEEP = Plan(sweeps=1, settle_s=0.5, dwell_s=0.5)

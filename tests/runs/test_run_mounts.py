@@ -10,8 +10,8 @@ from run_rigs import TruthRig, begin, events, pass_time, plan, states, until
 
 from calrig.analysis.errors import Conflict
 from calrig.analysis.joint_solutions import Wanted, question
-from calrig.calibration.joint.report import solution_document
-from calrig.calibration.joint.solution import solve
+from calrig.calibration.separation.report import solution_document
+from calrig.calibration.separation.solution import solve
 from calrig.estimation.angles import wrap_deg
 from calrig.runs.service import RunService
 from calrig.store import Run, Store

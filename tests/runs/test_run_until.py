@@ -9,7 +9,7 @@ from run_rigs import TruthRig, begin, plan, until
 
 from calrig.analysis.amendments import Records
 from calrig.analysis.errors import Invalid
-from calrig.calibration.plan_design.goals import Goals
+from calrig.calibration.plan_design.design_problem import Goals
 from calrig.plan import Plan, Until
 from calrig.runs.plan_answers import Designed, answer
 from calrig.runs.plan_designs import Wanted, question

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from empty_store import lay_empty_store
 
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.store import SampleBlock, Store
 
 

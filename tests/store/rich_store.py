@@ -16,7 +16,7 @@ from filled_store import block
 from sqlalchemy import create_engine
 from support import imported, serving
 
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.store import AcceptedEffect, Store
 from calrig.store.items import Item
 from calrig.store.raw_rows import tables

@@ -9,8 +9,8 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from calrig.calibration.packed_poses import packed
-from calrig.calibration.pose import GYRO_MEANS, Pose
+from calrig.calibration.fleet_screen import packed
+from calrig.calibration.poses import GYRO_MEANS, Pose
 from calrig.store import Run, Store, StoreDamagedError, fleet
 from calrig.store.fleet_findings import Finding
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from calrig.calibration.conformity import Limit
+from calrig.calibration.uncertainty.conformity import Limit
 
 FLIGHT = Limit("flight", "AS-*", max_error_deg=0.3, rule="guarded")
 ALL = Limit("all", bias_deg=(-1.0, 1.0), scale=(0.99, 1.01))

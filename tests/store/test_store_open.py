@@ -58,7 +58,7 @@ def test_a_second_writer_is_told_who_holds_the_store_and_a_reader_is_not_kept_ou
 ANNOUNCE = """
 import sys
 import numpy as np
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.store import SampleBlock, Store
 store = Store.open(sys.argv[1], writer="run")
 run = store.create_run(unit="A", rig="bench", plan=None, status="running", provenance={})

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.store import NotFound, SampleBlock, Store, StoreError
 from calrig.store.convert import joined_arrays, packed_arrays
 

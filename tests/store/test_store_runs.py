@@ -9,7 +9,7 @@ from uuid import UUID
 import pytest
 from dated_runs import gave, lay
 
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.run_ids import new_run_id
 from calrig.store import AcceptedEffect, NotFound, Store, StoreError
 from calrig.store.errors import Refused

@@ -13,7 +13,7 @@ import pytest
 from filled_store import block, filled
 from test_store_migrations import later_program
 
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.store import Store, StoreError, StoreUnavailableError
 from calrig.store.sqlite import file_system
 

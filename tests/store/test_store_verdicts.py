@@ -8,10 +8,10 @@ from typing import get_args
 import numpy as np
 from sqlmodel import update
 
-from calrig.calibration.conformity import Limit
-from calrig.calibration.pose import Pose
-from calrig.calibration.result import build_result
-from calrig.calibration.uncertainty import Reference
+from calrig.calibration.poses import Pose
+from calrig.calibration.results.result import build_result
+from calrig.calibration.uncertainty.budget import Reference
+from calrig.calibration.uncertainty.conformity import Limit
 from calrig.store import AcceptedEffect
 from calrig.store import verdicts as module
 from calrig.store.run_search import Sought

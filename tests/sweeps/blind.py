@@ -23,11 +23,11 @@ from typing import NamedTuple
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # inherited by the workers: one core each
 
-from calrig.calibration.diagnosis import diagnose, document
+from calrig.calibration.diagnosis.tracing import diagnose, document
 from calrig.calibration.plan_design.design import quickest
-from calrig.calibration.plan_design.goals import Goals
-from calrig.calibration.pose import Pose
-from calrig.calibration.uncertainty import Reference
+from calrig.calibration.plan_design.design_problem import Goals
+from calrig.calibration.poses import Pose
+from calrig.calibration.uncertainty.budget import Reference
 from calrig.plan import Plan
 from tests.blind.board import suspects, words
 from tests.plans import trial

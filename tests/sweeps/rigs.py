@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.plan import Plan
 from calrig.runs.service import RunService
 from calrig.settings import BoardSettings, ReferenceSettings, RigSettings, StageSettings

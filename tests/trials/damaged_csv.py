@@ -7,7 +7,7 @@ import io
 import random
 from collections.abc import Callable
 
-from calrig.calibration.pose import COLUMNS
+from calrig.calibration.poses import COLUMNS
 
 Grid = list[list[str]]
 Change = Callable[[random.Random, Grid], None]

@@ -15,8 +15,8 @@ from tempfile import TemporaryDirectory
 
 from calrig.analysis.amendments import Records
 from calrig.analysis.errors import Invalid
-from calrig.calibration.pose import Pose
-from calrig.calibration.result import build_result
+from calrig.calibration.poses import Pose
+from calrig.calibration.results.result import build_result
 from calrig.export.cells import CsvError
 from calrig.export.poses_csv import read_poses, write_poses
 from calrig.export.static_csv import read_static

@@ -18,8 +18,8 @@ LET_GO = Path(os.environ.setdefault("CALRIG_TEST_LET_GO", _OF_THESE_TESTS))
 
 
 def slow_trace(*poses: Any, progress: Callable[[float], None], **asked: Any) -> dict[str, Any]:
-    """As `calrig.calibration.diagnosis.trace`, once LET_GO is there."""
-    from calrig.calibration.diagnosis import trace
+    """As `calrig.calibration.diagnosis.tracing.trace`, once LET_GO is there."""
+    from calrig.calibration.diagnosis.tracing import trace
 
     progress(0.4)
     held()

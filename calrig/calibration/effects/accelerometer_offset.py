@@ -4,10 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from calrig.calibration.effect import ELEVATION, Applied, Effect, Parameter, Parameters, Shape
-from calrig.calibration.effect_terms import MG, ON_VECTOR, c_literal, turns, vector_forms, within
-from calrig.calibration.responses import Responses
-from calrig.calibration.sensor_vector import VectorError, VectorInC
+from calrig.calibration.regression.effect import (
+    ELEVATION,
+    Applied,
+    Effect,
+    Parameter,
+    Parameters,
+    Shape,
+    VectorError,
+    VectorInC,
+)
+from calrig.calibration.regression.responses import Responses
+from calrig.calibration.regression.terms import MG, ON_VECTOR, c_literal, turns, vector_forms, within
 
 LARGEST_MG = 150.0
 """MPU-6050 data sheet PS-MPU-6000A-00 rev. 3.4, section 6.2: zero-g output ±50 mg (x, y), ±80 mg (z); as

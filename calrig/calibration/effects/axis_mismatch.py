@@ -7,10 +7,18 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calrig.calibration.effect import ELEVATION, Applied, Effect, Parameter, Parameters, Shape
-from calrig.calibration.effect_terms import ON_VECTOR, c_literal, turns, vector_forms, within
-from calrig.calibration.responses import Responses
-from calrig.calibration.sensor_vector import VectorError, VectorInC
+from calrig.calibration.regression.effect import (
+    ELEVATION,
+    Applied,
+    Effect,
+    Parameter,
+    Parameters,
+    Shape,
+    VectorError,
+    VectorInC,
+)
+from calrig.calibration.regression.responses import Responses
+from calrig.calibration.regression.terms import ON_VECTOR, c_literal, turns, vector_forms, within
 
 LARGEST_GAIN_PCT, LARGEST_SKEW_DEG = 10.0, 5.0
 """MPU-6050 data sheet PS-MPU-6000A-00 rev. 3.4, section 6.2: ±3 % of gain an axis, ±2 % (1.1°) across axes;

@@ -11,9 +11,16 @@ import math
 
 import numpy as np
 
-from calrig.calibration.effect import ELEVATION, Applied, Effect, Parameter, Parameters
-from calrig.calibration.effect_terms import MG, ON_VECTOR, c_literal
-from calrig.calibration.sensor_vector import VectorError, VectorInC
+from calrig.calibration.regression.effect import (
+    ELEVATION,
+    Applied,
+    Effect,
+    Parameter,
+    Parameters,
+    VectorError,
+    VectorInC,
+)
+from calrig.calibration.regression.terms import MG, ON_VECTOR, c_literal
 
 
 def _on_vector_g(p: Applied) -> VectorError:

@@ -13,9 +13,17 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calrig.calibration.effect import ELEVATION, Applied, Effect, NotInFlight, Parameter, Parameters, Shape
-from calrig.calibration.effect_terms import sin_cos, tilted, turns
-from calrig.calibration.responses import Responses
+from calrig.calibration.regression.effect import (
+    ELEVATION,
+    Applied,
+    Effect,
+    NotInFlight,
+    Parameter,
+    Parameters,
+    Shape,
+)
+from calrig.calibration.regression.responses import Responses
+from calrig.calibration.regression.terms import sin_cos, tilted, turns
 from calrig.estimation.angles import FloatArray
 
 SURE = 8.0

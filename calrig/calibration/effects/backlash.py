@@ -6,11 +6,19 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from calrig.calibration.channels import ANGLE, MOVE, READING
-from calrig.calibration.effect import APPROACH, Applied, Effect, NotInFlight, Parameter, Parameters, Shape
-from calrig.calibration.effect_terms import turned, within
-from calrig.calibration.play import slack_deg
-from calrig.calibration.responses import Responses
+from calrig.calibration.regression.channels import ANGLE, MOVE, READING
+from calrig.calibration.regression.effect import (
+    APPROACH,
+    Applied,
+    Effect,
+    NotInFlight,
+    Parameter,
+    Parameters,
+    Shape,
+)
+from calrig.calibration.regression.motion import slack_deg
+from calrig.calibration.regression.responses import Responses
+from calrig.calibration.regression.terms import turned, within
 from calrig.estimation.angles import FloatArray
 
 LARGEST_DEG = 30.0

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calrig.calibration.channels import READING
-from calrig.calibration.effect import Effect, NotInFlight, Parameter, Parameters, Shape
-from calrig.calibration.responses import Responses
-from calrig.calibration.run_changes import RUN
+from calrig.calibration.regression.channels import READING
+from calrig.calibration.regression.effect import Effect, NotInFlight, Parameter, Parameters, Shape
+from calrig.calibration.regression.responses import Responses
+from calrig.calibration.regression.run_changes import RUN
 
 
 def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:

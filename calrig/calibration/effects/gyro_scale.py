@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calrig.calibration.channels import MOVE, READING
-from calrig.calibration.effect import LAST_MOVE, Effect, NotInFlight, Parameter, Parameters, Shape
-from calrig.calibration.effect_terms import within
-from calrig.calibration.responses import Responses
+from calrig.calibration.regression.channels import MOVE, READING
+from calrig.calibration.regression.effect import LAST_MOVE, Effect, NotInFlight, Parameter, Parameters, Shape
+from calrig.calibration.regression.responses import Responses
+from calrig.calibration.regression.terms import within
 
 LARGEST_GAIN_PCT = 15.0
 """MPU-6050 data sheet PS-MPU-6000A-00 rev. 3.4, section 6.1: ±3 %, and ±2 % over temperature; three times

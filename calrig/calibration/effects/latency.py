@@ -1,7 +1,7 @@
 """Readings taken on the move that come late: those of the filter alone, or the accelerometer's with them.
 
 The velocity is the column `velocity_dps`, or what times and elevations tell where the poses did not stand
-(`calrig.calibration.motion`). A reading that comes τ late differs from the elevation by τ times the mean
+(`regression.motion`). A reading that comes τ late differs from the elevation by τ times the mean
 velocity over the time τ before it: next to a reversal that is not the velocity at the reading.
 """
 
@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from calrig.calibration.channels import ANGLE, READING
-from calrig.calibration.effect import Covariate, Effect, NotInFlight, Parameter, Parameters, Shape
-from calrig.calibration.effect_terms import tilted
-from calrig.calibration.responses import Responses
+from calrig.calibration.regression.channels import ANGLE, READING
+from calrig.calibration.regression.effect import Covariate, Effect, NotInFlight, Parameter, Parameters, Shape
+from calrig.calibration.regression.responses import Responses
+from calrig.calibration.regression.terms import tilted
 from calrig.estimation.angles import FloatArray
 
 AS_SCANNED = np.geomspace(0.4, 2.5, 9)

@@ -11,9 +11,17 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from calrig.calibration.effect import TIME, Applied, Effect, NotInFlight, Parameter, Parameters, Shape
-from calrig.calibration.effect_terms import tilted
-from calrig.calibration.responses import Responses
+from calrig.calibration.regression.effect import (
+    TIME,
+    Applied,
+    Effect,
+    NotInFlight,
+    Parameter,
+    Parameters,
+    Shape,
+)
+from calrig.calibration.regression.responses import Responses
+from calrig.calibration.regression.terms import tilted
 from calrig.estimation.angles import FloatArray
 
 LEAST_S = 1.0

@@ -6,10 +6,18 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from calrig.calibration.channels import MOVE, BoolArray
-from calrig.calibration.effect import TIME, Applied, Effect, NotInFlight, Parameter, Parameters, Shape
-from calrig.calibration.effect_terms import tilted, turned
-from calrig.calibration.responses import Responses
+from calrig.calibration.regression.channels import MOVE, BoolArray
+from calrig.calibration.regression.effect import (
+    TIME,
+    Applied,
+    Effect,
+    NotInFlight,
+    Parameter,
+    Parameters,
+    Shape,
+)
+from calrig.calibration.regression.responses import Responses
+from calrig.calibration.regression.terms import tilted, turned
 from calrig.estimation.angles import FloatArray
 
 EDGE_POSES = 3

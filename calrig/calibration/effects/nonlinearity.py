@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calrig.calibration.effect import ELEVATION, Effect, Parameter, Parameters, Shape
-from calrig.calibration.effect_terms import DEG, c_literal, one_or_both, turns
-from calrig.calibration.responses import Responses
+from calrig.calibration.regression.effect import ELEVATION, Effect, Parameter, Parameters, Shape
+from calrig.calibration.regression.responses import Responses
+from calrig.calibration.regression.terms import DEG, c_literal, one_or_both, turns
 
 STEEPEST_DEG = 80.0
 """Beyond it a_y says next to nothing of the angle, and tan θ nothing of a_y."""

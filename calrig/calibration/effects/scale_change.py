@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from calrig.calibration.effect import Effect, NotInFlight, Parameter, Parameters, Shape
-from calrig.calibration.effect_terms import turned, turns
-from calrig.calibration.responses import Responses
-from calrig.calibration.run_changes import RUN
+from calrig.calibration.regression.effect import Effect, NotInFlight, Parameter, Parameters, Shape
+from calrig.calibration.regression.responses import Responses
+from calrig.calibration.regression.run_changes import RUN
+from calrig.calibration.regression.terms import turned, turns
 
 
 def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:

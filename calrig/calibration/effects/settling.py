@@ -12,11 +12,19 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calrig.calibration.channels import ANGLE, MOVE, READING
-from calrig.calibration.effect import LAST_MOVE, Applied, Effect, NotInFlight, Parameter, Parameters, Shape
-from calrig.calibration.effect_terms import tilted, within
-from calrig.calibration.responses import Responses
-from calrig.calibration.stretches import behind
+from calrig.calibration.regression.channels import ANGLE, MOVE, READING
+from calrig.calibration.regression.effect import (
+    LAST_MOVE,
+    Applied,
+    Effect,
+    NotInFlight,
+    Parameter,
+    Parameters,
+    Shape,
+)
+from calrig.calibration.regression.motion import behind
+from calrig.calibration.regression.responses import Responses
+from calrig.calibration.regression.terms import tilted, within
 from calrig.estimation.angles import FloatArray
 
 LEFT_AT_THE_END = (0.1, 0.5, 0.9)

@@ -6,15 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calrig.calibration.effect import (
-    ELEVATION,
-    Effect,
-    NotInFlight,
-    Parameter,
-    Parameters,
-    Shape,
-)
-from calrig.calibration.effect_terms import (
+from calrig.calibration.regression.effect import ELEVATION, Effect, NotInFlight, Parameter, Parameters, Shape
+from calrig.calibration.regression.responses import Responses
+from calrig.calibration.regression.terms import (
     THE_TURN,
     amplitude_and_phase,
     amplitude_within,
@@ -23,7 +17,6 @@ from calrig.calibration.effect_terms import (
     turns,
     wave_deg,
 )
-from calrig.calibration.responses import Responses
 
 LARGEST_AMPLITUDE_DEG = 30.0
 """The centre off the axis by half of the radius (amplitude = eccentricity/radius, in radians)."""

@@ -10,23 +10,18 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calrig.calibration.effect import (
+from calrig.calibration.regression.effect import (
     TEMPERATURE,
     Applied,
     Effect,
     Parameter,
     Parameters,
     Shape,
+    VectorError,
+    VectorInC,
 )
-from calrig.calibration.effect_terms import (
-    c_literal,
-    c_warmer,
-    tilted,
-    warmer_c,
-    within,
-)
-from calrig.calibration.responses import Responses
-from calrig.calibration.sensor_vector import VectorError, VectorInC
+from calrig.calibration.regression.responses import Responses
+from calrig.calibration.regression.terms import c_literal, c_warmer, tilted, warmer_c, within
 from calrig.estimation.angles import FloatArray
 
 LARGEST_DEG_PER_C = 1.0

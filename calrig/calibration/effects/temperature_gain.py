@@ -7,15 +7,18 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calrig.calibration.effect import (
+from calrig.calibration.regression.effect import (
     TEMPERATURE,
     Applied,
     Effect,
     Parameter,
     Parameters,
     Shape,
+    VectorError,
+    VectorInC,
 )
-from calrig.calibration.effect_terms import (
+from calrig.calibration.regression.responses import Responses
+from calrig.calibration.regression.terms import (
     ON_VECTOR,
     c_literal,
     c_warmer,
@@ -24,8 +27,6 @@ from calrig.calibration.effect_terms import (
     warmer_c,
     within,
 )
-from calrig.calibration.responses import Responses
-from calrig.calibration.sensor_vector import VectorError, VectorInC
 
 NAMES = ("gain_pct_per_c", "skew_deg_per_c")
 

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from calrig.calibration.effect import (
+from calrig.calibration.regression.effect import (
     TEMPERATURE,
     Applied,
     Effect,
     Parameter,
     Parameters,
     Shape,
+    VectorError,
+    VectorInC,
 )
-from calrig.calibration.effect_terms import (
+from calrig.calibration.regression.responses import Responses
+from calrig.calibration.regression.terms import (
     MG,
     ON_VECTOR,
     c_literal,
@@ -22,8 +25,6 @@ from calrig.calibration.effect_terms import (
     warmer_c,
     within,
 )
-from calrig.calibration.responses import Responses
-from calrig.calibration.sensor_vector import VectorError, VectorInC
 
 LARGEST_MG_PER_C = 10.0
 """MPU-6050 data sheet PS-MPU-6000A-00 rev. 3.4, section 6.2: ±60 mg over 70 °C, 0.9 mg/°C;

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from calrig.calibration.effect import TEMPERATURE, Effect, Parameter, Parameters, Shape
-from calrig.calibration.effect_terms import c_literal, c_warmer, tilted, turns, warmer_c
-from calrig.calibration.responses import Responses
+from calrig.calibration.regression.effect import TEMPERATURE, Effect, Parameter, Parameters, Shape
+from calrig.calibration.regression.responses import Responses
+from calrig.calibration.regression.terms import c_literal, c_warmer, tilted, turns, warmer_c
 
 
 def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:

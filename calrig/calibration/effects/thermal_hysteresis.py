@@ -12,8 +12,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calrig.calibration.channels import BoolArray
-from calrig.calibration.effect import (
+from calrig.calibration.regression.channels import BoolArray
+from calrig.calibration.regression.effect import (
     TEMPERATURE,
     Applied,
     Effect,
@@ -22,8 +22,8 @@ from calrig.calibration.effect import (
     Parameters,
     Shape,
 )
-from calrig.calibration.effect_terms import one_leg, said_of_one_leg, tilted, warmer_c
-from calrig.calibration.responses import Responses
+from calrig.calibration.regression.responses import Responses
+from calrig.calibration.regression.terms import one_leg, said_of_one_leg, tilted, warmer_c
 from calrig.estimation.angles import FloatArray
 
 LAGS = 10

@@ -1,4 +1,7 @@
-"""The quickest of many designs that reaches what is wanted, or the best one for a time."""
+"""The quickest of many designs that reaches what is wanted, or the best one for a time.
+
+The time that no plan is under.
+"""
 
 from __future__ import annotations
 
@@ -9,23 +12,36 @@ from functools import partial
 import numpy as np
 
 from calrig.calibration.plan_design import dwell_designs, sweep_designs
-from calrig.calibration.plan_design.goals import Goals
-from calrig.calibration.plan_design.layout import BEST_OVER_RANGE
-from calrig.calibration.plan_design.task import (
+from calrig.calibration.plan_design.design_problem import (
+    FEWEST_TRACED,
     LONGEST_DWELL_S,
+    NO_REFERENCE,
+    SHORTEST_DWELL_S,
     Design,
+    DesignProblem,
+    Goals,
     OutOfReachError,
-    Task,
+    scatter_wanted_deg,
 )
-from calrig.calibration.plan_design.traced import could_show_enough, excess_of, with_suspects
+from calrig.calibration.plan_design.dwell_designs import POSES
+from calrig.calibration.plan_design.layout import BEST_OVER_RANGE, PASSES, Precision, Sweep, least_stretch_s
+from calrig.calibration.plan_design.smallest_effects import least_slow_deg
+from calrig.calibration.plan_design.traced import (
+    RICH,
+    allowed_deg,
+    could_show_enough,
+    excess_of,
+    with_suspects,
+)
 from calrig.calibration.progress import Progress, unheard
+from calrig.plan import FEWEST_UNTIL, FIRST_SETTLE_S
 
 MOST_POSES = dwell_designs.POSES[-1]
 MOST_TRIED = 40
 """Designs whose suspects are looked at, most of them among the quickest."""
 
 
-def quickest(task: Task, goals: Goals, told: Progress = unheard) -> Design:
+def quickest(task: DesignProblem, goals: Goals, told: Progress = unheard) -> Design:
     """The design of least time that reaches the goals; tells the share that is done.
 
     With `trace`, the first by time that hides no more of an effect than is allowed (`traced.allowed_deg`), as
@@ -55,7 +71,7 @@ def quickest(task: Task, goals: Goals, told: Progress = unheard) -> Design:
     return min(shown, key=excess)
 
 
-def within(task: Task, time_s: float) -> Design:
+def within(task: DesignProblem, time_s: float) -> Design:
     """The design of least uncertainty that takes no longer than a time; errors as of `quickest`."""
     found = [*dwell_designs.of_time(task, time_s), *sweep_designs.of_time(task, time_s)]
     if not found:
@@ -67,7 +83,7 @@ def within(task: Task, time_s: float) -> Design:
     return with_suspects(task, best) if task.trace else best
 
 
-def ended(task: Task, goals: Goals, design: Design) -> Design:
+def ended(task: DesignProblem, goals: Goals, design: Design) -> Design:
     """A design as far as its run is expected to come, if that ends as soon as the goals are reached."""
     if not task.until:
         return design
@@ -76,12 +92,12 @@ def ended(task: Task, goals: Goals, design: Design) -> Design:
     return dwell_designs.first_good_enough(task, goals, design)
 
 
-def _time_s(task: Task, goals: Goals, design: Design) -> float:
+def _time_s(task: DesignProblem, goals: Goals, design: Design) -> float:
     """What a design costs: its time, and of one that ends early as much what it may take as what it will."""
     return 0.5 * (design.duration_s + ended(task, goals, design).duration_s)
 
 
-def _why_none(task: Task, goals: Goals) -> str:
+def _why_none(task: DesignProblem, goals: Goals) -> str:
     if task.type_b is not None and (beyond := task.type_b.why_beyond(goals)) is not None:
         return beyond
     left = ""
@@ -94,3 +110,95 @@ def _why_none(task: Task, goals: Goals) -> str:
         f"{task.precision.pose_deg:.2g}° however long each dwells ({task.precision.said}){left}; what "
         "scatters beyond noise has a cause: diagnose that run, and accept what it names"
     )
+
+
+BACK = 0.8
+"""Of the way back, which ends at the last of its poses."""
+
+EACH, STEP = 60, 1.1
+"""Poses up to which each number is looked at by itself, and by how much the next ones differ: of 66 poses the
+factor of Student's distribution is 0.1 % less."""
+
+
+def limit_s(task: DesignProblem, goals: Goals, *, must_show: bool = True) -> float:
+    """A time that no plan is under: the data where they say most, and what cannot be left out beside them.
+
+    The poses stand at the two ends and nowhere else; they are as many as are soonest taken, and as could show
+    an effect of time where effects are to be traced.
+
+    Args:
+        task: for what.
+        goals: to be reached.
+        must_show: whether a plan that hides more than is allowed is none; a plan for a time may.
+    """
+    must_show = must_show and task.trace and not task.until and goals.expanded_deg is not None
+    of_sweeps_s = math.inf if task.sweeping is None else _of_sweeps_s(task, goals, must_show=must_show)
+    return min(_of_dwells_s(task, goals, must_show=must_show), of_sweeps_s)
+
+
+def _of_dwells_s(task: DesignProblem, goals: Goals, *, must_show: bool) -> float:
+    """To the nearer end, and through the range; there and back where effects are to be traced in any case."""
+    pace, stands_s = task.pace, math.inf
+    fewest, ways = (FEWEST_TRACED, 1.0 + BACK) if task.trace else (POSES[0], 1.0)
+    if task.until:
+        fewest, ways = FEWEST_UNTIL, 1.0
+    for n in range(fewest, POSES[-1] + 1):
+        if n * (SHORTEST_DWELL_S + pace.settle_s + pace.questions_s) > stands_s:
+            break
+        dwell_s = max(SHORTEST_DWELL_S, _at_the_ends_s(task, goals, n, task.precision))
+        if not must_show or _shows(task, goals, n, dwell_s, task.precision):
+            stands_s = min(stands_s, n * (dwell_s + pace.settle_s + pace.questions_s))
+    ways_s = ways * pace.travel_s(task.range_deg[1] - task.range_deg[0])
+    return pace.begin_s + _to_an_end_s(task) + ways_s + stands_s
+
+
+def _of_sweeps_s(task: DesignProblem, goals: Goals, *, must_show: bool) -> float:
+    """To the nearer end, settling, and data in all of the rest, in stretches as short as can be."""
+    assert task.sweeping is not None  # noqa: S101 (asked by limit_s)
+    turning, precision = task.sweeping.turning, task.sweeping.precision
+    least_s, passes = math.inf, 1 if task.until else PASSES[0]
+    for n in range(max(FEWEST_UNTIL, FEWEST_TRACED if task.trace and not task.until else 0), 4 * POSES[-1]):
+        if n * SHORTEST_DWELL_S > least_s:
+            break
+        turned = Sweep(task.range_deg, passes, max(1, (n - 1) // passes - 1), 1.0)
+        stretch_s = max(least_stretch_s(turned, turning), _at_the_ends_s(task, goals, n, precision))
+        if not must_show or _shows(task, goals, n, stretch_s, precision):
+            least_s = min(least_s, n * stretch_s)
+    pace = task.pace
+    first_s = _to_an_end_s(task) + max(pace.settle_s, FIRST_SETTLE_S)
+    return pace.begin_s + first_s + passes * pace.settle_s + (passes + 1) * pace.pass_s + least_s
+
+
+def _to_an_end_s(task: DesignProblem) -> float:
+    """The move to the end that is nearer to the stage."""
+    return min(task.pace.travel_s(abs(end_deg - task.pace.stands_deg)) for end_deg in task.range_deg)
+
+
+def _at_the_ends_s(task: DesignProblem, goals: Goals, n: int, precision: Precision) -> float:
+    """The shortest dwells with which so many poses reach the goals wherever they stand; infinite if none do.
+
+    Of a line over m ± h no n poses have less variance than n at the ends in the best of shares (Hoel and
+    Levine, 1964): 4/3 in the mean over the range, 1/h² of its slope, and at 0 1 within the range and (m/h)²
+    beyond it, all over n. An odd number of poses does not come to that.
+    """
+    low, high = task.range_deg
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    leverages = BEST_OVER_RANGE / n, max(1.0, (middle / half) ** 2) / n, 1.0 / (n * half**2)
+    wanted_deg = scatter_wanted_deg(goals, task.type_b or NO_REFERENCE, _as_good_as(n), leverages)
+    return precision.dwell_s(wanted_deg) if wanted_deg > 0.0 else math.inf
+
+
+def _as_good_as(n: int) -> int:
+    """A number of poses whose scatter is known no worse: of few numbers, each of which takes a while."""
+    return n if n <= EACH else math.ceil(EACH * STEP ** math.ceil(math.log(n / EACH) / math.log(STEP)))
+
+
+def _shows(task: DesignProblem, goals: Goals, n: int, dwell_s: float, precision: Precision) -> bool:
+    """Whether so many such poses could show effects of time of the size that is not to hide."""
+    if math.isinf(dwell_s):
+        return True
+    rich_s = max(SHORTEST_DWELL_S, _at_the_ends_s(task, goals, RICH[0], precision))
+    allowed = allowed_deg(task, goals, precision.scatter_deg(dwell_s))
+    if least_slow_deg(RICH[0], precision.scatter_deg(rich_s)) > allowed:
+        return True  # no plan shows it
+    return least_slow_deg(n, precision.scatter_deg(dwell_s)) <= allowed

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calrig.calibration.filter_share import filter_share
-from calrig.calibration.pose import Filtering, Pose
+from calrig.calibration.poses import Filtering, Pose
+from calrig.calibration.regression.motion import filter_share
 from calrig.estimation.angles import FloatArray
 
 WINDOW_S = 0.05

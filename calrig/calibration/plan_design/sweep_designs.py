@@ -6,23 +6,23 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 
-from calrig.calibration.plan_design.goals import Goals
-from calrig.calibration.plan_design.sweep import Sweep, least_stretch_s, sweeps
-from calrig.calibration.plan_design.task import (
+from calrig.calibration.plan_design.design_problem import (
     DWELL_STEP_S,
     FEWEST_TRACED,
     LONGEST_DWELL_S,
     Design,
+    DesignProblem,
+    Goals,
     Sweeping,
-    Task,
     rounded_down_s,
     rounded_up_s,
 )
-from calrig.calibration.sequential_stopping import caution
+from calrig.calibration.plan_design.layout import Sweep, least_stretch_s, sweeps
+from calrig.calibration.uncertainty.sequential_stopping import caution
 from calrig.plan import FEWEST_UNTIL
 
 
-def reaching(task: Task, goals: Goals) -> Iterator[Design]:
+def reaching(task: DesignProblem, goals: Goals) -> Iterator[Design]:
     """Those that reach the goals, turning as fast as that allows; none where the rig may not."""
     if task.sweeping is None:
         return
@@ -37,7 +37,7 @@ def reaching(task: Task, goals: Goals) -> Iterator[Design]:
             yield made(task, task.sweeping, replace(sweep, stretch_s=stretch_s))
 
 
-def of_time(task: Task, time_s: float) -> Iterator[Design]:
+def of_time(task: DesignProblem, time_s: float) -> Iterator[Design]:
     """Those that take no longer than a time, turning as slowly as that allows."""
     if task.sweeping is None:
         return
@@ -51,7 +51,7 @@ def of_time(task: Task, time_s: float) -> Iterator[Design]:
             yield made(task, task.sweeping, slower)
 
 
-def least_s(task: Task) -> float:
+def least_s(task: DesignProblem) -> float:
     """What the quickest of them takes; infinite where the rig may not sweep."""
     if task.sweeping is None:
         return math.inf
@@ -60,7 +60,9 @@ def least_s(task: Task) -> float:
     return min((one.duration_s(task.pace, turning) for one in shortest), default=math.inf)
 
 
-def first_good_enough(task: Task, sweeping: Sweeping, goals: Goals, design: Design, sweep: Sweep) -> Design:
+def first_good_enough(
+    task: DesignProblem, sweeping: Sweeping, goals: Goals, design: Design, sweep: Sweep
+) -> Design:
     """As many passes of a design, a way and back at least, as its run takes until the goals are reached."""
     for passes in range(2, sweep.passes):
         begun = replace(sweep, passes=passes)
@@ -73,18 +75,20 @@ def first_good_enough(task: Task, sweeping: Sweeping, goals: Goals, design: Desi
     return design
 
 
-def made(task: Task, sweeping: Sweeping, sweep: Sweep) -> Design:
+def made(task: DesignProblem, sweeping: Sweeping, sweep: Sweep) -> Design:
     """The design of a sweep."""
     return _stated(task, sweeping, sweep, sweep.elevations_deg(), 1.0)
 
 
-def _stated(task: Task, sweeping: Sweeping, sweep: Sweep, order: list[float], cautioned: float) -> Design:
+def _stated(
+    task: DesignProblem, sweeping: Sweeping, sweep: Sweep, order: list[float], cautioned: float
+) -> Design:
     scatter_deg = sweep.scatter_deg(sweeping.precision, sweeping.turning)
     duration_s = sweep.duration_s(task.pace, sweeping.turning)
     return task.stated(order, sweep.stretch_s, duration_s, scatter_deg, cautioned, sweep)
 
 
-def _tried(task: Task) -> Iterator[Sweep]:
+def _tried(task: DesignProblem) -> Iterator[Sweep]:
     low, high = task.range_deg
     ends_deg = (high, low) if task.begins_above else (low, high)
     return sweeps(ends_deg, FEWEST_TRACED if task.trace else 0)

@@ -8,17 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from calrig.calibration.plan_design.goals import NO_REFERENCE, Goals
-from calrig.calibration.plan_design.layout import layout, leverage
-from calrig.calibration.plan_design.suspects import (
+from calrig.calibration.plan_design.design_problem import NO_REFERENCE, Design, DesignProblem, Goals
+from calrig.calibration.plan_design.layout import Sweep, layout, leverage
+from calrig.calibration.plan_design.smallest_effects import (
     imagined_dwells,
     imagined_sweep,
     least_slow_deg,
     suspects,
 )
-from calrig.calibration.plan_design.sweep import Sweep
 from calrig.calibration.plan_design.sweep_designs import made as swept
-from calrig.calibration.plan_design.task import Design, Task
 from calrig.plan import LONGEST_STRETCH_DEG, Plan
 
 STANDARD_DEG = tuple(pose.target_deg for pose in Plan().poses((-90.0, 90.0)))
@@ -33,7 +31,7 @@ ONLY_DWELLS_SHOW = ("settling",)
 """Effects of what goes on once a move has ended."""
 
 
-def with_suspects(task: Task, design: Design) -> Design:
+def with_suspects(task: DesignProblem, design: Design) -> Design:
     """The design, with what it would show."""
     poses = (
         imagined_dwells(design.elevations_deg, design.dwell_s, task.pace)
@@ -45,7 +43,7 @@ def with_suspects(task: Task, design: Design) -> Design:
     return replace(design, suspects=tuple(suspects(poses, design.scatter_deg, task.names, ONLY_DWELLS_SHOW)))
 
 
-def allowed_deg(task: Task, goals: Goals, scatter_deg: float) -> float:
+def allowed_deg(task: DesignProblem, goals: Goals, scatter_deg: float) -> float:
     """RMS of an effect that may stay hidden.
 
     As large as the uncertainty wanted: more would not be covered. Where the rig may sweep, there is time for
@@ -67,14 +65,14 @@ def allowed_deg(task: Task, goals: Goals, scatter_deg: float) -> float:
     return ITS_DRIFT * least_slow_deg(n, scatter_deg)
 
 
-def could_show_enough(task: Task, goals: Goals, found: Sequence[Design]) -> Sequence[Design]:
+def could_show_enough(task: DesignProblem, goals: Goals, found: Sequence[Design]) -> Sequence[Design]:
     """Those that have poses enough for effects of time; all, where none has."""
     allowed = allowed_deg(task, goals, found[0].scatter_deg)
     able = [one for one in found if least_slow_deg(len(one.elevations_deg), one.scatter_deg) <= allowed]
     return able or found
 
 
-def excess_of(task: Task, goals: Goals, first: Design) -> Callable[[Design], float]:
+def excess_of(task: DesignProblem, goals: Goals, first: Design) -> Callable[[Design], float]:
     """What tells how much more a design with its suspects hides than is allowed, as far as any shows it.
 
     That is the largest share of what is allowed; 1 and less is enough.
@@ -98,7 +96,7 @@ def excess_of(task: Task, goals: Goals, first: Design) -> Callable[[Design], flo
     return excess
 
 
-def _rich(task: Task, dwell_s: float, sweep: Sweep | None) -> Design:
+def _rich(task: DesignProblem, dwell_s: float, sweep: Sweep | None) -> Design:
     """A design that shows what such designs can show: what it hides is no fault of another one."""
     if sweep is not None and task.sweeping is not None:
         passes, least = RICH_SWEEP

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.canonical_json import sha256_of
 from calrig.export.archive import layout
 from calrig.export.archive.kept import Problem, Said, document_problems, said_by_trail

@@ -9,7 +9,7 @@ from datetime import datetime
 from typing import Any
 
 import calrig
-from calrig.calibration.pose import Pose
+from calrig.calibration.poses import Pose
 from calrig.canonical_json import sha256_of
 from calrig.export.archive import layout
 from calrig.export.archive.container import Member, Packed, packed

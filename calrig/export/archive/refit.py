@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.correction import numbers_of
-from calrig.calibration.effect import ApplyError
 from calrig.calibration.effects import effect_of
-from calrig.calibration.pose import Pose
-from calrig.calibration.result import build_result
-from calrig.calibration.stage_reference import dial_of, with_map
+from calrig.calibration.poses import Pose
+from calrig.calibration.regression import ApplyError
+from calrig.calibration.results import build_result, numbers_of
+from calrig.calibration.separation import dial_of, with_map
 from calrig.export.calibration_file import SCHEMA
 from calrig.export.calibration_json import calibration_content
 from calrig.store.records import AcceptedEffect, Document, filtering_of, map_of

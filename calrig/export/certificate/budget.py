@@ -2,7 +2,7 @@
 
 The calibration document is the authority: its combined uncertainty, k and U stand in the budget as they are,
 and here they are taken apart into what they are made of. What they were made by is
-`calrig.calibration.uncertainty`.
+`calrig.calibration.uncertainty.budget`.
 """
 
 from __future__ import annotations
@@ -12,8 +12,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from calrig.calibration.coverage import coverage_factor
-from calrig.calibration.uncertainty import Reference
+from calrig.calibration.uncertainty import Reference, coverage_factor
 from calrig.export.certificate.rounding import by_itself
 
 KINDS = {

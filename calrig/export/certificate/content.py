@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from datetime import date, datetime
 from typing import Literal
 
-from calrig.calibration.conformity import Answer, Limit
+from calrig.calibration.uncertainty import Answer, Limit
 from calrig.export.certificate.budget import Budget
 from calrig.export.certificate.pose_errors import Point, Residuals
 from calrig.export.certificate.rounding import by_itself, with_uncertainty

@@ -10,9 +10,9 @@ from datetime import date, datetime
 from typing import Any
 
 import calrig
-from calrig.calibration.conformity import Limit
-from calrig.calibration.limit_verdict import IN_WORDS
-from calrig.calibration.pose import of_first_mount
+from calrig.calibration.poses import of_first_mount
+from calrig.calibration.uncertainty import Limit
+from calrig.calibration.verdict import IN_WORDS
 from calrig.export.certificate import wording
 from calrig.export.certificate.budget import budget_of
 from calrig.export.certificate.content import (

@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.correction import AppliedEffect, numbers_of
-from calrig.calibration.effect import ORIGINS, ApplyError
 from calrig.calibration.effects import effect_of
-from calrig.calibration.fit import rms
-from calrig.calibration.pose import Pose
-from calrig.calibration.pose_errors import corrected_residuals_deg, raw_error_deg
+from calrig.calibration.line import rms
+from calrig.calibration.poses import Pose
+from calrig.calibration.regression import ORIGINS, ApplyError
+from calrig.calibration.results import AppliedEffect, corrected_residuals_deg, numbers_of, raw_error_deg
 from calrig.estimation.angles import FloatArray, wrap_deg
 from calrig.export.calibration_json import line_of
 from calrig.export.certificate.content import EffectFound, Quantity

@@ -6,8 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
-from calrig.calibration.coverage import coverage_factor
-from calrig.calibration.uncertainty import Reference
+from calrig.calibration.uncertainty import Reference, coverage_factor
 from calrig.export.certificate.budget import Budget
 from calrig.export.certificate.content import Quantity, Results
 from calrig.export.certificate.measured import Measured, effects_found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from calrig.calibration.wording import percent
+from calrig.calibration.uncertainty import percent
 from calrig.export.certificate.blocks import Block, figure, pairs, paragraphs, table
 from calrig.export.certificate.content import NOT_STATED, Certificate, EffectFound, Quantity
 from calrig.export.certificate.pose_errors import Point

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from datetime import date, datetime
 from typing import Any
 
-from calrig.calibration.reference_figures import ReferenceFigures
-from calrig.calibration.uncertainty import Reference
+from calrig.calibration.uncertainty import Reference, ReferenceFigures
 from calrig.export.certificate.content import Row, Standard
 from calrig.export.certificate.rounding import by_itself
 from calrig.store.records import reference_of

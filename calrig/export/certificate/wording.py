@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from calrig.calibration.conformity import Limit
-from calrig.calibration.wording import significant
+from calrig.calibration.uncertainty import Limit, significant
 from calrig.export.certificate.content import Row
 from calrig.store.records import StoredPose
 

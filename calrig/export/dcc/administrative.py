@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import date
 from xml.etree import ElementTree as ET
 
-from calrig.calibration.wording import percent
+from calrig.calibration.uncertainty import percent
 from calrig.export.certificate.content import NOT_STATED, Certificate
 from calrig.export.dcc.elements import LANGUAGE, dcc, plain, words, words_if
 

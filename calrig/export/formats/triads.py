@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.application import effects_at_rest
-from calrig.calibration.effect_terms import MG
+from calrig.calibration.regression import MG
+from calrig.calibration.results import effects_at_rest
 from calrig.estimation.angles import FloatArray
 
 LONGEST_LINE = 160

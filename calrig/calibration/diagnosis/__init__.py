@@ -1,0 +1,21 @@
+"""Trace the residual of runs to physical effects: search, significance, held-out error, report."""
+
+from __future__ import annotations
+
+from calrig.calibration.diagnosis.experiment_design import FollowUp, SequentialTest, design
+from calrig.calibration.diagnosis.report import PartialResidual, partial_residuals
+from calrig.calibration.diagnosis.selection import Findings
+from calrig.calibration.diagnosis.tracing import diagnose, trace
+from calrig.calibration.diagnosis.verdict import between_runs
+
+__all__ = [
+    "Findings",
+    "FollowUp",
+    "PartialResidual",
+    "SequentialTest",
+    "between_runs",
+    "design",
+    "diagnose",
+    "partial_residuals",
+    "trace",
+]

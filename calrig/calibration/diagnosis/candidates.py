@@ -1,0 +1,306 @@
+"""Everything a search considers for given poses, and how a found effect is rebuilt in any poses.
+
+The model: bias, scale and the effects accepted so far, as columns of one regression.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import reduce
+from itertools import accumulate, combinations
+
+import numpy as np
+
+from calrig.calibration.effects import EFFECTS, UNNAMED, effect_of
+from calrig.calibration.regression.effect import HIDDEN, Effect, Parameters, Shape
+from calrig.calibration.regression.responses import Change, Responses
+from calrig.calibration.regression.run_changes import (
+    MANY_CHANGES,
+    RUN,
+    SOME_CHANGES,
+    changed_shapes,
+    in_words,
+    shapes_of,
+)
+from calrig.estimation.angles import FloatArray
+
+LEAST_TURN_DEG = 330.0
+"""Poses over such an arc go round: the orders of a turn come apart."""
+MOST_COLUMNS = 0.2
+"""To a pose, of a series offered as one: more of them explain any poses at all."""
+CHOICE_OF_RUNS = 2
+"""Parameters that it counts as, to choose the runs that have an effect."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """One shape of an effect in one set of poses.
+
+    Attributes:
+        columns: (n, J, p).
+        beside: another one whose columns come first, where both are considered as one.
+        kind: the name, for an unnamed shape with its covariate: what it is, whenever it came.
+        label: the kind, and between which runs it changed: what two forms of one thing share.
+        parameters: how many it adds to a model: coefficients, and one or two for a place that was scanned.
+            One of n instants costs 2·log n in −2 log likelihood, twice a coefficient's log n (Zhang &
+            Siegmund, Biometrics 63, 2007, for change points), and so does the choice of the runs that have
+            an effect; a place that a likelihood is smooth in costs log n.
+    """
+
+    effect: Effect
+    shape: Shape
+    columns: FloatArray
+    beside: Candidate | None = None
+    kind: str = field(init=False)
+    label: str = field(init=False)
+    parameters: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        kind = self.name if self.named else f"{UNNAMED} {self.covariate}"
+        label = f"{kind}{in_words(self.changed)}"
+        before = 0 if self.beside is None else self.beside.columns.shape[2]
+        own = self.columns[:, :, before:]
+        parameters = int(own.shape[2]) + (self.shape.place_cost if self.shape.scanned else 0)
+        parameters -= self.shape.replaces is not None
+        if self.changed is not None and not _is_level(own):
+            parameters += CHOICE_OF_RUNS
+        if self.beside is not None:
+            kind, label = f"{self.beside.kind} + {kind}", f"{self.beside.label} + {label}"
+            parameters += self.beside.parameters
+            if self.changed is not None and self.beside.beside is not None:
+                label = f"{self.name} between all runs"
+        object.__setattr__(self, "kind", kind)
+        object.__setattr__(self, "label", label)
+        object.__setattr__(self, "parameters", parameters)
+
+    @property
+    def members(self) -> tuple[Candidate, ...]:
+        """The effects it is made of, each by itself."""
+        if self.beside is None:
+            return (self,)
+        width = self.beside.columns.shape[2]
+        return *self.beside.members, Candidate(self.effect, self.shape, self.columns[:, :, width:])
+
+    def is_possible(self, beta: FloatArray) -> bool:
+        """Whether the coefficients (≥ p,), its own first, are any that physics allows."""
+        first = 0
+        if self.beside is not None:
+            first = self.beside.columns.shape[2]
+            if not self.beside.is_possible(beta):
+                return False
+        own = beta[first : self.columns.shape[2]]
+        if self.effect.possible(self.shape, own):
+            return True
+        # of a difference either sign: what a parameter may not be by itself, it may have lost
+        return self.changed is not None and self.effect.possible(self.shape, -own)
+
+    @property
+    def follows(self) -> str | None:
+        """The effect that has to be in the model before it is offered by itself."""
+        return self.effect.follows or self.shape.follows
+
+    @property
+    def name(self) -> str:
+        """Its name in the catalogue, or `unnamed`."""
+        return self.effect.name
+
+    @property
+    def named(self) -> bool:
+        """Whether it is an effect of the catalogue."""
+        return self.effect.name != UNNAMED
+
+    @property
+    def covariate(self) -> str:
+        """What it is a function of."""
+        return self.shape.covariate or self.effect.covariate.name
+
+    @property
+    def changed(self) -> Change | None:
+        """Between which runs, where it is only in the later ones."""
+        return self.shape.changed
+
+    def is_distinct(self, r: Responses, other: Candidate) -> bool:
+        """Whether both can be in one model: in other runs, or at places that these poses tell apart."""
+        distinct, one, another = self.effect.distinct, self.changed, other.changed
+        if distinct is None or (one is not another and in_words(one) != in_words(another)):
+            return True
+        return distinct(r, self.shape, other.shape)
+
+    def rows(self, chosen: np.ndarray[tuple[int], np.dtype[np.intp]]) -> Candidate:
+        """The same candidate in some of the poses."""
+        beside = self.beside and self.beside.rows(chosen)
+        return Candidate(self.effect, self.shape, self.columns[chosen], beside)
+
+
+def _is_level(columns: FloatArray) -> bool:
+    """Whether columns add one angle to the readings of some poses, and nothing to those of the others."""
+    return len(np.unique(columns[:, 0])) <= 2
+
+
+def candidate_of(r: Responses, effect: Effect, shape: Shape) -> Candidate:
+    """A shape with its columns."""
+    return Candidate(effect, shape, r.columns(shape.shares))
+
+
+def candidate_at(r: Responses, candidate: Candidate, shape: Shape) -> Candidate:
+    """Another shape of a candidate's effect, with a change between the same runs."""
+    (here,) = changed_shapes(r, candidate.changed, [shape])
+    return candidate_of(r, candidate.effect, here)
+
+
+def candidates_of(r: Responses) -> list[Candidate]:
+    """Every candidate that these poses can show, those without a name last."""
+    effects = sorted(EFFECTS.values(), key=lambda effect: effect.name == UNNAMED)
+    found = [
+        candidate_of(r, effect, shape)
+        for effect in effects
+        for shape in shapes_of(r, effect, named=effect.name != UNNAMED)
+    ]
+    shown = [candidate for candidate in found if np.ptp(candidate.columns[:, 0, 0]) > 0.0]
+    all_along = [candidate for candidate in shown if candidate.changed is None]
+    with_others = [c for c in all_along if c.effect.together_with and not c.shape.alone]
+    pairs = [(a, b) for b in with_others for a in all_along if a.name in b.effect.together_with]
+    together = [_together(a, b) for a, b in pairs] + _several_changes(shown, len(r.run_ids) - 1)
+    together += _series(r, all_along)
+    unnamed = sum(not candidate.named for candidate in shown)
+    return [*shown[: len(shown) - unnamed], *together, *shown[len(shown) - unnamed :]]
+
+
+def companions_of(accepted: Sequence[Candidate]) -> set[str]:
+    """Names of the effects that are declared to come together with some of those in a model."""
+    present = {c.name for c in accepted}
+    asked = {name for c in accepted for name in c.effect.together_with}
+    return asked | {name for name, effect in EFFECTS.items() if present.intersection(effect.together_with)}
+
+
+def _together(a: Candidate, b: Candidate) -> Candidate:
+    return Candidate(b.effect, b.shape, np.concatenate([a.columns, b.columns], axis=2), a)
+
+
+def goes_round(r: Responses) -> bool:
+    """Whether the poses cover a turn, so that its orders mean something."""
+    return float(np.ptp(r.theta_deg)) >= LEAST_TURN_DEG
+
+
+def _series(r: Responses, shown: Sequence[Candidate]) -> list[Candidate]:
+    """The first terms of the turn's series as one, so many and more: each alone may look like noise."""
+    if not goes_round(r):
+        return []
+    terms = (c for c in shown if c.shape.series and not c.shape.scanned)
+    joined = list(accumulate(terms, _together))
+    return [c for c in joined[1:] if c.columns.shape[2] <= MOST_COLUMNS * len(r)]
+
+
+def _several_changes(shown: Sequence[Candidate], changes: int) -> list[Candidate]:
+    """A level that changes and comes back, or changes between all runs: each change alone explains little.
+
+    Two at a time as in circular binary segmentation (Olshen, Venkatraman, Lucito & Wigler, Biostatistics 5,
+    2004).
+    """
+    found = []
+    for effect in {c.effect.name: c.effect for c in shown if c.effect.covariate is RUN}.values():
+        own = [c for c in shown if c.effect is effect]  # in the order of the runs
+        if 2 <= changes <= SOME_CHANGES:
+            found += [_together(a, b) for a, b in combinations(own, 2)]
+        if 3 <= changes <= MANY_CHANGES:
+            found.append(reduce(_together, own))
+    return found
+
+
+def rebuilt(candidate: Candidate, r: Responses, form: str | None = None) -> Candidate | None:
+    """The same form of the same effect in other poses; None where they cannot show it.
+
+    Args:
+        candidate: as it was found, elsewhere.
+        r: the poses to rebuild it in.
+        form: another form of it.
+    """
+    wanted = candidate.shape.form if form is None else form
+    shapes = list(candidate.effect.forms(r, candidate.shape.at))
+    forms = [
+        shape
+        for shape in changed_shapes(r, candidate.changed, shapes)
+        if shape.form == wanted and shape.covariate == candidate.shape.covariate
+    ]
+    nearest = _nearest(forms, candidate.shape.at)
+    return candidate_of(r, candidate.effect, nearest[0]) if nearest else None
+
+
+def documented_forms(
+    r: Responses, name: str, covariate: str, parameters: Parameters, changed: Change | None = None
+) -> list[Candidate]:
+    """The forms that an effect of a document may have had: those with all its parameters, at its places.
+
+    Args:
+        r: any poses.
+        name: of the effect.
+        covariate: that the document has it follow.
+        parameters: values of those that are known.
+        changed: between which runs, where it is a difference.
+
+    Returns:
+        None of them where these poses cannot show it.
+    """
+    effect = effect_of(name)
+    forms = list(effect.forms(r, parameters))
+    # the difference is the same whether something began, or what there was before ended
+    changes = [changed] if changed is None else [replace(changed, ended=ended) for ended in (False, True)]
+    shapes = [
+        shape
+        for change in changes
+        for shape in changed_shapes(r, change, forms)
+        if (shape.covariate or effect.covariate.name) == covariate and shape.stated <= set(parameters)
+    ]
+    widest = max((len(shape.stated) for shape in shapes), default=0)
+    whole = [shape for shape in shapes if len(shape.stated) == widest]
+    return [candidate_of(r, effect, shape) for shape in _nearest(whole, parameters)]
+
+
+def _nearest(shapes: Sequence[Shape], wanted: Parameters) -> list[Shape]:
+    """Those whose places lie nearest to the wanted ones."""
+
+    def distance(shape: Shape) -> float:
+        given = ((value, wanted.get(name)) for name, value in shape.at.items() if name not in HIDDEN)
+        return math.fsum(abs(value - aim) for value, aim in given if aim is not None)
+
+    least = min(map(distance, shapes), default=0.0)
+    return [shape for shape in shapes if distance(shape) <= least + 1e-9]
+
+
+def base_without(r: Responses, replaced: str | None) -> FloatArray:
+    """The columns of bias and scale, less the one that a shape takes the place of."""
+    if replaced is None:
+        return r.base
+    keep = [k for k, name in enumerate(r.base_names) if name != replaced]
+    return np.asarray(r.base[:, :, keep], dtype=np.float64)
+
+
+def model_columns(r: Responses, accepted: Sequence[Candidate]) -> FloatArray:
+    """(n, J, p) columns of bias and scale, then of the accepted candidates in their order."""
+    return np.concatenate([base_without(r, replaced(accepted)), *[c.columns for c in accepted]], axis=2)
+
+
+def replaced(accepted: Sequence[Candidate]) -> str | None:
+    """The base column that one of the candidates takes the place of."""
+    return next((c.shape.replaces for c in accepted if c.shape.replaces), None)
+
+
+def own_columns(columns: FloatArray, accepted: Sequence[Candidate]) -> list[slice]:
+    """Where each accepted candidate's own columns lie among those of `model_columns`."""
+    ends = np.cumsum([c.columns.shape[2] for c in accepted])
+    base = columns.shape[2] - int(ends[-1]) if accepted else 0
+    return [
+        slice(base + int(end) - c.columns.shape[2], base + int(end))
+        for c, end in zip(accepted, ends, strict=True)
+    ]
+
+
+def side_by_side(models: Sequence[FloatArray]) -> FloatArray:
+    """(m, n, J, p) of models (n, J, ≤ p); narrower ones end in zeros."""
+    width = max(columns.shape[2] for columns in models)
+    padded = np.zeros((len(models), *models[0].shape[:2], width))
+    for k, columns in enumerate(models):
+        padded[k, :, :, : columns.shape[2]] = columns
+    return padded

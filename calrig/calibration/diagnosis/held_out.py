@@ -1,0 +1,375 @@
+"""Error before and after on poses that neither search nor fit had seen.
+
+Either folds of the same runs, search and fit repeated for each (cross-validation), or poses of a fresh run
+that did not serve to decide (confirmation).
+
+Held-out poses that lie apart: contiguous blocks in time, and in angle.
+
+Held-out poses between the others are interpolation: a curve of time predicts them that says nothing of the
+next hour (Roberts et al., Ecography 40, 2017). A block of neighbours left out asks more. What was found
+in all poses is fitted again without each block; only bias, scale and the effects' coefficients are, so names
+and places are those of a search that had seen the block. The interleaved folds repeat the search.
+
+Names that stand without any one pose: what a single pose decides, these poses do not tell.
+
+At a turning point one pose may be all that tells settling from backlash, and it is the pose where a stage
+behaves least like itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from types import MappingProxyType
+
+import numpy as np
+import numpy.typing as npt
+
+from calrig.calibration.diagnosis.candidate_fits import MARGIN, SelectedEffect
+from calrig.calibration.diagnosis.candidates import Candidate, model_columns, own_columns, rebuilt
+from calrig.calibration.diagnosis.experiment_design import predicted
+from calrig.calibration.diagnosis.selection import Findings, Rivals, search
+from calrig.calibration.diagnosis.sensor_model import fitted_model, linear_about
+from calrig.calibration.diagnosis.significance_test import Noises
+from calrig.calibration.line import rms
+from calrig.calibration.poses import Pose
+from calrig.calibration.progress import Progress, unheard
+from calrig.calibration.regression.channels import SCALE_UNIT_DEG
+from calrig.calibration.regression.noise_model import Fit, fit
+from calrig.calibration.regression.responses import Responses, responses_of
+from calrig.calibration.regression.run_changes import with_free_levels
+from calrig.estimation.angles import FloatArray
+
+FOLDS = 4
+BOOTSTRAPS = 270
+"""Enough to tell ¾ % from more, one draw of noise beyond it allowed; the p-value that is reported comes from
+the search over all poses.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class CrossValidation:
+    """Errors (n,) in degrees of elevation of held-out poses: neither search nor fit had seen them."""
+
+    base_deg: FloatArray
+    final_deg: FloatArray
+    folds: int
+
+
+def cross_validate(
+    r: Responses,
+    candidates: Sequence[Candidate],
+    rng: np.random.Generator,
+    rivals: Rivals | None = None,
+    noises: Noises = MappingProxyType({}),
+    progress: Progress = unheard,
+) -> CrossValidation:
+    """Predicts every pose once, by a search and a fit over the other folds; base on the same folds.
+
+    Args:
+        r: the responses.
+        candidates: of these poses.
+        rng: of the gate's bootstrap.
+        rivals: what a search of all poses found, to be held against again in each fold.
+        noises: what noise gained in that search: likelihood ratios, which know no pose's reading.
+        progress: is told the share of folds done before each.
+    """
+    fold = folds_of(r)
+    base = np.zeros(len(r))
+    final = np.zeros(len(r))
+    folds = int(fold.max()) + 1
+    for k in range(folds):
+        progress(k / folds)
+        train, test = np.flatnonzero(fold != k), np.flatnonzero(fold == k)
+        seen = r.rows(train)
+        base[test] = errors_deg(r, (), fit(seen, seen.base).beta, test)
+        of_fold = [c.rows(train) for c in candidates]
+        findings = search(
+            seen, of_fold, rng, bootstraps=BOOTSTRAPS, decide_only=True, rivals=rivals, noises=noises
+        )
+        if not findings.found:
+            final[test] = base[test]
+            continue
+        # a fold's model in all poses; a refined period exists in the fold's alone
+        whole = [rebuilt(f.candidate, r) or f.candidate for f in findings.found]
+        final[test] = errors_deg(*linear_about(r, whole, findings.fitted.beta), findings.fitted.beta, test)
+    return CrossValidation(base, final, folds)
+
+
+def folds_of(r: Responses) -> npt.NDArray[np.intp]:
+    """(n,) fold of each pose, dealt out in turn along each approach's elevations.
+
+    So every fold has both approaches, all elevations, and poses from early and late.
+    """
+    approach = np.zeros(len(r)) if r.approach is None else r.approach
+    order = np.lexsort((np.arange(len(r)), np.round(r.theta_deg, 1), approach))
+    fold = np.empty(len(r), dtype=np.intp)
+    fold[order] = np.arange(len(r)) % FOLDS
+    return fold
+
+
+def errors_deg(
+    r: Responses, accepted: Sequence[Candidate], beta: FloatArray, test: npt.NDArray[np.intp]
+) -> FloatArray:
+    """(m,) reading less prediction of some poses, over the scale, in degrees of elevation.
+
+    Args:
+        r: all poses.
+        accepted: the effects in the model, in all poses.
+        beta: (p,) as fitted elsewhere.
+        test: (m,) the poses to predict.
+    """
+    scale_at = r.base_names.index("reading.scale") if "reading.scale" in r.base_names else None
+    scale = 1.0 if scale_at is None else 1.0 + beta[scale_at] / SCALE_UNIT_DEG
+    columns = model_columns(r, accepted)[test, 0, :]
+    return np.asarray((r.values[test, 0] - columns @ beta) / scale, dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class Confirmation:
+    """RMS errors of the fresh poses in degrees of elevation, predicted without and with the effects."""
+
+    before_rms_deg: float
+    after_rms_deg: float
+    n_poses: int
+
+
+def confirm(
+    runs: Sequence[Sequence[Pose]], fresh: Sequence[Pose], deciding: Sequence[int], findings: Findings
+) -> Confirmation | None:
+    """Fits base and final model to all poses but the confirming ones and predicts those.
+
+    Args:
+        runs: the earlier runs.
+        fresh: the poses of the new run.
+        deciding: indices of those that served to decide, and fix the new run's bias.
+        findings: of the diagnosis of `runs` with the deciding poses.
+
+    Returns:
+        None where no pose is left to confirm with, or an effect cannot show in these poses.
+    """
+    r = with_free_levels(responses_of([*runs, fresh]))
+    before = len(r) - len(fresh)
+    test = np.array([before + k for k in range(len(fresh)) if k not in set(deciding)], dtype=np.intp)
+    effects = [predicted(f.candidate, r) for f in findings.found]
+    accepted = [effect for effect in effects if effect is not None]
+    if len(test) == 0 or len(accepted) < len(effects) or len(r) != sum(map(len, runs)) + len(fresh):
+        return None
+    train = np.setdiff1d(np.arange(len(r)), test)
+    seen = r.rows(train)
+    errors = []
+    for effects_in in ((), accepted):
+        beta = fitted_model(seen, [effect.rows(train) for effect in effects_in]).fitted.beta
+        errors.append(errors_deg(*linear_about(r, effects_in, beta), beta, test))
+    return Confirmation(rms(errors[0]), rms(errors[1]), len(test))
+
+
+BLOCKS = 4
+UNSTABLE = 1e-3
+"""Chance that the coefficients of a true effect differ as much between the whole and a part of the poses."""
+ESTIMABLE = 1e-4
+"""Of a column, what the others must leave of it: a slip in the block left out is a bias in all the others."""
+WAVY, FORESEEN = 9, 0.03
+"""Columns of a curve that has parts within one block; of the size of a part, what the others must show."""
+KEPT = 16
+"""Models whose errors may be asked for again: with all effects, and without each."""
+Intp = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True)
+class Blocked:
+    """Errors (n,) in degrees of elevation of poses held out in blocks that are contiguous in one thing.
+
+    Attributes:
+        along: `time` or `angle`.
+        base_deg, final_deg: without and with the effects found.
+    """
+
+    along: str
+    base_deg: FloatArray
+    final_deg: FloatArray
+
+    @property
+    def ratio(self) -> float:
+        """RMS with the effects over that without."""
+        base = rms(self.base_deg)
+        return rms(self.final_deg) / base if base > 0.0 else 1.0
+
+
+def blocked(r: Responses, accepted: Sequence[Candidate]) -> tuple[Blocked, ...]:
+    """Predicts every pose once along time, and once along angle where the poses turn."""
+    return tuple(Blocked(along, _errors(r, [], along), _errors(r, accepted, along)) for along in _folds(r))
+
+
+def worse(several: Sequence[Blocked]) -> Blocked | None:
+    """The one that the effects help least; None where there is none."""
+    return max(several, key=lambda one: one.ratio, default=None)
+
+
+def not_predictive(
+    r: Responses, found: Sequence[SelectedEffect], whole: Fit, offered: Sequence[Candidate]
+) -> tuple[SelectedEffect, ...]:
+    """The same effects; a name that fails the blocks it has not seen is no longer claimed alone.
+
+    It fails where the blocks' error is smaller without it and its coefficients, from the rest of the poses,
+    contradict those from all of them (Hausman, Econometrica 46, 1978). A block that the rest cannot predict,
+    the effect being true, contradicts nothing.
+
+    Args:
+        r: the poses.
+        found: all effects of the model.
+        whole: the fit of them all.
+        offered: candidates of these poses; a shape without a name among them becomes the rival.
+    """
+    accepted = [f.candidate for f in found]
+    folds = _folds(r)
+
+    def judged(place: int, one: SelectedEffect) -> SelectedEffect:
+        others = [c for c in accepted if c is not one.candidate]
+        rival = _nameless(one.candidate, offered) if one.candidate.named else None
+        if rival is None:
+            return one
+        for along, fold in folds.items():
+            helps = rms(_errors(r, accepted, along)) < rms(_errors(r, others, along))
+            if not helps and _contradicts(r, accepted, place, whole, fold):
+                return one.against(rival, f"it does not predict poses of a block of {along} left out")
+        return one
+
+    return tuple(judged(place, one) for place, one in enumerate(found))
+
+
+def _folds(r: Responses) -> dict[str, Intp]:
+    """(n,) block of each pose, for each way to lay them: along every run, and over the elevations."""
+    first = np.unique([0, *np.flatnonzero(r.starts)])  # what a run began with may have been left out
+    length = np.diff([*first, len(r)])
+    since = np.arange(len(r)) - np.repeat(first, length)
+    folds = {}
+    if length.min() >= 2 * BLOCKS:  # a table without history has none to part
+        folds["time"] = since * BLOCKS // np.repeat(length, length)
+    places = np.unique(np.round(r.theta_deg))
+    if len(places) >= 2 * BLOCKS:
+        edges = places[np.arange(1, BLOCKS) * len(places) // BLOCKS]
+        folds["angle"] = np.searchsorted(edges, np.round(r.theta_deg), side="right")
+    return folds
+
+
+def _errors(r: Responses, accepted: Sequence[Candidate], along: str) -> FloatArray:
+    return _errors_along(r, tuple(accepted), along)
+
+
+@lru_cache(maxsize=KEPT)
+def _errors_along(r: Responses, accepted: tuple[Candidate, ...], along: str) -> FloatArray:
+    errors, fold = np.zeros(len(r)), _folds(r)[along]
+    for k in range(BLOCKS):
+        train, test = np.flatnonzero(fold != k), np.flatnonzero(fold == k)
+        shown = _shown(r, accepted, train)
+        beta = fitted_model(r.rows(train), [c.rows(train) for c in shown]).fitted.beta
+        errors[test] = errors_deg(*linear_about(r, shown, beta), beta, test)
+    return errors
+
+
+def _shown(r: Responses, accepted: Sequence[Candidate], train: Intp) -> list[Candidate]:
+    """The effects that some of the poses can show beside bias, scale and the effects before."""
+    shown: list[Candidate] = []
+    for candidate in accepted:
+        before = _flat(model_columns(r, shown)[train])
+        own = _flat(candidate.columns[train])
+        left = own - before @ np.linalg.lstsq(before, own, rcond=None)[0]
+        if np.linalg.norm(left) > ESTIMABLE * np.linalg.norm(own):
+            wavy = candidate.columns.shape[2] >= WAVY
+            shown.append(_as_far_as_shown(candidate, train, before) if wavy else candidate)
+    return shown
+
+
+def _as_far_as_shown(curve: Candidate, train: Intp, before: FloatArray) -> Candidate:
+    """A wavy curve less what it does where no pose is left: the spline would fly off there."""
+    whole, _ = np.linalg.qr(_flat(curve.columns))
+    directions = whole.reshape(*curve.columns.shape)
+    own = _flat(directions[train])
+    left = own - before @ np.linalg.lstsq(before, own, rcond=None)[0]
+    _, seen, turn = np.linalg.svd(left, full_matrices=False)
+    return replace(curve, columns=directions @ turn[seen > FORESEEN].T)
+
+
+def _flat(columns: FloatArray) -> FloatArray:
+    return columns.reshape(-1, columns.shape[2])
+
+
+def _contradicts(r: Responses, accepted: Sequence[Candidate], place: int, whole: Fit, fold: Intp) -> bool:
+    """Whether coefficients without some block differ from the whole's by more than their errors allow."""
+    from scipy.special import chdtrc
+
+    model = fitted_model(r, accepted)
+    r, accepted, columns = model.responses, model.accepted, model.columns
+    at = own_columns(columns, accepted)[place]
+    for k in range(BLOCKS):
+        train = np.flatnonzero(fold != k)
+        if len(_shown(r, accepted, train)) < len(accepted):
+            continue
+        part = fit(r.rows(train), columns[train])
+        change = part.beta[at] - whole.beta[at]
+        # Var(change) = Var(part) − Var(whole), which errs with both: the first alone is on the safe side
+        distance = float(change @ np.linalg.pinv(part.covariance[at, at], hermitian=True) @ change)
+        if chdtrc(len(change), distance) < UNSTABLE:
+            return True
+    return False
+
+
+def _nameless(claimed: Candidate, offered: Sequence[Candidate]) -> Candidate | None:
+    """A shape without a name that follows the same column as the claimed effect, the smoothest first."""
+    return next((c for c in offered if not c.named and c.covariate == claimed.covariate), None)
+
+
+MOST_OF_A_LEAD = 0.5
+"""Of a lead, what must be left without a pose: every pose has some part in it."""
+DECISIVE = 2
+"""Poses that speak loudest for a name against a rival, each left out in turn: the others decide less."""
+
+
+def standing_without_one(r: Responses, found: Sequence[SelectedEffect]) -> tuple[SelectedEffect, ...]:
+    """The same effects; a name that one pose alone tells from a runner-up becomes ambiguous with it.
+
+    Args:
+        r: the poses they were found in.
+        found: all effects of the model.
+    """
+    return tuple(
+        _doubted(r, one, [f.candidate for f in found if f is not one]) if one.verdict == "named" else one
+        for one in found
+    )
+
+
+def _doubted(r: Responses, claimed: SelectedEffect, others: Sequence[Candidate]) -> SelectedEffect:
+    doubted = claimed
+    for rival in claimed.runners_up:
+        pose = _decisive(r, others, claimed.candidate, rival)
+        if pose is not None:
+            told = f"only the pose at {r.theta_deg[pose]:.4g}° tells it from {rival.name}: the rest does not"
+            doubted = doubted.against(rival, told)
+    return doubted
+
+
+def _decisive(
+    r: Responses, others: Sequence[Candidate], claimed: Candidate, runner_up: Candidate
+) -> int | None:
+    """The pose that holds most of the lead, and without which it is less than `MARGIN`; None without one."""
+    both = [[*others, claimed], [*others, runner_up]]
+    ours, theirs = (fitted_model(r, effects).fitted for effects in both)
+    penalty = float(np.log(len(r))) * (runner_up.parameters - claimed.parameters)
+    lead = theirs.criterion - ours.criterion + penalty
+    for pose in np.argsort(-_for_the_claim(r, ours, theirs), kind="stable")[:DECISIVE]:
+        rest = np.delete(np.arange(len(r)), pose)
+        seen = r.rows(rest)
+        left = [fitted_model(seen, [c.rows(rest) for c in effects]).fitted for effects in both]
+        if left[1].criterion - left[0].criterion + penalty < min(MARGIN, MOST_OF_A_LEAD * lead):
+            return int(pose)
+    return None
+
+
+def _for_the_claim(r: Responses, ours: Fit, theirs: Fit) -> npt.NDArray[np.float64]:
+    """(n,) by how much each pose's innovations are larger, in −2 log likelihood, under the rival's fit."""
+    own, rival = (ours.noise.whiten(f.residuals, r.starts) ** 2 for f in (ours, theirs))
+    variance = own.mean(axis=0)
+    gained = np.divide(rival - own, variance, out=np.zeros_like(own), where=variance > 0.0)
+    return np.asarray(gained.sum(axis=1), dtype=np.float64)

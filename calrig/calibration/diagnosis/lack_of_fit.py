@@ -1,0 +1,222 @@
+"""Lack of fit: whether a model leaves more than the pure error, which the poses tell without any model.
+
+The dwells give the standard error of a reading. Poses revisited on the same side give what the rig repeats
+to, dwells and all. Both say nothing of a model, so a residual that is much larger is not noise (Draper &
+Smith, Applied Regression Analysis, 3rd edition, 1998, section 2.2).
+
+What wanders in time moves revisits apart as well, and would pass for noise. So their error is taken from
+differences of poses that follow on each other (von Neumann, Annals of Mathematical Statistics 12, 1941), each
+less the mean of its own revisits: neither a function of the elevation nor a slow one of time is in it.
+
+The test takes the whole residual, revisits and all, so that numerator and denominator rise and fall together
+and it rejects rather too seldom; tails cost degrees of freedom (Shoemaker, American Statistician 57, 2003).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calrig.calibration.poses import Pose
+from calrig.calibration.regression.channels import BoolArray
+from calrig.estimation.angles import FloatArray
+
+LEVEL = 0.01
+SEVERAL = 2.0
+"""Times the pure error: a residual as large is spoken of also where few poses let no test reject."""
+SAME_TARGET_DEG = 0.05
+FEWEST_FREEDOM = 8.0
+VON_NEUMANN_EFFICIENCY = 2.0 / 3.0
+"""Of successive differences, as an estimate of variance, over the variance itself."""
+WELL_KNOWN = 1e4
+"""Degrees of freedom at most: standard errors that are all alike were stated, not measured, by their file."""
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """A standard deviation in degrees, and the degrees of freedom that it is known by."""
+
+    std_deg: float
+    freedom: float
+
+
+@dataclass(frozen=True, slots=True)
+class LackOfFit:
+    """The residual of a model against the pure error.
+
+    Attributes:
+        residual: of the reading, over its degrees of freedom.
+        lag1_correlation: of that residual from pose to pose.
+        dwell: standard error of a reading, RMS over the poses; None where they do not state it.
+        repeat: scatter of poses revisited on the same side, slow changes included; None without revisits.
+        pure: the pure error; None where neither dwells nor revisits tell it.
+        f: the residual's variance over that of the pure error; None without the latter.
+        freedom: of numerator and denominator.
+        p_value: of so large an F where the model lacks nothing.
+    """
+
+    residual: Spread
+    lag1_correlation: float
+    dwell: Spread | None
+    repeat: Spread | None
+    pure: Spread | None
+    f: float | None
+    freedom: tuple[float, float]
+    p_value: float | None
+
+    @property
+    def ratio(self) -> float | None:
+        """The residual over the pure error; None where that is not known."""
+        return self.residual.std_deg / self.pure.std_deg if self.pure else None
+
+    @property
+    def rejects(self) -> bool:
+        """Whether the residual is more than the pure error, by test or by size."""
+        significant = self.p_value is not None and self.p_value < LEVEL
+        return significant or (self.ratio is not None and self.ratio >= SEVERAL)
+
+
+def lack_of_fit(
+    runs: Sequence[Sequence[Pose]],
+    residual_deg: FloatArray,
+    free: BoolArray,
+    *,
+    parameters: int,
+    lag1_correlation: float,
+    rounding_deg: float,
+) -> LackOfFit:
+    """Holds the residual of a model against the pure error.
+
+    Args:
+        runs: the poses, in the order measured.
+        residual_deg: (n,) of their readings.
+        free: (n,) whether the model lets a pose lie where it will: it says nothing.
+        parameters: how many the model spent on the other readings.
+        lag1_correlation: of the residual from pose to pose.
+        rounding_deg: what arithmetic alone leaves of a reading: no error counts as smaller.
+    """
+    from scipy.special import fdtrc
+
+    judged = residual_deg[~free]
+    left = max(len(judged) - parameters, 1.0)
+    residual = Spread(math.sqrt(float(judged @ judged) / left), left)
+    dwell = _dwell([pose for run in runs for pose in run])
+    repeat, pure = _revisits(_groups(runs, free), residual_deg)
+    if pure is None or pure.freedom < FEWEST_FREEDOM:
+        pure = dwell
+    elif dwell is not None:
+        pure = _together(dwell, pure)
+    if pure is None:
+        return LackOfFit(residual, lag1_correlation, dwell, repeat, None, None, (left, 0.0), None)
+    pure = Spread(math.hypot(pure.std_deg, rounding_deg), pure.freedom)
+    f = (residual.std_deg / pure.std_deg) ** 2
+    freedom = left * _share_known(judged), pure.freedom
+    p_value = float(fdtrc(*freedom, f))
+    return LackOfFit(residual, lag1_correlation, dwell, repeat, pure, f, freedom, p_value)
+
+
+def _share_known(values: FloatArray) -> float:
+    """What tails leave of the degrees of freedom of a variance: 2/(κ − 1), κ the kurtosis, at most 1."""
+    squares = (values - values.mean()) ** 2
+    power = float(squares.mean())
+    kurtosis = float((squares**2).mean()) / power**2 if power > 0.0 else 3.0
+    return min(2.0 / (kurtosis - 1.0), 1.0) if kurtosis > 1.0 else 1.0
+
+
+def _dwell(poses: Sequence[Pose]) -> Spread | None:
+    """RMS standard error of the readings; its freedom from how much they differ (Satterthwaite, 1946)."""
+    squares = np.array([e * e for p in poses if (e := p.reading_stderr_deg) is not None])
+    if 2 * len(squares) < len(poses) or not squares.any():
+        return None
+    mean, spread = float(squares.mean()), float(squares.var())
+    freedom = 2.0 * len(squares) * mean**2 / spread if spread > 0.0 else WELL_KNOWN
+    return Spread(math.sqrt(mean), min(freedom, WELL_KNOWN))
+
+
+def _groups(runs: Sequence[Sequence[Pose]], free: BoolArray) -> list[list[int]]:
+    """Poses of one run at one target, come to from one side, in order; each at least twice."""
+    groups: list[list[int]] = []
+    first = 0
+    for run in runs:
+        by_side: dict[int | None, list[int]] = {}
+        for k, pose in enumerate(run):
+            if not free[first + k]:
+                by_side.setdefault(pose.approach, []).append(k)
+        for same_side in by_side.values():
+            begins_deg = -math.inf
+            for k in sorted(same_side, key=lambda k: run[k].target_deg):
+                if run[k].target_deg - begins_deg > SAME_TARGET_DEG:
+                    begins_deg = run[k].target_deg
+                    groups.append([])
+                groups[-1].append(first + k)
+        first += len(run)
+    return [sorted(group) for group in groups if len(group) > 1]
+
+
+def _revisits(
+    groups: Sequence[Sequence[int]], residual_deg: FloatArray
+) -> tuple[Spread | None, Spread | None]:
+    """What revisits scatter by, and the same without what changes slowly."""
+    if not groups:
+        return None, None
+    off = np.full(len(residual_deg), np.nan)
+    kept = np.zeros(len(residual_deg))
+    for group in groups:
+        off[group] = residual_deg[group] - residual_deg[group].mean()
+        kept[group] = 1.0 - 1.0 / len(group)
+    revisited = np.flatnonzero(np.isfinite(off))
+    freedom = float(len(revisited) - len(groups))
+    repeat = Spread(math.sqrt(float(off[revisited] @ off[revisited]) / freedom), freedom)
+    differences = np.diff(off[revisited])
+    expected = kept[revisited][1:] + kept[revisited][:-1]
+    of_pose = math.sqrt(float(differences @ differences) / float(expected.sum()))
+    return repeat, Spread(of_pose, VON_NEUMANN_EFFICIENCY * freedom * _share_known(off[revisited]))
+
+
+def _together(dwell: Spread, revisits: Spread) -> Spread:
+    """Both pooled where they agree; else, where revisits differ by more, what the rig repeats to."""
+    from scipy.special import fdtrc
+
+    ratio = (revisits.std_deg / dwell.std_deg) ** 2
+    if fdtrc(revisits.freedom, dwell.freedom, ratio) < LEVEL:
+        return revisits
+    freedom = dwell.freedom + revisits.freedom
+    power = dwell.freedom * dwell.std_deg**2 + revisits.freedom * revisits.std_deg**2
+    return Spread(math.sqrt(power / freedom), freedom)
+
+
+def warning_of(lack: LackOfFit, *, found: bool) -> str | None:
+    """How large and how slow the rest is, and which experiment would show it; None where nothing lacks.
+
+    Args:
+        lack: of the final model.
+        found: whether an effect is in it.
+    """
+    if not lack.rejects or lack.pure is None:
+        return None
+    rest = f"{'the effects' if found else 'bias and scale'} leave more than the noise of a pose"
+    test = f"F = {lack.f:.3g} with {lack.freedom[0]:.0f} and {lack.freedom[1]:.0f} degrees of freedom"
+    return (
+        f"lack of fit: {rest}: RMS {lack.residual.std_deg:#.3g}°, {lack.ratio:.1f} times the pure error of "
+        f"{lack.pure.std_deg:#.3g}° ({test}), correlated by {lack.lag1_correlation:.2f} from pose to pose; "
+        f"{_experiment(lack)}"
+    )
+
+
+SLOW = 0.3
+WANDERS = 1.5
+
+
+def _experiment(lack: LackOfFit) -> str:
+    """What to measure, by where the rest shows: in time, over elevation, or from pose to pose."""
+    if lack.repeat is not None and lack.pure is not None:
+        if lack.repeat.std_deg > WANDERS * lack.pure.std_deg:
+            return "it changes in time: repeat one elevation over the run, and warm the unit up once more"
+        if lack.repeat.std_deg < lack.residual.std_deg / WANDERS:
+            return "it repeats at each elevation: measure between those, and turn the unit on the stage"
+    if lack.lag1_correlation >= SLOW:
+        return "it is slow: repeat one elevation, which tells time from angle, and warm the unit up once more"
+    return "it differs from pose to pose: repeat one elevation from one side, to see what the rig repeats to"

@@ -1,0 +1,265 @@
+"""Standard errors that know that the noise was estimated from the same poses.
+
+Generalised least squares states what the coefficients would scatter by, were the noise known. Its
+correlations are not: estimated from 100 poses they differ from channel to channel by chance, the fit leans on
+those that look quiet, and the stated errors are too small by 10 to 30 % (Kackar & Harville, Journal of the
+American Statistical Association 79, 1984). By how much, refits tell, of noise drawn from the model that was
+found (the parametric bootstrap: Efron & Tibshirani, An Introduction to the Bootstrap, 1993, section 6.5).
+
+Findings in words and numbers: CONTRACT section 5's `effects`.
+
+Partial residuals: what is left of the readings for one effect once everything else is taken out.
+
+With reading − θ = base + Σ effects + e, the partial residual of effect k is its own fitted part plus e
+(Larsen & McCleary, Technometrics 14, 1972): drawn against its covariate, with the fitted part through it, it
+shows how good a description that effect is, and where it is not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from calrig.calibration.diagnosis.candidate_fits import FAR_BEHIND, MARGIN, SelectedEffect, slope
+from calrig.calibration.diagnosis.candidates import Candidate, documented_forms, own_columns, rebuilt
+from calrig.calibration.diagnosis.selection import Findings, most_outliers, outlier
+from calrig.calibration.diagnosis.sensor_model import Model, fitted_model, parts_deg
+from calrig.calibration.effects import EFFECTS, UNNAMED, covariate_of
+from calrig.calibration.poses import DiagnosisError, Pose
+from calrig.calibration.regression.channels import CHANNELS
+from calrig.calibration.regression.noise_model import Fit, fit, fits, noise_of
+from calrig.calibration.regression.responses import Change, Responses, responses_of
+from calrig.calibration.regression.run_changes import in_words
+from calrig.calibration.results.correction import numbers_of
+from calrig.estimation.angles import FloatArray
+
+DRAWS = 100
+"""Which tell an error to 7 % of itself."""
+
+
+def covariance_of(r: Responses, columns: FloatArray, fitted: Fit, seed: int = 0) -> FloatArray:
+    """(p, p) covariance of a fit's coefficients, each error as large as refits scatter, never smaller.
+
+    Args:
+        r: the responses.
+        columns: (n, J, p) of the fit.
+        fitted: the fit.
+        seed: of the draws.
+    """
+    taken = max(1.0, columns.shape[2] / len(r.channels))
+    noise = noise_of(fitted.residuals, r, taken, unbiased=True)
+    drawn = np.random.default_rng(seed).standard_normal((DRAWS, *fitted.residuals.shape))
+    again = fits(r, noise.colour(drawn, r.starts) * r.known, columns[None])
+    stated = np.einsum("bpp->p", again.covariance) / DRAWS
+    ratio = np.divide((again.beta**2).mean(axis=0), stated, out=np.ones_like(stated), where=stated > 0.0)
+    widened = np.sqrt(np.maximum(ratio, 1.0))
+    return np.asarray(fitted.covariance * widened * widened[:, None], dtype=np.float64)
+
+
+def effect_documents(r: Responses, findings: Findings) -> list[dict[str, Any]]:
+    """Each effect found, with parameters from a fit of all of them together."""
+    whole = [_whole_form(r, f.candidate) for f in findings.found]
+    model = fitted_model(r, whole)
+    own = own_columns(model.columns, whole)
+    fitted = replace(model.fitted, covariance=_covariance(model, own))
+    return [
+        {**_document(r, one, candidate, fitted, at), "least_p_value": findings.least_p_value}
+        for one, candidate, at in zip(findings.found, whole, own, strict=True)
+    ]
+
+
+def _covariance(model: Model, own: Sequence[slice]) -> FloatArray:
+    """That of the coefficients, with what the places add that were refined and may lie a little elsewhere."""
+    slopes = [
+        slope(model.responses, candidate, model.fitted.beta[at])
+        for candidate, at in zip(model.accepted, own, strict=True)
+        if candidate.effect.place in candidate.shape.at_std
+    ]
+    r, columns, fitted = model.responses, model.columns, model.fitted
+    if slopes:
+        columns = np.concatenate([columns, *slopes], axis=2)
+        fitted = fit(r, columns)
+    return covariance_of(r, columns, fitted)
+
+
+def model_words(findings: Findings) -> str:
+    """The final model, such as `reading = bias + scale·θ + backlash`."""
+    names = [
+        f.candidate.label.replace("unnamed ", "f(") + ("" if f.candidate.named else ")")
+        for f in findings.found
+    ]
+    return " + ".join(["reading = bias + scale·θ", *names])
+
+
+def _whole_form(r: Responses, candidate: Candidate) -> Candidate:
+    """The form with all of an effect's parameters, where one of its parts sufficed to find it."""
+    whole = candidate.shape.part_of and rebuilt(candidate, r, candidate.shape.part_of)
+    return whole or candidate
+
+
+def _document(
+    r: Responses, found: SelectedEffect, candidate: Candidate, fitted: Fit, at: slice
+) -> dict[str, Any]:
+    effect = candidate.effect
+    beta, covariance = fitted.beta[at], fitted.covariance[at, at]
+    return {
+        "name": candidate.name,
+        "verdict": found.verdict,
+        "origin": effect.origin,
+        "covariate": candidate.covariate,
+        "parameters": effect.documented(candidate.shape, beta, covariance),
+        "p_value": found.p_value,
+        "changed": candidate.changed and {"from": candidate.changed.before, "to": candidate.changed.after},
+        "confusable_with": list(dict.fromkeys(rival.name for rival in found.rivals)),
+        "evidence": _evidence(r, found, candidate),
+        "remedy": effect.remedy,
+        "considered": [
+            {"name": label, "behind": behind, "why": _why(found, label, behind)}
+            for label, behind in found.considered
+        ],
+        "accepted_at": None,
+    }
+
+
+def _why(found: SelectedEffect, label: str, behind: float) -> str:
+    """Why a candidate was chosen, or lost."""
+    if label == found.candidate.label:
+        return "the best, not claimed" if found.rivals else "explains these poses best"
+    if label in {rival.label for rival in found.rivals}:
+        return "indistinguishable from it by these poses"
+    if behind < MARGIN and label.startswith(UNNAMED):
+        return "fits as well, but a cause with a name goes first"
+    if behind > FAR_BEHIND:
+        return "explains these poses far worse"
+    return f"explains these poses worse: odds about 1 : {math.exp(behind / 2.0):,.0f}"
+
+
+def _same_elsewhere(found: SelectedEffect, candidate: Candidate) -> list[str]:
+    """The same effect at other places that these poses cannot tell from its own."""
+    place = candidate.effect.place
+    values = sorted((other.shape.at[place] for other in found.alike), reverse=True)
+    if not values:
+        return []
+    parameter = next(p for p in candidate.effect.parameters if p.name == place)
+    listed = ", ".join(f"{value:.4g}{parameter.unit}" for value in values)
+    own = f"{candidate.shape.at[place]:.4g}{parameter.unit}"
+    return [f"a {parameter.title.lower()} of {listed} would look the same as {own} at these poses"]
+
+
+def _evidence(r: Responses, found: SelectedEffect, candidate: Candidate) -> list[str]:
+    said = [f"family-wise p-value {found.p_value:.3g}: the chance of so strong an effect in noise alone"]
+    witnesses = [
+        CHANNELS[c] for k, c in enumerate(r.channels) if k and np.ptp(candidate.columns[:, k, :]) > 0.0
+    ]
+    if witnesses:
+        said.append(f"seen by {', '.join(witnesses)} as well as by the reading, as it must be")
+    if candidate.changed is not None:
+        said.append(f"changed{in_words(candidate.changed)}: the values are the later less the earlier ones")
+    if candidate.shape.says:
+        said.append(candidate.shape.says)
+    said += _same_elsewhere(found, candidate)
+    if candidate.named and math.isfinite(found.lead):
+        if found.rivals:
+            names = ", ".join(dict.fromkeys(rival.name for rival in found.rivals))
+            names = names.replace("_", " ")
+            said.append(f"indistinguishable from {names} by these poses: {found.candidate.effect.apart}")
+        else:
+            said.append(f"ΔBIC of the next best candidate: {found.lead:.1f}")
+    return [*said, *found.doubts, *candidate.effect.evidence(r, candidate.shape)]
+
+
+Document = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PartialResidual:
+    """The partial residual of one effect of a diagnosis, in the order measured.
+
+    Attributes:
+        covariate: what it was traced to (CONTRACT section 5).
+        at: (n,) the covariate, in its own unit.
+        theta_deg: (n,) elevation.
+        residual_deg: (n,) reading less bias, scale and all other effects, degrees.
+        effect_deg: (n,) what the effect adds to the reading, degrees.
+    """
+
+    covariate: str
+    at: FloatArray
+    theta_deg: FloatArray
+    residual_deg: FloatArray
+    effect_deg: FloatArray
+
+
+def partial_residuals(
+    runs: Sequence[Sequence[Pose]], effects: Sequence[Document], run_ids: Sequence[str] | None = None
+) -> list[PartialResidual]:
+    """The partial residual of each effect of a diagnosis, from one fit of all of them together.
+
+    Args:
+        runs: the poses that were diagnosed, as `diagnose` took them.
+        effects: the `effects` of the document; what was scanned for is taken from it, not searched again.
+        run_ids: of the runs, as the document has them where something changed between two.
+
+    Raises:
+        DiagnosisError: the poses cannot show an effect (any more).
+    """
+    r = responses_of(runs, run_ids)
+    chosen = _chosen(r, [_forms(r, effect) for effect in effects])
+    for _ in range(most_outliers(len(r))):
+        model = fitted_model(r, chosen)
+        if (apart := outlier(model.responses, model.accepted)) is not None:
+            others = np.delete(np.arange(len(r)), apart)
+            r, chosen = r.rows(others), [c.rows(others) for c in chosen]
+    fitted = fitted_model(r, chosen).fitted
+    partial = []
+    for candidate, own in zip(chosen, parts_deg(r, chosen, fitted.beta), strict=True):
+        at = _column(r, candidate.covariate)
+        residual_deg = fitted.residuals[:, 0] + own
+        partial.append(PartialResidual(candidate.covariate, at, r.theta_deg, residual_deg, own))
+    return partial
+
+
+def _chosen(r: Responses, forms: Sequence[Sequence[Candidate]]) -> list[Candidate]:
+    """Of each effect the form with the best likelihood, penalised as the search does, beside the others."""
+    chosen = [options[0] for options in forms]
+    bic_penalty = math.log(len(r))
+    for k, options in enumerate(forms):
+        if len(options) > 1:
+            criteria = [
+                fitted_model(r, [*chosen[:k], option, *chosen[k + 1 :]]).fitted.criterion
+                + bic_penalty * option.parameters
+                for option in options
+            ]
+            chosen[k] = options[int(np.argmin(criteria))]
+    return chosen
+
+
+def _forms(r: Responses, document: Document) -> list[Candidate]:
+    name, covariate = document["name"], document["covariate"]
+    known = name in EFFECTS
+    numbers = numbers_of(document["parameters"])
+    forms = documented_forms(r, name, covariate, numbers, _change(r, document)) if known else []
+    if not forms:
+        raise DiagnosisError(f"these poses cannot show {name} against {covariate}: diagnose them again")
+    return forms
+
+
+def _change(r: Responses, document: Document) -> Change | None:
+    """Between which of these runs an effect changed; DiagnosisError where they are others."""
+    changed = document.get("changed")
+    if changed is None:
+        return None
+    if changed["to"] not in r.run_ids:
+        raise DiagnosisError(f"run {changed['to']}, in which {document['name']} changed, has no poses left")
+    return Change(r.run_ids.index(changed["to"]), changed["from"], changed["to"])
+
+
+def _column(r: Responses, covariate: str) -> FloatArray:
+    column = covariate_of(covariate).of(r)
+    if column is None:
+        raise DiagnosisError(f"these poses have no {covariate}: diagnose them again")
+    return column

@@ -1,0 +1,282 @@
+"""The diagnosis: what is left after bias and scale, traced to an effect, with the error before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from calrig.calibration.diagnosis.candidates import candidates_of
+from calrig.calibration.diagnosis.experiment_design import ambiguous_of, design
+from calrig.calibration.diagnosis.held_out import (
+    BLOCKS,
+    FOLDS,
+    Blocked,
+    CrossValidation,
+    blocked,
+    confirm,
+    cross_validate,
+    not_predictive,
+    standing_without_one,
+    worse,
+)
+from calrig.calibration.diagnosis.lack_of_fit import LackOfFit, lack_of_fit, warning_of
+from calrig.calibration.diagnosis.report import effect_documents, model_words
+from calrig.calibration.diagnosis.selection import Findings, competing_candidates, search
+from calrig.calibration.diagnosis.verdict import diagnosis_verdict
+from calrig.calibration.line import fit_line, residuals_deg, rms
+from calrig.calibration.poses import Pose, complete
+from calrig.calibration.progress import Progress, unheard, within
+from calrig.calibration.regression.channels import ANGLE, SCALE_UNIT_DEG
+from calrig.calibration.regression.responses import Responses, names_of, responses_of
+from calrig.estimation.angles import FloatArray
+
+BOOTSTRAPS = 999
+UNSEEN = 3.0
+"""How many times as far as the accelerometer's angle a reading strays that gravity does not account for."""
+WEAKEST_FIRST = ("ambiguous", "unnamed", "named")
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """What was found in some poses, before it is put into words.
+
+    Attributes:
+        runs: the poses it rests on: those that are complete, less outliers.
+        findings: the effects, and the fit of the final model.
+        held_out: errors on held-out poses, before and after; None where they were not asked for.
+        blocks: the same of poses held out in contiguous blocks; empty where they were not asked for.
+        lack: what the final model leaves, against the pure error.
+        warnings: what was left out or looked odd.
+    """
+
+    runs: tuple[tuple[Pose, ...], ...]
+    findings: Findings
+    held_out: CrossValidation | None
+    blocks: tuple[Blocked, ...]
+    lack: LackOfFit
+    warnings: tuple[str, ...]
+
+
+def diagnose(
+    runs: Sequence[Sequence[Pose]],
+    run_ids: Sequence[str] | None = None,
+    *,
+    seed: int = 0,
+    bootstraps: int = BOOTSTRAPS,
+    cross_fit: bool = True,
+    progress: Progress = unheard,
+) -> Diagnosis:
+    """Traces what bias and scale leave of the poses to the effects the model lacks.
+
+    Args:
+        runs: the poses of one or several runs of a unit, in the order measured, none excluded.
+        run_ids: what the runs are called, for what changed between two of them; else counted from 0.
+        seed: of the bootstrap: the same poses and seed give the same diagnosis.
+        bootstraps: of each step of the search.
+        cross_fit: whether the errors before and after are measured on held-out poses.
+        progress: is told the share of searches done: over all poses, then in each fold.
+
+    Raises:
+        DiagnosisError: the poses cannot be diagnosed; the message says why.
+    """
+    whole, incomplete = complete(runs)
+    r = responses_of(whole, names_of(runs, whole, run_ids))
+    candidates = candidates_of(r)
+    rng = np.random.default_rng(seed)
+    findings = search(r, candidates, rng, bootstraps=bootstraps)
+    kept, outliers = _parted(whole, findings)
+    left = findings.responses
+    findings = replace(findings, found=standing_without_one(left, findings.found))
+    held_out: CrossValidation | None = None
+    blocks: tuple[Blocked, ...] = ()
+    if cross_fit:
+        of_kept = [c.rows(findings.kept) for c in candidates]
+        of_folds = within(progress, 1.0 / (1.0 + FOLDS), 1.0)  # the search over all poses has been done
+        rivals = competing_candidates(findings.found)
+        held_out = cross_validate(left, of_kept, rng, rivals, findings.noises, of_folds)
+        predictive = not_predictive(left, findings.found, findings.fitted, of_kept)
+        findings = replace(findings, found=predictive)
+        blocks = blocked(left, [f.candidate for f in findings.found])
+    lack = _lack_of_fit(kept, findings)
+    said = warning_of(lack, found=bool(findings.found))
+    told = [sentence for sentence in (said, _unseen_by_gravity(findings)) if sentence is not None]
+    warnings = (*outliers, *incomplete, *r.warnings, *told)
+    return Diagnosis(kept, findings, held_out, blocks, lack, warnings)
+
+
+def _lack_of_fit(kept: Sequence[Sequence[Pose]], findings: Findings) -> LackOfFit:
+    r = findings.responses
+    residual_deg = _after_deg(findings)
+    freed = "reading.first" in r.base_names
+    of_reading = int(np.any(findings.columns[:, 0, :] != 0.0, axis=0).sum())
+    return lack_of_fit(
+        kept,
+        residual_deg,
+        r.starts & freed,
+        parameters=of_reading - freed * int(r.starts.sum()),
+        lag1_correlation=_lag1(residual_deg, float(r.rounding[0])),
+        rounding_deg=float(r.rounding[0]),
+    )
+
+
+def _unseen_by_gravity(findings: Findings) -> str | None:
+    """That the reading strays where the accelerometer does not; None where it does not, or nothing tells."""
+    r = findings.responses
+    if ANGLE not in r.channels:
+        return None
+    residuals = findings.fitted.residuals
+    reading_deg, angle_deg = rms(residuals[:, 0]), rms(residuals[:, r.channels.index(ANGLE)])
+    if reading_deg <= UNSEEN * angle_deg:
+        return None
+    return (
+        f"the reading strays by {reading_deg:#.2g}° (RMS) where the accelerometer's angle strays by "
+        f"{angle_deg:#.2g}°: gravity does not see what moves it, so look at what filters the reading, or "
+        "leave out the accelerometer's columns where they are of another sensor"
+    )
+
+
+def _parted(
+    runs: Sequence[Sequence[Pose]], findings: Findings
+) -> tuple[tuple[tuple[Pose, ...], ...], list[str]]:
+    """The runs less the outliers of a search, and a sentence for each of those."""
+    used = set(findings.kept.tolist())
+    kept, said, first = [], [], 0
+    for number, run in enumerate(runs):
+        where = f" of run {number}" if len(runs) > 1 else ""
+        kept.append(tuple(pose for k, pose in enumerate(run, first) if k in used))
+        said += [
+            f"outlier: pose {k - first}{where} at {pose.target_deg:g}° reads {pose.reading_deg:g}°, far from "
+            "what the model says of it: left out"
+            for k, pose in enumerate(run, first)
+            if k not in used
+        ]
+        first += len(run)
+    return tuple(kept), said
+
+
+def document(diagnosis: Diagnosis, run_ids: Sequence[str]) -> dict[str, Any]:
+    """The diagnosis as CONTRACT section 5 has it, without follow-up and confirmation."""
+    findings = diagnosis.findings
+    r = findings.responses
+    before = fit_line(r.theta_deg, r.theta_deg + r.values[:, 0])
+    before_deg = residuals_deg(r.theta_deg, r.theta_deg + r.values[:, 0], before.bias_deg, before.scale)
+    after_deg = _after_deg(findings)
+    effects = effect_documents(r, findings)
+    verdicts = [effect["verdict"] for effect in effects]
+    held_out, blocks = diagnosis.held_out, diagnosis.blocks
+    blocked_deg = (rms(worst.base_deg), rms(worst.final_deg)) if (worst := worse(blocks)) else (None, None)
+    return {
+        "runs": list(run_ids),
+        "n_poses": len(r),
+        "held_out": {
+            "how": "not measured" if held_out is None else _how(held_out, blocks),
+            "n_poses": 0 if held_out is None else len(r),
+        },
+        "noise": _noise(diagnosis.lack),
+        "base": {
+            "bias_deg": before.bias_deg,
+            "scale": before.scale,
+            "fit_rms_deg": rms(before_deg),
+            "held_out_rms_deg": None if held_out is None else rms(held_out.base_deg),
+            "blocked_rms_deg": blocked_deg[0],
+        },
+        "verdict": next((v for v in WEAKEST_FIRST if v in verdicts), "nothing"),
+        "effects": effects,
+        "final": {
+            "held_out_rms_deg": None if held_out is None else rms(held_out.final_deg),
+            "blocked_rms_deg": blocked_deg[1],
+            "fit_rms_deg": rms(after_deg) if findings.found else rms(before_deg),
+            "model": model_words(findings),
+        },
+        "follow_up": None,
+        "confirmed_by": None,
+        "warnings": list(diagnosis.warnings),
+    }
+
+
+def _how(held_out: CrossValidation, blocks: Sequence[Blocked]) -> str:
+    """How the errors on held-out poses were measured, in words."""
+    along = " and ".join(f"along {one.along}" for one in blocks)
+    return f"{held_out.folds} folds, interleaved; {BLOCKS} contiguous blocks {along}"
+
+
+def _noise(lack: LackOfFit) -> dict[str, Any]:
+    """The residual's noise, and the pure error that it is held against."""
+    tested = {"f": lack.f, "freedom": list(lack.freedom), "p_value": lack.p_value, "rejected": lack.rejects}
+    return {
+        "std_deg": lack.residual.std_deg,
+        "lag1_correlation": lack.lag1_correlation,
+        "floor_deg": None if lack.dwell is None else lack.dwell.std_deg,
+        "repeat_deg": None if lack.repeat is None else lack.repeat.std_deg,
+        "pure_error_deg": None if lack.pure is None else lack.pure.std_deg,
+        "lack_of_fit": None if lack.f is None else tested,
+    }
+
+
+def _after_deg(findings: Findings) -> FloatArray:
+    """(n,) what the final model leaves of the readings, in degrees of elevation."""
+    return np.asarray(findings.fitted.residuals[:, 0] / _scale(findings.responses, findings))
+
+
+def _scale(r: Responses, findings: Findings) -> float:
+    names = r.base_names
+    if "reading.scale" not in names:
+        return 1.0
+    return 1.0 + float(findings.fitted.beta[names.index("reading.scale")]) / SCALE_UNIT_DEG
+
+
+def _lag1(residual: FloatArray, rounding_deg: float) -> float:
+    power = float(residual @ residual) + len(residual) * rounding_deg**2
+    return float(residual[1:] @ residual[:-1]) / power
+
+
+def trace(
+    runs: Sequence[Sequence[Pose]],
+    run_ids: Sequence[str],
+    *,
+    plan: dict[str, Any] | None = None,
+    limits_deg: tuple[float, float] | None = None,
+    deciding: Sequence[int] | None = None,
+    progress: Progress = unheard,
+) -> dict[str, Any]:
+    """All of CONTRACT section 5: diagnosis, the run that would separate what is ambiguous, confirmation.
+
+    Beside it `grade` and `says`, what a person should make of it.
+
+    Args:
+        runs: the poses of one or several runs of a unit.
+        run_ids: their ids, in the same order.
+        plan: of the latest run, for the follow-up to keep its settings.
+        limits_deg: soft limits of the rig; the range of the poses where there is none.
+        deciding: of the latest run, the poses that serve to decide; the others confirm.
+        progress: is told the share of searches done.
+
+    Raises:
+        DiagnosisError: the poses cannot be diagnosed; the message says why.
+    """
+    used = [list(run) for run in runs]
+    if deciding is not None:
+        used[-1] = [used[-1][k] for k in deciding]
+    diagnosis = diagnose(used, run_ids, progress=progress)
+    found = document(diagnosis, run_ids)
+    if deciding is not None:
+        confirmation = confirm(runs[:-1], runs[-1], deciding, diagnosis.findings)
+        found["confirmed_by"] = confirmation and {
+            "run_id": run_ids[-1],
+            "before_rms_deg": confirmation.before_rms_deg,
+            "after_rms_deg": confirmation.after_rms_deg,
+        }
+    if ambiguous_of(diagnosis.findings) is not None:
+        elevations = [pose.theta_deg for run in used for pose in run]
+        designed = design(
+            diagnosis.runs, diagnosis.findings, limits_deg or (min(elevations), max(elevations))
+        )
+        if isinstance(designed, str):
+            found["warnings"].append(designed)
+        else:
+            found["follow_up"] = designed.document(plan or {})
+    decided = None if deciding is None else len(deciding)
+    return {**found, **asdict(diagnosis_verdict(found, decided))}

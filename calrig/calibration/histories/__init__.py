@@ -1,0 +1,48 @@
+"""Compare runs of a unit over time: changes, repeatability, control charts, due dates."""
+
+from __future__ import annotations
+
+from calrig.calibration.histories.between_runs import (
+    FALSE_DISCOVERY_RATE,
+    Changes,
+    Components,
+    Differences,
+    changes,
+    components,
+    drift_deg_per_day,
+)
+from calrig.calibration.histories.charts import (
+    RIG_CHART,
+    UNIT_CHART,
+    Bounds,
+    Checks,
+    ControlChart,
+    Forecast,
+    checks,
+    control_chart,
+    forecast,
+)
+from calrig.calibration.histories.repeatability import IntArray, Repeatability, Runs, pairs
+
+__all__ = [
+    "FALSE_DISCOVERY_RATE",
+    "RIG_CHART",
+    "UNIT_CHART",
+    "Bounds",
+    "Changes",
+    "Checks",
+    "Components",
+    "ControlChart",
+    "Differences",
+    "Forecast",
+    "IntArray",
+    "Repeatability",
+    "Runs",
+    "changes",
+    "checks",
+    "components",
+    "control_chart",
+    "drift_deg_per_day",
+    "forecast",
+    "pairs",
+]

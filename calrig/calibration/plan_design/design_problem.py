@@ -1,0 +1,250 @@
+"""What a design is to reach, as the scatter that its readings may have.
+
+What a plan is designed for, and a design: what both of its kinds have in common.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+from calrig.calibration.plan_design.layout import Pace, Precision, Sweep, Turning, leverage
+from calrig.calibration.plan_design.smallest_effects import SHOWN_BY_MOVING, Suspect
+from calrig.calibration.uncertainty.budget import Reference
+from calrig.calibration.uncertainty.coverage import coverage_factor
+
+
+@dataclass(frozen=True, slots=True)
+class Goals:
+    """Standard errors and expanded uncertainty that are wanted; None where it does not matter."""
+
+    expanded_deg: float | None = None
+    bias_std_deg: float | None = None
+    scale_std: float | None = None
+
+    def reached_by(
+        self, expanded_deg: float | None, bias_std_deg: float | None, scale_std: float | None
+    ) -> bool:
+        """Whether what is stated is all that is wanted; what is not known reaches nothing."""
+        pairs = (
+            (expanded_deg, self.expanded_deg),
+            (bias_std_deg, self.bias_std_deg),
+            (scale_std, self.scale_std),
+        )
+        return all(wanted is None or (stated is not None and stated <= wanted) for stated, wanted in pairs)
+
+
+@dataclass(frozen=True, slots=True)
+class TypeB:
+    """What the reference makes of an elevation: standard uncertainty, degrees, and its distribution.
+
+    `reference` is of a stage's certificate; a stage's map has its own covariance. Of kind `setting`,
+    `std_deg` is of one setting: of a line through many, ask `of_line`.
+    """
+
+    std_deg: float
+    reference: Reference | None
+
+    @property
+    def distribution(self) -> str:
+        """Of the error of an elevation."""
+        if self.reference is None or self._is_of_settings:
+            return "normal"
+        return self.reference.distribution
+
+    @property
+    def _is_of_settings(self) -> bool:
+        return self.reference is not None and self.reference.kind == "setting"
+
+    def of_line(self, over_range: float) -> TypeB:
+        """What it makes of an elevation by a line whose mean variance over the range is this for scatter 1.
+
+        An error of each setting anew enters as a scatter does (`uncertainty.reference_part`); any other is
+        the same however many poses there are.
+        """
+        return replace(self, std_deg=self.std_deg * math.sqrt(over_range)) if self._is_of_settings else self
+
+    def expanded_deg(self, type_a_deg: float, freedom: float) -> float:
+        """The expanded uncertainty beside one of type A, as a result states it."""
+        distribution = "rectangular" if self.distribution == "rectangular" else "normal"
+        k = coverage_factor(type_a_deg, freedom, self.std_deg, distribution)
+        return k * math.hypot(type_a_deg, self.std_deg)
+
+    def type_a_deg(self, expanded_deg: float, freedom: float) -> float:
+        """The largest standard uncertainty of type A beside it; 0 where none is small enough."""
+        return _type_a_deg(self, expanded_deg, freedom)
+
+    @property
+    def least_deg(self) -> float:
+        """The expanded uncertainty that no number of poses gets below; of settings a mean has none."""
+        if not self.std_deg or self._is_of_settings:
+            return 0.0
+        return self.expanded_deg(1e-12 * max(self.std_deg, 1e-6), 1e9)
+
+    def why_beyond(self, goals: Goals) -> str | None:
+        """Why no number of poses reaches the expanded uncertainty, and what would; None where some may."""
+        if goals.expanded_deg is None or goals.expanded_deg > self.least_deg:
+            return None
+        return (
+            f"an expanded uncertainty of {goals.expanded_deg:g}° is below what the stage's angle is worth: "
+            f"{self.least_deg:.3g}° is left however many poses there are; a better reference reaches it: a "
+            "certificate of less, or the stage's own map, which `calrig solve` finds of a unit clamped at "
+            "0°, 120° and 240°"
+        )
+
+
+@lru_cache(maxsize=4096)
+def _type_a_deg(type_b: TypeB, expanded_deg: float, freedom: float) -> float:
+    """Layouts ask for it again and again: a rectangular distribution's factor takes a millisecond."""
+    from scipy.optimize import brentq
+
+    least_deg = 1e-6 * expanded_deg
+    if type_b.expanded_deg(least_deg, freedom) >= expanded_deg:
+        return 0.0
+    found = brentq(
+        lambda type_a_deg: type_b.expanded_deg(type_a_deg, freedom) - expanded_deg,
+        least_deg,
+        expanded_deg,
+        xtol=1e-7 * expanded_deg,
+    )
+    return float(found) - 2e-7 * expanded_deg  # below the root by more than its tolerance
+
+
+NO_REFERENCE = TypeB(0.0, None)
+
+
+def scatter_wanted_deg(
+    goals: Goals, type_b: TypeB, n_poses: int, leverages: tuple[float, float, float]
+) -> float:
+    """The largest scatter of a reading with which so many poses reach all goals; 0 where none does.
+
+    Args:
+        goals: what is wanted.
+        type_b: the reference's part.
+        n_poses: how many; the line takes two degrees of freedom.
+        leverages: of the layout, for scatter 1 (`layout.leverage`).
+    """
+    over_range, bias, scale = leverages
+    allowed = [math.inf]
+    if goals.expanded_deg is not None:
+        type_a_deg = type_b.of_line(over_range).type_a_deg(goals.expanded_deg, n_poses - 2.0)
+        allowed.append(type_a_deg / math.sqrt(1.0 + over_range))
+    if goals.bias_std_deg is not None:
+        allowed.append(goals.bias_std_deg / math.sqrt(bias))
+    if goals.scale_std is not None:
+        allowed.append(goals.scale_std / math.sqrt(scale))
+    return min(allowed)
+
+
+SHORTEST_DWELL_S, LONGEST_DWELL_S = 0.5, 120.0
+DWELL_STEP_S = 0.01
+FEWEST_TRACED = 28
+"""Poses of a design that is to trace effects: of fewer a search finds none."""
+RESERVE = 1.25
+"""Of a run that ends when it is good enough: more scatter than expected does not leave it short."""
+
+
+class OutOfReachError(ValueError):
+    """No design reaches what is wanted; the message says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """A design of poses and what is to be expected of it.
+
+    Attributes:
+        elevations_deg: in the order of visiting.
+        dwell_s: of each pose.
+        duration_s: from the beginning to the end, by the pace of the rig.
+        expanded_deg: uncertainty that its result will state; None without a statement of the reference.
+        bias_std_deg, scale_std: standard errors of its line.
+        scatter_deg: of its readings, RMS.
+        sweep: where it turns without stopping; None where all of its poses are dwells.
+        suspects: what it would show of each.
+    """
+
+    elevations_deg: tuple[float, ...]
+    dwell_s: float
+    duration_s: float
+    expanded_deg: float | None
+    bias_std_deg: float
+    scale_std: float
+    scatter_deg: float
+    sweep: Sweep | None = None
+    suspects: tuple[Suspect, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Sweeping:
+    """That a rig may turn without stopping: how fast, and how precise stretches are."""
+
+    turning: Turning
+    precision: Precision
+
+
+@dataclass(frozen=True, slots=True)
+class DesignProblem:
+    """What a design is made for: range, rig, precision of its readings, reference, effects to be traced.
+
+    With `until` its run ends as soon as the goals are reached; its plan suffices for poses that scatter
+    `reserve` times as much. `sweeping` is None where its plan has to stop for every pose.
+    """
+
+    range_deg: tuple[float, float]
+    precision: Precision
+    pace: Pace
+    type_b: TypeB | None
+    trace: bool = True
+    until: bool = False
+    reserve: float = RESERVE
+    seed: int = 0
+    names: tuple[str, ...] = SHOWN_BY_MOVING
+    sweeping: Sweeping | None = None
+
+    @property
+    def begins_above(self) -> bool:
+        """Whether the upper end is the nearer one to where the stage stands."""
+        low, high = self.range_deg
+        return abs(high - self.pace.stands_deg) < abs(low - self.pace.stands_deg)
+
+    def scatter_wanted_deg(self, goals: Goals, order: list[float]) -> float:
+        """The largest scatter of readings at these elevations with which the goals are reached."""
+        return scatter_wanted_deg(goals, self.type_b or NO_REFERENCE, len(order), leverage(order))
+
+    def stated(
+        self,
+        order: list[float],
+        dwell_s: float,
+        duration_s: float,
+        scatter_deg: float,
+        cautioned: float = 1.0,
+        sweep: Sweep | None = None,
+    ) -> Design:
+        """A design and what its result will state, the scatter larger by what ending early asks for."""
+        over_range, bias, scale = leverage(order)
+        stated_deg = cautioned * scatter_deg
+        expanded_deg: float | None = None
+        if self.type_b is not None:
+            type_a_deg = stated_deg * math.sqrt(1.0 + over_range)
+            expanded_deg = self.type_b.of_line(over_range).expanded_deg(type_a_deg, len(order) - 2.0)
+        return Design(
+            elevations_deg=tuple(order),
+            dwell_s=dwell_s,
+            duration_s=duration_s,
+            expanded_deg=expanded_deg,
+            bias_std_deg=stated_deg * math.sqrt(bias),
+            scale_std=stated_deg * math.sqrt(scale),
+            scatter_deg=scatter_deg,
+            sweep=sweep,
+        )
+
+
+def rounded_up_s(dwell_s: float) -> float:
+    """The next time that a plan names."""
+    return round(DWELL_STEP_S * math.ceil(dwell_s / DWELL_STEP_S - 1e-9), 3)
+
+
+def rounded_down_s(dwell_s: float) -> float:
+    """The one before."""
+    return round(DWELL_STEP_S * math.floor(dwell_s / DWELL_STEP_S + 1e-9), 3)

@@ -1,0 +1,250 @@
+"""Define a pose, one dwell at one elevation, and check its columns (CONTRACT section 4).
+
+A pose: one dwell at one elevation, with the columns of CONTRACT section 4 in their order.
+
+Columns of poses as a diagnosis takes them: what is missing, what says nothing, what cannot be meant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from calrig.estimation.angles import FloatArray, wrap_deg
+from calrig.estimation.kalman import KalmanNoise
+
+REQUIRED = ("target_deg", "reading_deg")
+INTEGER = ("pass", "approach", "n_samples")
+KNOWN = (
+    "pass",
+    "approach",
+    "time_s",
+    "temperature_c",
+    "stage_deg",
+    "reading_std_deg",
+    "reading_stderr_deg",
+    "n_samples",
+    "accel_x_g",
+    "accel_y_g",
+    "accel_z_g",
+    "gyro_move_deg",
+    "settle_s",
+)
+COLUMNS = (*REQUIRED, *KNOWN)
+GYRO_MEANS = ("gyro_x_dps", "gyro_y_dps", "gyro_z_dps")
+"""Among the covariates: what each axis of the gyro says of the dwell."""
+GYRO_MOVES = ("gyro_move_x_deg", "gyro_move_y_deg", "gyro_move_z_deg")
+"""Likewise, of a run with mounts: of the move into it."""
+MOUNT_DEG = "mount_deg"
+"""Likewise: the angle at which the unit was clamped; 0 where it is not said."""
+HOST_TIME = "host_time_s"
+"""Likewise: when the pose was taken by the host's clock, beside `time_s` by the board's."""
+OF_MOUNTS = (MOUNT_DEG, *GYRO_MEANS, *GYRO_MOVES)
+"""What no diagnosis of elevations looks into, though covariates in the store."""
+
+
+class DiagnosisError(ValueError):
+    """The poses cannot be diagnosed; the message says what is wrong with them and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Filtering:
+    """The filter that poses were read by, its rate, and how long a dwell was; the contract's by default.
+
+    `remembers` is False where what it still shows of the moves has been taken off the readings. Velocity and
+    acceleration are those of the elevation, as the stage's controller tells them: None where it does not, and
+    a move is taken for as long as what lies between two dwells.
+    """
+
+    noise: KalmanNoise = field(default_factory=KalmanNoise)
+    rate_hz: float = 200.0
+    dwell_s: float = 2.0
+    remembers: bool = True
+    velocity_dps: float | None = None
+    acceleration_dps2: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """One pose; what is not known is None. Every further numeric column of a file is a covariate.
+
+    Attributes:
+        sweep: index of the sweep from 0 (column `pass`).
+        approach: +1 or −1, the sense of the last move that moved the stage; 0 where unknown.
+        time_s: since the run began, at mid-dwell.
+        reading_std_deg: spread of the filtered samples in the dwell.
+        reading_stderr_deg: standard error of the reading, allowing for the filter's correlation.
+        gyro_move_deg: rate about the stage axis, less its bias, integrated over the move into the pose; None
+            where samples are missing or too few carry it.
+        covariates: further columns by name.
+        filtering: of the run it belongs to, where that is known; no column of a file.
+        map_deg: what the stage's map in force for its run adds to the dial; no column of a file either.
+    """
+
+    target_deg: float
+    reading_deg: float
+    sweep: int | None = None
+    approach: int | None = None
+    time_s: float | None = None
+    temperature_c: float | None = None
+    stage_deg: float | None = None
+    reading_std_deg: float | None = None
+    reading_stderr_deg: float | None = None
+    n_samples: int | None = None
+    accel_x_g: float | None = None
+    accel_y_g: float | None = None
+    accel_z_g: float | None = None
+    gyro_move_deg: float | None = None
+    settle_s: float | None = None
+    covariates: dict[str, float | None] = field(default_factory=dict)
+    filtering: Filtering | None = field(default=None, compare=False, repr=False)
+    map_deg: float | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def settled(self) -> bool:
+        """Whether it is a dwell after a move, as far as is known; a stretch of a turn tells no settling."""
+        return self.settle_s is not None or self.filtering is None or self.filtering.remembers
+
+    @property
+    def dial_deg(self) -> float:
+        """The angle of the dial: what the stage reported, else what was commanded."""
+        return self.target_deg if self.stage_deg is None else self.stage_deg
+
+    @property
+    def mount_deg(self) -> float:
+        """The angle at which the unit was clamped, nominally."""
+        return self.covariates.get(MOUNT_DEG) or 0.0
+
+    @property
+    def theta_deg(self) -> float:
+        """The elevation the pose stands for: the stage's angle and, on the half turn about 0, the mount's.
+
+        The stage's angle is put right by its map, where one was in force.
+        """
+        return self.dial_deg + wrap_deg(self.mount_deg) + (self.map_deg or 0.0)
+
+    def row(self) -> dict[str, float | int | None]:
+        """The pose as CONTRACT section 4's columns, covariates after them."""
+        known = {name: getattr(self, _attribute(name)) for name in COLUMNS}
+        return {**known, **self.covariates}
+
+    @classmethod
+    def from_row(cls, row: dict[str, float | int | None]) -> Pose:
+        """The pose of a row as `row()` gives it."""
+        known = {_attribute(name): row[name] for name in COLUMNS if name in row}
+        extra = {name: value for name, value in row.items() if name not in COLUMNS}
+        return cls(**known, covariates=extra)  # type: ignore[arg-type]
+
+
+def of_first_mount(poses: Sequence[Pose]) -> Sequence[Pose]:
+    """The poses taken at the mount of the first one.
+
+    Each mount's own angle is not known better than a hand clamps, and the stage's errors turn with the dial
+    and not with the elevation: only a joint solution makes something of several mounts.
+    """
+    if not poses or all(pose.mount_deg == poses[0].mount_deg for pose in poses):
+        return poses
+    return [pose for pose in poses if pose.mount_deg == poses[0].mount_deg]
+
+
+def _attribute(column: str) -> str:
+    return "sweep" if column == "pass" else column
+
+
+SAME = 1.0 - 1e-6
+"""Columns correlated beyond this are one column."""
+
+
+def complete(runs: Sequence[Sequence[Pose]]) -> tuple[list[list[Pose]], list[str]]:
+    """The runs that have poses; a column that a few poses lack costs those poses, not the column.
+
+    Of a run with several mounts, its first one's poses.
+    """
+    warnings = []
+    given, runs = runs, [of_first_mount(run) for run in runs]
+    left_out = sum(map(len, given)) - sum(map(len, runs))
+    if left_out:
+        warnings.append(
+            f"{left_out} poses were taken with the unit clamped at another angle and were left out: a "
+            "diagnosis is of one mount; `solve` takes all of them together"
+        )
+    poses = [pose for run in runs for pose in run]
+    lacking: set[int] = set()
+    for name in ("temperature_c", "time_s", "approach", "accel_y_g", "accel_z_g", "stage_deg"):
+        missing = [k for k, pose in enumerate(poses) if getattr(pose, name) is None]
+        if 0 < len(missing) <= 0.1 * len(poses):
+            warnings.append(f"{len(missing)} poses have no {name} and were left out")
+            lacking.update(missing)
+        elif 0 < len(missing) < len(poses):
+            warnings.append(f"{name} is missing from {len(missing)} poses: the column was not used")
+    kept, k = [], 0
+    for run in runs:
+        kept.append([pose for i, pose in enumerate(run, start=k) if i not in lacking])
+        k += len(run)
+    return [run for run in kept if run], warnings
+
+
+def column_of(poses: Sequence[Pose], name: str) -> FloatArray | None:
+    """(n,) one column of the poses, None where any pose lacks it."""
+    values = [getattr(pose, name) for pose in poses]
+    return None if any(value is None for value in values) else np.array(values, dtype=np.float64)
+
+
+def covariates_of(
+    poses: Sequence[Pose], theta: FloatArray, reading: FloatArray
+) -> tuple[dict[str, FloatArray], list[str]]:
+    """The unknown columns worth looking at, and what was said of the others."""
+    names = dict.fromkeys(
+        name for pose in poses for name in pose.covariates if name not in (*COLUMNS, *OF_MOUNTS)
+    )
+    taken: dict[str, FloatArray] = {
+        "the order of the poses": np.arange(len(poses), dtype=float),
+        "the elevation": theta,
+        "the reading": reading,
+    }
+    for known in ("time_s", "temperature_c", "accel_y_g", "accel_z_g", "gyro_move_deg", "accel_x_g"):
+        column = column_of(poses, known)
+        if column is not None:
+            taken[known] = column
+    found: dict[str, FloatArray] = {}
+    warnings = []
+    for name in names:
+        values = [pose.covariates.get(name) for pose in poses]
+        if any(value is None for value in values):
+            warnings.append(f"column {name} is not known of every pose: it was not used")
+            continue
+        column = np.array(values, dtype=np.float64)
+        if np.ptp(column) == 0.0:
+            continue
+        twin = next((other for other, known in taken.items() if same(column, known)), None)
+        if twin is not None:
+            warnings.append(f"column {name} says the same as {twin}: it was not used")
+            continue
+        found[name] = taken[name] = column
+    return found, warnings
+
+
+def same(a: FloatArray, b: FloatArray) -> bool:
+    """Whether one column is the other in other units."""
+    if np.ptp(a) == 0.0 or np.ptp(b) == 0.0:
+        return False
+    return bool(abs(np.corrcoef(a, b)[0, 1]) > SAME)
+
+
+def refuse_what_is_no_elevation(theta: FloatArray, reading: FloatArray) -> None:
+    """Raises DiagnosisError where the readings cannot be degrees of these elevations."""
+    if np.ptp(theta) < 5.0:
+        return
+    if np.ptp(reading) == 0.0:
+        raise DiagnosisError(
+            f"the readings never change (they all are {reading[0]:g}) while the elevation turns by "
+            f"{np.ptp(theta):g}°: look at reading_deg and at what fills it"
+        )
+    slope = float(np.polyfit(theta, reading, 1)[0])
+    if abs(abs(slope) * 180.0 / np.pi - 1.0) < 0.2:
+        raise DiagnosisError(
+            f"the readings change by {slope:.4f} per degree of elevation: they look like radians; "
+            "convert reading_deg to degrees"
+        )

@@ -1,0 +1,32 @@
+"""The regression that effects and diagnosis share: channels, responses, noise model, terms of an effect."""
+
+from __future__ import annotations
+
+from calrig.calibration.regression.effect import (
+    ORIGINS,
+    TEMPERATURE,
+    ApplyError,
+    Circumstances,
+    Effect,
+    NotInFlight,
+    Origin,
+    Parameters,
+    Scope,
+    VectorInC,
+)
+from calrig.calibration.regression.terms import MG, c_literal
+
+__all__ = [
+    "MG",
+    "ORIGINS",
+    "TEMPERATURE",
+    "ApplyError",
+    "Circumstances",
+    "Effect",
+    "NotInFlight",
+    "Origin",
+    "Parameters",
+    "Scope",
+    "VectorInC",
+    "c_literal",
+]

@@ -1,0 +1,344 @@
+"""Define an effect: all that its consumers ask of it.
+
+The vector that an accelerometer makes of gravity, with the errors of its two axes across the stage's.
+
+At an elevation φ of the sensor itself a faultless one measures a_y = sin φ and a_z = cos φ (g). An error δ of
+a_y and ε of a_z turns the angle atan2(a_y, a_z) by atan2(δ·c − ε·s, 1 + δ·s + ε·c). Errors of several effects
+add up before they turn it: an offset of 80 mg beside a gain of 3 % is 0.14° off where each turns it alone.
+
+What an effect is: all there is to say of one, in the parts that every consumer asks for.
+
+An effect is one module of `calrig.calibration.effects`, which binds `EFFECT = Effect(...)`. Search, report,
+correction, C header, figures, the page and the rule of acceptance know no effect by name.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import MISSING, dataclass, field, fields
+from typing import Any, Literal
+
+import numpy as np
+
+from calrig.calibration.regression.responses import Change, Responses
+from calrig.estimation.angles import FloatArray
+
+VectorError = tuple[FloatArray | float, FloatArray | float]
+"""What is added to a_y and to a_z, g: (n,) each, or a number for all."""
+
+TURNS_THE_SENSOR = frozenset({"stage", "mounting", "environment"})
+"""Origins of effects that turn the sensor itself: its axes err at the elevation that they leave."""
+
+
+@dataclass(frozen=True, slots=True)
+class VectorInC:
+    """C expressions of what is added to a_y and to a_z, g."""
+
+    y_g: str
+    z_g: str
+
+
+def sin_cos(felt_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(n,) a_y and a_z of a sensor without errors at elevations in degrees, g."""
+    angle = np.radians(felt_deg)
+    return np.sin(angle), np.cos(angle)
+
+
+def turned_vector(felt_deg: FloatArray, error: VectorError) -> tuple[FloatArray, FloatArray]:
+    """What errors of all effects together do to the measured vector.
+
+    Args:
+        felt_deg: (n,) elevation of the sensor, degrees.
+        error: of a_y and a_z, g.
+
+    Returns:
+        (n,) the angle by which it turns, degrees, and (n,) its length, g.
+    """
+    s, c = sin_cos(felt_deg)
+    across, along = error[0] * c - error[1] * s, 1.0 + error[0] * s + error[1] * c
+    return np.degrees(np.arctan2(across, along)), np.hypot(across, along)
+
+
+Origin = Literal["sensor", "stage", "mounting", "process", "environment", "unknown"]
+Scope = Literal["unit", "rig", "run"]
+Parameters = Mapping[str, float]
+"""Values by the contract's names."""
+Documents = dict[str, dict[str, float | None] | None]
+"""Parameters of a diagnosis: `{"value": …, "std": …}` by name."""
+
+ORIGINS: dict[Origin, str] = {
+    "sensor": "the sensor",
+    "stage": "the stage",
+    "mounting": "the mounting",
+    "process": "the procedure",
+    "environment": "the surroundings",
+    "unknown": "not known",
+}
+HIDDEN = ("pose", "part", "order", "over_s")
+"""Places that serve the search alone and are in no document."""
+
+
+class EffectError(TypeError):
+    """An effect lacks a part; the message names effect and part."""
+
+
+class ApplyError(ValueError):
+    """An effect cannot be applied: unknown, without a parameter or a covariate it needs, or not to invert."""
+
+
+@dataclass(frozen=True, slots=True)
+class Covariate:
+    """What an effect is a function of.
+
+    Attributes:
+        name: as documents have it (CONTRACT section 5).
+        title, unit: in words, as an axis of a figure; the unit empty where it has none.
+        of: (n,) the column in some poses; None where they lack it.
+        needs_time: whether it changes as time passes, not by what a plan moves.
+    """
+
+    name: str
+    title: str
+    unit: str
+    of: Callable[[Responses], FloatArray | None]
+    needs_time: bool = False
+
+
+APPROACH = Covariate("approach", "approach", "", lambda r: r.approach)
+ELEVATION = Covariate("target_deg", "elevation", "°", lambda r: r.theta_deg)
+TEMPERATURE = Covariate("temperature_c", "temperature", "°C", lambda r: r.temperature_c, needs_time=True)
+TIME = Covariate("time_s", "time", "s", lambda r: r.time_s, needs_time=True)
+LAST_MOVE = Covariate("move_deg", "last move", "°", lambda r: r.move_deg)
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A parameter of an effect; `unit` None is that of the covariate, whatever it is.
+
+    Attributes:
+        flag: 1 or absent, and said in the evidence: nothing to show as a number.
+    """
+
+    name: str
+    title: str
+    unit: str | None
+    flag: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """One form an effect takes in some poses: its columns, linear in the parameters named.
+
+    Attributes:
+        shares: (n,) or (n, p) per channel.
+        parameters: names of the first columns' coefficients; further columns are the witnesses' own.
+        form: which of the effect's forms, where it has several.
+        at: parameters that are not coefficients: found by scanning, or a reference.
+        scanned: whether the search chose the place among many.
+        place_cost: how many parameters that choice counts as: two where neighbouring places differ as an
+            instant does from the next, one where they go over into each other.
+        covariate: where it is not the effect's.
+        replaces: a base column that the effect's own column takes the place of.
+        says: what is to be said of this form beside the effect's name.
+        part_of: the form with all parameters, where this one has some of them.
+        alike: names that such poses do not part it from, however much better it fits.
+        follows: as the effect's, in such poses alone.
+        at_std: standard errors of the places that were refined.
+        series: what it is one term of, where several terms make one cause: a search counts them once.
+        beside: covariates that effects in the model must follow before it is offered.
+        changed: between which runs, where it is only in the later ones.
+        alone: not offered with its effect's companions: of places close together few stand for all.
+    """
+
+    shares: Mapping[str, FloatArray]
+    parameters: tuple[str, ...]
+    form: str = ""
+    at: Parameters = field(default_factory=dict)
+    scanned: bool = False
+    place_cost: int = 2
+    covariate: str = ""
+    replaces: str | None = None
+    says: str = ""
+    part_of: str = ""
+    alike: tuple[str, ...] = ()
+    follows: str | None = None
+    at_std: Parameters = field(default_factory=dict)
+    series: str = ""
+    beside: tuple[str, ...] = ()
+    changed: Change | None = None
+    alone: bool = False
+
+    @property
+    def stated(self) -> frozenset[str]:
+        """Names of the parameters that a document has of it."""
+        return frozenset({*self.parameters, *self.at} - set(HIDDEN))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Circumstances:
+    """What effects are functions of, beside the elevation: (n,) each, None where not known.
+
+    Attributes:
+        approach: +1, −1; 0 where unknown, to which backlash adds nothing.
+        move_deg: θ less the pose before's; NaN for a run's first pose, to which a move adds nothing.
+        travel_deg: way since the stage last turned; without it all play is taken up.
+        time_s: without it a slip has happened: the unit stands as it stood last.
+        kappa: share of a gyro scale error times the move that the filter still shows.
+        stretch_deg: how far the stage turned while the pose was read; without it not at all.
+    """
+
+    approach: FloatArray | None = None
+    temperature_c: FloatArray | None = None
+    time_s: FloatArray | None = None
+    move_deg: FloatArray | None = None
+    travel_deg: FloatArray | None = None
+    velocity_dps: FloatArray | None = None
+    kappa: FloatArray | None = None
+    stretch_deg: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Applied:
+    """An effect's parameters at n elevations; what it needs and has not is missed by name.
+
+    Attributes:
+        felt_deg: (n,) the elevation of the sensor itself, mount and all: θ where it is not known.
+    """
+
+    effect: str
+    parameters: Parameters
+    theta_deg: FloatArray
+    given: Circumstances
+    felt_deg: FloatArray | None = None
+
+    def value(self, name: str, default: float | None = 0.0) -> float:
+        """A parameter; ApplyError where it is absent and has no default."""
+        found = self.parameters.get(name, default)
+        if found is None:
+            raise ApplyError(f"the effect {self.effect} needs its parameter {name}")
+        return found
+
+    def column(self, name: str) -> FloatArray:
+        """(n,) one of the circumstances; ApplyError where it is not known of every pose."""
+        values: FloatArray | None = getattr(self.given, name)
+        if values is None:
+            raise ApplyError(f"the effect {self.effect} needs {name} of every pose")
+        return values
+
+    def sin_cos(self) -> tuple[FloatArray, FloatArray]:
+        """What a sensor without errors measures of a_y and a_z, g."""
+        return sin_cos(self.theta_deg if self.felt_deg is None else self.felt_deg)
+
+    def warmer_c(self) -> FloatArray:
+        """Temperature less the effect's reference."""
+        return self.column("temperature_c") - self.value("reference_c", None)
+
+    def moved_deg(self) -> FloatArray:
+        """The last move; 0 where it is not known."""
+        return np.asarray(np.nan_to_num(self.column("move_deg"), nan=0.0), dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class NotInFlight:
+    """Why an effect has no term in flight software."""
+
+    reason: str
+
+
+def linear(shape: Shape, beta: FloatArray, covariance: FloatArray) -> Documents:
+    """Coefficients as they are, with their standard errors."""
+    return {
+        name: {"value": float(beta[k]), "std": math.sqrt(max(float(covariance[k, k]), 0.0))}
+        for k, name in enumerate(shape.parameters)
+    }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Effect:
+    """One entry of the catalogue.
+
+    Attributes:
+        name, origin, covariate: as CONTRACT section 5 has them.
+        title: for a heading.
+        scope: what it stays with: the unit (applied in flight), the rig (its error map), or one run alone.
+        parameters: those of its documents, in their order.
+        formula: what is added to the reading, as text.
+        forms: the forms it takes in any poses with some of its parameters given: scanned places and
+            references are taken from there where they are, else from the poses. None where the poses cannot
+            show it. Coefficients among the parameters are ignored: they are fitted.
+        on_reading_deg: (n,) the formula, exact where the forms are linear.
+        on_vector_g: instead, what the effect adds to a_y and a_z: all effects turn one vector together.
+        in_c: the same in C, of `theta` in degrees, `temperature_c`, and the sensor's own `s` and `c`.
+        apart, remedy: what separates it from its look-alikes, and what a person can do about it.
+        scan: the places that the search tries; without it one, of no parameters.
+        refine: the shape at the best place near a leading one's, in the poses given (the leading one may be
+            of more), by a shape's criterion; None where there is nothing to refine.
+        place: the parameter among the scanned ones that the likelihood refines between them.
+        settled: the places to take for those refined, by their standard errors: a value that is known.
+        look_alikes: places that these poses may not tell from a shape's, the likeliest first.
+        distinct: whether two shapes at different places can both be in one model of these poses; else always.
+        reported, evidence: a document's parameters of coefficients and covariance; sentences about a shape.
+        not_linear: (n,) a channel, what the forms' columns do not say, of the effect's own coefficients.
+        possible: whether coefficients are any that the physics allows.
+        follows: offered by itself only once this effect is in the model.
+        together_with: effects that it is offered together with, as one: each alone may look like noise.
+    """
+
+    name: str
+    title: str
+    origin: Origin
+    scope: Scope
+    covariate: Covariate
+    parameters: tuple[Parameter, ...]
+    formula: str
+    forms: Callable[[Responses, Parameters], Iterator[Shape]]
+    in_c: Callable[[Parameters], str | VectorInC] | NotInFlight
+    apart: str
+    remedy: str
+    on_reading_deg: Callable[[Applied], FloatArray] | None = None
+    on_vector_g: Callable[[Applied], VectorError] | None = None
+    scan: Callable[[Responses], Iterator[Parameters]] | None = None
+    refine: Callable[[Responses, Shape, Callable[[Shape], float]], Shape | None] | None = None
+    place: str = ""
+    settled: Callable[[Parameters, Parameters], Parameters] = lambda at, _std: at
+    look_alikes: Callable[[Responses, Shape], Iterator[Parameters]] = lambda _r, _shape: iter(())
+    distinct: Callable[[Responses, Shape, Shape], bool] | None = None
+    reported: Callable[[Shape, FloatArray, FloatArray], Documents] = linear
+    evidence: Callable[[Responses, Shape], list[str]] = lambda _r, _shape: []
+    not_linear: Callable[[Responses, FloatArray], Mapping[str, FloatArray]] | None = None
+    possible: Callable[[Shape, FloatArray], bool] = lambda _shape, _beta: True
+    follows: str | None = None
+    together_with: tuple[str, ...] = ()
+
+    def __reduce__(self) -> tuple[Callable[[str], Effect], tuple[str]]:
+        """Goes to another process by its name: the catalogue there has it."""
+        return _of_the_catalogue, (self.name,)
+
+    def __post_init__(self) -> None:
+        for part in fields(self):
+            if part.default is MISSING and getattr(self, part.name) in ("", (), None):
+                raise EffectError(f"the effect {self.name!r} lacks its {part.name}")
+        if self.on_reading_deg is None and self.on_vector_g is None:
+            raise EffectError(f"the effect {self.name!r} lacks its on_reading_deg, or its on_vector_g")
+        if isinstance(self.in_c, NotInFlight) and not self.in_c.reason:
+            raise EffectError(f"the effect {self.name!r} lacks the reason why it is not applied in flight")
+        if self.scope != "unit" and not isinstance(self.in_c, NotInFlight):
+            raise EffectError(f"the effect {self.name!r} has a C term, and does not stay with the unit")
+
+    def shapes(self, r: Responses) -> Iterator[Shape]:
+        """Every form at every place that the search considers in these poses."""
+        for at in ({},) if self.scan is None else self.scan(r):
+            yield from self.forms(r, at)
+
+    def documented(self, shape: Shape, beta: FloatArray, covariance: FloatArray) -> dict[str, Any]:
+        """A document's `parameters`: what was fitted or refined with its standard error, the rest without."""
+        places = {name: float(value) for name, value in shape.at.items() if name not in HIDDEN}
+        of_places = {name: {"value": at, "std": shape.at_std.get(name)} for name, at in places.items()}
+        return {**self.reported(shape, beta, covariance), **of_places}
+
+
+def _of_the_catalogue(name: str) -> Effect:
+    from calrig.calibration.effects import effect_of
+
+    return effect_of(name)

@@ -1,0 +1,411 @@
+"""Derive from the columns of poses how the stage moved between and during them.
+
+How the rig moved between and during the poses of one run, as far as their columns tell.
+
+The order of rows is a history only where a column says so: a table of angles sorted by angle was not measured
+as a sweep, and the step back across ±180° in it is no move.
+
+Play: how far a stage has come since it last turned, and what of its play is not taken up yet.
+
+A table that its motor moves with a play h between them stands still until the motor has come by h (the play
+operator: Visintin, Differential Models of Hysteresis, 1994, section III.2).
+
+How far the stage turned while a pose was read: in a dwell not at all, in a stretch by its length.
+
+A stretch is the mean over its way. What is a function of the elevation alone and bends little over 10° is
+there as in a dwell; a wave of period P keeps sin(πL/P)/(πL/P) of its amplitude over a way L, and may change
+its sign. The gyro's account goes from middle to middle and keeps the whole.
+
+What the filter still shows, in the dwell, of a gyro scale error over the move before it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from itertools import groupby
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from calrig.calibration.poses import Filtering, Pose, column_of
+from calrig.calibration.regression.channels import BoolArray
+from calrig.estimation.angles import FloatArray, wrap_deg
+from calrig.estimation.gains import steady_state_gain
+from calrig.estimation.gyro import gyro_scale
+from calrig.estimation.kalman import KalmanNoise
+
+HISTORY = ("time_s", "sweep", "approach", "gyro_move_deg")
+"""Any of these says that rows follow one another as they were measured."""
+STANDING = ("reading_std_deg", "reading_stderr_deg", "n_samples", "settle_s", "gyro_move_deg", "filtering")
+"""Any of these says that a pose is a dwell."""
+TURN_DEG = 360.0
+FEWEST = 4
+AT_A_POSE = 1e-2
+"""Share of an interval, within which a change is taken to have happened at the pose."""
+ABRUPT = 0.2
+"""Of the largest velocity: a change that no smooth motion makes between two readings."""
+SHORTEST_LAG_S = 1e-6
+SHORTEST_STOP_S = 1.0
+"""Between poses, to move on, settle and take a mean: readings that follow faster were taken on the move."""
+
+
+def has_history(poses: Sequence[Pose]) -> bool:
+    """Whether a column tells that the poses come in the order measured."""
+    return any(_tells(pose, HISTORY) for pose in poses)
+
+
+def is_sorted(poses: Sequence[Pose]) -> bool:
+    """Whether the order of the rows is that of their elevations, and nothing says that it is a history too.
+
+    Readings that differ from row to row by little then are an error of the angle, not noise that wanders.
+    """
+    steps = _steps_deg(poses)[1:]
+    return not has_history(poses) and bool((steps >= 0.0).all() or (steps <= 0.0).all()) and bool(steps.any())
+
+
+def moves_deg(poses: Sequence[Pose]) -> FloatArray:
+    """(n,) move into each pose of a run, degrees; NaN where there is none that is known.
+
+    That is the first pose, all of a table without history, and all of a log taken on the move, whose readings
+    follow on no move that had ended.
+    """
+    if not has_history(poses) or _taken_on_the_move(poses):
+        return np.full(len(poses), np.nan)
+    return _steps_deg(poses)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """How the stage moved while n readings were taken.
+
+    Attributes:
+        velocity_dps: (n,) at the time of each, deg/s.
+        since_s, from_dps: (n,) time since the motion last changed abruptly, and the velocity before that.
+        until_s, to_dps: (n,) time until it next does, and the velocity after that; infinite where it did not
+            or nobody knows.
+    """
+
+    velocity_dps: FloatArray
+    since_s: FloatArray
+    from_dps: FloatArray
+    until_s: FloatArray
+    to_dps: FloatArray
+
+    def mean_dps(self, lag_s: float) -> FloatArray:
+        """(n,) mean velocity over a time before each reading; after it where `lag_s` is below 0."""
+        near = (self.since_s, self.from_dps) if lag_s > 0.0 else (self.until_s, self.to_dps)
+        share = np.minimum(near[0] / max(abs(lag_s), SHORTEST_LAG_S), 1.0)
+        return np.asarray(share * self.velocity_dps + (1.0 - share) * near[1], dtype=np.float64)
+
+    def rows(self, chosen: npt.NDArray[np.intp]) -> Motion:
+        """The same of some of the readings."""
+        return Motion(*(getattr(self, field.name)[chosen] for field in fields(self)))
+
+
+def joined(motions: Sequence[Motion | None]) -> Motion | None:
+    """The motion of several runs; None where it is not known of one."""
+    known = [motion for motion in motions if motion is not None]
+    if len(known) < len(motions):
+        return None
+    return Motion(*(np.concatenate([getattr(m, f.name) for m in known]) for f in fields(Motion)))
+
+
+def motion_of(poses: Sequence[Pose]) -> Motion | None:
+    """How the stage moved at a run's poses: as `velocity_dps` has it, else derived; None where not known.
+
+    A log taken on the move tells it by its times and elevations: central differences, and next to a reversal
+    the stroke that the pose is part of. Poses that stood have none, whatever lies between them.
+    """
+    given = [pose.covariates.get("velocity_dps") for pose in poses]
+    known = [velocity for velocity in given if velocity is not None]
+    if known and len(known) == len(given):
+        never, nothing = np.full(len(known), np.inf), np.zeros(len(known))
+        return Motion(np.array(known, dtype=np.float64), never, nothing, never, nothing)
+    return _derived(poses) if _taken_on_the_move(poses) else None
+
+
+def approach_of(poses: Sequence[Pose]) -> FloatArray | None:
+    """(n,) sense of the move to each pose of a run: as given, else that of the motion it was taken in."""
+    given = column_of(poses, "approach")
+    if given is None and _taken_on_the_move(poses):
+        return np.sign(_derived(poses).mean_dps(SHORTEST_LAG_S))
+    return given
+
+
+def _derived(poses: Sequence[Pose]) -> Motion:
+    times_s = _times_s(poses)
+    gap_s, way_deg = np.diff(times_s), _steps_deg(poses)[1:]
+    pace = way_deg / gap_s
+    at_s, from_dps, to_dps = _abrupt(times_s, pace)
+    last = np.searchsorted(at_s, times_s + SHORTEST_LAG_S) - 1
+    following = np.searchsorted(at_s, times_s - SHORTEST_LAG_S)
+    at_s = np.concatenate([at_s, [np.inf, -np.inf]])  # index n: what never comes; −1: what never was
+    since_s, until_s = np.maximum(times_s - at_s[last], 0.0), np.maximum(at_s[following] - times_s, 0.0)
+    from_dps, to_dps = (np.concatenate([v, [0.0, 0.0]]) for v in (from_dps, to_dps))
+    before, after = np.append(pace[:1], pace), np.append(pace, pace[-1:])
+    central = np.concatenate(
+        [pace[:1], (way_deg[:-1] + way_deg[1:]) / (times_s[2:] - times_s[:-2]), pace[-1:]]
+    )
+    turned = since_s < np.append(np.inf, gap_s)
+    turning = until_s < np.append(gap_s, np.inf)
+    velocity = np.select([turned & turning, turned, turning], [central, after, before], central)
+    return Motion(velocity, since_s, from_dps[last], until_s, to_dps[following])
+
+
+def _abrupt(times_s: FloatArray, pace: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """When the motion changed abruptly, from which velocity and to which, given those between n poses.
+
+    That is where the strokes before and after an interval meet within it.
+    """
+    start_s, length_s = times_s[1:-2], np.diff(times_s)[1:-1]
+    from_dps, to_dps = pace[:-2], pace[2:]
+    jump = from_dps - to_dps
+    is_jump = np.abs(jump) > ABRUPT * np.abs(pace).max()
+    share = np.divide(pace[1:-1] - to_dps, jump, out=np.full(len(jump), -1.0), where=is_jump)
+    within = (share > AT_A_POSE) & (share < 1.0 - AT_A_POSE)
+    # beside an interval with a change in it, its mean looks like a change at the pose between
+    at_end = (np.abs(share - 1.0) <= AT_A_POSE) & ~np.append(within[1:], False)
+    at_start = (np.abs(share) <= AT_A_POSE) & ~np.append(False, within[:-1])
+    found = within | at_end | at_start
+    at_s = (start_s + np.clip(share, 0.0, 1.0) * length_s)[found]
+    return at_s, from_dps[found], to_dps[found]
+
+
+def _taken_on_the_move(poses: Sequence[Pose]) -> bool:
+    """Whether readings follow faster than a stage could stop for them, and nothing says that it did."""
+    if len(poses) < FEWEST or any(_tells(pose, STANDING) or pose.time_s is None for pose in poses):
+        return False
+    since_s = np.diff(_times_s(poses))
+    return bool((since_s > 0.0).all() and np.median(since_s) < SHORTEST_STOP_S)
+
+
+def _times_s(poses: Sequence[Pose]) -> FloatArray:
+    return np.array([pose.time_s for pose in poses], dtype=np.float64)
+
+
+def _steps_deg(poses: Sequence[Pose]) -> FloatArray:
+    """(n,) elevation less that of the pose before, NaN for the first.
+
+    Where all elevations lie within one turn, a step of more than half of it went the short way round, unless
+    the sense of the move says that it went the long one.
+    """
+    theta = np.array([pose.theta_deg for pose in poses], dtype=np.float64)
+    step = np.diff(theta, prepend=np.nan)
+    if np.ptp(theta) > TURN_DEG:
+        return step  # counted over turns, as an axis without an end has it
+    sense = np.array([pose.approach or 0 for pose in poses])
+    short = (np.abs(step) > TURN_DEG / 2.0) & (sense != np.sign(step))
+    return np.where(short, wrap_deg(step), step)
+
+
+def _tells(pose: Pose, columns: Sequence[str]) -> bool:
+    return any(getattr(pose, name) is not None for name in columns)
+
+
+def travel_deg(move_deg: FloatArray, approach: FloatArray | None, starts: BoolArray) -> FloatArray:
+    """(n,) way in one sense since the stage last turned; infinite where nothing says that it is short.
+
+    Args:
+        move_deg: (n,) into each pose; 0 or NaN where it is not known.
+        approach: (n,) its sense; a pose come to from beyond has the other one, and all play taken up.
+        starts: (n,) whether a pose follows on nothing.
+    """
+    travel = np.full(len(move_deg), np.inf)
+    if approach is None:
+        return travel
+    for k in range(1, len(travel)):
+        if starts[k] or not approach[k] * move_deg[k] > 0.0:
+            continue
+        before = travel[k - 1] if approach[k] == approach[k - 1] else 0.0
+        travel[k] = before + abs(move_deg[k])
+    return travel
+
+
+def slack_deg(play_deg: float, travelled_deg: FloatArray) -> FloatArray:
+    """(n,) what is left of a play, after some way."""
+    return np.maximum(abs(play_deg) - travelled_deg, 0.0)
+
+
+def stretches_deg(poses: Sequence[Pose]) -> FloatArray:
+    """(n,) way of the stage during each pose of a run, degrees; 0 where it stood, or nothing tells.
+
+    A stretch lasts as long as its samples, and turns as its pass does from the first to the last middle.
+    """
+    way_deg = np.zeros(len(poses))
+    for is_dwell, group in groupby(range(len(poses)), key=lambda k: poses[k].settled):
+        places = list(group)
+        first, last = poses[places[0]], poses[places[-1]]
+        if is_dwell or first.time_s is None or last.time_s is None or last.time_s <= first.time_s:
+            continue
+        velocity_dps = abs(last.theta_deg - first.theta_deg) / (last.time_s - first.time_s)
+        way_deg[places] = [velocity_dps * _lasts_s(poses[k]) for k in places]
+    return way_deg
+
+
+def kept_in_mean(stretch_deg: FloatArray, period_deg: float) -> FloatArray:
+    """(n,) share of a wave's amplitude that is left in the mean over each way (n,)."""
+    return np.asarray(np.sinc(stretch_deg / period_deg), dtype=np.float64)
+
+
+class Behind(NamedTuple):
+    """How far what follows the stage through a first-order lag is behind it, each (n,), degrees.
+
+    `mean_deg` over each pose, and `grown_deg` from the middle of the stretch before, or the end of the dwell,
+    to the middle of the stretch, or the begin of the dwell: what a gyro feels less of.
+    """
+
+    mean_deg: FloatArray
+    grown_deg: FloatArray
+
+
+def behind(
+    time_s: FloatArray, theta_deg: FloatArray, stretch_deg: FloatArray, starts: BoolArray, lag_s: float
+) -> Behind:
+    """What follows the stage through a lag, in a sweep whose first pose had settled.
+
+    Between two stretches the stage turns evenly, before one it stood and behind one it comes to a stand, all
+    at one velocity; dwells are as long as stretches are.
+
+    Args:
+        time_s: (n,) of the poses' middles.
+        theta_deg: (n,) elevations.
+        stretch_deg: (n,) as `stretches_deg` has them.
+        starts: (n,) whether a pose is the first of its run.
+        lag_s: time constant.
+    """
+    turning = stretch_deg > 0.0
+    way_deg, took_s = np.diff(theta_deg, prepend=theta_deg[:1]), np.diff(time_s, prepend=time_s[:1])
+    evenly = turning & np.roll(turning, 1) & ~starts & (took_s > 0.0)
+    if not evenly.any():
+        return Behind(np.zeros(len(time_s)), np.zeros(len(time_s)))
+    pace_dps = float(np.median(np.abs(way_deg[evenly] / took_s[evenly])))
+    half = 0.5 * float(np.median(stretch_deg[turning])) / pace_dps / lag_s
+    steady_deg = np.where(turning, np.sign(way_deg) * pace_dps * lag_s, 0.0)
+    middle_deg = np.zeros(len(time_s))
+    for k in np.flatnonzero(~starts).tolist():
+        moved_s = min(abs(way_deg[k]) / pace_dps, took_s[k])
+        stood, kept = np.exp(-(took_s[k] - moved_s) / lag_s), np.exp(-moved_s / lag_s)
+        driven_deg = np.sign(way_deg[k]) * pace_dps * lag_s * (1.0 - kept)
+        before_deg = middle_deg[k - 1] * (stood if turning[k] else 1.0)
+        middle_deg[k] = (before_deg * kept + driven_deg) * (1.0 if turning[k] else stood)
+    mean_deg = steady_deg + (middle_deg - steady_deg) * np.sinh(half) / half
+    from_deg = np.roll(np.where(turning, middle_deg, middle_deg * np.exp(-half)), 1)
+    to_deg = np.where(turning, middle_deg, middle_deg * np.exp(half))
+    return Behind(mean_deg, np.where(starts, 0.0, to_deg - from_deg))
+
+
+def _lasts_s(pose: Pose) -> float:
+    return (pose.n_samples or 0) / pose.filtering.rate_hz if pose.filtering else 0.0
+
+
+SETTLE_S = 1.0
+"""Where a pose does not say how long it settled: the default of a plan."""
+FORGOTTEN = 1e-9
+MOST_SAMPLES = 1_000_000
+SHORTEST_MOVE_S = 1e-3
+LEAST_GAIN_ERROR = 0.002
+"""Of a gyro; below it the share of an error means nothing."""
+
+
+def filter_share(poses: Sequence[Pose]) -> FloatArray:
+    """(n,) κ of each pose: an error of the gyro of 1 % adds κ·1 % of the last move to its reading.
+
+    A gyro that is wrong by g errs by g·rate(t) during the move. With h the steady filter's response from rate
+    to angle (`SteadyStateGain`), T the duration of the move, s and d settling and dwell, and the error spread
+    evenly:
+
+        κ = 1/(T·d) ∫₀ᵀ dτ ∫ₛ^(s+d) dt h(t + τ)
+
+    How long a move took is told by the stage's velocity and acceleration, and what else lies between two
+    dwells belongs to settling: the stage was asked whether it stands, and the board for a fresh sample. Where
+    they are not known the move took it all; without times it is a jump. The constants of the filter, rate and
+    dwell are those that the poses know (`Pose.filtering`), else the contract's.
+
+    The filter goes on by the newest rate, so that it is ahead by half a sampling interval Δt while the stage
+    turns, and shows of that, after the move too,
+
+        λ = Δt/(2·T·d) ∫ₛ^(s+d) dt (h(t + T) − h(t))
+
+    times the move: at 200 Hz as much as of a gyro that is wrong by −0.4 %. Where the poses tell g, κ is that
+    of both, κ + λ/g.
+    """
+    known = [pose.filtering or Filtering() for pose in poses]
+    settle_s = np.array([SETTLE_S if pose.settle_s is None else pose.settle_s for pose in poses])
+    dwell_s = np.array([_dwell_s(pose, f) for pose, f in zip(poses, known, strict=True)])
+    between_s = _between_s(poses, settle_s, dwell_s)
+    ways_deg = np.abs(np.diff([pose.theta_deg for pose in poses], prepend=math.nan))
+    travel_s = np.array([_travel_s(way, f) for way, f in zip(ways_deg, known, strict=True)])
+    move_s = np.maximum(np.minimum(between_s, travel_s), SHORTEST_MOVE_S)
+    settle_s = settle_s + np.maximum(between_s - move_s, 0.0)
+    share, lead = np.empty(len(poses)), np.empty(len(poses))
+    for noise, rate_hz in {(f.noise, f.rate_hz) for f in known}:
+        of_filter = np.array([(f.noise, f.rate_hz) == (noise, rate_hz) for f in known])
+        share[of_filter], lead[of_filter] = _share_and_lead(
+            noise, rate_hz, settle_s[of_filter], dwell_s[of_filter], move_s[of_filter]
+        )
+    gain_error = _gain_error(poses)
+    if abs(gain_error) >= LEAST_GAIN_ERROR:
+        share += lead / gain_error
+    return np.where([f.remembers for f in known], share, 0.0)
+
+
+def _dwell_s(pose: Pose, filtering: Filtering) -> float:
+    if pose.filtering is not None and pose.n_samples:
+        return pose.n_samples / filtering.rate_hz  # a dwell may end early
+    return filtering.dwell_s
+
+
+def _between_s(poses: Sequence[Pose], settle_s: FloatArray, dwell_s: FloatArray) -> FloatArray:
+    """(n,) what lies between the dwell before and the settling; 0 where no times are known."""
+    times = np.array([np.nan if pose.time_s is None else pose.time_s for pose in poses])
+    between = np.diff(times, prepend=np.nan) - settle_s - (dwell_s + np.roll(dwell_s, 1)) / 2.0
+    return np.maximum(np.nan_to_num(between, nan=0.0), 0.0)
+
+
+def _travel_s(way_deg: float, filtering: Filtering) -> float:
+    """How long the stage turns so far, by a trapezoid of velocity; inf where that is not known."""
+    velocity, acceleration = filtering.velocity_dps, filtering.acceleration_dps2
+    if velocity is None or acceleration is None or not way_deg > 0.0:
+        return math.inf
+    peak = min(velocity, math.sqrt(way_deg * acceleration))
+    return way_deg / peak + peak / acceleration
+
+
+def _gain_error(poses: Sequence[Pose]) -> float:
+    """Of the gyro, by its account of the moves; 0 where it gives none."""
+    felt_deg = [math.nan if pose.gyro_move_deg is None else pose.gyro_move_deg for pose in poses]
+    turned_deg = np.diff([pose.theta_deg for pose in poses], prepend=math.nan)
+    found = gyro_scale(turned_deg, felt_deg)
+    return 0.0 if found is None else 1.0 / found.scale - 1.0
+
+
+def _share_and_lead(
+    noise: KalmanNoise, rate_hz: float, settle_s: FloatArray, dwell_s: FloatArray, move_s: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    from scipy.signal import lfilter
+
+    gain = steady_state_gain(noise, 1.0 / rate_hz)
+    slowest = max(np.abs(np.roots(gain.denominator)))
+    remembered = math.log(FORGOTTEN) / math.log(slowest) if slowest < 1.0 else math.inf
+    longest_s = float((settle_s + dwell_s + move_s).max())
+    samples = int(min(remembered, longest_s * rate_hz, MOST_SAMPLES)) + 2
+    impulse = np.zeros(samples)
+    impulse[0] = 1.0 - gain.k_angle
+    response = lfilter([1.0, -1.0], gain.denominator, impulse)
+    once = np.cumsum(response) / rate_hz
+    at = np.arange(1, samples + 1) / rate_hz
+    end_s = settle_s + dwell_s
+
+    def over_both(integral: FloatArray) -> FloatArray:
+        """Over the dwell and the move, per second of both, by what has been integrated up to each time."""
+
+        def of(t: FloatArray) -> FloatArray:
+            return np.interp(t, at, integral, left=0.0)
+
+        area = of(end_s + move_s) - of(end_s) - of(settle_s + move_s) + of(settle_s)
+        return np.asarray(area / (move_s * dwell_s), dtype=np.float64)
+
+    return over_both(np.cumsum(once) / rate_hz), over_both(once) / (2.0 * rate_hz)

@@ -1,0 +1,198 @@
+"""Terms that several effects share.
+
+Terms that several effects are made of.
+
+Angles in degrees, s and c sine and cosine of the elevation θ. The equations of the sensor's effects follow
+from turning the gravity vector in the sensor's frame, (0, s, c) at elevation θ = atan2(a_y, a_z): an error δ
+of a_y and ε of a_z turns the angle by δ·c − ε·s (rad) and lengthens the vector by δ·s + ε·c.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from calrig.calibration.regression.channels import ANGLE, MOVE, NORM, READING
+from calrig.calibration.regression.effect import (
+    Applied,
+    Circumstances,
+    Documents,
+    Parameters,
+    Shape,
+    VectorError,
+)
+from calrig.calibration.regression.responses import Responses
+from calrig.estimation.angles import FloatArray
+
+DEG = 180.0 / np.pi
+MG = 1e-3
+THE_TURN = "the turn"
+"""The series of a full turn's orders."""
+SMALL_STEP = 1e-3
+"""Of a parameter, in its own unit: what it changes is a straight line there."""
+ON_VECTOR = (
+    "atan2(a_y, a_z) − φ, one vector for all effects on a_y = sin φ and a_z = cos φ, φ = bias + scale·θ: "
+)
+PHASE_UNKNOWN_DEG = 180.0 / math.sqrt(3.0)
+"""Standard deviation of an angle of which nothing is known."""
+LEAST_TEMPERATURE_RANGE_C = 0.05
+LEAST_RETURN = 0.25
+"""Of the range of temperature: what tells a delay behind it from a curve of it."""
+LARGEST_FLOAT = float(np.finfo(np.float32).max)
+SMALLEST_FLOAT = float(np.finfo(np.float32).tiny)
+
+
+def turned(r: Responses, f: FloatArray) -> dict[str, FloatArray]:
+    """What turns the sensor itself: reading and accelerometer see f, the gyro its change."""
+    return {READING: f, ANGLE: f, MOVE: r.steps(f)}
+
+
+def tilted(f: FloatArray) -> dict[str, FloatArray]:
+    """What changes the angle too slowly or too seldom for the gyro, or inside the accelerometer."""
+    return {READING: f, ANGLE: f}
+
+
+def turns(r: Responses) -> bool:
+    """Whether the poses stand at more than one elevation."""
+    return float(np.ptp(r.theta_deg)) > 1.0
+
+
+def sin_cos(r: Responses) -> tuple[FloatArray, FloatArray]:
+    """Sine and cosine of θ."""
+    theta = np.radians(r.theta_deg)
+    return np.sin(theta), np.cos(theta)
+
+
+def one_or_both(
+    angle: FloatArray, norm: FloatArray, names: tuple[str, str], at: Parameters | None = None
+) -> Iterator[Shape]:
+    """Both columns (n, 2) together, and each alone: what one of them explains needs no second."""
+    at = at or {}
+    yield Shape({**tilted(angle), NORM: norm}, names, form="both", at=at)
+    for k, name in enumerate(names):
+        yield Shape({**tilted(angle[:, k]), NORM: norm[:, k]}, (name,), form=name, part_of="both", at=at)
+
+
+def vector_forms(
+    r: Responses,
+    on_vector_g: Callable[[Applied], VectorError],
+    names: tuple[str, str],
+    at: Parameters | None = None,
+) -> Iterator[Shape]:
+    """Both of two parameters of an effect on a_y and a_z, and each alone, linear about no effect."""
+    s, c = sin_cos(r)
+    given = Circumstances(temperature_c=r.temperature_c)
+
+    def per_unit(name: str, component: int) -> FloatArray:
+        more, less = (
+            on_vector_g(Applied("", {**(at or {}), name: step}, r.theta_deg, given))[component]
+            for step in (SMALL_STEP, -SMALL_STEP)
+        )
+        return np.full(len(r), (more - less) / (2.0 * SMALL_STEP))
+
+    y, z = (np.stack([per_unit(name, component) for name in names], 1) for component in (0, 1))
+    s, c = s[:, None], c[:, None]
+    yield from one_or_both((y * c - z * s) * DEG, y * s + z * c, names, at)
+
+
+def wave_deg(p: Applied, turn: FloatArray) -> FloatArray:
+    """amplitude·sin(360°·turn + phase)."""
+    phase = 2.0 * np.pi * turn + np.radians(p.value("phase_deg"))
+    return np.asarray(p.value("amplitude_deg") * np.sin(phase), dtype=np.float64)
+
+
+def amplitude_and_phase(_shape: Shape, beta: FloatArray, covariance: FloatArray) -> Documents:
+    """A·sin(x + φ) of b₀·sin x + b₁·cos x, with root mean square errors to second order.
+
+    An error ε across the vector (b₀, b₁) lengthens it by ε²/2A, whatever its sign (GUM 5.1.2, note): of an
+    eccentricity within ±60° the sine is much less well known than the cosine, and this most of the error.
+    """
+    amplitude = max(float(np.hypot(*beta)), SMALLEST_FLOAT)
+    along = beta / amplitude
+    turn = np.array([along, [-along[1], along[0]]])
+    (radial, mixed), (_, across) = turn @ covariance @ turn.T / amplitude**2
+    # the true one is shorter than what was found by what it was lengthened
+    phase = math.sqrt((across + radial * across + mixed**2) / max(1.0 - across, SMALLEST_FLOAT))
+    return {
+        "amplitude_deg": {
+            "value": float(np.hypot(*beta)),
+            "std": amplitude * math.sqrt(radial + 0.75 * across**2),
+        },
+        "phase_deg": {
+            "value": math.degrees(math.atan2(beta[1], beta[0])),
+            "std": min(math.degrees(phase), PHASE_UNKNOWN_DEG),
+        },
+    }
+
+
+def warmer_c(r: Responses, at: Parameters) -> tuple[FloatArray, float] | None:
+    """Temperature less its reference, the poses' mean where none is given; None where it does not vary."""
+    if r.temperature_c is None or np.ptp(r.temperature_c) < LEAST_TEMPERATURE_RANGE_C:
+        return None
+    reference_c = float(at.get("reference_c", r.temperature_c.mean()))
+    return np.asarray(r.temperature_c - reference_c, dtype=np.float64), reference_c
+
+
+def one_leg(r: Responses) -> bool:
+    """Whether no run's temperature came back, by a share of its range, from where it had gone."""
+    if r.temperature_c is None:
+        return True
+    runs = np.split(r.temperature_c, np.flatnonzero(r.starts))
+    least_c = LEAST_RETURN * float(np.ptp(r.temperature_c))
+    return not any(min(_rise(run), _rise(-run)) >= least_c for run in runs if len(run))
+
+
+def said_of_one_leg(r: Responses, _shape: Shape) -> list[str]:
+    """Of what temperature alone cannot tell: evidence of an effect."""
+    if not one_leg(r):
+        return []
+    return ["the temperature went one way only: a delay, a curve of it and a drift in time look the same"]
+
+
+def _rise(values: FloatArray) -> float:
+    """The most that a series ever lies above what it was before."""
+    return float((values - np.minimum.accumulate(values)).max(initial=0.0))
+
+
+def within(**most: float) -> Callable[[Shape, FloatArray], bool]:
+    """Whether coefficients are no larger than the given ones, by the names of their parameters."""
+
+    def possible(shape: Shape, beta: FloatArray) -> bool:
+        return all(abs(b) <= most[name] for name, b in zip(shape.parameters, beta, strict=False))
+
+    return possible
+
+
+def amplitude_within(most_deg: float) -> Callable[[Shape, FloatArray], bool]:
+    """Whether a wave of b₀·sin + b₁·cos has at most this amplitude."""
+    return lambda _shape, beta: float(np.hypot(*beta[:2])) <= most_deg
+
+
+def c_literal(value: float) -> str:
+    """A C `float` constant, in brackets where it is negative.
+
+    Raises:
+        ValueError: it is none that a `float` holds.
+    """
+    if not math.isfinite(value) or abs(value) > LARGEST_FLOAT:
+        raise ValueError(f"{value} is not a number that a float holds")
+    text = f"{value if abs(value) >= SMALLEST_FLOAT else 0.0:.9g}"
+    text = text if re.search(r"[.e]", text) else f"{text}.0"
+    return f"({text}f)" if text.startswith("-") else f"{text}f"
+
+
+def c_warmer(p: Parameters) -> str:
+    """The C expression of the temperature less its reference."""
+    return f"(temperature_c - {c_literal(p['reference_c'])})"
+
+
+def size_deg(shape: Shape, beta: FloatArray, covariance: FloatArray) -> dict[str, float | None]:
+    """Peak to peak of what a shape adds to the reading, over its poses, with its standard error."""
+    columns = shape.shares[READING].reshape(-1, len(beta))
+    fitted = columns @ beta
+    swing = columns[int(np.argmax(fitted))] - columns[int(np.argmin(fitted))]
+    variance = max(float(swing @ covariance @ swing), 0.0)
+    return {"value": float(fitted.max() - fitted.min()), "std": math.sqrt(variance)}

@@ -1,0 +1,36 @@
+"""A run's result, and a calibration applied: bias, scale, effects, errors of indication."""
+
+from __future__ import annotations
+
+from calrig.calibration.results.correction import (
+    Application,
+    AppliedEffect,
+    effects_at_rest,
+    effects_on_reading_deg,
+    felt_elevation_deg,
+    numbers_of,
+)
+from calrig.calibration.results.pose_errors import (
+    as_clamped,
+    corrected_residuals_deg,
+    raw_error_deg,
+    residuals,
+)
+from calrig.calibration.results.result import GyroFigures, Result, apply_calibration, build_result
+
+__all__ = [
+    "Application",
+    "AppliedEffect",
+    "GyroFigures",
+    "Result",
+    "apply_calibration",
+    "as_clamped",
+    "build_result",
+    "corrected_residuals_deg",
+    "effects_at_rest",
+    "effects_on_reading_deg",
+    "felt_elevation_deg",
+    "numbers_of",
+    "raw_error_deg",
+    "residuals",
+]

@@ -1,0 +1,333 @@
+"""Apply a calibration: accepted effects and the line, to poses or as a document (CONTRACT section 6).
+
+Accepted effects applied: what each adds to a reading, and the elevation that a reading stands for.
+
+The formulas of CONTRACT section 5, exact where the search linearises them. What acts on the accelerometer's
+axes acts on one vector, at the elevation of the sensor itself: `sensor_vector`.
+
+A calibration document applied: readings to elevations, and what these are worth (CONTRACT section 6).
+
+The one place where a document becomes arithmetic: `calrig apply`, `calrig.load`, the C header and a
+verification take the effects from here and their formulas from `correction`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from calrig.calibration.effects import EFFECTS, UNNAMED, effect_of
+from calrig.calibration.line import MIN_SCALE, Line, fit_line
+from calrig.calibration.regression.effect import (
+    TEMPERATURE,
+    TURNS_THE_SENSOR,
+    Applied,
+    ApplyError,
+    Circumstances,
+    Effect,
+    NotInFlight,
+    Parameters,
+    turned_vector,
+)
+from calrig.estimation.angles import FloatArray, elevation_deg, wrap_deg
+
+AppliedEffect = tuple[str, Parameters]
+"""An accepted effect: its name and the values of its parameters."""
+
+ITERATIONS = 60
+CONVERGED_DEG = 1e-10
+DERIVATIVE_STEP_DEG = 1e-3
+
+
+def numbers_of(parameters: Mapping[str, Any]) -> dict[str, float]:
+    """The values of a diagnosis' parameters ({"value": …, "std": …}) or a calibration's (plain numbers)."""
+    values = {
+        name: given["value"] if isinstance(given, Mapping) else given for name, given in parameters.items()
+    }
+    return {name: float(value) for name, value in values.items() if value is not None}
+
+
+def effects_on_reading_deg(
+    effects: Sequence[AppliedEffect],
+    theta_deg: FloatArray,
+    given: Circumstances | None = None,
+    felt_deg: FloatArray | None = None,
+) -> FloatArray:
+    """(n,) what several effects together add to the readings of n poses, degrees.
+
+    Args:
+        effects: names of the catalogue, each with values by the contract's names; a value that is absent
+            counts as 0, a reference must be there.
+        theta_deg: (n,) elevations.
+        given: what else the effects depend on.
+        felt_deg: (n,) elevations of the sensor itself, bias + scale·θ, at which its axes err; θ where not
+            given.
+
+    Raises:
+        ApplyError: an effect has no formula, or a covariate or parameter that it needs is not there.
+    """
+    felt_deg = theta_deg if felt_deg is None else felt_deg
+    total = np.zeros(len(theta_deg))
+    on_axes: list[tuple[Effect, Parameters]] = []
+    for name, parameters in effects:
+        effect = effect_of(name)
+        if effect.on_reading_deg is not None:
+            added = effect.on_reading_deg(Applied(name, parameters, theta_deg, given or Circumstances()))
+            total = total + added
+            if effect.origin in TURNS_THE_SENSOR:
+                felt_deg = felt_deg + added
+        if effect.on_vector_g is not None:
+            on_axes.append((effect, parameters))
+    error_y, error_z = np.zeros(len(theta_deg)), np.zeros(len(theta_deg))
+    for effect, parameters in on_axes:
+        assert effect.on_vector_g is not None  # noqa: S101 (so they were chosen)
+        applied = Applied(effect.name, parameters, theta_deg, given or Circumstances(), felt_deg)
+        more_y, more_z = effect.on_vector_g(applied)
+        error_y, error_z = error_y + more_y, error_z + more_z
+    return np.asarray(total + turned_vector(felt_deg, (error_y, error_z))[0], dtype=np.float64)
+
+
+def fit_line_with_effects(
+    theta_deg: FloatArray,
+    reading_deg: FloatArray,
+    effects: Sequence[AppliedEffect],
+    given: Circumstances | None = None,
+) -> Line:
+    """Bias and scale of what is left of the readings once the effects are taken out."""
+    line = fit_line(theta_deg, reading_deg - effects_on_reading_deg(effects, theta_deg, given))
+    for _ in range(ITERATIONS):  # where the sensor's axes lie follows from bias and scale themselves
+        felt_deg = felt_elevation_deg(theta_deg, line.bias_deg, line.scale)
+        line = fit_line(theta_deg, reading_deg - effects_on_reading_deg(effects, theta_deg, given, felt_deg))
+        moved = felt_elevation_deg(theta_deg, line.bias_deg, line.scale) - felt_deg
+        if not (np.abs(wrap_deg(moved)) > CONVERGED_DEG).any():
+            break
+    return line
+
+
+def felt_elevation_deg(theta_deg: FloatArray, bias_deg: float, scale: float | None) -> FloatArray:
+    """(n,) elevations of the sensor itself, whose axes its errors belong to."""
+    return bias_deg + (1.0 if scale is None else scale) * theta_deg
+
+
+def calibrated_elevation_deg(
+    reading_deg: FloatArray,
+    bias_deg: float,
+    scale: float | None,
+    effects: Sequence[AppliedEffect],
+    given: Circumstances | None = None,
+) -> FloatArray:
+    """(n,) the θ with reading = bias + scale·θ + effects(θ), to 1e-9°, on the turn about 0.
+
+    NaN where one reading stands for many elevations. Newton's iteration from the θ without effects; those
+    that depend on the elevation are read at θ itself.
+
+    Raises:
+        ApplyError: the scale is 0.
+    """
+    factor = 1.0 if scale is None else scale
+    if abs(factor) < MIN_SCALE:
+        raise ApplyError(f"the scale is {factor:g}: the reading does not follow the elevation")
+    aim = np.asarray(wrap_deg(reading_deg - bias_deg), dtype=np.float64)
+    theta = aim / factor
+    stands_for_many = np.zeros(len(aim), dtype=np.bool_)
+
+    def added_deg(at_deg: FloatArray) -> FloatArray:
+        felt_deg = felt_elevation_deg(at_deg, bias_deg, scale)
+        return effects_on_reading_deg(effects, at_deg, given, felt_deg)
+
+    for _ in range(ITERATIONS):
+        here = factor * theta + added_deg(theta)
+        ahead, behind = (added_deg(theta + step) for step in (DERIVATIVE_STEP_DEG, -DERIVATIVE_STEP_DEG))
+        slope = factor + (ahead - behind) / (2.0 * DERIVATIVE_STEP_DEG)
+        stands_for_many |= slope / factor <= 0.0
+        step = np.where(stands_for_many, 0.0, (aim - here) / np.where(stands_for_many, 1.0, slope))
+        theta = theta + step
+        moving = np.abs(step) > CONVERGED_DEG
+        if not moving.any():
+            break
+    return np.where(stands_for_many | moving, np.nan, theta)
+
+
+WITHIN_STDS, WITHIN_SHARE = 2.0, 0.01
+"""Of standard uncertainties, or of the range: beyond its end by no more, an elevation is as good as there."""
+HELD_BY_MATRIX = frozenset({"accelerometer_offset", "axis_mismatch", "axis_nonlinearity"})
+"""Effects that say of the axes what an accelerometer's bias and matrix say."""
+
+
+def effects_at_rest(document: Mapping[str, Any]) -> tuple[list[AppliedEffect], list[str]]:
+    """The effects that a unit at rest shows, with their values, and the names of those that it does not.
+
+    Raises:
+        ApplyError: an effect has no formula.
+    """
+    taken: list[AppliedEffect] = []
+    left_out: list[str] = []
+    for effect in document["effects"]:
+        name = str(effect["name"])
+        if name not in EFFECTS or name == UNNAMED:
+            raise ApplyError(f"the effect {name!r} has no formula of its own that could be applied")
+        if isinstance(effect_of(name).in_c, NotInFlight):
+            left_out.append(name)
+        else:
+            taken.append((name, numbers_of(effect["parameters"])))
+    return taken, left_out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Application:
+    """A document, ready for many readings.
+
+    Attributes:
+        bias_deg, scale: of the line.
+        effects: those taken out, with their values.
+        accelerometer: bias (3,) in g and matrix (3, 3), true = matrix·(raw − bias), where elevations follow
+            from it alone; None where bias, scale and effects are what there is to apply.
+        range_deg: of elevation.
+        temperature_c: lowest and highest of the calibration; None where not known.
+        type_a_deg: standard uncertainty of an elevation from one reading, its mean over the range; NaN where
+            not known, and so below.
+        type_b_deg: what the reference is worth.
+        covariance: (2, 2) of bias and scale.
+        map_std: elevations and their standard errors, relative to the mean, which take the place of
+            `type_b_deg` where the document has them.
+        level_std_deg: of the level, where it is known.
+    """
+
+    bias_deg: float
+    scale: float
+    effects: Sequence[AppliedEffect]
+    accelerometer: tuple[FloatArray, FloatArray] | None
+    range_deg: tuple[float, float]
+    temperature_c: tuple[float, float] | None
+    type_a_deg: float
+    type_b_deg: float
+    covariance: FloatArray
+    map_std: tuple[FloatArray, FloatArray] | None
+    level_std_deg: float
+
+    @classmethod
+    def of_document(cls, document: Mapping[str, Any]) -> Application:
+        """What a document says.
+
+        Raises:
+            ApplyError: an effect has no formula, bias or scale are not known, or it is no such document.
+        """
+        if document["bias_deg"] is None or document["scale"] is None:
+            raise ApplyError("bias or scale is not known: there is nothing to apply")
+        try:
+            return cls._of(document)
+        except (AttributeError, LookupError, TypeError, ValueError) as error:
+            if isinstance(error, ApplyError):
+                raise
+            raise ApplyError(f"it is no calibration as `calrig export` prints one ({error})") from error
+
+    @classmethod
+    def _of(cls, document: Mapping[str, Any]) -> Application:
+        if not MIN_SCALE <= abs(document["scale"]) <= 1.0 / MIN_SCALE:
+            raise ApplyError(f"the scale is {document['scale']:g}: the reading does not follow the elevation")
+        effects, _ = effects_at_rest(document)
+        worth, warmth = document.get("uncertainty") or {}, document.get("temperature_c") or {}
+        grid, covariance = document.get("elevation_std_deg"), document.get("covariance")
+        ends = [warmth.get(end) for end in ("min", "max")]
+        return cls(
+            bias_deg=float(document["bias_deg"]),
+            scale=float(document["scale"]),
+            effects=effects,
+            accelerometer=_accelerometer(document, effects),
+            range_deg=(float(document["range_deg"][0]), float(document["range_deg"][1])),
+            temperature_c=None if None in ends else (float(ends[0]), float(ends[1])),  # type: ignore[arg-type]
+            type_a_deg=_number(worth.get("type_a_deg")),
+            type_b_deg=_number(worth.get("type_b_deg")),
+            covariance=np.zeros((2, 2)) if covariance is None else _array(covariance, 2, 2),
+            map_std=None if grid is None else _curve(grid["elevation_deg"], grid["std_deg"]),
+            level_std_deg=float(document.get("level_std_deg") or 0.0) if document.get("level_known") else 0.0,
+        )
+
+    @property
+    def needs_temperature(self) -> bool:
+        """Whether an effect follows the temperature."""
+        return any(effect_of(name).covariate is TEMPERATURE for name, _ in self.effects)
+
+    def reading_of_deg(self, accel_g: FloatArray) -> FloatArray:
+        """(n,) the reading that (n, 3) accelerations stand for, g; x is needed with `accelerometer` alone."""
+        if self.accelerometer is not None and not np.isnan(accel_g[:, 0]).any():
+            bias_g, matrix = self.accelerometer
+            accel_g = (accel_g - bias_g) @ matrix.T
+        return elevation_deg(accel_g)
+
+    def elevation_deg(self, reading_deg: FloatArray, temperature_c: FloatArray | None) -> FloatArray:
+        """(n,) elevations; NaN where a reading stands for many.
+
+        Raises:
+            ApplyError: an effect lacks the temperature or a parameter.
+        """
+        given = Circumstances(temperature_c=temperature_c)
+        return calibrated_elevation_deg(reading_deg, self.bias_deg, self.scale, self.effects, given)
+
+    def std_deg(self, elevation_deg: FloatArray) -> FloatArray:
+        """(n,) standard uncertainty (k = 1) of elevations relative to their mean over the range.
+
+        Each from one reading as noisy as those of the calibration. NaN beyond the range, and where the
+        document does not know it. With C the covariance of bias and scale (GUM, JCGM 100:2008, 5.2.2), of
+        u²(θ) = type_a² + ((1 θ)·C·(1 θ)ᵀ − its mean over the range)/scale² + type_b²
+        the root of the mean over the range, times the document's k, is its expanded uncertainty.
+        """
+        at_deg = np.clip(elevation_deg, *self.range_deg)
+        if self.map_std is None:
+            low, high = self.range_deg
+            powers = np.array(
+                [[1.0, (low + high) / 2], [(low + high) / 2, (low**2 + low * high + high**2) / 3]]
+            )
+            here = np.stack([np.ones_like(at_deg), at_deg])
+            of_line = np.einsum("in,ij,jn->n", here, self.covariance, here) - np.sum(powers * self.covariance)
+            variance = of_line / self.scale**2 + self.type_b_deg**2
+        else:
+            variance = np.interp(at_deg, *self.map_std) ** 2
+        variance = variance + self.type_a_deg**2 + self.level_std_deg**2
+        std_deg = np.sqrt(np.maximum(variance, 0.0))
+        return np.where(np.abs(elevation_deg - at_deg) > self._tolerated_deg(std_deg), np.nan, std_deg)
+
+    def beyond_range(self, elevation_deg: FloatArray) -> FloatArray:
+        """(n,) how far elevations are beyond the range, degrees; 0 where that is hardly so."""
+        at_deg = np.clip(elevation_deg, *self.range_deg)
+        beyond = np.abs(elevation_deg - at_deg)
+        return np.where(beyond > self._tolerated_deg(self.std_deg(at_deg)), beyond, 0.0)
+
+    def _tolerated_deg(self, std_deg: FloatArray) -> FloatArray:
+        width = self.range_deg[1] - self.range_deg[0]
+        return np.maximum(WITHIN_STDS * np.nan_to_num(std_deg), WITHIN_SHARE * width)
+
+    def beyond_temperatures(self, temperature_c: FloatArray) -> FloatArray:
+        """(n,) how far temperatures are beyond those of the calibration, °C; 0 where these are not known."""
+        if self.temperature_c is None:
+            return np.zeros(len(temperature_c))
+        return np.abs(temperature_c - np.clip(temperature_c, *self.temperature_c))
+
+
+def _accelerometer(
+    document: Mapping[str, Any], effects: Sequence[AppliedEffect]
+) -> tuple[FloatArray, FloatArray] | None:
+    """The matrix, unless line and effects hold the axes' errors already: they are taken out once."""
+    found = document.get("accelerometer")
+    by_effects = any(name in HELD_BY_MATRIX for name, _ in effects)
+    is_plain = document["bias_deg"] == 0.0 and document["scale"] == 1.0 and not by_effects
+    return (_array(found["bias_g"], 3), _array(found["matrix"], 3, 3)) if found and is_plain else None
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)
+
+
+def _array(values: Sequence[Any], *shape: int) -> FloatArray:
+    array = np.array(values, dtype=np.float64)
+    if array.shape != shape:
+        raise ValueError(f"{array.shape} numbers where there are {shape}")
+    return array
+
+
+def _curve(at: Sequence[float], values: Sequence[float]) -> tuple[FloatArray, FloatArray]:
+    return _array(at, max(len(at), 1)), _array(values, len(at))

@@ -1,0 +1,240 @@
+"""A run's result as CONTRACT section 2 gives it, from its poses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from calrig.calibration.line import Line, fit_line, residuals_deg, rms
+from calrig.calibration.poses import Pose, of_first_mount
+from calrig.calibration.regression.effect import ApplyError
+from calrig.calibration.results.correction import AppliedEffect, fit_line_with_effects
+from calrig.calibration.results.pose_errors import (
+    angles_deg,
+    as_clamped,
+    circumstances,
+    raw_error_deg,
+    without_effects_deg,
+)
+from calrig.calibration.uncertainty.budget import RangeErrors, Reference, ReferenceFigures, over_range
+from calrig.calibration.uncertainty.sequential_stopping import AS_PLANNED, Ending, StoppedBy, cautious
+from calrig.estimation.angles import FloatArray
+
+PerAxis = tuple[float | None, float | None, float | None]
+
+RELATIVE = (
+    "The solution that was verified does not know the level: errors are less their mean over the poses."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class GyroFigures:
+    """What the run says of the gyro: bias about x, y, z; scale, stage rotation over integrated rate."""
+
+    bias_dps: PerAxis = (None, None, None)
+    bias_std_dps: PerAxis = (None, None, None)
+    scale: float | None = None
+    scale_std: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class TemperatureRange:
+    """Lowest and highest die temperature of the poses, °C."""
+
+    min: float
+    max: float
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """CONTRACT section 2, "Result"; what is not known is None.
+
+    Attributes:
+        reference: the stage's part of bias and scale, beside their own standard errors; None where nobody
+            has said what the stage is worth.
+        reference_says: why the stage's map in force was not used, or what the errors are relative to.
+        over_range: the error that is left over the range after everything accepted; None where the reading
+            does not follow the stage.
+        line: the fit itself, with covariance and residual scatter, for the unit's calibration.
+        line_with_effects: the same once accepted effects are taken out; None without any.
+        stopped_by: its plan, which was carried out whole, or `until`, which was reached before.
+        lost_says: what of the plan could not be measured; None where nothing is missing.
+    """
+
+    bias_deg: float
+    bias_std_deg: float | None
+    scale: float | None
+    scale_std: float | None
+    rms_raw_deg: float
+    rms_calibrated_deg: float | None
+    rms_with_effects_deg: float | None
+    n_poses: int
+    noise_deg: float | None
+    temperature_c: TemperatureRange | None
+    gyro: GyroFigures
+    reference: ReferenceFigures | None
+    over_range: RangeErrors | None
+    line: Line = field(repr=False)
+    line_with_effects: Line | None = field(default=None, repr=False)
+    reference_says: str | None = None
+    stopped_by: StoppedBy = "plan"
+    lost_says: str | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """The result ready for JSON, with the contract's keys and null for what is not known."""
+        document = asdict(self)
+        del document["line"], document["line_with_effects"]
+        gyro = document["gyro"]
+        gyro["bias_dps"], gyro["bias_std_dps"] = list(gyro["bias_dps"]), list(gyro["bias_std_dps"])
+        if self.over_range is not None:
+            document["over_range"] = self.over_range.to_dict()
+        return _as_before_maps(document)
+
+
+def _as_before_maps(document: dict[str, Any]) -> dict[str, Any]:
+    """Without what only some results have to say: those of before were kept without it."""
+    for says in ("reference_says", "lost_says"):
+        if document[says] is None:
+            del document[says]
+    if document["reference"] is not None and document["reference"]["line_covariance"] is None:
+        del document["reference"]["line_covariance"]
+    return document
+
+
+def build_result(
+    poses: Sequence[Pose],
+    gyro: GyroFigures | None = None,
+    effects: Sequence[AppliedEffect] = (),
+    reference: Reference | None = None,
+    reference_says: str | None = None,
+    ending: Ending = AS_PLANNED,
+) -> Result:
+    """Fits a run's poses and gathers what they say; of several mounts, the first one's.
+
+    Args:
+        poses: those that count (none excluded), at least one.
+        gyro: what the run's samples say of the gyro, where there are any.
+        effects: accepted for the unit or the rig; `line_with_effects` is None where the poses lack what one
+            of them is a function of.
+        reference: what the rig said of its stage when the poses were measured.
+        reference_says: why it is not the stage's map.
+        ending: how the run came to its end; the scatter of one that might end early is stated with care.
+
+    Raises:
+        ValueError: no pose, or one whose angle or reading is not finite.
+    """
+    poses = of_first_mount(poses)
+    theta, reading = angles_deg(poses)
+    one_angle = len({pose.target_deg for pose in poses}) == 1
+    line = fit_line(theta, reading, one_angle=one_angle)
+    with_effects = _line_with_effects(poses, theta, reading, effects)
+    calibrated_deg = residuals_deg(theta, reading, line.bias_deg, line.scale)
+    noise_deg = _pooled_noise_deg(poses)
+    if ending.may_be_early:
+        line = cautious(line, len(poses), noise_deg)
+        if with_effects is not None:
+            with_effects = cautious(with_effects[0], len(poses), noise_deg), with_effects[1]
+    left = (line, calibrated_deg) if with_effects is None else with_effects
+    return Result(
+        bias_deg=line.bias_deg,
+        bias_std_deg=line.bias_std_deg,
+        scale=line.scale,
+        scale_std=line.scale_std,
+        rms_raw_deg=rms(np.array([raw_error_deg(pose) for pose in poses])),
+        rms_calibrated_deg=_known(rms(calibrated_deg)),
+        rms_with_effects_deg=None if with_effects is None else _known(rms(with_effects[1])),
+        n_poses=len(poses),
+        noise_deg=noise_deg,
+        temperature_c=_temperature_range(poses),
+        gyro=gyro or GyroFigures(),
+        reference=None if reference is None else ReferenceFigures.of(theta, line, reference),
+        over_range=over_range(theta, left[1], left[0], reference, noise_deg),
+        line=line,
+        line_with_effects=None if with_effects is None else with_effects[0],
+        reference_says=reference_says,
+        stopped_by=ending.stopped_by,
+    )
+
+
+def apply_calibration(
+    poses: Sequence[Pose],
+    gyro: GyroFigures | None,
+    line: Line,
+    effects: Sequence[AppliedEffect],
+    reference: ReferenceFigures | None = None,
+    *,
+    clamped_anew: bool = False,
+) -> Result:
+    """What a calibration made earlier leaves of a run's poses: nothing is fitted, all of it is verified.
+
+    Args:
+        poses: those that count, at least one.
+        gyro: as for `build_result`.
+        line: bias and scale in force, fitted together with the effects.
+        effects: in force.
+        reference: the stage's part of that bias and scale, from the run that they were fitted to.
+        clamped_anew: the calibration says nothing of how the unit is clamped: errors are less their mean.
+
+    Raises:
+        ApplyError: the poses lack what an effect is a function of.
+    """
+    poses = of_first_mount(poses)
+    theta, reading = angles_deg(poses)
+    applied = as_clamped(poses, line, effects) if clamped_anew else line
+    bare = as_clamped(poses, line, ()) if clamped_anew else line
+    without = without_effects_deg(poses, applied, effects)
+    left_deg = residuals_deg(theta, without, applied.bias_deg, applied.scale)
+    fresh = build_result(poses, gyro)
+    return replace(
+        fresh,
+        bias_deg=line.bias_deg,
+        bias_std_deg=line.bias_std_deg,
+        scale=line.scale,
+        scale_std=line.scale_std,
+        rms_calibrated_deg=_known(rms(residuals_deg(theta, reading, bare.bias_deg, bare.scale))),
+        rms_with_effects_deg=_known(rms(left_deg)) if effects else None,
+        reference=reference,
+        over_range=over_range(
+            theta,
+            left_deg,
+            fit_line(theta, without, one_angle=fresh.scale is None),
+            None if reference is None else reference.reference,
+            fresh.noise_deg,
+        ),
+        line=line,
+        reference_says=RELATIVE if clamped_anew else None,
+    )
+
+
+def _line_with_effects(
+    poses: Sequence[Pose], theta: FloatArray, reading: FloatArray, effects: Sequence[AppliedEffect]
+) -> tuple[Line, FloatArray] | None:
+    """Bias and scale once the effects are taken out, and (n,) what is left; None where they cannot be."""
+    if not effects:
+        return None
+    given = circumstances(poses)
+    try:
+        line = fit_line_with_effects(theta, reading, effects, given)
+        without = without_effects_deg(poses, line, effects, given)
+    except ApplyError:
+        return None
+    return line, residuals_deg(theta, without, line.bias_deg, line.scale)
+
+
+def _pooled_noise_deg(poses: Sequence[Pose]) -> float | None:
+    """√(mean squared standard error) of the poses that have one."""
+    known = [error for pose in poses if (error := pose.reading_stderr_deg) is not None]
+    return math.sqrt(sum(error * error for error in known) / len(known)) if known else None
+
+
+def _temperature_range(poses: Sequence[Pose]) -> TemperatureRange | None:
+    known = [temperature for pose in poses if (temperature := pose.temperature_c) is not None]
+    return TemperatureRange(min(known), max(known)) if known else None
+
+
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,122 @@
+"""Whether one of the mounts does not fit the others: a map that moved, a clamp that creeps, another unit.
+
+Each mount is given terms of its own beside the joint fit: waves of the dial, as of a map that is another one
+there; time, as of a clamp that gives; a unit's gains, skew and offsets, as of another unit. What they
+explain beyond the joint model is held against noise by an F test of added columns (Seber & Lee, Linear
+Regression Analysis, 2nd ed., section 3.7), of all mounts and all terms at once by Bonferroni. Terms that the
+model has already, as those of a unit that was clamped once, drop out by their rank.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.special import fdtrc
+
+from calrig.calibration.separation.least_squares import Fit
+from calrig.calibration.separation.pose_table import Intp, whitened
+from calrig.calibration.separation.problem import OWN
+from calrig.calibration.separation.unit_model import NAMES
+from calrig.estimation.angles import FloatArray
+
+Cause = Literal["map", "time", "unit"]
+LEVEL = 0.01
+"""Chance that noise alone has any mount told of."""
+WAVES = (1.0, 2.0, 3.0)
+OF_THE_UNIT = [NAMES.index(name) for name in ("common_gain", "gain", "skew", "y", "z")]
+LEFT = 1e-3
+"""Share of a term that the joint model must leave of it; of less it is the model's own."""
+FEWEST_POSES = 8
+AS_GOOD = 10.0
+"""Of χ²: a mount that explains as much within this may be the one that is wrong."""
+
+
+@dataclass(frozen=True, slots=True)
+class MountTest:
+    """What terms of its own explain of one mount.
+
+    Attributes:
+        mount: by index.
+        cause: whose terms explain it best.
+        p_value: the chance that noise explains as much, of any mount by any terms.
+        gain: the decrease of χ².
+    """
+
+    mount: int
+    cause: Cause
+    p_value: float
+    gain: float
+
+
+def mount_tests(fit: Fit) -> list[MountTest]:
+    """Each mount against the others, where it has poses enough and terms that are not the model's own."""
+    found = {
+        k: _of_mount(fit, k, rows)
+        for k in range(len(fit.problem.table.mounts))
+        if len(rows := np.flatnonzero((fit.problem.table.mount == k) & fit.kept)) >= FEWEST_POSES
+    }
+    tries = sum(len(by_cause) for by_cause in found.values())
+    tests = []
+    for k, by_cause in found.items():
+        if by_cause:
+            cause, (gain, p_value) = min(by_cause.items(), key=lambda item: (item[1][1], -item[1][0]))
+            tests.append(MountTest(k, cause, min(tries * p_value, 1.0), gain))
+    return tests
+
+
+def misfits(tests: Sequence[MountTest]) -> list[MountTest]:
+    """The mount that fits least, and those that may be the wrong one as well; none where all fit."""
+    worst = min(tests, key=lambda test: (test.p_value, -test.gain), default=None)
+    if worst is None or worst.p_value > LEVEL:
+        return []
+    return [test for test in tests if test.p_value <= LEVEL and test.gain > worst.gain - AS_GOOD]
+
+
+def _of_mount(fit: Fit, k: int, rows: Intp) -> dict[Cause, tuple[float, float]]:
+    """Decrease of χ² and p-value by each cause."""
+    problem, derivatives = fit.problem, fit.normal.derivatives[rows]
+    by_angle, terms = derivatives[:, :, OWN - 1, None], {}
+    turns = np.radians(problem.table.dial_deg[rows])[:, None] * np.array(WAVES)
+    terms["map"] = by_angle * np.concatenate([np.cos(turns), np.sin(turns)], axis=1)[:, None, :]
+    if problem.table.in_order:
+        since = np.arange(1.0, len(rows) + 1.0)
+        terms["time"] = by_angle * np.stack([since / len(rows), np.log(since)], axis=1)[:, None, :]
+    terms["unit"] = derivatives[:, :, OF_THE_UNIT]
+    left = fit.normal.residuals[rows][:, :, None]
+    values = np.concatenate([*terms.values(), derivatives, left], axis=2)
+    white, _ = whitened(values, rows, problem.table.source[rows], problem.correlation)
+    flat = white.reshape(-1, white.shape[2])
+    more = sum(term.shape[2] for term in terms.values())
+    at = np.concatenate([problem.own_at(k), np.arange(problem.first_order, problem.size)])
+    inverse = fit.inverse.between(np.eye(problem.size)[at])
+    return _explained(fit, flat[:, more:-1] @ _root(inverse), flat, terms)
+
+
+def _root(inverse: FloatArray) -> FloatArray:
+    size, turn = np.linalg.eigh(inverse)
+    return np.asarray(turn * np.sqrt(np.maximum(size, 0.0)))
+
+
+def _explained(
+    fit: Fit, taken: FloatArray, flat: FloatArray, terms: Mapping[str, FloatArray]
+) -> dict[Cause, tuple[float, float]]:
+    found: dict[Cause, tuple[float, float]] = {}
+    first, squares = 0, fit.freedom * fit.noise**2
+    for cause, term in terms.items():
+        own = flat[:, first : first + term.shape[2]]
+        first += term.shape[2]
+        size = np.sqrt((own * own).sum(axis=0))
+        own = own[:, size > 0.0] / size[size > 0.0]
+        shared = taken.T @ own
+        left, turn = np.linalg.eigh(own.T @ own - shared.T @ shared)
+        told = left > LEFT
+        if not told.any():
+            continue
+        gain = float((((turn.T @ (own.T @ flat[:, -1]))[told]) ** 2 / left[told]).sum())
+        n_told, freedom = int(told.sum()), fit.freedom - int(told.sum())
+        ratio = (gain / n_told) / (max(squares - gain, 1e-12 * squares) / freedom)
+        found[cause] = gain / fit.noise**2, float(fdtrc(n_told, freedom, ratio))  # type: ignore[index]
+    return found

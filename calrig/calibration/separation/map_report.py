@@ -1,0 +1,146 @@
+"""What poses at one dial angle have in common and no parameter explains: the map beyond its orders.
+
+Poses that were taken to few angles of the dial do not show orders beyond them, in any mount: the misfit is
+the same each time, and neither more poses nor another mount average it out. Dwells that are repeated at one
+angle tell it from noise (pure error: Draper & Smith, Applied Regression Analysis, 1998, section 2.1).
+
+The stage's map over its dial, with what it is worth; and the mounts beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.special import fdtrc
+
+from calrig.calibration.separation.stage_map import TURN_DEG, Linearised, basis, dial_grid_deg
+from calrig.estimation.angles import FloatArray, wrap_deg
+
+FEWEST_REPEATS = 12
+"""Degrees of freedom of the pure error, below which it says little."""
+LEVEL = 1e-3
+SAME_DEG = 3
+"""Decimals of a dial's angle that is visited again."""
+
+
+class Residuals(Linearised, Protocol):
+    """A fit, and what it leaves of each pose's angle."""
+
+    def left(self) -> FloatArray:
+        """(n,) rad."""
+
+
+def common_variance(fit: Residuals) -> float:
+    """Variance of that misfit at an angle of the dial, rad²; 0 where dwells are not repeated or show none."""
+    table = fit.problem.table
+    rows = np.flatnonzero(fit.kept)
+    left, dial = fit.left()[rows], np.round(table.dial_deg[rows], SAME_DEG)
+    visits = np.column_stack([dial, table.mount[rows], table.approach[rows]])
+    _, visit, revisits = np.unique(visits, axis=0, return_inverse=True, return_counts=True)
+    visit = visit.ravel()
+    mean = np.bincount(visit, left) / revisits
+    repeats = len(left) - len(revisits)
+    if repeats < FEWEST_REPEATS:
+        return 0.0
+    pure = float(np.sum((left - mean[visit]) ** 2)) / repeats
+    _, angle, poses = np.unique(dial, return_inverse=True, return_counts=True)
+    common = np.bincount(angle.ravel(), left) / poses
+    between = float(np.sum(poses * common**2)) / len(poses)
+    if pure == 0.0 or fdtrc(len(poses), repeats, between / pure) > LEVEL:
+        return 0.0
+    return max(float(np.mean(common**2 - pure / poses)), 0.0)
+
+
+def covariance_of_misfit(fit: Residuals) -> FloatArray:
+    """(p, p) of the map's coefficients, rad²: as wide over the angles visited as what is common there."""
+    variance = common_variance(fit)
+    orders = fit.problem.orders
+    width = 2 * len(orders) + 1
+    if variance == 0.0:
+        return np.zeros((width, width))
+    dial = np.unique(np.round(fit.problem.table.dial_deg[fit.kept], SAME_DEG))
+    columns = basis(dial, np.zeros(len(dial)), orders)
+    gram = columns.T @ columns
+    share = len(dial) / np.linalg.matrix_rank(gram, hermitian=True)
+    return np.asarray(variance * share * np.linalg.pinv(gram, rcond=1e-9, hermitian=True), dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class Harmonic:
+    """amplitude·sin(order·ψ + phase); `separable` where that is known better than one pose is measured."""
+
+    order: float
+    amplitude_deg: float
+    phase_deg: float
+    std_deg: float
+    separable: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mapped:
+    """The map less its mean over the dial's angles, which goes into the mounts; degrees.
+
+    Attributes:
+        stage_deg, error_deg, std_deg: (m,) over the dial where poses stood, as in the middle of the play.
+        coefficients, covariance: (p,) and (p, p) of cosine and sine of each order, then the play; with what
+            poses at one angle of the dial have in common that the orders do not explain.
+        backlash: reading after upward moves less that after downward moves, and its standard error.
+        mounts_deg, mounts_std_deg: of each mount.
+    """
+
+    stage_deg: FloatArray
+    error_deg: FloatArray
+    std_deg: FloatArray
+    coefficients: FloatArray
+    covariance: FloatArray
+    harmonics: tuple[Harmonic, ...]
+    backlash: tuple[float, float] | None
+    mounts_deg: FloatArray
+    mounts_std_deg: FloatArray
+
+
+def mapped(fit: Residuals) -> Mapped:
+    """The map and the mounts of a joint fit."""
+    problem, at = fit.problem, fit.problem.map_at
+    dial = dial_grid_deg(problem.table.dial_deg[fit.kept])
+    columns = basis(dial, np.zeros(len(dial)), problem.orders)
+    mean = columns.mean(axis=0)
+    coefficients = np.degrees(fit.parameters[at])
+    of_fit = fit.covariance_at(np.arange(fit.problem.size)[at]) + covariance_of_misfit(fit)
+    covariance = np.degrees(np.degrees(of_fit))
+    variance = np.einsum("gi,ij,gj->g", columns - mean, covariance, columns - mean)
+    mounts = np.zeros((len(problem.table.mounts), problem.size))
+    mounts[:, problem.mounts_at] = np.eye(len(mounts))
+    mounts[:, at] = np.outer([mount.sense for mount in problem.table.mounts], mean)
+    of_mounts = np.diag(fit.covariance_of(mounts))
+    noise_deg = float(np.degrees(fit.noise))
+    play = float(coefficients[-1]), float(np.sqrt(max(covariance[-1, -1], 0.0)))
+    return Mapped(
+        stage_deg=dial,
+        error_deg=(columns - mean) @ coefficients,
+        std_deg=np.sqrt(np.maximum(variance, 0.0)),
+        coefficients=coefficients,
+        covariance=covariance,
+        harmonics=tuple(
+            _harmonic(order, coefficients[pair], covariance[pair, pair], noise_deg)
+            for order, pair in _pairs(problem.orders)
+        ),
+        backlash=play if problem.free[-1] else None,
+        mounts_deg=wrap_deg(np.degrees(mounts @ fit.parameters)),
+        mounts_std_deg=np.degrees(np.sqrt(np.maximum(of_mounts, 0.0))),
+    )
+
+
+def _pairs(orders: Sequence[float]) -> Iterator[tuple[float, slice]]:
+    """Each order with the places of its cosine and sine."""
+    return ((order, slice(2 * k, 2 * k + 2)) for k, order in enumerate(orders))
+
+
+def _harmonic(order: float, pair: FloatArray, covariance: FloatArray, noise_deg: float) -> Harmonic:
+    """Of cosine and sine; the standard error is that of the wave, root mean square over its phase."""
+    std_deg = float(np.sqrt(0.5 * np.trace(covariance)))
+    phase_deg = float(np.degrees(np.arctan2(pair[0], pair[1]))) % TURN_DEG
+    return Harmonic(float(order), float(np.hypot(*pair)), phase_deg, std_deg, std_deg < noise_deg)

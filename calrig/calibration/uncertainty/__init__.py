@@ -1,0 +1,63 @@
+"""Uncertainty budget, coverage factor, conformity with limits and its risk (GUM, JCGM 106)."""
+
+from __future__ import annotations
+
+from calrig.calibration.uncertainty.budget import RangeErrors, Reference, ReferenceFigures, uncertainty
+from calrig.calibration.uncertainty.conformity import (
+    Answer,
+    Limit,
+    cannot_pass,
+    deg,
+    limit_for,
+    percent,
+    significant,
+)
+from calrig.calibration.uncertainty.coverage import COVERAGE, coverage_factor
+from calrig.calibration.uncertainty.doubts import (
+    REMOUNT_LIMIT_DEG,
+    Doubt,
+    Line,
+    clamping_doubts,
+    displacement_doubts,
+    pose_doubts,
+    position_doubts,
+    remount_doubts,
+    repeat_doubts,
+    to_dicts,
+)
+from calrig.calibration.uncertainty.sequential_stopping import (
+    AS_PLANNED,
+    Ending,
+    has_the_line,
+    turned_both_ways,
+)
+
+__all__ = [
+    "AS_PLANNED",
+    "COVERAGE",
+    "REMOUNT_LIMIT_DEG",
+    "Answer",
+    "Doubt",
+    "Ending",
+    "Limit",
+    "Line",
+    "RangeErrors",
+    "Reference",
+    "ReferenceFigures",
+    "cannot_pass",
+    "clamping_doubts",
+    "coverage_factor",
+    "deg",
+    "displacement_doubts",
+    "has_the_line",
+    "limit_for",
+    "percent",
+    "pose_doubts",
+    "position_doubts",
+    "remount_doubts",
+    "repeat_doubts",
+    "significant",
+    "to_dicts",
+    "turned_both_ways",
+    "uncertainty",
+]

@@ -1,0 +1,341 @@
+"""Evaluate the uncertainty of a calibrated elevation (GUM): budget, U, errors over the range.
+
+What a calibrated elevation is worth: CONTRACT section 6's `uncertainty`, after the GUM.
+
+The error left of a calibrated elevation over its range, and how well it is known: limits rest on it.
+
+What a rig's reference made of a result, as the result keeps it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any, Literal
+
+import numpy as np
+
+from calrig.calibration.line import MIN_SCALE, Line
+from calrig.calibration.uncertainty.coverage import COVERAGE, Distribution, coverage_factor
+from calrig.estimation.angles import FloatArray
+
+ReferenceKind = Literal["setting", "harmonic", "common", "map"]
+Covariance = tuple[tuple[float, float], tuple[float, float]]
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """What the stage's own angle is worth: a standard uncertainty, shared among poses as `kind` says.
+
+    `distribution` is that of the error at one angle: a limit from a data sheet, ±a, is rectangular with
+    std_deg = a/√3; a certificate's U/k is normal.
+
+    Of kind `map` it is what a stage's map was worth to certain poses (`stage_reference.map_reference`):
+    std_deg of a calibrated elevation, and `line_covariance` of the line's offset (deg) and slope that its
+    error is taken for.
+    """
+
+    std_deg: float
+    kind: ReferenceKind = "harmonic"
+    distribution: Distribution = "rectangular"
+    line_covariance: Covariance | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ReferencePart:
+    """What the stage's own uncertainty makes of a calibration: standard uncertainties of type B.
+
+    Attributes:
+        bias_deg: of the bias.
+        scale: of the scale; None with all poses at one angle.
+        elevation_deg: of a calibrated elevation, over the poses' elevations.
+    """
+
+    bias_deg: float
+    scale: float | None
+    elevation_deg: float
+
+
+@dataclass(frozen=True, slots=True)
+class Uncertainty:
+    """Standard uncertainties of one calibrated reading, degrees; None where not known.
+
+    Attributes:
+        type_a_deg: from the scatter of the unit's own poses.
+        type_b_deg: from elsewhere: what the reference is worth.
+        reference_deg: the reference's share of it.
+        expanded_deg: the two together, times `coverage_factor`.
+        coverage_factor: k for `coverage`, by the distributions of the two; None with `expanded_deg`.
+        coverage: the probability that the expanded uncertainty covers.
+        bias_reference_std_deg: type B standard uncertainty of the bias, beside the line's own of type A.
+        scale_reference_std: the same of the scale.
+    """
+
+    type_a_deg: float | None
+    type_b_deg: float | None
+    reference_deg: float | None
+    expanded_deg: float | None
+    bias_reference_std_deg: float | None = None
+    scale_reference_std: float | None = None
+    coverage_factor: float | None = None
+    coverage: float = COVERAGE
+
+    def to_dict(self) -> dict[str, float | None]:
+        """The contract's `uncertainty`, and the reference's part of bias and scale."""
+        return {
+            "type_a_deg": self.type_a_deg,
+            "type_b_deg": self.type_b_deg,
+            "reference_deg": self.reference_deg,
+            "reference_bias_deg": self.bias_reference_std_deg,
+            "reference_scale": self.scale_reference_std,
+        }
+
+
+def uncertainty(
+    line: Line, theta_deg: FloatArray, reference: Reference | None, scatter_deg: float | None = None
+) -> Uncertainty:
+    """Uncertainty of an elevation that the calibration gives from one reading.
+
+    elevation = (reading − bias)/scale, hence by the law of propagation with bias and scale correlated (GUM,
+    JCGM 100:2008, 5.2.2, as in its example H.3), s the scatter of a reading about the line:
+
+        u²(θ) = (s² + var(bias) + 2·θ·cov(bias, scale) + θ²·var(scale))/scale²
+
+    One figure for the whole range is the mean of u² over it (F.2.4.5). This is type A (4.2). What the
+    reference is worth is type B (4.3, `reference_part`). The two are uncorrelated (5.1.2) and combine to
+    U = k·√(A² + B²), k for 95 % by `coverage_factor` (6.2.1). All of type A comes from the one scatter s, so
+    that it has the line's n − 2 degrees of freedom. A mean over settings is as good as normal.
+
+    Args:
+        line: the fit.
+        theta_deg: (n,) elevations of the poses it rests on; their lowest and highest are the range.
+        reference: what the stage's own angle is worth; None where nobody has said.
+        scatter_deg: s of the reading, where it is not to be that of the poses about the line.
+    """
+    type_a = _type_a_deg(line, theta_deg, scatter_deg)
+    if reference is None:
+        return Uncertainty(type_a, None, None, None)
+    part = reference_part(theta_deg, line.scale, reference)
+    of_stage_deg = part.elevation_deg
+    k = None
+    if type_a is not None:
+        distribution = "normal" if reference.kind == "setting" else reference.distribution
+        k = coverage_factor(type_a, len(theta_deg) - 2.0, of_stage_deg, distribution)
+    return Uncertainty(
+        type_a_deg=type_a,
+        type_b_deg=of_stage_deg,
+        reference_deg=of_stage_deg,
+        expanded_deg=None if type_a is None or k is None else k * math.hypot(type_a, of_stage_deg),
+        bias_reference_std_deg=part.bias_deg,
+        scale_reference_std=part.scale,
+        coverage_factor=k,
+    )
+
+
+def reference_part(theta_deg: FloatArray, scale: float | None, reference: Reference) -> ReferencePart:
+    """What an error d of the stage's angle, of standard uncertainty u, does to bias, scale and elevation.
+
+    The stage says θ where the elevation is θ − d(θ), so that reading = bias + scale·θ − scale·d: the fit
+    takes the least-squares line through −scale·d as if it were the unit's. With X = [1 θ] and
+    G = (XᵀX)⁻¹Xᵀ that line has the covariance scale²·G·cov(d)·Gᵀ (GUM 5.2.2), and a calibrated elevation
+    is wrong by the line through d itself. By kind:
+
+    - `common`: d is one unknown constant. G·1 = (1, 0): the bias has scale·u, the scale nothing, the
+      elevation u, whatever the number of poses.
+    - `harmonic`: d = A·sin θ + B·cos θ, with E[A²] = E[B²] = u², so that d has u at every θ: an axis off its
+      scale's centre. (bias, scale) have scale²·u²·(g gᵀ + h hᵀ), g = G·sin θ, h = G·cos θ: more poses on the
+      same arc change nothing. The elevation is given the whole of u. The line takes up at most that (a
+      projection lengthens nothing; over ±60° it takes 98 %), and the rest is in no calibrated reading's
+      power to show.
+    - `setting`: each pose has a d of its own. cov(d) = u²·1 gives scale²·u²·(XᵀX)⁻¹, and the elevation the
+      mean of u²·(1 θ)(XᵀX)⁻¹(1 θ)ᵀ over the range: this alone falls with √n, for the line is an average over
+      n settings and a reading in use involves no stage. The scatter about the line shows these errors
+      too, so that type A holds them once more: on the safe side, since s² − u² of a few poses may be
+      negative. (Where θ is what an encoder with such an error reports, the scale is also too small by u²
+      over the variance of θ, 7·10⁻⁵ for 0.29° over ±60°: not corrected.)
+    - `map`: propagated through these poses already (`line_covariance`).
+
+    Args:
+        theta_deg: (n,) elevations of the poses, n >= 1.
+        scale: of the fit; None with all poses at one angle, counts as 1.
+        reference: u, and which of the kinds.
+    """
+    std_deg, kind = reference.std_deg, reference.kind
+    factor = 1.0 if scale is None else abs(scale)
+    if reference.line_covariance is not None:
+        (of_offset, _), (_, of_slope) = reference.line_covariance
+        of_scale = None if scale is None else factor * math.sqrt(of_slope)
+        return ReferencePart(factor * math.sqrt(of_offset), of_scale, std_deg)
+    design = np.ones((len(theta_deg), 1))
+    if scale is not None:
+        design = np.column_stack([design, theta_deg])
+    to_line = np.linalg.pinv(design)
+    if kind == "setting":
+        line = to_line
+    elif kind == "harmonic":
+        angle = np.radians(theta_deg)
+        line = to_line @ np.column_stack([np.sin(angle), np.cos(angle)])
+    else:
+        line = np.eye(design.shape[1])[:, :1]
+    covariance = np.asarray(std_deg**2 * line @ line.T, dtype=np.float64)
+    of_elevation = math.sqrt(_mean_over_range(covariance, theta_deg)) if kind == "setting" else std_deg
+    return ReferencePart(
+        bias_deg=factor * math.sqrt(covariance[0, 0]),
+        scale=None if scale is None else factor * math.sqrt(covariance[1, 1]),
+        elevation_deg=of_elevation,
+    )
+
+
+def _mean_over_range(covariance: FloatArray, theta_deg: FloatArray) -> float:
+    """Mean of (1 θ)·covariance·(1 θ)ᵀ over the range of the elevations; the bias' alone where it is 1×1."""
+    if len(covariance) == 1:
+        return float(covariance[0, 0])
+    low, high = float(theta_deg.min()), float(theta_deg.max())
+    mean, mean_square = (low + high) / 2.0, (low * low + low * high + high * high) / 3.0
+    return float(covariance[0, 0] + 2.0 * mean * covariance[0, 1] + mean_square * covariance[1, 1])
+
+
+def _type_a_deg(line: Line, theta_deg: FloatArray, scatter_deg: float | None) -> float | None:
+    if line.scale is None or line.covariance is None or line.residual_std_deg is None:
+        return None
+    if abs(line.scale) < MIN_SCALE:
+        return None
+    of_line = _mean_over_range(np.array(line.covariance), theta_deg)
+    scatter_deg = line.residual_std_deg if scatter_deg is None else scatter_deg
+    return math.sqrt(scatter_deg**2 + of_line) / abs(line.scale)
+
+
+STRETCHES = 12
+"""Of the range: ±60° in steps of 10° have one about each elevation, and its two ends have one each."""
+DECIMALS = 6
+"""A microdegree; a result is kept and sent with every run."""
+
+
+@dataclass(frozen=True, slots=True)
+class RangeErrors:
+    """The line that was found and, over the range, the error that is left once everything is applied.
+
+    Attributes:
+        bias_deg, scale: as found, beside all effects accepted.
+        covariance: of bias and scale, type A; None where too few poses tell.
+        freedom: degrees of freedom of the scatter that it is from.
+        expanded_uncertainty_deg: of one calibrated elevation; None where the reference is not known.
+        error_expanded_uncertainty_deg: of the errors below, which are not their own uncertainty: the noise of
+            a reading stands in it where that of an elevation has all that is left. None likewise.
+        coverage_factor: its k, for the probability `coverage`.
+        elevation_deg: (m,) in the middle of stretches of the range, ascending.
+        lowest_error_deg: (m,) of the poses in each stretch, calibrated elevation less θ.
+        highest_error_deg: (m,) likewise.
+        mean_error_deg: over the range; what a fit leaves has about none, what is verified may.
+    """
+
+    bias_deg: float
+    scale: float | None
+    covariance: tuple[tuple[float, float], tuple[float, float]] | None
+    freedom: int
+    expanded_uncertainty_deg: float | None
+    error_expanded_uncertainty_deg: float | None
+    coverage_factor: float | None
+    coverage: float
+    elevation_deg: tuple[float, ...]
+    lowest_error_deg: tuple[float, ...]
+    highest_error_deg: tuple[float, ...]
+    mean_error_deg: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        return {name: _thawed(value) for name, value in asdict(self).items()}
+
+    @classmethod
+    def from_dict(cls, document: Mapping[str, Any]) -> RangeErrors:
+        """What `to_dict` gave; further keys of the document are not looked at."""
+        return cls(**{one.name: frozen(document[one.name]) for one in fields(cls)})
+
+
+def frozen(value: Any) -> Any:
+    """Lists as tuples, all the way down."""
+    return tuple(map(frozen, value)) if isinstance(value, (list, tuple)) else value
+
+
+def _thawed(value: Any) -> Any:
+    return list(map(_thawed, value)) if isinstance(value, tuple) else value
+
+
+def over_range(
+    theta_deg: FloatArray,
+    error_deg: FloatArray,
+    line: Line,
+    reference: Reference | None,
+    noise_deg: float | None,
+) -> RangeErrors | None:
+    """Gathers what limits need. Errors are not averaged: what approach or time do to a pose would cancel.
+
+    Args:
+        theta_deg: (n,) elevations of the poses.
+        error_deg: (n,) what is left of each, calibrated elevation less θ.
+        line: fitted to these poses.
+        reference: what the stage's own angle is worth.
+        noise_deg: standard error of one reading, from within the dwells; None where it is not known.
+
+    Returns:
+        None where the reading does not follow the stage, so that there is no calibrated elevation.
+    """
+    if not np.isfinite(error_deg).all():
+        return None
+    low, width = float(theta_deg.min()), float(np.ptp(theta_deg)) / STRETCHES
+    if line.scale is None:  # what a stage scatters by about one elevation is no range
+        low, width = float(theta_deg.mean()), 0.0
+    places = np.rint((theta_deg - low) / width).astype(int) if width > 0.0 else np.zeros(len(theta_deg), int)
+    stretches = np.unique(places)
+    of_each = [error_deg[places == place] for place in stretches]
+    worth = uncertainty(line, theta_deg, reference)
+    of_error = uncertainty(line, theta_deg, reference, noise_deg or None)
+    expanded = [u for u in (worth.expanded_deg, of_error.expanded_deg) if u is not None]
+    return RangeErrors(
+        bias_deg=line.bias_deg,
+        scale=line.scale,
+        covariance=line.covariance,
+        freedom=len(theta_deg) - (1 if line.scale is None else 2),
+        expanded_uncertainty_deg=worth.expanded_deg,
+        error_expanded_uncertainty_deg=min(expanded, default=None),
+        coverage_factor=worth.coverage_factor,
+        coverage=worth.coverage,
+        elevation_deg=tuple(round(low + width * place, DECIMALS) for place in stretches.tolist()),
+        lowest_error_deg=tuple(round(float(errors.min()), DECIMALS) for errors in of_each),
+        highest_error_deg=tuple(round(float(errors.max()), DECIMALS) for errors in of_each),
+        mean_error_deg=float(np.mean([errors.mean() for errors in of_each])),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceFigures:
+    """What the rig says its stage is worth, and what that makes of bias and scale.
+
+    Standard uncertainties of type B: `bias_std_deg` and `scale_std` of the result itself are of type A.
+    `line_covariance` is that of `Reference`; None but for a stage's map.
+    """
+
+    std_deg: float
+    kind: ReferenceKind
+    bias_std_deg: float
+    scale_std: float | None
+    distribution: Distribution = "rectangular"
+    line_covariance: Covariance | None = None
+
+    @property
+    def reference(self) -> Reference:
+        """What the rig said."""
+        return Reference(self.std_deg, self.kind, self.distribution, self.line_covariance)
+
+    @classmethod
+    def of(cls, theta_deg: FloatArray, line: Line, reference: Reference) -> ReferenceFigures:
+        """Of a line fitted to poses at these elevations (n,)."""
+        part = reference_part(theta_deg, line.scale, reference)
+        known = reference.distribution, reference.line_covariance
+        return cls(reference.std_deg, reference.kind, part.bias_deg, part.scale, *known)
+
+    @classmethod
+    def from_dict(cls, document: Mapping[str, Any]) -> ReferenceFigures:
+        """What a result has of it; those of before have no distribution, or no covariance."""
+        return cls(**{one.name: frozen(document[one.name]) for one in fields(cls) if one.name in document})

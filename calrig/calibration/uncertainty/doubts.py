@@ -1,0 +1,224 @@
+"""Why a new calibration stays a draft until a person releases it: every reason, with its sentence.
+
+CONTRACT section 2, `reliable`, and section 6, `warnings`. A run's result carries its reasons as `doubts`; the
+verdict, the document of its revision, the page, the terminal and the feed show their sentences.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+from calrig.calibration.uncertainty.conformity import deg
+
+Document = Mapping[str, Any]
+
+Kind = Literal[
+    "move_mismatch",  # the unit measured another rotation than the stage reported
+    "missing_poses",  # poses of the plan were not measured
+    "clamping",  # gravity finds the unit at another clamping angle than the plan's
+    "changed",  # bias or scale moved by more than repeatability and remounting explain
+    "unmeasured_position",  # they moved, and the stage has no homing
+    "solution_in_force",  # a less accurate run would replace a joint solution
+    "effects_lost",  # a less accurate run would replace corrections
+]
+
+ZERO_G_DEG = 4.6
+"""What an MPU-6050's zero-g output of 80 mg, its largest (PS-MPU-6000A, 6.2), does to an elevation: the bias
+that a sound unit may have before it was ever calibrated."""
+REMOUNT_LIMIT_DEG = 1.0
+"""As a rig's `remount_limit_deg` is by default: a hand clamps to a degree."""
+STAYS_A_DRAFT = "So its calibration is not released by itself: a person decides, and gives a reason."
+"""What a verdict says after its doubts."""
+COVERS = 2.0
+"""Standard uncertainties that are added to `remount_limit_deg`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """One reason.
+
+    Attributes:
+        kind: for programs.
+        says: the sentence for people.
+    """
+
+    kind: Kind
+    says: str
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """Bias and scale with their standard uncertainties; the scale is None where it is not known."""
+
+    bias_deg: float
+    scale: float | None
+    bias_std_deg: float
+    scale_std: float
+
+    @classmethod
+    def of(cls, result: Document, *, other_stage: bool) -> Line:
+        """Of a run's result, without accepted effects: as every run can give it.
+
+        Args:
+            result: CONTRACT section 2's.
+            other_stage: whether it is compared with a run on another stage, whose uncertainty is another one.
+        """
+        of_stage = (other_stage and result.get("reference")) or {}
+        stds = [
+            math.hypot(result[name] or 0.0, of_stage.get(name) or 0.0)
+            for name in ("bias_std_deg", "scale_std")
+        ]
+        return cls(result["bias_deg"], result["scale"], *stds)
+
+
+def doubts_of(result: Document, *, move_mismatches: int, verification: bool = False) -> list[Doubt]:
+    """Return the doubts of a run's result.
+
+    Args:
+        result: CONTRACT section 2's. One without `doubts` is of a run that made no draft, or of an earlier
+            version: only what the run itself tells can be said of it.
+        move_mismatches: moves of the run in which unit and stage disagree.
+        verification: whether the result applies an earlier calibration and fits nothing.
+    """
+    stored = result.get("doubts")
+    if stored is not None:
+        return [Doubt(**one) for one in stored]
+    clamping = [] if verification else clamping_doubts(result["bias_deg"])
+    return [*pose_doubts(result, move_mismatches), *clamping]
+
+
+def to_dicts(doubts: Sequence[Doubt]) -> list[dict[str, str]]:
+    """Return the doubts ready for JSON."""
+    return [asdict(one) for one in doubts]
+
+
+def pose_doubts(result: Document, mismatches: int) -> list[Doubt]:
+    """Return what makes a run's own poses doubtful."""
+    found = []
+    if mismatches:
+        moves = "1 move" if mismatches == 1 else f"{mismatches} moves"
+        found.append(
+            Doubt(
+                "move_mismatch",
+                f"Not to be relied on: in {moves} the unit felt another turn than the stage reported; it may "
+                "have lost steps or slipped there, and poses before and after do not belong together.",
+            )
+        )
+    if result.get("lost_says"):
+        found.append(Doubt("missing_poses", result["lost_says"]))
+    return found
+
+
+def clamping_doubts(
+    bias_deg: float, known_deg: float | None = None, remount_limit_deg: float = REMOUNT_LIMIT_DEG
+) -> list[Doubt]:
+    """Return whether gravity finds the unit at another clamping angle than the plan's.
+
+    Args:
+        bias_deg: what the unit reads where the stage stands at 0° and the unit at the plan's mount.
+        known_deg: the unit's known bias; None before its first calibration, when it may have the offset that
+            its data sheet allows.
+        remount_limit_deg: how far remounting may turn a unit.
+    """
+    if abs(bias_deg - (known_deg or 0.0)) <= ZERO_G_DEG + remount_limit_deg:
+        return []
+    expected = "" if known_deg is None else f", and {known_deg:+.2f}° by its calibration"
+    return [
+        Doubt(
+            "clamping",
+            f"The unit reads {bias_deg:+.1f}° where the stage stands at 0°{expected}: it is clamped at "
+            "another angle than the plan says, or the stage's zero is another one.".replace("-", "−"),
+        )
+    ]
+
+
+def remount_doubts(
+    before: Line, now: Line, range_deg: Sequence[float], remount_limit_deg: float, against: str
+) -> list[Doubt]:
+    """Compare two calibrations of a unit, where too few repeats tell what remounting adds.
+
+    Args:
+        before: of the calibration in force.
+        now: of the new one.
+        range_deg: its lowest and highest elevation: there the two lines differ most.
+        remount_limit_deg: what remounting may add; `COVERS` standard uncertainties come on top.
+        against: names the calibration in force, for the sentence.
+    """
+    scale = 0.0 if before.scale is None or now.scale is None else now.scale - before.scale
+    apart_deg = [now.bias_deg - before.bias_deg + scale * end for end in range_deg]
+    most_deg = max(apart_deg, key=abs)
+    reach_deg = max(abs(end) for end in range_deg)
+    std_deg = math.hypot(
+        before.bias_std_deg, now.bias_std_deg, reach_deg * math.hypot(before.scale_std, now.scale_std)
+    )
+    if abs(most_deg) <= remount_limit_deg + COVERS * std_deg:
+        return []
+    return [
+        Doubt(
+            "changed",
+            f"The readings differ by {most_deg:+.2f}° from those of {against}; noise and remounting explain "
+            f"{remount_limit_deg + COVERS * std_deg:.2f}° at most (remount_limit_deg).".replace("-", "−"),
+        )
+    ]
+
+
+def repeat_doubts(difference: str, against: str) -> list[Doubt]:
+    """Return the doubt about a difference that the repeats of all units do not explain, in its words."""
+    return [
+        Doubt(
+            "changed",
+            f"{difference} That is against {against}, and more than repeatability and remounting explain.",
+        )
+    ]
+
+
+def position_doubts(changed: Collection[Doubt], *, homes: bool) -> list[Doubt]:
+    """Return that a stage without homing may stand elsewhere, where bias or scale have changed."""
+    if homes or not changed:
+        return []
+    return [
+        Doubt(
+            "unmeasured_position",
+            "The stage has no homing: its position rests on memory or on what a person said. If the table "
+            "was turned meanwhile, the bias is wrong by as much.",
+        )
+    ]
+
+
+def displacement_doubts(
+    before: Document, now: Document, still_accepted: Collection[str], against: str
+) -> list[Doubt]:
+    """Return what would be lost if a calibration took the place of the one in force.
+
+    Args:
+        before: the document in force, CONTRACT section 6.
+        now: the content of the new one.
+        still_accepted: names of the unit's effects that nobody has taken back.
+        against: names the revision in force, for the sentence.
+    """
+    then_deg, now_deg = before["expanded_uncertainty_deg"], now["expanded_uncertainty_deg"]
+    if then_deg is None or (now_deg is not None and now_deg <= then_deg):
+        return []
+    larger = f"U was {deg(then_deg)} and would be {'not known' if now_deg is None else deg(now_deg)}"
+    found = []
+    if _is_solved(before) and not _is_solved(now):
+        found.append(
+            Doubt(
+                "solution_in_force", f"A plain run would replace the joint solution of {against}: {larger}."
+            )
+        )
+    corrected = {one["name"] for one in now["effects"]}
+    lost = [
+        e["name"] for e in before["effects"] if e["name"] in still_accepted and e["name"] not in corrected
+    ]
+    if lost:
+        names = ", ".join(sorted(lost)).replace("_", " ")
+        found.append(Doubt("effects_lost", f"It does not correct {names}, as {against} does: {larger}."))
+    return found
+
+
+def _is_solved(document: Document) -> bool:
+    return (document.get("provenance") or {}).get("solution") is not None
