@@ -13,7 +13,7 @@ from calrig.calibration.regression import ApplyError
 from calrig.calibration.results import Application
 from calrig.errors import InputError
 from calrig.estimation.angles import FloatArray
-from calrig.export.calibration_file import read_document
+from calrig.export.calibration_document import read_document
 
 Numbers = npt.ArrayLike
 

@@ -1,4 +1,9 @@
-"""What is configured: rigs from calrig.toml, where the store lies, where packed files are."""
+"""Where another program is told of each run's end: `[webhook]` of calrig.toml.
+
+Limits that units are held against, of the configuration or kept by people in the store.
+
+What is configured: rigs from calrig.toml, where the store lies, where packed files are.
+"""
 
 from __future__ import annotations
 
@@ -9,18 +14,60 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import platformdirs
-from pydantic import (
-    Field,
-    IPvAnyNetwork,
-    PrivateAttr,
-    ValidationError,
-    model_validator,
-)
+from pydantic import Field, IPvAnyNetwork, PrivateAttr, ValidationError, field_validator, model_validator
 
 from calrig.invalid_fields import first_problem
 from calrig.laboratory import STANDARDS, LaboratorySettings, Overdue, StandardSettings, Strict
-from calrig.limit_settings import LimitSettings
-from calrig.webhook_settings import WebhookSettings
+
+
+class WebhookSettings(Strict):
+    """Where another program is told of each run's end, and what its key is kept in: a file or a variable."""
+
+    url: Annotated[str, Field(pattern=r"^https?://[^\s/@]+(/\S*)?$", max_length=2000)]
+    secret_file: Path | None = None
+    secret_env: Annotated[str, Field(pattern=r"^\w+$", max_length=200)] | None = None
+
+    @model_validator(mode="after")
+    def _has_one_key(self) -> Self:
+        if (self.secret_file is None) == (self.secret_env is None):
+            raise ValueError(
+                "a webhook needs secret_file or secret_env, one of them: what it sends is signed"
+            )
+        return self
+
+
+Positive = Annotated[float, Field(gt=0)]
+Range = tuple[float, float]
+
+
+class LimitSettings(Strict):
+    """What units are held against, a `[[limit]]` or an entry of `/api/limits`; null asks nothing of that."""
+
+    name: Annotated[str, Field(min_length=1, max_length=100)]
+    units: Annotated[str, Field(min_length=1, max_length=200)] = "*"
+    rig: Annotated[str, Field(min_length=1, max_length=64)] | None = None
+    max_error_deg: Positive | None = None
+    bias_deg: Range | None = None
+    scale: Range | None = None
+    rms_deg: Positive | None = None
+    expanded_uncertainty_deg: Positive | None = None
+    rule: Literal["simple", "guarded"] = "simple"
+    guard: Annotated[float, Field(gt=0, le=10)] = 1.0
+
+    @field_validator("bias_deg", "scale")
+    @classmethod
+    def _is_ordered(cls, ends: Range | None) -> Range | None:
+        if ends is not None and ends[0] >= ends[1]:
+            raise ValueError(f"the lower end {ends[0]:g} is not below the upper one {ends[1]:g}")
+        return ends
+
+    @model_validator(mode="after")
+    def _asks_something(self) -> Self:
+        asked = (self.max_error_deg, self.bias_deg, self.scale, self.rms_deg, self.expanded_uncertainty_deg)
+        if all(one is None for one in asked):
+            raise ValueError(f"the limit {self.name!r} asks nothing: give it at least one figure")
+        return self
+
 
 CONFIG_NAME = "calrig.toml"
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+_.-]*://")

@@ -10,7 +10,7 @@ from alembic import context
 from sqlalchemy import Connection, text
 
 # their tables belong to the metadata
-from calrig.store import bench_tables, finding_tables, queue_tables  # noqa: F401
+from calrig.store import bench_tables, tables  # noqa: F401
 from calrig.store.tables import SQLModel
 
 TEXT_OF_A_LANGUAGE = """

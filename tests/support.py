@@ -179,9 +179,8 @@ def serving(service: Any, *, own_processes: bool = False, **options: Any) -> Ite
         own_processes: whether it has processes for heavy work that end with it, not those of all services.
         **options: those of `create_app`.
     """
-    from calrig.api.address import listen
     from calrig.api.app import create_app
-    from calrig.api.server import Server
+    from calrig.api.server import Server, listen
 
     ready = threading.Event()
     listener = listen("127.0.0.1", 0)

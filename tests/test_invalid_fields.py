@@ -9,9 +9,8 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 
 from calrig.invalid_fields import SHOWN, TITLES, in_words, path_of, sentence
-from calrig.limit_settings import LimitSettings
 from calrig.plan import Plan
-from calrig.settings import packed
+from calrig.settings import LimitSettings, packed
 
 
 def problems(kind, given):

@@ -1,4 +1,6 @@
-"""A rig's orders: each is taken at most once, when the rig is free, and carried out or said to have failed.
+"""The orders of a bench in its centre's database: looking at them, and taking one by one statement.
+
+A rig's orders: each is taken at most once, when the rig is free, and carried out or said to have failed.
 
 The row of an order is the truth; a job of Procrastinate's only says that it is worth a look.
 """
@@ -8,16 +10,72 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from typing import NamedTuple
 
-from calrig.agent.lease import Lease
-from calrig.agent.link import Link, LinkDown
-from calrig.agent.order_rows import Pending, epochs_taken, order_of, pending_order, take
+from calrig.agent.link import Centre, Lease, Link, LinkDown
 from calrig.analysis.errors import Conflict, RunsError
-from calrig.runs.ordered import ordered_run
+from calrig.runs.assignment import ordered_run
 from calrig.runs.service import RunService
 from calrig.settings import RigSettings
 from calrig.store import Status, StoreError
+from calrig.store.checksums import unsealed
+from calrig.store.errors import StoreDamagedError, Unreadable
 from calrig.store.records import Document
+
+_PENDING = """
+SELECT run_uid, epoch FROM run_order
+WHERE bench = %s AND rig = %s AND epoch > taken_epoch AND wish IN ('begin', 'resume')
+ORDER BY ordered_at, run_uid LIMIT 1
+"""
+_TAKE = """
+UPDATE run_order SET taken_epoch = %(epoch)s
+WHERE run_uid = %(run_id)s AND bench = %(bench)s AND epoch = %(epoch)s AND taken_epoch < %(epoch)s
+RETURNING wish, document
+"""
+_TAKEN = """
+SELECT run_uid, epoch FROM run_order
+WHERE bench = %s AND rig = %s AND epoch = taken_epoch AND wish IN ('begin', 'resume')
+"""
+_ORDER = "SELECT document FROM run_order WHERE bench = %s AND run_uid = %s"
+
+
+class Pending(NamedTuple):
+    """An order that nobody has taken."""
+
+    run_id: str
+    epoch: int
+
+
+def pending_order(centre: Centre, rig: str) -> Pending | None:
+    """The oldest order of a rig that is not taken."""
+    found = centre.connection.execute(_PENDING, (centre.bench, rig)).fetchone()
+    return None if found is None else Pending(*found)
+
+
+def take(centre: Centre, order: Pending) -> tuple[str, Document] | None:
+    """Takes an order: its wish and document; None where another epoch counts by now, or it was taken."""
+    wanted = {"bench": centre.bench, "run_id": order.run_id, "epoch": order.epoch}
+    found = centre.connection.execute(_TAKE, wanted).fetchone()
+    return None if found is None else (found[0], _document(order.run_id, found[1]))
+
+
+def epochs_taken(centre: Centre, rig: str) -> dict[str, int]:
+    """The newest epoch of each of a rig's runs where that was taken."""
+    return dict(centre.connection.execute(_TAKEN, (centre.bench, rig)).fetchall())
+
+
+def order_of(centre: Centre, run_id: str) -> Document:
+    """The order of a run."""
+    found = centre.connection.execute(_ORDER, (centre.bench, run_id)).fetchone()
+    return _document(run_id, None if found is None else found[0])
+
+
+def _document(run_id: str, stored: object) -> Document:
+    try:
+        return unsealed(stored)
+    except (Unreadable, TypeError) as error:
+        raise StoreDamagedError(f"the order of run {run_id} cannot be read: {error}") from error
+
 
 log = logging.getLogger(__name__)
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from calrig.agent.link import NOW, Link, LinkDown, json_of
 from calrig.store import Store, StoreError
 from calrig.store.errors import StoreDamagedError
-from calrig.store.packing import Parcel
+from calrig.store.parcels import Parcel
 
 log = logging.getLogger(__name__)
 

@@ -8,10 +8,9 @@ from functools import partial
 from pathlib import Path
 
 from calrig.analysis.errors import Conflict, Invalid, Unknown
-from calrig.analysis.imported import Imported, read_and_fit
-from calrig.analysis.issuing import Issuer
-from calrig.analysis.origin import check_serial, provenance
+from calrig.analysis.imports import Imported, check_serial, provenance, read_and_fit
 from calrig.analysis.results import refitted
+from calrig.analysis.revisions import Issuer
 from calrig.analysis.stored_runs import checked_reason, counted_poses, ended_run, stored_run
 from calrig.export.poses_csv import CsvError
 from calrig.plan import CALIBRATING

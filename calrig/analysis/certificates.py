@@ -1,27 +1,43 @@
-"""What a revision's certificate is made of, gathered from the store."""
+"""What a revision's certificate is made of, gathered from the store.
+
+A unit's archive from a store: what `calrig.export.archive` packs, with its certificates.
+
+A unit's calibration in the formats of other programs: those of a revision, and those of its noise.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
+from typing import Any, Literal, get_args
 
-from calrig.analysis.errors import Conflict
+from calrig.analysis.errors import Conflict, Unknown
+from calrig.analysis.noise_studies import noise_of_unit
 from calrig.analysis.results import rest_on_map
-from calrig.analysis.solved_drafts import gone_since, solution_changes, solved_poses
+from calrig.analysis.revisions import Issuer
+from calrig.analysis.solution_drafts import gone_since, solution_changes, solved_poses
 from calrig.analysis.stored_runs import stored_run
 from calrig.calibration.uncertainty import Limit
+from calrig.errors import WorkError
+from calrig.export.archive.contents import unit_archive
+from calrig.export.c_header import c_header
 from calrig.export.certificate.content import Certificate
 from calrig.export.certificate.making import Sources, certificate_of
 from calrig.export.certificate.pdf import Attached, CannotPrintError, pdf_of
 from calrig.export.dcc.document import dcc_of
 from calrig.export.dcc.signing import signed
-from calrig.figures.residual_steps import residual_steps
-from calrig.figures.svg import svg_of
+from calrig.export.formats.ardupilot import ardupilot
+from calrig.export.formats.imu_tk import imu_tk
+from calrig.export.formats.imucal import imucal
+from calrig.export.formats.noise_yaml import kalibr, vins
+from calrig.export.formats.px4 import px4
+from calrig.export.formats.triads import NotHeldError
+from calrig.figures.svg import residual_steps, svg_of
 from calrig.laboratory import LaboratorySettings
 from calrig.store import AcceptedEffect, Run, Store
 from calrig.store.issued import Revision
-from calrig.store.records import StoredPose
+from calrig.store.records import Document, StoredPose
 from calrig.store.trail import Entry, What
 
 EVERY_ENTRY = 1_000_000
@@ -151,3 +167,82 @@ def certificate_pdf(store: Store, revision: Revision, laboratory: LaboratorySett
         return pdf_of(said, picture, attached, laboratory)
     except CannotPrintError as error:
         raise Conflict(f"revision {revision.revision} of unit {revision.unit!r}: {error}") from error
+
+
+def archive_of(store: Store, serial: str, laboratory: LaboratorySettings) -> Iterator[bytes]:
+    """The archive, piece by piece.
+
+    Args:
+        store: where the unit is.
+        serial: of the unit.
+        laboratory: who issues its certificates, as PDF too where that can be made here. They are unsigned:
+            not every signature is the same once more.
+
+    Raises:
+        Unknown: there is no such unit; at once.
+    """
+    if store.unit(serial) is None:
+        raise Unknown(f"there is no unit {serial!r}")
+    unsigned = laboratory.model_copy(update={"signing_key": None, "signing_certificate": None})
+
+    def certificates(revision: Revision) -> Iterator[tuple[str, bytes]]:
+        yield "xml", certificate_dcc(store, revision, unsigned)
+        try:
+            yield "pdf", certificate_pdf(store, revision, unsigned)
+        except (WorkError, Conflict):
+            return  # no typst here, or no font for a character: the XML says the same
+
+    return unit_archive(store, serial, Issuer(store).listed, certificates)
+
+
+RevisionFormat = Literal["c-header", "px4", "ardupilot", "imu-tk", "imucal"]
+NoiseFormat = Literal["kalibr", "vins"]
+REVISION_FORMATS: tuple[str, ...] = get_args(RevisionFormat)
+NOISE_FORMATS: tuple[str, ...] = get_args(NoiseFormat)
+
+_OF_REVISION: dict[str, Callable[[Mapping[str, Any]], str]] = {
+    "c-header": c_header,
+    "px4": px4,
+    "ardupilot": ardupilot,
+    "imu-tk": imu_tk,
+    "imucal": imucal,
+}
+_OF_NOISE: dict[str, Callable[[Mapping[str, Any], str], str]] = {"kalibr": kalibr, "vins": vins}
+
+
+def exported(revision: Revision, format_: str) -> str:
+    """A revision as a text of a `RevisionFormat`.
+
+    Raises:
+        Conflict: it cannot hold what the revision says.
+    """
+    return exported_document(
+        revision.document, format_, f"revision {revision.revision} of unit {revision.unit!r}"
+    )
+
+
+def exported_document(document: Mapping[str, Any], format_: str, what: str) -> str:
+    """A document as such a text; `what` it is called where it cannot be, as `exported`."""
+    try:
+        return _OF_REVISION[format_](document)
+    except ValueError as error:
+        in_ = "C" if format_ == "c-header" else format_
+        raise Conflict(f"{what} cannot be put into {in_}: {error}") from error
+
+
+def exported_noise(
+    store: Store,
+    unit: str,
+    format_: str,
+    carried_out: Callable[[Callable[[], Document]], Document] = lambda function: function(),
+) -> str:
+    """The noise of a unit's latest static log as a text of a `NoiseFormat`; as `noise_of_unit`.
+
+    Raises:
+        Conflict: there is no such log, or it does not show what the format needs.
+    """
+    report, run = noise_of_unit(store, unit, carried_out)
+    try:
+        return _OF_NOISE[format_](report, f"unit {unit}, static run {run.id}")
+    except NotHeldError as error:
+        raise Conflict(f"run {run.id}: {error}") from error

@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from calrig.analysis.check_unit import suspects
+from calrig.analysis.check_standard import suspects
 from calrig.analysis.due_dates import DueDates
 from calrig.analysis.errors import Unknown
-from calrig.analysis.histories import Histories
-from calrig.analysis.unit_changes import RULE, change_of
+from calrig.analysis.histories import RULE, Histories, change_of
 from calrig.calibration.histories import (
     FALSE_DISCOVERY_RATE,
     Components,

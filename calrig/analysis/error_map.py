@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calrig.analysis.joint_solutions import mounted
+from calrig.analysis.solutions import mounted
 from calrig.analysis.stored_runs import ended_run
 from calrig.calibration.poses import DiagnosisError
 from calrig.calibration.separation import MountedPoses, StageMap
@@ -21,6 +21,7 @@ from calrig.store.records import Run
 if TYPE_CHECKING:
     from calrig.calibration.separation import Solution
     from calrig.store import Store
+
 
 MOST_RUNS = 12
 """The newest; solved in some seconds."""
@@ -69,10 +70,10 @@ def _is_remounted(run: Run) -> bool:
 def error_map(store: Store, rig: str) -> ErrorMap:
     """The map of a rig as it is now."""
     basis = basis_of(store, rig)
-    return solved_map(lots_of(store, basis), basis)
+    return solved_map(poses_by_mounting(store, basis), basis)
 
 
-def lots_of(store: Store, basis: Basis) -> list[MountedPoses]:
+def poses_by_mounting(store: Store, basis: Basis) -> list[MountedPoses]:
     """The poses that a map rests on."""
     return mounted(store, [ended_run(store, run_id) for run_id, _ in basis.runs])
 
@@ -105,9 +106,9 @@ def _untold(basis: Basis, why: str) -> ErrorMap:
 
 
 def _told(solution: Solution, basis: Basis) -> ErrorMap:
-    from calrig.export.joint_documents import map_document
+    from calrig.export.solution_documents import stage_map_document
 
-    stage_map = StageMap.from_document(map_document(solution))
+    stage_map = StageMap.from_document(stage_map_document(solution))
     senses = (1, -1) if solution.fit.problem.free[-1] else (0,)
     dial = np.tile(stage_map.dial_deg, len(senses))
     approach = np.repeat(senses, len(stage_map.dial_deg))

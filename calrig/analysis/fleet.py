@@ -1,32 +1,230 @@
-"""Every completed run once more by today's catalogue: all are screened, those that stand out diagnosed."""
+"""Who carries the pieces of a re-analysis out: processes of this machine, or whoever else takes them.
+
+One error map a rig from all its runs: what its units have in common, summed up as runs come by.
+
+A million runs are no joint solution: what the units themselves have in common is in this mean as well. The
+rig's own map (`calrig.analysis.error_map`) is solved for, from its newest runs.
+
+Every completed run once more by today's catalogue: all are screened, those that stand out diagnosed.
+"""
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
+import math
+import os
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from calrig.analysis.diagnoses import Diagnoses
 from calrig.analysis.errors import RunsError
-from calrig.analysis.fleet_maps import PlaceSums, merged, place_sums, rig_maps
-from calrig.analysis.fleet_workers import Workers, own_processes
 from calrig.analysis.stored_runs import poses_together, runs_together
 from calrig.calibration.fleet_screen import PackedPoses, packed, screen
 from calrig.calibration.poses import DiagnosisError
 from calrig.errors import WorkError
+from calrig.estimation.angles import FloatArray
 from calrig.export.poses_parquet import parquet_files, read_file
+from calrig.processes.pool import Processes
 from calrig.program_text import sha256_of_program
 
 if TYPE_CHECKING:
     from calrig.store import Store
     from calrig.store.fleet import ListedRun
+
+
+T = TypeVar("T")
+K = TypeVar("K")
+AHEAD = 2
+"""Questions to a worker that are ready when it has answered; more would only fill memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class Workers:
+    """Those that are there: `slots` carry something out at once."""
+
+    submit: Callable[[Callable[[], Any]], Future[Any]]
+    slots: int
+    what: str
+
+    def answers(self, questions: Iterable[tuple[K, Callable[[], T]]]) -> Iterator[tuple[K, T | Exception]]:
+        """What each question gave, or raised, in the order answered; as many are asked as keep all busy."""
+        asked: dict[Future[T], K] = {}
+        for key, question in questions:
+            asked[self.submit(question)] = key
+            while len(asked) >= AHEAD * self.slots:
+                yield from _done(asked)
+        while asked:
+            yield from _done(asked)
+
+
+def _done(asked: dict[Future[T], K]) -> Iterator[tuple[K, T | Exception]]:
+    finished, _ = wait(asked, return_when=FIRST_COMPLETED)
+    for future in finished:
+        key, error = asked.pop(future), future.exception()
+        if error is not None and not isinstance(error, Exception):
+            raise error
+        yield key, future.result() if error is None else error
+
+
+@contextmanager
+def own_processes(slots: int | None = None) -> Iterator[Workers]:
+    """Processes of calrig's own, without a number one a core; each piece has a bound of time and memory."""
+    slots = slots or len(os.sched_getaffinity(0))
+    loop = asyncio.new_event_loop()
+    thread = threading.Thread(target=loop.run_forever, name="fleet", daemon=True)
+    thread.start()
+    processes = Processes(slots)
+    try:
+        yield Workers(
+            lambda question: asyncio.run_coroutine_threadsafe(processes.run(question), loop),
+            slots,
+            f"{slots} processes",
+        )
+    finally:
+        asyncio.run_coroutine_threadsafe(_end(processes), loop).result()
+        loop.call_soon_threadsafe(loop.stop)
+        thread.join()
+        loop.close()
+
+
+async def _end(processes: Processes) -> None:
+    """Gives up what is in hand, and ends the processes."""
+    pieces = asyncio.all_tasks() - {asyncio.current_task()}
+    for piece in pieces:
+        piece.cancel()
+    await asyncio.gather(*pieces, return_exceptions=True)
+    await processes.close()
+
+
+FEWEST_UNITS = 3
+PLACE_DEG = 1.0
+"""Poses closer than this in elevation are taken for one place."""
+CAVEAT = "common firmware, a common cable or a common sensor design would look the same"
+APPROACHES = 3
+MIDDLE = 2**20
+"""Stands for a place of 0°, so that no key is below 0; of nearly three thousand turns either way."""
+Keys = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class MeanMap:
+    """Mean residual over units by elevation and approach, with its standard error between units."""
+
+    stage_deg: list[float]
+    approach: list[int]
+    error_deg: list[float]
+    std_deg: list[float]
+    units: int
+    caveat: str = CAVEAT
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaceSums:
+    """Sums of residuals by rig and unit, elevation and approach.
+
+    Attributes:
+        pairs: rig and unit.
+        pair: (K,) index into those.
+        place: (K,) elevation in steps of `PLACE_DEG` with the approach, as one number that orders both.
+        sums, counts: (K,) of the residuals, in degrees.
+    """
+
+    pairs: tuple[tuple[str, str], ...]
+    pair: Keys
+    place: Keys
+    sums: FloatArray
+    counts: FloatArray
+
+
+def place_sums(poses: PackedPoses, scale: FloatArray, residual_deg: FloatArray) -> PlaceSums:
+    """Those of runs of a known unit on a known rig that turned it.
+
+    Args:
+        poses: R runs of N poses.
+        scale: (R,) NaN where none is known.
+        residual_deg: (N,) what calibration leaves.
+    """
+    codes: dict[tuple[str, str], int] = {}
+    of_run = np.full(len(poses), -1, dtype=np.int64)
+    for k, (rig, unit) in enumerate(zip(poses.rigs, poses.units, strict=True)):
+        if rig is not None and unit is not None:
+            of_run[k] = codes.setdefault((rig, unit), len(codes))
+    of_run[np.isnan(scale)] = -1
+    pair = np.repeat(of_run, poses.counts)
+    approach = np.nan_to_num(poses.columns.get("approach", np.zeros(len(pair))))
+    step = np.rint(poses.theta_deg / PLACE_DEG)
+    place = (APPROACHES * (step + MIDDLE) + np.sign(approach) + 1).astype(np.int64)
+    counts = (pair >= 0) & np.isfinite(residual_deg)
+    ones = np.ones(int(counts.sum()))
+    return _summed(tuple(codes), pair[counts], place[counts], residual_deg[counts], ones)
+
+
+def merged(parts: Iterable[PlaceSums]) -> PlaceSums:
+    """The sums of several parts together."""
+    codes: dict[tuple[str, str], int] = {}
+    renamed: list[tuple[Keys, Keys, FloatArray, FloatArray]] = []
+    for part in parts:
+        new = np.array([codes.setdefault(pair, len(codes)) for pair in part.pairs], dtype=np.int64)
+        renamed.append((new[part.pair], part.place, part.sums, part.counts))
+    if not renamed:
+        nothing = np.empty(0, dtype=np.int64)
+        return PlaceSums((), nothing, nothing, np.empty(0), np.empty(0))
+    pair, place, sums, counts = (np.concatenate(columns) for columns in zip(*renamed, strict=True))
+    return _summed(tuple(codes), pair, place, sums, counts)
+
+
+def _summed(
+    pairs: tuple[tuple[str, str], ...], pair: Keys, place: Keys, sums: FloatArray, counts: FloatArray
+) -> PlaceSums:
+    """Rows of the same pair and place as one."""
+    order = np.argsort(pair * (2 * APPROACHES * MIDDLE) + place)
+    pair, place = pair[order], place[order]
+    begins = np.flatnonzero(np.diff(pair, prepend=-1) | np.diff(place, prepend=-1)) if len(pair) else order
+    if len(pair) == 0:
+        return PlaceSums(pairs, pair, place, sums, counts)
+    summed, counted = (np.add.reduceat(values[order], begins) for values in (sums, counts))
+    return PlaceSums(pairs, pair[begins], place[begins], summed, counted)
+
+
+def rig_maps(sums: PlaceSums) -> dict[str, MeanMap]:
+    """The map of each rig, by name: every unit counts once at each place, however many runs it has."""
+    rigs = np.array([rig for rig, _ in sums.pairs])
+    names, of_pair = np.unique(rigs, return_inverse=True) if len(rigs) else (rigs, np.empty(0, dtype=np.intp))
+    known = np.unique(sums.pair)
+    units = np.bincount(of_pair[known], minlength=len(names))
+    rig, means = of_pair[sums.pair], sums.sums / np.maximum(sums.counts, 1.0)
+    return {
+        str(name): _map(sums.place[rig == k], means[rig == k], int(units[k])) for k, name in enumerate(names)
+    }
+
+
+def _map(place: Keys, mean_deg: FloatArray, units: int) -> MeanMap:
+    """Of the means of all units (K,) of one rig at each place (K,)."""
+    places, inverse, n = np.unique(place, return_inverse=True, return_counts=True)
+    mean = np.bincount(inverse, mean_deg) / n if len(n) else np.empty(0)
+    squares = np.bincount(inverse, (mean_deg - mean[inverse]) ** 2) if len(n) else np.empty(0)
+    common = n >= FEWEST_UNITS
+    std = [math.sqrt(s / (m - 1) / m) for s, m in zip(squares[common], n[common].tolist(), strict=True)]
+    step, approach = np.divmod(places[common], APPROACHES)
+    return MeanMap(
+        [PLACE_DEG * (k - MIDDLE) for k in step.tolist()],
+        [k - 1 for k in approach.tolist()],
+        mean[common].tolist(),
+        std,
+        units,
+    )
+
 
 Progress = Callable[[str], AbstractContextManager[Callable[[float], None]]]
 OF_THE_CATALOGUE = ("calibration", "estimation")

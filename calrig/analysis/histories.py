@@ -1,15 +1,37 @@
-"""The histories of all units side by side: arrays of what their runs gave, and what changed between them."""
+"""The histories of all units side by side: arrays of what their runs gave, and what changed between them.
+
+What changed between two runs, in sentences.
+
+What changed from each run of a unit to the next: CONTRACT section 2's `changes`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import compress, pairwise
+from typing import Any
 
 import numpy as np
 
-from calrig.calibration.histories import Changes, IntArray, Repeatability, Runs, changes, pairs
+from calrig.analysis.errors import Unknown
+from calrig.calibration.effects import EFFECTS
+from calrig.calibration.histories import (
+    FALSE_DISCOVERY_RATE,
+    UNIT_CHART,
+    Changes,
+    ControlChart,
+    Differences,
+    IntArray,
+    Repeatability,
+    Runs,
+    changes,
+    control_chart,
+    pairs,
+)
 from calrig.estimation.angles import FloatArray
 from calrig.store import ComparisonRow, Store
 
@@ -211,3 +233,184 @@ def _stage_variances(store: Store, rows: list[ComparisonRow], unit: IntArray, ri
         bias, scale = known.get(rows[place].run_id, unstored)
         found[place] = bias**2, (scale or 0.0) ** 2
     return found
+
+
+FIGURE_NAMES = (("bias", "°"), ("scale", ""))
+STANDS_OUT = 3.0
+"""Standard uncertainties beyond which a figure is named beside the one that changed most."""
+
+
+def difference_in_words(differences: Sequence[Differences], k: int, verdict: str) -> str:
+    """The k-th difference of bias and scale: how far each moved, and what that is held against."""
+    named = zip(FIGURE_NAMES, differences, strict=True)
+    known = [(name, unit, d) for (name, unit), d in named if math.isfinite(d.value[k])]
+    if verdict == "not_known":
+        moved = (f"{name} by {plus_minus(d.value[k], d.type_a_std[k], unit)}" for name, unit, d in known)
+        by = " and ".join(moved) or "nothing that is known"
+        return (
+            f"Moved: {by} (the noise of both runs alone). What clamping anew and "
+            "the day add is not known yet: that takes more units that were calibrated twice."
+        )
+    tested = [one for one in known if math.isfinite(one[2].std[k])]
+    if verdict == "unchanged":
+        by = ", ".join(f"{name} {plus_minus(d.value[k], d.std[k], unit)}" for name, unit, d in tested)
+        return f"No more than repeatability: {by}."
+    tested.sort(key=lambda one: -abs(one[2].sigma[k]))
+    told = [tested[0], *(one for one in tested[1:] if abs(one[2].sigma[k]) > STANDS_OUT)]
+    moved = (
+        f"{name} moved by {plus_minus(d.value[k], d.std[k], unit)} ({abs(d.sigma[k]):.0f} times that)"
+        for name, unit, d in told
+    )
+    return _sentence("; ".join(moved))
+
+
+def traced_in_words(effects: Sequence[dict[str, Any]]) -> str:
+    """Such as "z offset moved by 6.0 ± 0.1 mg."; without a capital where it begins with an axis."""
+    said = []
+    for effect in effects:
+        moved = " and ".join(_moved(effect)) or f"{_title(effect['name'])} changed"
+        others = " or ".join(_title(name).lower() for name in effect["confusable_with"])
+        doubt = "" if effect["verdict"] == "named" else f" (or: {others or 'something else'})"
+        said.append(f"{moved}{doubt}")
+    return _sentence("; ".join(said))
+
+
+def _moved(effect: dict[str, Any]) -> Iterator[str]:
+    """Of each parameter that is more than its error; at least the most significant one."""
+    known = effect["parameters"]
+    catalogued = EFFECTS[effect["name"]].parameters if effect["name"] in EFFECTS else ()
+    given = [
+        (parameter, known[parameter.name]["value"], known[parameter.name]["std"])
+        for parameter in catalogued
+        if known.get(parameter.name) is not None and known[parameter.name]["std"]
+    ]
+    given.sort(key=lambda one: -abs(one[1]) / one[2])
+    for place, (parameter, value, std) in enumerate(given):
+        if place == 0 or abs(value) > STANDS_OUT * std:
+            title = re.sub(r"^Offset of (\w+)$", r"\1 offset", parameter.title)
+            yield f"{title} moved by {plus_minus(value, std, parameter.unit or '')}"
+
+
+def _title(name: str) -> str:
+    return EFFECTS[name].title if name in EFFECTS else name
+
+
+def _sentence(words: str) -> str:
+    return f"{words[0] if re.match('[xyz] ', words) else words[0].upper()}{words[1:]}."
+
+
+def plus_minus(value: float, std: float, unit: str) -> str:
+    """Such as "6.0 ± 0.1 mg": both to the first digit of the error."""
+    unit = unit if unit in {"", "°"} else f" {unit}"
+    if not (math.isfinite(std) and std > 0.0):
+        return f"{value:.4g}{unit}".replace("-", "−")
+    decimals = max(0, -math.floor(math.log10(std) + 0.02))
+    rounded = round(value, decimals) + 0.0  # no −0.00
+    return f"{rounded:.{decimals}f} ± {std:.{decimals}f}{unit}".replace("-", "−")
+
+
+Document = dict[str, Any]
+
+RULE = (
+    f"Units are marked so that of those marked {100 * FALSE_DISCOVERY_RATE:g} % on average are so by chance "
+    "(false discovery rate, Benjamini and Hochberg 1995), over all units of this store."
+)
+
+
+def unit_changes(store: Store, serial: str) -> list[Document]:
+    """Each run of a unit that counts beside the one before it, the oldest first.
+
+    Effects are those of the diagnosis of both runs that is stored, if there is one; none is made.
+
+    Raises:
+        Unknown: there is no such unit.
+    """
+    if store.unit(serial) is None:
+        raise Unknown(f"there is no unit {serial!r}")
+    found = histories(store, [serial])
+    places = found.of(serial)
+    signals = [chart.signals for chart in charts(found, serial) if chart is not None]
+    pairs = found.changes.figures[0].first
+    listed = []
+    for k in [k for k, first in enumerate(pairs) if len(places) and places[0] <= first <= places[-1]]:
+        change = change_of(found, k)
+        if change["verdict"] == "changed":
+            change["effects"] = _traced(store, change["from"], change["to"])
+            if change["effects"]:
+                change["says"] = traced_in_words(change["effects"])
+        to = int(found.changes.figures[0].second[k] - places[0])
+        change["signal"] = any(bool(one[to]) for one in signals) if signals else None
+        listed.append(change)
+    return listed
+
+
+def change_of(found: Histories, k: int) -> Document:
+    """The k-th difference of all, without effects: `effects` is [] where nothing changed, else None."""
+    first, second = (int(getattr(found.changes.figures[0], name)[k]) for name in ("first", "second"))
+    change: Document = {
+        "from": found.rows[first].run_id,
+        "to": found.rows[second].run_id,
+        "days": float(found.day[second] - found.day[first]),
+    }
+    for (name, _), difference in zip(FIGURES, found.changes.figures, strict=True):
+        value, std, sigma = (_known(one[k]) for one in (difference.value, difference.std, difference.sigma))
+        change[name] = value
+        change[f"{name.removesuffix('_deg')}_std{'_deg' if name.endswith('_deg') else ''}"] = std
+        change[f"{name.removesuffix('_deg')}_sigma"] = sigma
+    p_value = _known(found.changes.p_value[k])
+    changed = bool(found.changes.changed[k])
+    verdict = "not_known" if p_value is None else "changed" if changed else "unchanged"
+    return {
+        **change,
+        "p_value": p_value,
+        "verdict": verdict,
+        "effects": None if changed else [],
+        "says": difference_in_words(found.changes.figures, k, verdict),
+    }
+
+
+def charts(found: Histories, serial: str) -> list[ControlChart | None]:
+    """The control chart of each figure since the unit last changed; None where repeatability is not known.
+
+    Each is of all the unit's runs; those before the last change have no limit and no signal.
+    """
+    places = found.of(serial)
+    segments = found.segment()[places]
+    drawn: list[ControlChart | None] = []
+    for figure, runs in enumerate(found.figures):
+        variance = found.variance(figure)
+        if variance is None or not len(places):
+            drawn.append(None)
+            continue
+        since = int((segments == segments[-1]).argmax())
+        freedom = np.asarray(found.freedom(figure))[places]
+        drawn.append(_since(runs.value[places], variance[places], since, freedom))
+    return drawn
+
+
+def _since(value: FloatArray, variance: FloatArray, since: int, freedom: FloatArray) -> ControlChart:
+    known = np.flatnonzero(np.isfinite(value))
+    known = known[known >= since]
+    chart = control_chart(value[known], variance[known], UNIT_CHART, freedom[known])
+    n = len(value)
+    whole = ControlChart(np.zeros(n), np.zeros(n), np.full(n, np.inf), np.zeros(n, dtype=bool))
+    for name in ("q", "average", "limit", "signals"):
+        getattr(whole, name)[known] = getattr(chart, name)
+    return whole
+
+
+def _known(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _traced(store: Store, before: str, after: str) -> list[Document] | None:
+    """Effects that the stored diagnosis of two runs says have changed between them; None without one."""
+    run = store.run(after)
+    diagnosis = None if run is None else run.diagnosis
+    if diagnosis is None or before not in diagnosis["runs"]:
+        return None
+    return [
+        effect
+        for effect in diagnosis["effects"]
+        if effect.get("changed") is not None and effect["changed"] == {"from": before, "to": after}
+    ]

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
-from calrig.analysis.change_words import difference_in_words
-from calrig.analysis.histories import change_between
+from calrig.analysis.histories import change_between, difference_in_words
 from calrig.calibration.uncertainty import (
     Doubt,
     Line,

@@ -1,8 +1,14 @@
-"""Limits as people give them, in a file or over HTTP, and what they mean for a run that has yet to begin."""
+"""Limits as people give them, in a file or over HTTP, and what they mean for a run that has yet to begin.
+
+Runs that somebody looks for, by their verdict as well.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import datetime
 from types import MappingProxyType
 
 import numpy as np
@@ -11,11 +17,13 @@ from calrig.analysis.errors import Conflict, Invalid
 from calrig.analysis.stage_maps import kept_of
 from calrig.calibration.separation import StageMap, map_reference
 from calrig.calibration.uncertainty import Limit, Reference, cannot_pass, limit_for
-from calrig.limit_settings import LimitSettings
 from calrig.plan import Plan
-from calrig.settings import RigSettings, Settings
-from calrig.store import Store
+from calrig.settings import LimitSettings, RigSettings, Settings
+from calrig.store import Run, Store
+from calrig.store.errors import StoreError
 from calrig.store.records import Document
+from calrig.store.runs import Sought
+from calrig.store.verdicts import Judged
 
 
 def limit_of(given: LimitSettings) -> Limit:
@@ -84,3 +92,36 @@ def cannot_pass_on(
         if in_force.covers(theta_deg).all():
             reference = map_reference(in_force, theta_deg, theta_deg, np.zeros(len(theta_deg)))
     return cannot_pass(limit, reference, theta_deg)
+
+
+@dataclass(frozen=True, slots=True)
+class FoundRuns:
+    """A page of runs.
+
+    Attributes:
+        items: the newest first.
+        next_cursor: of the next page; None after the last.
+        back_to: when the oldest run was made that was looked at, found or not; None where there was none.
+    """
+
+    items: list[Run]
+    next_cursor: str | None
+    back_to: datetime | None
+
+
+def found_runs(
+    store: Store, sought: Sought, judged: Judged | None, limit: int, cursor: str | None
+) -> FoundRuns:
+    """A page of runs as of `Store.sought_runs`; with a verdict it may be short, and is not the last for that.
+
+    Raises:
+        ValueError: as there.
+    """
+    if judged is None:
+        items, next_cursor = store.sought_runs(sought, limit=limit, cursor=cursor)
+        return FoundRuns(items, next_cursor, items[-1].created_at if items else None)
+    found = store.judged_runs(sought, judged, limit=limit, cursor=cursor)
+    if found.judged_whole:
+        with suppress(StoreError):  # it is for the next search
+            store.judge(found.judged_whole)
+    return FoundRuns(found.items, found.next_cursor, found.back_to)

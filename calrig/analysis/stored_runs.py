@@ -1,17 +1,50 @@
-"""What every analysis begins with: stored runs, those that belong together, and the poses that count."""
+"""How the unit of a stored run was clamped: what its poses' columns `mount` and `mount_axis` say.
+
+What every analysis begins with: stored runs, those that belong together, and the poses that count.
+
+What a follow-up rests on: runs whose diagnosis left indistinguishable suspects.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 from calrig.analysis.errors import Conflict, Invalid, Unknown
-from calrig.analysis.mounts import axis_of
-from calrig.calibration.poses import Pose
+from calrig.calibration.diagnosis import Findings, diagnose
+from calrig.calibration.poses import MOUNT_DEG, DiagnosisError, Pose
+from calrig.export.poses_csv import Labels
+from calrig.processes.pool import run_in_subprocess
 from calrig.store.records import AT_REST, Run
 
 if TYPE_CHECKING:
     from calrig.store import Store
+
+
+def axis_of(run: Run) -> str:
+    """Which of the unit's axes lay along the stage's: as it was planned, or an imported file says."""
+    return str((run.plan or run.provenance).get("mount_axis", "x"))
+
+
+def mount_columns(run_id: str, axis: str, pose: Pose) -> dict[str, str | float]:
+    """How the unit was clamped for a pose; `mount` is what it shares with those of the same clamping."""
+    return {"mount": f"{run_id} {pose.mount_deg:g}°", MOUNT_DEG: pose.mount_deg, "mount_axis": axis}
+
+
+def labels_of(run: Run) -> Callable[[Pose], Labels] | None:
+    """What a table of a run's poses says of each in words; None where nothing was asked of mounts."""
+    plan, axis = run.plan or {}, axis_of(run)
+    if plan.get("mounts_deg", [0.0]) == [0.0] and axis == "x":
+        return None
+
+    def labels(pose: Pose) -> Labels:
+        columns = mount_columns(run.id, axis, pose)
+        return {name: str(columns[name]) for name in ("mount", "mount_axis")}
+
+    return labels
+
 
 LONGEST_REASON = 1000
 MOST_POSES = 4_000
@@ -108,3 +141,41 @@ def runs_together(store: Store, run_id: str, more: Sequence[str] = ()) -> list[R
                 "about x; `solve` takes it"
             )
     return runs
+
+
+@dataclass(frozen=True, slots=True)
+class AmbiguousRuns:
+    """Runs of one unit in the order measured, the poses of each that count, and what was found in them."""
+
+    run_ids: list[str]
+    poses: list[list[Pose]]
+    findings: Findings
+
+    @classmethod
+    def of(cls, run_ids: list[str], poses: list[list[Pose]]) -> AmbiguousRuns:
+        """Runs whose poses are diagnosed quickly: without errors on held-out poses; as `unresolved`."""
+        try:
+            return cls(run_ids, poses, run_in_subprocess(partial(found_in, poses)))
+        except DiagnosisError as error:
+            raise Conflict(f"run {run_ids[-1]}: {error}") from error
+
+
+def unresolved(store: Store, run_id: str) -> AmbiguousRuns:
+    """A run with those it follows on, diagnosed quickly.
+
+    Args:
+        store: has them.
+        run_id: the run.
+
+    Raises:
+        Unknown: there is no such run.
+        Conflict: one of them has not ended, or its poses cannot be diagnosed; says why.
+        Invalid: they are too many.
+    """
+    runs = runs_together(store, run_id)
+    return AmbiguousRuns.of([run.id for run in runs], poses_together(store, runs))
+
+
+def found_in(poses: list[list[Pose]]) -> Findings:
+    """What a quick diagnosis of them finds; or DiagnosisError."""
+    return diagnose(poses, cross_fit=False).findings

@@ -1,16 +1,37 @@
-"""Who may speak to the service: the token that is asked for, and the names it is known by."""
+"""Who may speak to the service: the token that is asked for, and the names it is known by.
+
+Who asks: the name, where somebody is known by name, and what they may do.
+
+What a connection's client has shown with its last request: by it places are kept or given away.
+
+The server's side (`calrig.api.connections`) lays a `Place` into each request, the application notes in it
+what it found out.
+
+How often an address may try a code: what is tried wrongly is forgotten a minute later.
+"""
 
 from __future__ import annotations
 
 import os
 import re
 import socket
+import threading
+import time
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from enum import Enum
 from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any
+
+from fastapi import Depends, Request
+from starlette.exceptions import HTTPException
+from starlette.requests import HTTPConnection
+
+from calrig.store.users import ROLES, Role, User
 
 if TYPE_CHECKING:
     from calrig.settings import Settings
+
 
 TOKEN = "CALRIG_TOKEN"  # noqa: S105 (the variable's name)
 LEAST_TOKEN = 16
@@ -109,3 +130,179 @@ def network_of(address: str) -> str | None:
     if found.is_loopback:
         return None
     return str(found) if found.version == 4 else str(ip_network((found, 64), strict=False))
+
+
+# No `from __future__ import annotations`: FastAPI reads the annotations of the dependencies.
+
+
+KEY = "calrig_caller"
+"""Where a request's state holds its caller."""
+
+
+@dataclass(frozen=True, slots=True)
+class Caller:
+    """Who asks; `name` is None where nobody is known by name."""
+
+    name: str | None
+    role: Role
+
+    def may(self, role: Role) -> bool:
+        """Whether their role is this one or more."""
+        return ROLES.index(self.role) >= ROLES.index(role)
+
+
+ANYBODY = Caller(None, "admin")
+"""Who has the service's one token; everybody, where the service asks for none."""
+
+
+class People:
+    """The users, in memory: a stop never waits for the store to say who it is that asks for it.
+
+    Args:
+        users: reads them; only this service changes them, for a store has one writer.
+    """
+
+    def __init__(self, users: Callable[[], Iterable[User]]) -> None:
+        self._read = users
+        self._turn = threading.Lock()
+        self.reread()
+
+    def reread(self) -> None:
+        """Looks into the store again; whoever changes users calls this before it answers."""
+        with self._turn:
+            enabled = [user for user in self._read() if user.disabled_at is None]
+            # By digest: how long a look-up takes then says nothing about the tokens that are known.
+            self._by_token = {u.token_sha256: Caller(u.name, u.role) for u in enabled if u.token_sha256}
+            self._by_name = {u.name: Caller(u.name, u.role) for u in enabled}
+
+    def of_token(self, sha256: str) -> Caller | None:
+        """Whose token has this digest."""
+        return self._by_token.get(sha256)
+
+    def of_name(self, name: str) -> Caller | None:
+        """The user of this name, who may come in."""
+        return self._by_name.get(name)
+
+    def __bool__(self) -> bool:
+        return bool(self._by_name)
+
+    @property
+    def have_admin(self) -> bool:
+        """Whether somebody among them can add the next one."""
+        return any(caller.role == "admin" for caller in self._by_name.values())
+
+
+def know(asked: HTTPConnection, caller: Caller) -> None:
+    """Notes who sends a request."""
+    asked.scope.setdefault("state", {})[KEY] = caller
+
+
+def caller_of(asked: HTTPConnection) -> Caller | None:
+    """Who sends a request; None where it is open to strangers and was sent by one."""
+    found = asked.scope.get("state", {}).get(KEY)
+    return found if isinstance(found, Caller) else None
+
+
+def described(asked: HTTPConnection) -> str:
+    """A request in a refusal: what was asked for, and from where."""
+    return f"{asked.scope['method']} {asked.scope['path'][:200]!a} from {address_of(asked)}"
+
+
+def address_of(asked: HTTPConnection) -> str:
+    """Where a request came from."""
+    return asked.client.host if asked.client else "an unknown address"
+
+
+# In the event loop, all of these: a plain function would wait for a thread, and a stop with it.
+async def _name(request: Request) -> str | None:
+    caller = caller_of(request)
+    return None if caller is None else caller.name
+
+
+Who = Annotated[str | None, Depends(_name)]
+"""The name of whoever asks, as the trail keeps it; None where nobody is known by name."""
+
+
+def requires(role: Role) -> Any:
+    """A dependency of a path that is not open to everybody: 403 to whoever has a lesser role."""
+
+    async def check(request: Request) -> None:
+        caller = caller_of(request)
+        if caller is not None and caller.may(role):
+            return
+        who = "nobody" if caller is None else f"{caller.name or 'whoever asks'} ({caller.role})"
+        enough = " or ".join(ROLES[ROLES.index(role) :])
+        raise HTTPException(
+            403,
+            f"{described(request)}: {who} may not do this: it takes the role {enough}, which an admin gives "
+            f"(`calrig users role NAME {role}`)",
+        )
+
+    return Depends(check)
+
+
+PLACE_KEY = "calrig_place"
+"""Where a request's state holds the place of its connection."""
+
+
+class Standing(Enum):
+    """Who a client is."""
+
+    STRANGER = "has not shown who it is"
+    ANYBODY = "is not asked who it is, since the service has no token"
+    KNOWN = "has shown the token, or a session begun with it"
+
+
+@dataclass
+class Place:
+    """One connection's."""
+
+    standing: Standing = Standing.STRANGER
+
+
+def place_of(asked: HTTPConnection) -> Place:
+    """The place of the connection that a request came by; one that nobody looks at where there is none."""
+    place = asked.scope.get("state", {}).get(PLACE_KEY)
+    return place if isinstance(place, Place) else Place()
+
+
+MOST_EACH = 5
+MOST_ALL = 100
+"""Wrong ones within FORGOTTEN_S, from one address and from all: the memory is that of so many."""
+FORGOTTEN_S = 60.0
+
+
+class Attempts:
+    """Wrong attempts of the last minute, by address.
+
+    Args:
+        clock: tells the time, s.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._turn = threading.Lock()
+        self._wrong: list[tuple[float, str]] = []
+
+    def begin(self, asked: HTTPConnection) -> tuple[float, str]:
+        """Counts an attempt as wrong until it is `right`: those that come at once are each counted.
+
+        Raises:
+            HTTPException: 429, too many wrong ones came within the last minute.
+        """
+        address, now_s = address_of(asked), self._clock()
+        network = network_of(address) or address
+        with self._turn:
+            self._wrong = [one for one in self._wrong if now_s - one[0] < FORGOTTEN_S]
+            from_there = sum(one[1] == network for one in self._wrong)
+            if from_there >= MOST_EACH or len(self._wrong) >= MOST_ALL:
+                reason = f"too many wrong codes from {address}: try again in a minute"
+                raise HTTPException(429, reason, {"Retry-After": f"{FORGOTTEN_S:.0f}"})
+            self._wrong.append((now_s, network))
+        return now_s, network
+
+    def right(self, attempt: tuple[float, str]) -> None:
+        """Takes back that an attempt was counted."""
+        with self._turn:
+            if attempt in self._wrong:
+                self._wrong.remove(attempt)

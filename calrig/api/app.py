@@ -15,26 +15,17 @@ from starlette.types import Lifespan
 import calrig
 from calrig.analysis.due_dates import INTERVAL_DAYS
 from calrig.api import (
-    amendments,
-    archive,
     batches,
     benches,
     calibrations,
-    changes,
-    check_unit,
-    clamp,
     compare,
     diagnoses,
-    effects,
-    error_maps,
     errors,
     events,
     figures,
     imports,
-    items,
     jobs,
-    limit_rules,
-    log_studies,
+    limits,
     login,
     measurements,
     metrics,
@@ -42,22 +33,27 @@ from calrig.api import (
     overview,
     pages,
     plans,
+    rigs,
     runs,
     solve,
-    stage_maps,
     trail,
     units,
     users,
 )
+from calrig.api import compare as changes
+from calrig.api import diagnoses as effects
+from calrig.api import noise as log_studies
+from calrig.api import runs as amendments
+from calrig.api import runs as clamp
+from calrig.api import units as archive
+from calrig.api import units as items
 from calrig.api.access import TOKEN, Access
-from calrig.api.authentication import Authentication
-from calrig.api.bench_page import BenchPage
+from calrig.api.authentication import Authentication, TrustedProxies
+from calrig.api.benches import BenchPage
+from calrig.api.body_limits import JSON_BYTES, BodyPatience
 from calrig.api.context import ApiContext
-from calrig.api.limits import JSON_BYTES, BodyPatience
-from calrig.api.origin_check import OriginCheck
-from calrig.api.proxies import TrustedProxies
-from calrig.api.request_log import RequestLog
-from calrig.api.turns import BeginInTurn
+from calrig.api.origin_check import OriginCheck, RequestLog
+from calrig.api.streams import FairStartMiddleware
 from calrig.laboratory import LaboratorySettings
 from calrig.runs.services import Service
 from calrig.settings import CentreSettings, packed
@@ -82,12 +78,12 @@ PARTS = (
     archive,
     units,
     compare,
-    check_unit,
-    stage_maps,
-    error_maps,
+    rigs,
+    rigs,
+    rigs,
     imports,
     jobs,
-    limit_rules,
+    limits,
     login,
     users,
     benches,
@@ -148,7 +144,7 @@ def create_app(
     app.add_middleware(OriginCheck, app.state.authentication)
     app.add_middleware(RequestLog)
     app.add_middleware(TrustedProxies, access)
-    app.add_middleware(BeginInTurn)  # the last one added is the first to look
+    app.add_middleware(FairStartMiddleware)  # the last one added is the first to look
     pages.install(app, packed("web") if web is None else web)
     return app
 

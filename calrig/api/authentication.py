@@ -1,25 +1,130 @@
-"""Who may come in: a program by its token, a person by a session begun with one or by a trusted proxy."""
+"""People who have logged in on the page.
+
+What a proxy in front says of its clients: believed of those that are trusted, dropped of anybody else.
+
+Who may come in: a program by its token, a person by a session begun with one or by a trusted proxy.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import hmac
 import logging
+import secrets
+import time
 from collections import Counter
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from typing import NoReturn
 
 from starlette.exceptions import HTTPException
 from starlette.requests import HTTPConnection
 from starlette.responses import Response
+from starlette.types import ASGIApp, Receive, Scope, Send
+from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
-from calrig.api.access import Access, network_of
-from calrig.api.callers import ANYBODY, Caller, People, address_of, described, know
+from calrig.api.access import (
+    ANYBODY,
+    Access,
+    Caller,
+    People,
+    Standing,
+    address_of,
+    described,
+    know,
+    network_of,
+    place_of,
+)
 from calrig.api.lingering import CLOSE
-from calrig.api.proxies import let_in
-from calrig.api.sessions import SESSION_S, Sessions
-from calrig.api.standing import Standing, place_of
 from calrig.store.users import User, token_digest
+
+SESSION_S = 12 * 3600.0
+MOST_SESSIONS = 100
+
+
+@dataclass(frozen=True, slots=True)
+class _Session:
+    ends_s: float
+    token_sha256: str
+
+
+class Sessions:
+    """A random value for each session, kept in memory and no longer than a day's work.
+
+    A session says by which token it was begun, and opens what that token opens at the time: it ends with the
+    token. The oldest one gives way to one too many; all end with the service.
+
+    Args:
+        clock: seconds that only go forward.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        # By digest: how long a look-up takes then says nothing about the values that are kept.
+        self._kept: dict[bytes, _Session] = {}
+
+    def begin(self, token_sha256: str) -> str:
+        """A new session's value."""
+        now_s = self._clock()
+        self._kept = {value: kept for value, kept in self._kept.items() if kept.ends_s > now_s}
+        while len(self._kept) >= MOST_SESSIONS:
+            del self._kept[next(iter(self._kept))]
+        value = secrets.token_urlsafe(32)
+        self._kept[_digest(value)] = _Session(now_s + SESSION_S, token_sha256)
+        return value
+
+    def token_of(self, value: str) -> str | None:
+        """Digest of the token that a session was begun with; None where there is none, or it has ended."""
+        kept = self._kept.get(_digest(value))
+        return kept.token_sha256 if kept is not None and kept.ends_s > self._clock() else None
+
+    def end(self, value: str) -> None:
+        """Ends a session; one that has ended already stays so."""
+        self._kept.pop(_digest(value), None)
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+
+def _digest(value: str) -> bytes:
+    return hashlib.sha256(value.encode()).digest()
+
+
+KEY = "calrig_let_in"
+"""Where a request's state holds the name of whom a proxy let in."""
+THIS_MACHINE = "127.0.0.1"
+
+
+class TrustedProxies:
+    """ASGI middleware that sees the connection's own end, before a header says who is behind it.
+
+    Names of users come in `Access.user_header` and are taken off every request, so that nothing further in
+    can be misled. Where the client is and whether it used TLS (`X-Forwarded-For`, `-Proto`) is believed of
+    this machine's proxy, too, as before anybody could be named.
+    """
+
+    def __init__(self, app: ASGIApp, access: Access) -> None:
+        self._access = access
+        trusted = [THIS_MACHINE, *(str(network) for network in access.proxies)]
+        self._app = ProxyHeadersMiddleware(app, trusted)  # type: ignore[arg-type]
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Passes the request on, without the header."""
+        if scope["type"] == "http":
+            header = self._access.user_header.encode()
+            said = [value for name, value in scope["headers"] if name == header]
+            scope["headers"] = [(name, value) for name, value in scope["headers"] if name != header]
+            # Two names are none: one of them may be the client's own, which the proxy let through.
+            if len(said) == 1 and self._access.trusts(address_of(HTTPConnection(scope))):
+                scope.setdefault("state", {})[KEY] = said[0].decode("latin-1").strip()
+        await self._app(scope, receive, send)  # type: ignore[arg-type]
+
+
+def let_in(asked: HTTPConnection) -> str | None:
+    """The name of whom a trusted proxy let in; None where it named nobody."""
+    return asked.scope.get("state", {}).get(KEY) or None
+
 
 WAITING_EACH = 4
 WAITING_ALL = 64

@@ -1,8 +1,15 @@
-"""Benches of a centre, as an admin keeps them; and how an agent joins by its one-time code."""
+"""Benches of a centre, as an admin keeps them; and how an agent joins by its one-time code.
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+A bench's own page: it shows everything, starts and stops runs, and leaves the rest to the centre.
+
+What is changed in a bench's spool beside its runs would never reach the centre, which alone amends runs,
+issues calibrations and knows people.
+"""
+
+from __future__ import annotations
 
 import logging
+import re
 from dataclasses import asdict
 from datetime import datetime
 from typing import Annotated
@@ -10,15 +17,21 @@ from typing import Annotated
 from fastapi import APIRouter, Request
 from pydantic import Field
 from starlette.exceptions import HTTPException
+from starlette.responses import JSONResponse
+from starlette.types import ASGIApp, Receive, Scope, Send
 
-from calrig.api.access import is_loopback
-from calrig.api.callers import Who, address_of, requires
+from calrig.api.access import Who, address_of, is_loopback, requires
+from calrig.api.body_limits import ENROLL_PATH, LOGIN_BYTES
 from calrig.api.context import Context
 from calrig.api.errors import problems
-from calrig.api.limits import ENROLL_PATH, LOGIN_BYTES
+from calrig.api.lingering import CLOSE
 from calrig.api.models import Answer, Body
+from calrig.api.origin_check import HARMLESS
 from calrig.store.enrolment import WrongCode
 from calrig.store.rig_queues import BENCH_NAME
+
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+
 
 router = APIRouter(tags=["benches"])
 log = logging.getLogger(__name__)
@@ -121,3 +134,26 @@ def enroll(body: Code, request: Request, context: Context) -> Joined:
 def revoke_bench(name: str, context: Context, who: Who) -> object:
     """Its role can log in no more and its connections end; what it measured stays."""
     return asdict(context.store.revoke_bench(name, who=who))
+
+
+OF_THE_BENCH = re.compile(
+    r"/api/(login|logout|runs|runs/[^/]+/(abort|pause|resume)|rigs/scan|rigs/[^/]+/(stop|clamp)|plans/(estimate|design))"
+)
+"""What a bench does for itself."""
+AT_THE_CENTRE = "this is a bench: it starts, stops and shows runs; anything else is changed at its centre"
+
+
+class BenchPage:
+    """ASGI middleware that answers 409 to what only the centre may do."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Passes on what looks, and what a bench does for itself."""
+        asks = scope["type"] == "http" and scope["method"] not in HARMLESS
+        if asks and OF_THE_BENCH.fullmatch(scope["path"]) is None:
+            refused = JSONResponse({"detail": AT_THE_CENTRE}, 409, CLOSE)
+            await refused(scope, receive, send)
+            return
+        await self.app(scope, receive, send)

@@ -9,14 +9,14 @@ from fastapi import APIRouter, HTTPException, Path, Query
 from fastapi.responses import PlainTextResponse, Response
 from pydantic import Field, model_validator
 
-from calrig.analysis.active_calibration import wanted_revision
+from calrig.analysis.calibration_in_force import wanted_revision
+from calrig.analysis.certificates import NOISE_FORMATS, NoiseFormat, RevisionFormat, exported, exported_noise
 from calrig.analysis.errors import Invalid
-from calrig.analysis.exports import NOISE_FORMATS, NoiseFormat, RevisionFormat, exported, exported_noise
-from calrig.analysis.issuing import issued_since
-from calrig.api.callers import Who, requires
+from calrig.analysis.revisions import issued_since
+from calrig.api.access import Who, requires
 from calrig.api.context import ApiContext, Context, KnownUnit
 from calrig.api.errors import problems
-from calrig.api.heavy import Heavy
+from calrig.api.jobs import Heavy
 from calrig.api.models import Answer, Body, Extremes, Reason, ReasonIfAny
 from calrig.calibration.verdict import Verdict
 from calrig.store.issued import Revision, RevisionStatus

@@ -7,23 +7,21 @@ from typing import Annotated
 
 from fastapi import Depends, FastAPI, Request
 
-from calrig.analysis.acceptance import Acceptance
 from calrig.analysis.amendments import Records
-from calrig.analysis.diagnoses import Diagnoses
+from calrig.analysis.diagnoses import Acceptance, Diagnoses
 from calrig.analysis.due_dates import INTERVAL_DAYS, DueDates, due_dates
 from calrig.analysis.error_map import Basis, ErrorMap
 from calrig.analysis.errors import Unknown
 from calrig.analysis.histories import Histories
-from calrig.analysis.issuing import Issuer
-from calrig.api.attempts import Attempts
+from calrig.analysis.revisions import Issuer
+from calrig.api.access import Attempts
 from calrig.api.job import Jobs
-from calrig.api.looks import Lately
-from calrig.api.streams import Streams
+from calrig.api.streams import ReadCache, Streams
 from calrig.laboratory import LaboratorySettings
 from calrig.processes.pool import Processes
 from calrig.runs.batches import RunBatches
-from calrig.runs.errands import Errands
 from calrig.runs.services import Service
+from calrig.runs.single_flight import SingleFlight
 from calrig.settings import CentreSettings
 from calrig.store import Run, Store, Unit
 
@@ -45,11 +43,11 @@ class ApiContext:
     streams: Streams = field(default_factory=Streams)
     processes: Processes = field(default_factory=Processes)
     interval_days: float = INTERVAL_DAYS
-    scans: Errands = field(default_factory=Errands)
+    scans: SingleFlight = field(default_factory=SingleFlight)
     jobs: Jobs = field(default_factory=Jobs)
     centre: CentreSettings = field(default_factory=CentreSettings)
     enrolling: Attempts = field(default_factory=Attempts)
-    lately: Lately = field(default_factory=Lately)
+    lately: ReadCache = field(default_factory=ReadCache)
     laboratory: LaboratorySettings = field(default_factory=LaboratorySettings)
     error_maps: dict[str, tuple[Basis, ErrorMap]] = field(default_factory=dict)
 

@@ -6,12 +6,11 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Path, Query
 
 from calrig import figures
-from calrig.analysis.active_calibration import left_of_poses_deg
-from calrig.analysis.check_unit import check_chart
+from calrig.analysis.calibration_in_force import left_of_poses_deg
+from calrig.analysis.check_standard import check_chart
 from calrig.analysis.comparison import compared_runs
 from calrig.analysis.errors import Unknown
-from calrig.analysis.histories import histories
-from calrig.analysis.unit_changes import charts
+from calrig.analysis.histories import charts, histories
 from calrig.api.compare import Units
 from calrig.api.context import ApiContext, Context, KnownRun, KnownUnit
 from calrig.api.errors import problems

@@ -6,14 +6,14 @@ from fastapi import APIRouter, File, Form, UploadFile
 from starlette.concurrency import run_in_threadpool
 
 from calrig.analysis.errors import Invalid
-from calrig.api.callers import Who, requires
+from calrig.api.access import Who, requires
+from calrig.api.body_limits import POSES_BYTES, copied, name_of, on_disk
 from calrig.api.context import Context
 from calrig.api.errors import problems
-from calrig.api.heavy import ACCEPTED, Heavy, Wait
 from calrig.api.job import Job
-from calrig.api.limits import POSES_BYTES, copied, name_of, on_disk
+from calrig.api.jobs import ACCEPTED, Heavy, Wait
 from calrig.api.models import RunAnswer
-from calrig.export.cells import CsvError
+from calrig.export.csv_table import CsvError
 from calrig.store import Run
 
 router = APIRouter(tags=["runs"])

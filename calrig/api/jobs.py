@@ -1,18 +1,32 @@
-"""Long work that nobody waits for: how far it is, what came of it, and its end on request."""
+"""Long work that nobody waits for: how far it is, what came of it, and its end on request.
+
+Heavy work of a request: carried out in another process, and given up when the client leaves.
+
+Who does not want to wait is told by which name it goes on (`calrig.api.jobs`).
+
+Answers to what has a thread of its own, waited for in the event loop: no other request is in the way.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from typing import Annotated, Any, TypeVar
+
+from fastapi import APIRouter, Depends, Query, Request
+from fastapi.responses import JSONResponse, Response
+from starlette.exceptions import HTTPException
+
+from calrig.analysis.errors import Conflict, Unknown
+from calrig.api.access import requires
+from calrig.api.context import Context, context_of
+from calrig.api.errors import CLIENT_LEFT, problems
+from calrig.api.job import Job
+from calrig.api.models import JobAnswer
+from calrig.runs.single_flight import SharedTask
 
 # No `from __future__ import annotations`: FastAPI reads the annotations of the dependency.
 
-from typing import Annotated
-
-from fastapi import APIRouter, Depends
-from fastapi.responses import Response
-
-from calrig.analysis.errors import Conflict, Unknown
-from calrig.api.callers import requires
-from calrig.api.context import Context
-from calrig.api.errors import problems
-from calrig.api.job import Job
-from calrig.api.models import JobAnswer
 
 router = APIRouter(tags=["jobs"])
 
@@ -66,3 +80,117 @@ async def show_result(job: KnownJob) -> Response:
         where = f": it is at {job.result}" if job.result else ""
         raise Conflict(f"job {job.id} is {job.state} and keeps no result{where}")
     return Response(job.content, media_type="application/json")
+
+
+# No `from __future__ import annotations`: FastAPI reads the annotations of the dependency.
+
+
+T = TypeVar("T")
+
+AT_ONCE_S = 2.0
+"""What is done by then is answered as if it had been waited for."""
+ACCEPTED: dict[int | str, dict[str, Any]] = {
+    202: {"model": JobAnswer, "description": "With `wait=false`, after two seconds: `GET /api/jobs/{id}`"}
+}
+Wait = Annotated[
+    bool,
+    Query(description="Whether to wait for the answer however long it takes; else 202 after two seconds."),
+]
+
+
+class BackgroundWork:
+    """Carries out functions for one request, whose body has been read."""
+
+    def __init__(self, request: Request) -> None:
+        self._request = request
+        self._context = context_of(request.app)
+        self._loop = asyncio.get_running_loop()
+
+    async def __call__(self, function: Callable[[], T]) -> T:
+        """As `Processes.run`.
+
+        Raises:
+            HTTPException: the client has left.
+        """
+        answer: T = await self.answer(lambda job: job.run(function))
+        return answer
+
+    async def answer(
+        self,
+        work: Callable[[Job], Awaitable[Any]],
+        *,
+        wait: bool = True,
+        kept_at: Callable[[Any], str] | None = None,
+    ) -> Any:
+        """What the work gives, or raises what it raises; a 202 with its job where nobody waits for it.
+
+        Args:
+            work: as of a `Job`; it has read the request by the time that it has something run.
+            wait: however long it takes.
+            kept_at: as of a `Job`.
+
+        Raises:
+            WorkRefused: too much is waiting.
+            HTTPException: the client has left.
+        """
+        self._context.processes.require_room()
+        job = Job(self._context.processes, work, kept_at)
+        left = asyncio.ensure_future(self._has_left())
+        asked = asyncio.ensure_future(job.asked.wait())
+        is_taken_on = False
+        try:
+            if not wait:
+                await asyncio.wait({job.task, left, asked}, return_when=asyncio.FIRST_COMPLETED)
+            asked_s = self._loop.time()
+            at_most_s = None if wait else AT_ONCE_S
+            await asyncio.wait({job.task, left}, timeout=at_most_s, return_when=asyncio.FIRST_COMPLETED)
+            in_time = wait or not asked.done() or self._loop.time() - asked_s < AT_ONCE_S
+            if job.task.done() and in_time:
+                return job.outcome()
+            if left.done():
+                left.result()
+                raise HTTPException(CLIENT_LEFT, "the client left before its answer")
+            self._context.jobs.add(job, f"{self._request.method} {self._request.url.path}")
+            is_taken_on = True
+            address = {"Location": f"/api/jobs/{job.id}"}
+            return JSONResponse(JobAnswer.model_validate(job).model_dump(), 202, address)
+        finally:
+            if not is_taken_on:
+                await job.cancel()
+            for one in (left, asked):
+                one.cancel()
+            await asyncio.gather(left, asked, return_exceptions=True)
+
+    def from_thread(self, function: Callable[[], T]) -> T:
+        """The same for a thread that does the rest of the request."""
+        return asyncio.run_coroutine_threadsafe(self(function), self._loop).result()
+
+    async def _has_left(self) -> None:
+        while (await self._request.receive())["type"] != "http.disconnect":
+            pass
+
+
+async def _heavy(request: Request) -> BackgroundWork:
+    return BackgroundWork(request)
+
+
+Heavy = Annotated[BackgroundWork, Depends(_heavy)]
+
+
+MOST_S = 10.0
+"""How long a stop is waited for: longer than any device takes that is not stuck in its system's driver."""
+
+
+async def answer_of(errand: SharedTask[T], stage: str) -> T:
+    """What comes of a stop, which goes on whoever still waits for it.
+
+    Raises:
+        Conflict: not in time.
+    """
+    try:
+        async with asyncio.timeout(MOST_S):
+            return await asyncio.shield(asyncio.wrap_future(errand.future))
+    except TimeoutError as error:
+        raise Conflict(
+            f"{stage} was told to stop and is not known to stand after {MOST_S:g} s: cut its motor power"
+        ) from error

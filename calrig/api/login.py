@@ -5,10 +5,10 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Request, Response
 from pydantic import Field
 
+from calrig.api.access import Caller, caller_of
 from calrig.api.authentication import Authentication
-from calrig.api.callers import Caller, caller_of
+from calrig.api.body_limits import LOGIN_BYTES, LOGIN_PATH
 from calrig.api.errors import problems
-from calrig.api.limits import LOGIN_BYTES, LOGIN_PATH
 from calrig.api.models import Answer, Body
 from calrig.store.users import Role
 

@@ -9,8 +9,8 @@ from fastapi import APIRouter, Header, Query
 from fastapi.responses import PlainTextResponse, Response, StreamingResponse
 from pydantic_core import to_json
 
-from calrig.analysis.active_calibration import left_of_poses_deg
-from calrig.analysis.mounts import axis_of, labels_of, mount_columns
+from calrig.analysis.calibration_in_force import left_of_poses_deg
+from calrig.analysis.stored_runs import axis_of, labels_of, mount_columns
 from calrig.api.context import ApiContext, Context, KnownRun
 from calrig.api.errors import problems, problems_in_json
 from calrig.api.models import PoseAnswer

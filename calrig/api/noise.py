@@ -1,7 +1,11 @@
-"""Noise and filters: of a run's samples, or of a log that somebody brings."""
+"""Noise and filters: of a run's samples, or of a log that somebody brings.
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+Studies of logs that people brought: listed, shown again, removed.
+"""
 
+from __future__ import annotations
+
+from datetime import datetime
 from functools import partial
 from typing import Annotated, Any, Literal
 
@@ -9,18 +13,29 @@ from fastapi import APIRouter, Depends, File, Form, Request, UploadFile
 from pydantic import ConfigDict
 from starlette.concurrency import run_in_threadpool
 
-from calrig.analysis.errors import Invalid
-from calrig.analysis.log_studies import Study, study_file, study_samples
-from calrig.analysis.noise_studies import NAMES, gyro_scale_of, lay_samples, require_static
-from calrig.api.callers import Caller, caller_of
+from calrig.analysis.errors import Invalid, Unknown
+from calrig.analysis.noise_studies import (
+    NAMES,
+    Study,
+    gyro_scale_of,
+    lay_samples,
+    require_static,
+    study_file,
+    study_samples,
+)
+from calrig.api.access import Caller, caller_of, requires
+from calrig.api.body_limits import LOG_BYTES, copied, name_of, on_disk
 from calrig.api.context import ApiContext, Context, KnownRun
 from calrig.api.errors import problems
-from calrig.api.heavy import ACCEPTED, Heavy, HeavyWork, Wait
 from calrig.api.job import Job
-from calrig.api.limits import LOG_BYTES, copied, name_of, on_disk
+from calrig.api.jobs import ACCEPTED, BackgroundWork, Heavy, Wait
 from calrig.api.models import Answer
 from calrig.api.models import Figure as FigureAnswer
 from calrig.store import Run
+from calrig.store.fleet import StudyKind
+
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+
 
 router = APIRouter(tags=["noise"])
 
@@ -225,7 +240,7 @@ async def log_filters(
     )
 
 
-async def _of_run(study: Study, run: Run, context: ApiContext, heavy: HeavyWork, wait: bool) -> Any:
+async def _of_run(study: Study, run: Run, context: ApiContext, heavy: BackgroundWork, wait: bool) -> Any:
     async def work(job: Job) -> dict[str, Any]:
         async with on_disk(partial(lay_samples, context.store, run.id)) as path:
             try:
@@ -239,7 +254,7 @@ async def _of_run(study: Study, run: Run, context: ApiContext, heavy: HeavyWork,
 async def _of_file(
     study: Study,
     file: UploadFile,
-    heavy: HeavyWork,
+    heavy: BackgroundWork,
     context: ApiContext,
     keeper: Caller | None,
     wait: bool,
@@ -264,3 +279,59 @@ async def _of_file(
         return {"id": kept.id, **found}
 
     return await heavy.answer(work, wait=wait)
+
+
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+
+
+class StudyAnswer(Answer):
+    """A study of a file that somebody brought."""
+
+    id: str
+    created_at: datetime
+    studied_by: str | None
+    kind: StudyKind
+    file_name: str
+
+
+class KeptStudy(Answer):
+    """One with what was found: `noise` or `filters`, the other is null."""
+
+    study: StudyAnswer
+    noise: NoiseAnswer | None
+    filters: FiltersAnswer | None
+
+
+@router.get("/api/log-studies", response_model=list[StudyAnswer], summary="Logs that people brought")
+def studies(context: Context) -> object:
+    """The latest 200, the newest first; what each found is at its own address."""
+    return context.store.studies()
+
+
+@router.get(
+    "/api/log-studies/{study_id}",
+    response_model=KeptStudy,
+    responses=problems(404),
+    summary="What was found in one",
+)
+def show_study(study_id: str, context: Context) -> object:
+    """As it was answered then."""
+    kept = context.store.study(study_id)
+    if kept is None:
+        raise Unknown(f"there is no study {study_id!r}")
+    study, found = kept
+    answer = {"id": study.id, **found}
+    return {"study": study, "noise": None, "filters": None, study.kind: answer}
+
+
+@router.delete(
+    "/api/log-studies/{study_id}",
+    dependencies=[requires("operator")],
+    status_code=204,
+    responses=problems(404),
+    summary="Remove one",
+)
+def remove_study(study_id: str, context: Context) -> None:
+    """For good."""
+    if not context.store.remove_study(study_id):
+        raise Unknown(f"there is no study {study_id!r}")

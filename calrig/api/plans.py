@@ -15,18 +15,15 @@ from calrig.analysis.limits import cannot_pass_on
 from calrig.analysis.stage_maps import kept_of
 from calrig.api.context import ApiContext, Context
 from calrig.api.errors import problems
-from calrig.api.heavy import ACCEPTED, Heavy, Wait
 from calrig.api.job import Job
+from calrig.api.jobs import ACCEPTED, Heavy, Wait
 from calrig.api.models import Answer, Body
 from calrig.calibration.plan_design import Goals
 from calrig.plan import Plan, Until
-from calrig.runs.plan_answers import answer
-from calrig.runs.plan_designs import Question, Wanted, question
-from calrig.runs.planned import estimate, grid_says
-from calrig.runs.reachable import require_reachable
-from calrig.runs.references import overdue_says
-from calrig.runs.stopping_rule import goals_of
-from calrig.runs.wall_clock import wall_pace
+from calrig.runs.plan_designs import DesignInputs, DesignRequest, answer, question
+from calrig.runs.plan_estimates import estimate, grid_says, wall_pace
+from calrig.runs.rig import overdue_says
+from calrig.runs.stopping_rule import goals_of, require_reachable
 
 router = APIRouter(tags=["runs"])
 
@@ -154,7 +151,7 @@ async def design_plan(body: WantedPlan, context: Context, heavy: Heavy, wait: Wa
     return await heavy.answer(work, wait=wait)
 
 
-def _question(body: WantedPlan, context: ApiContext) -> Question:
+def _question(body: WantedPlan, context: ApiContext) -> DesignInputs:
     rig = context.service.known_rig(body.rig)
     goals = Goals() if body.until is None else goals_of(body.until)
     goals = replace(goals, expanded_deg=body.target_u_deg or goals.expanded_deg)
@@ -162,5 +159,5 @@ def _question(body: WantedPlan, context: ApiContext) -> Question:
         raise Invalid(
             "Give either what is to be reached (target_u_deg, until) or a time (time_s)", ["time_s"]
         )
-    wanted = Wanted(goals, body.time_s, body.trace, body.until, body.sweep)
+    wanted = DesignRequest(goals, body.time_s, body.trace, body.until, body.sweep)
     return question(wanted, body.plan, rig, body.unit, context.store, context.service.maps)

@@ -1,33 +1,53 @@
-"""Health, rigs, and runs: starting them, looking at them, asking something of them."""
+"""Health, rigs, and runs: starting them, looking at them, asking something of them.
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+What is done to runs after they were measured: voiding, noting, moving, leaving poses out, and back.
+
+Turning the unit in a rig's own clamp, where it has one.
+"""
+
+from __future__ import annotations
 
 import asyncio
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter, Path, Query, Response
 from pydantic import Field
 
 import calrig
-from calrig.analysis.check_unit import with_doubts
+from calrig.analysis.check_standard import with_doubts
 from calrig.analysis.errors import Invalid
-from calrig.analysis.found_runs import found_runs
-from calrig.api.callers import Who, requires
+from calrig.analysis.limits import found_runs
+from calrig.api.access import Who, requires
 from calrig.api.context import Context, KnownRun
-from calrig.api.errands import answer_of
 from calrig.api.errors import problems
-from calrig.api.models import Answer, Health, ResumeRun, RigAnswer, RunAnswer, RunList, StartRun, Status
+from calrig.api.jobs import answer_of
+from calrig.api.models import (
+    Answer,
+    Body,
+    Health,
+    Reason,
+    ReasonIfAny,
+    ResumeRun,
+    RigAnswer,
+    RunAnswer,
+    RunList,
+    StartRun,
+    Status,
+)
 from calrig.instruments import scan as ports
 from calrig.instruments.clock import WALL
-from calrig.instruments.scan import Kind
-from calrig.instruments.scan_stanza import stanza
+from calrig.instruments.scan import Kind, stanza
+from calrig.plan import ElevationDeg, MountAxis
 from calrig.run_ids import FEWEST
 from calrig.store import Run
 from calrig.store.convert import iso_utc
-from calrig.store.run_search import RunKind, Sought
+from calrig.store.runs import RunKind, Sought
 from calrig.store.verdicts import Judged
+
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+
 
 router = APIRouter(tags=["runs"])
 BACK_TO = "Calrig-Back-To"
@@ -231,3 +251,126 @@ def resume_run(run: KnownRun, context: Context, body: ResumeRun | None = None) -
     touched, or gravity contradicts `stage_at_deg`, it becomes `interrupted` again with the reason in `error`.
     """
     return context.service.resume(run.id, None if body is None else body.stage_at_deg)
+
+
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+
+
+PoseIndex = Annotated[int, Path(ge=0, lt=2**31)]
+
+
+class Note(Body):
+    """What is to be noted."""
+
+    note: Annotated[str, Field(max_length=10_000)]
+
+
+class RightUnit(Body):
+    """The unit that a run is of, and how that came out."""
+
+    unit: str
+    reason: str
+
+
+@router.post(
+    "/api/runs/{run_id}/void",
+    dependencies=[requires("releaser")],
+    response_model=RunAnswer,
+    responses=problems(404, 409, 413, 422),
+    summary="Keep a run, out of every comparison",
+)
+def void_run(run: KnownRun, body: Reason, context: Context, who: Who) -> Run:
+    """Nothing is deleted."""
+    return context.records.void(run.id, body.reason, who=who)
+
+
+@router.post(
+    "/api/runs/{run_id}/unvoid",
+    dependencies=[requires("releaser")],
+    response_model=RunAnswer,
+    responses=problems(404, 409, 413, 422),
+    summary="Have a voided run count again",
+)
+def unvoid_run(run: KnownRun, body: Reason, context: Context, who: Who) -> Run:
+    """409 where it is not voided. Both reasons are in the trail."""
+    return context.records.unvoid(run.id, body.reason, who=who)
+
+
+@router.post(
+    "/api/runs/{run_id}/note",
+    dependencies=[requires("operator")],
+    response_model=RunAnswer,
+    responses=problems(404, 413, 422),
+    summary="Note something of a run",
+)
+def note_run(run: KnownRun, body: Note, context: Context, who: Who) -> Run:
+    """At any time. It goes below what is noted already, with the time and who says it."""
+    return context.records.note(run.id, body.note, who=who)
+
+
+@router.post(
+    "/api/runs/{run_id}/unit",
+    dependencies=[requires("releaser")],
+    response_model=RunAnswer,
+    responses=problems(404, 409, 413, 422),
+    summary="Correct a run's serial number",
+)
+def move_run(run: KnownRun, body: RightUnit, context: Context, who: Who) -> Run:
+    """The run moves to that unit with what it follows on and what follows on it; both histories say so.
+
+    409 while one goes on, where an effect accepted from one is in force (take it back first), where one is a
+    verification, or where a diagnosis is of moving and staying runs together.
+    """
+    return context.records.move(run.id, body.unit, body.reason, who=who)
+
+
+@router.post(
+    "/api/runs/{run_id}/poses/{index}/exclude",
+    dependencies=[requires("operator")],
+    response_model=RunAnswer,
+    responses=problems(404, 409, 413, 422),
+    summary="Keep a pose, out of the result",
+)
+def exclude_pose(run: KnownRun, index: PoseIndex, body: Reason, context: Context, who: Who) -> Run:
+    """The result is computed again from the poses that are left."""
+    return context.records.exclude_pose(run.id, index, body.reason, who=who)
+
+
+@router.post(
+    "/api/runs/{run_id}/poses/{index}/include",
+    dependencies=[requires("operator")],
+    response_model=RunAnswer,
+    responses=problems(404, 409, 413, 422),
+    summary="Have an excluded pose count again",
+)
+def include_pose(
+    run: KnownRun, index: PoseIndex, context: Context, who: Who, body: ReasonIfAny | None = None
+) -> Run:
+    """The result is computed again with it."""
+    return context.records.include_pose(run.id, index, None if body is None else body.reason, who=who)
+
+
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+
+
+class ClampUnit(Body):
+    """How the unit is to be clamped."""
+
+    mount_deg: ElevationDeg
+    mount_axis: MountAxis = "x"
+
+
+@router.post(
+    "/api/rigs/{name}/clamp",
+    dependencies=[requires("operator")],
+    response_model=RigAnswer,
+    responses=problems(404, 409, 422),
+    summary="Turn the unit with the rig's clamp",
+)
+async def clamp(name: str, body: ClampUnit, context: Context) -> object:
+    """200 once the unit sits. No run asks for it: it waits for a person, who may use this and then resume.
+
+    409 where the rig has no clamp, or a run is on it that does not wait for the unit to be turned.
+    """
+    errand = await asyncio.to_thread(context.service.begin_clamp, name, body.mount_deg, body.mount_axis)
+    return await asyncio.shield(asyncio.wrap_future(errand.future))

@@ -1,16 +1,33 @@
-"""Units: who they are and their runs. A serial number may contain `/`."""
+"""Units: who they are and their runs. A serial number may contain `/`.
+
+What the customer said of a unit, and how it came: for its certificates.
+
+A unit's archive over HTTP, made as it is sent.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import asdict
+from datetime import date
+from itertools import chain
+from typing import Annotated, Literal
+from unicodedata import category
+
+from fastapi import APIRouter
+from fastapi.responses import Response, StreamingResponse
+from pydantic import Field, field_validator
+
+from calrig.analysis.certificates import archive_of
+from calrig.analysis.check_standard import with_doubts
+from calrig.api.access import Who, requires
+from calrig.api.context import Context, KnownUnit
+from calrig.api.errors import problems, problems_in_json
+from calrig.api.models import Answer, Body, UnitAnswer, UnitWithRuns
+from calrig.store.units import CalibrationItem
 
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
-from dataclasses import asdict
-
-from fastapi import APIRouter
-
-from calrig.analysis.check_unit import with_doubts
-from calrig.api.callers import Who, requires
-from calrig.api.context import Context, KnownUnit
-from calrig.api.errors import problems
-from calrig.api.models import UnitAnswer, UnitWithRuns
 
 EVERY_RUN = 2**31
 
@@ -50,3 +67,104 @@ def show_unit(unit: KnownUnit, context: Context) -> object:
 def remove_unit(serial: str, context: Context, who: Who) -> None:
     """As one is left whose runs were moved to their right serial number. 409 where it has runs."""
     context.store.remove_unit(serial, who=who)
+
+
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+
+
+TURNS = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
+"""Characters that turn the direction of what follows them."""
+Words = Annotated[str, Field(min_length=1, max_length=500)]
+ItemField = Literal[
+    "customer", "address", "order", "received_at", "condition", "description", "interval_agreed_months"
+]
+
+
+class ItemBody(Body):
+    """A unit as it was handed in; what is left out is not stated on its certificates.
+
+    `supplied` names the fields that are the customer's own word; `interval_agreed_months` is for where the
+    customer agreed to an interval.
+    """
+
+    customer: Words | None = None
+    address: Words | None = None
+    order: Words | None = None
+    received_at: date | None = None
+    condition: Words | None = None
+    description: Words | None = None
+    interval_agreed_months: Annotated[int, Field(ge=1, le=600)] | None = None
+    supplied: Annotated[tuple[ItemField, ...], Field(max_length=7)] = ()
+
+    @field_validator("customer", "address", "order", "condition", "description")
+    @classmethod
+    def _can_be_printed(cls, value: str | None) -> str | None:
+        for character in (value or "").replace("\n", ""):
+            if category(character) == "Cc" or character in TURNS:
+                raise ValueError(f"has a character in it that cannot be printed: {character!r}")
+        return value
+
+
+class ItemAnswer(Answer):
+    """What was said of a unit last; null where nobody has said."""
+
+    customer: str | None
+    address: str | None
+    order: str | None
+    received_at: date | None
+    condition: str | None
+    description: str | None
+    interval_agreed_months: int | None
+    supplied: list[ItemField]
+
+
+@router.get(
+    "/api/units/{serial:path}/item",
+    response_model=ItemAnswer,
+    responses=problems(404),
+    summary="How a unit was handed in",
+)
+def show_item(unit: KnownUnit, context: Context) -> object:
+    """What certificates of calibrations made from now on state of it."""
+    return context.store.item(unit.serial) or CalibrationItem()
+
+
+@router.put(
+    "/api/units/{serial:path}/item",
+    dependencies=[requires("operator")],
+    response_model=ItemAnswer,
+    responses=problems(404, 413, 422),
+    summary="Say how a unit was handed in",
+)
+def put_item(unit: KnownUnit, body: ItemBody, context: Context, who: Who) -> object:
+    """All of it at once. Certificates of runs before `received_at` keep what was said before."""
+    said = CalibrationItem(**{**body.model_dump(), "supplied": tuple(dict.fromkeys(body.supplied))})
+    context.store.say_item(unit.serial, said, who=who)
+    return said
+
+
+# No `from __future__ import annotations`: FastAPI reads the annotations.
+
+
+ZIP = "application/zip"
+
+
+@router.get(
+    "/api/units/{serial:path}/archive",
+    response_class=Response,
+    responses={
+        200: {"content": {ZIP: {"schema": {"type": "string", "format": "binary"}}}},
+        **problems_in_json(404),
+    },
+    summary="All that stands behind a unit's calibrations",
+)
+def show_archive(unit: KnownUnit, context: Context) -> Response:
+    """One zip with every revision, run, pose and sample, and the trail; `calrig verify` checks it."""
+    name = re.sub(r"[^A-Za-z0-9._-]", "_", unit.serial)
+    headers = {
+        "Content-Disposition": f'attachment; filename="archive-{name}.zip"',
+        "Content-Encoding": "identity",  # it is packed
+    }
+    pieces = archive_of(context.store, unit.serial, context.laboratory)
+    first = next(pieces)  # what is wrong with the store is told in place of it
+    return StreamingResponse(chain([first], pieces), media_type=ZIP, headers=headers)

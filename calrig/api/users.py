@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter
 from pydantic import Field
 
-from calrig.api.callers import Who, requires
+from calrig.api.access import Who, requires
 from calrig.api.context import Context
 from calrig.api.errors import problems
 from calrig.api.login import Auth

@@ -33,8 +33,7 @@ from scipy.special import betainc, ndtr
 from calrig.calibration.line import MIN_SCALE
 from calrig.calibration.poses import COLUMNS, MOUNT_DEG, OF_MOUNTS, Pose
 from calrig.calibration.regression.responses import FEWEST_POSES
-from calrig.estimation.angles import FloatArray, wrap_deg
-from calrig.estimation.robust import MAD_TO_STD
+from calrig.estimation.angles import MAD_TO_STD, FloatArray, wrap_deg
 
 Float32 = npt.NDArray[np.float32]
 Complex64 = npt.NDArray[np.complex64]

@@ -1,21 +1,29 @@
-"""The rigs of a centre: those that its benches say they have, and how they stood when they last said so."""
+"""The rigs of a centre: those that its benches say they have, and how they stood when they last said so.
+
+What a bench says of itself beside its rigs: believed as far as it has the right form, else not known.
+
+What a monitoring system reads of a centre's dealings with its benches: what waits, and who is silent.
+"""
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from datetime import UTC, datetime
+from typing import Annotated, Any, TypeVar
 
-from pydantic import ValidationError
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.registry import Collector
+from pydantic import AwareDatetime, BaseModel, Field, ValidationError
 
 from calrig.analysis.errors import Conflict, Unknown
-from calrig.analysis.issuing import Releases
-from calrig.runs.look import Look
-from calrig.runs.rig_states import RigState
-from calrig.runs.said_rigs import look_of, settings_of
+from calrig.analysis.revisions import Releases
+from calrig.runs.presence import BoardCheck
+from calrig.runs.rig_status import RigState, look_of, settings_of
 from calrig.settings import RigSettings
-from calrig.store import Store
-from calrig.store.benches import Bench
+from calrig.store import Store, StoreError
+from calrig.store.benches import Backlog, Bench, Waiting
 
 log = logging.getLogger(__name__)
 
@@ -37,7 +45,7 @@ class BenchRig:
         return self.bench.seen_ago_s is None or self.bench.seen_ago_s > OFFLINE_S
 
     @property
-    def seen(self) -> Look | None:
+    def seen(self) -> BoardCheck | None:
         """What the last look at its board gave; None where nobody looks, or that is not known."""
         try:
             return None if self.is_offline else look_of(self.said)
@@ -84,7 +92,7 @@ class BenchRigs:
         busy = self._store.busy_rigs()
         return [rig.state(busy.get((rig.bench.name, rig.settings.name))) for rig in self.all()]
 
-    def looks(self) -> dict[str, Look]:
+    def looks(self) -> dict[str, BoardCheck]:
         """What was seen of the units on rigs that are looked at, by name."""
         return {rig.settings.name: seen for rig in self.all() if (seen := rig.seen) is not None}
 
@@ -118,3 +126,126 @@ class BenchRigs:
                 log.error("what bench %s says of its rigs cannot be read: %s", bench.name, error)
             self._unreadable.add(bench.name)
             return []
+
+
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+
+
+Count = Annotated[int, Field(ge=0, le=2**53)]
+Said = TypeVar("Said", bound=BaseModel)
+
+
+class SaidOutbox(BaseModel):
+    """What it has not delivered yet, and since when the oldest of it waits."""
+
+    parcels: Count
+    oldest_at: AwareDatetime | None
+
+
+class _LeaseLosses(BaseModel):
+    lease_losses: Count
+
+
+def said_outbox(bench: Bench) -> SaidOutbox | None:
+    """What a bench has yet to deliver; None where it does not say."""
+    return _read(SaidOutbox, bench.said.get("outbox"))
+
+
+def said_lease_losses(bench: Bench) -> int | None:
+    """How often a bench's lease ran out since its agent began; None where it does not say."""
+    said = _read(_LeaseLosses, bench.said)
+    return None if said is None else said.lease_losses
+
+
+def _read(model: type[Said], said: Any) -> Said | None:
+    try:
+        return model.model_validate(said)
+    except ValidationError:
+        return None
+
+
+NOTHING = Waiting(0, 0.0)
+
+
+class BenchCounts(Collector):
+    """Looked up as it is asked for; of a store that cannot be read, nothing.
+
+    Args:
+        store: of the centre.
+        stuck: the runs of which this process cannot unpack a delivery.
+    """
+
+    def __init__(self, store: Store, stuck: Callable[[], Mapping[str, str]]) -> None:
+        self._store, self._rigs, self._stuck = store, BenchRigs(store), stuck
+
+    def collect(self) -> Iterator[Metric]:
+        """Every family."""
+        try:
+            benches, rigs, backlog = self._store.benches(), self._rigs.all(), self._store.backlog()
+        except StoreError:
+            return
+        yield from _orders([(rig.bench.name, rig.settings.name) for rig in rigs], backlog)
+        yield from _deliveries([bench.name for bench in benches], backlog)
+        yield GaugeMetricFamily(
+            "calrig_runs_stuck", "Runs with a delivery that cannot be unpacked.", len(self._stuck())
+        )
+        yield from _as_benches_say(benches)
+
+
+def _orders(rigs: list[tuple[str, str]], backlog: Backlog) -> Iterator[Metric]:
+    """By rig, those without any as well: a rate or an alarm needs the zero."""
+    by = ["bench", "rig"]
+    number = GaugeMetricFamily("calrig_orders_waiting", "Runs that no bench has taken yet.", labels=by)
+    age = GaugeMetricFamily("calrig_orders_age_seconds", "Age of the oldest of them.", labels=by)
+    for bench, rig in dict.fromkeys([*rigs, *backlog.orders]):
+        waiting = backlog.orders.get((bench, rig), NOTHING)
+        number.add_metric([bench, rig], waiting.number)
+        age.add_metric([bench, rig], waiting.age_s)
+    yield number
+    yield age
+
+
+def _deliveries(benches: list[str], backlog: Backlog) -> Iterator[Metric]:
+    by = ["bench"]
+    number = GaugeMetricFamily("calrig_parcels_waiting", "Parcels delivered and not unpacked.", labels=by)
+    age = GaugeMetricFamily("calrig_parcels_age_seconds", "Age of the oldest of them.", labels=by)
+    commands = GaugeMetricFamily(
+        "calrig_commands_unanswered",
+        "Commands of the last hour that a bench did not answer in time.",
+        labels=by,
+    )
+    for bench in dict.fromkeys([*benches, *backlog.parcels, *backlog.unanswered]):
+        waiting = backlog.parcels.get(bench, NOTHING)
+        number.add_metric([bench], waiting.number)
+        age.add_metric([bench], waiting.age_s)
+        commands.add_metric([bench], backlog.unanswered.get(bench, 0))
+    yield number
+    yield age
+    yield commands
+
+
+def _as_benches_say(benches: list[Bench]) -> Iterator[Metric]:
+    """What each last said of itself; of a bench that never spoke there is nothing to tell."""
+    by, now = ["bench"], datetime.now(UTC)
+    silence = GaugeMetricFamily("calrig_bench_silence_seconds", "Age of a bench's last word.", labels=by)
+    parcels = GaugeMetricFamily(
+        "calrig_bench_outbox_parcels", "Pieces of runs a bench had yet to deliver.", labels=by
+    )
+    age = GaugeMetricFamily("calrig_bench_outbox_age_seconds", "Age of the oldest event of these.", labels=by)
+    losses = CounterMetricFamily(
+        "calrig_bench_lease_losses", "How often a bench lost its lease since its agent began.", labels=by
+    )
+    for bench in benches:
+        if bench.seen_ago_s is not None:
+            silence.add_metric([bench.name], max(0.0, bench.seen_ago_s))
+        outbox, lost = said_outbox(bench), said_lease_losses(bench)
+        if outbox is not None:
+            since = outbox.oldest_at or now
+            parcels.add_metric([bench.name], outbox.parcels)
+            age.add_metric([bench.name], max(0.0, (now - since).total_seconds()))
+        if lost is not None:
+            losses.add_metric([bench.name], lost)
+    yield silence
+    yield parcels
+    yield age
+    yield losses

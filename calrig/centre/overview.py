@@ -7,13 +7,12 @@ from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any
 
-from calrig.centre.bench_rigs import OFFLINE_S
-from calrig.centre.said import said_outbox
-from calrig.runs.rig_states import RigState
+from calrig.centre.bench_rigs import OFFLINE_S, said_outbox
+from calrig.runs.rig_status import RigState
 from calrig.store import Store
 from calrig.store.benches import Bench
 from calrig.store.records import Document
-from calrig.store.rig_standing import BriefRun, Standing
+from calrig.store.rigs import BriefRun, Standing
 
 NOT_RESOLVED = {"failed", "interrupted"}
 _STEPS_S = ((60.0, 10.0), (3600.0, 60.0))

@@ -1,48 +1,204 @@
-"""Runs as people and programs ask for them at a centre, whose benches carry them out."""
+"""Asking a bench for something while a person waits, and saying so where it cannot be told.
+
+The thread that unpacks what benches deliver; of several processes whichever comes first does.
+
+What the centre makes of a run that a bench has completed: its result by what is in force here, a draft.
+
+Runs as people and programs ask for them at a centre, whose benches carry them out.
+"""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
 
+from calrig.analysis.calibration_in_force import active_calibration
 from calrig.analysis.errors import Conflict, Unknown
-from calrig.analysis.issuing import Issuer
-from calrig.analysis.origin import check_serial
+from calrig.analysis.imports import check_serial
+from calrig.analysis.results import ending_of, fitted, gyro_of
+from calrig.analysis.revisions import Fitted, Issuer
 from calrig.analysis.stored_runs import stored_run
-from calrig.centre.asking import Asking, seen
-from calrig.centre.bench_counts import BenchCounts
-from calrig.centre.bench_rigs import BenchRig, BenchRigs
-from calrig.centre.conclusions import concluded
-from calrig.centre.unpacker import Unpacker
+from calrig.centre.bench_rigs import BenchCounts, BenchRig, BenchRigs
 from calrig.instruments.clock import WALL, Clock
 from calrig.plan import MountAxis, Plan
-from calrig.runs.bus import Bus
-from calrig.runs.errands import Errand, Errands
+from calrig.runs.assignment import NewRun, order_part, rig_followed_up_on
 from calrig.runs.follow_up import Designed, FollowUpQuestion
-from calrig.runs.look import Look
-from calrig.runs.meter import Meter
-from calrig.runs.new_run import NewRun, rig_followed_up_on
-from calrig.runs.ordered import order_part
-from calrig.runs.planned import planned_poses
-from calrig.runs.reachable import require_reachable
-from calrig.runs.rig_states import RigState
-from calrig.runs.stage_place import check_stage_at
+from calrig.runs.plan_estimates import planned_poses
+from calrig.runs.presence import BoardCheck
+from calrig.runs.recorder import Bus, ServiceMetrics
+from calrig.runs.rig_status import RigState
+from calrig.runs.single_flight import SharedTask, SingleFlight
+from calrig.runs.stage_position import check_stage_at
 from calrig.runs.stopping import BY_REQUEST
+from calrig.runs.stopping_rule import require_reachable
 from calrig.settings import RigSettings
-from calrig.store import AT_REST, Run, Store, StoreError
-from calrig.store.bench_commands import Kind
-from calrig.store.benches import Bench
+from calrig.store import AT_REST, Run, StoredPose, StoreError
+from calrig.store.benches import Bench, Kind
 from calrig.store.postgresql.listening import Listening
 from calrig.store.postgresql.set_up import ANSWERS, EVENTS, PARCELS
 from calrig.store.records import TERMINAL, UNFINISHED, Document
+from calrig.store.store import Store
+from calrig.store.unpacking import Conclude, Conclusion, Kept
+
+ANSWER_S = 3.0
+"""How long an answer is waited for."""
+ANSWER_POLL_S = 0.5
+"""How often it is looked for though nobody said that it has come."""
+CUT = {"stop", "abort"}
+
+
+class Asking:
+    """Commands of one process and the answers to them. Thread-safe."""
+
+    def __init__(self, store: Store, clock: Clock = WALL) -> None:
+        self._store, self._clock = store, clock
+        self._answered: set[str] = set()
+        self._told = clock.condition()
+
+    def heard(self, command: str) -> None:
+        """An answer has come, to whoever's command."""
+        with self._told:
+            self._answered.add(command)
+            self._told.notify_all()
+
+    def ask(self, bench: Bench, kind: Kind, *, rig: str | None = None, run_uid: str | None = None) -> None:
+        """Has a bench do something; returns once it has said that it is done.
+
+        Raises:
+            Unknown: the bench knows no such run or rig.
+            Conflict: it says why not; or it cannot be told, or does not say what came of it.
+        """
+        command = self._store.ask_bench(bench.name, kind, rig=rig, run_uid=run_uid)
+        give_up_s = self._clock.now_s() + ANSWER_S
+        answer = self._store.answer_of(command)
+        while answer is None and (left_s := give_up_s - self._clock.now_s()) > 0:
+            with self._told:
+                self._told.wait_for(lambda: str(command) in self._answered, min(ANSWER_POLL_S, left_s))
+                self._answered.clear()
+            answer = self._store.answer_of(command)
+        if answer is None and self._store.withdraw_command(command):
+            raise Conflict(f"bench {bench.name} {seen(bench)} and cannot be told{_advice(kind)}")
+        answer = answer or self._store.answer_of(command)
+        if answer is None:
+            what = "that the stage stands" if kind in CUT else "what came of it"
+            raise Conflict(f"bench {bench.name} has the {kind} and has not said {what}{_advice(kind)}")
+        if answer.get("status") != 200:
+            said = str(answer.get("detail") or f"bench {bench.name} did not say why")
+            raise Unknown(said) if answer.get("status") == 404 else Conflict(said)
+
+
+def seen(bench: Bench) -> str:
+    """When a bench was last seen, in words."""
+    if bench.seen_ago_s is None:
+        return "has never been seen"
+    return f"was last seen {bench.seen_ago_s:.0f} s ago"
+
+
+def _advice(kind: Kind) -> str:
+    return ": go there, or cut its motor power" if kind in CUT else ": ask again once it is there"
+
 
 log = logging.getLogger(__name__)
 
+LOOK_S = 1.0
+"""How often it looks though nobody said that something has come."""
+AGAIN_S = 60.0
+"""How often a run is tried again that could not be unpacked: what was in the way may have been mended."""
+
+
+class Unpacker:
+    """Unpacks until it is closed.
+
+    Args:
+        store: of the centre.
+        conclude: makes results and drafts of what was completed.
+    """
+
+    def __init__(self, store: Store, conclude: Conclude) -> None:
+        self._store, self._conclude = store, conclude
+        self._news, self._closing = threading.Event(), False
+        self._kept = Kept()
+        self._said: dict[str, str] = {}
+        self._again_s = time.monotonic() + AGAIN_S
+        self._is_up = True
+        self._thread = threading.Thread(target=self._run, name="unpacking", daemon=True)
+
+    @property
+    def stuck(self) -> Mapping[str, str]:
+        """Why runs are not unpacked any further, by run."""
+        return self._kept.stuck
+
+    def start(self) -> None:
+        """Begins, in its thread."""
+        self._thread.start()
+
+    def wake(self, _told: str = "") -> None:
+        """Something has come."""
+        self._news.set()
+
+    def close(self) -> None:
+        """Has it end, and waits until it has."""
+        self._closing = True
+        self._news.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _run(self) -> None:
+        while not self._closing:
+            self._news.clear()
+            try:
+                while not self._closing and self._some():
+                    pass
+                self._is_up = True
+            except StoreError as error:
+                if self._is_up:
+                    log.error("nothing is unpacked: %s", error)
+                self._is_up = False
+            self._news.wait(LOOK_S)
+
+    def _some(self) -> bool:
+        """Unpacks some; returns whether there may be more."""
+        if time.monotonic() >= self._again_s:
+            self._again_s = time.monotonic() + AGAIN_S
+            self._kept = Kept()
+            self._store.settle_withdrawn()
+        if not self._store.has_parcels(self._kept):
+            return False
+        self._kept = self._store.unpack_parcels(self._conclude, self._kept)
+        for run_id, why in self._kept.stuck.items():
+            if self._said.get(run_id) != why:
+                log.error("run %s: a delivery is kept and cannot be unpacked: %s", run_id, why)
+        self._said.update(self._kept.stuck)
+        return True
+
+
+def concluded(store: Store, issuer: Issuer, run: Run, stored: Sequence[StoredPose]) -> Conclusion:
+    """The result of a completed run and its unit's next revision.
+
+    A bench knows neither which effects are in force nor the units' revisions: its own result serves for what
+    it says of the gyro, which is from samples.
+    """
+    poses, gyro = [one.pose for one in stored if one.excluded is None], gyro_of(run)
+    if not poses:
+        return None, None
+    if run.kind == "verification":
+        try:
+            applied = active_calibration(store, run.unit, run.rig, run.provenance.get("verifies_revision"))
+        except Conflict:  # it was verified by a revision that this store has never had
+            return run.result, None
+        return applied.result(poses, gyro).to_dict(), None
+    accepted = store.effects_in_force(run.unit, run.rig)
+    result = fitted(poses, accepted, run.provenance, gyro, ending_of(run))
+    excluded = [one.index for one in stored if one.excluded is not None]
+    return result.to_dict(), issuer.completing(run, Fitted(poses, result, accepted, excluded))
+
+
 ENDS_S = 2.0
 """How long an abort waits, once the stage stands, for the run's end to be delivered."""
-LOOK_S = 1.0
 
 
 class CentreService:
@@ -60,11 +216,11 @@ class CentreService:
     def __init__(self, store: Store, url: str, clock: Clock = WALL) -> None:
         self.store = store
         self.bus = Bus()
-        self.meter = Meter()
+        self.meter = ServiceMetrics()
         self._rigs = BenchRigs(store)
         self._clock = clock
         self._asking = Asking(store, clock)
-        self._errands = Errands()
+        self._errands = SingleFlight()
         self._unpacker = Unpacker(store, lambda run, poses: concluded(store, self.issuer, run, poses))
         self.meter.registry.register(BenchCounts(store, lambda: self.stuck))
         heard: dict[str, Callable[[str], object]] = {
@@ -157,7 +313,7 @@ class CentreService:
         """
         return self.begin_abort(run_id).result()
 
-    def begin_abort(self, run_id: str) -> Errand[Run]:
+    def begin_abort(self, run_id: str) -> SharedTask[Run]:
         """As `abort`, in a thread of its own, which all share who ask for it meanwhile."""
         return self._errands.share(("abort", run_id), self._clock, partial(self._abort, run_id))
 
@@ -188,7 +344,7 @@ class CentreService:
         """
         return self.begin_stop(rig_name).result()
 
-    def begin_stop(self, rig_name: str) -> Errand[RigState]:
+    def begin_stop(self, rig_name: str) -> SharedTask[RigState]:
         """As `stop`, in a thread of its own, which all share who ask for it meanwhile."""
         return self._errands.share(("stop", rig_name), self._clock, partial(self._stop, rig_name))
 
@@ -203,7 +359,7 @@ class CentreService:
                 log.error("runs that waited for rig %s are not told of as aborted yet: %s", rig_name, error)
         return next(state for state in self.rigs() if state.name == rig_name)
 
-    def begin_clamp(self, rig_name: str, mount_deg: float, axis: MountAxis) -> Errand[RigState]:  # noqa: ARG002
+    def begin_clamp(self, rig_name: str, mount_deg: float, axis: MountAxis) -> SharedTask[RigState]:  # noqa: ARG002
         """Turns nothing: whoever does that stands at the bench, and has its page there."""
         bench = self._rigs.known(rig_name).bench
         raise Conflict(
@@ -216,7 +372,7 @@ class CentreService:
         if not rig.is_offline:
             self.store.ask_bench(rig.bench.name, "look", rig=rig_name)
 
-    def looks(self) -> dict[str, Look]:
+    def looks(self) -> dict[str, BoardCheck]:
         """What the last looks at boards gave, by rig, as their benches last said; of those looked at."""
         return self._rigs.looks()
 

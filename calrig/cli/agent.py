@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import calrig
-from calrig.cli.help_listing import Listed
+from calrig.cli.exit_status import Listed
 from calrig.cli.options import Config, Record
 from calrig.cli.start import loaded
 
@@ -62,7 +62,7 @@ def agent(
         return
     from calrig.agent.address import checked_url
     from calrig.api.access import access_here
-    from calrig.api.address import address_of, listen
+    from calrig.api.server import address_of, listen
     from calrig.cli.local_service import local_service
     from calrig.logs import configure_log
     from calrig.settings import load_settings

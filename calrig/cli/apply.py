@@ -36,8 +36,8 @@ def apply(
     from calrig.calibration.regression import ApplyError
     from calrig.calibration.results import Application
     from calrig.export.applied_csv import Applier
-    from calrig.export.calibration_file import read_document
-    from calrig.export.cells import CsvError
+    from calrig.export.calibration_document import read_document
+    from calrig.export.csv_table import CsvError
 
     document = read_document(calibration)
     name = STDIN if readings is None else str(readings)

@@ -1,24 +1,32 @@
-"""`bench`: which benches a centre has, in its database or at the running service."""
+"""`bench`: which benches a centre has, in its database or at the running service.
+
+`agent enroll`: how a bench joins its centre, by a code that an admin of the centre has made.
+"""
 
 from __future__ import annotations
 
+import os
+import ssl
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from datetime import datetime
-from typing import TYPE_CHECKING, Annotated, Any
-from urllib.parse import quote
+from pathlib import Path
+from tempfile import NamedTemporaryFile
+from typing import IO, TYPE_CHECKING, Annotated, Any
+from urllib.parse import quote, urlsplit
 
 import typer
 
-from calrig.cli.help_listing import Listed
+from calrig.cli.exit_status import Listed
 from calrig.cli.options import Db, Json, Server
-from calrig.errors import InputError
+from calrig.errors import InputError, WorkError
 
 if TYPE_CHECKING:
     from calrig.client import Client
     from calrig.store import Store
     from calrig.store.enrolment import Membership
+
 
 app = typer.Typer(
     cls=Listed,
@@ -102,3 +110,84 @@ def _shown(bench: Membership) -> dict[str, Any]:
         key: value.isoformat() if isinstance(value, datetime) else value
         for key, value in asdict(bench).items()
     }
+
+
+def enroll(
+    centre: Annotated[
+        str, typer.Option(metavar="URL", help="The centre's service, such as https://calrig.lab.example.")
+    ],
+    code: Annotated[str, typer.Option(metavar="CODE", help="What `calrig bench add` printed.")],
+    ca: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Certificates to believe, of the service and of the database."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Where to keep the URL; else where `calrig agent` looks for it."),
+    ] = None,
+) -> None:
+    """Join a centre, and keep the URL of its database, which has this bench's password, in a file."""
+    from calrig.client import Client
+    from calrig.client.transport import part
+    from calrig.settings import centre_url_file
+
+    _require_private(centre)
+    service = Client(centre, None if ca is None else _believed(ca))
+    path = out or centre_url_file()
+    with _secret(path) as file:  # which can be written: the code is not spent for nothing
+        joined = service.post("/api/benches/enroll", {"code": code})
+        file.write(checked_by(part(joined, "db"), ca) + "\n")
+    typer.echo(f"this is bench {part(joined, 'bench')} now; the URL of the centre's database is in {path}")
+
+
+def _require_private(centre: str) -> None:
+    """Refuses an address at which code and password could be read on the way."""
+    from calrig.client.transport import is_loopback
+
+    named = urlsplit(centre)
+    if named.scheme == "http" and not is_loopback(named.hostname or ""):
+        raise InputError(
+            f"--centre {centre}: code and password could be read on the way: name it by https:// "
+            "(`--ca FILE` where the certificate is your own authority's)"
+        )
+
+
+def _believed(ca: Path) -> ssl.SSLContext:
+    try:
+        return ssl.create_default_context(cafile=ca)
+    except OSError as error:  # no file, or none of certificates
+        raise InputError(f"--ca {ca}: {error.strerror or error}") from error
+
+
+def checked_by(db: str, ca: Path | None) -> str:
+    """The database's URL with the certificates that its server is checked by, where it is."""
+    from sqlalchemy import make_url
+
+    url = make_url(db)
+    if url.query.get("sslmode") == "verify-full":
+        url = url.update_query_dict({"sslrootcert": str(_authorities(ca))})
+    return url.render_as_string(hide_password=False)
+
+
+def _authorities(ca: Path | None) -> Path | str:
+    """The file of certificates that libpq believes; it may not know where this machine keeps its own."""
+    return ssl.get_default_verify_paths().cafile or "system" if ca is None else ca.resolve()
+
+
+@contextmanager
+def _secret(path: Path) -> Iterator[IO[str]]:
+    """A file that only its owner reads; it takes the place of the one before when the block ends well."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = NamedTemporaryFile("w", dir=path.parent, prefix=".calrig-", delete=False)  # noqa: SIM115
+    except OSError as error:
+        raise WorkError(f"{path}: cannot be written ({error.strerror})") from error
+    written = Path(file.name)
+    try:
+        with file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        written.replace(path)
+    finally:
+        written.unlink(missing_ok=True)

@@ -10,7 +10,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
-from calrig.analysis.fleet_workers import Workers, own_processes
+from calrig.analysis.fleet import Workers, own_processes
 from calrig.errors import WorkError
 
 PATIENCE_S = 30.0

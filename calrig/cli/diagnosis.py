@@ -8,11 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
-from calrig.cli import names
+from calrig.cli import options
 from calrig.cli.input_files import names_a_file, read_log_file, read_poses_file
-from calrig.cli.options import COLUMNS, SHORTENED, AccelRange, Db, Json, Server
+from calrig.cli.options import COLUMNS, SHORTENED, AccelRange, Db, Json, Server, whole_id
 from calrig.cli.running_service import running_service, whole_id_there
-from calrig.cli.typed_ids import whole_id
 from calrig.errors import InputError
 
 
@@ -21,7 +20,7 @@ def diagnose(
         list[str],
         typer.Argument(
             metavar="FILE.csv|RUN_ID...",
-            autocompletion=names.runs,
+            autocompletion=options.runs,
             help=f"Poses of one unit, or ids of its runs{SHORTENED}. {COLUMNS}",
         ),
     ],
@@ -60,7 +59,7 @@ def gravity(
     from calrig.calibration.separation import calibrate_by_gravity, gravity_document
     from calrig.calibration.static_detector import GravityError
     from calrig.cli import output
-    from calrig.export.cells import CsvError
+    from calrig.export.csv_table import CsvError
     from calrig.export.static_csv import accel_g_of
 
     log = read_log_file(file, accel_range)

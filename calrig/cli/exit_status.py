@@ -1,4 +1,7 @@
-"""How a command ends: 0 done; 1 the work failed; 2 wrong usage or unreadable input; one line says why."""
+"""How a group lists its commands: each summary whole, where click cuts them after 45 letters.
+
+How a command ends: 0 done; 1 the work failed; 2 wrong usage or unreadable input; one line says why.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +10,22 @@ import sys
 from typing import Any, NoReturn
 
 import typer
+from typer.core import TyperGroup
 
-from calrig.cli.help_listing import Listed
 from calrig.errors import printable
+
+WHOLE = 1000
+
+
+class Listed(TyperGroup):
+    """A group of commands with whole summaries, on as many lines as they take."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Writes the list of commands into the help."""
+        commands = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, c.get_short_help_str(WHOLE)) for name, c in commands if c is not None])
+
 
 NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 """Of a disk; what writes files of its own says which."""
@@ -21,7 +37,7 @@ STATUS = {
     "calrig.store.errors.StoreError": 1,
     "calrig.analysis.errors.RunsError": 1,
     "calrig.analysis.errors.Invalid": 2,
-    "calrig.api.address.AddressError": 1,
+    "calrig.api.server.AddressError": 1,
     "calrig.api.access.AccessError": 2,
 }
 """Exit status by kind of error; by name, for importing them all would take a second to say one line."""

@@ -1,22 +1,27 @@
-"""`export`: a unit's calibration, its poses, its certificate, or all that stands behind it."""
+"""`export`: a unit's calibration, its poses, its certificate, or all that stands behind it.
+
+What `export` puts into files: certificates, archives, all poses.
+"""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from calrig.cli import names
-from calrig.cli.options import SHORTENED, Db, Server
+from calrig.cli import options
+from calrig.cli.options import SHORTENED, Db, Server, whole_id
+from calrig.cli.progress import late_bar
 from calrig.cli.running_service import is_named, running_service
-from calrig.cli.typed_ids import whole_id
-from calrig.errors import InputError
+from calrig.errors import InputError, WorkError
 
 if TYPE_CHECKING:
+    from calrig.calibration.fleet_screen import PackedPoses
+    from calrig.client import Client
     from calrig.store import Store
     from calrig.store.issued import Revision
 
@@ -48,13 +53,13 @@ def export(
         str | None,
         typer.Argument(
             metavar="RUN_ID|CALIBRATION.json",
-            autocompletion=names.runs,
+            autocompletion=options.runs,
             help=f"The run to export{SHORTENED}, or a calibration of `calrig solve --out`.",
         ),
     ] = None,
     unit: Annotated[
         str | None,
-        typer.Option(metavar="SERIAL", help="The unit, by its run in force.", autocompletion=names.units),
+        typer.Option(metavar="SERIAL", help="The unit, by its run in force.", autocompletion=options.units),
     ] = None,
     format_: Annotated[
         Format,
@@ -89,16 +94,12 @@ def export(
     A service that holds the store makes them, by its own settings, where it is not told a key to sign with.
     """
     if parquet is not None:
-        from calrig.cli.export_files import export_all
-
         if run_id is not None or unit is not None:
             raise InputError("export: --parquet writes the poses of all runs: name no run or unit beside it")
         _refuse_elsewhere("--parquet", server, db)
         export_all(parquet, db)
         return
     if format_ is Format.archive:
-        from calrig.cli.export_files import export_archive
-
         if run_id is not None:
             raise InputError("export: an archive is of a unit, not of a run: --unit SERIAL --out FILE.zip")
         export_archive(running_service(server, db), unit, out, db)
@@ -146,7 +147,6 @@ def _export_certificate(
     db: str | None,
     server: str | None,
 ) -> None:
-    from calrig.cli.export_files import certificate_of, check_target, put
 
     check_target(form, out)
     is_signed = signing != (None, None)
@@ -181,7 +181,7 @@ def _refuse_elsewhere(option: str, server: str | None, db: str | None) -> None:
 
 def _text(store: Store, run_id: str | None, unit: str | None, format_: Format) -> str:
     """What is printed; standard error has the verdict of a calibration."""
-    from calrig.analysis.exports import NOISE_FORMATS, exported, exported_noise
+    from calrig.analysis.certificates import NOISE_FORMATS, exported, exported_noise
     from calrig.analysis.stored_runs import stored_run
 
     if run_id is not None and format_ is Format.csv:
@@ -198,8 +198,7 @@ def _text(store: Store, run_id: str | None, unit: str | None, format_: Format) -
 
 
 def _poses(store: Store, run_id: str) -> str:
-    from calrig.analysis.mounts import labels_of
-    from calrig.analysis.stored_runs import counted_poses, stored_run
+    from calrig.analysis.stored_runs import counted_poses, labels_of, stored_run
     from calrig.export.poses_csv import write_poses
 
     run = stored_run(store, run_id)
@@ -207,8 +206,8 @@ def _poses(store: Store, run_id: str) -> str:
 
 
 def _of_file(file: str, format_: Format) -> str:
-    from calrig.analysis.exports import REVISION_FORMATS, exported_document
-    from calrig.export.calibration_file import read_document
+    from calrig.analysis.certificates import REVISION_FORMATS, exported_document
+    from calrig.export.calibration_document import read_document
 
     if format_.value not in REVISION_FORMATS:
         raise InputError(f"export: {file}: a calibration in a file is given as {', '.join(REVISION_FORMATS)}")
@@ -216,7 +215,7 @@ def _of_file(file: str, format_: Format) -> str:
 
 
 def _revision_asked_for(store: Store, run_id: str | None, unit: str | None) -> Revision:
-    from calrig.analysis.active_calibration import newest_of_run, wanted_revision
+    from calrig.analysis.calibration_in_force import newest_of_run, wanted_revision
 
     if unit is not None:
         return store.in_force(unit) or wanted_revision(store, unit, "latest")
@@ -231,3 +230,102 @@ def _say_which(unit: str, revision: int, status: str, says: Iterable[str]) -> No
         words = f"revision {revision} of unit {unit!r} is {status}, not in force"
         typer.echo(f"calrig export: {words}", err=True)
     print_says(says)
+
+
+def check_target(form: Form, out: Path | None) -> None:
+    """Refuses a PDF that would go to a terminal, and a file in a folder that is not there.
+
+    Raises:
+        InputError: so it is.
+    """
+    if form == "pdf" and out is None and sys.stdout.isatty():
+        raise InputError("export: --format pdf is no text: name a file with -o FILE, or pipe it")
+    if out is not None and (out.is_dir() or not out.parent.is_dir()):
+        raise InputError(f"export: {out}: is a folder, or in one that is not there: name a file to make")
+
+
+def put(certificate: bytes, out: Path | None) -> None:
+    """Writes a certificate into a file, or to standard output."""
+    if out is None:
+        sys.stdout.buffer.write(certificate)
+        return
+    try:
+        out.write_bytes(certificate)
+    except OSError as error:
+        raise WorkError(f"{out}: cannot be written ({error.strerror})") from error
+
+
+def certificate_of(
+    store: Store, revision: Revision, form: Form, key: Path | None, certificate: Path | None
+) -> bytes:
+    """A revision's certificate.
+
+    Args:
+        store: where the revision is.
+        revision: that it is of.
+        form: of the certificate.
+        key: PEM file that a DCC is signed with; None as the laboratory's settings have it.
+        certificate: of that key.
+
+    Raises:
+        InputError: key or certificate are not both named.
+        WorkError: it cannot be made.
+    """
+    from calrig.analysis.certificates import certificate_dcc, certificate_pdf
+    from calrig.settings import load_settings
+
+    if (key is None) != (certificate is None):
+        raise InputError("export: --sign KEY.pem and --cert CERT.pem go together")
+    if key is not None and form == "pdf":
+        raise InputError("export: --sign is for --format dcc: a PDF is not signed here")
+    laboratory = load_settings().laboratory
+    if key is not None:
+        signing = {"signing_key": str(key), "signing_certificate": str(certificate)}
+        laboratory = laboratory.model_copy(update=signing)
+    return (certificate_pdf if form == "pdf" else certificate_dcc)(store, revision, laboratory)
+
+
+def export_archive(there: Client | None, unit: str | None, out: Path | None, db: str | None) -> None:
+    """Writes the archive of a unit, of a service or a store, to a file that is not there yet.
+
+    Raises:
+        InputError: no unit or file is named, or it cannot be made.
+        WorkError: the disk took only a part of it, which is removed.
+    """
+    from calrig.export.new_file import write_new
+
+    if unit is None or out is None:
+        raise InputError("export: an archive is of a unit and goes to a file: --unit SERIAL --out FILE.zip")
+    with late_bar(f"writing {out.name}"):
+        if there is not None:
+            size = there.archive(unit, out)
+        else:
+            from calrig.analysis.certificates import archive_of
+            from calrig.settings import load_settings, store_url
+            from calrig.store import Store
+
+            with Store.open(store_url(db), writer=None) as store:
+                size = write_new(out, archive_of(store, unit, load_settings().laboratory))
+    typer.echo(f"{out}: {size / 1e6:.1f} MB")
+
+
+def export_all(folder: Path, db: str | None) -> None:
+    """Writes the poses of all completed runs of a store as Parquet files."""
+    from calrig.export.poses_parquet import write_poses
+    from calrig.settings import store_url
+    from calrig.store import Store
+
+    with Store.open(store_url(db), writer=None) as store, late_bar("exporting") as show:
+        runs = [run for part in store.completed_runs() for run in part]
+        n_poses = 0
+
+        def pieces() -> Iterator[PackedPoses]:
+            nonlocal n_poses
+            n_runs = 0
+            for piece in store.packed_poses(runs, with_gyro=True):
+                yield piece
+                n_runs, n_poses = n_runs + len(piece), n_poses + int(piece.first[-1])
+                show(n_runs / len(runs))
+
+        files = write_poses(folder, pieces())
+    typer.echo(f"{folder}: {len(runs)} runs, {n_poses} poses in {len(files)} files")

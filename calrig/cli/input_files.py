@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calrig.cli.typed_ids import looks_like_an_id
+from calrig.cli.options import looks_like_an_id
 from calrig.errors import InputError
 
 if TYPE_CHECKING:
@@ -48,8 +48,7 @@ def read_bytes(file: Path, limit: int = LARGEST_POSES) -> bytes:
 
 def read_poses_file(file: Path) -> tuple[list[Pose], list[str]]:
     """Poses of one unit about its x, to be diagnosed, and what is to be said of them."""
-    from calrig.export.mounted_csv import read_about_x
-    from calrig.export.poses_csv import CsvError
+    from calrig.export.poses_csv import CsvError, read_about_x
 
     try:
         return read_about_x(read_bytes(file))
@@ -64,7 +63,7 @@ def read_log_file(
     progress: Callable[[float], None] | None = None,
 ) -> StaticLog:
     """A log of samples; `progress` is told the share that is read, 0 to 1."""
-    from calrig.export.cells import CsvError
+    from calrig.export.csv_table import CsvError
     from calrig.export.static_csv import read_static
 
     try:

@@ -23,8 +23,8 @@ def centre_service(url: str, command: str, settings: Settings) -> Iterator[Centr
     Raises:
         InputError: rigs are configured here, which no centre carries runs out on.
     """
-    from calrig.analysis.issuing import Issuer
     from calrig.analysis.limits import keep_configured
+    from calrig.analysis.revisions import Issuer
     from calrig.settings import DEMO_RIG
     from calrig.store import Store
 
@@ -69,10 +69,10 @@ def local_service(
     with ExitStack() as stack:
         with ThreadPoolExecutor(1) as beside:
             starting = beside.submit(lambda: [stack.enter_context(_with_ports(rig)) for rig in rigs])
-            from calrig.analysis.issuing import Issuer, NoDrafts, Releases
             from calrig.analysis.limits import keep_configured
+            from calrig.analysis.revisions import Issuer, NoDrafts, Releases
             from calrig.analysis.stage_maps import configured_maps
-            from calrig.runs.recovery import mark_interrupted, stop_stages
+            from calrig.runs.launcher import mark_interrupted, stop_stages
             from calrig.runs.service import RunService
             from calrig.store import Store
             from calrig.store.engines import is_centre, shown

@@ -15,7 +15,6 @@ from calrig.cli import (
     apply,
     benches,
     diagnosis,
-    enroll,
     export,
     fleet,
     move_store,
@@ -31,6 +30,7 @@ from calrig.cli import (
     verify,
     watch,
 )
+from calrig.cli import benches as enroll
 from calrig.cli.exit_status import Commands
 
 app = typer.Typer(

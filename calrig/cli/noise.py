@@ -8,18 +8,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calrig.cli import names
+from calrig.cli import options
 from calrig.cli.input_files import names_a_file, read_log_file
-from calrig.cli.options import COLUMNS, SHORTENED, AccelRange, Db, GyroRange, Json, Plot, Rate
+from calrig.cli.options import COLUMNS, SHORTENED, AccelRange, Db, GyroRange, Json, Plot, Rate, whole_id
 from calrig.cli.running_service import NAMED, running_service, whole_id_there
-from calrig.cli.typed_ids import whole_id
 from calrig.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from calrig.client import Client
-    from calrig.client.log_documents import FiltersStudy, NoiseStudy
+    from calrig.client.documents import FiltersStudy, NoiseStudy
     from calrig.figures.files import Rows
     from calrig.noise.filters import FilterStudy
 
@@ -66,7 +65,7 @@ def filters(
         str,
         typer.Argument(
             metavar="FILE.csv|RUN_ID",
-            autocompletion=names.runs,
+            autocompletion=options.runs,
             help=f"A log with rest and motion, or a run's id{SHORTENED}. {COLUMNS}",
         ),
     ],

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calrig.cli import names
+from calrig.cli import options
 from calrig.cli.input_files import read_plan_file
 from calrig.cli.options import Config, Db, Json, Rig, Server
 from calrig.cli.running_service import running_service
@@ -32,7 +32,7 @@ def plan(
         str,
         typer.Option(
             metavar="SERIAL",
-            autocompletion=names.units,
+            autocompletion=options.units,
             help="Unit whose noise is taken from its earlier runs on the rig.",
         ),
     ] = "",
@@ -116,8 +116,7 @@ def _designed_here(asked: _Asked, db: str | None, config: str | None) -> dict[st
     from calrig.calibration.plan_design import Goals
     from calrig.cli.progress import late_bar
     from calrig.plan import Until
-    from calrig.runs.plan_answers import answer
-    from calrig.runs.plan_designs import Wanted, question
+    from calrig.runs.plan_designs import DesignRequest, answer, question
     from calrig.settings import load_settings, store_url
     from calrig.store import Store
     from calrig.store.errors import NoStore
@@ -128,7 +127,9 @@ def _designed_here(asked: _Asked, db: str | None, config: str | None) -> dict[st
         configured = ", ".join(one.name for one in settings.rig)
         raise InputError(f"--rig: there is no rig {asked.rig!r}; configured: {configured}")
     ends_at = Until(expanded_uncertainty_deg=asked.target_u_deg) if asked.until else None
-    wanted = Wanted(Goals(expanded_deg=asked.target_u_deg), asked.time_s, asked.trace, ends_at, asked.sweep)
+    wanted = DesignRequest(
+        Goals(expanded_deg=asked.target_u_deg), asked.time_s, asked.trace, ends_at, asked.sweep
+    )
     with ExitStack() as stack:
         store = None
         with suppress(NoStore):  # nothing has run yet: noise and pace are assumed, and said to be
@@ -148,7 +149,7 @@ def _poses(plan: dict[str, Any]) -> str:
 
 
 def _print(document: dict[str, Any]) -> None:
-    from calrig.cli.printing import number, print_sentence, print_table
+    from calrig.cli.output import number, print_sentence, print_table
 
     expected: dict[str, Any] = document["expected"]
     limit: dict[str, Any] | None = document["limit"]

@@ -1,13 +1,23 @@
-"""How far something is, on standard error where that is a terminal: a run, or a long analysis."""
+"""How far something is, on standard error where that is a terminal: a run, or a long analysis.
+
+A run as a terminal follows it, whether this process carries it out, a service does, or another program.
+
+Asks on the terminal for the unit to be turned, while the run that waits for it is looked after.
+"""
 
 from __future__ import annotations
 
+import signal
+import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from queue import Empty, SimpleQueue
+from typing import Any, Protocol
 
+import typer
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -18,10 +28,7 @@ from rich.progress import (
     TimeElapsedColumn,
 )
 
-from calrig.errors import printable
-
-if TYPE_CHECKING:
-    from calrig.cli.followed import Happened, Watched
+from calrig.errors import WorkError, printable
 
 PATIENCE_S = 2.0
 """What takes no longer needs no bar."""
@@ -123,3 +130,225 @@ def late_bars(patience_s: float = PATIENCE_S) -> Iterator[Callable[[str], Callab
             late.join()
         if progress.live.is_started:
             progress.stop()
+
+
+LOOK_S = 0.1
+"""How often a run is looked at when nothing is heard of it, and how soon a Ctrl-C is seen."""
+
+
+class Happened(Protocol):
+    """An event of the run's log: `state`, `progress`, `pose`, `reading`."""
+
+    @property
+    def type(self) -> str:
+        """What kind of."""
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """CONTRACT section 2."""
+
+
+@dataclass(frozen=True, slots=True)
+class Notice:
+    """Something to be said beside the run's own events."""
+
+    says: str
+    type: str = "notice"
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """As of an event."""
+        return {"says": self.says}
+
+
+class Refusal(Exception):  # noqa: N818 (read as words: raise Refusal)
+    """The run cannot do what was asked of it now; says why."""
+
+
+class Watched(Protocol):
+    """A run that is looked at.
+
+    Attributes:
+        id: its id.
+        status: as last heard.
+        progress: likewise.
+        is_over: whether nobody carries it out any more and all that happened was told.
+    """
+
+    id: str
+    status: str
+    progress: dict[str, Any]
+    is_over: bool
+
+    def news(self) -> Sequence[Happened]:
+        """What happened since the last look; waits for `LOOK_S` at most."""
+
+    def document(self) -> dict[str, Any]:
+        """The run as the API gives it."""
+
+
+class Followed(Watched, Protocol):
+    """A run that this terminal has begun, and answers for.
+
+    Attributes:
+        has_clamp: whether the rig can turn the unit by itself.
+    """
+
+    has_clamp: bool
+
+    def abort(self) -> None:
+        """Ends it; Refusal where it has just ended, or its stage was not seen to stand."""
+
+    def resume(self) -> None:
+        """Goes on; Refusal where the unit is not turned as it should be."""
+
+    def turn(self, mount_deg: float, mount_axis: str) -> None:
+        """Has the rig's clamp turn the unit; Refusal where it cannot."""
+
+
+class StopRequest:
+    """Whether a signal has asked for the end. A flag, for an exception can get lost in a finaliser."""
+
+    def __init__(self) -> None:
+        self.is_made = False
+
+    def __call__(self, number: int, _frame: object) -> None:
+        """Takes the signal."""
+        self.is_made = True
+        signal.signal(number, signal.default_int_handler)  # the second one is not asked but told
+
+
+@contextmanager
+def stop_request() -> Iterator[StopRequest]:
+    """Takes SIGINT and SIGTERM for as long as it lasts."""
+    asked = StopRequest()
+    before = {number: signal.signal(number, asked) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield asked
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def follow(
+    run: Followed,
+    asked: StopRequest,
+    show: Callable[[Happened], None],
+    look: Callable[[Followed], None],
+) -> None:
+    """Shows what happens in a run until it has ended, aborting it once that is asked for.
+
+    `look` is given the run again and again, for what it may wait for.
+    """
+    is_aborted = False
+    while True:
+        for event in run.news():
+            show(event)
+        if run.is_over:
+            return
+        if asked.is_made and not is_aborted:
+            is_aborted = True
+            show(Notice("stopping the stage and ending the run; the poses measured so far are kept"))
+            try:
+                run.abort()
+            except Refusal:
+                continue  # it has just ended, or its error says what became of the stage
+        elif not is_aborted:
+            look(run)
+
+
+def carry_out(begin: Callable[[], Followed], unit: str, *, as_json: bool) -> None:
+    """Follows a run on the terminal, asks for what it waits for, and prints how it ended.
+
+    Args:
+        begin: begins it; a Ctrl-C meanwhile is not lost, but aborts it then.
+        unit: its serial number.
+        as_json: whether its document is printed.
+
+    Raises:
+        WorkError: it was not completed.
+    """
+    with stop_request() as asked:
+        run = begin()
+        with run_bar(run, unit) as show:
+            follow(run, asked, show, MountPrompt().look)
+    print_end(run.document(), as_json=as_json)
+
+
+def print_end(ended: dict[str, Any], *, as_json: bool) -> None:
+    """Prints a run that has ended: its document, or its figures and its verdict.
+
+    Raises:
+        WorkError: it was not completed.
+    """
+    from calrig.cli import output
+
+    if as_json:
+        output.print_json(ended)
+    else:
+        output.print_result(ended)
+    if ended["status"] != "completed":
+        why = f": {ended['error']}" if ended["error"] else ""
+        is_told = f"`calrig resume {ended['id']}" in why  # with what it needs to be told
+        is_resumable = ended["status"] == "interrupted" and not is_told
+        on = f"; `calrig resume {ended['id']}` goes on with it" if is_resumable else ""
+        raise WorkError(f"run {ended['id']} {ended['status']}{why}{on}")
+
+
+BY_CLAMP = "c"
+
+
+class MountPrompt:
+    """What is asked on standard error and answered by a line of standard input, a person's or a program's.
+
+    Somebody else may answer first, on the page of the service: then the line still to come says nothing.
+    """
+
+    def __init__(self) -> None:
+        self._lines: SimpleQueue[str] = SimpleQueue()
+        self._asked: dict[str, Any] | None = None
+        self._is_reading = False
+
+    def look(self, run: Followed) -> None:
+        """Asks where the run waits and has not been asked about; passes an answer on that has come.
+
+        Raises:
+            WorkError: standard input has ended: nobody can say that the unit was turned.
+        """
+        wanted = run.progress.get("waiting_for") if run.status == "paused" else None
+        if wanted is None:
+            self._asked = None
+            return
+        to = f"the unit to {wanted['mount_deg']:g}°, its {wanted['mount_axis']} along the stage's axis"
+        if self._asked != wanted:
+            self._ask(f"Turn {to}, then press Enter", has_clamp=run.has_clamp)
+            self._asked = wanted
+            return
+        try:
+            line = self._lines.get_nowait()
+        except Empty:
+            return
+        self._is_reading = False
+        if not line:
+            run.abort()
+            raise WorkError(
+                f"run {run.id} aborted: it waited for somebody to turn {to}, and standard input has ended: "
+                "run it on a terminal, or start it on the page of `calrig serve`"
+            )
+        self._go(run, wanted, line.strip().lower())
+
+    def _ask(self, what: str, *, has_clamp: bool) -> None:
+        by_clamp = f" ({BY_CLAMP} and Enter: the rig's clamp turns it)" if has_clamp else ""
+        typer.echo(f"{what}{by_clamp}", err=True)
+        if not self._is_reading:
+            self._is_reading = True
+            threading.Thread(target=lambda: self._lines.put(sys.stdin.readline()), daemon=True).start()
+
+    def _go(self, run: Followed, wanted: dict[str, Any], line: str) -> None:
+        try:
+            if line == BY_CLAMP and run.has_clamp:
+                run.turn(wanted["mount_deg"], wanted["mount_axis"])
+            run.resume()
+        except Refusal as refusal:
+            typer.echo(str(refusal), err=True)
+            self._asked = None

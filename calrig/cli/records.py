@@ -34,8 +34,8 @@ def import_(
         return
 
     from calrig.analysis.amendments import Records
-    from calrig.analysis.issuing import Issuer, Releases
     from calrig.analysis.limits import keep_configured
+    from calrig.analysis.revisions import Issuer, Releases
     from calrig.cli.output import print_says
     from calrig.cli.progress import late_bar
     from calrig.settings import load_settings, store_url

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from calrig.cli.options import Config, Db, Json, Record, Server, StageAt
+from calrig.cli.options import Config, Db, Json, Record, Server, StageAt, whole_id
 from calrig.cli.running_service import running_service, whole_id_there
-from calrig.cli.typed_ids import whole_id
 from calrig.cli.watch import RunId
 
 if TYPE_CHECKING:
@@ -27,7 +26,7 @@ def resume(
     Rig, board and stage have to be the same, and the unit untouched: the last pose is measured once more.
     Of a stage without homing that was on its way, say where it stands (`--stage-at`).
     """
-    from calrig.cli.followed import carry_out
+    from calrig.cli.progress import carry_out
 
     there = running_service(server, db)
     if there is not None:

@@ -64,7 +64,7 @@ def _here(config: str | None, scan: bool) -> dict[str, Any]:
         from dataclasses import asdict
 
         from calrig.instruments import scan as ports
-        from calrig.instruments.scan_stanza import stanza
+        from calrig.instruments.scan import stanza
 
         found = ports.scan(settings.ports())
         known = {rig.name for rig in settings.rig}

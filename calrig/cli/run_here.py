@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, cast
 
-from calrig.cli.followed import LOOK_S, Refusal
+from calrig.cli.progress import LOOK_S, Refusal
 from calrig.errors import WorkError
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class RunHere:
-    """A run of the service in this process; `calrig.cli.followed.Followed` has what each part is."""
+    """A run of the service in this process; `calrig.cli.progress.Followed` has what each part is."""
 
     def __init__(self, service: RunService, run: Run) -> None:
         self.id, self.is_over = run.id, False
@@ -64,7 +64,7 @@ class RunHere:
 
 
 class RunElsewhere:
-    """A run that another program carries out into the same file; as `calrig.cli.followed.Watched`.
+    """A run that another program carries out into the same file; as `calrig.cli.progress.Watched`.
 
     `is_written` tells whether a program writes to that file.
     """

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any
 
-from calrig.cli.followed import LOOK_S, Notice, Refusal
+from calrig.cli.progress import LOOK_S, Notice, Refusal
 from calrig.client.errors import CONFLICT, Refused, ServiceError, Unreachable
 from calrig.errors import WorkError
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class RunThere:
-    """A run that a service carries out; `calrig.cli.followed.Followed` has what each part is."""
+    """A run that a service carries out; `calrig.cli.progress.Followed` has what each part is."""
 
     def __init__(self, client: Client, run: Run) -> None:
         record = run.record

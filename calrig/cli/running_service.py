@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
-from calrig.cli.typed_ids import LISTED, the_one
+from calrig.cli.options import LISTED, the_one
 from calrig.run_ids import begins_uuid, is_uuid
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def is_named(server: str | None, db: str | None) -> bool:
 
 
 def whole_id_there(client: Client, typed: str) -> str:
-    """As `calrig.cli.typed_ids.whole_id`, of the runs that a service has."""
+    """As `calrig.cli.options.whole_id`, of the runs that a service has."""
     if is_uuid(typed) or not begins_uuid(typed.lower()):
         return typed
     return the_one(typed, [run.id for run in client.runs(begins=typed.lower(), limit=LISTED + 1)])

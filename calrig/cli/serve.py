@@ -44,7 +44,7 @@ def serve(
     CALRIG_TOKEN is the token that clients have to send; without one, only this machine is served.
     """
     from calrig.api.access import access_here
-    from calrig.api.address import address_of, listen
+    from calrig.api.server import address_of, listen
     from calrig.logs import configure_log
     from calrig.settings import load_settings, store_url
 

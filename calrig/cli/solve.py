@@ -1,25 +1,36 @@
-"""`solve`: stage map, mounts and units together."""
+"""`solve`: stage map, mounts and units together.
+
+A joint solution as a person reads it.
+
+A solution of whole units as a person reads it.
+
+Runs solved by a running service, which has them and keeps the solution.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
+from urllib.parse import quote
 
 import typer
 
-from calrig.cli import names
+from calrig.cli import options
 from calrig.cli.input_files import names_a_file, read_bytes
-from calrig.cli.options import COLUMNS, SHORTENED, Db, Json, Plot, Server
-from calrig.cli.running_service import running_service
-from calrig.cli.typed_ids import whole_id
+from calrig.cli.options import COLUMNS, SHORTENED, Db, Json, Plot, Server, whole_id
+from calrig.cli.output import number, print_line, print_parameter, print_table, print_warnings
+from calrig.cli.progress import late_bar
+from calrig.cli.running_service import running_service, whole_id_there
 from calrig.errors import InputError, WorkError
 
 if TYPE_CHECKING:
-    from calrig.analysis.joint_solutions import Question, Wanted
+    from calrig.analysis.solutions import SolutionInputs, SolutionRequest
     from calrig.calibration.separation import MountedPoses
+    from calrig.client import Client, RunRecord
     from calrig.store.solved import Frame, Solved
+
 
 NOT_DRAWN = "solve: --plot is of units clamped by one face: leave it out, nothing was solved"
 Units = Annotated[
@@ -72,7 +83,7 @@ def solve(
         list[str],
         typer.Argument(
             metavar="FILE.csv|RUN_ID...",
-            autocompletion=names.runs,
+            autocompletion=options.runs,
             help=f"Poses of one rig, units clamped at several angles, or its runs' ids{SHORTENED}. {COLUMNS}",
         ),
     ],
@@ -92,9 +103,8 @@ def solve(
 
     A service that holds the store of the runs solves them, and keeps the solution; files are solved here.
     """
-    from calrig.analysis.joint_solutions import Wanted
+    from calrig.analysis.solutions import SolutionRequest
     from calrig.cli import output
-    from calrig.cli.solve_output import print_solution
     from calrig.figures.files import writer_of
 
     draw = None if plot is None else writer_of(plot)
@@ -104,7 +114,7 @@ def solve(
     if unit and not files:
         raise InputError("solve: runs have their units; --unit is for files")
     _check_options(frame, limits)
-    wanted = Wanted(
+    wanted = SolutionRequest(
         sources,
         linear=linear,
         periods_deg=tuple(period or ()),
@@ -117,8 +127,6 @@ def solve(
         lots, said = _of_files(files, unit or [])
         found = _answer(_of_lots(lots, wanted), is_drawn=draw is not None)
     elif (there := running_service(server, db)) is not None:
-        from calrig.cli.solve_there import solved_there
-
         found = solved_there(there, wanted, with_files=out is not None, with_poses=draw is not None)
     else:
         found = _answer(_of_runs(wanted, db), is_drawn=draw is not None)
@@ -132,8 +140,6 @@ def solve(
     if as_json:
         output.print_json(document)
     elif found.is_whole:
-        from calrig.cli.three_axis_output import print_whole
-
         print_whole(document)
     else:
         print_solution(document)
@@ -146,8 +152,8 @@ def _check_options(frame: str, limits: tuple[float, float] | None) -> None:
         raise InputError(f"solve: --limits {limits[0]:g} {limits[1]:g}: the lower comes first")
 
 
-def _answer(asked: Question, *, is_drawn: bool) -> Solved:
-    from calrig.analysis.joint_solutions import answer
+def _answer(asked: SolutionInputs, *, is_drawn: bool) -> Solved:
+    from calrig.analysis.solutions import answer
     from calrig.calibration.poses import DiagnosisError
     from calrig.calibration.separation import whole_units
     from calrig.cli.progress import late_bar
@@ -161,17 +167,17 @@ def _answer(asked: Question, *, is_drawn: bool) -> Solved:
         raise InputError(str(error)) from error
 
 
-def _of_lots(lots: Sequence[MountedPoses], wanted: Wanted) -> Question:
-    from calrig.analysis.joint_solutions import Question
+def _of_lots(lots: Sequence[MountedPoses], wanted: SolutionRequest) -> SolutionInputs:
+    from calrig.analysis.solutions import SolutionInputs
 
     units = list(dict.fromkeys(lot.unit for lot in lots))
-    return Question(None, wanted.basis([], units), lots, wanted.limits_deg)
+    return SolutionInputs(None, wanted.basis([], units), lots, wanted.limits_deg)
 
 
-def _of_runs(wanted: Wanted, db: str | None) -> Question:
+def _of_runs(wanted: SolutionRequest, db: str | None) -> SolutionInputs:
     from dataclasses import replace
 
-    from calrig.analysis.joint_solutions import question
+    from calrig.analysis.solutions import question
     from calrig.settings import store_url
     from calrig.store import Store
 
@@ -192,8 +198,7 @@ def _of_files(files: Sequence[str], units: Sequence[str]) -> tuple[list[MountedP
 
 
 def _of_file(file: Path, serial: str | None) -> tuple[list[MountedPoses], list[str]]:
-    from calrig.export.mounted_csv import read_mounted
-    from calrig.export.poses_csv import CsvError
+    from calrig.export.poses_csv import CsvError, read_mounted
 
     try:
         lots, said = read_mounted(read_bytes(file), str(file), serial)
@@ -205,7 +210,7 @@ def _of_file(file: Path, serial: str | None) -> tuple[list[MountedPoses], list[s
 
 
 def _write(folder: Path, found: Solved) -> None:
-    from calrig.export.joint_files import joint_files
+    from calrig.export.solution_documents import joint_files
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -213,3 +218,188 @@ def _write(folder: Path, found: Solved) -> None:
             (folder / name).write_text(text, encoding="utf-8")
     except OSError as error:
         raise WorkError(f"{folder}: cannot be written ({error.strerror})") from error
+
+
+def print_solution(found: dict[str, Any]) -> None:
+    """Prints a joint solution: what an elevation is worth, units, mounts, map, the error before and after."""
+    print_verdict(found)
+    for unit in found["units"]:
+        worst = max(unit["elevation_std_deg"]["std_deg"])
+        low, high = unit["range_deg"]
+        of_what = _measurand(unit)
+        print_line(f"\nunit {unit['unit']}: elevation ± {worst:.2g}° at most, {low:g}° to {high:g}°{of_what}")
+        for name, parameter in unit["parameters"].items():
+            print_parameter(name, parameter)
+    print_line("")
+    mounts = (
+        (one["mount"], one["unit"], f"{one['mount_deg']:g}°", *_with_std(one["angle_deg"], "°"))
+        for one in found["mounts"]
+    )
+    print_table(("mount", "unit", "stated", "found", "±"), mounts)
+    print_stage(found)
+    if found["advice"] is not None:
+        print_line(f"recommended: {found['advice']['says']}")
+
+
+def print_verdict(found: dict[str, Any]) -> None:
+    """Whether stage and units are separable, and the noise."""
+    verdict = f"stage and units are {'' if found['separable'] else 'not '}separable"
+    print_line(f"{verdict}; a pose's noise is {number(found['noise']['std_deg'], '°')}", style="bold")
+
+
+def print_stage(found: dict[str, Any]) -> None:
+    """The stage's map, the error before and after, and what a person should know of it."""
+    stage = found["stage"]
+    error, orders = stage["map"]["error_deg"], len(stage["harmonics"])
+    print_line(f"map of the stage: {min(error):+.3f}° to {max(error):+.3f}°, {orders} orders")
+    for name in ("axis_dip_deg", "backlash_deg"):
+        if (parameter := stage.get(name)) is not None:
+            print_parameter(name, parameter)
+    before, after = (number(found[model]["held_out_rms_deg"], "°") for model in ("before", "final"))
+    print_line(f"held-out RMS: {before} without the map, {after} with the map")
+    print_warnings(found["warnings"])
+
+
+def _measurand(unit: dict[str, Any]) -> str:
+    level = (unit["level"] or {"deg": {"std": None}})["deg"]
+    if level["std"] is None:
+        return ", less its mean"
+    return f"; its level {level['value']:+.3f}° ± {level['std']:.2g}° is in it"
+
+
+def _with_std(parameter: dict[str, float], unit: str) -> tuple[str, str]:
+    return number(parameter["value"], unit), number(parameter["std"], unit)
+
+
+AXES = "xyz"
+
+
+def print_whole(found: dict[str, Any]) -> None:
+    """Prints accelerometers, gyros, mounts, map, the error before and after."""
+    print_verdict(found)
+    for unit in found["units"]:
+        print_line("")
+        _print_accelerometer(unit)
+        if unit["gyro"] is not None:
+            _print_gyro(unit["gyro"])
+        worst, (low, high) = max(unit["elevation_std_deg"]["std_deg"]), unit["range_deg"]
+        print_line(f"elevation ± {worst:.2g}° at most, {low:g}° to {high:g}°, less its mean")
+    print_line("")
+    mounts = (
+        (
+            one["mount"],
+            one["unit"],
+            one["mount_axis"],
+            f"{one['mount_deg']:g}°",
+            number(one["angle_deg"]["value"], "°"),
+            number(one["angle_deg"]["std"], "°"),
+        )
+        for one in found["mounts"]
+    )
+    print_table(("mount", "unit", "axis", "stated", "found", "±"), mounts)
+    print_stage(found)
+
+
+def _print_accelerometer(unit: dict[str, Any]) -> None:
+    found = unit["accelerometer"]
+    if found is None:
+        print_line(f"unit {unit['unit']}: its accelerometer is not told")
+        return
+    stds = [found["covariance"][k][k] ** 0.5 for k in range(12)]
+    rows = (
+        (
+            axis,
+            _with(1e3 * found["bias_g"][k], 1e3 * stds[k], 2),
+            *(_with(found["matrix"][k][m], stds[3 + 3 * k + m], 5) for m in range(3)),
+            f"{unit['noise_mg'][k]:.2f}",
+        )
+        for k, axis in enumerate(AXES)
+    )
+    headings = ("", "offset, mg", *(f"matrix {axis}" for axis in AXES), "noise, mg")
+    frame = "the sensor's own frame" if found["frame"] == "sensor" else "the frame of its faces"
+    title = f"unit {unit['unit']}: accelerometer, in {frame}"
+    print_table(headings, rows, title=title, caption="true = matrix·(raw − offset)")
+
+
+def _print_gyro(found: dict[str, Any]) -> None:
+    unknown = [[None] * 3] * 3
+    matrix, stds = found["matrix"] or unknown, found["matrix_std"] or unknown
+    per_g, per_g_std = found["dps_per_g"] or unknown, found["dps_per_g_std"] or unknown
+    bias, bias_std = found["bias_dps"] or [None] * 3, found["bias_std_dps"] or [None] * 3
+    rows = (
+        (
+            axis,
+            _with(bias[k], bias_std[k], 4),
+            *(_with(matrix[k][m], stds[k][m], 6) for m in range(3)),
+            *(_with(per_g[k][m], per_g_std[k][m], 4) for m in range(3)),
+        )
+        for k, axis in enumerate(AXES)
+    )
+    headings = (
+        "",
+        "bias, °/s",
+        *(f"matrix {axis}" for axis in AXES),
+        *(f"°/s per g {axis}" for axis in AXES),
+    )
+    caption = "true = matrix·(raw − bias − per g·a), against the board's clock"
+    print_table(headings, rows, title="gyro", caption=caption)
+
+
+def _with(value: float | None, std: float | None, decimals: int) -> str:
+    if value is None:
+        return "not known"
+    return f"{value:.{decimals}f}" + ("" if not std else f" ± {std:.2g}")
+
+
+KEPT_BESIDE = ("id", "created_at", "by", "rig", "runs", "linear", "periods_deg", "seat_std_deg", "frame")
+"""What an answer has beside the document of CONTRACT section 8."""
+
+
+def solved_there(client: Client, wanted: SolutionRequest, *, with_files: bool, with_poses: bool) -> Solved:
+    """The solution as the service has kept it; says on standard error where.
+
+    Args:
+        client: of the service.
+        wanted: runs; their ids may be shortened.
+        with_files: whether calibrations and stage map are wanted.
+        with_poses: whether what each pose leaves is.
+
+    Raises:
+        InputError: what was asked is wrong, or the poses cannot be solved.
+        WorkError: the service cannot be reached or refuses.
+    """
+    from calrig.store.solved import Solved
+
+    runs = [whole_id_there(client, typed) for typed in wanted.runs]
+    if with_poses and any(_axis(client.run(run_id).record)[-1] != "x" for run_id in runs):
+        raise InputError(NOT_DRAWN)
+    with late_bar("solving") as show:
+        found = client.solve(
+            *runs,
+            linear=wanted.linear,
+            periods_deg=wanted.periods_deg,
+            seat_std_deg=wanted.seat_std_deg,
+            frame=wanted.frame,
+            limits_deg=wanted.limits_deg,
+            told=show,
+        )
+    path = f"/api/solve/{found.id}"
+    document = client.get(path)
+    beside = {name: document.pop(name) for name in KEPT_BESIDE}
+    serials = [unit["unit"] for unit in document["units"]]
+    typer.echo(f"calrig solve: kept as solution {found.id} at {client.server}", err=True)
+    return Solved(
+        rig=beside["rig"],
+        basis=wanted.basis(beside["runs"], serials),
+        document=document,
+        calibrations={
+            serial: client.get(f"{path}/units/{quote(serial, safe='')}") for serial in serials if with_files
+        },
+        stage_map=client.get(f"{path}/map") if with_files else {},
+        poses=client.get(f"{path}/poses") if with_poses else {},
+    )
+
+
+def _axis(run: RunRecord) -> str:
+    """Which of the unit's axes lay along the stage's."""
+    return str((run.plan or run.provenance).get("mount_axis", "x"))

@@ -8,8 +8,7 @@ from urllib.parse import quote
 
 import typer
 
-from calrig.cli.exit_status import ASK_IT
-from calrig.cli.help_listing import Listed
+from calrig.cli.exit_status import ASK_IT, Listed
 from calrig.cli.options import Db, Json, Server
 from calrig.errors import WorkError
 

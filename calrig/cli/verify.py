@@ -41,7 +41,7 @@ def verify(
 
 
 def _print(file: Path, found: Checked) -> None:
-    from calrig.cli.printing import print_line
+    from calrig.cli.output import print_line
 
     trail = found.trail or {}
     head = trail["head"] or {"seq": 0, "sha256": "none"}

@@ -7,16 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calrig.cli import names
-from calrig.cli.options import SHORTENED, Db, Json, Server
+from calrig.cli import options
+from calrig.cli.options import SHORTENED, Db, Json, Server, whole_id
 from calrig.cli.running_service import running_service, whole_id_there
-from calrig.cli.typed_ids import whole_id
 
 if TYPE_CHECKING:
-    from calrig.cli.followed import Happened, Watched
+    from calrig.cli.progress import Happened, Watched
 
 RunId = Annotated[
-    str, typer.Argument(metavar="RUN_ID", help=f"The run{SHORTENED}.", autocompletion=names.runs)
+    str, typer.Argument(metavar="RUN_ID", help=f"The run{SHORTENED}.", autocompletion=options.runs)
 ]
 
 
@@ -52,8 +51,7 @@ def _is_written(url: str) -> Callable[[], bool]:
 
 
 def _watch(run: Watched, unit: str, *, as_json: bool) -> None:
-    from calrig.cli.followed import print_end
-    from calrig.cli.progress import run_bar
+    from calrig.cli.progress import print_end, run_bar
 
     try:
         with run_bar(run, unit) as show:

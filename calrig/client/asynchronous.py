@@ -12,8 +12,8 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from calrig.client.client import Client
 from calrig.client.documents import Result, RunEvent, RunRecord
-from calrig.client.given_up import GIVEN_UP, GivenUp
 from calrig.client.run import Run, result_of
+from calrig.client.transport import GIVEN_UP, Cancelled
 
 P = ParamSpec("P")
 S = TypeVar("S")
@@ -117,7 +117,7 @@ class AsyncRun(_Asynchronous):
                         return
                     tell(event)
                 tell(None)
-            except (Exception, GivenUp) as error:  # noqa: BLE001 (raised again where it is awaited)
+            except (Exception, Cancelled) as error:  # noqa: BLE001 (raised again where it is awaited)
                 tell(error)
 
         # A daemon: what waits for the next line of a quiet stream keeps no program from its end.

@@ -1,20 +1,145 @@
-"""A run at a service: followed, waited for, aborted, diagnosed."""
+"""A run's events over a line that may break: each once, in order (HTML standard, 9.2).
+
+Long work at a service: its answer however long it takes, its progress meanwhile, its end on Ctrl-C.
+
+A run at a service: followed, waited for, aborted, diagnosed.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Self
 from urllib.parse import quote
 
-from calrig.client.documents import AT_REST, Diagnosis, Result, RunEvent, RunRecord
-from calrig.client.errors import RunFailed
-from calrig.client.events import Away, run_events
-from calrig.client.events import unheard as unheard_away
-from calrig.client.jobs import Told, outcome, unheard
+from calrig.client.documents import AT_REST, Diagnosis, JobState, Result, RunEvent, RunRecord
+from calrig.client.errors import INVALID, Invalid, Refused, RunFailed, ServiceError, Unreachable
+from calrig.client.transport import Transport, nap
 
 if TYPE_CHECKING:
-    from calrig.client.log_documents import FiltersStudy, NoiseStudy
-    from calrig.client.transport import Transport
+    from calrig.client.documents import FiltersStudy, NoiseStudy
+
+
+AGAIN_S = 0.5
+"""How soon a broken line is taken up again."""
+AWAY = frozenset({None, 502, 503, 504})
+"""No answer, or one of a proxy whose service is not there."""
+PATIENCE_S = 120.0
+"""How long a service may be away: it may be started anew meanwhile."""
+
+
+Away = Callable[[ServiceError], None]
+
+
+def ignore_error(_error: ServiceError) -> None:
+    """For who does not want to be told that the service is away."""
+
+
+def run_events(link: Transport, run_id: str, after: int = 0, away: Away = ignore_error) -> Iterator[RunEvent]:
+    """What happened in a run since an event, then what happens, until nobody carries it out any more.
+
+    Args:
+        link: to the service.
+        run_id: whole.
+        after: `id` of the last event known; 0 for all.
+        away: is told once each time that the service does not answer any more, and is waited for.
+
+    Raises:
+        Refused: there is no such run, or the service lets nobody look.
+        Unreachable: the service has been away for `PATIENCE_S`.
+    """
+    known, path = after, f"/api/runs/{run_id}"
+    away_since_s: float | None = None
+    while True:
+        latest: RunEvent | None = None
+        try:
+            with link.lines(f"{path}/events", {"Last-Event-ID": str(known)}) as lines:
+                away_since_s = None
+                for fields in parsed(lines):
+                    latest = _event(fields)
+                    if latest.id > known:
+                        known = latest.id
+                        yield latest
+            # A service that is told to stop ends the stream too: only the run itself tells that it has ended.
+            if (latest is None or latest.is_last) and link.get(path)["status"] in AT_REST:
+                return
+        except (Unreachable, Refused) as error:
+            if error.status not in AWAY:
+                raise
+            if away_since_s is None:
+                away_since_s = time.monotonic()
+                away(error)
+            if time.monotonic() - away_since_s > PATIENCE_S:
+                raise
+        if latest is None:
+            nap(AGAIN_S)
+
+
+def parsed(lines: Iterable[bytes]) -> Iterator[dict[str, str]]:
+    """The fields of each event that came whole; comments are passed over."""
+    fields: dict[str, str] = {}
+    for line in lines:
+        text = line.decode(errors="replace").rstrip("\r\n")
+        if not text:
+            if fields:
+                yield fields
+            fields = {}
+            continue
+        name, _, value = text.partition(":")
+        if name:
+            value = value.removeprefix(" ")
+            fields[name] = f"{fields[name]}\n{value}" if name == "data" and name in fields else value
+
+
+def _event(fields: dict[str, str]) -> RunEvent:
+    try:
+        data: Any = json.loads(fields["data"])
+        return RunEvent.of({"id": int(fields["id"]), "type": fields["event"], "data": data})
+    except (KeyError, ValueError) as error:
+        raise Unreachable("the service's events are not calrig's") from error
+
+
+LOOK_S = 0.3
+Told = Callable[[float], None]
+
+
+def ignore_progress(_share: float) -> None:
+    """For who does not want to be told how far work is."""
+
+
+def outcome(link: Transport, answer: Any, told: Told = ignore_progress) -> Any:
+    """What comes of a call with `wait=false`: its answer, or that of the job that it became.
+
+    Args:
+        link: to the service.
+        answer: as it came.
+        told: the share that is done, where the work can say.
+
+    Raises:
+        Refused: the work failed or was cancelled, with the reason.
+        Invalid: it cannot be done with what was given.
+    """
+    if not (isinstance(answer, dict) and {"state", "fraction", "result"} <= answer.keys()):
+        return answer
+    job = JobState.of(answer)
+    try:
+        told(job.fraction or 0.0)
+        while job.state in ("queued", "running"):
+            nap(LOOK_S)
+            job = JobState.of(link.get(f"/api/jobs/{job.id}"))
+            told(job.fraction or 0.0)
+    except BaseException as left:  # whoever does not wait any more does not want it done
+        with suppress(ServiceError):
+            ended = JobState.of(link.delete(f"/api/jobs/{job.id}"))
+            if ended.state == "done":
+                left.add_note(f"it was too late: what came of it is kept at {link.server}{ended.result}")
+        raise
+    if job.state != "done" or job.result is None:
+        kind = Invalid if job.error_status == INVALID else Refused
+        raise kind(f"{link.server}: {job.error or f'the work was {job.state}'}", job.error_status)
+    return link.get(job.result)
 
 
 class Run:
@@ -48,7 +173,7 @@ class Run:
         self._record = RunRecord.of(self._link.get(self._path))
         return self._record
 
-    def events(self, after: int = 0, *, away: Away = unheard_away) -> Iterator[RunEvent]:
+    def events(self, after: int = 0, *, away: Away = ignore_error) -> Iterator[RunEvent]:
         """What happened since an event, then what happens, until the run has ended; each once, in order.
 
         A line that breaks is taken up again. A run of several mounts is `paused` where its `progress` has
@@ -102,7 +227,7 @@ class Run:
         """
         return self._ask("resume", {} if stage_at_deg is None else {"stage_at_deg": stage_at_deg})
 
-    def diagnose(self, *more: str, told: Told = unheard) -> Diagnosis:
+    def diagnose(self, *more: str, told: Told = ignore_progress) -> Diagnosis:
         """Traces what bias and scale leave, with more runs of the unit; the service keeps it with the run.
 
         Args:
@@ -112,19 +237,19 @@ class Run:
         asked = self._link.post(f"{self._path}/diagnosis?wait=false", {"runs": list(more)})
         return Diagnosis.of(outcome(self._link, asked, told))
 
-    def noise(self, *, told: Told = unheard) -> NoiseStudy:
+    def noise(self, *, told: Told = ignore_progress) -> NoiseStudy:
         """The noise in the log of a static run.
 
         Args:
             told: is told the share that is done, where the service can say.
         """
-        from calrig.client.log_documents import NoiseStudy
+        from calrig.client.documents import NoiseStudy
 
         return NoiseStudy.of(outcome(self._link, self._link.get(f"{self._path}/noise?wait=false"), told))
 
-    def filters(self, *, told: Told = unheard) -> FiltersStudy:
+    def filters(self, *, told: Told = ignore_progress) -> FiltersStudy:
         """The filters side by side on its samples; `told` as of `noise`."""
-        from calrig.client.log_documents import FiltersStudy
+        from calrig.client.documents import FiltersStudy
 
         return FiltersStudy.of(outcome(self._link, self._link.get(f"{self._path}/filters?wait=false"), told))
 

@@ -1,34 +1,100 @@
-"""HTTP to a running service with the token of CALRIG_TOKEN: JSON, text, files, streams of lines."""
+"""The address of a service, looked at before anything is sent there; why nobody answers at it.
+
+Whether anybody still wants what a thread is waiting for: asyncio cannot interrupt it.
+
+HTTP to a running service with the token of CALRIG_TOKEN: JSON, text, files, streams of lines.
+
+A form with a file (RFC 7578), read from the disk as it is sent: 100 MB take no memory.
+"""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping
-from contextlib import closing, contextmanager
+import secrets
+import ssl
+import stat
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager
+from contextvars import ContextVar
 from http import HTTPStatus
 from http.client import HTTPException, HTTPResponse, IncompleteRead
-from typing import TYPE_CHECKING, Any
+from ipaddress import ip_address
+from pathlib import Path
+from shutil import copyfileobj
+from tempfile import TemporaryFile
+from typing import IO, Any, Self
 from urllib.error import HTTPError
 from urllib.parse import urlsplit
-from urllib.request import (
-    BaseHandler,
-    HTTPRedirectHandler,
-    HTTPSHandler,
-    ProxyHandler,
-    Request,
-    build_opener,
-)
+from urllib.request import BaseHandler, HTTPRedirectHandler, HTTPSHandler, ProxyHandler, Request, build_opener
 
-from calrig.client.address import checked, is_loopback, why_unreachable
 from calrig.client.errors import INVALID, Invalid, Refused, Unreachable
-from calrig.client.given_up import nap
 from calrig.errors import InputError, printable
 
-if TYPE_CHECKING:
-    import ssl
 
-    from calrig.client.upload import Upload
+def checked(server: str) -> str:
+    """The address of a service, without a slash at its end.
+
+    Raises:
+        InputError: it is none, or has a secret in it.
+    """
+    try:
+        named = urlsplit(server)
+        is_one = named.scheme in {"http", "https"} and bool(named.hostname) and named.port != 0
+    except ValueError:  # no such port, or half an IPv6 address
+        is_one = False
+    if is_one and named.username is not None:
+        raise InputError(
+            f"{named.scheme}://…@{named.netloc.rpartition('@')[2]}: a name and a password are not shown to "
+            "calrig: name the address without them, the token goes into CALRIG_TOKEN"
+        )
+    if not is_one or named.query or named.fragment or any(c.isspace() for c in server):
+        raise InputError(f"{server}: is no address such as http://lab-pc:8000")
+    return server.rstrip("/")
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a host is this machine, whatever names are resolved to."""
+    try:
+        return host == "localhost" or ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def why_unreachable(error: Exception) -> str:
+    """Why nobody answers as calrig does, and what to do where that is known."""
+    reason = getattr(error, "reason", None) or error
+    if isinstance(reason, ssl.SSLCertVerificationError):
+        return (
+            f"its certificate is not believed ({reason.verify_message}): name the file of your own authority "
+            "by SSL_CERT_FILE, `calrig agent enroll` by --ca, in Python by Client(…, certificates=…)"
+        )
+    if isinstance(reason, ssl.SSLError):
+        return f"does not speak TLS ({reason.reason}): is its address http://…?"
+    if isinstance(reason, ConnectionRefusedError):
+        return "does not answer: nothing listens there; is `calrig serve` running?"
+    return f"does not answer ({getattr(reason, 'strerror', None) or reason})"
+
+
+GIVEN_UP: ContextVar[threading.Event | None] = ContextVar("given_up", default=None)
+"""Set by `AsyncClient` where its caller was cancelled."""
+
+
+class Cancelled(BaseException):
+    """Ends the thread's work as Ctrl-C would; nobody hears of it."""
+
+
+def nap(seconds: float = 0.0) -> None:
+    """Waits for a while; not at all, it looks whether to go on.
+
+    Raises:
+        GivenUp: nobody wants the outcome any more.
+    """
+    given_up = GIVEN_UP.get() or threading.Event()
+    if given_up.wait(seconds):
+        raise Cancelled
+
 
 PATIENCE_S = 30.0
 """Without a byte; a stream that has nothing to tell sends a comment every 12 s."""
@@ -187,3 +253,71 @@ def part(answer: Any, name: str) -> Any:
         return answer[name]
     except (KeyError, TypeError) as error:
         raise Unreachable(f"the service answers, and not as calrig does (no {name!r})") from error
+
+
+"""Bytes sent at once."""
+
+
+class Upload:
+    """The body of a request: its length and its pieces.
+
+    Args:
+        file: sent under its name as the field `file`.
+        fields: the others.
+        told: the share that is sent, 0 to 1, again and again.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+
+    def __init__(self, file: Path, fields: Mapping[str, str], told: Callable[[float], None]) -> None:
+        self._name, self._told = str(file), told
+        with ExitStack() as stack:
+            try:
+                self._file: IO[bytes] = stack.enter_context(file.open("rb"))
+                if not stat.S_ISREG(os.fstat(self._file.fileno()).st_mode):
+                    # a pipe does not know its length, which comes first
+                    piped, self._file = self._file, stack.enter_context(TemporaryFile())
+                    copyfileobj(piped, self._file)
+                self._n_bytes = self._file.seek(0, os.SEEK_END)
+            except OSError as error:
+                raise InputError(f"{file}: cannot be read ({error.strerror})") from error
+            self._opened = stack.pop_all()
+        boundary = secrets.token_hex(16)
+        self.content_type = f"multipart/form-data; boundary={boundary}"
+        head = [
+            f'--{boundary}\r\nContent-Disposition: form-data; name="{k}"\r\n\r\n{v}\r\n'
+            for k, v in fields.items()
+        ]
+        name = os.fsencode(file.name).decode("utf-8", "backslashreplace")
+        for plain, escaped in (('"', "%22"), ("\r", "%0D"), ("\n", "%0A")):  # as the HTML standard has it
+            name = name.replace(plain, escaped)
+        head.append(
+            f'--{boundary}\r\nContent-Disposition: form-data; name="file"; filename="{name}"\r\n'
+            "Content-Type: text/csv\r\n\r\n"
+        )
+        self._head = "".join(head).encode("utf-8", "surrogateescape")
+        self._tail = f"\r\n--{boundary}--\r\n".encode()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._opened.close()
+
+    def __len__(self) -> int:
+        return len(self._head) + self._n_bytes + len(self._tail)
+
+    def __iter__(self) -> Iterator[bytes]:
+        yield self._head
+        self._file.seek(0)
+        left = self._n_bytes
+        while left:
+            piece = self._file.read(min(PIECE, left))
+            if not piece:
+                raise InputError(f"{self._name}: has become shorter while it was sent")
+            nap()
+            yield piece
+            left -= len(piece)
+            self._told(1.0 - left / self._n_bytes)
+        yield self._tail

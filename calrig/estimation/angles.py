@@ -1,4 +1,7 @@
-"""Angles in degrees: where a turn ends, and the elevation that gravity gives."""
+"""Angles in degrees: where a turn ends, and the elevation that gravity gives.
+
+How far values spread, whatever a few of them do.
+"""
 
 from __future__ import annotations
 
@@ -46,3 +49,16 @@ def elevation_deg(accel_g: FloatArray) -> FloatArray:
         (n,) degrees in [−180, 180].
     """
     return np.degrees(np.arctan2(accel_g[:, 1], accel_g[:, 2]))
+
+
+MAD_TO_STD = 1.4826
+"""Standard deviation over the median absolute deviation, of normal values: 1/Φ⁻¹(3/4)."""
+
+
+def robust_std(values: FloatArray) -> float:
+    """The standard deviation by the median absolute deviation, in the values' unit.
+
+    Args:
+        values: (n,), n >= 1.
+    """
+    return MAD_TO_STD * float(np.median(np.abs(values - np.median(values))))

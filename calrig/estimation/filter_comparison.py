@@ -1,19 +1,217 @@
-"""The paper's filters and the tuned one side by side on one log: jitter at rest, lag and offset in moves."""
+"""The filters that are compared: the paper's smoothers and Kalman filter, and the Kalman filter tuned.
+
+Jitter in bins of 100 ms: how much an angle trembles while nothing turns.
+
+The paper's filters and the tuned one side by side on one log: jitter at rest, lag and offset in moves.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
 from calrig.estimation.angles import FloatArray
-from calrig.estimation.filter_bank import Filter, Run, filter_bank
+from calrig.estimation.gains import filter_uniform
 from calrig.estimation.intervals import SETTLE_S, Intervals, find_intervals, segments_of
-from calrig.estimation.jitter import Jitter, jitter
-from calrig.estimation.kalman import KalmanNoise
+from calrig.estimation.kalman import KalmanFilter, KalmanNoise
+from calrig.estimation.smoothers import (
+    MOVING_AVERAGE_WINDOW,
+    SAVITZKY_GOLAY_ORDERS,
+    SAVITZKY_GOLAY_WINDOW,
+    moving_average,
+    savitzky_golay,
+)
 from calrig.estimation.transient_response import MoveReference, Transient, move_reference, transient
+from calrig.estimation.tuning import midpoint_rate_dps
+
+EVEN = 0.01
+"""Intervals that differ from their mean by less than this share of it count as one."""
+NO_GYRO = "the log has no rate about the axis of elevation, which this filter needs"
+NOT_TUNED = "the noise of this unit's gyro and elevation is not known, from which it would be tuned"
+
+Smoother = Callable[[FloatArray], FloatArray]
+Run = Callable[[FloatArray, FloatArray, FloatArray | None], FloatArray]
+"""Time, elevation and rate (or None) of one segment without a gap to the filtered angle."""
+
+
+@dataclass(frozen=True, slots=True)
+class Filter:
+    """One filter.
+
+    Attributes:
+        name: for programs: `raw`, `moving_average`, `savitzky_golay_2`, `kalman_paper`, `kalman_tuned`;
+            `_centred` at the end where it looks ahead.
+        label: for people.
+        causal: whether a controller can run it.
+        run: what it does to a segment; None where it cannot be run on this log.
+        reason: why not.
+    """
+
+    name: str
+    label: str
+    causal: bool
+    run: Run | None
+    reason: str = ""
+
+
+def filter_bank(*, with_gyro: bool, tuned: KalmanNoise | None, gyro_scale: float = 1.0) -> list[Filter]:
+    """Every filter, in the order in which tables and figures show them.
+
+    Args:
+        with_gyro: whether the log has a rate.
+        tuned: noise of the tuned filter, which is driven by `midpoint_rate_dps`.
+        gyro_scale: what the rate is multiplied by for it.
+    """
+    return [
+        Filter("raw", "accelerometer alone", True, lambda _time, elevation, _rate: elevation),
+        *_smoothers(),
+        _kalman("kalman_paper", "Kalman, the paper's constants", with_gyro, KalmanNoise(), None),
+        _kalman("kalman_tuned", "Kalman, tuned from the noise", with_gyro, tuned, gyro_scale),
+    ]
+
+
+def _smoothers() -> Iterator[Filter]:
+    golay = f"Savitzky-Golay of {SAVITZKY_GOLAY_WINDOW}, order"
+    kinds: list[tuple[str, str, Callable[..., FloatArray]]] = [
+        ("moving_average", f"moving average of {MOVING_AVERAGE_WINDOW}", moving_average),
+        *(
+            (f"savitzky_golay_{order}", f"{golay} {order}", partial(savitzky_golay, order=order))
+            for order in SAVITZKY_GOLAY_ORDERS
+        ),
+    ]
+    for name, label, smooth in kinds:
+        for centred in (False, True):
+            yield Filter(
+                name + "_centred" * centred,
+                label + ", centred" * centred,
+                not centred,
+                _of_elevation(partial(smooth, centred=centred)),
+            )
+
+
+def _of_elevation(smooth: Smoother) -> Run:
+    return lambda _time, elevation, _rate: smooth(elevation)
+
+
+def _kalman(
+    name: str, label: str, with_gyro: bool, noise: KalmanNoise | None, gyro_scale: float | None
+) -> Filter:
+    """A Kalman filter; with a `gyro_scale` it is driven by the scaled rate between samples."""
+    if not with_gyro:
+        return Filter(name, label, True, None, NO_GYRO)
+    if noise is None:
+        return Filter(name, label, True, None, NOT_TUNED)
+
+    def run(time_s: FloatArray, elevation_deg: FloatArray, rate_dps: FloatArray | None) -> FloatArray:
+        if rate_dps is None:
+            raise ValueError(NO_GYRO)
+        rate = rate_dps if gyro_scale is None else gyro_scale * midpoint_rate_dps(rate_dps)
+        return kalman_filtered(time_s, elevation_deg, rate, noise)
+
+    return Filter(name, label, True, run)
+
+
+def kalman_filtered(
+    time_s: FloatArray, elevation_deg: FloatArray, rate_dps: FloatArray, noise: KalmanNoise
+) -> FloatArray:
+    """The filtered angle of one segment, by the fast path where its intervals are `EVEN`."""
+    steps = np.diff(time_s)
+    if len(steps) and np.ptp(steps) <= EVEN * steps.mean():
+        return filter_uniform(elevation_deg, rate_dps, float(steps.mean()), noise)
+    return KalmanFilter(noise).run(time_s, elevation_deg, rate_dps)
+
+
+BIN_S = 0.1
+MIN_BIN_SAMPLES = 3
+_FULL = 0.8
+"""Share of the samples due that a bin must hold: one cut short says less than its neighbours."""
+
+
+@dataclass(frozen=True, slots=True)
+class Jitter:
+    """Jitter of one signal, all in degrees.
+
+    Attributes:
+        std_deg: the jitter "per 100 ms" that filters are compared by: standard deviation (n − 1) about the
+            mean of each bin, root-mean-square over the bins.
+        peak_to_peak_deg: largest less smallest value within a bin, root-mean-square over the bins.
+        step_deg: change of the mean from one bin to the next, root-mean-square (√2 times the Allan deviation
+            at 100 ms): what a filter slower than a bin does, which the other two do not see.
+        n_bins: how many bins.
+    """
+
+    std_deg: float
+    peak_to_peak_deg: float
+    step_deg: float | None
+    n_bins: int
+
+
+def jitter(
+    time_s: FloatArray, angle_deg: FloatArray, static: Sequence[slice], bin_s: float = BIN_S
+) -> Jitter | None:
+    """The jitter of an angle over the segments in which the sensor stands.
+
+    Nirmal et al., Proc. SPIE 9912 (2016), give 0.330° before and 0.143° after fusion "per 100 ms" and no
+    formula; taken here is the one for which the raw figure is the noise of a single sample. Mean and slow
+    drift of the angle do not enter it.
+
+    Args:
+        time_s: (n,) increasing.
+        angle_deg: (n,) continuous; samples without a value (NaN) are passed over.
+        static: intervals of the log, each cut into bins from its own beginning.
+        bin_s: length of a bin.
+
+    Returns:
+        None where no bin is full: segments too short, or fewer than `MIN_BIN_SAMPLES` samples a bin.
+    """
+    variances, ranges, steps = [], [], []
+    for segment in static:
+        mean, variance, extent = _bins(time_s[segment], angle_deg[segment], bin_s)
+        full = np.isfinite(mean)
+        variances.append(variance[full])
+        ranges.append(extent[full])
+        step = np.diff(mean)
+        steps.append(step[np.isfinite(step)])
+    if not variances or not (n_bins := sum(len(one) for one in variances)):
+        return None
+    step_deg = _rms(np.concatenate(steps)) if any(len(one) for one in steps) else None
+    std_deg = math.sqrt(float(np.concatenate(variances).mean()))
+    return Jitter(std_deg, _rms(np.concatenate(ranges)), step_deg, n_bins)
+
+
+def _bins(
+    time_s: FloatArray, angle_deg: FloatArray, bin_s: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mean, variance and range of each bin in turn; NaN for one that is not full."""
+    if len(time_s) < 2:
+        return np.empty(0), np.empty(0), np.empty(0)
+    start_s, due = float(time_s[0]), bin_s / float(np.median(np.diff(time_s)))
+    known = np.isfinite(angle_deg)
+    angle_deg = angle_deg[known]
+    # half a millionth of a bin: a sample on the border by the decimals of its time belongs to the next
+    index = np.floor((time_s[known] - start_s) / bin_s + 5e-7).astype(np.intp)
+    mean, variance, extent = np.full((3, int(index[-1]) + 1 if len(index) else 0), np.nan)
+    occupied, first, count = np.unique(index, return_index=True, return_counts=True)
+    full = count >= max(MIN_BIN_SAMPLES, _FULL * due)
+    if not full.any():
+        return mean, variance, extent
+    means = np.add.reduceat(angle_deg, first) / count
+    squares = np.add.reduceat((angle_deg - np.repeat(means, count)) ** 2, first)
+    ranges = np.maximum.reduceat(angle_deg, first) - np.minimum.reduceat(angle_deg, first)
+    into = occupied[full]
+    mean[into], extent[into] = means[full], ranges[full]
+    variance[into] = squares[full] / (count[full] - 1)
+    return mean, variance, extent
+
+
+def _rms(values: FloatArray) -> float:
+    return math.sqrt(float(values @ values) / len(values))
+
 
 NO_REST = (
     f"it does not stand long enough (over {SETTLE_S:g} s) or is not sampled fast enough (30 Hz) for jitter"

@@ -10,9 +10,8 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import FloatArray, robust_std
 from calrig.estimation.autoregressive import MIN_SAMPLES, fit_autoregression
-from calrig.estimation.robust import robust_std
 
 MIN_TURN_DEG = 1.0
 """Shorter moves say more about noise and backlash than about scale."""

@@ -8,9 +8,8 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import MAD_TO_STD, FloatArray
 from calrig.estimation.gyro import MIN_TURN_DEG
-from calrig.estimation.robust import MAD_TO_STD
 
 GAP_INTERVALS = 2.5
 """A gap is where more than this many ordinary intervals pass without a sample."""

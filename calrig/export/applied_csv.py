@@ -1,4 +1,7 @@
-"""Readings as CSV with the elevations that they stand for beside them (`calrig apply`)."""
+"""A stream of CSV in pieces of whole rows, of any length in bounded memory.
+
+Readings as CSV with the elevations that they stand for beside them (`calrig apply`).
+"""
 
 from __future__ import annotations
 
@@ -14,10 +17,45 @@ import numpy.typing as npt
 
 from calrig.calibration.results import Application
 from calrig.estimation.angles import AXES, STANDARD_GRAVITY_MPS2, FloatArray
-from calrig.export.cells import Cells, CsvError
-from calrig.export.csv_table import Table, read_rows, there_are
-from calrig.export.log_table import header_of
-from calrig.export.pieces import pieces_of
+from calrig.export.csv_table import Cells, CsvError, Table, read_rows, there_are
+from calrig.export.static_csv import header_of
+
+PIECE_BYTES = 2_000_000
+"""More than the rows that tell how cells are written (`csv_dialect.EXAMINED_BYTES`)."""
+LONGEST_BYTES = 8_000_000
+"""Of a piece without the end of a row in it."""
+
+
+def pieces_of(stream: IO[bytes]) -> Iterator[bytes]:
+    """Pieces that end where a row does: at the end of a line, outside of quotes.
+
+    Raises:
+        CsvError: a row, or what is between two quotes, has no end.
+    """
+    held, lines = b"", 1
+    while more := stream.read(PIECE_BYTES):
+        held += more
+        end = _end_of_rows(held)
+        if end:
+            yield held[:end]
+            lines += held.count(b"\n", 0, end)
+            held = held[end:]
+        elif len(held) > LONGEST_BYTES:
+            raise CsvError(f"a row from here on is longer than {LONGEST_BYTES} bytes", line=lines)
+    if held:
+        yield held
+
+
+def _end_of_rows(held: bytes) -> int:
+    """Behind the last line's end that is outside of quotes; 0 without one."""
+    end = held.rfind(b"\n") + 1
+    quotes = held.count(b'"', 0, end)
+    while end and quotes % 2:
+        before = held.rfind(b"\n", 0, end - 1) + 1
+        quotes -= held.count(b'"', before, end)
+        end = before
+    return end
+
 
 READING, TEMPERATURE = "reading_deg", "temperature_c"
 ADDED = ("elevation_deg", "elevation_std_deg")

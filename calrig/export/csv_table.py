@@ -1,17 +1,153 @@
-"""Any bytes → rectangular tables of texts with line numbers, or an error that says where; bounded."""
+"""How a file separates cells and writes decimals: by commas and points, or as spreadsheets elsewhere do.
+
+The cells of one column of a CSV file, and where in the file a bad one stands.
+
+Any bytes → rectangular tables of texts with line numbers, or an error that says where; bounded.
+"""
 
 from __future__ import annotations
 
 import codecs
 import csv
 import io
+import math
 import re
 from array import array
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from calrig.export.cells import NUMBER, Cells, CsvError, from_spreadsheet
-from calrig.export.csv_dialect import COMMAS, Dialect, dialect_of
+SEPARATORS = (",", ";", "\t")
+EXAMINED_BYTES = 1_000_000
+"""Of the rows, by which the decimals are told: what differs further on is told as a bad cell."""
+_QUOTED = re.compile(r'"[^"]*"')
+
+
+@dataclass(frozen=True, slots=True)
+class Dialect:
+    """The sign between cells, and that in a decimal number."""
+
+    separator: str = ","
+    decimal: str = "."
+
+
+COMMAS = Dialect()
+
+
+def dialect_of(header: str, rows: bytes, is_known: Callable[[str], bool]) -> Dialect:
+    """The dialect that the header row and the rows under it are in.
+
+    The separator is the one that makes the most known names of the header, a comma where several do. Where
+    cells are not separated by commas, these are decimal points if whole cells are numbers so, and none are
+    numbers with a point: a file that has both is not guessed at.
+
+    Args:
+        header: the line of names.
+        rows: what follows it.
+        is_known: whether a column has a meaning here.
+    """
+    separator = max(SEPARATORS, key=lambda sign: _known(header, sign, is_known))
+    if separator == ",":
+        return COMMAS
+    examined = rows[:EXAMINED_BYTES]
+    comma = _has_decimals(examined, separator, ",") and not _has_decimals(examined, separator, ".")
+    return Dialect(separator, "," if comma else ".")
+
+
+def _known(header: str, separator: str, is_known: Callable[[str], bool]) -> tuple[int, int]:
+    """How many names a separator makes that are known, and how many at all."""
+    names = [name.strip().strip('"') for name in _unquoted(header, separator).split(separator)]
+    return sum(map(is_known, names)), 0 if any(map(is_known, names)) else len(names)
+
+
+def _unquoted(header: str, separator: str) -> str:
+    """The header with what is quoted free of the separator."""
+    return _QUOTED.sub(lambda quoted: quoted[0].replace(separator, " "), header)
+
+
+def _has_decimals(rows: bytes, separator: str, decimal: str) -> bool:
+    between = rb'[\r\n"' + separator.encode() + rb"]"
+    number = rb"[ ]*[+-]?[0-9]*" + re.escape(decimal.encode()) + rb"[0-9]+(?:[eE][+-]?[0-9]+)?[ ]*"
+    return re.search(rb"(?:\A|" + between + rb")" + number + rb"(?:\Z|" + between + rb")", rows) is not None
+
+
+LARGEST = 1e30
+"""No quantity a rig knows is larger; sums of squares of what is smaller stay finite."""
+
+NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+"""A decimal number; unlike `float`, neither `1_000` nor digits of other scripts."""
+_FORMULA = re.compile(r"'*[=+\-@＝＋－＠]")
+"""What a spreadsheet would take for a formula: our own quotes, then what begins one."""
+_UNKNOWN = frozenset({"", "nan", "na", "n/a", "null", "none"})
+
+
+def for_spreadsheet(text: str) -> str:
+    """A text for a cell; one that a spreadsheet would evaluate as a formula gets a quote before it."""
+    return f"'{text}" if _FORMULA.match(text) else text
+
+
+def from_spreadsheet(text: str) -> str:
+    """The text that `for_spreadsheet` made a cell of."""
+    return text[1:] if text.startswith("'") and _FORMULA.match(text) else text
+
+
+class CsvError(ValueError):
+    """The file cannot be read: `line` (from 1, with the header) and `column` are at fault, or None."""
+
+    def __init__(self, what: str, *, line: int | None = None, column: str | None = None) -> None:
+        self.what = what
+        self.line = line
+        self.column = column
+        place = [f"line {line}"] if line is not None else []
+        place += [f"column {_shortened(column)}"] if column is not None else []
+        super().__init__(f"{', '.join(place)}: {what}" if place else what)
+
+
+def _shortened(text: str) -> str:
+    """A cell's text fit for a message: one line, at most 60 characters, nothing unprintable."""
+    shown = text if len(text) <= 60 else f"{text[:57]}..."
+    return shown if shown.isprintable() else repr(shown)[1:-1]
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """One column: its name, its texts, the line each stands in, and the sign before their decimals."""
+
+    name: str
+    texts: Sequence[str]
+    lines: Sequence[int]
+    decimal: str = "."
+
+    def numbers(self) -> list[float | None]:
+        """The cells as numbers; None where blank or `nan`.
+
+        Raises:
+            CsvError: a cell is something else, or infinite, or absurdly large.
+        """
+        return [self._number(text, line) for text, line in zip(self.texts, self.lines, strict=True)]
+
+    def _number(self, text: str, line: int) -> float | None:
+        stripped = text.strip()
+        if stripped.lower() in _UNKNOWN:
+            return None
+        other, sign = (",", "point") if self.decimal == "." else (".", "comma")
+        number = stripped.replace(",", ".") if self.decimal == "," else stripped
+        if other in stripped or not NUMBER.fullmatch(number):
+            is_other = re.fullmatch(rf"[+-]?[0-9]+{re.escape(other)}[0-9]+", stripped)
+            hint = f" (decimals are written with a {sign})" if is_other else ""
+            raise CsvError(f"'{_shortened(text)}' is not a number{hint}", line=line, column=self.name)
+        value = float(number)
+        if not math.fabs(value) <= LARGEST:
+            raise CsvError(f"'{_shortened(text)}' is beyond ±{LARGEST:g}", line=line, column=self.name)
+        return value
+
+    def refuse_first(
+        self, values: Sequence[float | None], is_bad: Callable[[float | None], bool], why: str
+    ) -> None:
+        """Raises CsvError at the first bad value."""
+        for value, text, line in zip(values, self.texts, self.lines, strict=True):
+            if is_bad(value):
+                raise CsvError(f"'{_shortened(text)}' {why}", line=line, column=self.name)
+
 
 MAX_BYTES = 150_000_000
 MAX_COLUMNS = 200

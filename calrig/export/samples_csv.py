@@ -1,4 +1,7 @@
-"""Raw samples as CSV and npz, under the names of CONTRACT section 4's static logs."""
+"""Raw samples as CSV and npz, under the names of CONTRACT section 4's static logs.
+
+A run's raw samples as CSV, each with its pose and whether it is of the move there or of the dwell.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from calrig.store.records import FloatArray, RawSamples
+from calrig.store.records import FloatArray, RawSamples, SampleBlock
 
 COLUMNS = (
     "time_s",
@@ -71,3 +74,28 @@ def write_samples_npz(samples: RawSamples) -> bytes:
     buffer = io.BytesIO()
     np.savez_compressed(buffer, allow_pickle=False, **sample_columns(samples))
     return buffer.getvalue()
+
+
+def labelled_samples(blocks: Iterable[SampleBlock]) -> Iterator[bytes]:
+    """Rows in the order taken, piece by piece; a number reads back exactly, NaN is an empty cell.
+
+    The last column, `angle_deg`, is the elevation as the board computed it, empty where it sends none.
+    """
+    yield _lines([["pose", "phase", *COLUMNS, "angle_deg"]])
+    for block in blocks:
+        unknown = np.full(len(block.time_s), math.nan)
+        angle_deg = unknown if block.angle_deg is None else block.angle_deg
+        numbers = (block.time_s, block.accel_g, block.gyro_dps, block.temperature_c, angle_deg)
+        table = np.column_stack(numbers).tolist()
+        label = [str(block.pose_index), block.phase]
+        for first in range(0, len(table), _ROWS_A_PIECE):
+            yield _lines(
+                [*label, *("" if math.isnan(value) else repr(value) for value in row)]
+                for row in table[first : first + _ROWS_A_PIECE]
+            )
+
+
+def _lines(rows: Iterable[list[str]]) -> bytes:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue().encode()

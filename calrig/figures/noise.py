@@ -10,7 +10,7 @@ import numpy as np
 
 from calrig.estimation.angles import FloatArray
 from calrig.figures.parts import PALETTE, Figure, as_text, band_of, colour_of, layout_of, line_of
-from calrig.noise.allan_theory import KINDS, variance_of
+from calrig.noise.allan import KINDS, variance_of
 from calrig.noise.analysis import ChannelNoise, Noise
 
 SPECTRUM_POINTS = 600

@@ -1,4 +1,7 @@
-"""A stage as an axis of elevation: zero, sense, ratio, soft limits, and moves watched to their end."""
+"""What an axis was sent to do, and how long that may take.
+
+A stage as an axis of elevation: zero, sense, ratio, soft limits, and moves watched to their end.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,43 @@ import contextlib
 import math
 from dataclasses import dataclass, field
 
-from calrig.instruments.axis_goal import Goal, travel_time_s
 from calrig.instruments.clock import WALL, Clock
 from calrig.instruments.errors import Halted, InstrumentError, LimitError, StageError
-from calrig.instruments.standing import IN_MOTION, stop_until_it_stands
+from calrig.instruments.standstill import IN_MOTION, confirm_standstill
 from calrig.instruments.types import Stage, StageIdentity, StageStatus
+
+
+@dataclass(slots=True)
+class Goal:
+    """What the axis was sent to do: a target, or None for the reference; and what it must not overstep."""
+
+    target_deg: float | None
+    deadline_s: float
+    stall_s: float
+    progress_s: float
+    progress_deg: float
+    from_deg: float = 0.0
+    off_since_s: float | None = None
+
+    @property
+    def words(self) -> str:
+        """What it is about, as it is said in an error."""
+        return "homing" if self.target_deg is None else f"the move to {self.target_deg:g}°"
+
+    def is_astray(self, elevation_deg: float, slack_deg: float) -> bool:
+        """Whether this is off the way from where the axis was to its target, by more than `slack_deg`."""
+        if self.target_deg is None:
+            return False
+        low, high = sorted((self.from_deg, self.target_deg))
+        return not low - slack_deg <= elevation_deg <= high + slack_deg
+
+
+def travel_time_s(distance_deg: float, velocity_dps: float, acceleration_dps2: float) -> float:
+    """The time of a move with trapezoidal velocity, triangular where it is too short to reach the plateau."""
+    if distance_deg * acceleration_dps2 < velocity_dps**2:
+        return 2 * math.sqrt(distance_deg / acceleration_dps2)
+    return distance_deg / velocity_dps + velocity_dps / acceleration_dps2
+
 
 HOME_TIMEOUT_S = 120.0
 MOVE_MARGIN_S = 5.0
@@ -225,7 +260,7 @@ class Axis:
             PortError: the port is gone.
         """
         self._halted = True
-        stop_until_it_stands(self.stage, self._clock, timeout_s)
+        confirm_standstill(self.stage, self._clock, timeout_s)
 
     def close(self) -> None:
         """Restores the velocity found and closes the port; never raises."""

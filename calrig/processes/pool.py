@@ -162,14 +162,14 @@ class Processes:
         )
 
 
-class Apart(Protocol):
+class OffloadedCall(Protocol):
     """How a thread has a function carried out in another process, and waits for it."""
 
     def __call__(self, function: Callable[[], T], /) -> T:
         """What it gives, or raises what it raises or a WorkError."""
 
 
-def run_apart(function: Callable[[], T]) -> T:
+def run_in_subprocess(function: Callable[[], T]) -> T:
     """As `Processes.run`, for a thread that has no event loop: in a process for this piece alone."""
 
     async def run() -> T:

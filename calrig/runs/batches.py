@@ -1,27 +1,224 @@
-"""Units calibrated one after the other, from a list that the service keeps: all pages show the same."""
+"""Who is next in a list of units: worked out from its turns and what became of their runs, nothing else.
+
+Serial numbers as a scanner, a person or a spreadsheet gives them.
+
+Units calibrated one after the other, from a list that the service keeps: all pages show the same.
+"""
 
 from __future__ import annotations
 
+import csv
+import io
+import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache
 from threading import Lock
+from typing import Literal
 
 from calrig.analysis.errors import Conflict, Invalid, Unknown
+from calrig.analysis.imports import check_serial
 from calrig.analysis.stage_maps import kept_of
 from calrig.plan import Plan
-from calrig.processes.pool import Apart
-from calrig.runs.batch_serials import MOST_UNITS, checked
-from calrig.runs.batch_turns import Settled, settled
+from calrig.processes.pool import OffloadedCall
 from calrig.runs.mounting import Mount
-from calrig.runs.planned import planned_poses
-from calrig.runs.reachable import require_reachable
+from calrig.runs.plan_estimates import planned_poses
 from calrig.runs.services import Service
+from calrig.runs.stopping_rule import require_reachable
 from calrig.store import Run
 from calrig.store.batches import Batch, Turn
 from calrig.store.errors import ChangedMeanwhile, Refused, StoreError
+from calrig.store.records import TERMINAL
+
+Failed = Literal["end", "follow_up"]
+"""What becomes of a unit that failed: another turn at the end of the list, or the run that tells why."""
+Word = Literal["pass", "fail", "done"]
+TRIES = 2
+"""Turns that a unit which fails has in a list, follow-ups not counted."""
+POOR = ("fail", "conditional_fail")
+OVER = ("done", "failed", "removed")
+
+
+@dataclass(frozen=True, slots=True)
+class BatchState:
+    """A list as it stands now.
+
+    Attributes:
+        turns: every turn; one whose run measured nothing waits again.
+        written: those of `turns` that the store has otherwise, and for good.
+        on: the turn of each rig: under way, else the one to be mounted; None where the list has none left.
+        then: the turn that is kept for each rig after that.
+    """
+
+    turns: list[Turn]
+    written: list[Turn]
+    on: dict[str, Turn | None]
+    then: dict[str, Turn | None]
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether every unit has had all its turns."""
+        return all(turn.state in OVER for turn in self.turns)
+
+
+def settled(
+    turns: Sequence[Turn], runs: Mapping[str, Run], rigs: Sequence[str], failed: Failed
+) -> BatchState:
+    """How a list stands.
+
+    Args:
+        turns: as stored, by position.
+        runs: of the turns that have one, by id.
+        rigs: that the list is for.
+        failed: what becomes of units that failed.
+    """
+    now, more = [], []
+    for turn in turns:
+        run = runs.get(turn.run_id or "")
+        ended = _ended(turn, run) if turn.state == "running" and run is not None else turn
+        now.append(ended)
+        if ended.state == "failed" and turn.state == "running" and run is not None:
+            more.append((turn, run))
+    tries = Counter(turn.unit for turn in now if turn.state == "failed")
+    for turn, run in sorted(more, key=lambda one: str(one[1].finished_at)):
+        position = len(now)
+        if failed == "follow_up" and run.status == "completed" and run.follows is None:
+            now.append(Turn(position, turn.unit, "follow_up", turn.rig, run.id))
+        elif (failed == "end" or run.status == "failed") and not run.follows and tries[turn.unit] < TRIES:
+            now.append(Turn(position, turn.unit, why="it failed before in this list"))
+    stored = dict(enumerate(turns))
+    written = [
+        t for t in now if t.position >= len(turns) or (t != stored[t.position] and t.state != "waiting")
+    ]
+    on = _on(now, rigs)
+    taken = {turn.position for turn in on.values() if turn is not None}
+    return BatchState(now, written, on, _kept_by_rig([t for t in now if t.position not in taken], rigs))
+
+
+def word_of(run: Run) -> Word | None:
+    """What a run came to, in one word; None where it has not ended or nothing was measured.
+
+    A conditional pass is no more than `done`, nor is what is undecided.
+    """
+    if run.status == "failed" and run.progress["poses_done"]:
+        return "fail"
+    if run.status != "completed":
+        return None
+    answer = None if run.verdict is None else run.verdict.answer
+    return "fail" if answer in POOR else "pass" if answer == "pass" else "done"
+
+
+def _ended(turn: Turn, run: Run) -> Turn:
+    word = word_of(run)
+    if word is not None:
+        return replace(turn, state="failed" if word == "fail" else "done", why=run.error)
+    if (
+        run.status in TERMINAL or run.status == "interrupted"
+    ):  # nothing came of it: the unit stays where it is
+        return replace(turn, state="waiting", why=run.error or f"its run was {run.status}")
+    return turn
+
+
+def _on(turns: Sequence[Turn], rigs: Sequence[str]) -> dict[str, Turn | None]:
+    """Each rig's turn: under way, come to nothing before, a follow-up, kept for it, else the next.
+
+    A rig that is left without any has what is kept for another one that has something else before it.
+    """
+    on: dict[str, Turn | None] = {}
+    for rig in rigs:
+        mine = [
+            turn for turn in turns if turn.rig == rig and turn.state in ("running", "waiting", "follow_up")
+        ]
+        on[rig] = min(mine, key=_urgency, default=None)
+    on = _filled(on, turns)
+    taken = {turn.position for turn in on.values() if turn is not None}
+    return _filled(on, [replace(turn, rig=None) for turn in turns if turn.position not in taken])
+
+
+def _kept_by_rig(turns: Sequence[Turn], rigs: Sequence[str]) -> dict[str, Turn | None]:
+    kept: dict[str, Turn | None] = {
+        rig: next((turn for turn in turns if turn.rig == rig and turn.state == "waiting"), None)
+        for rig in rigs
+    }
+    return _filled(kept, turns)
+
+
+def _filled(places: dict[str, Turn | None], turns: Sequence[Turn]) -> dict[str, Turn | None]:
+    """Rigs without a turn get those that are kept for nobody, in order."""
+    free = (turn for turn in turns if turn.state == "waiting" and turn.rig is None)
+    return {rig: turn if turn is not None else next(free, None) for rig, turn in places.items()}
+
+
+def _urgency(turn: Turn) -> tuple[int, int]:
+    rank = {"running": 0, "follow_up": 2}.get(turn.state, 1 if turn.run_id is not None else 3)
+    return rank, turn.position
+
+
+MOST_UNITS = 2000
+NAMES = ("unit", "serial", "serial number", "serial_number", "sn")
+"""Headings over the serials of a table."""
+
+
+def checked(units: Sequence[str]) -> list[str]:
+    """Serials without blanks around them, each once, lines without any left out.
+
+    Raises:
+        Invalid: none is left, or too many; or one is no serial, and which.
+    """
+    serials = list(dict.fromkeys(unit.strip() for unit in units if unit.strip()))
+    if not serials:
+        raise Invalid("no serial number was given: scan or paste some, one a line", ["units"])
+    if len(serials) > MOST_UNITS:
+        raise Invalid(f"a list has at most {MOST_UNITS} units, not {len(serials)}", ["units"])
+    for number, serial in enumerate(serials, start=1):
+        _check(serial, f"serial {number}", "units")
+    return serials
+
+
+def serials_in(table: str) -> tuple[list[str], int]:
+    """The serials of a CSV, and how many rows have none.
+
+    They are in the column headed `unit` or `serial`, else in the first, whose first row counts. A line
+    `sep=;` before all others, which spreadsheets write, names the delimiter.
+
+    Raises:
+        Invalid: it is no CSV, or one is no serial; says in which line.
+    """
+    text = table.removeprefix("\ufeff")
+    if "\ufffd" in text:
+        raise Invalid("the file is not UTF-8: save it as “CSV UTF-8”", ["csv"])
+    lines = list(io.StringIO(text, newline="")) or [""]
+    named = re.fullmatch(r"sep=(.)\s*", lines[0])
+    n_skipped = 1 if named else 0
+    delimiter = named[1] if named else max(",;\t", key=lines[0].count)
+    reader = csv.reader(lines[n_skipped:], delimiter=delimiter)
+    try:
+        rows = [(n_skipped + reader.line_num, row) for row in reader if row]
+    except csv.Error as error:
+        raise Invalid(f"the file is no CSV: {error}", ["csv"]) from error
+    headings = [cell.strip().casefold() for cell in rows[0][1]] if rows else []
+    column = next((headings.index(name) for name in NAMES if name in headings), None)
+    if column is None:
+        column = 0
+    else:
+        del rows[0]
+    found = [(line, row[column].strip() if len(row) > column else "") for line, row in rows]
+    for line, serial in found:
+        if serial:
+            _check(serial, f"line {line}", "csv")
+    serials = [serial for _, serial in found if serial]
+    return serials, len(found) - len(serials)
+
+
+def _check(serial: str, where: str, field: str) -> None:
+    try:
+        check_serial(serial)
+    except Invalid as error:
+        raise Invalid(f"{where}, {serial[:40]!a}: {error}", [field]) from error
+
 
 AT_ONCE = 20
 """How often a list is read again where others write it at the same moment."""
@@ -38,7 +235,7 @@ class Standing:
     """A list as it stands, with the runs of its turns by id."""
 
     batch: Batch
-    now: Settled
+    now: BatchState
     runs: Mapping[str, Run]
 
     @property
@@ -119,7 +316,7 @@ class RunBatches:
         batch_id: str,
         rig: str,
         unit: str,
-        apart: Apart,
+        apart: OffloadedCall,
         who: str | None,
         stage_at_deg: float | None = None,
     ) -> Run:
@@ -178,7 +375,7 @@ class RunBatches:
         finally:
             self._in_design.discard((batch_id, unit))
 
-    def _follow_up(self, standing: Standing, turn: Turn, apart: Apart, who: str | None) -> Run:
+    def _follow_up(self, standing: Standing, turn: Turn, apart: OffloadedCall, who: str | None) -> Run:
         assert turn.run_id is not None  # noqa: S101 (of a follow-up)
         try:
             asked = self._service.follow_up_question(turn.run_id)

@@ -12,8 +12,8 @@ from calrig.instruments.clamps.index import CLAMPS
 from calrig.instruments.errors import InstrumentError
 from calrig.instruments.ports import clock_of
 from calrig.plan import MountAxis
-from calrig.runs.crew import Crew
-from calrig.runs.errands import Errand, Errands
+from calrig.runs.crew import WorkerRegistry
+from calrig.runs.single_flight import SharedTask, SingleFlight
 from calrig.settings import ClampSettings, RigSettings
 
 T = TypeVar("T")
@@ -22,9 +22,9 @@ T = TypeVar("T")
 class Clamps:
     """The clamps of a service's rigs. Thread-safe. `still` is called with a rig whose clamp has turned."""
 
-    def __init__(self, crew: Crew, still: Callable[[str], None]) -> None:
+    def __init__(self, crew: WorkerRegistry, still: Callable[[str], None]) -> None:
         self._crew, self._still = crew, still
-        self._errands = Errands()
+        self._errands = SingleFlight()
         self._lock = threading.Lock()
         self._turning: set[str] = set()
 
@@ -34,7 +34,9 @@ class Clamps:
             if rig_name in self._turning:
                 raise Conflict(f"the clamp of rig {rig_name!r} is turning the unit: wait until it sits")
 
-    def turn(self, rig: RigSettings, mount_deg: float, axis: MountAxis, answer: Callable[[], T]) -> Errand[T]:
+    def turn(
+        self, rig: RigSettings, mount_deg: float, axis: MountAxis, answer: Callable[[], T]
+    ) -> SharedTask[T]:
         """Turns the unit of a rig, on which no run is, or one that waits for just that.
 
         Args:

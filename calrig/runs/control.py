@@ -34,7 +34,7 @@ class Ended(Exception):  # noqa: N818 (a request that was met, not an error)
 
 
 @dataclass(frozen=True, slots=True)
-class Left:
+class StopOutcome:
     """How a run left its stage.
 
     Attributes:
@@ -47,7 +47,7 @@ class Left:
     trouble: str | None = None
 
 
-class Go:
+class ResumeRequest:
     """A person's word that what a run waits for is done; the run looks, and answers."""
 
     def __init__(self, answered: Event) -> None:
@@ -79,9 +79,9 @@ class Control:
         self._end: End | None = None
         self._halt: Callable[[], None] | None = None
         self._hold = threading.Event()
-        self._left: Left | None = None
+        self._left: StopOutcome | None = None
         self._clock = clock
-        self._go: Go | None = None
+        self._go: ResumeRequest | None = None
         self._waits = False
         self._has_left = clock.event()
         self._reached = clock.event()
@@ -113,7 +113,7 @@ class Control:
         if self._end is not None:
             raise Ended(self._end)
 
-    def leave(self, left: Left) -> None:
+    def leave(self, left: StopOutcome) -> None:
         """The run has left its stage, as it says; what it said first holds."""
         self._left = self._left or left
         self._has_left.set()
@@ -124,7 +124,7 @@ class Control:
         self._reached.wait(timeout_s)
         return self._reached.is_set()
 
-    def left(self, timeout_s: float) -> Left | None:
+    def left(self, timeout_s: float) -> StopOutcome | None:
         """How the run left its stage, waiting for that for so many seconds of its rig's time; else None."""
         self._has_left.wait(timeout_s)
         return self._left
@@ -154,15 +154,15 @@ class Control:
         """Whether the run stands until a person says Go."""
         return self._waits
 
-    def say_go(self) -> Go | None:
+    def say_go(self) -> ResumeRequest | None:
         """Says so, and gives what will be answered; who asks meanwhile shares it. None where none waits."""
         with self._lock:
             if not self._waits:
                 return None
-            self._go = self._go or Go(self._clock.event())
+            self._go = self._go or ResumeRequest(self._clock.event())
             return self._go
 
-    def take_go(self) -> Go | None:
+    def take_go(self) -> ResumeRequest | None:
         """What was said since it was last taken."""
         with self._lock:
             said, self._go = self._go, None

@@ -10,7 +10,7 @@ from calrig.analysis.errors import Conflict
 from calrig.runs.worker import Worker
 
 
-class Crew:
+class WorkerRegistry:
     """The workers of a service. Thread-safe."""
 
     def __init__(self) -> None:

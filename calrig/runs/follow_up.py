@@ -8,13 +8,12 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from calrig.analysis.errors import Conflict
-from calrig.analysis.stored_runs import poses_together, runs_together
-from calrig.analysis.unresolved import Unresolved, found_in
+from calrig.analysis.stored_runs import AmbiguousRuns, found_in, poses_together, runs_together
 from calrig.calibration.diagnosis import Findings, FollowUp, SequentialTest, design, trace
 from calrig.calibration.poses import DiagnosisError, Pose
 from calrig.calibration.progress import Progress, unheard, within
 from calrig.plan import Plan, PlannedPose
-from calrig.processes.pool import WorkError, run_apart
+from calrig.processes.pool import WorkError, run_in_subprocess
 from calrig.store import Run
 
 if TYPE_CHECKING:
@@ -59,7 +58,7 @@ class FollowUpQuestion:
             raise Conflict(f"run {self.last.id}: {found}")
         findings, design = found
         plan = Plan.model_validate(design.document(self.last.plan or {})["plan"])
-        earlier = Unresolved(self.run_ids, self.poses, findings)
+        earlier = AmbiguousRuns(self.run_ids, self.poses, findings)
         return FollowUpRun(earlier, design.separates, design.deciding, plan, self.limits_deg)
 
 
@@ -91,7 +90,7 @@ class FollowUpRun:
         decided_on: indices of the measured poses that served to decide.
     """
 
-    earlier: Unresolved
+    earlier: AmbiguousRuns
     separates: Sequence[str]
     deciding: int
     plan: Plan
@@ -133,6 +132,6 @@ class FollowUpRun:
             deciding=self.decided_on,
         )
         try:
-            return run_apart(question)
+            return run_in_subprocess(question)
         except (DiagnosisError, WorkError):
             return None  # asking for it later says why

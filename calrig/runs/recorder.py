@@ -1,22 +1,163 @@
-"""Writes a run down as it happens; each state, pose and reading is stored before anybody hears of it."""
+"""Record a run as it happens: states, poses and readings are stored before they are published.
+
+Tells those who watch a run that its event log has grown. The log itself is the truth.
+
+Counts of what runs did since the service began, for whoever watches it. Thread-safe, and cheap.
+
+The moves between the states of a run that are allowed.
+
+Writes a run down as it happens; each state, pose and reading is stored before anybody hears of it.
+"""
 
 from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Mapping, Sequence
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Unpack
 
-from calrig.analysis.mounts import mount_columns
+from prometheus_client import CollectorRegistry, Counter, Gauge
+
+from calrig.analysis.errors import Conflict
+from calrig.analysis.stored_runs import mount_columns
 from calrig.calibration.poses import GYRO_MEANS, Pose
 from calrig.calibration.results import raw_error_deg
 from calrig.instruments.clock import Clock
-from calrig.runs.bus import Bus
-from calrig.runs.meter import RunMeter
-from calrig.runs.states import check_transition
 from calrig.store import AT_REST, Announced, Progress, RunChanges, SampleBlock, Status, Store
 from calrig.store.issued import Draft
-from calrig.store.records import WaitingFor
+from calrig.store.records import TERMINAL, WaitingFor
+
+
+class Bus:
+    """Wake-up calls per run, from run threads to any number of watchers."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._watchers: dict[str, list[Callable[[], None]]] = {}
+        self._of_all: list[Callable[[], None]] = []
+        self._hearing: list[Callable[[str], None]] = []
+
+    def subscribe_to_all(self, wake: Callable[[], None]) -> None:
+        """Has `wake` called after each commit of new events of any run."""
+        with self._lock:
+            self._of_all.append(wake)
+
+    def hear(self, heard: Callable[[str], None]) -> None:
+        """Has `heard` called with the run after each commit of new events of any run."""
+        with self._lock:
+            self._hearing.append(heard)
+
+    def subscribe(self, run_id: str, wake: Callable[[], None]) -> Callable[[], None]:
+        """Has `wake` called after each commit of new events of the run; returns the way to end it."""
+        with self._lock:
+            self._watchers.setdefault(run_id, []).append(wake)
+
+        def unsubscribe() -> None:
+            with self._lock:
+                watchers = self._watchers.get(run_id, [])
+                if wake in watchers:
+                    watchers.remove(wake)
+                if not watchers:
+                    self._watchers.pop(run_id, None)
+
+        return unsubscribe
+
+    def wake(self, run_id: str) -> None:
+        """Calls everybody who watches the run."""
+        with self._lock:
+            watchers = [*self._watchers.get(run_id, ()), *self._of_all]
+            hearing = list(self._hearing)
+        for wake in watchers:
+            wake()
+        for heard in hearing:
+            heard(run_id)
+
+    def wake_all(self) -> None:
+        """Calls everybody: what happened meanwhile was not heard."""
+        with self._lock:
+            watchers = [wake for watching in self._watchers.values() for wake in watching]
+        for wake in watchers:
+            wake()
+
+
+class ServiceMetrics:
+    """The counters of a service, in a registry of its own; each run counts through a `RunMeter` of its rig.
+
+    Args:
+        rigs: their names. What is counted by rig begins with 0, for a rate needs a beginning.
+
+    Attributes:
+        registry: what the service's metrics are written out from.
+    """
+
+    def __init__(self, rigs: Iterable[str] = ()) -> None:
+        registry = self.registry = CollectorRegistry()
+        self.samples = Counter(
+            "calrig_samples", "Valid samples taken from boards.", ["rig"], registry=registry
+        )
+        self.poses = Counter("calrig_poses", "Poses measured and stored.", ["rig"], registry=registry)
+        self.faults = Counter(
+            "calrig_faults",
+            "Faults seen on the wires and in samples.",
+            ["rig", "kind"],
+            registry=registry,
+        )
+        self.ended = Counter("calrig_runs_ended", "Runs that ended.", ["rig", "status"], registry=registry)
+        began_s = time.monotonic()
+        uptime = Gauge("calrig_uptime_seconds", "Time since the service began.", registry=registry)
+        uptime.set_function(lambda: time.monotonic() - began_s)
+        for rig in rigs:
+            self.samples.labels(rig)
+            self.poses.labels(rig)
+
+    def of_run(self, rig: str, faults_before: Mapping[str, int] | None = None) -> RunMetrics:
+        """A meter for one run on a rig; of a resumed one, `faults_before` were counted before."""
+        return RunMetrics(self, rig, faults_before or {})
+
+
+class RunMetrics:
+    """What one run counts. Used by the run's own thread only."""
+
+    def __init__(self, meter: ServiceMetrics, rig: str, faults_before: Mapping[str, int]) -> None:
+        self._meter = meter
+        self._rig = rig
+        self._faults = dict(faults_before)
+
+    def samples(self, number: int) -> None:
+        """Samples came."""
+        self._meter.samples.labels(self._rig).inc(number)
+
+    def pose(self) -> None:
+        """A pose was stored."""
+        self._meter.poses.labels(self._rig).inc()
+
+    def faults(self, totals: Mapping[str, int]) -> None:
+        """The run's faults so far, by kind: the difference to the last totals is new."""
+        for kind, total in totals.items():
+            self._meter.faults.labels(self._rig, kind).inc(max(0, total - self._faults.get(kind, 0)))
+            self._faults[kind] = total
+
+    def ended(self, status: str) -> None:
+        """The run ended."""
+        self._meter.ended.labels(self._rig, status).inc()
+
+
+ALLOWED: dict[str, frozenset[str]] = {
+    "queued": frozenset({"running", "failed", "aborted", "interrupted"}),
+    "running": frozenset({"paused", "completed", "failed", "aborted", "interrupted"}),
+    "paused": frozenset({"running", "failed", "aborted", "interrupted"}),
+    "interrupted": frozenset({"queued", "aborted"}),
+    **{status: frozenset() for status in TERMINAL},
+}
+
+
+def check_transition(run_id: str, before: str, after: str) -> None:
+    """Raises Conflict where a run may not go from `before` to `after`."""
+    if after not in ALLOWED[before]:
+        raise Conflict(f"run {run_id} is {before} and cannot become {after}")
+
 
 log = logging.getLogger(__name__)
 
@@ -37,7 +178,7 @@ class Recorder:
         store: Store,
         bus: Bus,
         run_id: str,
-        meter: RunMeter,
+        meter: RunMetrics,
         clock: Clock,
         poses_total: int,
         poses_before: int = 0,

@@ -16,21 +16,20 @@ from typing import Any
 
 import numpy as np
 
-from calrig.analysis.active_calibration import ActiveCalibration, active_calibration
+from calrig.analysis.calibration_in_force import ActiveCalibration, active_calibration
 from calrig.analysis.errors import Conflict, NotTheSame
 from calrig.analysis.stage_maps import provenance_part
-from calrig.analysis.unresolved import unresolved
+from calrig.analysis.stored_runs import unresolved
 from calrig.calibration.poses import Pose
 from calrig.estimation.angles import wrap_deg
 from calrig.estimation.gyro import GyroBias, dwell_bias
 from calrig.estimation.reading import Reading
 from calrig.plan import Plan, PlanError
-from calrig.runs import ordered
+from calrig.runs import assignment
+from calrig.runs.assignment import Earlier, RunAssignment
 from calrig.runs.follow_up import FollowUpRun
-from calrig.runs.planned import planned_poses
-from calrig.runs.references import require_in_date
-from calrig.runs.rig import Rig
-from calrig.runs.task import Earlier, Task
+from calrig.runs.plan_estimates import planned_poses
+from calrig.runs.rig import Rig, require_in_date
 from calrig.settings import RigSettings
 from calrig.store import Run, Store
 from calrig.store.records import Document
@@ -48,7 +47,7 @@ REMOUNTED_DEG = 0.5
 """More than a unit turns by itself: 19 °C of warm-up turn an MPU-6050 by 0.28° (the measured warm-up log)."""
 
 
-def resumed_task(store: Store, run: Run, settings: RigSettings, stage_at_deg: float | None) -> Task:
+def resumed_task(store: Store, run: Run, settings: RigSettings, stage_at_deg: float | None) -> RunAssignment:
     """What is left of an interrupted run.
 
     Args:
@@ -70,13 +69,13 @@ def resumed_task(store: Store, run: Run, settings: RigSettings, stage_at_deg: fl
         raise Conflict(f"run {run.id} cannot be resumed: {error}") from error
     taken = store.taken_order(run.id)
     order = {} if taken is None else taken.document  # which knows more than a bench's own spool
-    return Task(
+    return RunAssignment(
         run=run,
         rig=settings,
         plan=plan,
         planned=planned,
-        follow_up=ordered.follow_up_of(order, plan, settings) or _follow_up(store, run, plan, settings),
-        verifies=ordered.verified(order) or _verified(store, run, plan, settings),
+        follow_up=assignment.follow_up_of(order, plan, settings) or _follow_up(store, run, plan, settings),
+        verifies=assignment.verified(order) or _verified(store, run, plan, settings),
         earlier=_earlier(store, run, plan),
         interruption={
             "after_poses": run.progress["poses_done"],
@@ -87,7 +86,9 @@ def resumed_task(store: Store, run: Run, settings: RigSettings, stage_at_deg: fl
     )
 
 
-def waiting_task(store: Store, run: Run, settings: RigSettings, maps: Mapping[str, Document]) -> Task:
+def waiting_task(
+    store: Store, run: Run, settings: RigSettings, maps: Mapping[str, Document]
+) -> RunAssignment:
     """A run whose turn has come, of which nothing has been done: by the stage's map that is in force now.
 
     Raises:
@@ -99,7 +100,7 @@ def waiting_task(store: Store, run: Run, settings: RigSettings, maps: Mapping[st
     verifies = _verified(store, run, plan, settings)
     origin = {key: value for key, value in run.provenance.items() if key != "stage_map"}
     now = replace(run, provenance={**origin, **provenance_part(store, settings.name, maps)})
-    return Task(now, settings, plan, planned_poses(plan, settings), verifies=verifies)
+    return RunAssignment(now, settings, plan, planned_poses(plan, settings), verifies=verifies)
 
 
 def _verified(store: Store, run: Run, plan: Plan, rig: RigSettings) -> ActiveCalibration | None:

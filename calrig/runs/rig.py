@@ -1,25 +1,62 @@
-"""A rig's two instruments, opened together and closed together, the stage stopped whatever happened."""
+"""Whether what a rig measures by has a certificate that is still in date.
+
+A rig's two instruments, opened together and closed together, the stage stopped whatever happened.
+
+Whether board and stage suit a run, once they have said who they are and before anything moves.
+"""
 
 from __future__ import annotations
 
 import logging
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
 
+from calrig.analysis.errors import Conflict
+from calrig.estimation.autoregressive import MIN_SAMPLES
 from calrig.instruments.axis import Axis
+from calrig.instruments.cancellation import cancel_scope
 from calrig.instruments.clock import Clock
 from calrig.instruments.drivers import open_board, open_stage
-from calrig.instruments.errors import InstrumentError, PortError
+from calrig.instruments.errors import BoardError, InstrumentError, LimitError, PortError
 from calrig.instruments.ports import clock_of
-from calrig.instruments.standing import CUT
+from calrig.instruments.standstill import CUT
 from calrig.instruments.types import Board, BoardIdentity, Stage, StageIdentity
-from calrig.instruments.wanted import while_wanted
-from calrig.runs.control import Control, Left
-from calrig.runs.references import overdue_says
-from calrig.runs.stage_place import StagePlace
+from calrig.laboratory import STANDARDS
+from calrig.runs.assignment import RunAssignment
+from calrig.runs.control import Control, StopOutcome
+from calrig.runs.stage_position import StagePosition
 from calrig.settings import RigSettings
+
+CALLED = dict(zip(STANDARDS, ("the stage", "the thermometer", "the time base"), strict=True))
+
+
+def overdue_says(rig: RigSettings) -> list[str]:
+    """A sentence for each standard whose certificate is overdue today (UTC)."""
+    today = datetime.now(UTC).date()
+    said = []
+    for key in STANDARDS:
+        standard = getattr(rig, key)
+        if standard is not None and standard.due is not None and today > standard.due:
+            named = f" {standard.certificate}" if standard.certificate else ""
+            said.append(
+                f"The certificate{named} of {CALLED[key]} of rig {rig.name} was due on {standard.due} and is "
+                "overdue."
+            )
+    return said
+
+
+def require_in_date(rig: RigSettings) -> None:
+    """Raises Conflict where a certificate is overdue and the rig is not to measure then."""
+    if rig.overdue == "refuse" and (said := overdue_says(rig)):
+        raise Conflict(
+            f"{' '.join(said)} Nothing was moved: have it calibrated and enter its new certificate, or set "
+            'overdue = "flag" for this rig'
+        )
+
 
 log = logging.getLogger(__name__)
 
@@ -45,7 +82,7 @@ class Rig:
     board: Board
     stage_identity: StageIdentity
     board_identity: BoardIdentity
-    place: StagePlace
+    place: StagePosition
     faults_before: Mapping[str, int]
 
     def faults(self) -> dict[str, int]:
@@ -72,7 +109,7 @@ def open_rig(
     settings: RigSettings,
     control: Control,
     warn: Callable[[str], None],
-    place: StagePlace,
+    place: StagePosition,
     faults_before: Mapping[str, int],
     board: Board | None = None,
 ) -> Iterator[Rig]:
@@ -98,7 +135,7 @@ def open_rig(
     control.arm(axis.halt)
     imu = settings.imu
     try:
-        with while_wanted(control.check):
+        with cancel_scope(control.check):
             board = board or open_board(imu.driver, imu.port, baudrate=imu.baudrate)
             stage, sensor = axis.identify(), board.identify()
             yield Rig(settings, clock, axis, axis.stage, board, stage, sensor, place, faults_before)
@@ -162,7 +199,7 @@ def _told_to_stop(axis: Axis, control: Control, warn: Callable[[str], None]) -> 
     except InstrumentError as error:
         _not_seen(error, str(error), control, warn)
     else:
-        control.leave(Left(seen=True))
+        control.leave(StopOutcome(seen=True))
     return True
 
 
@@ -174,7 +211,7 @@ def _stop_when_back(
     while True:
         try:
             stop_stage(settings)
-            return control.leave(Left(seen=True))
+            return control.leave(StopOutcome(seen=True))
         except PortError as error:
             if clock.now_s() > give_up_s:
                 return _not_seen(error, f"the stage could not be told to stop: {CUT}", control, warn)
@@ -186,5 +223,47 @@ def _stop_when_back(
 def _not_seen(error: InstrumentError, said: str, control: Control, warn: Callable[[str], None]) -> None:
     """Tells whoever waits, and the run, that the stage is not known to stand."""
     log.warning("could not see the stage stopped: %s", error)
-    control.leave(Left(seen=True, trouble=said))
+    control.leave(StopOutcome(seen=True, trouble=said))
     warn(said)
+
+
+def require_suited(rig: Rig, task: RunAssignment) -> None:
+    """Raises where the board does not suit unit or plan, or a pose is beyond the controller's limits."""
+    board, unit, name = rig.board_identity, task.run.unit, task.rig.name
+    if board.serial and board.serial != unit:
+        raise BoardError(
+            f"rig {name!r}: the board says it is unit {board.serial!r}, the run is for unit "
+            f"{unit!r}; nothing was moved: mount the right unit or correct the serial number"
+        )
+    if task.plan.kind == "sweep" and not board.sends_rates:
+        raise BoardError(
+            f"rig {name!r}: board {board.driver} sends no rates and accelerations, which a sweep needs; "
+            "nothing was moved: take a plan of dwells"
+        )
+    if board.rate_hz is not None:
+        _require_long_dwell(name, task.plan.dwell_s, board.rate_hz)
+    elif board.max_rate_hz is not None and task.plan.rate_hz > board.max_rate_hz:
+        raise BoardError(
+            f"rig {name!r}: the plan asks for {task.plan.rate_hz} Hz and the board gives "
+            f"{board.max_rate_hz} Hz at most; nothing was moved: lower rate_hz"
+        )
+    low, high = rig.axis.limits_deg  # the controller's own may be narrower than those of the configuration
+    for pose in task.planned:
+        if not low <= pose.target_deg <= high:
+            raise LimitError(
+                f"rig {name!r}: elevation {pose.target_deg:g}° is beyond the limits of rig and "
+                f"controller together, {low:g}° to {high:g}°; nothing was moved: change the plan, or the "
+                "controller's limits"
+            )
+
+
+def _require_long_dwell(name: str, dwell_s: float, rate_hz: float) -> None:
+    """A board that has one rate only may be too slow for the plan's dwell."""
+    count = dwell_s * rate_hz
+    if count < MIN_SAMPLES:
+        enough_s = math.ceil(2 * (MIN_SAMPLES + 1) / rate_hz) / 2
+        raise BoardError(
+            f"rig {name!r}: the board gives {rate_hz:.1f} samples a second and no other rate: a "
+            f"dwell of {dwell_s:g} s holds about {count:.0f}, a reading needs {MIN_SAMPLES}; "
+            f"nothing was moved: dwell longer (dwell_s at least {enough_s:g})"
+        )

@@ -10,25 +10,23 @@ from pathlib import Path
 from types import MappingProxyType
 
 from calrig.analysis.errors import Conflict, Unknown
-from calrig.analysis.issuing import Issuer, Releases
-from calrig.analysis.origin import check_serial
+from calrig.analysis.imports import check_serial
+from calrig.analysis.revisions import Issuer, Releases
 from calrig.analysis.stored_runs import stored_run
 from calrig.plan import MountAxis, Plan
-from calrig.runs.bus import Bus
+from calrig.runs.assignment import NewRun, rig_followed_up_on
 from calrig.runs.control import End
-from calrig.runs.crew import Crew
-from calrig.runs.errands import Errand
+from calrig.runs.crew import WorkerRegistry
 from calrig.runs.follow_up import Designed, FollowUpQuestion
-from calrig.runs.look import Look
-from calrig.runs.meter import Meter
-from calrig.runs.new_run import NewRun, rig_followed_up_on
-from calrig.runs.references import require_in_date
+from calrig.runs.launcher import RunLauncher
+from calrig.runs.presence import BoardCheck
+from calrig.runs.recorder import Bus, ServiceMetrics, check_transition
 from calrig.runs.resume import resumed_task
-from calrig.runs.rig_states import RigState, state_of
-from calrig.runs.stage_place import check_stage_at
-from calrig.runs.starts import Starts
-from calrig.runs.states import check_transition
-from calrig.runs.stopping import Stops
+from calrig.runs.rig import require_in_date
+from calrig.runs.rig_status import RigState, state_of
+from calrig.runs.single_flight import SharedTask
+from calrig.runs.stage_position import check_stage_at
+from calrig.runs.stopping import StopService
 from calrig.runs.worker import Worker
 from calrig.settings import RigSettings
 from calrig.store import Run, Store, StoreError
@@ -69,10 +67,10 @@ class RunService:
         self.issuer = issuer or Issuer(store, Releases.of(rigs))
         self.bus = Bus()
         self._rigs = {rig.name: rig for rig in rigs}
-        self.meter = Meter(self._rigs)
-        self.crew = Crew()
-        self._stops = Stops(self.crew)
-        self._starts = Starts(
+        self.meter = ServiceMetrics(self._rigs)
+        self.crew = WorkerRegistry()
+        self._stops = StopService(self.crew)
+        self._starts = RunLauncher(
             store, self._rigs, self.crew, self.bus, self.meter, self.issuer, self.maps, record
         )
 
@@ -160,7 +158,7 @@ class RunService:
                 return aborted
         return self._aborted(self._worker(run_id, "aborted"))
 
-    def begin_abort(self, run_id: str) -> Errand[Run] | None:
+    def begin_abort(self, run_id: str) -> SharedTask[Run] | None:
         """As `abort`, in a thread of its own; None where nobody carries the run out. Asks no store before."""
         worker = self.crew.of_run(run_id)
         return None if worker is None else self._stops.abort(worker, lambda: self._aborted(worker))
@@ -187,7 +185,7 @@ class RunService:
         """
         return self.begin_stop(rig_name).result()
 
-    def begin_stop(self, rig_name: str) -> Errand[RigState]:
+    def begin_stop(self, rig_name: str) -> SharedTask[RigState]:
         """As `stop`, in a thread that is this rig's alone; who asks while it is being told shares that."""
         rig = self._rig(rig_name)
         self.crew.call_off(rig_name)
@@ -202,7 +200,7 @@ class RunService:
 
         return self._stops.stop(rig, stopped)
 
-    def begin_clamp(self, rig_name: str, mount_deg: float, axis: MountAxis) -> Errand[RigState]:
+    def begin_clamp(self, rig_name: str, mount_deg: float, axis: MountAxis) -> SharedTask[RigState]:
         """Has a rig's clamp turn the unit, in a thread of its own; errors as of `Clamps.turn`, or Unknown."""
         rig = self._rig(rig_name)
         with self._starts.lock:
@@ -212,7 +210,7 @@ class RunService:
         """Has an idle rig's board looked at for a while: whether a unit is there, and which. Or Unknown."""
         self._starts.sightings.look(self._rig(rig_name))
 
-    def looks(self) -> dict[str, Look]:
+    def looks(self) -> dict[str, BoardCheck]:
         """What the last looks at boards gave, by rig; of those that are looked at."""
         return self._starts.sightings.looks()
 

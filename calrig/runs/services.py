@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Protocol
 
-from calrig.analysis.issuing import Issuer
+from calrig.analysis.revisions import Issuer
 from calrig.plan import MountAxis, Plan
-from calrig.runs.bus import Bus
-from calrig.runs.errands import Errand
 from calrig.runs.follow_up import Designed, FollowUpQuestion
-from calrig.runs.look import Look
-from calrig.runs.meter import Meter
-from calrig.runs.rig_states import RigState
+from calrig.runs.presence import BoardCheck
+from calrig.runs.recorder import Bus, ServiceMetrics
+from calrig.runs.rig_status import RigState
+from calrig.runs.single_flight import SharedTask
 from calrig.settings import RigSettings
 from calrig.store import Run, Store
 from calrig.store.records import Document
@@ -23,7 +22,7 @@ class Service(Protocol):
 
     store: Store
     bus: Bus
-    meter: Meter
+    meter: ServiceMetrics
 
     @property
     def maps(self) -> Mapping[str, Document]:
@@ -61,19 +60,19 @@ class Service(Protocol):
     def abort(self, run_id: str) -> Run:
         """Stops the stage and ends the run."""
 
-    def begin_abort(self, run_id: str) -> Errand[Run] | None:
+    def begin_abort(self, run_id: str) -> SharedTask[Run] | None:
         """As `abort`, in a thread of its own; None where there is nobody to ask."""
 
-    def begin_stop(self, rig_name: str) -> Errand[RigState]:
+    def begin_stop(self, rig_name: str) -> SharedTask[RigState]:
         """Stops a rig's stage, in a thread of its own."""
 
-    def begin_clamp(self, rig_name: str, mount_deg: float, axis: MountAxis) -> Errand[RigState]:
+    def begin_clamp(self, rig_name: str, mount_deg: float, axis: MountAxis) -> SharedTask[RigState]:
         """Has a rig's clamp turn the unit, in a thread of its own."""
 
     def look(self, rig_name: str) -> None:
         """Has an idle rig's board looked at for a while."""
 
-    def looks(self) -> dict[str, Look]:
+    def looks(self) -> dict[str, BoardCheck]:
         """What the last looks at boards gave, by rig; of those that are looked at."""
 
     def pause(self, run_id: str) -> Run:

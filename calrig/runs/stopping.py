@@ -12,11 +12,11 @@ from calrig.analysis.errors import Conflict
 from calrig.instruments.clock import WALL, Clock, Event
 from calrig.instruments.errors import InstrumentError
 from calrig.instruments.ports import clock_of
-from calrig.instruments.standing import CUT
+from calrig.instruments.standstill import CUT
 from calrig.runs.control import End
-from calrig.runs.crew import Crew
-from calrig.runs.errands import Errand, Errands
+from calrig.runs.crew import WorkerRegistry
 from calrig.runs.rig import stop_stage
+from calrig.runs.single_flight import SharedTask, SingleFlight
 from calrig.runs.worker import Worker
 from calrig.settings import RigSettings
 
@@ -29,23 +29,23 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
-class _Telling:
+class StopRequest:
     """A stage that nobody uses is being told; `opened` once its port has, or has not for a reason."""
 
     opened: Event
-    errand: Errand[None]
+    errand: SharedTask[None]
 
 
-class Stops:
+class StopService:
     """Stops of rigs and runs, each in a thread of its own: no rig waits for another, or for anything else."""
 
-    def __init__(self, crew: Crew) -> None:
+    def __init__(self, crew: WorkerRegistry) -> None:
         self._crew = crew
-        self._errands = Errands()
+        self._errands = SingleFlight()
         self._lock = threading.Lock()
-        self._telling: dict[str, _Telling] = {}  # by rig: a port that does not open is waited for once
+        self._telling: dict[str, StopRequest] = {}  # by rig: a port that does not open is waited for once
 
-    def stop(self, rig: RigSettings, answer: Callable[[], T]) -> Errand[T]:
+    def stop(self, rig: RigSettings, answer: Callable[[], T]) -> SharedTask[T]:
         """Stops a rig's stage, whatever runs; who asks while it is being told shares that telling.
 
         Args:
@@ -62,7 +62,7 @@ class Stops:
         key = "stop", rig.name, None if worker is None else worker.run_id
         return self._errands.share(key, _clock_of(rig), stopped)
 
-    def abort(self, worker: Worker, aborted: Callable[[], T]) -> Errand[T]:
+    def abort(self, worker: Worker, aborted: Callable[[], T]) -> SharedTask[T]:
         """Aborts a run; who asks meanwhile shares that."""
         return self._errands.share(("abort", worker.run_id), worker.clock, aborted)
 
@@ -94,13 +94,13 @@ class Stops:
                 f"the stage of rig {rig.name!r} cannot be told to stop ({error}){advice}"
             ) from error
 
-    def _tell(self, rig: RigSettings) -> _Telling:
+    def _tell(self, rig: RigSettings) -> StopRequest:
         """Has a thread tell the stage, which goes on though nobody waits for it any more."""
         clock = _clock_of(rig)
         with self._lock:
             telling = self._telling.get(rig.name)
             if telling is None or telling.errand.future.done():
-                telling = self._telling[rig.name] = _Telling(clock.event(), Errand(clock))
+                telling = self._telling[rig.name] = StopRequest(clock.event(), SharedTask(clock))
                 work = partial(stop_stage, rig, telling.opened.set)
                 carry_out = partial(telling.errand.carry_out, work)
                 clock.thread(carry_out, f"stop of {rig.name}").start()

@@ -24,10 +24,9 @@ from prometheus_client import Counter, Gauge
 
 import calrig
 from calrig.runs.services import Service
-from calrig.settings import SettingsError
+from calrig.settings import SettingsError, WebhookSettings
 from calrig.store import Run, StoreError
 from calrig.store.records import TERMINAL, Document
-from calrig.webhook_settings import WebhookSettings
 
 log = logging.getLogger(__name__)
 

@@ -14,18 +14,15 @@ from pathlib import Path
 
 from calrig import logs
 from calrig.analysis.errors import Conflict, NotTheSame
-from calrig.analysis.issuing import Issuer
+from calrig.analysis.revisions import Issuer
+from calrig.instruments.cancellation import cancel_scope, deadline
 from calrig.instruments.clock import WALL
 from calrig.instruments.errors import InstrumentError
 from calrig.instruments.ports import clock_of
-from calrig.instruments.wanted import for_at_most, while_wanted
-from calrig.runs.bus import Bus
-from calrig.runs.control import Control, End, Ended, Left
-from calrig.runs.left_open import LeftOpen
-from calrig.runs.measuring import Measuring
-from calrig.runs.meter import Meter
-from calrig.runs.recorder import Recorder
-from calrig.runs.task import Task
+from calrig.runs.assignment import OpenBoardHandover, RunAssignment
+from calrig.runs.control import Control, End, Ended, StopOutcome
+from calrig.runs.recorder import Bus, Recorder, ServiceMetrics
+from calrig.runs.run_execution import RunExecution
 from calrig.store import Run, RunChanges, Status, Store, StoreError, StoreUnavailableError
 
 log = logging.getLogger(__name__)
@@ -48,11 +45,11 @@ class Worker:
 
     def __init__(
         self,
-        task: Task,
+        task: RunAssignment,
         store: Store,
         issuer: Issuer,
         bus: Bus,
-        meter: Meter,
+        meter: ServiceMetrics,
         left_rig: Callable[[Worker], None],
         ended: Callable[[Worker], None],
         record: Path | None = None,
@@ -76,14 +73,14 @@ class Worker:
         )
         self._left_rig = left_rig
         self._ended = ended
-        self._measuring = Measuring(task, store, issuer, self._recorder, self.control, record)
+        self._measuring = RunExecution(task, store, issuer, self._recorder, self.control, record)
         self._concluding = threading.Lock()
         self._concluded = False
         self._given_up = self.clock.event()
         self.untold: RunChanges | None = None
-        self._left_open: LeftOpen | None = None
+        self._left_open: OpenBoardHandover | None = None
 
-    def start(self, left_open: LeftOpen | None) -> None:
+    def start(self, left_open: OpenBoardHandover | None) -> None:
         """Begins to carry the run out, with the board that a look has left open."""
         self._left_open = left_open
         self._thread.start()
@@ -147,7 +144,7 @@ class Worker:
             self._left_open.board.close()  # once more, but for a run that did not get to its rig
         self.reached_rig = self._measuring.has_reached_rig or self.reached_rig
         self._left_rig(self)
-        self.control.leave(Left(seen=False))
+        self.control.leave(StopOutcome(seen=False))
         done = self._measuring
         told = [error, *(_not_again(one, error) for one in done.warnings)] if error else done.warnings
         fields: RunChanges = {**done.fields, "error": "; ".join(told) or None}
@@ -178,7 +175,7 @@ class Worker:
             if self._concluded:
                 return True
             try:
-                with while_wanted(for_at_most(TRY_AGAIN_S, StoreUnavailableError("it is locked"))):
+                with cancel_scope(deadline(TRY_AGAIN_S, StoreUnavailableError("it is locked"))):
                     write()
             except StoreError as error:
                 if self.untold is None:

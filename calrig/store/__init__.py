@@ -10,7 +10,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from calrig.store.check_units import CheckUnit
     from calrig.store.errors import NotFound, StoreDamagedError, StoreError, StoreUnavailableError
     from calrig.store.event_log import Announced
     from calrig.store.records import (
@@ -18,7 +17,6 @@ if TYPE_CHECKING:
         AcceptedEffect,
         ComparisonRow,
         Event,
-        LeftAt,
         Progress,
         RawSamples,
         Run,
@@ -26,9 +24,11 @@ if TYPE_CHECKING:
         SampleBlock,
         Status,
         StoredPose,
+        StoredStagePosition,
         Unit,
         Voided,
     )
+    from calrig.store.rigs import CheckUnit
     from calrig.store.sqlite.backup import BackedUp, back_up
     from calrig.store.store import Store
 
@@ -40,7 +40,6 @@ __all__ = [
     "CheckUnit",
     "ComparisonRow",
     "Event",
-    "LeftAt",
     "NotFound",
     "Progress",
     "RawSamples",
@@ -53,6 +52,7 @@ __all__ = [
     "StoreError",
     "StoreUnavailableError",
     "StoredPose",
+    "StoredStagePosition",
     "Unit",
     "Voided",
     "back_up",
@@ -61,7 +61,7 @@ __all__ = [
 _ELSEWHERE = {
     "Announced": "event_log",
     "BackedUp": "sqlite.backup",
-    "CheckUnit": "check_units",
+    "CheckUnit": "rigs",
     "NotFound": "errors",
     "Store": "store",
     "StoreDamagedError": "errors",

@@ -12,8 +12,8 @@ from sqlmodel import Session, col, select
 
 from calrig.store.database import Part
 from calrig.store.errors import ChangedMeanwhile, NotFound, Refused
-from calrig.store.queue_tables import BatchTable, BatchUnitTable
 from calrig.store.records import Document
+from calrig.store.tables import BatchTable, BatchUnitTable
 
 TurnState = Literal["waiting", "follow_up", "running", "done", "failed", "removed"]
 """`follow_up` waits as well: for the run that separates what the one before could not."""

@@ -1,6 +1,6 @@
 """The tables of a centre and its benches; in a file's store only a bench's own (`taken_order`, `delivery`).
 
-What a bench's role may touch of them is in `calrig.store.postgresql.roles`.
+What a bench's role may touch of them is in `calrig.store.postgresql.set_up`.
 """
 
 # No `from __future__ import annotations`: SQLModel reads the annotations of the classes.
@@ -11,7 +11,7 @@ from typing import Any
 from sqlmodel import Column, Field, Index, LargeBinary, SQLModel
 
 from calrig.store.checksums import CheckedJson
-from calrig.store.column_types import Sha256, UtcText
+from calrig.store.tables import Sha256, UtcText
 
 
 class BenchTable(SQLModel, table=True):

@@ -2,21 +2,25 @@
 
 A bench takes an order by one statement of its own, outside of the centre's turn to write. So what hangs on
 whether it has is one statement here as well: of two at once the server lets one be the first.
+
+What lies between a centre and its benches: orders, deliveries and commands that nobody has seen to yet.
+
+What is asked of a bench while somebody waits: stop, abort, pause, resume; and to look at a board.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from datetime import UTC, datetime
-from typing import Any
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from typing import Any, Literal, NamedTuple
 
-from sqlalchemy import and_, text, update
-from sqlmodel import Session, col, select
+from sqlalchemy import and_, delete, text, update
+from sqlmodel import Session, col, func, select
 
 from calrig.run_ids import new_run_id
 from calrig.store import event_log, trail
-from calrig.store.bench_tables import BenchTable, RunOrderTable
+from calrig.store.bench_tables import BenchCommandTable, BenchTable, ParcelTable, RunOrderTable
 from calrig.store.convert import run_of, run_row
 from calrig.store.database import Part
 from calrig.store.errors import Refused
@@ -287,3 +291,120 @@ def _bench(row: BenchTable, now: datetime) -> Bench:
     seen = row.last_seen_at
     ago_s = None if seen is None else (now - seen).total_seconds()
     return Bench(row.name, row.hall, seen, ago_s, row.said)
+
+
+RECENT = timedelta(hours=1)
+"""Commands are for now: one that found nobody days ago is no trouble of today."""
+IN_TIME = timedelta(seconds=5)
+"""Within which a bench answers."""
+
+
+class Waiting(NamedTuple):
+    """How many, and the age of the oldest by the database's clock."""
+
+    number: int
+    age_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Backlog:
+    """What waits.
+
+    Attributes:
+        orders: not taken, by bench and rig.
+        parcels: not unpacked, by bench.
+        unanswered: commands within the last hour that their bench did not answer in time, by bench.
+    """
+
+    orders: dict[tuple[str, str], Waiting] = field(default_factory=dict)
+    parcels: dict[str, Waiting] = field(default_factory=dict)
+    unanswered: dict[str, int] = field(default_factory=dict)
+
+
+class BenchBacklog(Part):
+    """Of all benches."""
+
+    def backlog(self) -> Backlog:
+        """In one state of the store. Whatever waits to be taken is of a queued run: those are few."""
+        orders = (
+            select(RunOrderTable.bench, RunOrderTable.rig, func.count(), func.min(RunOrderTable.ordered_at))
+            .join(RunTable, col(RunTable.uid) == col(RunOrderTable.run_uid))
+            .where(RunTable.status == "queued", NOT_TAKEN)
+            .group_by(col(RunOrderTable.bench), col(RunOrderTable.rig))
+        )
+        parcels = select(ParcelTable.bench, func.count(), func.min(ParcelTable.delivered_at)).group_by(
+            col(ParcelTable.bench)
+        )
+        commands = select(BenchCommandTable.bench, func.count()).group_by(col(BenchCommandTable.bench))
+        with self._database.reading() as session:
+            now = now_there(session)
+            unanswered = commands.where(
+                col(BenchCommandTable.answered_at).is_(None),
+                col(BenchCommandTable.asked_at) > now - RECENT,
+                col(BenchCommandTable.asked_at) < now - IN_TIME,
+            )
+            return Backlog(
+                {(bench, rig): _waiting(n, at, now) for bench, rig, n, at in session.exec(orders)},
+                {bench: _waiting(n, at, now) for bench, n, at in session.exec(parcels)},
+                dict(session.exec(unanswered).all()),
+            )
+
+
+def _waiting(number: int, oldest_at: datetime, now: datetime) -> Waiting:
+    return Waiting(number, max(0.0, (now - oldest_at).total_seconds()))
+
+
+Kind = Literal["stop", "abort", "pause", "resume", "look"]
+
+
+class BenchCommands(Part):
+    """Commands to benches. None of these waits for other writers: a stop may not."""
+
+    def ask_bench(self, bench: str, kind: Kind, *, rig: str | None = None, run_uid: str | None = None) -> int:
+        """Asks something of a bench; a stop also takes back what waits to begin on the rig.
+
+        A look is asked for every few seconds, and nobody waits for its answer: of each rig the last one is
+        kept.
+
+        Returns:
+            The command's number.
+        """
+        with self._database.writing(in_turn=False) as session:
+            if kind == "stop":
+                of_rig = col(RunOrderTable.bench) == bench, col(RunOrderTable.rig) == rig
+                take_back(session, *of_rig)
+            if kind == "look":
+                before = (
+                    col(BenchCommandTable.bench) == bench,
+                    col(BenchCommandTable.rig) == rig,
+                    col(BenchCommandTable.kind) == kind,
+                )
+                session.execute(delete(BenchCommandTable).where(*before))
+            row = BenchCommandTable(
+                bench=bench, kind=kind, rig=rig, run_uid=run_uid, asked_at=now_there(session)
+            )
+            session.add(row)
+            session.flush()
+            return row.id
+
+    def answer_of(self, command: int) -> Document | None:
+        """What a bench answered: `status` as of HTTP, and `detail`; None before it has."""
+        with self._database.reading() as session:
+            row = session.get(BenchCommandTable, command)
+            return None if row is None or row.answered_at is None else row.answer or {}
+
+    def withdraw_command(self, command: int) -> bool:
+        """Takes a command back that its bench has not taken; returns whether it did."""
+        withdrawn = (
+            update(BenchCommandTable)
+            .where(
+                col(BenchCommandTable.id) == command,
+                col(BenchCommandTable.taken_at).is_(None),
+                col(BenchCommandTable.withdrawn_at).is_(None),
+            )
+            .returning(col(BenchCommandTable.id))
+            .execution_options(synchronize_session=False)
+        )
+        with self._database.writing(in_turn=False) as session:
+            now = now_there(session)
+            return session.execute(withdrawn.values(withdrawn_at=now)).first() is not None

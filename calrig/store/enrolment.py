@@ -125,7 +125,7 @@ class Enrolment(Part):
         with self._database.reading() as session:
             role = _known(session, name).role
         if role is not None:
-            from calrig.store.postgresql.roles import shut_out
+            from calrig.store.postgresql.set_up import shut_out
 
             with self._database.staging() as connection:
                 shut_out(connection, role)
@@ -142,7 +142,7 @@ def _let_in(
     session: Session, row: BenchTable, host: str | None, port: int | None, *, is_elsewhere: bool
 ) -> str:
     from calrig.store.postgresql.agent_url import agent_url, is_on_this_machine
-    from calrig.store.postgresql.roles import let_in, role_name
+    from calrig.store.postgresql.set_up import let_in, role_name
 
     connection = session.connection()
     row.role = row.role or role_name(connection, row.name)
@@ -159,7 +159,7 @@ def _let_in(
 def _require_centre(session: Session) -> None:
     if session.connection().dialect.name != "postgresql":
         raise Refused(NO_CENTRE)
-    from calrig.store.postgresql.roles import require_roles
+    from calrig.store.postgresql.set_up import require_roles
 
     require_roles(session.connection())
 

@@ -2,17 +2,24 @@
 
 Each piece is a transaction of its own over a range of the poses' key: nothing is held open meanwhile, on a
 file that a service writes to as on a server.
+
+What the re-analysis of a fleet found in runs, kept so that it is found once.
+
+What was found in logs that people brought, kept: the report and its pictures, not the log.
 """
 
 from __future__ import annotations
 
+import uuid
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Literal, cast
 
 import numpy as np
 import numpy.typing as npt
 import sqlalchemy
-from sqlmodel import Session
+from sqlmodel import Session, col, select
 
 from calrig.calibration.fleet_screen import PackedPoses
 from calrig.calibration.poses import COLUMNS, GYRO_MEANS
@@ -21,7 +28,8 @@ from calrig.store import checksums
 from calrig.store.convert import POSE_NUMBERS
 from calrig.store.database import Part
 from calrig.store.errors import Unreadable
-from calrig.store.tables import PoseTable, RunTable
+from calrig.store.records import Document
+from calrig.store.tables import FleetFindingTable, LogStudyTable, PoseTable, RunTable
 
 RUNS_AT_ONCE = 5_000
 POSES_AT_ONCE = 100_000
@@ -170,3 +178,127 @@ def _covariates(
             column = columns.setdefault(name, np.full(len(rows), np.nan))
             column[place] = np.nan if value is None else value
     return columns
+
+
+_FINDING = sqlalchemy.inspect(FleetFindingTable).local_table.c
+_LISTED_FINDINGS = (
+    _FINDING.run_uid,
+    _FINDING.poses_sha256,
+    _FINDING.catalogue,
+    _FINDING.diagnosis["verdict"].as_string(),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """The verdict on some poses of a run by some catalogue; None where they cannot be diagnosed."""
+
+    poses_sha256: str
+    catalogue: str
+    verdict: str | None
+
+
+class FleetFindings(Part):
+    """One finding a run, the last one."""
+
+    def findings(self) -> dict[str, Finding]:
+        """All of them, by the run's id."""
+        with self._database.reading() as session:
+            rows = session.connection().execute(sqlalchemy.select(*_LISTED_FINDINGS))
+            return {run_id: Finding(*row) for run_id, *row in rows}
+
+    def finding_document(self, run_id: str) -> Document | None:
+        """The whole diagnosis; None where there is none."""
+        with self._database.reading() as session:
+            row = session.get(FleetFindingTable, run_id)
+            return None if row is None else row.diagnosis
+
+    def keep_finding(
+        self,
+        run_id: str,
+        poses_sha256: str,
+        catalogue: str,
+        diagnosis: Document | None,
+        error: str | None = None,
+    ) -> None:
+        """Keeps what was found in the place of what was kept before.
+
+        Args:
+            run_id: of this store or of another one.
+            poses_sha256: of the poses that it was found in.
+            catalogue: version of that which found it.
+            diagnosis: CONTRACT section 5; None where the poses cannot be diagnosed.
+            error: then the reason.
+        """
+        row = FleetFindingTable(
+            run_uid=run_id,
+            poses_sha256=poses_sha256,
+            catalogue=catalogue,
+            diagnosis=diagnosis,
+            error=error,
+            at=datetime.now(UTC),
+        )
+        with self._database.writing() as session:
+            session.merge(row)
+
+
+StudyKind = Literal["noise", "filters"]
+MOST_LISTED = 200
+_STUDY = sqlalchemy.inspect(LogStudyTable).local_table.c
+
+
+@dataclass(frozen=True, slots=True)
+class LogStudy:
+    """A study that was made: of which file, when, and by whom where that is known by name."""
+
+    id: str
+    created_at: datetime
+    studied_by: str | None
+    kind: StudyKind
+    file_name: str
+
+
+class LogStudies(Part):
+    """The studies there are."""
+
+    def keep_study(
+        self, kind: StudyKind, file_name: str, document: Document, *, who: str | None = None
+    ) -> LogStudy:
+        """Keeps what was found in a log."""
+        with self._database.writing() as session:
+            row = LogStudyTable(
+                id=str(uuid.uuid4()),
+                created_at=datetime.now(UTC),
+                studied_by=who,
+                kind=kind,
+                file_name=file_name,
+                document=document,
+            )
+            session.add(row)
+            return _of(row)
+
+    def studies(self) -> list[LogStudy]:
+        """The latest of them, the newest first, without what they found."""
+        wanted = sqlalchemy.select(
+            _STUDY.id, _STUDY.created_at, _STUDY.studied_by, _STUDY.kind, _STUDY.file_name
+        ).order_by(_STUDY.created_at.desc(), _STUDY.id.desc())
+        with self._database.reading() as session:
+            return [LogStudy(*row) for row in session.connection().execute(wanted.limit(MOST_LISTED))]
+
+    def study(self, study_id: str) -> tuple[LogStudy, Document] | None:
+        """One with what it found; None where there is none of that id."""
+        with self._database.reading() as session:
+            row = session.exec(select(LogStudyTable).where(col(LogStudyTable.id) == study_id)).first()
+            return None if row is None else (_of(row), row.document)
+
+    def remove_study(self, study_id: str) -> bool:
+        """Whether there was one."""
+        with self._database.writing() as session:
+            row = session.get(LogStudyTable, study_id)
+            if row is not None:
+                session.delete(row)
+            return row is not None
+
+
+def _of(row: LogStudyTable) -> LogStudy:
+    return LogStudy(row.id, row.created_at, row.studied_by, cast(StudyKind, row.kind), row.file_name)

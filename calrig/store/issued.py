@@ -29,7 +29,7 @@ class Draft:
     Attributes:
         content: CONTRACT section 6 less what the store knows: run, revision, times, hash, and the run's
             provenance, beside which its own stands.
-        basis: what it rests on, to be held against the same later (`calrig.analysis.issuing`).
+        basis: what it rests on, to be held against the same later (`calrig.analysis.revisions`).
         verdict: CONTRACT section 2's, as it was when it was made.
         releases: whether it is put in force as it is made.
         by: who made it; None where nobody is known by name.

@@ -18,10 +18,10 @@ from sqlalchemy import Boolean, Column, Connection, Float, Integer, LargeBinary,
 from sqlmodel import AutoString, SQLModel
 
 # their tables belong to the metadata
-from calrig.store import bench_tables, finding_tables, queue_tables  # noqa: F401
+from calrig.store import bench_tables  # noqa: F401
 from calrig.store.checksums import CheckedJson
-from calrig.store.column_types import UtcText
 from calrig.store.errors import Unreadable
+from calrig.store.tables import UtcText
 
 Row = tuple[Any, ...]
 ROWS_AT_ONCE = 1000

@@ -191,7 +191,7 @@ class StoredPose:
 
 
 @dataclass(frozen=True, slots=True)
-class LeftAt:
+class StoredStagePosition:
     """Where a stage was left, in its own degrees, and when; None: on its way, and nobody knows where."""
 
     stage_deg: float | None

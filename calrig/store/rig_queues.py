@@ -16,7 +16,7 @@ name of a channel has 63 bytes: a job in a longer one is refused.
 def queue_of(bench: str, rig: str) -> str:
     """The queue of a bench's rig; a long name of a rig is shortened to its hash.
 
-    A bench's role sees the jobs of `rig:BENCH/…` (`calrig.store.postgresql.roles`).
+    A bench's role sees the jobs of `rig:BENCH/…` (`calrig.store.postgresql.set_up`).
     """
     queue = f"rig:{bench}/{rig}"
     if len(queue.encode()) <= LONGEST_BYTES:

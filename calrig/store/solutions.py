@@ -12,10 +12,9 @@ from sqlmodel import col
 
 from calrig.store.database import Part
 from calrig.store.errors import NotFound
-from calrig.store.finding_tables import SolutionTable
 from calrig.store.records import Document
 from calrig.store.solved import Basis, Solved
-from calrig.store.tables import RunTable
+from calrig.store.tables import RunTable, SolutionTable
 from calrig.store.units import COUNTS
 
 _COLUMN = sqlalchemy.inspect(SolutionTable).local_table.c

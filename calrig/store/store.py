@@ -8,30 +8,22 @@ from typing import Self
 
 from calrig.store.amendments import Amendments
 from calrig.store.batches import Batches
-from calrig.store.bench_backlog import BenchBacklog
-from calrig.store.bench_commands import BenchCommands
-from calrig.store.benches import Benches
-from calrig.store.check_units import CheckUnits
+from calrig.store.benches import BenchBacklog, BenchCommands, Benches
 from calrig.store.database import BUSY_TIMEOUT_S
 from calrig.store.engines import open_database
 from calrig.store.enrolment import Enrolment
 from calrig.store.event_log import EventLog
-from calrig.store.fleet import Fleet
-from calrig.store.fleet_findings import FleetFindings
+from calrig.store.fleet import Fleet, FleetFindings, LogStudies
 from calrig.store.issued import Issued
-from calrig.store.items import Items
 from calrig.store.limits import Limits
-from calrig.store.log_studies import LogStudies
-from calrig.store.places import Places
+from calrig.store.parcels import Spool
 from calrig.store.poses import Poses
 from calrig.store.records import Size
-from calrig.store.rig_standing import RigStandings
+from calrig.store.rigs import CheckUnits, PositionStore, RigStandings, StageMaps
 from calrig.store.runs import Runs
 from calrig.store.solutions import Solutions
-from calrig.store.spool import Spool
-from calrig.store.stage_maps import StageMaps
 from calrig.store.trail import Trail
-from calrig.store.units import Units
+from calrig.store.units import Items, Units
 from calrig.store.unpacking import Unpacking
 from calrig.store.users import Users
 from calrig.store.verdicts import Verdicts
@@ -45,7 +37,7 @@ class Store(
     EventLog,
     Units,
     Issued,
-    Places,
+    PositionStore,
     Limits,
     CheckUnits,
     Items,

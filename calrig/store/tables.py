@@ -1,15 +1,49 @@
-"""The tables. A change here needs a migration beside it in migrations/versions (a test compares the two)."""
+"""Types of columns: times as text in UTC, hashes, checksums.
 
-# No `from __future__ import annotations`: SQLModel reads the annotations of the classes.
+The tables. A change here needs a migration beside it in migrations/versions (a test compares the two).
 
-from datetime import datetime
+The tables of what waits: lists of units for rigs, and the ends of runs that another program is told of.
+
+Tables of what is found of many runs: fleet findings, joint solutions, stage maps, studies of logs.
+"""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import text
+from sqlalchemy import BigInteger, Dialect, Integer, String, TypeDecorator, text
 from sqlmodel import Column, Field, ForeignKey, Index, LargeBinary, SQLModel
 
 from calrig.store.checksums import CheckedJson
-from calrig.store.column_types import Crc32, Sha256, UtcText
+from calrig.store.errors import Unreadable
+
+
+class UtcText(TypeDecorator[datetime]):
+    """An aware time as ISO 8601 text in UTC of fixed width, so that text order is the order of time."""
+
+    impl = String(32)
+    cache_ok = True
+
+    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> str | None:  # noqa: ARG002
+        """Python to database."""
+        return None if value is None else value.astimezone(UTC).isoformat(timespec="microseconds")
+
+    def process_result_value(self, value: Any | None, dialect: Dialect) -> datetime | None:  # noqa: ARG002
+        """Database to Python."""
+        try:
+            return None if value is None else datetime.fromisoformat(value)
+        except (TypeError, ValueError) as error:
+            raise Unreadable(f"a time is no time any more: {value!r}") from error
+
+
+Sha256 = String(64)
+"""A hash in hexadecimal."""
+Crc32 = BigInteger().with_variant(Integer(), "sqlite")
+"""Unsigned 32 bits, one more than PostgreSQL's integer holds."""
+
+
+# No `from __future__ import annotations`: SQLModel reads the annotations of the classes.
 
 
 class UnitTable(SQLModel, table=True):
@@ -307,3 +341,123 @@ class ItemTable(SQLModel, table=True):
     unit: str = Field(foreign_key="unit.serial")
     document: dict[str, Any] = Field(sa_type=CheckedJson)
     at: datetime = Field(sa_type=UtcText)
+
+
+# No `from __future__ import annotations`: SQLModel reads the annotations of the classes.
+
+
+class BatchTable(SQLModel, table=True):
+    """A list of units that are calibrated one after the other; `document` is what holds of all of them."""
+
+    __tablename__ = "batch"
+    __table_args__ = (Index("ix_batch_created_at", "created_at"),)
+
+    id: str = Field(primary_key=True)
+    created_at: datetime = Field(sa_type=UtcText)
+    closed_at: datetime | None = Field(default=None, sa_type=UtcText)
+    document: dict[str, Any] = Field(sa_type=CheckedJson)
+
+
+class BatchUnitTable(SQLModel, table=True):
+    """A unit's turn in a list: the rig that it is kept for, and the run that it has got."""
+
+    __tablename__ = "batch_unit"
+
+    batch: str = Field(primary_key=True, foreign_key="batch.id")
+    position: int = Field(primary_key=True)
+    unit: str
+    rig: str | None = None
+    run_uid: str | None = None
+    state: str
+    why: str | None = None
+
+
+class WebhookDeliveryTable(SQLModel, table=True):
+    """The end of a run that another program is to be told of; `due_at` is null once that is over."""
+
+    __tablename__ = "webhook_delivery"
+    __table_args__ = (Index("ix_webhook_delivery_due_at", "due_at"),)
+
+    run_uid: str = Field(primary_key=True)
+    ended_at: datetime = Field(sa_type=UtcText)
+    due_at: datetime | None = Field(default=None, sa_type=UtcText)
+    tries: int
+    delivered_at: datetime | None = Field(default=None, sa_type=UtcText)
+    error: str | None = None
+
+
+# No `from __future__ import annotations`: SQLModel reads the annotations of the classes.
+
+
+class FleetFindingTable(SQLModel, table=True):
+    """What a fleet's re-analysis found in a run last, by which poses and which catalogue.
+
+    No key of the store's own: the runs may be of another store.
+    """
+
+    __tablename__ = "fleet_finding"
+
+    run_uid: str = Field(primary_key=True)
+    poses_sha256: str = Field(sa_type=Sha256)
+    catalogue: str = Field(sa_type=Sha256)
+    diagnosis: dict[str, Any] | None = Field(default=None, sa_type=CheckedJson)
+    error: str | None = None
+    at: datetime = Field(sa_type=UtcText)
+
+
+class SolutionTable(SQLModel, table=True):
+    """Stage, mounts and units solved together: rows are added and never changed."""
+
+    __tablename__ = "solution"
+    __table_args__ = (Index("ix_solution_rig_created_at", "rig", "created_at"),)
+
+    id: str = Field(primary_key=True)
+    created_at: datetime = Field(sa_type=UtcText)
+    solved_by: str | None = None
+    rig: str | None = None
+    basis: dict[str, Any] = Field(sa_type=CheckedJson)
+    document: dict[str, Any] = Field(sa_type=CheckedJson)
+    calibrations: dict[str, Any] = Field(sa_type=CheckedJson)
+    stage_map: dict[str, Any] = Field(sa_type=CheckedJson)
+    poses: dict[str, Any] = Field(sa_type=CheckedJson)
+
+
+class StageMapTable(SQLModel, table=True):
+    """A stage's map that was put in force as the reference of a rig, and until when; at most one is.
+
+    Runs keep what they need of it themselves.
+    """
+
+    __tablename__ = "stage_map"
+    __table_args__ = (
+        Index(
+            "ix_stage_map_in_force",
+            "rig",
+            unique=True,
+            sqlite_where=text("withdrawn_at IS NULL"),
+            postgresql_where=text("withdrawn_at IS NULL"),
+        ),
+    )
+
+    id: int = Field(default=None, primary_key=True)
+    rig: str
+    solution_id: str = Field(foreign_key="solution.id")
+    document: dict[str, Any] = Field(sa_type=CheckedJson)
+    sha256: str = Field(sa_type=Sha256)
+    put_at: datetime = Field(sa_type=UtcText)
+    put_by: str | None = None
+    withdrawn_at: datetime | None = Field(default=None, sa_type=UtcText)
+
+
+class LogStudyTable(SQLModel, table=True):
+    """What was found in a log that somebody brought: the report and its pictures, not the log."""
+
+    __tablename__ = "log_study"
+    __table_args__ = (Index("ix_log_study_created_at_id", "created_at", "id"),)
+
+    id: str = Field(primary_key=True)
+    created_at: datetime = Field(sa_type=UtcText)
+    studied_by: str | None = None
+    kind: str
+    file_name: str
+    document: dict[str, Any] = Field(sa_type=CheckedJson)

@@ -24,9 +24,9 @@ from calrig.store.bench_tables import BenchTable, DeliveryTable, ParcelTable, Ru
 from calrig.store.convert import find_run, pose_of, pose_values, run_of, unpacked_block
 from calrig.store.database import Part
 from calrig.store.errors import Unreadable
-from calrig.store.parcel_document import DeliveredEvent, DeliveredPose, DeliveredSamples, ParcelDocument
+from calrig.store.parcels import DeliveredEvent, DeliveredPose, DeliveredSamples, ParcelDocument
+from calrig.store.poses import map_in_use, put_upon
 from calrig.store.records import TERMINAL, Document, Run, Status, StoredPose, filtering_of
-from calrig.store.run_maps import map_in_use, put_upon
 from calrig.store.runs import first_progress, new_row, replace_result
 from calrig.store.tables import EventTable, PoseTable, RunTable, SampleBlockTable, TranscriptTable
 from calrig.store.trail import Act

@@ -25,8 +25,7 @@ from calrig.store.convert import run_of
 from calrig.store.database import Part
 from calrig.store.limits import limits_of
 from calrig.store.records import Run, how_judged
-from calrig.store.run_search import Sought
-from calrig.store.runs import NEWEST_FIRST, older_than
+from calrig.store.runs import NEWEST_FIRST, Sought, older_than
 from calrig.store.tables import RunTable, VerdictFiguresTable
 
 Judged = Literal[

@@ -8,9 +8,8 @@ from datetime import UTC, datetime, timedelta
 from sqlmodel import col, func, select, update
 
 from calrig.store.database import Part
-from calrig.store.queue_tables import WebhookDeliveryTable
 from calrig.store.records import TERMINAL
-from calrig.store.tables import RunTable
+from calrig.store.tables import RunTable, WebhookDeliveryTable
 
 LONGEST_RUN = timedelta(days=30)
 """Of runs that ended while nobody took them in, those made longer ago are not looked for."""

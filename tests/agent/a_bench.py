@@ -21,7 +21,7 @@ from support import QUICK, fast, known_as, wait_for
 
 from calrig.agent.agent import Agent
 from calrig.agent.link import NOW
-from calrig.analysis.issuing import NoDrafts
+from calrig.analysis.revisions import NoDrafts
 from calrig.plan import Plan
 from calrig.runs.service import RunService
 from calrig.simulator.rig import SimulatedRig

@@ -10,7 +10,7 @@ from a_bench import ENDLESS, HandWritten, Rig, agent_at
 from support import QUICK, wait_for
 
 from calrig.agent import orders
-from calrig.agent.lease import LEASE_S
+from calrig.agent.link import LEASE_S
 from calrig.plan import Plan
 from calrig.store import Store
 
@@ -189,7 +189,7 @@ def test_without_the_lease_nothing_is_taken_and_the_person_at_the_bench_starts_r
 def test_a_stop_calls_off_what_is_about_to_begin(rig: Rig, spool: Path, centre: HandWritten) -> None:
     with agent_at(centre.bench_url, spool, rig) as agent:
         service = agent.service
-        from calrig.runs.ordered import ordered_run
+        from calrig.runs.assignment import ordered_run
 
         document = {
             "unit": "AS-1",

@@ -7,15 +7,14 @@ import random
 
 from support import QUICK
 
-from calrig.analysis.active_calibration import ActiveCalibration
-from calrig.analysis.unresolved import Unresolved
+from calrig.analysis.calibration_in_force import ActiveCalibration
+from calrig.analysis.stored_runs import AmbiguousRuns
 from calrig.calibration.line import Line
 from calrig.calibration.poses import Filtering, Pose
 from calrig.calibration.uncertainty.budget import ReferenceFigures
 from calrig.plan import Plan
+from calrig.runs.assignment import NewRun, order_part, ordered_run
 from calrig.runs.follow_up import FollowUpRun
-from calrig.runs.new_run import NewRun
-from calrig.runs.ordered import order_part, ordered_run
 from calrig.settings import BoardSettings, RigSettings, StageSettings
 
 RIG = RigSettings(
@@ -60,7 +59,7 @@ def test_a_follow_up_rests_on_the_same_poses_and_finds_the_same_in_them() -> Non
                     filtering=Filtering(),
                 )
             )
-    earlier = Unresolved.of(["17"], [poses])
+    earlier = AmbiguousRuns.of(["17"], [poses])
     plan = Plan.model_validate({**QUICK, "sweeps": 1})
     run = ordered(plan, follow_up=FollowUpRun(earlier, ["backlash", "settling"], 2, plan, RIG.limits_deg))
     assert run.follow_up is not None

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from calrig.analysis.acceptance import Acceptance
 from calrig.analysis.amendments import Records
+from calrig.analysis.diagnoses import Acceptance
 from calrig.analysis.errors import Conflict, Invalid
 from calrig.analysis.results import refitted
 from calrig.calibration.poses import Pose

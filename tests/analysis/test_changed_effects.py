@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from calrig.analysis.acceptance import Acceptance
+from calrig.analysis.diagnoses import Acceptance
 from calrig.analysis.errors import Conflict
 from calrig.calibration.poses import Pose
 from calrig.calibration.results.result import build_result

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from dated_runs import at, gave, lay, ran
 
-from calrig.analysis.check_unit import check_document, suspects, with_doubts
+from calrig.analysis.check_standard import check_document, suspects, with_doubts
 from calrig.analysis.errors import Unknown
 from calrig.analysis.histories import histories
 from calrig.store import NotFound, Store

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from calrig.analysis import fleet
-from calrig.analysis.fleet import reanalyse
-from calrig.analysis.fleet_workers import Workers, own_processes
+from calrig.analysis.fleet import Workers, own_processes, reanalyse
 from calrig.calibration.poses import Pose
 from calrig.calibration.results.pose_errors import residuals
 from calrig.calibration.results.result import build_result

@@ -6,9 +6,9 @@ import pytest
 from dated_runs import gave, lay
 from sqlmodel import update
 
-from calrig.analysis.found_runs import found_runs
+from calrig.analysis.limits import found_runs
 from calrig.store import Store
-from calrig.store.run_search import Sought
+from calrig.store.runs import Sought
 from calrig.store.tables import VerdictFiguresTable
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calrig.analysis.gyro_columns import poses_with_gyro
+from calrig.analysis.solutions import poses_with_gyro
 from calrig.calibration.poses import Pose
 from calrig.store import Store
 from calrig.store.records import SampleBlock

@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 from postgresql_server import ENGINE
 
-from calrig.analysis.acceptance import Acceptance
 from calrig.analysis.amendments import Records
+from calrig.analysis.diagnoses import Acceptance
 from calrig.analysis.errors import Conflict, Invalid
-from calrig.analysis.issuing import BROUGHT_OVER, Issuer, Releases
+from calrig.analysis.revisions import BROUGHT_OVER, Issuer, Releases
 from calrig.calibration.poses import Pose
 from calrig.calibration.results.result import build_result
 from calrig.calibration.verdict import Verdict

@@ -9,8 +9,8 @@ import pytest
 from kept_maps import solved
 
 from calrig.analysis.certificates import certificate
-from calrig.analysis.issuing import Issuer
 from calrig.analysis.results import fitted, refitted
+from calrig.analysis.revisions import Issuer
 from calrig.analysis.stage_maps import provenance_part, put_in_force
 from calrig.calibration.poses import Pose
 from calrig.laboratory import LaboratorySettings

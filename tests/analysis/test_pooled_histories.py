@@ -7,8 +7,7 @@ from dated_runs import gave, lay
 
 from calrig.analysis import histories as module
 from calrig.analysis.due_dates import due_dates
-from calrig.analysis.histories import histories
-from calrig.analysis.unit_changes import unit_changes
+from calrig.analysis.histories import histories, unit_changes
 
 
 def _filled(store, units: int = 6, runs: int = 4) -> None:

@@ -12,8 +12,7 @@ from dated_runs import gave, lay, ran
 
 from calrig.analysis.diagnoses import Diagnoses
 from calrig.analysis.errors import Unknown
-from calrig.analysis.histories import histories
-from calrig.analysis.unit_changes import charts, unit_changes
+from calrig.analysis.histories import charts, histories, unit_changes
 from calrig.calibration.diagnosis.tracing import diagnose, document
 from calrig.plan import Plan
 from calrig.store import Store

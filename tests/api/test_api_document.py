@@ -9,7 +9,7 @@ from clamped import clamped
 from pydantic import TypeAdapter
 from support import QUICK, ended
 
-from calrig.api import heavy
+from calrig.api import jobs
 from calrig.api.app import DOCUMENT, PARTS
 from calrig.api.openapi import document
 
@@ -37,7 +37,7 @@ def test_every_answer_is_what_the_document_says(shared_client, monkeypatch):
     rows = "\n".join(f"{k / 100},{0.01 * (k % 7 - 3)},{1 + 0.01 * (k % 5 - 2)}" for k in range(500))
     log = {"file": ("log.csv", f"time_s,accel_y_g,accel_z_g\n{rows}\n")}
     study = shared_client.post("/api/noise", files=log).raise_for_status().json()
-    monkeypatch.setattr(heavy, "AT_ONCE_S", 0.0)  # for a job
+    monkeypatch.setattr(jobs, "AT_ONCE_S", 0.0)  # for a job
     file = {"file": ("poses.csv", CSV)}
     job = shared_client.post("/api/imports?wait=false", files=file, data={"unit": "B"}).json()
     routes = [route for part in PARTS for route in part.router.routes if "GET" in route.methods]

@@ -11,7 +11,7 @@ from simulated_devices import plug
 from support import PATIENCE_S, wait_for
 
 from calrig.api import runs
-from calrig.runs.errands import Errands
+from calrig.runs.single_flight import SingleFlight
 
 
 def test_a_look_at_the_ports_tells_who_answers_and_what_to_configure(shared_client, monkeypatch):
@@ -48,8 +48,8 @@ def test_who_asks_while_the_ports_are_looked_at_shares_that_look_and_takes_no_th
         return []
 
     shared: list = []
-    share = Errands.share
-    monkeypatch.setattr(Errands, "share", lambda *of: (share(*of), shared.append(of))[0])
+    share = SingleFlight.share
+    monkeypatch.setattr(SingleFlight, "share", lambda *of: (share(*of), shared.append(of))[0])
     monkeypatch.setattr(runs.ports, "scan", look)
     crowd = 60  # more than there are threads for requests
     with ThreadPoolExecutor(crowd) as beside:

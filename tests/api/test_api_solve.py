@@ -11,7 +11,7 @@ import pytest
 from clamped import clamped, rows_of
 from support import LONG, POSES, imported, wait_for
 
-from calrig.api import heavy
+from calrig.api import jobs
 
 
 @pytest.fixture(scope="module")
@@ -172,7 +172,7 @@ def test_a_run_that_goes_on_is_not_solved(shared_client):
 
 
 def test_who_does_not_wait_has_a_job_that_says_where_the_solution_is(shared_client, runs, monkeypatch):
-    monkeypatch.setattr(heavy, "AT_ONCE_S", 0.0)
+    monkeypatch.setattr(jobs, "AT_ONCE_S", 0.0)
     body = {"runs": runs, "linear": True}
     job = shared_client.post("/api/solve?wait=false", json=body).headers["Location"]
     wait_for(lambda: shared_client.get(job).json()["state"] == "done", "end")

@@ -10,7 +10,7 @@ from kept_maps import STD_DEG, solved
 from pydantic import TypeAdapter
 from support import ended
 
-from calrig.api.stage_maps import StageMapAnswer
+from calrig.api.rigs import StageMapAnswer
 
 
 @pytest.fixture

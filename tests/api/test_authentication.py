@@ -14,8 +14,7 @@ from support import NO_TLS, run_async, running_service, serving
 
 from calrig.api.access import Access
 from calrig.api.app import DOCUMENT
-from calrig.api.authentication import WAITING_EACH, Authentication
-from calrig.api.sessions import MOST_SESSIONS, SESSION_S, Sessions
+from calrig.api.authentication import MOST_SESSIONS, SESSION_S, WAITING_EACH, Authentication, Sessions
 from calrig.store.users import token_digest
 
 TOKEN = "the-benches-of-building-4"

@@ -12,7 +12,7 @@ from endless_work import SEEN, for_ever, see, watched, working
 from support import PATIENCE_S, POSES, imported, running_service, serving, wait_for
 
 from calrig.analysis import diagnoses
-from calrig.api import heavy, job
+from calrig.api import job, jobs
 
 TARGETS = [x for x in range(-60, 61, 5) for _ in range(2)]
 RANDOM = random.Random(1)
@@ -23,7 +23,7 @@ LOG = "time_s,gyro_x_dps\n" + "".join(f"{k / 100},{RANDOM.gauss(0, 0.1):.5f}\n" 
 @pytest.fixture
 def _nobody_waits(monkeypatch: pytest.MonkeyPatch) -> None:
     """Not even two seconds."""
-    monkeypatch.setattr(heavy, "AT_ONCE_S", 0.0)
+    monkeypatch.setattr(jobs, "AT_ONCE_S", 0.0)
 
 
 def begun(client: httpx.Client, path: str, **request: Any) -> str:
@@ -138,14 +138,14 @@ def test_the_oldest_of_many_that_ended_are_forgotten(shared_client, monkeypatch)
 
 
 def test_what_is_done_soon_enough_is_answered_as_ever(shared_client, monkeypatch):
-    monkeypatch.setattr(heavy, "AT_ONCE_S", PATIENCE_S)  # two seconds are over soon on a busy machine
+    monkeypatch.setattr(jobs, "AT_ONCE_S", PATIENCE_S)  # two seconds are over soon on a busy machine
     file = {"file": ("p.csv", POSES)}
     answer = shared_client.post("/api/imports", files=file, data={"unit": "D"}, params={"wait": "false"})
     assert (answer.status_code, answer.json()["unit"]) == (201, "D")
 
 
 def test_no_job_of_another_life_of_the_service_is_known(rig, store_path, monkeypatch):
-    monkeypatch.setattr(heavy, "AT_ONCE_S", 0.0)
+    monkeypatch.setattr(jobs, "AT_ONCE_S", 0.0)
     monkeypatch.setattr(diagnoses, "trace", for_ever)
     with running_service(store_path, rig) as service:
         with serving(service, own_processes=True) as client:

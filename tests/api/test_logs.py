@@ -99,7 +99,7 @@ def test_requests_that_change_something_or_fail_are_said_and_no_token_is(client:
         wait_for(lambda line=line: line in lines.getvalue(), f"the line of {line}, which follows {follows}")
     written = lines.getvalue()
     said = [json.loads(line) for line in written.splitlines()]
-    requests = [line for line in said if line["logger"] == "calrig.api.request_log"]
+    requests = [line for line in said if line["logger"] == "calrig.api.origin_check"]
     assert [(r["method"], r["path"], r["status"]) for r in requests] == [
         ("POST", "/api/runs", 422),
         ("POST", "/api/runs", 201),
@@ -125,4 +125,4 @@ def test_an_upload_that_is_broken_off_is_no_invalid_one(shared_client: httpx.Cli
         )
     wait_for(lambda: "/api/imports" in lines.getvalue(), "the request's line")
     said = [json.loads(line) for line in lines.getvalue().splitlines()]
-    assert [line["status"] for line in said if line["logger"] == "calrig.api.request_log"] == [499]
+    assert [line["status"] for line in said if line["logger"] == "calrig.api.origin_check"] == [499]

@@ -8,12 +8,12 @@ import threading
 import pytest
 from support import run_async
 
-from calrig.api.looks import Lately, Looks
+from calrig.api.streams import ReadCache, ReadCoalescer
 from calrig.store import StoreError
 
 
 def test_a_look_is_shared_until_it_begins_and_by_nobody_after_that() -> None:
-    looks, began, go_on = Looks(), threading.Event(), threading.Event()
+    looks, began, go_on = ReadCoalescer(), threading.Event(), threading.Event()
     n_looks = 0
 
     def look() -> int:
@@ -53,7 +53,7 @@ def test_what_a_look_gave_is_good_for_a_while_for_all_who_ask() -> None:
         return n_looks
 
     async def ask() -> list[list[int]]:
-        lately, seen = Lately(clock.now_s), []
+        lately, seen = ReadCache(clock.now_s), []
         for clock.time_s in (0.0, 0.9, 1.0, 1.9, 2.1):
             seen.append(list(await asyncio.gather(*(lately.share("rigs", look, 1.0) for _ in range(100)))))
         return seen
@@ -73,7 +73,7 @@ def test_a_look_that_takes_long_is_good_for_longer_and_one_that_failed_for_nobod
         return n_looks
 
     async def ask() -> list[int]:
-        lately = Lately(clock.now_s)
+        lately = ReadCache(clock.now_s)
         with pytest.raises(StoreError):
             await lately.share("overdue", look, 1.0)
         seen = []

@@ -10,7 +10,7 @@ from prometheus_client.parser import text_string_to_metric_families as prometheu
 from support import QUICK, ended, running_service, serving, wait_for
 
 import calrig
-from calrig.runs.meter import Meter
+from calrig.runs.recorder import ServiceMetrics
 
 Values = dict[tuple[str, tuple[tuple[str, str], ...]], float]
 
@@ -63,7 +63,7 @@ def test_faults_are_counted_by_kind_as_the_run_has_them(launch_rig, store_path):
 
 
 def test_a_resumed_run_counts_only_its_new_faults():
-    meter = Meter(["bench-1"])
+    meter = ServiceMetrics(["bench-1"])
     run = meter.of_run("bench-1", {"crc": 2})  # of a resumed run that had seen two
     for totals in ({"crc": 2}, {"crc": 5, "late_reply": 1}, {"crc": 5, "late_reply": 1}):
         run.faults(totals)
@@ -75,7 +75,7 @@ def test_a_resumed_run_counts_only_its_new_faults():
 
 
 def test_two_services_count_apart():
-    one, other = Meter(["bench-1"]), Meter(["bench-1"])
+    one, other = ServiceMetrics(["bench-1"]), ServiceMetrics(["bench-1"])
     one.of_run("bench-1").samples(5)
     assert one.registry.get_sample_value("calrig_samples_total", {"rig": "bench-1"}) == 5
     assert other.registry.get_sample_value("calrig_samples_total", {"rig": "bench-1"}) == 0

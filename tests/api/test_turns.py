@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from support import run_async
 
-from calrig.api.turns import BeginInTurn, Turns
+from calrig.api.streams import FairScheduler, FairStartMiddleware
 
 CROWD = 50
 
@@ -21,7 +21,7 @@ def begun_before(path: str) -> int:
         begun.append(scope["path"])
 
     async def ask() -> None:
-        requests = BeginInTurn(app)
+        requests = FairStartMiddleware(app)
         paths = [*(f"/api/runs/{k}" for k in range(CROWD)), path]
         scopes = [{"type": "http", "path": one} for one in paths]
         await asyncio.gather(*(requests(scope, None, None) for scope in scopes))  # type: ignore[arg-type]
@@ -47,7 +47,7 @@ def test_the_event_loop_comes_round_between_turns(in_a_round):
     went, went_when_it_came = 0, []
 
     async def crowd() -> None:
-        turns, loop = Turns(in_a_round), asyncio.get_running_loop()
+        turns, loop = FairScheduler(in_a_round), asyncio.get_running_loop()
 
         async def one() -> None:
             nonlocal went

@@ -10,7 +10,7 @@ from kept_maps import solved
 
 from calrig.analysis.amendments import Records
 from calrig.analysis.certificates import certificate_dcc
-from calrig.analysis.issuing import Issuer
+from calrig.analysis.revisions import Issuer
 from calrig.analysis.stage_maps import provenance_part, put_in_force
 from calrig.calibration.poses import Pose
 from calrig.export.archive.contents import unit_archive

@@ -11,7 +11,7 @@ from typing import Any
 
 from calrig.canonical_json import sha256_of
 from calrig.export.archive import layout
-from calrig.export.archive.container import Member, Packed, packed
+from calrig.export.archive.contents import Member, Packed, packed
 
 
 def members(archive: bytes) -> dict[str, bytes]:

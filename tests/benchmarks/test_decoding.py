@@ -13,8 +13,8 @@ from collections import Counter
 import pytest
 from cobs import cobs
 
+from calrig.instruments.boards.calrig.driver import SampleStream
 from calrig.instruments.boards.calrig.packets import PacketDecoder
-from calrig.instruments.boards.calrig.sample_stream import SampleStream
 from calrig.instruments.types import BoardIdentity
 
 RATE_HZ = 4000

@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from empty_store import lay_empty_store
 
 from calrig.analysis.amendments import Records
-from calrig.analysis.issuing import Issuer
+from calrig.analysis.revisions import Issuer
 from calrig.store import Store
 
 ROWS = [f"{x},{0.8 + 1.001 * x}" for _ in range(4) for x in range(-60, 61, 10)]

@@ -19,11 +19,9 @@ from packet_stream import MPU, as_read, sample_blocks
 from prepared_boards import prepared_boards
 
 from calrig.estimation.kalman import KalmanFilter
-from calrig.instruments.boards.calrig.driver import CalrigBoard
+from calrig.instruments.boards.calrig.driver import CalrigBoard, SampleStream
 from calrig.instruments.boards.calrig.packets import PacketDecoder
-from calrig.instruments.boards.calrig.sample_stream import SampleStream
-from calrig.runs.pace import LOOK_S
-from calrig.runs.stream import Stream
+from calrig.runs.acquisition import LOOK_S, Stream
 
 A_DAY = 86_400 * 200
 CUT_EVERY_S = 3.0

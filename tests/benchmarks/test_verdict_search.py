@@ -13,7 +13,7 @@ from calrig.calibration.results.result import build_result
 from calrig.calibration.uncertainty.budget import Reference
 from calrig.calibration.uncertainty.conformity import Limit
 from calrig.store import Store
-from calrig.store.run_search import Sought
+from calrig.store.runs import Sought
 from calrig.store.tables import RunTable, UnitTable
 
 UNITS, RUNS = 2_000, 20_000

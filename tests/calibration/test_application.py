@@ -10,7 +10,7 @@ from calrig.calibration.poses import Pose
 from calrig.calibration.regression.effect import Circumstances
 from calrig.calibration.results.correction import Application, effects_on_reading_deg
 from calrig.calibration.uncertainty.budget import Reference
-from calrig.export.calibration_json import calibration_content
+from calrig.export.calibration_document import calibration_content
 
 BIAS_DEG, SCALE, NOISE_DEG, STAGE_DEG = 0.25, 1.002, 0.05, 0.06
 

@@ -14,7 +14,7 @@ from calrig.calibration.results.result import apply_calibration, build_result
 from calrig.calibration.uncertainty.budget import Reference, ReferenceFigures
 from calrig.calibration.uncertainty.conformity import Limit
 from calrig.calibration.verdict import verdict
-from calrig.limit_settings import LimitSettings
+from calrig.settings import LimitSettings
 
 STAGE = Reference(0.029, "harmonic")  # a limit of ±0.05°: U = 0.048° alone
 NOISE_DEG = 0.005

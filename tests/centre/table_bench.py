@@ -14,7 +14,7 @@ from calrig.centre.service import CentreService
 from calrig.runs.service import RunService
 from calrig.store import Event, RawSamples, Run, Store, StoredPose
 from calrig.store.bench_tables import BenchCommandTable, BenchTable, ParcelTable, RunOrderTable
-from calrig.store.parcel_document import packed_row
+from calrig.store.parcels import packed_row
 from calrig.store.tables import SampleBlockTable
 
 Packed = tuple[dict[str, Any], bytes | None]

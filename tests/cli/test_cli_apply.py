@@ -18,7 +18,7 @@ import calrig as package
 from calrig.canonical_json import sha256_of
 from calrig.cli.main import app
 from calrig.errors import InputError
-from calrig.export import pieces
+from calrig.export import applied_csv
 
 WARM = {"name": "temperature_bias", "parameters": {"deg_per_c": 0.05, "reference_c": 24.0}, "formula": ""}
 
@@ -72,7 +72,7 @@ def test_what_came_is_printed_with_elevation_and_uncertainty_beside_it(folder, d
 
 
 def test_a_pipe_of_accelerations_with_semicolons_and_decimal_commas(document, monkeypatch):
-    monkeypatch.setattr(pieces, "PIECE_BYTES", 60)
+    monkeypatch.setattr(applied_csv, "PIECE_BYTES", 60)
     text = 'accel_y_mps2;accel_z_mps2;note\r\n0,0;9,80665;x\r\n\r\n4,903325;8,4928;"two\nlines"\r\n'
     done = CliRunner().invoke(app, ["apply", "cal.json"], input=text.encode())
     assert done.exit_code == 0

@@ -14,7 +14,7 @@ from rich.console import Console
 from support import QUICK, ended
 
 from calrig.cli import progress
-from calrig.cli.followed import Notice
+from calrig.cli.progress import Notice
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import pytest
 from command_line import reason
 
 from calrig.cli import output
-from calrig.cli.printing import print_table
+from calrig.cli.output import print_table
 from calrig.errors import printable
 
 EVIL = "[red]a[/red][link=http://x]b[/link]\x1b]0;owned\x07\x1b[2J\u202e"

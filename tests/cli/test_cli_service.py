@@ -18,13 +18,13 @@ from support import LONG, QUICK, running_service, serving, wait_for
 from typer.testing import CliRunner
 
 import calrig as package
-from calrig.api import heavy
+from calrig.api import jobs
 from calrig.calibration.poses import Pose
-from calrig.cli import names
+from calrig.cli import options
 from calrig.cli.main import app
 from calrig.settings import store_url
 from calrig.store import Store, back_up
-from calrig.store.sqlite import listener
+from calrig.store.sqlite import lock as listener
 from calrig.store.sqlite.lock import answering_at
 
 DOCS = Path(package.__file__).parent / "docs"
@@ -54,7 +54,7 @@ def there(served, folder, monkeypatch):
 @pytest.fixture(autouse=True)
 def _somebody_has_time(monkeypatch):
     """To wait for what is completed, however busy the machine."""
-    monkeypatch.setattr(names, "PATIENCE_S", 60.0)
+    monkeypatch.setattr(options, "PATIENCE_S", 60.0)
 
 
 def pressed_when(look):
@@ -103,7 +103,7 @@ def test_names_are_completed_from_the_store_and_without_one_nothing_is_said(fold
 
 
 def test_what_was_imported_is_exported_and_diagnosed_as_without_the_service(there, folder, monkeypatch):
-    monkeypatch.setattr(heavy, "AT_ONCE_S", 0.0)  # as of large files: what is long goes on as a job
+    monkeypatch.setattr(jobs, "AT_ONCE_S", 0.0)  # as of large files: what is long goes on as a job
     imported = calrig("import", "poses.csv", "--unit", "A/1")
     run_id = imported.stdout.strip()
     assert newest(there)["id"] == run_id
@@ -152,7 +152,7 @@ def test_a_log_is_studied_by_the_service_as_here_and_kept_there(there, folder):
 
 
 def test_what_was_done_before_ctrl_c_came_is_said_to_be_kept(there, folder, monkeypatch):
-    monkeypatch.setattr(heavy, "AT_ONCE_S", 0.0)
+    monkeypatch.setattr(jobs, "AT_ONCE_S", 0.0)
     readable, writable = os.pipe()
     os.write(writable, POSES.encode())
     os.close(writable)
@@ -294,7 +294,7 @@ def test_a_run_of_another_program_is_watched_in_the_file(folder):
 
 
 def test_a_task_that_is_cancelled_cancels_the_work_that_it_waits_for(there, served, monkeypatch, caplog):
-    monkeypatch.setattr(heavy, "AT_ONCE_S", 0.0)
+    monkeypatch.setattr(jobs, "AT_ONCE_S", 0.0)
     caplog.set_level(logging.INFO, "calrig.api.job")
     service, _, _ = served
     poses = [

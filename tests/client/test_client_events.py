@@ -11,8 +11,9 @@ import pytest
 from support import QUICK, running_service, serving
 
 import calrig
-from calrig.client import Refused, events
-from calrig.client.events import parsed
+from calrig.client import Refused
+from calrig.client import run as events
+from calrig.client.run import parsed
 
 
 @contextmanager

@@ -15,16 +15,16 @@ from calrig.calibration.results.result import build_result
 from calrig.calibration.uncertainty.budget import Reference
 from calrig.calibration.uncertainty.conformity import ANSWERS, Limit
 from calrig.canonical_json import canonical, sha256_of
-from calrig.export.calibration_json import calibration_content
+from calrig.export.calibration_document import calibration_content
 from calrig.export.certificate.content import Certificate
 from calrig.export.certificate.making import Sources, certificate_of
 from calrig.laboratory import LaboratorySettings
 from calrig.plan import Plan
 from calrig.store import Run, StoredPose
 from calrig.store.issued import Revision
-from calrig.store.items import Item
 from calrig.store.records import AcceptedEffect
 from calrig.store.trail import Act, Entry
+from calrig.store.units import CalibrationItem
 
 WORDS = ("AS-0042", "Ä/7 \"<&>'", "\x00\x1b[2J", "温度 \ufffe", " ", "a\nb\tc", "]]>", "x" * 200, "🛰")
 DAY = datetime(2026, 3, 1, 9, 30, tzinfo=UTC)
@@ -206,8 +206,8 @@ def _entry(rng: random.Random, what: Any) -> Entry:
     return Entry(rng.randrange(1, 10**6), DAY, Act(what, rng.choice([None, *WORDS])), "a" * 64)
 
 
-def _item(rng: random.Random) -> Item:
-    return Item(
+def _item(rng: random.Random) -> CalibrationItem:
+    return CalibrationItem(
         **_some(rng, ("customer", "address", "order", "condition", "description")),
         received_at=rng.choice([None, date(2026, 2, 27)]),
         interval_agreed_months=rng.choice([None, 12]),

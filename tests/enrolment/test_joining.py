@@ -20,8 +20,7 @@ from sqlalchemy import make_url
 from starlette.exceptions import HTTPException
 from support import serving
 
-from calrig.api.access import Access
-from calrig.api.attempts import FORGOTTEN_S, MOST_ALL, MOST_EACH, Attempts
+from calrig.api.access import FORGOTTEN_S, MOST_ALL, MOST_EACH, Access, Attempts
 from calrig.runs.service import RunService
 from calrig.settings import CentreSettings
 from calrig.store import Store

@@ -22,7 +22,7 @@ from sqlalchemy import make_url
 from support import at_work, lasting_port, serving
 from typer.testing import CliRunner, Result
 
-from calrig.cli.enroll import checked_by
+from calrig.cli.benches import checked_by
 from calrig.cli.main import app
 from calrig.runs.service import RunService
 from calrig.store import Store

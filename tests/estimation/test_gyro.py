@@ -18,7 +18,7 @@ from calrig.estimation.gyro import (
     move_angle_deg,
     run_bias,
 )
-from calrig.instruments.axis_goal import travel_time_s
+from calrig.instruments.axis import travel_time_s
 from calrig.simulator.bench import Bench
 from calrig.simulator.config import SimulatorSettings
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from calrig.estimation.jitter import jitter
+from calrig.estimation.filter_comparison import jitter
 
 TIME_S = np.arange(20_000) * 0.005
 WHOLE = [slice(0, 20_000)]

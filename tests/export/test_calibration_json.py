@@ -14,7 +14,7 @@ from calrig.analysis.results import fitted
 from calrig.calibration.poses import Pose
 from calrig.calibration.results.result import GyroFigures
 from calrig.calibration.uncertainty.budget import Reference
-from calrig.export.calibration_json import calibration_content
+from calrig.export.calibration_document import calibration_content
 from calrig.store import AcceptedEffect
 
 RESIDUALS_DEG = (0.01, -0.02, 0.0, 0.02, -0.01)

@@ -17,9 +17,8 @@ from calrig.calibration.results.result import build_result
 from calrig.calibration.uncertainty.budget import Reference
 from calrig.calibration.uncertainty.conformity import Limit
 from calrig.calibration.verdict import verdict
-from calrig.export.calibration_json import calibration_content
-from calrig.export.certificate.budget import budget_of
-from calrig.export.certificate.rounding import rounded, with_uncertainty
+from calrig.export.calibration_document import calibration_content
+from calrig.export.certificate.content import budget_of, rounded, with_uncertainty
 
 HARMONIC = Reference(0.29)
 REFERENCES = [

@@ -7,10 +7,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from calrig.export import log_table
-from calrig.export.cells import CsvError
-from calrig.export.csv_table import MAX_ROW_CHARACTERS, read_tables
-from calrig.export.log_table import header_of, read_log_table
+from calrig.export import static_csv
+from calrig.export.csv_table import MAX_ROW_CHARACTERS, CsvError, read_tables
+from calrig.export.static_csv import header_of, read_log_table
 
 LIMITS = {"max_rows": 1000, "max_bytes": 100_000}
 GOOD = ("0", "-1.5", "+2e-3", ".5", "", "nan", "NaN", " 3", '"4"', "1e30")
@@ -24,7 +23,7 @@ rows = st.lists(
 @pytest.fixture
 def small_pieces(monkeypatch):
     """So that a short text has many; the property below must see their seams."""
-    monkeypatch.setattr(log_table, "PIECE_BYTES", 16)
+    monkeypatch.setattr(static_csv, "PIECE_BYTES", 16)
 
 
 def text_of(rows, start="a,b\n"):

@@ -7,8 +7,7 @@ import xml.etree.ElementTree as ET
 import plotly.graph_objects as go
 import pytest
 
-from calrig.figures.residual_steps import residual_steps
-from calrig.figures.svg import svg_of
+from calrig.figures.svg import residual_steps, svg_of
 
 SVG = "{http://www.w3.org/2000/svg}"
 ELEVATION_DEG = [-60.0, 0.0, 60.0, 0.0]

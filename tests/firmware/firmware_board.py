@@ -18,6 +18,7 @@ from typing import Self
 import numpy as np
 import serial
 
+from calrig.instruments.boards.calrig.driver import RECORD
 from calrig.instruments.boards.calrig.packets import (
     ACKNOWLEDGE,
     ERROR,
@@ -26,7 +27,6 @@ from calrig.instruments.boards.calrig.packets import (
     SAMPLE,
     PacketDecoder,
 )
-from calrig.instruments.boards.calrig.sample_stream import RECORD
 from calrig.simulator.virtual_clock import VirtualClock
 
 Counts = Callable[[float], np.ndarray]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from instrument_fakes import CLOCK, take_n
 
-from calrig.instruments.boards.calrig import mark as calrig_mark
+from calrig.instruments.boards.calrig import driver as calrig_mark
 
 
 def has_marked(board):

@@ -10,7 +10,7 @@ from calrig.instruments.errors import StageError
 from calrig.instruments.stages.grbl import DEVICE
 from calrig.instruments.stages.grbl.driver import Grbl
 from calrig.instruments.stages.grbl.settings import ControllerSettings
-from calrig.instruments.standing import stop_until_it_stands
+from calrig.instruments.standstill import confirm_standstill
 
 WELCOME = "\r\nGrbl 1.1h ['$' for help]\r\n"
 UNLOCK = "[MSG:'$H'|'$X' to unlock]\r\n"
@@ -68,7 +68,7 @@ def test_a_hard_limit_is_told_once_and_the_stage_is_seen_to_stand(controller, st
         stage.position_deg()
     assert str(told.value).count("limit switch") == 1
     assert "$X" not in controller.lines
-    stop_until_it_stands(stage, stage._link.lines._port.clock, 2.0)
+    confirm_standstill(stage, stage._link.lines._port.clock, 2.0)
 
 
 FAILED_HOMING = [(7.9, "ALARM:9\r\n"), (8.4, "ok\r\n"), (8.43, WELCOME), (8.44, UNLOCK)]

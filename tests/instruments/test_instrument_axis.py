@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scripted_stage import Clock, ScriptedStage
 
-from calrig.instruments.axis import Axis, Motion
-from calrig.instruments.axis_goal import travel_time_s
+from calrig.instruments.axis import Axis, Motion, travel_time_s
 from calrig.instruments.errors import Halted, LimitError, PortBlocked, StageError
 
 

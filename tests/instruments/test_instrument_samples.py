@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calrig.instruments.boards.calrig.sample_stream import SampleStream
+from calrig.instruments.boards.calrig.driver import SampleStream
 from calrig.instruments.types import BoardIdentity, Samples
 
 MPU = BoardIdentity("calrig", "1.0", "", "MPU-6050", 2, 250, 1000)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 
-from calrig.instruments.boards.calrig.mark import ASK_AGAIN_S, LOST_S, Mark
+from calrig.instruments.boards.calrig.driver import ASK_AGAIN_S, LOST_S, Mark
 
 
 class Line:

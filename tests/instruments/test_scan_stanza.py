@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import tomllib
 
-from calrig.instruments.scan import Found
-from calrig.instruments.scan_stanza import stanza
+from calrig.instruments.scan import Found, stanza
 from calrig.settings import Settings
 
 

@@ -8,8 +8,8 @@ import psutil
 import pytest
 from packet_stream import BLOCK, MPU, sample_blocks
 
+from calrig.instruments.boards.calrig.driver import SampleStream
 from calrig.instruments.boards.calrig.packets import PacketDecoder
-from calrig.instruments.boards.calrig.sample_stream import SampleStream
 
 RATE_HZ = 200
 N_SAMPLES = 500_000

@@ -10,7 +10,7 @@ from support import running_service, serving
 from calrig.instruments.drivers import open_board, open_stage
 from calrig.instruments.errors import InstrumentError, PortError
 from calrig.instruments.ports import open_port
-from calrig.instruments.stages.smc100 import wire
+from calrig.instruments.stages.smc100 import driver
 from calrig.instruments.transcript import KEPT_BYTES, Tape, read_transcript, taped
 from calrig.plan import Plan
 
@@ -23,7 +23,7 @@ def test_a_stage_says_the_same_again_from_its_transcript(rig, tmp_path, monkeypa
     (file,) = (tmp_path / "tapes").iterdir()
     assert rig.stage.port in tapes.all[0].last_minute().splitlines()[0]
 
-    monkeypatch.setattr(wire, "REPLY_TIMEOUT_S", 0.05)  # a transcript has the wall's time
+    monkeypatch.setattr(driver, "REPLY_TIMEOUT_S", 0.05)  # a transcript has the wall's time
     again = open_stage(rig.stage.driver, f"replay://{file}")
     assert again.identify() == identity
     assert [again.position_deg() for _ in range(3)] == [position_deg] * 3, "asked oftener than it was then"

@@ -12,7 +12,7 @@ import numpy as np
 from calrig.calibration.regression.effect import Circumstances
 from calrig.calibration.results.correction import calibrated_elevation_deg
 from calrig.calibration.separation.solution import Solution, solve
-from calrig.export.joint_documents import effects_of
+from calrig.export.solution_documents import effects_of
 
 from .oracle import angle_deg, bound_deg, calibrated_error_deg
 from .rig import REFERENCE_C, Bench, Design, drawn_stage, drawn_unit

@@ -12,8 +12,7 @@ from calrig.calibration.results.correction import Application, calibrated_elevat
 from calrig.calibration.separation.report import solution_document
 from calrig.calibration.separation.stage_map import basis
 from calrig.export.c_header import c_header
-from calrig.export.joint_documents import map_document, unit_document
-from calrig.export.joint_files import joint_files
+from calrig.export.solution_documents import joint_files, stage_map_document, unit_document
 
 from .cases import BOUNDS, error_deg, solved
 from .oracle import calibrated_error_deg
@@ -62,7 +61,7 @@ def test_a_polynomial_of_the_angle_alone_would_cost_more_than_a_tenth_of_the_unc
 
 
 def test_the_files_are_hashed_and_make_a_header(solution):
-    files = joint_files({"U0": unit_document(solution, 0)}, map_document(solution))
+    files = joint_files({"U0": unit_document(solution, 0)}, stage_map_document(solution))
     assert set(files) == {"U0.json", "stage-map.json"}
     for text in files.values():
         document = json.loads(text)
@@ -84,7 +83,7 @@ def test_applied_its_elevations_are_worth_what_it_says(solution):
 
 
 def test_the_maps_series_is_the_map(solution):
-    document = map_document(solution)
+    document = stage_map_document(solution)
     dial = np.array(document["map"]["stage_deg"])
     series = basis(dial, np.zeros(len(dial)), document["orders"]) @ document["coefficients_deg"]
     np.testing.assert_allclose(series - series.mean(), document["map"]["error_deg"], atol=1e-9)

@@ -10,7 +10,7 @@ import pytest
 from calrig.calibration.poses import DiagnosisError
 from calrig.calibration.separation.report import solution_document
 from calrig.calibration.separation.solution import solve
-from calrig.export.joint_documents import unit_document
+from calrig.export.solution_documents import unit_document
 
 from .cases import GRID, absolute_error_deg
 from .rig import Bench, Design, drawn_stage, drawn_unit

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calrig.analysis.joint_solutions import Question, answer
+from calrig.analysis.solutions import SolutionInputs, answer
 from calrig.store.solved import Basis
 
 from .cases import BOUNDS
@@ -23,6 +23,6 @@ def several_faces(rng):
 @pytest.mark.parametrize("measured", [one_face, several_faces])
 def test_the_share_that_is_done_only_grows_and_no_long_part_tells_nothing(measured):
     lots, told = measured(np.random.default_rng(2)), []
-    answer(Question(None, Basis((), ("U0",), False, (), None, "sensor"), lots), told.append)
+    answer(SolutionInputs(None, Basis((), ("U0",), False, (), None, "sensor"), lots), told.append)
     assert told == sorted(told) and told[0] > 0.0 and told[-1] < 1.0
     assert np.diff([0.0, *told, 1.0]).max() < 0.4

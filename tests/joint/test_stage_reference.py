@@ -14,7 +14,7 @@ from calrig.calibration.separation.map_validity import checked
 from calrig.calibration.separation.stage_reference import MapError, StageMap, dial_of, map_reference, with_map
 from calrig.calibration.uncertainty.budget import Reference
 from calrig.canonical_json import sha256_of
-from calrig.export.joint_documents import map_document
+from calrig.export.solution_documents import stage_map_document
 
 from .cases import solved
 from .rig import REFERENCE_C, Bench, Design, Stage, Unit, Visit, drawn_stage, drawn_unit
@@ -28,7 +28,7 @@ def mapped_stage(seed: int) -> tuple[Stage, StageMap]:
     rng = np.random.default_rng([seed, 77])
     stage, unit = drawn_stage(rng, gap_deg=0.05), drawn_unit(rng)
     bench = Bench((unit,), stage, THREE.visits(rng))
-    return stage, StageMap.from_document(map_document(solved(bench, seed, linear=False)))
+    return stage, StageMap.from_document(stage_map_document(solved(bench, seed, linear=False)))
 
 
 def calibrated_once(seed: int, stage: Stage, unit: Unit | None = None) -> list[Pose]:

@@ -7,8 +7,8 @@ import pytest
 from test_coefficients import RATE_HZ, TIME_S, flicker, quantisation, ramp, random_walk, white
 
 from calrig.noise.allan import allan_curve
+from calrig.noise.analysis import colour_of
 from calrig.noise.coefficients import coefficients
-from calrig.noise.colour import colour_of
 from calrig.noise.resampling import uniform_log
 from calrig.noise.spectral_lines import Line
 from calrig.noise.spectrum import psd_of, psd_slope

@@ -18,7 +18,7 @@ from calrig.calibration.plan_design.layout import layout
 from calrig.calibration.plan_design.smallest_effects import imagined_dwells, suspects
 from calrig.calibration.uncertainty.budget import Reference
 from calrig.plan import Plan
-from calrig.runs.plan_answers import Designed
+from calrig.runs.plan_designs import Designed
 from tests.blind import causes
 from tests.blind.layout import Layout, timeline
 

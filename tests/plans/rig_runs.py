@@ -21,8 +21,7 @@ from calrig.calibration.diagnosis.tracing import diagnose
 from calrig.calibration.plan_design.design_problem import Goals
 from calrig.calibration.poses import Pose
 from calrig.plan import Plan
-from calrig.runs.plan_answers import Designed, answer
-from calrig.runs.plan_designs import Wanted, question
+from calrig.runs.plan_designs import Designed, DesignRequest, answer, question
 from calrig.runs.service import RunService
 from calrig.settings import BoardSettings, ReferenceSettings, RigSettings, StageSettings
 from calrig.simulator.config import SimulatorSettings
@@ -71,14 +70,14 @@ class Bench:
 
     def reached_by(self, plan: Layout) -> Goals:
         """What a plan of dwells is expected to reach, by what the rig's last run showed of its noise."""
-        task = question(Wanted(Goals(1.0)), Plan(), self.settings, "A", self.service.store, {}).task
+        task = question(DesignRequest(Goals(1.0)), Plan(), self.settings, "A", self.service.store, {}).task
         scatter_deg = task.precision.scatter_deg(plan.dwell_s)
         of = task.stated(plan.target_deg.tolist(), plan.dwell_s, math.nan, scatter_deg)
         return Goals(of.expanded_deg, of.bias_std_deg, of.scale_std)
 
     def designed(self, goals: Goals, *, sweep: bool) -> Designed:
         """The plan that the service would answer."""
-        wanted = Wanted(goals, sweep=sweep)
+        wanted = DesignRequest(goals, sweep=sweep)
         return answer(question(wanted, Plan(), self.settings, "A", self.service.store, {}))
 
 

@@ -21,9 +21,9 @@ from calrig.calibration.plan_design.layout import Pace, Precision, Turning, layo
 from calrig.calibration.plan_design.smallest_effects import imagined_dwells, suspects
 from calrig.calibration.plan_design.traced import allowed_deg
 from calrig.calibration.uncertainty.budget import Reference, uncertainty
-from calrig.instruments.axis_goal import travel_time_s
+from calrig.instruments.axis import travel_time_s
 from calrig.plan import Plan
-from calrig.runs.rig_pace import HOMING_AND_START_S, QUESTIONS_S
+from calrig.runs.plan_estimates import HOMING_AND_START_S, QUESTIONS_S
 
 from . import trial
 

@@ -14,9 +14,9 @@ from calrig.calibration.plan_design.design_problem import DesignProblem, Sweepin
 from calrig.calibration.plan_design.layout import DATA_SHEET_WHITE, Pace, Precision, Turning, leverage
 from calrig.calibration.results.result import build_result
 from calrig.calibration.uncertainty.budget import Reference, uncertainty
-from calrig.instruments.axis_goal import travel_time_s
+from calrig.instruments.axis import travel_time_s
 from calrig.plan import Plan
-from calrig.runs.rig_pace import HOMING_AND_START_S, QUESTIONS_S
+from calrig.runs.plan_estimates import HOMING_AND_START_S, QUESTIONS_S
 from tests.blind.causes import Draw
 from tests.blind.layout import ACCELERATION_DPS2, Layout, timeline
 from tests.blind.physics import Noise, measure

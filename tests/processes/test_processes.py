@@ -19,7 +19,14 @@ from pieces import in_steps
 from support import program, wait_for
 
 from calrig.processes import child
-from calrig.processes.pool import MOST_WAITING, Processes, WorkLost, WorkRefused, WorkTooLarge, run_apart
+from calrig.processes.pool import (
+    MOST_WAITING,
+    Processes,
+    WorkLost,
+    WorkRefused,
+    WorkTooLarge,
+    run_in_subprocess,
+)
 
 FOR_EVER = partial(time.sleep, 3600.0)
 OTHERS: set[int] = set()
@@ -126,7 +133,7 @@ def test_more_than_may_wait_are_refused_at_once() -> None:
 
 
 def test_a_thread_without_a_loop_has_a_process_for_one_piece() -> None:
-    assert run_apart(os.getppid) == os.getpid()
+    assert run_in_subprocess(os.getppid) == os.getpid()
     assert children() == []
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from calrig.calibration.uncertainty.conformity import Limit
-from calrig.runs.batch_turns import settled, word_of
+from calrig.runs.batches import settled, word_of
 from calrig.store import Run
 from calrig.store.batches import Turn
 

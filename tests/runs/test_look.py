@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from calrig.instruments.types import BoardIdentity, Samples
-from calrig.runs.look import felt
 from calrig.runs.mounting import Mount
+from calrig.runs.presence import evaluate_board
 
 BOARD = BoardIdentity("calrig", "1", "AS-0043", "MPU-6050", 2, 250, 1000)
 AT_REST_G, IN_HAND_G = 0.003, 0.1
@@ -35,12 +35,12 @@ def standing(angle_deg, *, axis=(0, 1, 2), g=1.0, spread_g=AT_REST_G):
     ],
 )
 def test_gravity_tells_whether_the_unit_sits_as_asked(samples, mount, stage_deg, state, says):
-    sight = felt(BOARD, samples, stage_deg).sighting(mount)
+    sight = evaluate_board(BOARD, samples, stage_deg).sighting(mount)
     assert (sight.state, sight.serial) == (state, "AS-0043") and says in sight.says
 
 
 def test_the_boards_word_tells_which_unit_it_is():
-    sight = felt(BOARD, standing(0), 0.0).sighting(Mount(0))
+    sight = evaluate_board(BOARD, standing(0), 0.0).sighting(Mount(0))
     assert sight.of_unit("AS-0043").says.startswith("AS-0043 is there, says its board.")
     assert sight.of_unit("AS-0044").state == "wrong"
 
@@ -48,6 +48,6 @@ def test_the_boards_word_tells_which_unit_it_is():
 def test_a_board_that_computes_its_angle_itself_is_taken_at_its_word():
     own = standing(0)
     none = np.full((20, 3), np.nan)
-    look = felt(BOARD, Samples(own.time_s, none, none, own.temperature_c, np.full(20, -179.9)), 0)
+    look = evaluate_board(BOARD, Samples(own.time_s, none, none, own.temperature_c, np.full(20, -179.9)), 0)
     sight = look.sighting(Mount(0))
     assert sight.state == "there" and "-179.9°" in sight.says

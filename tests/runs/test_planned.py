@@ -6,7 +6,7 @@ import pytest
 from run_rigs import CLOCK, plan
 
 from calrig.analysis.errors import Invalid
-from calrig.runs.planned import estimate
+from calrig.runs.plan_estimates import estimate
 
 PACE = {"velocity_dps": 20.0, "acceleration_dps2": 80.0, "homing_velocity_dps": 10.0}
 SCALE = 3.0

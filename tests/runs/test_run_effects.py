@@ -6,9 +6,8 @@ import pytest
 from run_rigs import TruthRig, diagnosed
 from support import running_service
 
-from calrig.analysis.acceptance import Acceptance
-from calrig.analysis.active_calibration import wanted_revision
-from calrig.analysis.diagnoses import Diagnoses
+from calrig.analysis.calibration_in_force import wanted_revision
+from calrig.analysis.diagnoses import Acceptance, Diagnoses
 from calrig.analysis.errors import Conflict
 from calrig.plan import Plan
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from run_rigs import TruthRig, begin, pass_time, plan
 
-from calrig.analysis.joint_solutions import Wanted, question
+from calrig.analysis.solutions import SolutionRequest, question
 from calrig.calibration.separation.three_axis_fit import solve_whole
 from calrig.calibration.separation.three_axis_report import three_axis_document
 from calrig.runs.service import RunService
@@ -51,7 +51,7 @@ def document(store: Store) -> dict[str, Any]:
             assert run.status == "completed", run.error
             ids.append(run.id)
         service.close()
-    return three_axis_document(solve_whole(question(store, Wanted(ids)).lots, linear=True))
+    return three_axis_document(solve_whole(question(store, SolutionRequest(ids)).lots, linear=True))
 
 
 def test_the_accelerometer_is_the_simulated_one(document):

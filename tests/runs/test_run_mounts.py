@@ -9,7 +9,7 @@ import pytest
 from run_rigs import TruthRig, begin, events, pass_time, plan, states, until
 
 from calrig.analysis.errors import Conflict
-from calrig.analysis.joint_solutions import Wanted, question
+from calrig.analysis.solutions import SolutionRequest, question
 from calrig.calibration.separation.report import solution_document
 from calrig.calibration.separation.solution import solve
 from calrig.estimation.angles import wrap_deg
@@ -105,7 +105,7 @@ def test_its_result_is_of_the_first_mount_and_all_of_them_solve_the_stage(
     assert run.status == "completed", run.error
     assert run.result is not None and run.result["n_poses"] == 12
     assert abs(run.result["scale"] - 1.0) < 0.02
-    solution = solve(question(store, Wanted([run.id])).lots)
+    solution = solve(question(store, SolutionRequest([run.id])).lots)
     document = solution_document(solution)
     assert document["separable"]
     assert [mount["mount_deg"] for mount in document["mounts"]] == [0, 120, 240]

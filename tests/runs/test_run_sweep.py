@@ -13,7 +13,7 @@ from run_rigs import CLOCK, TruthRig, begin, events, states, until
 
 from calrig.analysis.errors import Invalid
 from calrig.plan import Plan
-from calrig.runs.planned import estimate
+from calrig.runs.plan_estimates import estimate
 from calrig.runs.service import RunService
 from calrig.store import Run, Store
 

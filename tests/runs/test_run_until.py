@@ -11,8 +11,7 @@ from calrig.analysis.amendments import Records
 from calrig.analysis.errors import Invalid
 from calrig.calibration.plan_design.design_problem import Goals
 from calrig.plan import Plan, Until
-from calrig.runs.plan_answers import Designed, answer
-from calrig.runs.plan_designs import Wanted, question
+from calrig.runs.plan_designs import Designed, DesignRequest, answer, question
 from calrig.runs.service import RunService
 from calrig.store import Store
 
@@ -51,13 +50,13 @@ def test_a_run_ends_once_it_is_good_enough_and_everything_follows_from_the_same_
     back = Records(store).include_pose(run.id, 4).result
     assert back is not None and back["bias_std_deg"] == pytest.approx(result["bias_std_deg"])
 
-    def designed(wanted: Wanted) -> Designed:
+    def designed(wanted: DesignRequest) -> Designed:
         return answer(question(wanted, Plan(), bench.settings, "AS-1", store, {}))
 
-    shown = designed(Wanted(Goals(0.6), trace=False))
+    shown = designed(DesignRequest(Goals(0.6), trace=False))
     assert shown.plan.settle_s == pytest.approx(0.2, abs=0.1)
     assert "the gyro felt nothing of them" in " ".join(shown.says)
-    goes = designed(Wanted(Goals(0.6), trace=False, until=Until(expanded_uncertainty_deg=0.6)))
+    goes = designed(DesignRequest(Goals(0.6), trace=False, until=Until(expanded_uncertainty_deg=0.6)))
     assert goes.plan.until == Until(expanded_uncertainty_deg=0.6)
     assert goes.design.duration_s <= goes.whole.duration_s
     assert "ends as soon as that is reached" in " ".join(goes.says)

@@ -7,7 +7,7 @@ import pytest
 
 from calrig.estimation.turning import ClockLine
 from calrig.instruments.axis import Motion
-from calrig.runs.turned_pass import Seen
+from calrig.runs.procedures.continuous import Seen
 
 
 def test_a_stage_that_accepted_the_move_and_has_not_set_off_does_not_spoil_its_reports() -> None:

@@ -17,9 +17,8 @@ from support import at_work, wait_for
 
 from calrig.runs.service import RunService
 from calrig.runs.webhook import Webhook, secret_of
-from calrig.settings import SettingsError
+from calrig.settings import SettingsError, WebhookSettings
 from calrig.store import Store
-from calrig.webhook_settings import WebhookSettings
 
 SECRET = b"a-secret-of-the-labs-own"
 

@@ -18,9 +18,9 @@ from support import imported, serving
 
 from calrig.calibration.poses import Pose
 from calrig.store import AcceptedEffect, Store
-from calrig.store.items import Item
 from calrig.store.raw_rows import tables
 from calrig.store.solved import Basis, Solved
+from calrig.store.units import CalibrationItem
 
 POSES = "target_deg,reading_deg,+5V\n-30,-29.5,5.01\n0,-0.4,4.99\n30,30.6,5.00\n60,60.9,5.02\n"
 LIMIT = {"name": "flight", "units": "A*", "max_error_deg": 0.5, "rule": "guarded"}
@@ -57,7 +57,9 @@ def fill(path: Path) -> str:
         batch = store.keep_batch({"rigs": ["r"], "plan": {"dwell_s": 0.1}, "note": "Ä"}, ["A-1", "Ä-2"])
         store.write_turns(batch.id, batch.turns, [replace(batch.turns[0], state="done", why="größer")])
         store.note_end(store.runs(status="completed")[0][0].id, datetime.now(UTC))
-        store.say_item("A-3", Item(customer="山田 & Søn", condition="neu", supplied=("customer",)), who="ada")
+        store.say_item(
+            "A-3", CalibrationItem(customer="山田 & Søn", condition="neu", supplied=("customer",)), who="ada"
+        )
         solution = store.keep_solution(SOLVED, by="ada")
         store.put_stage_map("r", solution.id, SOLVED.stage_map, who="ada")
         store.keep_study("noise", "Prüfling 7.csv", {"report": {}, "figures": [1e-300]}, who="ada")

@@ -12,7 +12,7 @@ import pytest
 from calrig.calibration.fleet_screen import packed
 from calrig.calibration.poses import GYRO_MEANS, Pose
 from calrig.store import Run, Store, StoreDamagedError, fleet
-from calrig.store.fleet_findings import Finding
+from calrig.store.fleet import Finding
 
 NewRun = Callable[..., Run]
 

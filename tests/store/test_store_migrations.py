@@ -12,7 +12,7 @@ from sqlalchemy import create_engine
 
 from calrig.settings import packed
 from calrig.store import Store, StoreError, revisions
-from calrig.store.sqlite.migrating import stored_revision
+from calrig.store.sqlite.copying import stored_revision
 
 LATER = """
 import sqlalchemy as sa

@@ -6,7 +6,7 @@ from datetime import timedelta
 
 import pytest
 
-from calrig.store.run_search import Sought
+from calrig.store.runs import Sought
 
 
 @pytest.fixture

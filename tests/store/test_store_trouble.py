@@ -15,7 +15,7 @@ from test_store_migrations import later_program
 
 from calrig.calibration.poses import Pose
 from calrig.store import Store, StoreError, StoreUnavailableError
-from calrig.store.sqlite import file_system
+from calrig.store.sqlite import file as file_system
 
 
 class Disk(type(Path())):

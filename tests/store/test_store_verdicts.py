@@ -14,7 +14,7 @@ from calrig.calibration.uncertainty.budget import Reference
 from calrig.calibration.uncertainty.conformity import Limit
 from calrig.store import AcceptedEffect
 from calrig.store import verdicts as module
-from calrig.store.run_search import Sought
+from calrig.store.runs import Sought
 from calrig.store.tables import VerdictFiguresTable
 from calrig.store.verdicts import Judged
 

@@ -29,7 +29,7 @@ from schemathesis.specs.openapi.checks import (
     status_code_conformance,
 )
 
-from calrig.api import heavy
+from calrig.api import jobs
 from calrig.api.access import Access
 from calrig.settings import BoardSettings, ReferenceSettings, RigSettings, StageSettings
 from calrig.simulator.launch import launch
@@ -211,7 +211,7 @@ class _There:
 @contextmanager
 def _application() -> Iterator[httpx.Client]:
     """The real application on a store of its own, with a fast simulated rig behind real ports."""
-    heavy.AT_ONCE_S = 0.0  # so that there are jobs: what is asked for here is soon done
+    jobs.AT_ONCE_S = 0.0  # so that there are jobs: what is asked for here is soon done
     with ExitStack() as stack:
         folder = Path(stack.enter_context(TemporaryDirectory()))
         ports = stack.enter_context(launch(FAST))

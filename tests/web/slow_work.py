@@ -27,7 +27,7 @@ def slow_trace(*poses: Any, progress: Callable[[float], None], **asked: Any) -> 
 
 
 def slow_study(*_: Any, progress: Callable[[float], None], **__: Any) -> None:
-    """In the place of `calrig.analysis.log_studies.study_file`; ends with LET_GO."""
+    """In the place of `calrig.analysis.noise_studies.study_file`; ends with LET_GO."""
     progress(0.4)
     held()
 
@@ -45,8 +45,8 @@ def held(*_: Any) -> None:
 
 
 def slow_answer(asked: Any, progress: Callable[[float], None]) -> Any:
-    """As `calrig.runs.plan_answers.answer`, once LET_GO is there."""
-    from calrig.runs.plan_answers import answer
+    """As `calrig.runs.plan_designs.answer`, once LET_GO is there."""
+    from calrig.runs.plan_designs import answer
 
     progress(0.4)
     held()

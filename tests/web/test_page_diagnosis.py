@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support import ended, running_service, serving, wait_for
 
-from calrig.api import heavy
+from calrig.api import jobs
 from calrig.calibration.effects import CATALOGUE
 from calrig.run_ids import short_name
 from calrig.runs import follow_up
@@ -244,7 +244,7 @@ def test_what_is_ambiguous_leads_to_the_run_that_separates_it(page, client, go, 
 
     LET_GO.unlink(missing_ok=True)
     with monkeypatch.context() as slow:
-        slow.setattr(heavy, "AT_ONCE_S", 0.0)
+        slow.setattr(jobs, "AT_ONCE_S", 0.0)
         slow.setattr(follow_up, "designed", slow_design)
         page.click("#follow-up")
         cancelled_by_who_comes_back(page, expect, "follow-up")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from calrig.api import heavy, plans
+from calrig.api import jobs, plans
 
 from .slow_work import LET_GO, slow_answer
 
@@ -47,7 +47,7 @@ def test_a_plan_is_designed_taken_by_the_form_and_ends_once_it_is_good_enough(
 
 
 def test_a_design_that_takes_long_shows_how_far_it_is_and_may_be_cancelled(page, go, expect, monkeypatch):
-    monkeypatch.setattr(heavy, "AT_ONCE_S", 0.0)
+    monkeypatch.setattr(jobs, "AT_ONCE_S", 0.0)
     monkeypatch.setattr(plans, "answer", slow_answer)
     LET_GO.unlink(missing_ok=True)
     go("#/")

@@ -8,7 +8,7 @@ import pytest
 from support import PATIENCE_S, wait_for
 
 from calrig.analysis import diagnoses
-from calrig.api import heavy, noise, solve
+from calrig.api import jobs, noise, solve
 from calrig.api.errors import CLIENT_LEFT
 
 from .page_help import cancelled_by_who_comes_back, imported
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.browser
 @pytest.fixture
 def slow(monkeypatch):
     """What goes on until LET_GO is there, and nobody waits for."""
-    monkeypatch.setattr(heavy, "AT_ONCE_S", 0.0)
+    monkeypatch.setattr(jobs, "AT_ONCE_S", 0.0)
     monkeypatch.setattr(diagnoses, "trace", slow_trace)
     monkeypatch.setattr(noise, "study_file", slow_study)
     monkeypatch.setattr(solve, "answer", slow_design)
@@ -77,8 +77,8 @@ def test_a_diagnosis_that_a_person_cancels_ends_and_may_be_asked_for_again(begun
 def test_one_cancelled_before_the_service_has_named_it_is_given_up(
     page, go, client, expect, slow_run, monkeypatch, caplog
 ):
-    caplog.set_level(logging.INFO, "calrig.api.request_log")
-    monkeypatch.setattr(heavy, "AT_ONCE_S", PATIENCE_S)
+    caplog.set_level(logging.INFO, "calrig.api.origin_check")
+    monkeypatch.setattr(jobs, "AT_ONCE_S", PATIENCE_S)
     go(f"#/runs/{slow_run['id']}")
     page.click("#diagnose")
     expect(page.locator("#diagnosis-says")).to_contain_text("Searching all poses for effects")

@@ -69,8 +69,7 @@ from calrig.calibration.regression.effect import APPROACH, ELEVATION, HIDDEN, Pa
 from calrig.calibration.regression.noise_model import STRONG_RHO, Fit, NoiseModel, fit, noise_of, stacked
 from calrig.calibration.regression.responses import Responses
 from calrig.calibration.regression.run_changes import RUN, is_level, with_free_levels
-from calrig.estimation.angles import FloatArray
-from calrig.estimation.robust import robust_std
+from calrig.estimation.angles import FloatArray, robust_std
 
 
 def needed(r: Responses, accepted: Sequence[Candidate], terms: Sequence[Candidate]) -> list[Candidate]:

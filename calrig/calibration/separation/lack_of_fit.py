@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.special import fdtrc
 
 from calrig.calibration.separation.least_squares import Fit
 from calrig.calibration.separation.pose_table import Intp, whitened
@@ -103,6 +102,8 @@ def _root(inverse: FloatArray) -> FloatArray:
 def _explained(
     fit: Fit, taken: FloatArray, flat: FloatArray, terms: Mapping[str, FloatArray]
 ) -> dict[Cause, tuple[float, float]]:
+    from scipy.special import fdtrc
+
     found: dict[Cause, tuple[float, float]] = {}
     first, squares = 0, fit.freedom * fit.noise**2
     for cause, term in terms.items():

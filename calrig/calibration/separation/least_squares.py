@@ -24,8 +24,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize_scalar
-from scipy.special import fdtrc
 
 from calrig.calibration.separation.mounts import fitted_without_outliers
 from calrig.calibration.separation.pose_table import BoolArray, Intp, Inverse, whitened
@@ -194,6 +192,8 @@ def correlation_of(fit: Fit) -> float:
     Args:
         fit: of all parameters, to poses taken as uncorrelated.
     """
+    from scipy.optimize import minimize_scalar
+
     if not fit.problem.table.in_order:
         return 0.0
     found = minimize_scalar(
@@ -227,6 +227,8 @@ class Gear:
 
 def unstated_gear(fit: Fit) -> Gear | None:
     """What repeats on the dial beyond the map; None where nothing does, or the angles are too sparse."""
+    from scipy.special import fdtrc
+
     table, rows = fit.problem.table, np.flatnonzero(fit.kept)
     dial_deg = table.dial_deg[rows]
     step = TURN_DEG / (TURN_DEG - widest_gap_deg(dial_deg)) / STEPS_A_WAVE

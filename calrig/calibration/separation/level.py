@@ -40,8 +40,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.special import chdtrc, ndtr
 
 from calrig.calibration.separation.least_squares import Fit, at_parameters
 from calrig.calibration.separation.pose_table import Intp, Mount
@@ -60,7 +58,7 @@ SEATS_DEG, STEPS = (1e-5, 20.0), 240
 """How well seats may repeat, and in how many steps the variance goes from one to the other."""
 CONTRADICTS = 1e-3
 """Chance of clampings that scatter as widely, were the stated repeatability true."""
-WITHIN_TWO = float(ndtr(2.0) - ndtr(-2.0))
+WITHIN_TWO = math.erf(math.sqrt(2.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -195,6 +193,8 @@ class _Clamped:
 
     def found(self, seat_std_deg: float | None) -> _Found:
         """The level, by what was stated of the seat, else by what the clampings tell of it."""
+        from scipy.special import chdtrc
+
         if seat_std_deg is not None:
             seat = math.radians(seat_std_deg)
             one = self.solved(seat**2)
@@ -212,6 +212,9 @@ class _Clamped:
         the level is a mixture of normal distributions, Student's t where the poses tell the angles as well as
         anything: two of the standard errors hold as much of it as two of a normal distribution.
         """
+        from scipy.optimize import brentq
+        from scipy.special import ndtr
+
         variances = np.radians(np.geomspace(*SEATS_DEG, STEPS)) ** 2
         each = [self.solved(float(variance)) for variance in variances]
         log = np.array([one.log_likelihood + 0.5 * math.log(one.information) for one in each]) + np.log(

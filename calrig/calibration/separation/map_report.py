@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy.special import fdtrc
 
 from calrig.calibration.separation.stage_map import TURN_DEG, Linearised, basis, dial_grid_deg
 from calrig.estimation.angles import FloatArray, wrap_deg
@@ -35,6 +34,8 @@ class Residuals(Linearised, Protocol):
 
 def common_variance(fit: Residuals) -> float:
     """Variance of that misfit at an angle of the dial, rad²; 0 where dwells are not repeated or show none."""
+    from scipy.special import fdtrc
+
     table = fit.problem.table
     rows = np.flatnonzero(fit.kept)
     left, dial = fit.left()[rows], np.round(table.dial_deg[rows], SAME_DEG)

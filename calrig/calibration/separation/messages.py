@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtrc
 
 from calrig.calibration.separation.lack_of_fit import misfits
 from calrig.calibration.separation.least_squares import fitted, unstated_gear
@@ -25,8 +24,7 @@ from calrig.calibration.separation.stage_map import (
     widest_gap_deg,
 )
 from calrig.calibration.separation.unit_model import NAMES
-from calrig.estimation.angles import FloatArray, wrap_deg
-from calrig.estimation.robust import robust_std
+from calrig.estimation.angles import FloatArray, robust_std, wrap_deg
 
 SHARE = 0.3
 """Of the largest part of a direction: what has less is not named."""
@@ -167,6 +165,8 @@ def _of_linear(solution: Solution) -> list[str]:
 
 def is_better(bent: Linearised, straight: Linearised) -> bool:
     """Whether quadratic and cubic terms explain more than noise would: an F test of all of them."""
+    from scipy.special import chdtrc
+
     told = straight.freedom - bent.freedom
     gain = (straight.freedom * straight.noise**2 - bent.freedom * bent.noise**2) / bent.noise**2
     return bool(told >= LEAST_TOLD and chdtrc(told, max(gain, 0.0)) <= CONTRADICTS)

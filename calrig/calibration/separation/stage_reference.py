@@ -1,6 +1,6 @@
 """A stage's map as the reference of a rig: what it does to an elevation, and what it is worth.
 
-The map (`calrig.export.joint_documents.map_document`) is a series in the dial's angle with the covariance of
+The map (`stage_map_document`) is a series in the dial's angle with the covariance of
 its coefficients. An elevation is then dial + map(dial, approach), and what is left to be uncertain of is the
 map's own error δ: one smooth curve that all poses share, correlated between them by the covariance. √n does
 not shrink it; only its shape over the very poses does.

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from calrig.calibration.poses import DiagnosisError
 from calrig.calibration.progress import Progress, unheard
@@ -169,6 +168,8 @@ def noise_of_axes(fit: ThreeAxisFit) -> ThreeAxisFit:
 
 def vector_correlation(fit: ThreeAxisFit) -> float:
     """Lag-1 correlation of the poses' noise by restricted likelihood (`correlation`), 0 without an order."""
+    from scipy.optimize import minimize_scalar
+
     if not fit.problem.table.in_order:
         return 0.0
     free, prior = fit.problem.free, np.diag(fit.noise**2 * fit.problem.widths() ** -2.0)

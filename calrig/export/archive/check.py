@@ -1,23 +1,239 @@
-"""Whether an archive is what was written: by itself, without the store that it came from."""
+"""What the parts of an archive say of one another: trail, list of revisions, documents.
+
+Whether an archive's poses give the numbers of a document: the same fit once more, by today's program.
+
+Whether an archive is what was written: by itself, without the store that it came from.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from calrig.calibration.effects import effect_of
 from calrig.calibration.poses import Pose
+from calrig.calibration.regression import ApplyError
+from calrig.calibration.results import build_result, numbers_of
+from calrig.calibration.separation import dial_of, with_map
 from calrig.canonical_json import sha256_of
 from calrig.export.archive import layout
-from calrig.export.archive.kept import Problem, Said, document_problems, said_by_trail
 from calrig.export.archive.opened import DamagedError, Opened, opened
-from calrig.export.archive.refit import NotRefitted, differences
+from calrig.export.calibration_document import SCHEMA, calibration_content
 from calrig.export.poses_csv import read_poses
-from calrig.store.records import AcceptedEffect
+from calrig.store.records import AcceptedEffect, Document, filtering_of, map_of
+from calrig.store.trail import FIRST, is_chained
+
+Read = Callable[[str], bytes | None]
+"""Gives a member; None of one that is known to be damaged or missing."""
+Problem = tuple[str, str]
+"""Where, and what is wrong there."""
+Said = dict[int, tuple[str, str]]
+"""Of each revision, the hash of its document and its state, as the trail has them."""
+
+
+def said_by_trail(lines: bytes, manifest: Mapping[str, Any]) -> Said:
+    """What the unit's entries of the trail say of its revisions.
+
+    An entry's hash is over the one before it and all that it says. Entries of other units between two of this
+    one's are not here, so that the chain is proven within each entry, from one to the next where they follow
+    one another, and at the head where that is of this unit; across a gap the store itself can prove it.
+
+    Args:
+        lines: an entry each.
+        manifest: what it says of the trail.
+
+    Raises:
+        DamagedError: an entry is not what was written, or one is missing.
+    """
+    said: Said = {}
+    seq, before = 0, FIRST
+    entries = [json.loads(line) for line in lines.splitlines()]
+    for entry in entries:
+        where = f"{layout.TRAIL}, entry {entry['seq']}"
+        follows = entry["seq"] == seq + 1
+        if entry["seq"] <= seq or (follows and entry["before"] != before):
+            raise DamagedError(where, "does not go on from the entry before it")
+        if not is_chained(entry["before"], entry):
+            raise DamagedError(where, "is not what was written: its hash is another")
+        seq, before = entry["seq"], entry["sha256"]
+        _replay(said, entry)
+    head = manifest["head"] or {"seq": 0, "sha256": FIRST}
+    if len(entries) != manifest["entries"]:
+        raise DamagedError(layout.TRAIL, f"has {len(entries)} entries, and had {manifest['entries']}")
+    if head["seq"] < seq or (head["seq"] == seq and head["sha256"] != before):
+        raise DamagedError(layout.TRAIL, f"does not lead to its head, entry {head['seq']}")
+    return said
+
+
+def _replay(said: Said, entry: Mapping[str, Any]) -> None:
+    what, number = entry["what"], entry["revision"]
+    if what == "unit_removed":
+        said.clear()
+    elif what == "drafted":
+        said[number] = entry["detail"]["sha256"], "draft"
+    elif what == "released":
+        for other, (sha256, state) in said.items():
+            if state == "in_force":
+                said[other] = sha256, "superseded"
+        said[number] = said[number][0], "in_force"
+    elif what == "withdrawn":
+        said[number] = said[number][0], "withdrawn"
+
+
+def document_problems(
+    revisions: Sequence[Mapping[str, Any]], said: Said | None, manifest: Mapping[str, Any], read: Read
+) -> Iterator[Problem]:
+    """What is wrong with the documents, and with the list of them.
+
+    Args:
+        revisions: the list.
+        said: by the trail; None where that cannot be read.
+        manifest: the archive's.
+        read: gives a document.
+    """
+    in_force = [one["revision"] for one in revisions if one["status"] == "in_force"]
+    if in_force != [number for number in [manifest["revision_in_force"]] if number is not None]:
+        yield layout.REVISIONS, f"has {in_force} in force, and the manifest {manifest['revision_in_force']}"
+    for one in revisions:
+        where = layout.document_name(one["revision"])
+        if one["file"] != where:
+            yield layout.REVISIONS, f"has revision {one['revision']} in {one['file']!r}"
+        if (content := read(where)) is None:
+            continue
+        document = json.loads(content)
+        sha256 = sha256_of(document)
+        if not sha256 == document["sha256"] == one["sha256"]:
+            yield where, "is not what was issued: its SHA-256 is another"
+        stated = {name: document[name] for name in ("unit", "revision", "run_id")}
+        if stated != {"unit": manifest["unit"], "revision": one["revision"], "run_id": one["run_id"]}:
+            yield where, f"is of {stated}, and the list has it otherwise"
+        if said is not None and said.get(one["revision"]) != (sha256, one["status"]):
+            yield where, f"is {one['status']} by the list, and the trail says otherwise"
+    listed = {one["revision"] for one in revisions}
+    for number in sorted((said or {}).keys() - listed):
+        yield layout.REVISIONS, f"lacks revision {number}, which the trail tells of"
+
+
+FIGURES = (
+    "range_deg",
+    "bias_deg",
+    "scale",
+    "covariance",
+    "rms_raw_deg",
+    "rms_calibrated_deg",
+    "rms_with_effects_deg",
+    "temperature_c",
+)
+"""What follows from poses and effects alone. The uncertainty is as the program of its day had it."""
+RELATIVE, ABSOLUTE = 1e-6, 1e-9
+"""Another machine's linear algebra, and nothing that a reader of the document could see."""
+
+
+class NotRefitted(Exception):  # noqa: N818 (an answer, not a fault)
+    """The fit cannot be repeated from what is in the archive; the message says why."""
+
+
+def differences(
+    document: Document,
+    basis: Document,
+    effects: Mapping[int, AcceptedEffect],
+    run: Document,
+    poses: Sequence[Pose],
+    indices: Sequence[int],
+) -> Iterator[str]:
+    """What of a document is not what the poses give, a sentence each.
+
+    Args:
+        document: CONTRACT section 6.
+        basis: what its draft rested on: ids of effects, indices of excluded poses.
+        effects: those accepted, by id.
+        run: that it is of, with plan and provenance.
+        poses: all of the run.
+        indices: of each pose.
+
+    Raises:
+        NotRefitted: something that the fit needs is not there.
+    """
+    _require_known(document)
+    filtering = filtering_of(run["provenance"], run["plan"])
+    excluded = set(basis["excluded"])
+    counted = [
+        replace(pose, filtering=filtering)
+        for pose, index in zip(poses, indices, strict=True)
+        if index not in excluded
+    ]
+    if not counted:
+        raise NotRefitted("its run has no poses here")
+    accepted = _accepted(basis, effects)
+    in_force = map_of(run["provenance"])
+    if in_force is not None and in_force.covers(dial_of(counted)[0]).all():
+        counted = with_map(counted, in_force)
+        accepted = [effect for effect in accepted if effect.unit is not None]  # the rig's are in the map
+    applied = [(effect.name, numbers_of(effect.parameters)) for effect in accepted]
+    with np.errstate(all="ignore"):
+        result = build_result(counted, None, applied)
+        if result.scale is None:
+            yield "its poses give no scale"
+            return
+        again = calibration_content(
+            unit=document["unit"],
+            rig=document["rig"],
+            poses=counted,
+            result=result,
+            accepted=accepted,
+        )
+    for name in FIGURES:
+        if not _same(document[name], again[name]):
+            yield f"{name} is {document[name]}, and its poses give {again[name]}"
+    stated, found = (
+        [(effect["name"], effect["parameters"]) for effect in one["effects"]] for one in (document, again)
+    )
+    if stated != found:
+        yield f"its effects are {_names(stated)}, and those accepted are {_names(found)} with other values"
+
+
+def _require_known(document: Document) -> None:
+    if document["schema"] != SCHEMA:
+        raise NotRefitted(f"this program makes {SCHEMA}, and it is {document['schema']}")
+    if "elevation_std_deg" in document:
+        raise NotRefitted("it is of a joint solution of several runs")
+
+
+def _accepted(basis: Document, effects: Mapping[int, AcceptedEffect]) -> list[AcceptedEffect]:
+    accepted = []
+    for key, name in basis["effects"].items():
+        effect = effects.get(int(key))
+        if effect is None or effect.name != name:
+            raise NotRefitted(f"effect {key} ({name}) is not in the archive")
+        try:
+            effect_of(name)
+        except ApplyError as error:
+            raise NotRefitted(str(error)) from error
+        accepted.append(effect)
+    return accepted
+
+
+def _same(stated: Any, again: Any) -> bool:
+    """Whether two figures, or documents of such, are the same but for rounding."""
+    if isinstance(stated, dict) and isinstance(again, dict):
+        return stated.keys() == again.keys() and all(_same(stated[key], again[key]) for key in stated)
+    if isinstance(stated, list | tuple) and isinstance(again, list | tuple):
+        return len(stated) == len(again) and all(map(_same, stated, again))
+    if stated is None or again is None:
+        return stated is again
+    return bool(np.isclose(float(stated), float(again), rtol=RELATIVE, atol=ABSOLUTE))
+
+
+def _names(effects: Sequence[tuple[str, Any]]) -> str:
+    return ", ".join(name for name, _ in effects) or "none"
+
 
 MALFORMED = (KeyError, TypeError, ValueError, AttributeError, IndexError, ArithmeticError, RecursionError)
 """What a document raises that is none of calrig's."""

@@ -14,7 +14,7 @@ from calrig.calibration.poses import of_first_mount
 from calrig.calibration.uncertainty import Limit
 from calrig.calibration.verdict import IN_WORDS
 from calrig.export.certificate import wording
-from calrig.export.certificate.budget import budget_of
+from calrig.export.certificate.content import CalibrationItem as ItemSaid
 from calrig.export.certificate.content import (
     Certificate,
     Conditions,
@@ -24,16 +24,21 @@ from calrig.export.certificate.content import (
     Method,
     Replaced,
     TrailMark,
+    budget_of,
 )
-from calrig.export.certificate.content import Item as ItemSaid
-from calrig.export.certificate.measured import Measured
+from calrig.export.certificate.measured import (
+    Measured,
+    equipment_of,
+    standards_of,
+    stated_reference,
+    traceable,
+)
 from calrig.export.certificate.results import results_of
-from calrig.export.certificate.standards import equipment_of, standards_of, stated_reference, traceable
 from calrig.laboratory import LaboratorySettings
 from calrig.store.issued import Revision
-from calrig.store.items import Item
 from calrig.store.records import AcceptedEffect, Document, Run, StoredPose
 from calrig.store.trail import Entry
+from calrig.store.units import CalibrationItem
 
 SUPPLIED = {
     "customer": "customer",
@@ -71,7 +76,7 @@ class Sources:
     of_stage: Sequence[AcceptedEffect] = ()
     limit: Limit | None = None
     entries: Sequence[Entry] = ()
-    item: Item | None = None
+    item: CalibrationItem | None = None
     gone: Sequence[str] = ()
 
 
@@ -141,8 +146,8 @@ def _number(certificate: Certificate) -> str:
     return f"{certificate.revision:04d}-{hashlib.sha256(text.encode()).hexdigest()[:12].upper()}"
 
 
-def _item(serial: str, provenance: Document, item: Item | None) -> ItemSaid:
-    said, board = item or Item(), provenance.get("board") or {}
+def _item(serial: str, provenance: Document, item: CalibrationItem | None) -> ItemSaid:
+    said, board = item or CalibrationItem(), provenance.get("board") or {}
     return ItemSaid(
         serial=serial,
         chip=board.get("chip"),

@@ -7,11 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
 from calrig.calibration.uncertainty import Reference, coverage_factor
-from calrig.export.certificate.budget import Budget
-from calrig.export.certificate.content import Quantity, Results
-from calrig.export.certificate.measured import Measured, effects_found
-from calrig.export.certificate.rounding import DIGITS
-from calrig.export.certificate.standards import stated_reference
+from calrig.export.certificate.content import DIGITS, Budget, Quantity, Results
+from calrig.export.certificate.measured import Measured, effects_found, stated_reference
 from calrig.store.issued import Revision
 from calrig.store.records import AcceptedEffect, Document, Run
 

@@ -1,14 +1,240 @@
-"""A certificate laid out: sections of plain text, for a renderer that knows pairs, tables, paragraphs."""
+"""What a certificate's page is made of.
+
+A certificate's results, errors, budget and conformity, laid out.
+
+A certificate laid out: sections of plain text, for a renderer that knows pairs, tables, paragraphs.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import date, datetime
+from typing import Literal
 
-from calrig.export.certificate import sheet_results
-from calrig.export.certificate.blocks import Block, Section, pairs, paragraphs, picture, stated, table
-from calrig.export.certificate.content import NOT_STATED, Certificate, Standard
+from calrig.calibration.uncertainty import percent
+from calrig.export.certificate.content import (
+    DIGITS,
+    NOT_STATED,
+    Certificate,
+    EffectFound,
+    Point,
+    Quantity,
+    Row,
+    Standard,
+    by_itself,
+    place_of,
+    rounded,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Something on the page.
+
+    Attributes:
+        kind: `pairs` (each row a name and what is said of it), `table`, `paragraphs`, `picture` (described by
+            its one line), `figure` (a statement to be seen first), `listing` (names and values, small).
+        columns: heads of a table.
+        numbers: which columns of a table are figures.
+        lines: of paragraphs.
+    """
+
+    kind: Literal["pairs", "table", "paragraphs", "picture", "figure", "listing"]
+    rows: tuple[tuple[str, ...], ...] = ()
+    columns: tuple[str, ...] = ()
+    numbers: tuple[bool, ...] = ()
+    lines: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A heading and what stands below it."""
+
+    title: str
+    blocks: tuple[Block, ...]
+
+
+def pairs(rows: Iterable[Row]) -> Block:
+    """Names and what is said of them."""
+    return Block("pairs", rows=tuple(rows))
+
+
+def table(columns: Sequence[str], rows: Iterable[Sequence[str]], numbers: Sequence[bool] = ()) -> Block:
+    """A table; `numbers` tells which columns are figures, none without it."""
+    chosen = tuple(numbers) or (False,) * len(columns)
+    return Block("table", tuple(map(tuple, rows)), tuple(columns), chosen)
+
+
+def paragraphs(lines: Iterable[str]) -> Block:
+    """Sentences, a paragraph each."""
+    return Block("paragraphs", lines=tuple(lines))
+
+
+def figure(line: str) -> Block:
+    """The statement that the page is for."""
+    return Block("figure", lines=(line,))
+
+
+def picture(seen: str) -> Block:
+    """The picture of the residuals, with what it shows in words."""
+    return Block("picture", lines=(seen,))
+
+
+def stated(value: str | None) -> str:
+    """What is said, or that nothing is."""
+    return value or NOT_STATED
+
+
+def degrees(value: float) -> str:
+    """An angle of which no uncertainty is stated, two digits."""
+    return f"{_minus(by_itself(value))}°"
+
+
+def results(said: Certificate) -> tuple[Block, ...]:
+    """U, bias and scale, the effects in words, RMS errors."""
+    found = said.results
+    blocks = [figure(_elevation(said))]
+    if found.line:
+        columns = ("Result", "Value", "Expanded uncertainty U", "k")
+        blocks.append(table(columns, [_line(one) for one in found.line], (False, True, True, True)))
+    blocks += [_effect(one, "of the unit; part of the calibration") for one in found.effects]
+    blocks += [_effect(one, "of the stage; taken out, no part of the calibration") for one in found.of_stage]
+    if not found.effects and not found.of_stage:
+        blocks.append(paragraphs(["Beside bias and scale no effect was accepted."]))
+    blocks.append(pairs((one.title, f"{_minus(one.text)}{one.unit}") for one in found.figures))
+    return tuple(blocks)
+
+
+def conformity(said: Certificate) -> tuple[Block, ...]:
+    """The statement of conformity with its rule and risk, or that there is none, and what was judged."""
+    found = said.conformity
+    agreed = said.laboratory.decision_rule
+    if found is None:
+        none = "No statement of conformity: no limits matched this unit when it was issued."
+        return (paragraphs([none, *said.judged]),)
+    rows = [
+        ("Statement", found.answer_in_words),
+        ("Specification", f"{found.limit_name}: {'; '.join(found.asks) or NOT_STATED}"),
+        ("Decision rule", found.rule + (f". {agreed}" if agreed else "")),
+        ("Probability of conformity", _probability(found.probability_of_conformity)),
+    ]
+    if found.answer == "pass":
+        rows.append(("Probability of false acceptance", _probability(found.probability_of_false_accept)))
+    return pairs(rows), paragraphs(found.says)
+
+
+def points(said: Certificate) -> tuple[Block, ...]:
+    """The errors by elevation."""
+    found = said.results
+    note = f"As found: {found.found_by}. As left: with this calibration."
+    columns = ("Elevation", "Poses", "As found", "from … to", "As left", "from … to", "U")
+    rows = [_point(point) for point in found.points]
+    numbers = (True,) * len(columns)
+    return paragraphs([note, *found.points_say]), table(columns, rows, numbers)
+
+
+def budget(said: Certificate) -> tuple[Block, ...]:
+    """The lines of the budget, what they come to, how, and what has no line."""
+    found = said.budget
+    columns = (
+        "Quantity", "Type", "Distribution", "ν", "Std uncertainty", "Sensitivity", "Contribution", "Share",
+    )  # fmt: skip
+    rows = [
+        (
+            f"{line.symbol}: {line.title}",
+            line.type_,
+            line.distribution,
+            _freedom(line.freedom),
+            f"{by_itself(line.std)}{line.unit}" if line.std else "–",
+            _minus(f"{by_itself(line.sensitivity, 3)} {line.sensitivity_unit}") if line.sensitivity else "–",
+            f"{by_itself(line.contribution_deg)}°" if line.contribution_deg else "–",
+            _minus(f"{100 * line.share:.2f} %"),
+        )
+        for line in found.contributions
+    ]
+    numbers = (False, False, False, True, True, True, True, True)
+    combined = [
+        ("Combined standard uncertainty u", _angle(found.combined_deg)),
+        ("Effective degrees of freedom", _freedom(found.effective_freedom)),
+        ("Coverage factor k", _factor(found.coverage_factor)),
+        ("Coverage probability", f"{100 * found.coverage:g} %"),
+        ("Expanded uncertainty U", _angle(found.expanded_deg)),
+    ]
+    return table(columns, rows, numbers), pairs(combined), paragraphs(found.method + found.not_contained)
+
+
+def _elevation(said: Certificate) -> str:
+    found = said.results.elevation
+    if found is None:
+        return f"Expanded uncertainty of a calibrated elevation: {NOT_STATED}"
+    return (
+        f"Expanded uncertainty of a calibrated elevation: U = {found.expanded_text}° "
+        f"(k = {_factor(found.coverage_factor)}, {100 * (found.coverage or 0.0):g} %)"
+    )
+
+
+def _line(one: Quantity) -> tuple[str, ...]:
+    unit = one.unit
+    u = NOT_STATED if one.expanded_text is None else f"{one.expanded_text}{unit}"
+    return one.title, f"{_minus(one.text)}{unit}", u, _factor(one.coverage_factor)
+
+
+def _effect(one: EffectFound, whose: str) -> Block:
+    rows = [
+        (
+            quantity.title,
+            _minus(quantity.text)
+            + (f" ± {quantity.std_text}" if quantity.std_text else "")
+            + ("" if quantity.unit == "°" else " ")
+            + quantity.unit
+            + (" (standard error)" if quantity.std_text else ""),
+        )
+        for quantity in one.parameters
+    ]
+    return pairs([("Effect", f"{one.title} ({whose})"), *rows, ("Added to the reading", one.formula)])
+
+
+def _point(point: Point) -> tuple[str, ...]:
+    place = -3 if point.expanded_deg is None else place_of(point.expanded_deg, DIGITS)
+
+    def at(value: float) -> str:
+        return _minus(rounded(value, place)) + "°"
+
+    return (
+        _minus(f"{point.elevation_deg:.4g}") + "°",
+        str(point.n_poses),
+        at(point.found_deg),
+        f"{at(point.found_low_deg)} … {at(point.found_high_deg)}",
+        at(point.left_deg),
+        f"{at(point.left_low_deg)} … {at(point.left_high_deg)}",
+        NOT_STATED if point.expanded_deg is None else at(point.expanded_deg),
+    )
+
+
+def _probability(value: float | None) -> str:
+    return NOT_STATED if value is None else percent(value)
+
+
+def _freedom(value: float | None) -> str:
+    if value is None:
+        return NOT_STATED
+    return "∞" if math.isinf(value) else f"{math.floor(value)}"
+
+
+def _factor(value: float | None) -> str:
+    return NOT_STATED if value is None else f"{value:.2f}"
+
+
+def _angle(value: float | None) -> str:
+    return NOT_STATED if value is None else degrees(value)
+
+
+def _minus(text: str) -> str:
+    """A minus sign as one reads it."""
+    return text.replace("-", "−")
+
 
 SUPPLIED_MARK = " †"
 TITLES = {
@@ -58,11 +284,11 @@ def sheet_of(said: Certificate) -> Sheet:
         sections=(
             Section("Item", (_item(said), *_supplied(said))),
             Section("Calibration", (_dates(said),)),
-            Section("Results", sheet_results.results(said)),
-            Section("Conformity", sheet_results.conformity(said)),
-            Section("Errors as found and as left", sheet_results.points(said)),
+            Section("Results", results(said)),
+            Section("Conformity", conformity(said)),
+            Section("Errors as found and as left", points(said)),
             Section("What is left, step by step", (picture(_seen(said)),)),
-            Section("Measurement uncertainty", sheet_results.budget(said)),
+            Section("Measurement uncertainty", budget(said)),
             Section("Method and conditions", _method(said)),
             Section("Traceability", tuple(_traceability(said))),
             Section("Deviations and amendments", _deviations(said)),
@@ -129,9 +355,7 @@ def _dates(said: Certificate) -> Block:
 
 def _seen(said: Certificate) -> str:
     """The picture in words, for who cannot see it."""
-    steps = "; ".join(
-        f"{step.title}: RMS {sheet_results.degrees(step.rms_deg)}" for step in said.residuals.steps
-    )
+    steps = "; ".join(f"{step.title}: RMS {degrees(step.rms_deg)}" for step in said.residuals.steps)
     return f"Residual of each pose against elevation. {steps}."
 
 

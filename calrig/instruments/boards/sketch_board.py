@@ -9,12 +9,12 @@ from calrig.instruments.boards.reader import ReadBoard
 from calrig.instruments.boards.sketch import Sketch
 from calrig.instruments.boards.sketch_lines import Record, SketchReader
 from calrig.instruments.boards.sketch_samples import SketchSamples
+from calrig.instruments.cancellation import raise_if_cancelled
 from calrig.instruments.device import recognise
 from calrig.instruments.drivers import known_devices
 from calrig.instruments.errors import BoardError
 from calrig.instruments.ports import Port, open_port
 from calrig.instruments.types import BoardIdentity
-from calrig.instruments.wanted import require_wanted
 
 READ_TIMEOUT_S = 0.004
 """How long a read gathers: so far is a record's time off."""
@@ -72,7 +72,7 @@ class SketchBoard(ReadBoard):
             self._identified, self._seen_s = False, []
             deadline_s = self._clock.now_s() + self._sketch.starts_in_s + MEASURE_S
             while not self._measured:
-                require_wanted()
+                raise_if_cancelled()
                 if self._clock.now_s() > deadline_s or self._looks_like:
                     raise BoardError(f"{self._name} sent no record that can be read: {self._why_none()}")
                 if self._sketch.wake and not self._seen_s:

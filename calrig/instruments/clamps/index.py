@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections import Counter
 from typing import Self
 
+from calrig.instruments.cancellation import raise_if_cancelled
 from calrig.instruments.errors import InstrumentError
 from calrig.instruments.ports import Port, open_port
 from calrig.instruments.stages.lines import LineWire
-from calrig.instruments.wanted import require_wanted
 
 BAUDRATE = 115_200
 WAKES_S = 3.0
@@ -43,7 +43,7 @@ class IndexClamp:
         """Who it is (ClampError where it says nothing)."""
         give_up_s = self._now_s() + WAKES_S
         while self._now_s() < give_up_s:
-            require_wanted()
+            raise_if_cancelled()
             self._lines.old_lines()
             self._lines.send(b"ID\r\n")
             answer = self._lines.line(self._now_s() + ASKED_AGAIN_S)

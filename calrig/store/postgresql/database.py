@@ -12,13 +12,12 @@ from sqlalchemy import URL, Connection, create_engine, inspect, make_url, text
 from sqlalchemy.exc import OperationalError
 from sqlmodel import Session
 
-from calrig.instruments.wanted import require_wanted
+from calrig.instruments.cancellation import raise_if_cancelled
 from calrig.store.checksums import from_json, to_json
 from calrig.store.database import LOOK_S, Database
 from calrig.store.errors import StoreDamagedError, StoreError
 from calrig.store.postgresql.errors import DAMAGED, store_error
-from calrig.store.postgresql.roles import is_secure, secure
-from calrig.store.postgresql.set_up import is_set_up, set_up
+from calrig.store.postgresql.set_up import is_secure, is_set_up, secure, set_up
 from calrig.store.records import Size
 from calrig.store.revisions import migrate, revisions
 
@@ -145,7 +144,7 @@ class PostgresqlDatabase(Database):
         """Waits for the other writers in short stretches, as long as somebody wants the write."""
         give_up_s = time.monotonic() + self._timeout_s
         while True:
-            require_wanted()
+            raise_if_cancelled()
             session.execute(text(f"SET LOCAL lock_timeout = {1000 * min(LOOK_S, self._timeout_s):.0f}"))
             try:
                 session.execute(text("SELECT pg_advisory_xact_lock(:turn)"), {"turn": TURN})

@@ -1,11 +1,24 @@
 """What a centre's database has beside its tables: Procrastinate's schema, and triggers that tell of news.
 
 A notification is a hint: whoever hears of it looks into the tables, which alone say what happened.
+
+What a bench may touch of a centre's database: a role each, grants by column, row-level security.
+
+All benches are in one group, which holds the rights; a policy a table shows each of them its own rows. The
+centre's own role owns the tables, for which the policies do not hold.
 """
 
 from __future__ import annotations
 
+import hashlib
+import secrets
+from dataclasses import dataclass
+
+import psycopg
+from psycopg import sql
 from sqlalchemy import Connection, text
+
+from calrig.store.errors import Refused
 
 EVENTS, PARCELS = "calrig_event", "calrig_parcel"
 COMMANDS, ANSWERS, BENCHES = "calrig_command", "calrig_answer", "calrig_bench"
@@ -61,3 +74,222 @@ def set_up(connection: Connection) -> None:
 
         raw.execute(SchemaManager.get_schema())
     raw.execute(_TRIGGERS)
+
+
+GROUP = "calrig_bench"
+MOST_CONNECTIONS = 20
+"""Of one bench at once: its worker's, rigs' and outbox's. One gone wild leaves room for the others."""
+END_MS = 5000
+"""How long the end of a connection is waited for."""
+
+MY_BENCH = """
+    CREATE OR REPLACE FUNCTION calrig_my_bench() RETURNS text
+    LANGUAGE sql STABLE SECURITY DEFINER SET search_path = {schema}, pg_temp
+    AS 'SELECT name FROM bench WHERE role = session_user AND revoked_at IS NULL'
+"""
+"""The bench whose role is logged in, null of everybody else's. It looks into `bench` as the owner, whose
+policies would ask it again; `session_user` stays that of the login, whatever role is set since.
+"""
+_MINE = "(SELECT calrig_my_bench())"  # in brackets it is asked once a statement, and not once a row
+
+
+@dataclass(frozen=True, slots=True)
+class _Rights:
+    """What the group may do with a table, of the rows that the condition holds of."""
+
+    table: str
+    grants: tuple[str, ...]
+    own: str
+
+
+RIGHTS = (
+    _Rights("bench", ("SELECT", "UPDATE (last_seen_at, said)"), f"name = {_MINE}"),
+    _Rights("run_order", ("SELECT", "UPDATE (taken_epoch)"), f"bench = {_MINE}"),
+    _Rights("bench_command", ("SELECT", "UPDATE (taken_at, answered_at, answer)"), f"bench = {_MINE}"),
+    _Rights(
+        "parcel",
+        ("SELECT (id, bench, seq)", "INSERT (bench, seq, run_uid, document, data, delivered_at)"),
+        f"bench = {_MINE}",
+    ),
+    _Rights(
+        "procrastinate_jobs",
+        ("SELECT", "UPDATE (status, worker_id, attempts, abort_requested)"),
+        f"starts_with(queue_name, 'rig:' || {_MINE} || '/')",
+    ),
+    _Rights(
+        "procrastinate_workers",
+        ("SELECT", "INSERT (last_heartbeat)", "UPDATE (last_heartbeat)", "DELETE"),
+        f"owner = session_user AND {_MINE} IS NOT NULL",
+    ),
+    _Rights(
+        "procrastinate_events",
+        ("SELECT", "INSERT (job_id, type)"),  # as the triggers of `procrastinate_jobs` do
+        "EXISTS (SELECT FROM procrastinate_jobs AS job WHERE job.id = job_id)",
+    ),
+)
+SEQUENCES = ("parcel_id_seq", "procrastinate_events_id_seq")
+_LAID = """
+    SELECT obj_description(to_regprocedure('calrig_my_bench()'), 'pg_proc') = :mark
+       AND has_table_privilege((SELECT oid FROM pg_roles WHERE rolname = :group), 'run_order', 'SELECT')
+       AND NOT has_database_privilege('public', current_database(), 'CONNECT, TEMP')
+"""
+_JOINED = "SELECT role FROM bench JOIN pg_roles ON rolname = role WHERE revoked_at IS NULL"
+_MAY_GRANT = """
+    SELECT pg_has_role(:group, 'MEMBER WITH ADMIN OPTION')
+        OR rolcreaterole AND current_setting('server_version_num')::int < 160000
+      FROM pg_roles WHERE rolname = current_user
+"""
+
+
+def is_secure(connection: Connection) -> bool:
+    """Whether a database has all that `secure` would lay: not a dump that was restored without its rights."""
+    mark = _mark(_statements(connection))
+    return connection.scalar(text(_LAID), {"group": GROUP, "mark": mark}) is True
+
+
+def secure(connection: Connection) -> None:
+    """Leaves benches their own rows, and everybody else but the owner nothing.
+
+    Run it once calrig's tables and Procrastinate's are there, in a transaction, one process at a time. Where
+    all is laid it does nothing: laid again, it would wait for everybody at work on these tables. Nor does it
+    where the owner may make no roles: then there are no benches (`require_roles`), and nobody has any rights.
+    """
+    if is_secure(connection) or not _has_group(connection):
+        return
+    statements = _statements(connection)
+    for statement in statements:
+        connection.exec_driver_sql(statement)
+    for role in connection.scalars(text(_JOINED)).all():  # a dump does not tell who may connect
+        _let_connect(connection, role)
+    connection.exec_driver_sql(f"COMMENT ON FUNCTION calrig_my_bench() IS '{_mark(statements)}'")
+
+
+def require_roles(connection: Connection) -> None:
+    """Refuses to have benches join where the owner of the database can give them no role.
+
+    Raises:
+        Refused: says what the server's administrator has to grant.
+    """
+    if is_secure(connection) and connection.scalar(text(_MAY_GRANT), {"group": GROUP}):
+        return
+    raise Refused(
+        "the centre's role in PostgreSQL can make none for a bench: as the server's administrator, "
+        f"`ALTER ROLE … CREATEROLE`; and where there is a {GROUP}, `GRANT {GROUP} TO … WITH ADMIN OPTION`"
+    )
+
+
+def role_name(connection: Connection, bench: str) -> str:
+    """The role of a bench: roles belong to the server, so that the database is in the name as well."""
+    of_database = hashlib.sha256(_database(connection).encode()).hexdigest()[:8]
+    return f"calrig_{bench}_{of_database}"
+
+
+def let_in(connection: Connection, role: str) -> str:
+    """Makes a bench's role, or lets one in again, with a new password.
+
+    The server gets the SCRAM verifier alone: its log may keep statements.
+
+    Returns:
+        The password.
+    """
+    password, name = secrets.token_urlsafe(32), sql.Identifier(role)
+    verifier = _driver(connection).pgconn.encrypt_password(password.encode(), role.encode(), b"scram-sha-256")
+    _run(
+        connection,
+        sql.SQL("{} ROLE {} LOGIN CONNECTION LIMIT {} PASSWORD {}").format(
+            sql.SQL("ALTER" if _is_role(connection, role) else "CREATE"),
+            name,
+            MOST_CONNECTIONS,
+            verifier.decode(),
+        ),
+    )
+    _run(connection, sql.SQL("GRANT {} TO {}").format(sql.Identifier(GROUP), name))
+    # only who has a role's rights may end its connections
+    _run(connection, sql.SQL("GRANT {} TO CURRENT_USER").format(name))
+    _let_connect(connection, role)
+    return password
+
+
+def shut_out(connection: Connection, role: str) -> None:
+    """Lets a role in no more and ends its connections, whatever they hold. Commits in between."""
+    if _is_role(connection, role):
+        _run(connection, sql.SQL("ALTER ROLE {} NOLOGIN").format(sql.Identifier(role)))
+        connection.commit()
+    ends = "SELECT pg_terminate_backend(pid, :end_ms) FROM pg_stat_activity WHERE usename = :role"
+    connection.execute(text(ends), {"end_ms": END_MS, "role": role})
+    connection.commit()
+
+
+def _let_connect(connection: Connection, role: str) -> None:
+    database = sql.Identifier(_database(connection))
+    grant = sql.SQL("GRANT CONNECT ON DATABASE {} TO {}")
+    _run(connection, grant.format(database, sql.Identifier(role)))
+
+
+def _has_group(connection: Connection) -> bool:
+    """Whether the group is there; it is made where it is not and the owner may."""
+    if _is_role(connection, GROUP):
+        return True
+    may = "SELECT rolcreaterole OR rolsuper FROM pg_roles WHERE rolname = current_user"
+    if not connection.scalar(text(may)):
+        return False
+    connection.exec_driver_sql(  # another database's centre may be making it this moment
+        f"DO 'BEGIN CREATE ROLE {GROUP}; EXCEPTION WHEN duplicate_object OR unique_violation THEN NULL; END'"
+    )
+    return True
+
+
+def _mark(statements: list[str]) -> str:
+    """What the database keeps of what was laid."""
+    return hashlib.sha256("\n".join(statements).encode()).hexdigest()
+
+
+def _statements(connection: Connection) -> list[str]:
+    """All that `secure` lays, in order."""
+    schema = _quoted(str(connection.scalar(text("SELECT current_schema()"))))
+    everybody = f"FROM PUBLIC, {GROUP}"
+    laid = [
+        f"REVOKE ALL ON DATABASE {_quoted(_database(connection))} FROM PUBLIC",
+        f"REVOKE CREATE ON SCHEMA {schema} FROM PUBLIC",
+        f"GRANT USAGE ON SCHEMA {schema} TO {GROUP}",
+        f"REVOKE ALL ON ALL TABLES IN SCHEMA {schema} {everybody}",
+        f"REVOKE ALL ON ALL SEQUENCES IN SCHEMA {schema} {everybody}",
+        MY_BENCH.format(schema=schema),
+        f"REVOKE ALL ON FUNCTION calrig_my_bench() {everybody}",
+        f"GRANT EXECUTE ON FUNCTION calrig_my_bench() TO {GROUP}",
+        # benches register by a function that names no owner
+        "ALTER TABLE procrastinate_workers ADD COLUMN IF NOT EXISTS owner name NOT NULL DEFAULT session_user",
+    ]
+    for one in RIGHTS:
+        laid += [
+            f"ALTER TABLE {one.table} ENABLE ROW LEVEL SECURITY",
+            f"DROP POLICY IF EXISTS calrig_own ON {one.table}",
+            f"CREATE POLICY calrig_own ON {one.table} TO {GROUP} USING ({one.own}) WITH CHECK ({one.own})",
+            f"GRANT {', '.join(one.grants)} ON {one.table} TO {GROUP}",
+        ]
+    return [*laid, f"GRANT USAGE ON SEQUENCE {', '.join(SEQUENCES)} TO {GROUP}"]
+
+
+def _quoted(name: str) -> str:
+    return '"' + name.replace('"', '""') + '"'
+
+
+def _is_role(connection: Connection, name: str) -> bool:
+    """Whether the server has it: a dump of the database alone brings no roles along."""
+    known = "SELECT EXISTS (SELECT FROM pg_roles WHERE rolname = :name)"
+    return bool(connection.scalar(text(known), {"name": name}))
+
+
+def _database(connection: Connection) -> str:
+    return str(connection.scalar(text("SELECT current_database()")))
+
+
+def _driver(connection: Connection) -> psycopg.Connection:
+    driver = connection.connection.dbapi_connection
+    assert isinstance(driver, psycopg.Connection)  # noqa: S101 (as the store's engine names it)
+    return driver
+
+
+def _run(connection: Connection, statement: sql.Composable) -> None:
+    """Runs a statement that takes no parameters, its names quoted."""
+    connection.exec_driver_sql(statement.as_string(None))

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from calrig.store.database import BUSY_TIMEOUT_S
 from calrig.store.errors import StoreError
-from calrig.store.sqlite import file_system, migrating
-from calrig.store.sqlite.connecting import connect
+from calrig.store.sqlite import copying, file
 from calrig.store.sqlite.copying import copy_database
 from calrig.store.sqlite.database import database_path
+from calrig.store.sqlite.file import connect
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,10 +36,10 @@ def back_up(url: str, target: Path) -> BackedUp:
     database = database_path(url)
     if not database.is_file():
         raise StoreError(f"{database}: there is no calrig database: name one with --db")
-    if migrating.stored_revision(database, file_system.reading_uri(database, BUSY_TIMEOUT_S)) is None:
+    if copying.stored_revision(database, file.reading_uri(database, BUSY_TIMEOUT_S)) is None:
         raise StoreError(f"{database}: is empty: there is nothing to keep a copy of")
     copy_database(database, target)
-    with contextlib.closing(connect(target.resolve().as_uri() + file_system.AS_IT_LIES)) as copy:
+    with contextlib.closing(connect(target.resolve().as_uri() + file.AS_IT_LIES)) as copy:
         (runs,) = copy.execute("SELECT count(*) FROM run").fetchone()
         (poses,) = copy.execute("SELECT count(*) FROM pose").fetchone()
     return BackedUp(runs, poses, target.stat().st_size)

@@ -16,7 +16,7 @@ from sqlalchemy import Connection, QueuePool, create_engine, event, make_url
 from sqlalchemy.exc import ArgumentError
 from sqlmodel import Session
 
-from calrig.instruments.wanted import require_wanted
+from calrig.instruments.cancellation import raise_if_cancelled
 from calrig.store.checksums import from_json, to_json
 from calrig.store.database import LOOK_S, Database
 from calrig.store.errors import (
@@ -28,10 +28,11 @@ from calrig.store.errors import (
 )
 from calrig.store.records import UNFINISHED, Size
 from calrig.store.revisions import revisions
-from calrig.store.sqlite import file_system, migrating
-from calrig.store.sqlite.connecting import connect, is_a_table
+from calrig.store.sqlite import copying
+from calrig.store.sqlite import file as file_system
 from calrig.store.sqlite.copying import check_sound
 from calrig.store.sqlite.errors import damaged, store_error
+from calrig.store.sqlite.file import connect, is_a_table
 from calrig.store.sqlite.lock import WriterLock
 
 
@@ -145,25 +146,25 @@ class SqliteDatabase(Database):
             uri = file_system.reading_uri(self.path, self._timeout_s)
             with closing(connect(uri, self._timeout_s)) as connection:
                 check_sound(connection, self.path)
-        stored = migrating.stored_revision(self.path, uri)
-        migrating.check_not_newer(self.path, stored)
+        stored = copying.stored_revision(self.path, uri)
+        copying.check_not_newer(self.path, stored)
         with self._in_words():
             if stored is not None:
                 self._engine.connect().close()  # where that cannot be done, nothing is migrated
-            migrating.upgrade(self.path, stored)
+            copying.upgrade(self.path, stored)
             self._engine.connect().close()
 
     def _check_for_reading(self) -> None:
         stored = None
         if self.path.is_file():
             self._uri = file_system.reading_uri(self.path, self._timeout_s)
-            stored = migrating.stored_revision(self.path, self._uri)
+            stored = copying.stored_revision(self.path, self._uri)
         if stored is None:
             raise NoStore(
                 f"{self.path}: there is no calrig database: name one with --db, "
                 "or make one with `calrig serve`, `calrig run` or `calrig import`"
             )
-        migrating.check_not_newer(self.path, stored)
+        copying.check_not_newer(self.path, stored)
         if stored != revisions()[-1]:
             raise StoreError(
                 f"{self.path}: was written by an older calrig (revision {stored}): run `calrig serve` once, "
@@ -212,7 +213,7 @@ class SqliteDatabase(Database):
     def _turn(self) -> Iterator[None]:
         """One write at a time; who waits for another one's end gives up once nobody wants his own."""
         while not self._writes.acquire(timeout=LOOK_S):
-            require_wanted()
+            raise_if_cancelled()
         try:
             yield
         finally:
@@ -238,7 +239,7 @@ class SqliteDatabase(Database):
                     is_busy = error.sqlite_errorname.startswith("SQLITE_BUSY")
                     if not is_busy or time.monotonic() >= give_up_s:
                         raise
-                require_wanted()
+                raise_if_cancelled()
         finally:
             raw.execute(f"PRAGMA busy_timeout = {1000 * self._timeout_s:.0f}")
 

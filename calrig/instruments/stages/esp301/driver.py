@@ -17,13 +17,13 @@ from collections import Counter
 from itertools import cycle
 from typing import Self
 
-from calrig.instruments import readback
+from calrig.instruments import standstill
+from calrig.instruments.cancellation import raise_if_cancelled
 from calrig.instruments.errors import StageError
 from calrig.instruments.ports import Port, open_port
 from calrig.instruments.stages.esp301.words import BAUDRATE, error_words
 from calrig.instruments.stages.lines import LineWire, plain, unanswered
 from calrig.instruments.types import StageIdentity, StageStatus
-from calrig.instruments.wanted import require_wanted
 
 REPLY_TIMEOUT_S = 0.5
 ATTEMPTS = 4
@@ -60,7 +60,7 @@ class Esp301:
         self._homing = False
         self._fault: int | None = None
         self._tells_target: bool | None = None  # not known before it was asked
-        self._mover = readback.Mover(
+        self._mover = standstill.Mover(
             self._name, self.faults, self.position_deg, self._moves, self.halt, self._target_deg
         )
 
@@ -107,7 +107,7 @@ class Esp301:
             StageError: it does not answer, or stands and yet never says the same twice.
         """
         with self._asking:
-            return readback.position_deg(self._name, self.glimpse_deg, self._moves, self.faults)
+            return standstill.position_deg(self._name, self.glimpse_deg, self._moves, self.faults)
 
     def glimpse_deg(self) -> float:
         """One read, unchecked: to show a stage on the move, never for a result."""
@@ -115,7 +115,7 @@ class Esp301:
 
     def set_velocity(self, velocity_dps: float) -> None:
         """Sets the velocity of the moves that follow (StageError if refused, or not taken as it was sent)."""
-        readback.velocity(
+        standstill.velocity(
             self._name,
             velocity_dps,
             lambda: self._command(f"VA{plain(velocity_dps)}"),
@@ -177,7 +177,7 @@ class Esp301:
             if refusal := self._send(command, motion=motion):
                 raise StageError(f"{self._name} refused {command}: {refusal.words}")
 
-    def _send(self, command: str, *, motion: bool) -> readback.Refusal | None:
+    def _send(self, command: str, *, motion: bool) -> standstill.Refusal | None:
         self._forget_errors()  # an error of long ago is not this command's
         data = f"{self._axis}{command}\r".encode("ascii")
         if motion:
@@ -188,7 +188,7 @@ class Esp301:
         if not code:
             return None
         of_axis = code // 100 == self._axis and code % 100 in PERHAPS_DAMAGED_OF_AXIS
-        return readback.Refusal(error_words(code), of_axis or code in PERHAPS_DAMAGED)
+        return standstill.Refusal(error_words(code), of_axis or code in PERHAPS_DAMAGED)
 
     def _moves(self) -> bool:
         return self._must("MD?", DONE) == "0"
@@ -217,7 +217,7 @@ class Esp301:
             reply = self._ask(query, NUMBER)
             return None if reply is None else float(reply)
 
-        return readback.setting(self._name, query, ask)
+        return standstill.setting(self._name, query, ask)
 
     def _must(self, query: str, form: re.Pattern[str]) -> str:
         reply = self._ask(query, form)
@@ -270,7 +270,7 @@ class Esp301:
 
     def _catch_up(self) -> None:
         """Drops what has come, and after an answer that never came, what is still on its way."""
-        require_wanted()
+        raise_if_cancelled()
         late = self._lines.old_lines()
         if self._in_doubt:
             deadline_s = self._now_s() + REPLY_TIMEOUT_S

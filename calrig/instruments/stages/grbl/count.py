@@ -7,8 +7,8 @@ there is no homing, from the place where it was switched on; and only until an a
 from __future__ import annotations
 
 from calrig.instruments.errors import StageError
-from calrig.instruments.readback import AGREE_DEG
 from calrig.instruments.stages.grbl.protocol import Report
+from calrig.instruments.standstill import AGREE_DEG
 
 STATE_ANGLE = (
     "turn the stage to a known angle by hand and start a run that says so "

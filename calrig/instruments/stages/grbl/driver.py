@@ -13,7 +13,7 @@ import threading
 from collections import Counter
 from typing import Self
 
-from calrig.instruments import readback
+from calrig.instruments import standstill
 from calrig.instruments.errors import InstrumentError, StageError
 from calrig.instruments.ports import Port, open_port
 from calrig.instruments.stages.grbl.count import STATE_ANGLE, Count
@@ -108,13 +108,13 @@ class Grbl:
             StageError: it does not answer, never says the same twice, or has lost its angle.
         """
         with self._asking:
-            for _ in range(readback.MOST_READS):
+            for _ in range(standstill.MOST_READS):
                 reports = [self._report() for _ in range(3 if self.faults.total() else 2)]
                 places_deg = [self._count.degrees(report) for report in reports]
                 if reports[-1].moves:
                     return places_deg[-1]
                 same = len({report.state for report in reports}) == 1
-                if same and readback.agree(min(places_deg), max(places_deg)):
+                if same and standstill.agree(min(places_deg), max(places_deg)):
                     self._see_that_it_was_not_reset(reports[-1])
                     self._count.check(places_deg[-1])
                     return places_deg[-1]

@@ -11,6 +11,7 @@ import re
 from collections import Counter, deque
 from collections.abc import Callable
 
+from calrig.instruments.cancellation import raise_if_cancelled
 from calrig.instruments.ports import Port
 from calrig.instruments.stages.grbl.protocol import (
     ALARM,
@@ -25,7 +26,6 @@ from calrig.instruments.stages.grbl.protocol import (
     parse_report,
 )
 from calrig.instruments.stages.lines import LineWire
-from calrig.instruments.wanted import require_wanted
 
 REPLY_TIMEOUT_S = 0.5
 GLANCE_S = 0.1
@@ -206,7 +206,7 @@ class GrblLink:
         """The settings, listed twice alike and with those needed among them; {} where they never are."""
         last: dict[int, float] = {}
         for _ in range(MOST_LISTINGS):
-            require_wanted()
+            raise_if_cancelled()
             before, last = last, dict(self.settings) if self.fence() else {}
             if last == before and last.keys() >= {*needed}:
                 return last
@@ -237,7 +237,7 @@ class GrblLink:
 
     def catch_up(self) -> None:
         """Takes in what has come; after an answer that never came, also what is still on its way."""
-        require_wanted()
+        raise_if_cancelled()
         for line in self.lines.old_lines():
             self._take(line)
         if self._in_doubt:

@@ -1,4 +1,9 @@
-"""Newport SMC100 (driver `smc100`): SMC100CC/PP user's manual; addresses 1–31, lines end CR LF.
+"""Questions to an SMC100 and their answers, each reply held against the question by its prefix.
+
+A query that stayed unanswered may still be answered later; before the same one is asked again a different
+query, the fence, is asked and answered: the controller answers in order, so whatever was late has then come.
+
+Newport SMC100 (driver `smc100`): SMC100CC/PP user's manual; addresses 1–31, lines end CR LF.
 
 Nothing on this wire has a checksum. What a flipped bit could turn into another number is asked for until two
 answers agree, and after a move was sent the controller is asked back what target it took (`PA?`).
@@ -7,16 +12,99 @@ answers agree, and after a move was sent the controller is asked back what targe
 from __future__ import annotations
 
 import re
+import threading
 from collections import Counter
 from typing import Self
 
-from calrig.instruments import readback
+from calrig.instruments import standstill
+from calrig.instruments.cancellation import raise_if_cancelled
 from calrig.instruments.errors import StageError
 from calrig.instruments.ports import Port, open_port
-from calrig.instruments.stages.lines import plain, unanswered
-from calrig.instruments.stages.smc100.wire import TEXT_FORM, Smc100Wire
+from calrig.instruments.stages.lines import LineWire, plain, unanswered
 from calrig.instruments.stages.smc100.words import BAUDRATE, ERROR_BITS, ERRORS, STATES
 from calrig.instruments.types import StageIdentity, StageStatus
+
+REPLY_TIMEOUT_S = 0.5
+ATTEMPTS = 4
+FENCES = ("TS", "TP", "VE")
+LINE_END = re.compile(rb"\r?\n")
+"""Not CR alone: a digit damaged to one would leave a number that looks whole."""
+TEXT_FORM = re.compile(r"\s*(\S.*?)\s*")
+ANY_REPLY = re.compile(r"\d{1,2}[A-Z]{2}.+")
+
+
+class Smc100Wire:
+    """One controller on a port. One thread asks; any thread may halt.
+
+    Attributes:
+        lines: what is written and read.
+    """
+
+    def __init__(self, port: Port, axis: int, faults: Counter[str]) -> None:
+        self.lines = LineWire(port, faults, LINE_END)
+        self._now_s = port.clock.now_s
+        self._axis = axis
+        self._faults = faults
+        self._unanswered: set[str] = set()
+        self._asking = threading.RLock()
+
+    def send(self, command: str) -> None:
+        """Sends what moves nothing."""
+        self.lines.send(self._line(command))
+
+    def send_motion(self, command: str, who: str) -> None:
+        """Sends what moves the stage (Halted, naming `who`, where a stop was sent before)."""
+        self.lines.send_motion(self._line(command), who)
+
+    def halt(self) -> None:
+        """Sends a stop, from any thread; no motion is sent after it."""
+        self.lines.halt(self._line("ST"))
+
+    def close(self) -> None:
+        """Closes the port; never raises."""
+        with self._asking:
+            self.lines.close()
+
+    def ask(self, query: str, form: re.Pattern[str], attempts: int = ATTEMPTS) -> re.Match[str] | None:
+        """The answer to a query, None where none comes. After a stop it is asked once: a stop goes first."""
+        with self._asking:
+            for _ in range(1 if self.lines.halted else attempts):
+                if query in self._unanswered and not self._pass_fence():
+                    continue
+                reply = self._ask_once(query, form)
+                if reply:
+                    return reply
+        return None
+
+    def _pass_fence(self) -> bool:
+        fence = next((query for query in FENCES if query not in self._unanswered), None)
+        if fence and not self._ask_once(fence, TEXT_FORM):
+            return False
+        self._unanswered.clear()  # without a fence left, each has had its time-out to come in
+        return True
+
+    def _ask_once(self, query: str, form: re.Pattern[str]) -> re.Match[str] | None:
+        raise_if_cancelled()
+        for early in self.lines.old_lines():
+            self._drop(early)
+        self.send(query)
+        deadline_s = self._now_s() + REPLY_TIMEOUT_S
+        prefix = f"{self._axis}{query[:2]}"
+        while self._now_s() < deadline_s and (line := self.lines.line(deadline_s)) is not None:
+            reply = form.fullmatch(line, len(prefix)) if line.startswith(prefix) else None
+            if reply:
+                return reply
+            self._drop(line)
+        self._unanswered.add(query)
+        self._faults["no_reply"] += 1
+        return None
+
+    def _line(self, command: str) -> bytes:
+        return f"{self._axis}{command}\r\n".encode("ascii")
+
+    def _drop(self, line: str) -> None:
+        self._faults["late_reply" if ANY_REPLY.fullmatch(line) else "unparsed"] += 1
+
 
 FEW_ATTEMPTS = 2
 """For what not every controller knows."""
@@ -39,7 +127,7 @@ class Smc100:
         self._wire = Smc100Wire(port, axis, self.faults)
         self._now_s = port.clock.now_s
         self._tells_target: bool | None = None  # not known before it was asked
-        self._mover = readback.Mover(
+        self._mover = standstill.Mover(
             self._name, self.faults, self.position_deg, self._moves, self.halt, self._target_deg
         )
 
@@ -85,7 +173,7 @@ class Smc100:
         Raises:
             StageError: it does not answer, or stands and yet never says the same twice.
         """
-        return readback.position_deg(self._name, self.glimpse_deg, self._moves, self.faults)
+        return standstill.position_deg(self._name, self.glimpse_deg, self._moves, self.faults)
 
     def glimpse_deg(self) -> float:
         """One read, unchecked: to show a stage on the move, never for a result."""
@@ -93,7 +181,7 @@ class Smc100:
 
     def set_velocity(self, velocity_dps: float) -> None:
         """Sets the velocity of the moves that follow (StageError if refused, or not taken as it was sent)."""
-        readback.velocity(
+        standstill.velocity(
             self._name,
             velocity_dps,
             lambda: self._command(f"VA{plain(velocity_dps)}"),
@@ -145,7 +233,7 @@ class Smc100:
         if refusal := self._send(command, motion=motion):
             raise StageError(f"{self._name} refused {command}: {refusal.words}")
 
-    def _send(self, command: str, *, motion: bool) -> readback.Refusal | None:
+    def _send(self, command: str, *, motion: bool) -> standstill.Refusal | None:
         """Sends what answers nothing, and asks whether it was refused."""
         self._must("TE", LETTER_FORM)  # an error of long ago is not this command's
         if motion:
@@ -156,7 +244,7 @@ class Smc100:
         if letter == NO_ERROR:
             return None
         words = ERRORS.get(letter, "an error this driver does not know")
-        return readback.Refusal(f"{words} (error {letter})", letter in PERHAPS_DAMAGED)
+        return standstill.Refusal(f"{words} (error {letter})", letter in PERHAPS_DAMAGED)
 
     def _moves(self) -> bool:
         return self.status().state in ("moving", "homing")
@@ -172,7 +260,7 @@ class Smc100:
             reply = self._wire.ask(query, NUMBER_FORM, FEW_ATTEMPTS)
             return float(reply[1]) if reply else None
 
-        return readback.setting(self._name, query, ask)
+        return standstill.setting(self._name, query, ask)
 
     def _must(self, query: str, form: re.Pattern[str]) -> re.Match[str]:
         reply = self._wire.ask(query, form)

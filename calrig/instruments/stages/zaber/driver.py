@@ -15,13 +15,13 @@ import threading
 from collections import Counter
 from typing import Any, Self
 
-from calrig.instruments import readback
+from calrig.instruments import standstill
+from calrig.instruments.cancellation import raise_if_cancelled
 from calrig.instruments.errors import Halted, InstrumentError, PortError, StageError
 from calrig.instruments.ports import Port, open_port
 from calrig.instruments.stages.lines import LineWire, unanswered
 from calrig.instruments.stages.zaber.words import BAUDRATE, UNREFERENCED, flag_words
 from calrig.instruments.types import StageIdentity, StageStatus
-from calrig.instruments.wanted import require_wanted
 
 REPLY_TIMEOUT_S = 0.5
 ATTEMPTS = 4
@@ -115,7 +115,7 @@ class Zaber:
             StageError: it does not answer, or stands and yet never says the same twice.
         """
         with self._asking:
-            return readback.position_deg(self._name, self.glimpse_deg, self._moves, self.faults)
+            return standstill.position_deg(self._name, self.glimpse_deg, self._moves, self.faults)
 
     def glimpse_deg(self) -> float:
         """One read, unchecked: to show a stage on the move, never for a result."""
@@ -180,7 +180,7 @@ class Zaber:
         errors = self._maker.exceptions
         refusal = ""
         for _ in range(1 if self._lines.halted else attempts):  # a stop goes first
-            require_wanted()
+            raise_if_cancelled()
             if self._port_error:  # the library may wait for an answer all the same
                 raise self._port_error
             if motion:

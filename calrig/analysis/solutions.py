@@ -1,0 +1,254 @@
+"""A run's poses with what its samples say of the gyro's three axes, as a file of poses has it in columns.
+
+Stored runs of one rig as the joint solution takes them, and the solution as it is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from calrig.analysis.errors import Conflict, Invalid, Unknown
+from calrig.analysis.stored_runs import axis_of, counted_poses, ended_run, limits_of
+from calrig.calibration.poses import GYRO_MEANS, GYRO_MOVES, HOST_TIME, MOUNT_DEG, Pose
+from calrig.calibration.separation import MountedPoses
+from calrig.estimation.angles import FloatArray
+from calrig.estimation.gyro import MISSING_PERIODS, moves_about_axes
+from calrig.run_ids import short_name
+from calrig.store.records import Run
+from calrig.store.solved import Basis, Frame, Solved
+
+if TYPE_CHECKING:
+    from calrig.calibration.progress import Progress
+    from calrig.store import Store
+
+
+def poses_with_gyro(store: Store, run_id: str) -> list[Pose]:
+    """The poses that count, each with its dwell's means, its move's turns, and the host's time.
+
+    A run with mounts has the turns in its poses; of one without they are made of its samples while these are
+    kept.
+    A move is told where neither of its two poses was excluded, and none of its samples is missing.
+    """
+    stored = store.poses(run_id, include_excluded=True)
+    poses = [one.pose for one in stored]
+    if not any(GYRO_MOVES[0] in pose.covariates for pose in poses):
+        poses = _of_samples(store, run_id, poses, [one.index for one in stored])
+    announced = store.poses_announced_at(run_id)
+    after = [None, *stored[:-1]]
+    return [
+        _told(pose, announced.get(one.index), lost=before is not None and before.excluded is not None)
+        for pose, one, before in zip(poses, stored, after, strict=True)
+        if one.excluded is None
+    ]
+
+
+def _of_samples(store: Store, run_id: str, poses: list[Pose], indices: Sequence[int]) -> list[Pose]:
+    """The poses as they are, where their samples are not stored or their clock began anew."""
+    whole = store.samples(run_id)
+    dwells = [store.samples(run_id, index) for index in indices]
+    if (
+        len(whole.time_s) < 2
+        or not (np.diff(whole.time_s) > 0.0).all()
+        or any(not len(d.time_s) for d in dwells)
+    ):
+        return poses
+    gap_s = MISSING_PERIODS * float(np.median(np.diff(whole.time_s)))
+    spans = [(float(dwell.time_s[0]), float(dwell.time_s[-1])) for dwell in dwells]
+    turned = moves_about_axes(whole.time_s, whole.gyro_dps, spans, gap_s)
+    means = [dwell.gyro_dps.mean(axis=0) for dwell in dwells]
+    return [_with(pose, mean, move) for pose, mean, move in zip(poses, means, turned, strict=True)]
+
+
+def _with(pose: Pose, mean_dps: FloatArray, turned_deg: FloatArray | None) -> Pose:
+    columns = dict(zip(GYRO_MEANS, mean_dps.tolist(), strict=True)) if np.isfinite(mean_dps).all() else {}
+    if turned_deg is not None:
+        columns |= dict(zip(GYRO_MOVES, turned_deg.tolist(), strict=True))
+    return replace(pose, covariates={**pose.covariates, **columns})
+
+
+def _told(pose: Pose, at: datetime | None, *, lost: bool) -> Pose:
+    """The pose with the host's time, s: as it was announced, the same while after each dwell's middle."""
+    host = {} if at is None else {HOST_TIME: at.timestamp()}
+    kept = {k: v for k, v in pose.covariates.items() if not (lost and k in GYRO_MOVES)}
+    return replace(pose, covariates={**kept, **host})
+
+
+MOST_POSES = 40_000
+"""Of one solution: a hundred units of four mounts have 29,000."""
+
+
+@dataclass(frozen=True, slots=True)
+class SolutionRequest:
+    """What is to be solved together.
+
+    Attributes:
+        runs: ids; without units they are all.
+        units: all calibrations that count of these units, beside the runs named.
+        rig: the one rig of the runs; alone, all calibrations that count on it.
+        linear: whether the units are stated to have no quadratic and cubic terms.
+        periods_deg: of gears, where somebody knows them.
+        seat_std_deg: how far one clamping of a face scatters from the next, where somebody knows it.
+        frame: of units clamped by several faces, whose their matrix is: `sensor` or `faces`.
+        limits_deg: of the stage, which advice keeps to; without them those that the last run was made under.
+    """
+
+    runs: Sequence[str] = ()
+    units: Sequence[str] = ()
+    rig: str | None = None
+    linear: bool = False
+    periods_deg: Sequence[float] = ()
+    seat_std_deg: float | None = None
+    frame: Frame = "sensor"
+    limits_deg: tuple[float, float] | None = None
+
+    def basis(self, runs: Sequence[str], units: Sequence[str]) -> Basis:
+        """What the solution of these runs rests on."""
+        periods_deg = tuple(self.periods_deg)
+        return Basis(tuple(runs), tuple(units), self.linear, periods_deg, self.seat_std_deg, self.frame)
+
+
+@dataclass(frozen=True, slots=True)
+class SolutionInputs:
+    """Poses to be solved, here or in another process; advice keeps to the limits."""
+
+    rig: str | None
+    basis: Basis
+    lots: Sequence[MountedPoses]
+    limits_deg: tuple[float, float] | None = None
+
+
+def question(store: Store, wanted: SolutionRequest) -> SolutionInputs:
+    """What stored runs are to be asked.
+
+    Raises:
+        Unknown: there is no such run or unit.
+        Conflict: a run has not ended, is voided, or is of another rig: each stage has a map of its own.
+        Invalid: there is no run to solve, or the poses are too many.
+    """
+    runs = _runs(store, wanted)
+    if not runs:
+        raise Invalid(f"{_named(wanted)} no completed calibration that counts", ["runs"])
+    n = sum(store.count_poses(run.id) for run in runs)
+    if n > MOST_POSES:
+        raise Invalid(
+            f"a solution takes at most {MOST_POSES:,} poses, and these {len(runs)} runs have {n:,}: name "
+            "some of them",
+            ["runs"],
+        )
+    basis = wanted.basis([run.id for run in runs], sorted({run.unit for run in runs}))
+    limits_deg = wanted.limits_deg or limits_of(max(runs, key=lambda run: run.created_at))
+    return SolutionInputs(runs[0].rig, basis, mounted(store, runs), limits_deg)
+
+
+def answer(asked: SolutionInputs, progress: Callable[[float], None] = lambda _: None) -> Solved:
+    """The solution as it is kept.
+
+    Args:
+        asked: what is to be solved.
+        progress: is told the share that is done.
+
+    Raises:
+        DiagnosisError: the poses cannot be solved, and why.
+    """
+    # a tenth of a second that a service need not start with
+    from calrig.calibration.progress import SOLVED, within
+    from calrig.calibration.separation import pose_residuals, solution_document, solve, whole_units
+    from calrig.export.solution_documents import stage_map_document, unit_document
+
+    solving, telling = within(progress, 0.0, SOLVED), within(progress, SOLVED, 1.0)
+    if whole_units(asked.lots):
+        return _answer_whole(asked, solving, telling)
+    basis = asked.basis
+    solution = solve(
+        asked.lots,
+        linear=basis.linear,
+        periods_deg=basis.periods_deg,
+        seat_std_deg=basis.seat_std_deg,
+        progress=solving,
+    )
+    telling(0.0)
+    units = enumerate(solution.table.units)
+    return Solved(
+        rig=asked.rig,
+        basis=basis,
+        document=solution_document(solution, asked.limits_deg, telling),
+        calibrations={serial: unit_document(solution, k, asked.rig) for k, serial in units},
+        stage_map=stage_map_document(solution, asked.rig),
+        poses=pose_residuals(solution),
+    )
+
+
+def _answer_whole(asked: SolutionInputs, solving: Progress, telling: Progress) -> Solved:
+    """Of units clamped by several faces; no picture is drawn of their poses."""
+    from calrig.calibration.separation import solve_whole, three_axis_document
+    from calrig.export.solution_documents import three_axis_documents
+
+    basis = asked.basis
+    solution = solve_whole(asked.lots, linear=basis.linear, periods_deg=basis.periods_deg, progress=solving)
+    calibrations, stage_map = three_axis_documents(solution, basis.frame, asked.rig)
+    return Solved(
+        rig=asked.rig,
+        basis=basis,
+        document=three_axis_document(solution, basis.frame, telling),
+        calibrations=calibrations,
+        stage_map=stage_map,
+        poses={"mount": [], "dial_deg": [], "on_map_deg": [], "before_deg": [], "left_deg": []},
+    )
+
+
+def _runs(store: Store, wanted: SolutionRequest) -> list[Run]:
+    """Those named, in this order, then those that count of the units or the rig."""
+    runs = [ended_run(store, run_id) for run_id in dict.fromkeys(wanted.runs)]
+    for serial in wanted.units:
+        if store.unit(serial) is None:
+            raise Unknown(f"there is no unit {serial!r}")
+    if wanted.units or not wanted.runs:
+        named = {run.id for run in runs}
+        counting = store.counting_runs(wanted.rig, wanted.units or None)
+        runs += [ended_run(store, run_id) for run_id in counting if run_id not in named]
+    for run in runs:
+        if run.voided is not None:
+            raise Conflict(f"run {run.id} is voided ({run.voided['reason']}): leave it out, or unvoid it")
+        if wanted.rig is not None and run.rig != wanted.rig:
+            raise Conflict(f"run {run.id} is of rig {run.rig!r}, not of {wanted.rig!r}")
+        if run.rig != runs[0].rig:
+            raise Conflict(
+                f"run {run.id} is of rig {run.rig!r}, run {runs[0].id} of rig {runs[0].rig!r}: each stage "
+                "has a map of its own, solve them one by one"
+            )
+    return runs
+
+
+def _named(wanted: SolutionRequest) -> str:
+    units = f"unit {', '.join(wanted.units)} has" if wanted.units else "there is"
+    return units if wanted.rig is None else f"on rig {wanted.rig!r} {units}"
+
+
+def mounted(store: Store, runs: Sequence[Run]) -> list[MountedPoses]:
+    """The poses of runs that count, a lot for each clamping."""
+    names = {run.id: short_name(run.id) for run in runs}
+    if len(set(names.values())) < len(names):
+        names = {run_id: run_id for run_id in names}
+    whole = any(axis_of(run)[-1] != "x" for run in runs)
+    poses_of = poses_with_gyro if whole else counted_poses
+    return [lot for run in runs for lot in _lots(run, names[run.id], poses_of(store, run.id))]
+
+
+def _lots(run: Run, name: str, poses: Sequence[Pose]) -> list[MountedPoses]:
+    """One for each angle: as its poses have it, else as its plan of one mount does."""
+    plan = run.plan or {}
+    planned = plan.get("mounts_deg") or [0.0]
+    lots: dict[float | None, list[Pose]] = {}
+    for pose in poses:
+        own = pose.covariates.get(MOUNT_DEG)
+        bare = replace(pose, covariates={k: v for k, v in pose.covariates.items() if k != MOUNT_DEG})
+        lots.setdefault(float(planned[0]) if own is None and len(planned) == 1 else own, []).append(bare)
+    return [
+        MountedPoses(run.unit, f"{name} {angle or 0.0:g}°", angle, run.id, own, axis_of(run))
+        for angle, own in lots.items()
+    ]

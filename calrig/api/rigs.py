@@ -1,0 +1,284 @@
+"""The rig's error map, solved in another process and kept while the runs that it rests on are the same.
+
+The stage's map that a rig's elevations rest on.
+
+The unit that a rig is checked by.
+"""
+
+from __future__ import annotations
+
+from datetime import datetime
+from functools import partial
+from typing import Annotated, Literal
+
+from fastapi import APIRouter
+from pydantic import Field
+from starlette.concurrency import run_in_threadpool
+
+from calrig import figures
+from calrig.analysis.check_standard import check_document
+from calrig.analysis.error_map import ErrorMap, basis_of, poses_by_mounting, solved_map
+from calrig.analysis.stage_maps import listed_maps, put_in_force, shown_map
+from calrig.api.access import Who, requires
+from calrig.api.context import ApiContext, Context
+from calrig.api.errors import problems
+from calrig.api.jobs import BackgroundWork, Heavy
+from calrig.api.models import Answer, Body, Figure
+
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+
+
+router = APIRouter(tags=["rigs"])
+
+
+class ErrorMapAnswer(Answer):
+    """What the elevation is more than the dial says, by its angle and approach, from so many units."""
+
+    stage_deg: list[float]
+    approach: list[int]
+    error_deg: list[float]
+    std_deg: list[float]
+    units: int
+    says: str
+
+
+@router.get(
+    "/api/rigs/{name}/error-map",
+    response_model=ErrorMapAnswer,
+    responses=problems(404, 429),
+    summary="The rig error map",
+)
+async def show_error_map(name: str, context: Context, heavy: Heavy) -> ErrorMap:
+    """Stage and units solved together over the rig's newest runs.
+
+    One unit that was clamped at several angles fixes it for all; empty before, and `says` what would help.
+    """
+    return await _map_of(name, context, heavy)
+
+
+@router.get(
+    "/api/rigs/{name}/figures/error-map",
+    response_model=Figure,
+    responses=problems(404, 429),
+    summary="The rig error map, drawn",
+)
+async def rig_error_map(name: str, context: Context, heavy: Heavy) -> figures.Figure:
+    """By angle of the dial and approach; empty while it is not known."""
+    found = await _map_of(name, context, heavy)
+    return figures.error_map(found.stage_deg, found.approach, found.error_deg, found.std_deg)
+
+
+async def _map_of(name: str, context: ApiContext, heavy: BackgroundWork) -> ErrorMap:
+    context.service.known_rig(name)
+    basis = await run_in_threadpool(basis_of, context.store, name)
+    known = context.error_maps.get(name)
+    if known is not None and known[0] == basis:
+        return known[1]
+    lots = await run_in_threadpool(poses_by_mounting, context.store, basis)
+    found: ErrorMap = await heavy(partial(solved_map, lots, basis))
+    context.error_maps[name] = basis, found
+    return found
+
+
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+
+
+class PutMap(Body):
+    """The solution whose map it is to be; null withdraws the one in force."""
+
+    solve: str | None
+    reason: str = Field("withdrawn", max_length=1000, description="Of a withdrawal.")
+
+
+class MapColumns(Answer):
+    """The map over the dial, its mean taken off, in the middle of the play."""
+
+    stage_deg: list[float]
+    error_deg: list[float]
+    std_deg: list[float]
+
+
+class HoldsAnswer(Answer):
+    """Whether the stage still has this map, by the newest run that can tell."""
+
+    state: Literal["holds", "moved", "not_known"]
+    says: str
+    unit: str | None
+    run_id: str | None
+    baseline_run_id: str | None
+    p_value: float | None
+    largest_deg: float | None
+    largest_at_deg: float | None
+    at_deg: list[float] = Field(description="Angles of the dial where it is off.")
+
+
+class StageMapAnswer(Answer):
+    """The map in force for a rig, what it is worth, and what it rests on."""
+
+    rig: str
+    solve: str | None = Field(description="The solution that it is of; null of a file.")
+    file: str | None = Field(description="As the configuration names it; null of a solution.")
+    sha256: str
+    solved_at: datetime | None = Field(description="Null of a file, which does not tell.")
+    put_at: datetime | None
+    put_by: str | None
+    std_deg: float = Field(description="Standard uncertainty over the range, root mean square.")
+    dial_deg: tuple[float, float] = Field(description="The range; beyond it the certificate counts.")
+    orders: list[float]
+    coefficients_deg: list[float] = Field(description="Cosine and sine of each order, then the play.")
+    covariance_deg2: list[list[float]]
+    map: MapColumns
+    units: list[str]
+    runs: list[str] = Field(description="Runs, or files, that it was solved from.")
+    holds: HoldsAnswer
+    says: str
+
+
+class NamedMap(Answer):
+    """Which map is in force for a rig: of a solution, or of a file."""
+
+    rig: str
+    sha256: str
+    solve: str | None
+    file: str | None
+
+
+@router.get(
+    "/api/stage-maps", response_model=list[NamedMap], summary="The maps in force, of all rigs that have one"
+)
+def list_maps(context: Context) -> object:
+    """By name of the rig."""
+    return listed_maps(context.store, context.service.maps)
+
+
+@router.get(
+    "/api/rigs/{name}/map",
+    response_model=StageMapAnswer,
+    responses=problems(404),
+    summary="The stage's map in force",
+)
+def show_map(name: str, context: Context) -> object:
+    """404 where the rig rests on its certificate alone."""
+    rig = context.service.known_rig(name)
+    return shown_map(context.store, rig, context.service.maps)
+
+
+@router.post(
+    "/api/rigs/{name}/map",
+    dependencies=[requires("admin")],
+    response_model=StageMapAnswer | None,
+    responses=problems(404, 409, 413, 422),
+    summary="Put the map of a solution in force, or withdraw it",
+)
+def put_map(name: str, body: PutMap, context: Context, who: Who) -> object:
+    """Runs from now on rest on it; those that are there never change. 409 where it is not separable.
+
+    Withdrawn, it leaves the file that the configuration names, or null.
+    """
+    rig = context.service.known_rig(name)
+    if body.solve is not None:
+        put_in_force(context.store, name, body.solve, who=who)
+    else:
+        context.store.withdraw_stage_map(name, body.reason, who=who)
+        if name not in context.service.maps:
+            return None
+    return shown_map(context.store, rig, context.service.maps)
+
+
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+
+
+class NameCheckUnit(Body):
+    """The unit, and how often it is to be put on the rig."""
+
+    unit: str
+    interval_days: Annotated[float, Field(gt=0, le=36_500)] = 30.0
+
+
+class CheckAnswer(Answer):
+    """A run of the check unit; before it was named one, its history (`is_check` false).
+
+    `average` is the moving average of bias or scale, whichever is farther off, in standard deviations.
+    """
+
+    run_id: str
+    finished_at: datetime
+    bias_deg: float
+    scale: float | None
+    is_check: bool
+    average: float | None
+    verdict: Literal["passed", "failed", "not_known"]
+
+
+class CheckUnitAnswer(Answer):
+    """How a rig stands by its check unit, and the runs that a failure puts in doubt."""
+
+    rig: str
+    unit: str
+    interval_days: float
+    named_at: datetime
+    state: Literal["passed", "failed", "not_known"]
+    last_check_at: datetime | None
+    last_passed_at: datetime | None
+    due_at: datetime
+    overdue: bool
+    says: str
+    checks: list[CheckAnswer]
+    suspect_runs: list[str]
+
+
+class NamedCheckUnit(Answer):
+    """Which unit a rig is checked by, and how often."""
+
+    rig: str
+    unit: str
+    interval_days: float
+    named_at: datetime
+
+
+@router.get(
+    "/api/check-units",
+    response_model=list[NamedCheckUnit],
+    summary="The check units of all rigs that have one",
+)
+def list_check_units(context: Context) -> object:
+    """By name of the rig."""
+    return context.store.check_units()
+
+
+@router.get(
+    "/api/rigs/{name}/check-unit",
+    response_model=CheckUnitAnswer,
+    responses=problems(404),
+    summary="How a rig stands by its check unit",
+)
+def show_check_unit(name: str, context: Context) -> object:
+    """404 where it has none."""
+    context.service.known_rig(name)
+    return check_document(context.store, name)
+
+
+@router.put(
+    "/api/rigs/{name}/check-unit",
+    dependencies=[requires("releaser")],
+    response_model=CheckUnitAnswer,
+    responses=problems(404, 413, 422),
+    summary="Name the unit that a rig is checked by",
+)
+def put_check_unit(name: str, body: NameCheckUnit, context: Context, who: Who) -> object:
+    """Its runs on the rig from now on are checks; those before are what the first is held against."""
+    context.service.known_rig(name)
+    context.store.name_check_unit(name, body.unit, body.interval_days, who=who)
+    return check_document(context.store, name)
+
+
+@router.delete(
+    "/api/rigs/{name}/check-unit",
+    dependencies=[requires("releaser")],
+    status_code=204,
+    responses=problems(404),
+    summary="Go without a check unit",
+)
+def delete_check_unit(name: str, context: Context, who: Who) -> None:
+    """Nothing is in doubt any more that a check had put in doubt."""
+    context.store.remove_check_unit(name, who=who)

@@ -1,0 +1,350 @@
+"""Start runs: at once or in their turn, and after a program's death mark what it left.
+
+Runs that wait for a rig of this machine: each begins when the rig is free, in the order asked for.
+
+What an ended program left waiting is held: after a power cut nothing moves until somebody says Go.
+
+Runs begin: one at a time on each rig, at once or when those that were asked for before have ended.
+
+After a program died: every stage it may have left moving is told to stop, then its runs are marked.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from calrig.analysis.errors import Conflict, RunsError
+from calrig.analysis.revisions import Issuer
+from calrig.instruments.errors import InstrumentError
+from calrig.instruments.standstill import CUT
+from calrig.runs.assignment import NewRun, RunAssignment
+from calrig.runs.clamps import Clamps
+from calrig.runs.crew import WorkerRegistry
+from calrig.runs.plan_estimates import planned_poses
+from calrig.runs.presence import PresenceMonitor
+from calrig.runs.recorder import Bus, ServiceMetrics
+from calrig.runs.resume import waiting_task
+from calrig.runs.rig import require_in_date, stop_stage
+from calrig.runs.stage_position import is_lost_since, resumed_by
+from calrig.runs.stopping import BY_REQUEST
+from calrig.runs.stopping_rule import require_reachable
+from calrig.runs.worker import Worker
+from calrig.settings import RigSettings
+from calrig.store import Run, RunChanges, Store, StoreError
+from calrig.store.records import Document
+
+log = logging.getLogger(__name__)
+
+HELD = "the service was started anew while this run waited its turn: it begins once somebody says Go (resume)"
+
+
+class RunQueue:
+    """Which runs wait for which rig. Thread-safe; nothing in it waits for a rig or the store but `next`.
+
+    Args:
+        store: keeps the runs, as `queued`.
+        bus: tells those who watch a run that ends without having begun.
+        meter: counts those.
+        beginning: is held while a run begins; whoever calls `next` must not hold it.
+        require_ready: raises Conflict where a rig takes no run now.
+        begin: begins a stored run, while `beginning` is held.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        bus: Bus,
+        meter: ServiceMetrics,
+        beginning: threading.Lock,
+        require_ready: Callable[[str], None],
+        begin: Callable[[Run], None],
+    ) -> None:
+        self._store, self._bus, self._meter, self._beginning = store, bus, meter, beginning
+        self._require_ready, self._begin = require_ready, begin
+        self._lock = threading.Lock()
+        self._waiting: dict[str, list[str]] = {}  # by rig, the first to begin first
+        self._held: dict[str, str] = {}  # rigs by run
+        for run in store.unfinished():
+            if waits_its_turn(run) and run.rig is not None:
+                self._held[run.id] = run.rig
+
+    def add(self, run: Run) -> None:
+        """Has a run wait for its rig."""
+        with self._lock:
+            self._waiting.setdefault(run.rig or "", []).append(run.id)
+
+    def require_nobody(self, rig_name: str) -> None:
+        """Raises Conflict where a run waits for a rig, before which no other is begun."""
+        with self._lock:
+            waiting = self._waiting.get(rig_name)
+        if waiting:
+            raise Conflict(
+                f'rig {rig_name!r} is busy: run {waiting[0]} is next; ask with "queue": true to wait'
+            )
+
+    def go(self, run_id: str) -> bool:
+        """Has a run that is held wait its turn again; returns whether it was."""
+        with self._lock:
+            rig_name = self._held.pop(run_id, None)
+            if rig_name is not None:
+                self._waiting.setdefault(rig_name, []).append(run_id)
+        if rig_name is None:
+            return False
+        self._store.update_run(run_id, error=None)
+        self.next(rig_name)
+        return True
+
+    def take_out(self, run_id: str) -> bool:
+        """Aborts a run that waits or is held; returns whether it did either. Called under `beginning`."""
+        with self._lock:
+            found = self._held.pop(run_id, None) is not None
+            for waiting in self._waiting.values():
+                if run_id in waiting:
+                    waiting.remove(run_id)
+                    found = True
+        if found:
+            self._end(run_id, {"status": "aborted", "error": None})
+        return found
+
+    def call_off(self, rig_name: str) -> Callable[[], None]:
+        """Nothing that waits for a rig is to move it any more; gives what tells the store so."""
+        with self._lock:
+            off = [
+                *self._waiting.pop(rig_name, ()),
+                *(run for run, rig in self._held.items() if rig == rig_name),
+            ]
+            for run_id in off:
+                self._held.pop(run_id, None)
+
+        def tell() -> None:
+            for run_id in off:
+                try:
+                    self._end(run_id, {"status": "aborted", "error": BY_REQUEST.reason})
+                except StoreError as error:  # of a stop that was made, the store's trouble makes no failure
+                    log.error("run %s is not told of as aborted; it does not begin: %s", run_id, error)
+
+        return tell
+
+    def next(self, rig_name: str) -> None:
+        """Begins the run that waits longest for a rig, where the rig is free; raises nothing."""
+        with self._beginning:
+            while (run_id := self._first(rig_name)) is not None:
+                try:
+                    self._require_ready(rig_name)
+                except Conflict:
+                    return
+                if self._has_begun(rig_name, run_id):
+                    return
+
+    def _has_begun(self, rig_name: str, run_id: str) -> bool:
+        try:
+            run = self._store.run(run_id)
+            if not self._remove(rig_name, run_id) or run is None:
+                return False  # called off meanwhile
+            self._begin(run)
+        except RunsError as error:
+            self._fail(rig_name, run_id, str(error))
+            return False
+        except StoreError as error:
+            log.error("run %s waits until somebody says Go: %s", run_id, error)
+            self._hold(rig_name, run_id)
+            return False
+        return True
+
+    def _fail(self, rig_name: str, run_id: str, why: str) -> None:
+        try:
+            self._end(run_id, {"status": "failed", "error": why})
+        except StoreError as error:
+            log.error("run %s cannot begin (%s) and the store cannot be told: %s", run_id, why, error)
+            self._hold(rig_name, run_id)
+
+    def _end(self, run_id: str, changes: RunChanges) -> None:
+        run = self._store.update_run(run_id, **changes)
+        self._meter.of_run(run.rig or "").ended(run.status)
+        self._bus.wake(run_id)
+
+    def _first(self, rig_name: str) -> str | None:
+        with self._lock:
+            return next(iter(self._waiting.get(rig_name, ())), None)
+
+    def _remove(self, rig_name: str, run_id: str) -> bool:
+        with self._lock:
+            waiting = self._waiting.get(rig_name, [])
+            found = run_id in waiting
+            if found:
+                waiting.remove(run_id)
+            return found
+
+    def _hold(self, rig_name: str, run_id: str) -> None:
+        self._remove(rig_name, run_id)
+        with self._lock:
+            self._held[run_id] = rig_name
+
+
+def waits_its_turn(run: Run) -> bool:
+    """Whether a stored run has never moved anything, nor opened a port: it is queued and never began."""
+    return run.status == "queued" and run.started_at is None
+
+
+class RunLauncher:
+    """Has a service's runs begin. Thread-safe.
+
+    Attributes:
+        lock: held while the store is told of a run that takes a rig.
+        queue: of runs that wait for a rig.
+        clamps: of the rigs; while one turns, no run begins there.
+        sightings: of the units on idle rigs, which end where a run begins and leave it the open port.
+
+    Args:
+        store: where runs are kept.
+        rigs: those there are.
+        crew: which workers are on them.
+        bus, meter: hear of the runs.
+        issuer: makes drafts of completed calibrations.
+        maps: as of `RunService`.
+        record: folder for transcripts of every byte on the rigs' wires; None for none.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        rigs: Mapping[str, RigSettings],
+        crew: WorkerRegistry,
+        bus: Bus,
+        meter: ServiceMetrics,
+        issuer: Issuer,
+        maps: Mapping[str, Document],
+        record: Path | None,
+    ) -> None:
+        self._store, self._rigs, self._crew, self._bus, self._meter = store, rigs, crew, bus, meter
+        self._issuer, self._maps, self._record = issuer, maps, record
+        self.lock = threading.Lock()
+        self.queue = RunQueue(store, bus, meter, self.lock, self._require_ready, self._begin_waiting)
+        self.clamps = Clamps(crew, self.queue.next)
+        self.sightings = PresenceMonitor(store, crew)
+
+    def begin(self, settings: RigSettings, wanted: NewRun, *, waits: bool) -> Run:
+        """Begins a run on a rig, which is free or kept for it, or has it wait; as of `RunService.begin`."""
+        plan = wanted.plan
+        require_in_date(settings)
+        planned = planned_poses(plan, settings)
+        wanted = wanted.as_of_now(self._store, settings.name, self._maps)
+        require_reachable(plan, settings, wanted.unit, self._store, wanted.origin.get("stage_map"))
+        with self.lock:
+            self.clamps.require_still(settings.name)
+            try:
+                self._crew.require_free(settings.name, wanted.run_id)
+                self.queue.require_nobody(settings.name)
+            except Conflict:
+                if not waits or self._crew.is_closing:
+                    raise
+                return self._wait_in_turn(settings.name, wanted, len(planned))
+            run = wanted.keep(self._store, settings.name, len(planned))
+            task = RunAssignment(
+                run,
+                settings,
+                plan,
+                planned,
+                wanted.follow_up,
+                wanted.verifies,
+                stage_at_deg=wanted.stage_at_deg,
+            )
+            self.employ(task)
+        return run
+
+    def employ(self, task: RunAssignment) -> None:
+        """Starts a worker; called under `lock`."""
+        left = self._crew.left_rig
+        worker = Worker(
+            task, self._store, self._issuer, self._bus, self._meter, left, self._ended, self._record
+        )
+        if self._crew.take(worker):
+            worker.control.end(BY_REQUEST)
+        worker.start(self.sightings.let_go(worker.rig.name))
+
+    def _wait_in_turn(self, rig_name: str, wanted: NewRun, n_poses: int) -> Run:
+        if wanted.stage_at_deg is not None:
+            raise Conflict("where the stage stands cannot be said of a run that waits: others move it before")
+        run = wanted.keep(self._store, rig_name, n_poses)
+        self.queue.add(run)
+        return run
+
+    def _begin_waiting(self, run: Run) -> None:
+        """Begins a run whose turn has come."""
+        settings = self._rigs.get(run.rig or "")
+        if settings is None:
+            raise Conflict(f"rig {run.rig!r} is not configured any more")
+        self.employ(waiting_task(self._store, run, settings, self._maps))
+
+    def _require_ready(self, rig_name: str) -> None:
+        self._crew.require_free(rig_name)
+        self.clamps.require_still(rig_name)
+
+    def _ended(self, worker: Worker) -> None:
+        self._crew.ended(worker)
+        self.queue.next(worker.rig.name)
+
+
+DIED = "the program that carried it out ended before the run did; the run can be resumed"
+STAGES_AT_ONCE = 8
+
+
+def stop_stages(names: Sequence[str], rigs: Mapping[str, RigSettings]) -> dict[str, str]:
+    """Tells the stages of rigs that a dead program used to stop, side by side, and sees that they stand.
+
+    Args:
+        names: of the rigs.
+        rigs: all that are configured, by name.
+
+    Returns:
+        What a person must know, by rig, where a stage could not be told.
+    """
+    if not names:
+        return {}
+    with ThreadPoolExecutor(min(len(names), STAGES_AT_ONCE)) as stages:
+        said = stages.map(lambda name: _stopped(name, rigs.get(name)), names)
+        return {name: trouble for name, trouble in zip(names, said, strict=True) if trouble is not None}
+
+
+def mark_interrupted(store: Store, troubles: Mapping[str, str], *, keeps_queue: bool = False) -> list[str]:
+    """Marks the runs that a dead program left unfinished as `interrupted`; returns their ids.
+
+    For a writer that has just opened the store: then no living program carries any of them out. With
+    `keeps_queue` those that only waited their turn stay `queued`, and say what they wait for now.
+    """
+    left = []
+    for run in store.unfinished():
+        if keeps_queue and waits_its_turn(run):
+            store.update_run(run.id, error=HELD)
+            continue
+        left.append(run)
+        trouble = troubles.get(run.rig or "")
+        log.warning("run %s was interrupted: %s", run.id, trouble or "its stage stands")
+        said = [DIED, *([trouble] if trouble else []), *_where_it_stands(store, run)]
+        store.update_run(run.id, status="interrupted", error="; ".join(said))
+    return [run.id for run in left]
+
+
+def _where_it_stands(store: Store, run: Run) -> list[str]:
+    """What resuming a run needs to be told whose stage has no homing and was on its way."""
+    if not is_lost_since(store, run):
+        return []
+    return [f"its stage has no homing, and where it stands is not known: {resumed_by(run.id)}"]
+
+
+def _stopped(name: str, rig: RigSettings | None) -> str | None:
+    """Stops the stage of a rig; what a person must know where that cannot be done."""
+    if rig is None:
+        return f"its rig {name!r} is not configured any more: see for yourself that the stage stands"
+    if rig.simulated is not None:
+        return None  # its devices went with the program
+    try:
+        stop_stage(rig)
+    except InstrumentError as error:
+        advice = "" if CUT in str(error) else f", or {CUT}"
+        return f"its stage could not be told to stop ({error}): see that it stands{advice}"
+    return None

@@ -1,0 +1,247 @@
+"""What time a rig takes: as fast as its stage says that it is, and as its last run took beside that.
+
+What a plan asks of a rig, before anything moves: its poses, and about how long they take.
+
+How long a rig takes by the clock on the wall: settling and dwelling are counted on its board's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from statistics import fmean, median
+
+from calrig.analysis.errors import Invalid
+from calrig.calibration.poses import Pose
+from calrig.instruments.axis import travel_time_s
+from calrig.plan import Plan, PlanError, PlannedPose
+from calrig.settings import RigSettings
+from calrig.store import Run, Store
+
+ASSUMED_VELOCITY_DPS = 20.0
+"""Of a stage that no run has asked yet; with the acceleration, an ordinary SMC100's."""
+ASSUMED_ACCELERATION_DPS2 = 80.0
+HOMING_AND_START_S = 5.0
+"""Opening both ports and homing, where no run tells whether the stage homes and from where."""
+START_S = 1.0
+"""Opening both ports and asking who answers, beside the board's clock."""
+HOMING_SHARE = 0.5
+"""Of its velocity, at which an ordinary stage looks for its reference."""
+QUESTIONS_S = 0.12
+"""A pose's questions to stage and board, on simulated rigs of each kind."""
+RUNS_LOOKED_AT = 10
+FEWEST_GAPS, FEWEST_PASSES = 4, 1
+TRIMMED = 0.1
+"""Share of the gaps at either end that does not count: a pause, or a machine that was busy elsewhere."""
+
+
+@dataclass(frozen=True, slots=True)
+class RigTiming:
+    """What a rig takes.
+
+    Attributes:
+        velocity_dps, acceleration_dps2: of elevation.
+        questions_s: a pose, beside move, settling and dwell.
+        pass_s: a pass of a sweep, beside the turn and the dwell at its end.
+        begin_s: from the start of a run to its first move.
+        stands_deg: elevation from which the first move begins.
+    """
+
+    velocity_dps: float = ASSUMED_VELOCITY_DPS
+    acceleration_dps2: float = ASSUMED_ACCELERATION_DPS2
+    questions_s: float = QUESTIONS_S
+    begin_s: float = HOMING_AND_START_S
+    stands_deg: float = 0.0
+    pass_s: float = QUESTIONS_S
+
+    def travel_s(self, way_deg: float, velocity_dps: float | None = None) -> float:
+        """Time of a move, at the velocity that a plan asks for."""
+        return travel_time_s(abs(way_deg), velocity_dps or self.velocity_dps, self.acceleration_dps2)
+
+    def way_s(self, elevations_deg: Sequence[float], velocity_dps: float | None = None) -> float:
+        """Time of the moves to one elevation after the other, the first from where the stage stands."""
+        ways = pairwise((self.stands_deg, *elevations_deg))
+        return sum(self.travel_s(after - before, velocity_dps) for before, after in ways)
+
+
+def rig_pace(rig: RigSettings, store: Store | None) -> RigTiming:
+    """As the last run that a rig completed shows it; assumed where there is none."""
+    runs = [] if store is None else store.runs(rig=rig.name, status="completed", limit=RUNS_LOOKED_AT)[0]
+    if store is None or not runs:
+        return RigTiming()
+    velocity_dps, acceleration_dps2 = _speed(runs[0], rig)
+    stopping = (_beside_s(run, _poses(store, run), _speed(run, rig)) for run in runs if run.kind != "sweep")
+    turning = (_beside_s(run, _poses(store, run), _speed(run, rig)) for run in runs if run.kind == "sweep")
+    questions_s = next((one for one in stopping if one is not None), QUESTIONS_S)
+    pass_s = next((one for one in turning if one is not None), questions_s)
+    stands_deg = next((poses[-1].target_deg for run in runs if (poses := _poses(store, run))), None)
+    if stands_deg is None:
+        return RigTiming(velocity_dps, acceleration_dps2, questions_s, pass_s=pass_s)
+    homes = runs[0].provenance.get("stage", {}).get("homes_each_time", False)
+    begin_s = START_S + (abs(stands_deg) / (HOMING_SHARE * velocity_dps) if homes else 0.0)
+    begins_deg = 0.0 if homes else stands_deg
+    return RigTiming(velocity_dps, acceleration_dps2, questions_s, begin_s, begins_deg, pass_s)
+
+
+def _poses(store: Store, run: Run) -> list[Pose]:
+    return [stored.pose for stored in store.poses(run.id)]
+
+
+def _speed(run: Run, rig: RigSettings) -> tuple[float, float]:
+    """Velocity and acceleration of elevation, deg/s and deg/s², as the stage said in a run."""
+    said = run.provenance.get("stage", {})
+    ratio = rig.stage.ratio if rig.stage else 1.0
+    velocity_dps, acceleration_dps2 = said.get("velocity_dps"), said.get("acceleration_dps2")
+    return (
+        velocity_dps / ratio if velocity_dps else ASSUMED_VELOCITY_DPS,
+        acceleration_dps2 / ratio if acceleration_dps2 else ASSUMED_ACCELERATION_DPS2,
+    )
+
+
+def _tells(run: Run) -> bool:
+    """Whether a run's dwells were as long as its plan says, and nothing came between them."""
+    plan = run.plan or {}
+    return (
+        plan.get("kind") in ("calibration", "verification", "sweep")
+        and not plan.get("target_std_deg")
+        and not run.provenance.get("interruptions")
+    )
+
+
+def _beside_s(run: Run, poses: Sequence[Pose], speed: tuple[float, float]) -> float | None:
+    """What lies between two dwells beside move, settling and dwell; None where nothing, or too little, tells.
+
+    Args:
+        run: that is completed; of a sweep the first pass does not count, in which the program gets ready.
+        poses: of it.
+        speed: velocity and acceleration of its stage, in elevation.
+    """
+    if not _tells(run):
+        return None
+    plan, pace, turns = Plan.model_validate(run.plan), RigTiming(*speed), run.kind == "sweep"
+    velocity_dps = plan.turn_dps if turns else plan.velocity_dps
+    dwells = [pose for pose in poses if pose.settle_s is not None][1:] if turns else poses
+    beside_s = sorted(
+        after.time_s
+        - before.time_s
+        - plan.settle_s
+        - plan.dwell_s
+        - pace.travel_s(after.target_deg - before.target_deg, velocity_dps)
+        for before, after in pairwise(dwells)
+        if after.time_s is not None
+        and before.time_s is not None
+        and (before.sweep == after.sweep or (turns and not plan.wait_s))
+    )
+    if len(beside_s) < (FEWEST_PASSES if turns else FEWEST_GAPS):
+        return None
+    trimmed = int(TRIMMED * len(beside_s))
+    return max(0.0, fmean(beside_s[trimmed : len(beside_s) - trimmed]))
+
+
+FEW_ANGLES = 30
+"""Of the dial: fewer do not tell the dozen orders that real axes have."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlanEstimate:
+    """What a plan comes to.
+
+    Attributes:
+        n_poses: poses to be measured; none of a static log.
+        elevations_deg: of one sweep, neither ordered nor jittered.
+        duration_s: about how long it takes by the board's clock, without a wait for a temperature or for a
+            person who turns the unit; the most, where dwells end as soon as their standard error is reached.
+    """
+
+    n_poses: int
+    elevations_deg: list[float]
+    duration_s: float
+
+
+def grid_says(plan: Plan) -> list[str]:
+    """What a plan of several mounts on one grid of elevations leaves unseen; empty for any other."""
+    if len(plan.mounts_deg) < 2 or plan.jitter_deg or len(set(plan.elevations())) > FEW_ANGLES:
+        return []
+    return [
+        f"Every mount stands at the same {len(set(plan.elevations()))} angles of the dial: what the stage "
+        "does between them shows in none. A jitter of half a step lets it show."
+    ]
+
+
+def planned_poses(plan: Plan, rig: RigSettings) -> list[PlannedPose]:
+    """Every pose of a plan on a rig, in the order measured.
+
+    Raises:
+        Invalid: an elevation lies beyond the rig's limits.
+    """
+    try:
+        return plan.poses(rig.limits_deg)
+    except PlanError as error:
+        raise Invalid(f"rig {rig.name!r}: {error}", _beyond(plan, rig.limits_deg)) from error
+
+
+def _beyond(plan: Plan, limits_deg: tuple[float, float]) -> list[str]:
+    """Which fields of a plan lie beyond a rig's limits."""
+    low, high = limits_deg
+    if plan.elevations_deg is None:
+        ends = {"start_deg": plan.start_deg, "stop_deg": plan.stop_deg}
+    else:
+        ends = {f"elevations_deg[{k}]": one for k, one in enumerate(plan.elevations_deg)}
+    return [f"plan.{name}" for name, elevation_deg in ends.items() if not low <= elevation_deg <= high]
+
+
+def estimate(plan: Plan, rig: RigSettings, store: Store) -> PlanEstimate:
+    """What a plan comes to on a rig, as fast as the last run was that the rig completed.
+
+    Raises:
+        Invalid: an elevation lies beyond the rig's limits.
+    """
+    planned = planned_poses(plan, rig)
+    static = plan.kind == "static"
+    pace = rig_pace(rig, store)
+    dwells = [pose for pose in planned if pose.stretch_deg is None]
+    swept = plan.kind == "sweep"  # which goes to its first end as fast as the stage can
+    first_dps, turn_dps = (None, plan.turn_dps) if swept else (plan.velocity_dps, plan.velocity_dps)
+    first_s = pace.begin_s + pace.way_s([planned[0].target_deg], first_dps) if planned else 0.0
+    ways = pairwise([pose.target_deg for pose in dwells])
+    duration_s = (
+        first_s
+        + sum(pace.travel_s(after - before, turn_dps) for before, after in ways)
+        + (1 if static else len(dwells)) * (plan.settle_s + plan.dwell_s)
+        + (1 if static else len(dwells)) * (pace.pass_s if swept else pace.questions_s)
+        + (plan.first_settle_s - plan.settle_s)
+        + (0 if static else plan.sweeps * len(plan.mounts_deg)) * plan.wait_s
+    )
+    elevations_deg = [pose.target_deg for pose in planned] if static else plan.elevations()
+    return PlanEstimate(0 if static else len(planned), elevations_deg, duration_s)
+
+
+LATEST = 5
+"""Of a rig's completed runs, whose median counts: one may have been paused, or its machine busy."""
+
+
+def wall_pace(rig: RigSettings, store: Store) -> float:
+    """Seconds on the wall for one that `estimate` says, over the rig's last runs; before any, as set.
+
+    A run tells where its plan says how long it takes and nobody is waited for: not one that may end early or
+    whose dwells do, a wait for a temperature, several mounts, a follow-up, or one that was interrupted.
+    """
+    latest, _ = store.runs(rig=rig.name, status="completed", limit=LATEST)
+    paces = [pace for run in latest if (pace := _pace_of(run, rig, store)) is not None]
+    return median(paces) if paces else 1.0 / rig.time_scale
+
+
+def _pace_of(run: Run, rig: RigSettings, store: Store) -> float | None:
+    if run.plan is None or run.follows or run.provenance.get("interruptions"):
+        return None
+    if run.started_at is None or run.finished_at is None:
+        return None
+    plan = Plan.model_validate(run.plan)
+    if plan.until or plan.target_std_deg or plan.wait_temperature_c is not None or len(plan.mounts_deg) > 1:
+        return None
+    try:
+        said_s = estimate(plan, rig, store).duration_s
+    except Invalid:
+        return None  # of other limits than today's
+    return (run.finished_at - run.started_at).total_seconds() / said_s

@@ -1,0 +1,1 @@
+"""Carry out a plan, procedure by procedure: dwell, continuous, static."""
