@@ -1,9 +1,9 @@
 """Count how large and how deep the house is: `python -m tests.structure`; half a minute.
 
-Static: lines and modules of `calrig/`, modules with a single importer (routers, commands, exporters and
-`__init__` left out), untyped dictionaries. Dynamic: a run of six poses, started over HTTP on a simulated
-rig in virtual time. Counted are the modules and functions that it executes, the depth of `Port.write`, and the
-calls from one module to another between the route and the wire.
+Static: lines and modules of `calrig/`, modules with a single importer (without routers, commands, exporters
+and `__init__`), untyped dictionaries. Dynamic: a run of six poses, started over HTTP, on a rig in virtual
+time: the modules and functions that it executes, the depth of `Port.write`, and the calls from one module to
+another between the route and the wire.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def static() -> Iterator[tuple[str, int]]:
 
 
 class Watch:
-    """Record the functions of `calrig/`, without the simulator, that threads enter, and the stacks of writes."""
+    """Record the functions of `calrig/`, without its simulator, that threads enter; and stacks of writes."""
 
     def __init__(self) -> None:
         self.entered: set[tuple[str, str]] = set()
