@@ -40,13 +40,6 @@ from calrig.api import (
     units,
     users,
 )
-from calrig.api import compare as changes
-from calrig.api import diagnoses as effects
-from calrig.api import noise as log_studies
-from calrig.api import runs as amendments
-from calrig.api import runs as clamp
-from calrig.api import units as archive
-from calrig.api import units as items
 from calrig.api.access import TOKEN, Access
 from calrig.api.authentication import Authentication, TrustedProxies
 from calrig.api.benches import BenchPage
@@ -61,26 +54,17 @@ from calrig.settings import CentreSettings, packed
 PARTS = (
     runs,
     batches,
-    amendments,
     plans,
-    clamp,
+    rigs,
     diagnoses,
     solve,
-    effects,
     events,
     measurements,
     noise,
-    log_studies,
     figures,
     calibrations,
-    items,
-    changes,
-    archive,
-    units,
     compare,
-    rigs,
-    rigs,
-    rigs,
+    units,
     imports,
     jobs,
     limits,
@@ -91,7 +75,7 @@ PARTS = (
     trail,
     metrics,
 )
-"""Figures before units: `/api/units/{serial:path}` would take their paths for serial numbers."""
+"""Units after all that has longer paths: `/api/units/{serial:path}` would take them for serial numbers."""
 EVERYBODY = Access()
 DOCUMENT = Path(__file__).parent.parent / "docs" / "openapi.json"
 """Of the paths of the API, as `python -m calrig.api.openapi` writes it."""
