@@ -100,6 +100,7 @@ class Transport:
 
     Attributes:
         server: the address.
+        said_by: what its words begin with: who says them, where that is not this process itself.
     """
 
     def __init__(
@@ -118,12 +119,13 @@ class Transport:
             certificates: whose are believed; without it those that this machine trusts.
             token: shown to this address alone; without it that of CALRIG_TOKEN, where it is set.
             follows: whether it goes where a redirection leads, without the token.
-            through: what carries requests in place of the network.
+            through: what carries requests, without a token, in place of the network.
 
         Raises:
             InputError: it is no such address, or a proxy of the environment cannot be used.
         """
         self.server = checked(server)
+        self.said_by = f"{self.server}: " if through is None else ""
         self._given, self._follows = token, follows
         here = httpx.URL(server)
         if certificates is None and (here.scheme == "https" or follows):
@@ -214,7 +216,7 @@ class Transport:
         return request
 
     def _token(self) -> str | None:
-        return self._given or os.environ.get("CALRIG_TOKEN")
+        return (self._given or os.environ.get("CALRIG_TOKEN")) if self.said_by else None
 
     def _json(self, request: httpx.Request) -> Any:
         with self._answer(request) as answer:
@@ -236,7 +238,7 @@ class Transport:
             try:
                 if not answer.is_success:
                     kind = Invalid if answer.status_code == INVALID else Refused
-                    raise kind(f"{self.server}: {self._detail(answer)}", answer.status_code)
+                    raise kind(f"{self.said_by}{self._detail(answer)}", answer.status_code)
                 yield answer
             finally:
                 answer.close()
@@ -244,7 +246,7 @@ class Transport:
             raise self._unreachable(error) from error
 
     def _unreachable(self, error: Exception) -> Unreachable:
-        return Unreachable(f"{self.server}: {why_unreachable(error)}")
+        return Unreachable(f"{self.said_by}{why_unreachable(error)}")
 
     def _detail(self, answer: httpx.Response) -> str:
         to = answer.headers.get("Location")
