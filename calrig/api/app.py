@@ -55,7 +55,6 @@ PARTS = (
     runs,
     batches,
     plans,
-    rigs,
     diagnoses,
     solve,
     events,
@@ -65,6 +64,7 @@ PARTS = (
     calibrations,
     compare,
     units,
+    rigs,
     imports,
     jobs,
     limits,
@@ -75,7 +75,7 @@ PARTS = (
     trail,
     metrics,
 )
-"""Units after all that has longer paths: `/api/units/{serial:path}` would take them for serial numbers."""
+"""Figures before units: `/api/units/{serial:path}` would take their paths for serial numbers."""
 EVERYBODY = Access()
 DOCUMENT = Path(__file__).parent.parent / "docs" / "openapi.json"
 """Of the paths of the API, as `python -m calrig.api.openapi` writes it."""

@@ -34,13 +34,6 @@ EVERY_RUN = 2**31
 router = APIRouter(tags=["units"])
 
 
-@router.get("/api/units", response_model=list[UnitAnswer], summary="Every unit, by serial number")
-def list_units(context: Context) -> object:
-    """How often each was on a rig, when last, and when it is due again."""
-    due = context.due_dates()
-    return [{**asdict(unit), **due.of(unit.serial).to_dict()} for unit in context.store.units()]
-
-
 TURNS = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
 """Characters that turn the direction of what follows them."""
 Words = Annotated[str, Field(min_length=1, max_length=500)]
@@ -112,6 +105,9 @@ def put_item(unit: KnownUnit, body: ItemBody, context: Context, who: Who) -> obj
     return said
 
 
+# No `from __future__ import annotations`: FastAPI reads the annotations.
+
+
 ZIP = "application/zip"
 
 
@@ -136,7 +132,14 @@ def show_archive(unit: KnownUnit, context: Context) -> Response:
     return StreamingResponse(chain([first], pieces), media_type=ZIP, headers=headers)
 
 
-# After the longer paths: `{serial:path}` would take their ends for parts of the serial number.
+# Last: their paths would take those above for parts of a serial number.
+@router.get("/api/units", response_model=list[UnitAnswer], summary="Every unit, by serial number")
+def list_units(context: Context) -> object:
+    """How often each was on a rig, when last, and when it is due again."""
+    due = context.due_dates()
+    return [{**asdict(unit), **due.of(unit.serial).to_dict()} for unit in context.store.units()]
+
+
 @router.get(
     "/api/units/{serial:path}", response_model=UnitWithRuns, responses=problems(404), summary="One unit"
 )
@@ -163,3 +166,6 @@ def show_unit(unit: KnownUnit, context: Context) -> object:
 def remove_unit(serial: str, context: Context, who: Who) -> None:
     """As one is left whose runs were moved to their right serial number. 409 where it has runs."""
     context.store.remove_unit(serial, who=who)
+
+
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
