@@ -72,6 +72,7 @@ class InProcess(httpx.BaseTransport):
         except (RuntimeError, CancelledError) as error:  # the portal has ended
             raise httpx.ConnectError("the command has ended") from error
         if begun is None:
+            exchange.close()
             raise httpx.ReadError("calrig failed inside")
         return httpx.Response(begun["status"], headers=begun["headers"], stream=exchange)
 
@@ -100,10 +101,10 @@ class _Exchange(httpx.SyncByteStream):
         try:
             self._portal.call(self._leave)
         except (RuntimeError, CancelledError):
-            return  # it has ended by itself
+            self._messages.close()  # the loop has ended: nobody else is at it
 
     def next(self) -> Message | None:
-        """The next message of the answer; None where the application has broken off."""
+        """Returns the next message of the answer, None if the application has failed."""
         return self._portal.call(self._next)
 
     async def carry_out(self, app: ASGIApp, request: httpx.Request) -> None:
