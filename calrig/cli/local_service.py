@@ -1,7 +1,8 @@
-"""The run service in this process, with its store and the ports of its rigs."""
+"""The run service in this process, with its store and the ports of its rigs; a client of it."""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager
@@ -12,6 +13,7 @@ from calrig.errors import InputError, WorkError
 
 if TYPE_CHECKING:
     from calrig.centre.service import CentreService
+    from calrig.client import Client
     from calrig.runs.service import RunService
     from calrig.settings import RigSettings, Settings
 
@@ -98,6 +100,32 @@ def local_service(
         service = RunService(store, powered, record, issuer, maps)
         stack.callback(service.close)
         yield service
+
+
+@contextmanager
+def local_client(
+    url: str, command: str, rigs: Sequence[RigSettings], settings: Settings, record: Path | None
+) -> Iterator[Client]:
+    """A client of the API over a run service in this process; arguments and errors as of `local_service`."""
+    with local_service(url, command, rigs, settings, record) as service, _ends_told_once():
+        from calrig.api import events, plans, runs
+        from calrig.api.in_process import ADDRESS, in_process
+        from calrig.client import Client
+
+        with in_process(service, (runs, plans, events)) as through:
+            yield Client(ADDRESS, through=through)
+
+
+@contextmanager
+def _ends_told_once() -> Iterator[None]:
+    """Keeps the log from telling how a run ends: the command does."""
+    log = logging.getLogger("calrig.runs.recorder")
+    before = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
 
 
 def require_drivers(settings: Settings, rigs: Sequence[RigSettings]) -> None:

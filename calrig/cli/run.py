@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -37,34 +38,27 @@ def run(
 
     Where `calrig serve` holds the store the run is its, on its rigs, and is followed here.
     """
+    from calrig.cli.followed_run import FollowedRun
     from calrig.cli.progress import carry_out
     from calrig.plan import Plan
 
     the_plan = read_plan_file(plan) if plan else Plan()
-    there = running_service(server, db)
-    if there is not None:
-        refuse_own_rigs("run", there, config, record)
-        require_rig(there, rig)
-        _warn(there.estimate(the_plan, rig=rig, unit=unit).warnings)
-        from calrig.cli.run_there import RunThere
+    with ExitStack() as stack:
+        client = running_service(server, db)
+        if client is not None:
+            refuse_own_rigs("run", client, config, record)
+            require_rig(client, rig)
+        else:
+            from calrig.cli.local_service import local_client
+            from calrig.settings import load_settings, store_url
 
-        started = partial(there.calibrate, unit, rig=rig, plan=the_plan, operator=operator, note=note)
-        carry_out(lambda: RunThere(there, started(stage_at_deg=stage_at)), unit, as_json=as_json)
-        return
-
-    from calrig.analysis.limits import cannot_pass_on
-    from calrig.cli.local_service import local_service
-    from calrig.cli.run_here import RunHere, ends_told_once
-    from calrig.settings import load_settings, store_url
-
-    settings = load_settings(config)
-    chosen = rig_named(settings, rig)
-    with ends_told_once(), local_service(store_url(db), "run", (chosen,), settings, record) as service:
-        _warn(cannot_pass_on(chosen, unit, the_plan, service.store, service.maps))
-        start = partial(
-            service.start, unit=unit, rig=chosen.name, plan=the_plan, operator=operator, note=note
-        )
-        carry_out(lambda: RunHere(service, start(stage_at_deg=stage_at)), unit, as_json=as_json)
+            settings = load_settings(config)
+            rigs = (rig_named(settings, rig),)
+            client = stack.enter_context(local_client(store_url(db), "run", rigs, settings, record))
+        for warning in client.estimate(the_plan, rig=rig, unit=unit).warnings:
+            typer.echo(f"warning: {warning}", err=True)
+        start = partial(client.calibrate, unit, rig=rig, plan=the_plan, operator=operator, note=note)
+        carry_out(lambda: FollowedRun(client, start(stage_at_deg=stage_at)), unit, as_json=as_json)
 
 
 def rig_named(settings: Settings, name: str | None) -> RigSettings:
@@ -93,8 +87,3 @@ def refuse_own_rigs(command: str, there: Client, config: str | None, record: Pat
                 f"{command}: {option} is for `calrig serve`: the service at {there.server} holds the store, "
                 "and its rigs and wires are its own"
             )
-
-
-def _warn(warnings: list[str]) -> None:
-    for warning in warnings:
-        typer.echo(f"warning: {warning}", err=True)

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated
+import time
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from calrig.cli import options
 from calrig.cli.options import SHORTENED, Db, Json, Server, whole_id
+from calrig.cli.progress import LOOK_S
 from calrig.cli.running_service import running_service, whole_id_there
+from calrig.errors import WorkError
 
 if TYPE_CHECKING:
     from calrig.cli.progress import Happened, Watched
+    from calrig.store import Event, Run, Store
 
 RunId = Annotated[
     str, typer.Argument(metavar="RUN_ID", help=f"The run{SHORTENED}.", autocompletion=options.runs)
@@ -23,14 +27,13 @@ def watch(run_id: RunId, as_json: Json = False, db: Db = None, server: Server = 
     """Follow a run and print how it ended; Ctrl-C stops watching, and the run goes on."""
     there = running_service(server, db)
     if there is not None:
-        from calrig.cli.run_there import RunThere
+        from calrig.cli.followed_run import FollowedRun
 
         found = there.run(whole_id_there(there, run_id))
-        _watch(RunThere(there, found), found.unit, as_json=as_json)
+        _watch(FollowedRun(there, found), found.unit, as_json=as_json)
         return
 
     from calrig.analysis.stored_runs import stored_run
-    from calrig.cli.run_here import RunElsewhere
     from calrig.settings import store_url
     from calrig.store import Store
 
@@ -39,6 +42,49 @@ def watch(run_id: RunId, as_json: Json = False, db: Db = None, server: Server = 
         run = stored_run(store, whole_id(store, run_id))
         is_written = _is_written(url)
         _watch(RunElsewhere(store, run, is_written), run.unit, as_json=as_json)
+
+
+class RunElsewhere:
+    """A run that another program carries out into the same file; as `calrig.cli.progress.Watched`.
+
+    `is_written` tells whether a program writes to that file.
+    """
+
+    def __init__(self, store: Store, run: Run, is_written: Callable[[], bool]) -> None:
+        self.id, self.is_over = run.id, False
+        self.status, self.progress = str(run.status), dict(run.progress)
+        self._store, self._seen, self._is_written = store, 0, is_written
+
+    def news(self) -> Sequence[Event]:
+        """Events since the last look.
+
+        Raises:
+            WorkError: nobody carries it out any more.
+        """
+        from calrig.analysis.stored_runs import stored_run
+        from calrig.store import AT_REST
+
+        is_written = self._is_written()  # before the run is read: who has ended it may be gone
+        run = stored_run(self._store, self.id)
+        if run.status not in AT_REST and not is_written:
+            raise WorkError(
+                f"run {self.id} is {run.status} in the store, and no program is there that carries it out; "
+                f"`calrig resume {self.id}` goes on with it"
+            )
+        events = self._store.events_after(self.id, self._seen)
+        self._seen = events[-1].seq if events else self._seen
+        self.status, self.progress = str(run.status), dict(run.progress)
+        self.is_over = run.status in AT_REST
+        if not events and not self.is_over:
+            time.sleep(LOOK_S)
+        return events
+
+    def document(self) -> dict[str, Any]:
+        """As the API gives it."""
+        from calrig.analysis.stored_runs import stored_run
+        from calrig.api.models import RunAnswer
+
+        return RunAnswer.model_validate(stored_run(self._store, self.id)).model_dump(mode="json")
 
 
 def _is_written(url: str) -> Callable[[], bool]:

@@ -1,6 +1,6 @@
 """A running service from Python: `Client("http://lab-pc:8000").calibrate("AS-0042").result.bias_deg`.
 
-The standard library's HTTP and pydantic, nothing of the service itself: it starts in a tenth of a second.
+It needs httpx and pydantic, nothing of the service itself.
 """
 
 from calrig.client.asynchronous import AsyncClient, AsyncRun

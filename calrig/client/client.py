@@ -24,7 +24,7 @@ from calrig.client.documents import (
     Status,
 )
 from calrig.client.run import Run, Told, ignore_progress, outcome
-from calrig.client.transport import Transport, Upload, part
+from calrig.client.transport import Transport, part
 
 if TYPE_CHECKING:
     from calrig.client.documents import FiltersStudy, NoiseStudy
@@ -145,9 +145,7 @@ class Studies(Transport):
         return Solution.of(outcome(self, self.post("/api/solve?wait=false", body), told))
 
     def _of_file(self, path: str, file: str | Path, fields: Mapping[str, str], sent: Told, told: Told) -> Any:
-        with Upload(Path(file), fields, sent) as upload:
-            answer = self.upload(f"{path}?wait=false", upload)
-        return outcome(self, answer, told)
+        return outcome(self, self.upload(f"{path}?wait=false", Path(file), fields, sent), told)
 
 
 def _given(

@@ -138,7 +138,7 @@ def outcome(link: Transport, answer: Any, told: Told = ignore_progress) -> Any:
         raise
     if job.state != "done" or job.result is None:
         kind = Invalid if job.error_status == INVALID else Refused
-        raise kind(f"{link.server}: {job.error or f'the work was {job.state}'}", job.error_status)
+        raise kind(f"{link.said_by}{job.error or f'the work was {job.state}'}", job.error_status)
     return link.get(job.result)
 
 

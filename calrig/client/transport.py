@@ -1,33 +1,24 @@
-"""The address of a service, looked at before anything is sent there; why nobody answers at it.
-
-Whether anybody still wants what a thread is waiting for: asyncio cannot interrupt it.
-
-HTTP to a running service with the token of CALRIG_TOKEN: JSON, text, files, streams of lines.
-
-A form with a file (RFC 7578), read from the disk as it is sent: 100 MB take no memory.
-"""
+"""HTTP to a service by httpx, with the token of CALRIG_TOKEN: JSON, text, files, streams of lines."""
 
 from __future__ import annotations
 
 import json
 import os
-import secrets
 import ssl
 import stat
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import contextmanager
 from contextvars import ContextVar
 from http import HTTPStatus
-from http.client import HTTPException, HTTPResponse, IncompleteRead
 from ipaddress import ip_address
 from pathlib import Path
 from shutil import copyfileobj
 from tempfile import TemporaryFile
-from typing import IO, Any, Self
-from urllib.error import HTTPError
+from typing import IO, Any
 from urllib.parse import urlsplit
-from urllib.request import BaseHandler, HTTPRedirectHandler, HTTPSHandler, ProxyHandler, Request, build_opener
+
+import httpx
 
 from calrig.client.errors import INVALID, Invalid, Refused, Unreachable
 from calrig.errors import InputError, printable
@@ -41,8 +32,8 @@ def checked(server: str) -> str:
     """
     try:
         named = urlsplit(server)
-        is_one = named.scheme in {"http", "https"} and bool(named.hostname) and named.port != 0
-    except ValueError:  # no such port, or half an IPv6 address
+        is_one = named.scheme in {"http", "https"} and bool(httpx.URL(server).host) and named.port != 0
+    except (ValueError, httpx.InvalidURL):  # no such port, or half an IPv6 address
         is_one = False
     if is_one and named.username is not None:
         raise InputError(
@@ -62,19 +53,20 @@ def is_loopback(host: str) -> bool:
         return False
 
 
-def why_unreachable(error: Exception) -> str:
+def why_unreachable(failure: Exception) -> str:
     """Why nobody answers as calrig does, and what to do where that is known."""
-    reason = getattr(error, "reason", None) or error
-    if isinstance(reason, ssl.SSLCertVerificationError):
+    below = getattr(failure.__cause__, "args", ())  # httpcore's error, made of the system's
+    error = next((one for one in below if isinstance(one, Exception)), failure)
+    if isinstance(error, ssl.SSLCertVerificationError):
         return (
-            f"its certificate is not believed ({reason.verify_message}): name the file of your own authority "
+            f"its certificate is not believed ({error.verify_message}): name the file of your own authority "
             "by SSL_CERT_FILE, `calrig agent enroll` by --ca, in Python by Client(…, certificates=…)"
         )
-    if isinstance(reason, ssl.SSLError):
-        return f"does not speak TLS ({reason.reason}): is its address http://…?"
-    if isinstance(reason, ConnectionRefusedError):
+    if isinstance(error, ssl.SSLError):
+        return f"does not speak TLS ({error.reason}): is its address http://…?"
+    if isinstance(error, ConnectionRefusedError):
         return "does not answer: nothing listens there; is `calrig serve` running?"
-    return f"does not answer ({getattr(reason, 'strerror', None) or reason})"
+    return f"does not answer ({getattr(error, 'strerror', None) or error})"
 
 
 GIVEN_UP: ContextVar[threading.Event | None] = ContextVar("given_up", default=None)
@@ -89,7 +81,7 @@ def nap(seconds: float = 0.0) -> None:
     """Waits for a while; not at all, it looks whether to go on.
 
     Raises:
-        GivenUp: nobody wants the outcome any more.
+        Cancelled: nobody wants the outcome any more.
     """
     given_up = GIVEN_UP.get() or threading.Event()
     if given_up.wait(seconds):
@@ -98,15 +90,9 @@ def nap(seconds: float = 0.0) -> None:
 
 PATIENCE_S = 30.0
 """Without a byte; a stream that has nothing to tell sends a comment every 12 s."""
-PIECE = 1 << 16
-"""Bytes read at once."""
-
-
-class _NoRedirect(HTTPRedirectHandler):
-    """Goes nowhere: who answers elsewhere was not asked for, and a POST would arrive there as a GET."""
-
-    def redirect_request(self, *_: Any) -> None:
-        """Nothing instead."""
+MOST_REDIRECTIONS = 10
+HEADERS = {"Connection": "close", "Accept-Encoding": "identity"}
+"""A connection for each call, so that none of them finds its connection closed meanwhile."""
 
 
 class Transport:
@@ -114,6 +100,7 @@ class Transport:
 
     Attributes:
         server: the address.
+        said_by: what its words begin with: who says them, where that is not this process itself.
     """
 
     def __init__(
@@ -123,6 +110,7 @@ class Transport:
         *,
         token: str | None = None,
         follows: bool = False,
+        through: httpx.BaseTransport | None = None,
     ) -> None:
         """Nothing is sent yet.
 
@@ -131,18 +119,28 @@ class Transport:
             certificates: whose are believed; without it those that this machine trusts.
             token: shown to this address alone; without it that of CALRIG_TOKEN, where it is set.
             follows: whether it goes where a redirection leads, without the token.
+            through: what carries requests, without a token, in place of the network.
 
         Raises:
-            InputError: it is no such address.
+            InputError: it is no such address, or a proxy of the environment cannot be used.
         """
         self.server = checked(server)
-        self._given = token
-        handlers: list[BaseHandler] = [HTTPSHandler(context=certificates)]
-        if not follows:
-            handlers.append(_NoRedirect())
-        if is_loopback(urlsplit(server).hostname or ""):
-            handlers.append(ProxyHandler({}))  # nobody else is to see what stays on this machine
-        self._open = build_opener(*handlers).open
+        self.said_by = f"{self.server}: " if through is None else ""
+        self._given, self._follows = token, follows
+        here = httpx.URL(server)
+        if certificates is None and (here.scheme == "https" or follows):
+            certificates = ssl.create_default_context()
+        try:
+            self._http = httpx.Client(
+                headers=HEADERS,
+                verify=certificates or ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT),  # which believes nobody
+                timeout=PATIENCE_S,
+                limits=httpx.Limits(max_connections=None, max_keepalive_connections=0),
+                trust_env=not is_loopback(here.host),  # no proxy hears what stays on this machine
+                transport=through,
+            )
+        except (ImportError, ValueError, httpx.InvalidURL) as error:
+            raise InputError(f"the proxy that the environment names cannot be used: {error}") from error
 
     def get(self, path: str) -> Any:
         """The JSON at a path.
@@ -152,7 +150,7 @@ class Transport:
             Refused: the service refuses otherwise.
             Unreachable: it does not answer.
         """
-        return self._json(self._request(path))
+        return self._json(self._request("GET", path))
 
     def text(self, path: str) -> str:
         """The text at a path; errors as of `get`."""
@@ -160,85 +158,105 @@ class Transport:
 
     def pieces(self, path: str) -> Iterator[bytes]:
         """What is at a path, as it comes; errors as of `get`, also where it ends too soon."""
-        with self._answer(self._request(path)) as answer:
-            while piece := answer.read(PIECE):
+        with self._answer(self._request("GET", path)) as answer:
+            for piece in answer.iter_bytes():
                 nap()
                 yield piece
-            if answer.length:  # said by `http.client` of a whole read alone
-                raise IncompleteRead(b"", answer.length)
 
     def post(self, path: str, body: Mapping[str, Any]) -> Any:
         """The answer to a body; errors as of `get`."""
-        return self._json(self._request(path, json.dumps(body).encode(), "application/json"))
+        return self._json(self._request("POST", path, json=body))
 
     def delete(self, path: str) -> Any:
         """The answer to the end of what is at a path; errors as of `get`."""
-        return self._json(self._request(path, method="DELETE"))
+        return self._json(self._request("DELETE", path))
 
-    def upload(self, path: str, upload: Upload) -> Any:
-        """The answer to a form with a file, which is sent piece by piece; errors as of `get`."""
-        request = self._request(path, upload, upload.content_type)
-        request.add_unredirected_header("Content-Length", str(len(upload)))
-        return self._json(request)
+    def upload(self, path: str, file: Path, fields: Mapping[str, str], told: Callable[[float], None]) -> Any:
+        """The answer to a form with a file, which is read as it is sent: 100 MB take no memory.
+
+        Args:
+            path: where the form goes.
+            file: sent under its name as the field `file`.
+            fields: the others.
+            told: the share that is sent, 0 to 1, again and again.
+
+        Raises:
+            InputError: the file cannot be read; others as of `get`.
+        """
+        name = os.fsencode(file.name).decode("utf-8", "backslashreplace")
+        data = {key: value.encode("utf-8", "surrogateescape") for key, value in fields.items()}
+        with _opened(file) as opened:
+            sent = _Sent(file, opened, told)
+            files = {"file": (name, sent, "text/csv")}
+            return self._json(self._request("POST", path, data=data, files=files))
 
     @contextmanager
     def lines(self, path: str, headers: Mapping[str, str]) -> Iterator[Iterator[bytes]]:
         """The lines of an answer as they come; errors as of `get`, also in their midst."""
-        request = self._request(path)
-        for name, value in headers.items():
-            request.add_header(name, value)
-        with self._answer(request) as answer:
+        with self._answer(self._request("GET", path, headers=headers)) as answer:
             yield self._lines(answer)
 
-    def _lines(self, answer: HTTPResponse) -> Iterator[bytes]:
+    def _lines(self, answer: httpx.Response) -> Iterator[bytes]:
+        """Lines end with a line feed only: those of httpx end within text as well, by U+2028."""
+        rest = b""
         try:
-            yield from answer
-        except (HTTPException, OSError) as error:
+            for piece in answer.iter_bytes():
+                *whole, rest = (rest + piece).split(b"\n")
+                yield from whole
+        except httpx.HTTPError as error:
             raise self._unreachable(error) from error
 
-    def _request(self, path: str, data: Any = None, kind: str = "", method: str | None = None) -> Request:
-        headers = {"Content-Type": kind} if kind else {}
-        request = Request(self.server + path, data, headers, method=method)  # noqa: S310 (http or https)
+    def _request(self, method: str, path: str, **content: Any) -> httpx.Request:
+        request = self._http.build_request(method, self.server + path, **content)
         token = self._token()
         if token:
             if not (token.isascii() and token.isprintable()):
                 raise InputError("CALRIG_TOKEN: a token is printable ASCII")
-            request.add_unredirected_header("Authorization", f"Bearer {token}")
+            request.headers["Authorization"] = f"Bearer {token}"
         return request
 
     def _token(self) -> str | None:
-        return self._given or os.environ.get("CALRIG_TOKEN")
+        return (self._given or os.environ.get("CALRIG_TOKEN")) if self.said_by else None
 
-    def _json(self, request: Request) -> Any:
+    def _json(self, request: httpx.Request) -> Any:
         with self._answer(request) as answer:
             try:
-                return json.load(answer)
+                return json.loads(answer.read())
             except ValueError as error:
                 raise Unreachable(f"{self.server}: answers, and not as calrig does") from error
 
     @contextmanager
-    def _answer(self, request: Request) -> Iterator[HTTPResponse]:
+    def _answer(self, request: httpx.Request) -> Iterator[httpx.Response]:
         try:
-            with closing(self._open(request, timeout=PATIENCE_S)) as answer:
+            answer = self._http.send(request, stream=True)
+            for _ in range(MOST_REDIRECTIONS if self._follows else 0):
+                if answer.next_request is None:
+                    break
+                answer.close()
+                answer.next_request.headers.pop("Authorization", None)
+                answer = self._http.send(answer.next_request, stream=True)
+            try:
+                if not answer.is_success:
+                    kind = Invalid if answer.status_code == INVALID else Refused
+                    raise kind(f"{self.said_by}{self._detail(answer)}", answer.status_code)
                 yield answer
-        except HTTPError as error:
-            kind = Invalid if error.code == INVALID else Refused
-            raise kind(f"{self.server}: {self._detail(error)}", error.code) from error
-        except (HTTPException, OSError) as error:
+            finally:
+                answer.close()
+        except (httpx.HTTPError, httpx.InvalidURL, OSError) as error:
             raise self._unreachable(error) from error
 
     def _unreachable(self, error: Exception) -> Unreachable:
-        return Unreachable(f"{self.server}: {why_unreachable(error)}")
+        return Unreachable(f"{self.said_by}{why_unreachable(error)}")
 
-    def _detail(self, error: HTTPError) -> str:
-        to = error.headers.get("Location")
+    def _detail(self, answer: httpx.Response) -> str:
+        to = answer.headers.get("Location")
         if to is not None:
             return f"sends on to {printable(to)}: name that address, if calrig is there"
         try:
-            said = str(json.load(error)["detail"])
-        except (ValueError, KeyError, TypeError, HTTPException, OSError):
-            said = f"answers {error.code} {error.reason}"
-        if error.code != HTTPStatus.UNAUTHORIZED:
+            said = str(json.loads(answer.read())["detail"])
+        except (ValueError, KeyError, TypeError, httpx.HTTPError):
+            said = f"answers {answer.status_code} {answer.reason_phrase}"
+        if answer.status_code != HTTPStatus.UNAUTHORIZED:
             return said
         return f"{said}; calrig shows that of CALRIG_TOKEN" + ("" if self._token() else ", which is not set")
 
@@ -255,69 +273,51 @@ def part(answer: Any, name: str) -> Any:
         raise Unreachable(f"the service answers, and not as calrig does (no {name!r})") from error
 
 
-"""Bytes sent at once."""
-
-
-class Upload:
-    """The body of a request: its length and its pieces.
-
-    Args:
-        file: sent under its name as the field `file`.
-        fields: the others.
-        told: the share that is sent, 0 to 1, again and again.
+@contextmanager
+def _opened(file: Path) -> Iterator[IO[bytes]]:
+    """The file, its length known: of a pipe a copy.
 
     Raises:
-        InputError: the file cannot be read.
+        InputError: it cannot be read.
     """
+    try:
+        opened: IO[bytes] = file.open("rb")
+        if not stat.S_ISREG(os.fstat(opened.fileno()).st_mode):
+            with opened as piped:
+                opened = TemporaryFile()  # noqa: SIM115 (closed below)
+                copyfileobj(piped, opened)
+                opened.flush()
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read ({error.strerror})") from error
+    with opened:
+        yield opened
 
-    def __init__(self, file: Path, fields: Mapping[str, str], told: Callable[[float], None]) -> None:
-        self._name, self._told = str(file), told
-        with ExitStack() as stack:
-            try:
-                self._file: IO[bytes] = stack.enter_context(file.open("rb"))
-                if not stat.S_ISREG(os.fstat(self._file.fileno()).st_mode):
-                    # a pipe does not know its length, which comes first
-                    piped, self._file = self._file, stack.enter_context(TemporaryFile())
-                    copyfileobj(piped, self._file)
-                self._n_bytes = self._file.seek(0, os.SEEK_END)
-            except OSError as error:
-                raise InputError(f"{file}: cannot be read ({error.strerror})") from error
-            self._opened = stack.pop_all()
-        boundary = secrets.token_hex(16)
-        self.content_type = f"multipart/form-data; boundary={boundary}"
-        head = [
-            f'--{boundary}\r\nContent-Disposition: form-data; name="{k}"\r\n\r\n{v}\r\n'
-            for k, v in fields.items()
-        ]
-        name = os.fsencode(file.name).decode("utf-8", "backslashreplace")
-        for plain, escaped in (('"', "%22"), ("\r", "%0D"), ("\n", "%0A")):  # as the HTML standard has it
-            name = name.replace(plain, escaped)
-        head.append(
-            f'--{boundary}\r\nContent-Disposition: form-data; name="file"; filename="{name}"\r\n'
-            "Content-Type: text/csv\r\n\r\n"
-        )
-        self._head = "".join(head).encode("utf-8", "surrogateescape")
-        self._tail = f"\r\n--{boundary}--\r\n".encode()
 
-    def __enter__(self) -> Self:
-        return self
+class _Sent:
+    """A file that httpx reads as it sends it; it has the length that it began with."""
 
-    def __exit__(self, *_: object) -> None:
-        self._opened.close()
+    def __init__(self, file: Path, opened: IO[bytes], told: Callable[[float], None]) -> None:
+        self._name, self._opened, self._told = file, opened, told
+        self._n_bytes = self._left = os.fstat(opened.fileno()).st_size
+        self.fileno, self.tell = opened.fileno, opened.tell
 
-    def __len__(self) -> int:
-        return len(self._head) + self._n_bytes + len(self._tail)
+    def seek(self, to: int, whence: int = os.SEEK_SET) -> int:
+        """As of a file; httpx goes to the beginning alone."""
+        self._left = self._n_bytes
+        return self._opened.seek(to, whence)
 
-    def __iter__(self) -> Iterator[bytes]:
-        yield self._head
-        self._file.seek(0)
-        left = self._n_bytes
-        while left:
-            piece = self._file.read(min(PIECE, left))
-            if not piece:
-                raise InputError(f"{self._name}: has become shorter while it was sent")
-            nap()
-            yield piece
-            left -= len(piece)
-            self._told(1.0 - left / self._n_bytes)
-        yield self._tail
+    def read(self, n_bytes: int) -> bytes:
+        """The next bytes.
+
+        Raises:
+            Cancelled: nobody wants the outcome any more.
+            InputError: the file has become shorter.
+        """
+        nap()
+        piece = self._opened.read(min(n_bytes, self._left))
+        if self._left and not piece:
+            raise InputError(f"{self._name}: has become shorter while it was sent")
+        self._left -= len(piece)
+        if piece:
+            self._told(1.0 - self._left / self._n_bytes)
+        return piece

@@ -1,4 +1,4 @@
-"""A run at a running service, followed by its events."""
+"""A run followed by its events, at a running service or within this process."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from calrig.client import Client, Run, RunEvent
 
 
-class RunThere:
-    """A run that a service carries out; `calrig.cli.progress.Followed` has what each part is."""
+class FollowedRun:
+    """A run of a client's service; `calrig.cli.progress.Followed` has what each part is."""
 
     def __init__(self, client: Client, run: Run) -> None:
         record = run.record
@@ -51,7 +51,7 @@ class RunThere:
         return events
 
     def abort(self) -> None:
-        """Ends it at the service."""
+        """Ends it."""
         try:
             with _refusals():
                 self._run.abort()
@@ -61,7 +61,7 @@ class RunThere:
             ) from error
 
     def resume(self) -> None:
-        """Goes on at the service."""
+        """Goes on."""
         with _refusals():
             self._run.resume()
 
@@ -74,7 +74,7 @@ class RunThere:
             self._client.post(f"/api/rigs/{quote(str(self._rig), safe='')}/clamp", body)
 
     def document(self) -> dict[str, Any]:
-        """As the service gives it."""
+        """As the API gives it."""
         document: dict[str, Any] = self._client.get(f"/api/runs/{self.id}")
         return document
 
