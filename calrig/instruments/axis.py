@@ -285,14 +285,21 @@ class Axis:
         return self._to_elevation(self.stage.glimpse_deg())
 
     def _check_way(self, elevation_deg: float) -> None:
-        """Stops a stage that two looks in a row see elsewhere than between where it was and where it goes."""
+        """Stop a stage that two reports in a row place outside the way from its start to its target.
+
+        Its position is then read with all checks, since a controller that was reset reports a false count.
+        """
         goal, slack_deg = self._goal, self.tolerance_deg + OVERSHOOT_DEG
         if goal is None or not goal.is_astray(elevation_deg, slack_deg):
             return
         if goal.is_astray(self._glimpse_deg(), slack_deg):
             self.halt()
+            try:
+                stopped_deg = self.elevation_deg()
+            except StageError as error:
+                raise StageError(f"{goal.words} from {goal.from_deg:g}° was stopped: {error}") from error
             raise StageError(
-                f"{goal.words} from {goal.from_deg:g}° went astray and was stopped at {elevation_deg:.3f}°: "
+                f"{goal.words} from {goal.from_deg:g}° went astray and was stopped near {stopped_deg:.3f}°: "
                 "check the cable to the controller, and that nobody else moves the stage"
             )
 

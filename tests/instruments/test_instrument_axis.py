@@ -110,6 +110,18 @@ def test_a_move_that_leaves_its_way_is_stopped(axis, stage, astray_deg):
     assert stage.sent[-1] == "ST"
 
 
+def test_a_controller_that_was_reset_on_the_way_is_not_called_astray(axis, stage, monkeypatch):
+    def lost():
+        raise StageError("stage x has lost its angle: it was reset")
+
+    axis.begin_move(20.0)
+    stage.state, stage.at_deg = "moving", 100.0
+    monkeypatch.setattr(stage, "position_deg", lost)
+    with pytest.raises(StageError, match=r"was stopped: .*it was reset"):
+        axis.poll()
+    assert stage.sent[-1] == "ST"
+
+
 def test_one_look_that_is_off_the_way_is_taken_for_a_damaged_one(axis, stage):
     axis.begin_move(20.0)
     stage.state, looks_deg = "moving", iter([84.0, 10.0])
