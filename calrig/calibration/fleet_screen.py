@@ -27,8 +27,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy import fft
-from scipy.special import betainc, ndtr
 
 from calrig.calibration.line import MIN_SCALE
 from calrig.calibration.poses import COLUMNS, MOUNT_DEG, OF_MOUNTS, Pose
@@ -75,6 +73,8 @@ def steps(channel: Float32, tilted: Float32, squares: FloatArray) -> tuple[Float
 
 def cycles(channel: Float32, squares: FloatArray) -> tuple[FloatArray, int]:
     """The largest share along a cycle of whole half periods in the order of the poses; as `waves`."""
+    from scipy import fft
+
     m = channel.shape[1]
     seen = fft.rfft(channel, 2 * m, axis=1)[:, 1:m]
     doubled = fft.fft(np.ones(m), 2 * m)[2::2].astype(np.complex64)
@@ -97,6 +97,8 @@ def waves(channel: Float32, theta: Float32, squares: FloatArray) -> tuple[FloatA
         (R,) the share, and how many contrasts were looked along in each run: poses at few elevations tell
         fewer waves apart.
     """
+    from scipy import fft
+
     runs, m = channel.shape
     n_waves = BEYOND * m
     n_grid = fft.next_fast_len(PLACES * n_waves, real=True)
@@ -615,6 +617,8 @@ def _of_block(lines: Lines) -> dict[str, FloatArray]:
 
 def _p_value(share: Share) -> FloatArray:
     """(R,) chance that white noise has so large a share along one given contrast."""
+    from scipy.special import betainc
+
     left = 1.0 - np.clip(share.largest, 0.0, 1.0)
     if share.columns == 2:
         return np.asarray(left ** ((share.freedom - 2) / 2.0))
@@ -623,5 +627,7 @@ def _p_value(share: Share) -> FloatArray:
 
 def _p_of_correlation(block: Block) -> FloatArray:
     """(R,) of a lag-1 correlation as far from what the line leaves of none, either way."""
+    from scipy.special import ndtr
+
     off = block.lag1_correlation - block.lag1_expected
     return np.asarray(2.0 * ndtr(-np.abs(off) / block.lag1_std))
