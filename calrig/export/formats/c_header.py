@@ -31,7 +31,8 @@ from calrig.calibration.results import (
     felt_elevation_deg,
 )
 from calrig.estimation.angles import FloatArray
-from calrig.export.formats.triads import is_curved
+from calrig.export.formats import CalibrationExporter
+from calrig.export.triads import is_curved
 
 N_ELEVATIONS = 7
 DIRECTIONS = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [-0.6, 0, -0.8], [0, -0.8, 0.6], [0.48, 0.64, -0.6]])
@@ -303,3 +304,14 @@ def _in_ascii(text: str) -> str:
 def _harmless(text: str) -> str:
     """Text that cannot end a comment, begin one, join lines or turn the writing round."""
     return re.sub(r"[^ -~]|[*\\?]", "_", text)[:LONGEST_LINE]
+
+
+EXPORTER = CalibrationExporter(
+    name="c-header",
+    title="C header",
+    file_name="calibration.h",
+    contents="C99 in `float`; `calrig_acceleration_g` where there is a matrix; test vectors with "
+    "`CALRIG_TEST_VECTORS`",
+    about_one_axis="all of it",
+    write=c_header,
+)
