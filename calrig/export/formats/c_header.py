@@ -26,6 +26,7 @@ from calrig.calibration.regression import (
 )
 from calrig.calibration.results import (
     Application,
+    columns_followed,
     effects_at_rest,
     effects_on_reading_deg,
     felt_elevation_deg,
@@ -126,6 +127,11 @@ def c_header(document: Mapping[str, Any]) -> str:
         ValueError: a number of the document is not known, or not one that a `float` holds.
     """
     effects, left_out = effects_at_rest(document)
+    for name in columns_followed(effects):
+        if name != TEMPERATURE.name:
+            raise ApplyError(
+                f"effects follow {name}; the header's function takes reading and temperature only"
+            )
     rounds, temperatures_c = _rounds(document, effects)
     guard = _guard(str(document["unit"]))
     bias_deg, scale = _finite(document, "bias_deg"), _finite(document, "scale")
