@@ -1,9 +1,9 @@
-"""How large the house is, and how deep: `python -m tests.structure`; half a minute.
+"""Count how large and how deep the house is: `python -m tests.structure`; half a minute.
 
-Counted are the lines and modules of `calrig/`, its modules with a single importer (routers, commands,
-exporters and `__init__` left out), and untyped dictionaries. Then a run of six poses is started over HTTP on a
-simulated rig in virtual time: which modules and functions it executes from the request to its end, how deep the
-first move's `Port.write` lies, and over how many hops from one module to another it is reached from the route.
+Static: lines and modules of `calrig/`, modules with a single importer (routers, commands, exporters and
+`__init__` left out), untyped dictionaries. Dynamic: a run of six poses, started over HTTP on a simulated
+rig in virtual time. Counted are the modules and functions that it executes, the depth of `Port.write`, and the
+calls from one module to another between the route and the wire.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import traceback
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -38,10 +39,15 @@ def static() -> Iterator[tuple[str, int]]:
     for module, text in texts.items():
         for node in ast.walk(ast.parse(text)):
             if isinstance(node, ast.ImportFrom) and node.module:
-                for name in {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)} & texts.keys():
+                for name in {
+                    node.module,
+                    *(f"{node.module}.{alias.name}" for alias in node.names),
+                } & texts.keys():
                     importers[name].add(module)
     fronts = {name_of(file) for file in TREE.rglob("__init__.py")}
-    single = [m for m in texts if m not in fronts and not NOT_COUNTED.match(m) and len(importers[m] - {m}) == 1]
+    single = [
+        m for m in texts if m not in fronts and not NOT_COUNTED.match(m) and len(importers[m] - {m}) == 1
+    ]
     yield "lines", sum(text.count("\n") for text in texts.values())
     yield "modules", len(texts)
     yield "modules with a single importer", len(single)
@@ -50,7 +56,7 @@ def static() -> Iterator[tuple[str, int]]:
 
 
 class Watch:
-    """Which functions of `calrig/`, the simulator's left out, are entered by any thread; the stacks of writes."""
+    """Record the functions of `calrig/`, without the simulator, that threads enter, and the stacks of writes."""
 
     def __init__(self) -> None:
         self.entered: set[tuple[str, str]] = set()
@@ -85,7 +91,7 @@ class Watch:
 
 def hops(stack: list[str]) -> int:
     """How often a stack goes from one module to another."""
-    return sum(before != after for before, after in zip(stack, stack[1:], strict=False))
+    return sum(before != after for before, after in pairwise(stack))
 
 
 @contextmanager
@@ -111,7 +117,11 @@ def of_a_run() -> Iterator[tuple[str, int]]:
     clock, watch = VirtualClock(20.0), Watch()
     with tempfile.TemporaryDirectory() as folder, SimulatedRig(fast({}), clock) as simulated:
         rig = known_as("bench-1", simulated).model_copy(update={"simulated": {}})
-        with running_service(Path(folder) / "calrig.db", rig) as service, watching(watch), serving(service) as client:
+        with (
+            running_service(Path(folder) / "calrig.db", rig) as service,
+            watching(watch),
+            serving(service) as client,
+        ):
             watch.entered.clear()
             run = client.post("/api/runs", json={"unit": "AS-0042", "plan": QUICK}).raise_for_status().json()
             with client.stream("GET", f"/api/runs/{run['id']}/events") as events:
@@ -127,7 +137,7 @@ def of_a_run() -> Iterator[tuple[str, int]]:
 def main() -> None:
     """Prints all."""
     for what, count in (*static(), *of_a_run()):
-        print(f"{what:50} {count:7d}")
+        print(f"{what:50} {count:7d}")  # noqa: T201
 
 
 if __name__ == "__main__":

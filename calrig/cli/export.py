@@ -71,7 +71,8 @@ def export(
             parser=_format,
             autocompletion=_completed,
             help="json: the calibration; csv: its poses; pdf, dcc: its certificate; archive: all of a unit; "
-            f"for other programs: {', '.join(_choices()[len(ISSUED) :])}.",
+            f"for other programs: {', '.join(_choices()[len(ISSUED) :])}; "
+            "calrig/docs/reference/export-formats.md.",
         ),
     ] = "json",
     parquet: Annotated[

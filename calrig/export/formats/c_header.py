@@ -316,7 +316,7 @@ EXPORTER = CalibrationExporter(
     name="c-header",
     title="C header",
     file_name="calibration.h",
-    contents="C99 in `float`; `calrig_acceleration_g` where there is a matrix; test vectors with "
+    contents="C99 in `float`; `calrig_acceleration_g` if there is a matrix; test vectors with "
     "`CALRIG_TEST_VECTORS`",
     about_one_axis="all of it",
     write=c_header,

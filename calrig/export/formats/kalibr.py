@@ -53,7 +53,7 @@ EXPORTER = NoiseExporter(
     name="kalibr",
     title="Kalibr (noise)",
     file_name="kalibr.yaml",
-    contents="`imu.yaml`: noise densities and random walks of the latest static run, the noisiest axis",
+    contents="`imu.yaml`: noise densities and random walks of the latest static run, of the noisiest axis",
     about_one_axis="–",
     write=kalibr,
 )

@@ -44,7 +44,8 @@ EXPORTER = NoiseExporter(
     name="vins",
     title="VINS (noise)",
     file_name="vins.yaml",
-    contents="VINS-Fusion's `acc_n` …: the same as standard deviations of a sample at the log's rate",
+    contents="VINS-Fusion's `acc_n` …: the `kalibr` values as standard deviations of a sample at the "
+    "log's rate",
     about_one_axis="–",
     write=vins,
 )
