@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +50,7 @@ class Calibration:
         *,
         temperature_c: Numbers | None = None,
         accel_g: Numbers | None = None,
+        columns: Mapping[str, Numbers] | None = None,
     ) -> Any:
         """Calibrated elevations, degrees: a number of numbers, an array of arrays.
 
@@ -57,15 +58,16 @@ class Calibration:
             reading_deg: any shape.
             temperature_c: of each or of all; needed where effects follow it.
             accel_g: instead of readings, (…, 3) accelerations along x, y, z; NaN for an x that is not known.
+            columns: by name, of each or of all, whatever else effects follow.
 
         Returns:
             NaN where a reading stands for many elevations, far beyond the range.
 
         Raises:
             TypeError: neither or both of reading and accelerations.
-            ValueError: a temperature is needed and not given, or shapes differ.
+            ValueError: a temperature or another column is needed and not given, or shapes differ.
         """
-        return self._applied(reading_deg, temperature_c, accel_g, lambda elevation: elevation)
+        return self._applied(reading_deg, temperature_c, accel_g, columns, lambda elevation: elevation)
 
     def elevation_std_deg(
         self,
@@ -73,28 +75,34 @@ class Calibration:
         *,
         temperature_c: Numbers | None = None,
         accel_g: Numbers | None = None,
+        columns: Mapping[str, Numbers] | None = None,
     ) -> Any:
         """Standard uncertainty (k = 1) of each, of the elevation relative to its mean over the range.
 
         Of one reading as noisy as those of the calibration; NaN beyond the range and where the document does
         not know it. Where `level_known` it is of the elevation itself.
         """
-        return self._applied(reading_deg, temperature_c, accel_g, self._application.std_deg)
+        return self._applied(reading_deg, temperature_c, accel_g, columns, self._application.std_deg)
 
     def _applied(
         self,
         reading_deg: Numbers | None,
         temperature_c: Numbers | None,
         accel_g: Numbers | None,
+        columns: Mapping[str, Numbers] | None,
         made_of: Callable[[FloatArray], FloatArray],
     ) -> Any:
         if (reading_deg is None) == (accel_g is None):
             raise TypeError("give either readings or accelerations (accel_g)")
         reading = self._readings(reading_deg, accel_g)
-        celsius = None
-        if temperature_c is not None:
-            celsius = np.broadcast_to(np.asarray(temperature_c, dtype=np.float64), reading.shape).ravel()
-        elevation = made_of(self._application.elevation_deg(reading.ravel(), celsius)).reshape(reading.shape)
+
+        def of_each(values: Numbers) -> FloatArray:
+            return np.broadcast_to(np.asarray(values, dtype=np.float64), reading.shape).ravel()
+
+        celsius = None if temperature_c is None else of_each(temperature_c)
+        others = {name: of_each(values) for name, values in (columns or {}).items()}
+        elevation = made_of(self._application.elevation_deg(reading.ravel(), celsius, others))
+        elevation = elevation.reshape(reading.shape)
         return float(elevation) if elevation.ndim == 0 else elevation
 
     def _readings(self, reading_deg: Numbers | None, accel_g: Numbers | None) -> FloatArray:

@@ -32,12 +32,14 @@ export class Calibrations {
   async read() {
     const revisions = await get(`${this.path}/calibrations`, this.signal);
     const current = revisions.find(({ status }) => status === "in_force");
-    const document = current && (await get(`${this.path}/calibration?revision=${current.revision}`, this.signal));
+    const file = current && `${this.path}/calibration?revision=${current.revision}`;
+    const document = current && (await get(file, this.signal));
+    const otherPrograms = current && (await formats(file));
     fill(
       this.inForce,
       h("h2", { id: "in-force-title" }, "Calibration in force"),
       this.#waiting(revisions, current),
-      document ? this.#document(document, current) : none(revisions),
+      document ? this.#document(document, current, otherPrograms) : none(revisions),
     );
     this.revisions.hidden = !revisions.length;
     fill(
@@ -61,7 +63,7 @@ export class Calibrations {
     );
   }
 
-  #document(document, { stale, verdict }) {
+  #document(document, { stale, verdict }, otherPrograms) {
     const file = `${this.path}/calibration?revision=${document.revision}`;
     const certificate = certificateButtons(this.path, document);
     return [
@@ -83,12 +85,11 @@ export class Calibrations {
         "p",
         { class: "downloads" },
         h("a", { href: file, download: "calibration.json", id: "calibration-json" }, "Calibration (JSON)"),
-        h("a", { href: `${file}&format=c-header`, download: "calibration.h" }, "C header"),
         h("a", { href: `${file}&format=dcc`, download: "", id: "certificate-dcc" }, "Certificate (DCC)"),
         certificate.buttons,
       ),
       certificate.error,
-      formats(file),
+      otherPrograms,
     ];
   }
 

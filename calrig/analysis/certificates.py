@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 from calrig.analysis.errors import Conflict, Unknown
 from calrig.analysis.noise_studies import noise_of_unit
@@ -21,18 +21,13 @@ from calrig.analysis.stored_runs import stored_run
 from calrig.calibration.uncertainty import Limit
 from calrig.errors import WorkError
 from calrig.export.archive.contents import unit_archive
-from calrig.export.c_header import c_header
 from calrig.export.certificate.content import Certificate
 from calrig.export.certificate.making import Sources, certificate_of
 from calrig.export.certificate.pdf import Attached, CannotPrintError, pdf_of
 from calrig.export.dcc.document import dcc_of
 from calrig.export.dcc.signing import signed
-from calrig.export.formats.ardupilot import ardupilot
-from calrig.export.formats.imu_tk import imu_tk
-from calrig.export.formats.imucal import imucal
-from calrig.export.formats.noise_yaml import kalibr, vins
-from calrig.export.formats.px4 import px4
-from calrig.export.formats.triads import NotHeldError
+from calrig.export.formats import CalibrationExporter, NoiseExporter
+from calrig.export.triads import NotHeldError
 from calrig.figures.svg import residual_steps, svg_of
 from calrig.laboratory import LaboratorySettings
 from calrig.store import AcceptedEffect, Run, Store
@@ -195,54 +190,38 @@ def archive_of(store: Store, serial: str, laboratory: LaboratorySettings) -> Ite
     return unit_archive(store, serial, Issuer(store).listed, certificates)
 
 
-RevisionFormat = Literal["c-header", "px4", "ardupilot", "imu-tk", "imucal"]
-NoiseFormat = Literal["kalibr", "vins"]
-REVISION_FORMATS: tuple[str, ...] = get_args(RevisionFormat)
-NOISE_FORMATS: tuple[str, ...] = get_args(NoiseFormat)
-
-_OF_REVISION: dict[str, Callable[[Mapping[str, Any]], str]] = {
-    "c-header": c_header,
-    "px4": px4,
-    "ardupilot": ardupilot,
-    "imu-tk": imu_tk,
-    "imucal": imucal,
-}
-_OF_NOISE: dict[str, Callable[[Mapping[str, Any], str], str]] = {"kalibr": kalibr, "vins": vins}
-
-
-def exported(revision: Revision, format_: str) -> str:
-    """A revision as a text of a `RevisionFormat`.
+def exported(revision: Revision, exporter: CalibrationExporter) -> str:
+    """A revision in the format of another program.
 
     Raises:
-        Conflict: it cannot hold what the revision says.
+        Conflict: the format cannot hold what the revision says.
     """
     return exported_document(
-        revision.document, format_, f"revision {revision.revision} of unit {revision.unit!r}"
+        revision.document, exporter, f"revision {revision.revision} of unit {revision.unit!r}"
     )
 
 
-def exported_document(document: Mapping[str, Any], format_: str, what: str) -> str:
-    """A document as such a text; `what` it is called where it cannot be, as `exported`."""
+def exported_document(document: Mapping[str, Any], exporter: CalibrationExporter, what: str) -> str:
+    """A document in such a format, as `exported`; `what` names the document in a refusal."""
     try:
-        return _OF_REVISION[format_](document)
+        return exporter.write(document)
     except ValueError as error:
-        in_ = "C" if format_ == "c-header" else format_
-        raise Conflict(f"{what} cannot be put into {in_}: {error}") from error
+        raise Conflict(f"{what} cannot be written as {exporter.title}: {error}") from error
 
 
 def exported_noise(
     store: Store,
     unit: str,
-    format_: str,
+    exporter: NoiseExporter,
     carried_out: Callable[[Callable[[], Document]], Document] = lambda function: function(),
 ) -> str:
-    """The noise of a unit's latest static log as a text of a `NoiseFormat`; as `noise_of_unit`.
+    """The noise of a unit's latest static log in the format of another program; as `noise_of_unit`.
 
     Raises:
         Conflict: there is no such log, or it does not show what the format needs.
     """
     report, run = noise_of_unit(store, unit, carried_out)
     try:
-        return _OF_NOISE[format_](report, f"unit {unit}, static run {run.id}")
+        return exporter.write(report, f"unit {unit}, static run {run.id}")
     except NotHeldError as error:
         raise Conflict(f"run {run.id}: {error}") from error

@@ -7,10 +7,11 @@ from typing import Annotated, Any, Literal, Self, cast
 
 from fastapi import APIRouter, HTTPException, Path, Query
 from fastapi.responses import PlainTextResponse, Response
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
+from pydantic_core import PydanticKnownError
 
 from calrig.analysis.calibration_in_force import wanted_revision
-from calrig.analysis.certificates import NOISE_FORMATS, NoiseFormat, RevisionFormat, exported, exported_noise
+from calrig.analysis.certificates import exported, exported_noise
 from calrig.analysis.errors import Invalid
 from calrig.analysis.revisions import issued_since
 from calrig.api.access import Who, requires
@@ -19,9 +20,24 @@ from calrig.api.errors import problems
 from calrig.api.jobs import Heavy
 from calrig.api.models import Answer, Body, Extremes, Reason, ReasonIfAny
 from calrig.calibration.verdict import Verdict
+from calrig.export.formats import NoiseExporter, Source, exporter_of, exporters, format_names
 from calrig.store.issued import Revision, RevisionStatus
 
-CalibrationFormat = Literal["json", "pdf", "dcc"] | RevisionFormat | NoiseFormat
+ISSUED = ("json", "pdf", "dcc")
+"""What is served beside the formats of other programs: the calibration itself, and its certificates."""
+
+
+def _format(name: str) -> str:
+    known = [*ISSUED, *format_names()]
+    if name not in known:
+        expected = " or ".join([", ".join(map(repr, known[:-1])), repr(known[-1])])
+        raise PydanticKnownError("literal_error", {"expected": expected})
+    return name
+
+
+CalibrationFormat = Annotated[
+    str, AfterValidator(_format), Field(json_schema_extra={"enum": [*ISSUED, *format_names()]})
+]
 Number = Annotated[int, Path(ge=1, lt=2**31)]
 
 router = APIRouter(tags=["calibrations"])
@@ -142,6 +158,26 @@ class NewDraft(Body):
         return self
 
 
+class FormatAnswer(Answer):
+    """A format of another program that a calibration, or a unit's noise, is written in."""
+
+    name: str
+    title: str
+    file_name: str = Field(description="Of a file that a person saves.")
+    media_type: str
+    source: Source = Field(description="The calibration document, or the unit's latest static run.")
+    contents: str
+    about_one_axis: str = Field(description="What it holds of a calibration about one axis alone.")
+
+
+@router.get(
+    "/api/calibration-formats", response_model=list[FormatAnswer], summary="Formats of other programs"
+)
+def list_formats() -> object:
+    """The names that `format` of a calibration takes beside `json`, `pdf` and `dcc`."""
+    return exporters()
+
+
 # The longer paths come first: `{serial:path}` would take their ends for parts of the serial number.
 @router.get(
     "/api/units/{serial:path}/calibration",
@@ -167,23 +203,24 @@ def show_calibration(
 ) -> Response:
     """Byte for byte as it was issued, its hash as `ETag`; 404 while none is.
 
-    The other formats are texts made of it for other programs: `c-header` for flight code, `px4`, `ardupilot`,
-    `imu-tk`, `imucal`; 409 with the reason where one cannot hold it. `kalibr` and `vins` are of the noise
-    that the unit's latest static run shows, whatever the revision.
+    `GET /api/calibration-formats` lists the formats of other programs; 409 with the reason where one cannot
+    hold the calibration. Formats of source `noise` are of the unit's latest static run, whatever the
+    revision.
 
     `pdf` is its certificate, `dcc` the same for programs (PTB's XML, signed where the laboratory has a key);
     501 where what makes it is not installed.
     """
-    if format_ in NOISE_FORMATS:
-        return PlainTextResponse(exported_noise(context.store, serial, format_, heavy.from_thread))
+    exporter = None if format_ in ISSUED else exporter_of(format_)
+    if isinstance(exporter, NoiseExporter):
+        text = exported_noise(context.store, serial, exporter, heavy.from_thread)
+        return PlainTextResponse(text, media_type=exporter.media_type)
     found = wanted_revision(context.store, serial, _wanted(revision))
     headers = {"ETag": f'"{found.sha256}"'}
     if format_ == "json":
         return Response(found.text.encode(), media_type="application/json", headers=headers)
-    if format_ in ("pdf", "dcc"):
-        return _certificate(context, found, format_)
-    media_type = "application/json" if format_ == "imucal" else None
-    return PlainTextResponse(exported(found, format_), headers=headers, media_type=media_type)
+    if exporter is None:
+        return _certificate(context, found, "pdf" if format_ == "pdf" else "dcc")
+    return PlainTextResponse(exported(found, exporter), headers=headers, media_type=exporter.media_type)
 
 
 @router.get(

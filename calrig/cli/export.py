@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Iterator
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -26,25 +25,28 @@ if TYPE_CHECKING:
     from calrig.store.issued import Revision
 
 
-class Format(StrEnum):
-    """What `export` writes."""
+ISSUED = ("json", "csv", "pdf", "dcc", "archive")
+"""What `export` writes beside the formats of other programs: calibration, poses, certificates, record."""
 
-    json = "json"
-    csv = "csv"
-    c_header = "c-header"
-    px4 = "px4"
-    ardupilot = "ardupilot"
-    kalibr = "kalibr"
-    vins = "vins"
-    imu_tk = "imu-tk"
-    imucal = "imucal"
-    pdf = "pdf"
-    dcc = "dcc"
-    archive = "archive"
+
+def _choices() -> list[str]:
+    from calrig.export.formats import format_names
+
+    return [*ISSUED, *format_names()]
+
+
+def _format(name: str) -> str:
+    if name not in _choices():
+        raise typer.BadParameter(f"{name!r} is none of {', '.join(_choices())}")
+    return name
+
+
+def _completed(incomplete: str) -> list[str]:
+    return [name for name in _choices() if name.startswith(incomplete)]
 
 
 Form = Literal["pdf", "dcc"]
-FORMS: dict[Format, Form] = {Format.pdf: "pdf", Format.dcc: "dcc"}
+FORMS: dict[str, Form] = {"pdf": "pdf", "dcc": "dcc"}
 """Of a certificate."""
 
 
@@ -62,13 +64,17 @@ def export(
         typer.Option(metavar="SERIAL", help="The unit, by its run in force.", autocompletion=options.units),
     ] = None,
     format_: Annotated[
-        Format,
+        str,
         typer.Option(
             "--format",
-            help="The calibration, its poses (csv), its certificate (pdf, dcc), all of a unit (archive); "
-            "for other programs: calrig/docs/reference/export-formats.md.",
+            metavar="FORMAT",
+            parser=_format,
+            autocompletion=_completed,
+            help="json: the calibration; csv: its poses; pdf, dcc: its certificate; archive: all of a unit; "
+            f"for other programs: {', '.join(_choices()[len(ISSUED) :])}; "
+            "calrig/docs/reference/export-formats.md.",
         ),
-    ] = Format.json,
+    ] = "json",
     parquet: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write the poses of all completed runs there.")
     ] = None,
@@ -99,7 +105,7 @@ def export(
         _refuse_elsewhere("--parquet", server, db)
         export_all(parquet, db)
         return
-    if format_ is Format.archive:
+    if format_ == "archive":
         if run_id is not None:
             raise InputError("export: an archive is of a unit, not of a run: --unit SERIAL --out FILE.zip")
         export_archive(running_service(server, db), unit, out, db)
@@ -108,7 +114,7 @@ def export(
         raise InputError("export: name either a RUN_ID or --unit SERIAL")
     form = FORMS.get(format_)
     if out is not None and form is None:
-        raise InputError(f"export: --format {format_.value} goes to standard output, not to --out")
+        raise InputError(f"export: --format {format_} goes to standard output, not to --out")
     if run_id is not None and (run_id.endswith(".json") or Path(run_id).is_file()):
         sys.stdout.write(_of_file(run_id, format_))
     elif form is not None:
@@ -118,15 +124,15 @@ def export(
 
 
 def _export_text(
-    format_: Format, run_id: str | None, unit: str | None, db: str | None, server: str | None
+    format_: str, run_id: str | None, unit: str | None, db: str | None, server: str | None
 ) -> None:
     there = running_service(server, db)
     if there is not None:
         from calrig.cli.export_there import exported_there
 
-        text, of_unit, found = exported_there(there, run_id, unit, format_.value)
+        text, of_unit, found = exported_there(there, run_id, unit, format_)
         if found is not None:
-            says = () if format_ is Format.csv else found.verdict.says
+            says = () if format_ == "csv" else found.verdict.says
             _say_which(of_unit, found.revision, found.status, says)
         sys.stdout.write(text)
         return
@@ -179,22 +185,24 @@ def _refuse_elsewhere(option: str, server: str | None, db: str | None) -> None:
         )
 
 
-def _text(store: Store, run_id: str | None, unit: str | None, format_: Format) -> str:
+def _text(store: Store, run_id: str | None, unit: str | None, format_: str) -> str:
     """What is printed; standard error has the verdict of a calibration."""
-    from calrig.analysis.certificates import NOISE_FORMATS, exported, exported_noise
+    from calrig.analysis.certificates import exported, exported_noise
     from calrig.analysis.stored_runs import stored_run
+    from calrig.export.formats import NoiseExporter, exporter_of
 
-    if run_id is not None and format_ is Format.csv:
+    if run_id is not None and format_ == "csv":
         return _poses(store, run_id)
-    if format_.value in NOISE_FORMATS:
+    exporter = None if format_ in ISSUED else exporter_of(format_)
+    if isinstance(exporter, NoiseExporter):
         of_unit = unit or stored_run(store, run_id or "").unit
-        return exported_noise(store, of_unit, format_.value)
+        return exported_noise(store, of_unit, exporter)
     found = _revision_asked_for(store, run_id, unit)
-    if format_ is Format.csv:
+    if format_ == "csv":
         _say_which(found.unit, found.revision, found.status, ())
         return _poses(store, found.run_id)
     _say_which(found.unit, found.revision, found.status, found.verdict["says"])
-    return found.text + "\n" if format_ is Format.json else exported(found, format_.value)
+    return found.text + "\n" if exporter is None else exported(found, exporter)
 
 
 def _poses(store: Store, run_id: str) -> str:
@@ -205,13 +213,16 @@ def _poses(store: Store, run_id: str) -> str:
     return write_poses(counted_poses(store, run.id), labels_of(run))
 
 
-def _of_file(file: str, format_: Format) -> str:
-    from calrig.analysis.certificates import REVISION_FORMATS, exported_document
+def _of_file(file: str, format_: str) -> str:
+    from calrig.analysis.certificates import exported_document
     from calrig.export.calibration_document import read_document
+    from calrig.export.formats import CalibrationExporter, exporter_of, exporters
 
-    if format_.value not in REVISION_FORMATS:
-        raise InputError(f"export: {file}: a calibration in a file is given as {', '.join(REVISION_FORMATS)}")
-    return exported_document(read_document(file), format_.value, file)
+    exporter = None if format_ in ISSUED else exporter_of(format_)
+    if not isinstance(exporter, CalibrationExporter):
+        names = ", ".join(one.name for one in exporters("calibration"))
+        raise InputError(f"export: {file}: a calibration in a file is given as {names}")
+    return exported_document(read_document(file), exporter, file)
 
 
 def _revision_asked_for(store: Store, run_id: str | None, unit: str | None) -> Revision:

@@ -11,9 +11,6 @@ from calrig.errors import WorkError
 if TYPE_CHECKING:
     from calrig.client import Client, Revision
 
-NOISE = frozenset({"kalibr", "vins"})
-"""Formats of what a unit's latest static run shows, whatever the revision."""
-
 
 def exported_there(
     client: Client, run_id: str | None, unit: str | None, format_: str
@@ -26,9 +23,11 @@ def exported_there(
         unit: or the unit.
         format_: as `calrig export --format` has them.
     """
+    from calrig.export.formats import exporters
+
     if run_id is not None and format_ == "csv":
         return _poses(client, whole_id_there(client, run_id)), "", None
-    if format_ in NOISE:
+    if format_ in {exporter.name for exporter in exporters("noise")}:
         of_unit = unit or client.run(whole_id_there(client, run_id or "")).unit
         return client.exported(of_unit, format_), of_unit, None
     of_unit, found = revision_there(client, run_id, unit)

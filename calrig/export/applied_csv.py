@@ -142,7 +142,7 @@ class Applier:
 
     def _applied(self, table: Table, place: _Places) -> str:
         reading_deg, celsius = place.readings(table), place.temperatures(table)
-        elevation = self.application.elevation_deg(reading_deg, celsius)
+        elevation = self.application.elevation_deg(reading_deg, celsius, place.further(table))
         std = self.application.std_deg(elevation)
         self._n += len(elevation)
         self._many.add(np.isnan(elevation), table.lines)
@@ -163,6 +163,7 @@ class _Places:
     reading: int | None
     accel: Triple
     accel_unit: float
+    others: dict[str, int]
     temperature: int | None
 
     @classmethod
@@ -172,11 +173,13 @@ class _Places:
             if name in header:
                 raise CsvError("is there already: rename or leave it out", line=line, column=name)
         reading, accel, unit = cls._readings_of(header, line)
+        for name in application.columns:
+            if name not in header:
+                why = "there is no such column, and effects of the calibration follow it"
+                raise CsvError(f"{why}; {there_are(header)}", line=line, column=name)
+        others = {name: at(name) for name in application.columns if name != TEMPERATURE}
         temperature = at(TEMPERATURE) if TEMPERATURE in header else None
-        if temperature is None and application.needs_temperature:
-            what = f"there is no such column, and effects of the calibration follow it; {there_are(header)}"
-            raise CsvError(what, line=line, column=TEMPERATURE)
-        return cls(application, reading, accel, unit, temperature)
+        return cls(application, reading, accel, unit, others, temperature)
 
     @staticmethod
     def _readings_of(header: list[str], line: int) -> tuple[int | None, Triple, float]:
@@ -204,9 +207,11 @@ class _Places:
         if self.temperature is None:
             return None
         cells = table.column(self.temperature)
-        if self.application.needs_temperature:
-            return _known(cells, "and effects of the calibration follow it")
-        return _numbers(cells)
+        return _followed(cells) if TEMPERATURE in self.application.columns else _numbers(cells)
+
+    def further(self, table: Table) -> dict[str, FloatArray]:
+        """(n,) each, the other columns that effects follow."""
+        return {name: _followed(table.column(place)) for name, place in self.others.items()}
 
 
 def _numbers(cells: Cells) -> FloatArray:
@@ -217,6 +222,10 @@ def _known(cells: Cells, why: str) -> FloatArray:
     values = cells.numbers()
     cells.refuse_first(values, lambda value: value is None, f"is not known, {why}")
     return np.array(values, dtype=np.float64)
+
+
+def _followed(cells: Cells) -> FloatArray:
+    return _known(cells, "and effects of the calibration follow it")
 
 
 def _text(value: float, decimal: str) -> str:

@@ -35,7 +35,7 @@ GIVEN = Circumstances(
 @pytest.mark.parametrize(
     ("name", "parameters", "expected"),
     [
-        ("backlash", {"backlash_deg": 0.08}, lambda k, t: 0.04 * GIVEN.approach[k]),
+        ("backlash", {"backlash_deg": 0.08}, lambda k, t: 0.04 * GIVEN.get("approach")[k]),
         (
             "stage_eccentricity",
             {"amplitude_deg": 0.1, "phase_deg": 30.0},
@@ -50,26 +50,26 @@ GIVEN = Circumstances(
         (
             "temperature_bias",
             {"deg_per_c": 0.02, "reference_c": 25.0},
-            lambda k, t: 0.02 * (GIVEN.temperature_c[k] - 25.0),
+            lambda k, t: 0.02 * (GIVEN.get("temperature_c")[k] - 25.0),
         ),
         (
             "temperature_curvature",
             {"deg_per_c2": 0.001, "reference_c": 25.0},
-            lambda k, t: 0.001 * (GIVEN.temperature_c[k] - 25.0) ** 2,
+            lambda k, t: 0.001 * (GIVEN.get("temperature_c")[k] - 25.0) ** 2,
         ),
         (
             "temperature_scale",
             {"per_c": 1e-4, "reference_c": 25.0},
-            lambda k, t: 1e-4 * (GIVEN.temperature_c[k] - 25.0) * t,
+            lambda k, t: 1e-4 * (GIVEN.get("temperature_c")[k] - 25.0) * t,
         ),
-        ("time_drift", {"deg_per_s": 1e-3}, lambda k, t: 1e-3 * GIVEN.time_s[k]),
+        ("time_drift", {"deg_per_s": 1e-3}, lambda k, t: 1e-3 * GIVEN.get("time_s")[k]),
         ("mount_slip", {"step_deg": 0.12, "at_s": 25.0}, lambda k, t: 0.12 if k >= 3 else 0.0),
         (
             "settling",
             {"fraction": 0.01},
-            lambda k, t: 0.0 if k == 0 else -0.01 * GIVEN.move_deg[k],
+            lambda k, t: 0.0 if k == 0 else -0.01 * GIVEN.get("move_deg")[k],
         ),
-        ("latency", {"delay_s": 0.02}, lambda k, t: -0.02 * GIVEN.velocity_dps[k]),
+        ("latency", {"delay_s": 0.02}, lambda k, t: -0.02 * GIVEN.get("velocity_dps")[k]),
     ],
 )
 def test_an_effect_adds_what_the_contract_says(name, parameters, expected):
@@ -98,7 +98,7 @@ def test_an_accelerometers_error_turns_the_vector_it_measures(name, parameters, 
 def test_a_y_axis_whose_offset_moves_with_temperature_turns_the_vector_it_measures():
     of_axis_y = {"deg_per_c": 0.02, "reference_c": 25.0, "of_axis_y": 1.0}
     added_deg = effects_on_reading_deg([("temperature_bias", of_axis_y)], THETA_DEG, GIVEN)
-    y = np.sin(np.radians(THETA_DEG)) + np.radians(0.02 * (GIVEN.temperature_c - 25.0))
+    y = np.sin(np.radians(THETA_DEG)) + np.radians(0.02 * (GIVEN.get("temperature_c") - 25.0))
     turned_deg = np.degrees(np.arctan2(y, np.cos(np.radians(THETA_DEG)))) - THETA_DEG
     np.testing.assert_allclose(added_deg, turned_deg, atol=1e-12)
 

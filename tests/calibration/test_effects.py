@@ -26,7 +26,7 @@ from calrig.calibration.regression.responses import responses_of
 from calrig.calibration.regression.run_changes import RUN
 from calrig.calibration.results.correction import calibrated_elevation_deg, effects_on_reading_deg, numbers_of
 from calrig.calibration.results.pose_errors import circumstances
-from calrig.export.c_header import c_header
+from calrig.export.formats.c_header import c_header
 
 
 def beside_a_line(theta_deg, values):

@@ -9,7 +9,7 @@ from issued_documents import BIAS_G, MATRIX
 
 from calrig.calibration.regression.effect import ApplyError, Circumstances
 from calrig.calibration.results.correction import calibrated_elevation_deg, effects_on_reading_deg
-from calrig.export.c_header import c_header
+from calrig.export.formats.c_header import c_header
 
 needs_a_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler (gcc or clang) is installed")
 

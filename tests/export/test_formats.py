@@ -13,9 +13,10 @@ from issued_documents import BIAS_G, GYRO_BIAS_DPS, MATRIX, PLANAR, WARM, issued
 from calrig.export.formats.ardupilot import ardupilot
 from calrig.export.formats.imu_tk import imu_tk
 from calrig.export.formats.imucal import imucal
-from calrig.export.formats.noise_yaml import kalibr, vins
+from calrig.export.formats.kalibr import kalibr
 from calrig.export.formats.px4 import px4
-from calrig.export.formats.triads import NotHeldError
+from calrig.export.formats.vins import vins
+from calrig.export.triads import NotHeldError
 from calrig.noise.report import report
 
 G_MPS2 = 9.80665

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import itertools
 import re
+import sys
 from collections import Counter
+from importlib import import_module
+from textwrap import dedent
 
 import numpy as np
 import pytest
@@ -13,6 +16,7 @@ from hypothesis import strategies as st
 from sketch_texts import BANNERS, BY_DRIVER, ELECTRONIC_CATS, TEXTS
 
 from calrig.instruments.boards import adafruit_basic, adafruit_plotter, i2cdev_raw, mpu6050_light
+from calrig.instruments.boards.sketch import Sketch, line_forms
 from calrig.instruments.boards.sketch_lines import SketchReader
 from calrig.instruments.boards.sketch_samples import SketchSamples
 from calrig.instruments.errors import BoardError
@@ -261,3 +265,43 @@ def test_two_decimals_repeat_honestly_for_three_seconds_and_no_longer(runs):
     taken = [samples.push([one]) for one in stream]
     times_s = np.concatenate([block.time_s for block in taken])
     np.testing.assert_array_equal(times_s, [time_s for time_s, _ in valid])
+
+
+@pytest.mark.parametrize(
+    ("declared", "names"),
+    [
+        ("bounds=(32768,) * 5, accel=(0, 1 / 16384)", "bounds"),
+        ("bounds=(32768,) * 7, accel=(0, 1 / 16384)", "bounds"),
+        ("bounds=(32768,) * 6, gyro=(3, 1 / 131)", "accel"),
+        ("bounds=(32768,) * 6, accel=(4, 1 / 16384)", "accel"),
+        ("bounds=(32768,) * 6, accel=(-1, 1 / 16384)", "accel"),
+        ("bounds=(32768,) * 6, accel=(0, 1 / 16384), gyro=(5, 1 / 131)", "gyro"),
+        ("bounds=(32768,) * 6, accel=(0, 1 / 16384), temperature=6", "temperature"),
+        ("bounds=(32768,) * 6, angle=6", "angle"),
+    ],
+)
+def test_a_dialect_whose_fields_do_not_fit_its_lines_is_refused_when_it_is_imported(
+    tmp_path, monkeypatch, declared, names
+):
+    source = f"""
+        from calrig.instruments.boards.sketch import Sketch, line_forms
+        from calrig.instruments.boards.sketch_device import board_device
+
+        SKETCH = Sketch(
+            driver="our-lab", source="our/lab", baudrate=9600, pace="", lines=line_forms("a/g:" + "\\t#" * 6),
+            {declared},
+        )
+        DEVICE = board_device(SKETCH)
+    """
+    (tmp_path / "our_lab_dialect.py").write_text(dedent(source))
+    monkeypatch.syspath_prepend(tmp_path)
+    try:
+        with pytest.raises(ValueError, match=f"'our-lab'.*{names}"):
+            import_module("our_lab_dialect")
+    finally:
+        sys.modules.pop("our_lab_dialect", None)
+
+
+def test_a_dialect_without_a_number_is_refused():
+    with pytest.raises(ValueError, match=r"'silent'.*no number"):
+        Sketch("silent", "our/lab", 9600, "", lines=line_forms("ready"), bounds=(), angle=0)

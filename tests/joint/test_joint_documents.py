@@ -11,7 +11,7 @@ import pytest
 from calrig.calibration.results.correction import Application, calibrated_elevation_deg, numbers_of
 from calrig.calibration.separation.report import solution_document
 from calrig.calibration.separation.stage_map import basis
-from calrig.export.c_header import c_header
+from calrig.export.formats.c_header import c_header
 from calrig.export.solution_documents import joint_files, stage_map_document, unit_document
 
 from .cases import BOUNDS, error_deg, solved

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
+from dummy_format import added_format
 
 from .page_help import figures_of, imported
 
@@ -41,6 +42,20 @@ def test_page_and_file_show_the_same_revision_after_effects_and_exclusions(
     row = page.locator("#revisions-table [data-revision='2']")
     expect(row).to_contain_text("pose 2 of run")
     expect(page.locator("#revisions-table [data-revision='1']")).to_contain_text("superseded")
+
+
+def test_a_format_that_the_service_knows_is_a_button_and_saved_under_its_name(
+    page, client, go, expect, tmp_path
+):
+    imported(client, "FORMATS-1")
+    with added_format(tmp_path):
+        go("#/units/FORMATS-1")
+        button = page.locator("[data-format='dummy-ini']")
+        expect(button).to_have_text("Dummy program")
+        with page.expect_download() as download:
+            button.click()
+    assert download.value.suggested_filename == "dummy.ini"
+    assert download.value.path().read_text() == f"bias = {in_force(client, 'FORMATS-1')['bias_deg']:.3f}"
 
 
 def test_there_is_a_way_back_and_each_step_has_a_reason(page, client, go, expect):

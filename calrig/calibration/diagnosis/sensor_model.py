@@ -292,7 +292,7 @@ class Curve:
         # of what ended the coefficients are those of the runs before, less
         signed = -own if changed is not None and changed.ended else own
         parameters = {**dict(zip(member.shape.parameters, signed.tolist(), strict=True)), **member.shape.at}
-        given = Circumstances(temperature_c=self._r.temperature_c)
+        given = Circumstances.of(self._r)
         applied = Applied(member.name, parameters, self._r.theta_deg, given, felt_deg)
         assert member.effect.on_vector_g is not None  # noqa: S101 (so they were chosen)
         error_y, error_z = member.effect.on_vector_g(applied)

@@ -44,9 +44,10 @@ def _in_play(r: Responses, beta: FloatArray) -> Mapping[str, FloatArray]:
 def _on_reading_deg(p: Applied) -> FloatArray:
     play_deg, approach = p.value("backlash_deg"), p.column("approach")
     whole = play_deg / 2.0 * approach
-    if p.given.travel_deg is None:
+    travel_deg = p.given.get("travel_deg")
+    if travel_deg is None:
         return np.asarray(whole)
-    return np.asarray(whole - np.sign(play_deg) * approach * slack_deg(play_deg, p.given.travel_deg))
+    return np.asarray(whole - np.sign(play_deg) * approach * slack_deg(play_deg, travel_deg))
 
 
 EFFECT = Effect(

@@ -96,9 +96,10 @@ def _refine(r: Responses, shape: Shape, criterion: Callable[[Shape], float]) -> 
 
 def _on_reading_deg(p: Applied) -> FloatArray:
     step = np.full(len(p.theta_deg), p.value("step_deg"))
-    if p.given.time_s is None:
+    time_s = p.given.get("time_s")
+    if time_s is None:
         return step
-    return np.asarray(step * (p.given.time_s > p.value("at_s", None)), dtype=np.float64)
+    return np.asarray(step * (time_s > p.value("at_s", None)), dtype=np.float64)
 
 
 EFFECT = Effect(

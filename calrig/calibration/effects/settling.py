@@ -65,7 +65,7 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
 
 
 def _on_reading_deg(p: Applied) -> FloatArray:
-    turned_deg, time_s = p.given.stretch_deg, p.given.time_s
+    turned_deg, time_s = p.given.get("stretch_deg"), p.given.get("time_s")
     if "lag_s" not in p.parameters or turned_deg is None or time_s is None:
         return -p.value("fraction") * p.moved_deg()
     starts = np.arange(len(time_s)) == 0

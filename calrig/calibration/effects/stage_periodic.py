@@ -176,7 +176,7 @@ def _apart(r: Responses, shape: Shape, other: Shape) -> bool:
 def _on_reading_deg(p: Applied) -> FloatArray:
     period_deg = p.value("period_deg", None)
     wave = wave_deg(p, p.theta_deg / period_deg)
-    turned_deg = p.given.stretch_deg
+    turned_deg = p.given.get("stretch_deg")
     return wave if turned_deg is None else wave * kept_in_mean(turned_deg, period_deg)
 
 

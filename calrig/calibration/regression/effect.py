@@ -175,11 +175,15 @@ class Shape:
         return frozenset({*self.parameters, *self.at} - set(HIDDEN))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class Circumstances:
-    """What effects are functions of, beside the elevation: (n,) each, None where not known.
+    """What effects are functions of, in addition to the elevation: columns by name.
 
-    Attributes:
+    Any column of the poses may be among them under its own name. These have a meaning of their own:
+
+    Args:
+        columns: (n,) each; None where not known of every pose.
+
+    Columns:
         approach: +1, −1; 0 where unknown, to which backlash adds nothing.
         move_deg: θ less the pose before's; NaN for a run's first pose, to which a move adds nothing.
         travel_deg: way since the stage last turned; without it all play is taken up.
@@ -188,14 +192,17 @@ class Circumstances:
         stretch_deg: how far the stage turned while the pose was read; without it not at all.
     """
 
-    approach: FloatArray | None = None
-    temperature_c: FloatArray | None = None
-    time_s: FloatArray | None = None
-    move_deg: FloatArray | None = None
-    travel_deg: FloatArray | None = None
-    velocity_dps: FloatArray | None = None
-    kappa: FloatArray | None = None
-    stretch_deg: FloatArray | None = None
+    def __init__(self, **columns: FloatArray | None) -> None:
+        self._columns = columns
+
+    @classmethod
+    def of(cls, r: Responses) -> Circumstances:
+        """Of the poses of a search, what effects on a_y and a_z may follow."""
+        return cls(**{**r.covariates, "temperature_c": r.temperature_c})
+
+    def get(self, name: str) -> FloatArray | None:
+        """(n,) the column of a name; None where it is not known of every pose."""
+        return self._columns.get(name)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -221,7 +228,7 @@ class Applied:
 
     def column(self, name: str) -> FloatArray:
         """(n,) one of the circumstances; ApplyError where it is not known of every pose."""
-        values: FloatArray | None = getattr(self.given, name)
+        values = self.given.get(name)
         if values is None:
             raise ApplyError(f"the effect {self.effect} needs {name} of every pose")
         return values

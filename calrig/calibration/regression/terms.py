@@ -84,7 +84,7 @@ def vector_forms(
 ) -> Iterator[Shape]:
     """Both of two parameters of an effect on a_y and a_z, and each alone, linear about no effect."""
     s, c = sin_cos(r)
-    given = Circumstances(temperature_c=r.temperature_c)
+    given = Circumstances.of(r)
 
     def per_unit(name: str, component: int) -> FloatArray:
         more, less = (

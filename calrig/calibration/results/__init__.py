@@ -5,6 +5,7 @@ from __future__ import annotations
 from calrig.calibration.results.correction import (
     Application,
     AppliedEffect,
+    columns_followed,
     effects_at_rest,
     effects_on_reading_deg,
     felt_elevation_deg,
@@ -26,6 +27,7 @@ __all__ = [
     "apply_calibration",
     "as_clamped",
     "build_result",
+    "columns_followed",
     "corrected_residuals_deg",
     "effects_at_rest",
     "effects_on_reading_deg",

@@ -21,8 +21,10 @@ from typing import Any
 import numpy as np
 
 from calrig.calibration.effects import EFFECTS, UNNAMED, effect_of
+from calrig.calibration.effects.unnamed import TIMES
 from calrig.calibration.line import MIN_SCALE, Line, fit_line
 from calrig.calibration.regression.effect import (
+    ELEVATION,
     TEMPERATURE,
     TURNS_THE_SENSOR,
     Applied,
@@ -177,6 +179,13 @@ def effects_at_rest(document: Mapping[str, Any]) -> tuple[list[AppliedEffect], l
     return taken, left_out
 
 
+def columns_followed(effects: Sequence[AppliedEffect]) -> list[str]:
+    """Names of the columns beside the elevation that effects of a unit at rest are functions of."""
+    covariates = [effect_of(name).covariate for name, _ in effects]
+    followed = [one.name for one in covariates if one is not ELEVATION]
+    return sorted({column for name in followed for column in name.split(TIMES)})
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Application:
     """A document, ready for many readings.
@@ -248,9 +257,9 @@ class Application:
         )
 
     @property
-    def needs_temperature(self) -> bool:
-        """Whether an effect follows the temperature."""
-        return any(effect_of(name).covariate is TEMPERATURE for name, _ in self.effects)
+    def columns(self) -> list[str]:
+        """Names of the columns that effects follow, those of a product each."""
+        return columns_followed(self.effects)
 
     def reading_of_deg(self, accel_g: FloatArray) -> FloatArray:
         """(n,) the reading that (n, 3) accelerations stand for, g; x is needed with `accelerometer` alone."""
@@ -259,13 +268,23 @@ class Application:
             accel_g = (accel_g - bias_g) @ matrix.T
         return elevation_deg(accel_g)
 
-    def elevation_deg(self, reading_deg: FloatArray, temperature_c: FloatArray | None) -> FloatArray:
+    def elevation_deg(
+        self,
+        reading_deg: FloatArray,
+        temperature_c: FloatArray | None,
+        others: Mapping[str, FloatArray] | None = None,
+    ) -> FloatArray:
         """(n,) elevations; NaN where a reading stands for many.
 
+        Args:
+            reading_deg: (n,).
+            temperature_c: (n,), or None where it is not known.
+            others: (n,) each, further columns that effects follow, by name.
+
         Raises:
-            ApplyError: an effect lacks the temperature or a parameter.
+            ApplyError: an effect lacks a column or a parameter.
         """
-        given = Circumstances(temperature_c=temperature_c)
+        given = Circumstances(**{**(others or {}), TEMPERATURE.name: temperature_c})
         return calibrated_elevation_deg(reading_deg, self.bias_deg, self.scale, self.effects, given)
 
     def std_deg(self, elevation_deg: FloatArray) -> FloatArray:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from calrig.calibration.line import Line, residuals_deg
-from calrig.calibration.poses import Pose
+from calrig.calibration.poses import HOST_TIME, OF_MOUNTS, Pose
 from calrig.calibration.regression.effect import Circumstances
 from calrig.calibration.regression.motion import (
     approach_of,
@@ -79,23 +79,28 @@ def without_effects_deg(
 
 
 def circumstances(poses: Sequence[Pose]) -> Circumstances:
-    """What effects are functions of, as far as it is known of every pose."""
+    """What effects are functions of, as far as it is known of every pose.
+
+    Further columns of the poses are among them, unless calrig itself gives their names a meaning.
+    """
 
     def column(values: list[float | None]) -> FloatArray | None:
         return None if None in values else np.array(values, dtype=np.float64)
 
     motion, approach, move_deg = motion_of(poses), approach_of(poses), moves_deg(poses)
     starts = np.arange(len(poses)) == 0
-    return Circumstances(
-        approach=approach,
-        temperature_c=column([pose.temperature_c for pose in poses]),
-        time_s=column([pose.time_s for pose in poses]),
-        move_deg=np.where([pose.settled for pose in poses], move_deg, np.nan),
-        travel_deg=travel_deg(move_deg, approach, starts),
-        velocity_dps=motion.velocity_dps if motion else None,
-        kappa=filter_share(poses),
-        stretch_deg=stretches_deg(poses),
-    )
+    known = {
+        "approach": approach,
+        "temperature_c": column([pose.temperature_c for pose in poses]),
+        "time_s": column([pose.time_s for pose in poses]),
+        "move_deg": np.where([pose.settled for pose in poses], move_deg, np.nan),
+        "travel_deg": travel_deg(move_deg, approach, starts),
+        "velocity_dps": motion.velocity_dps if motion else None,
+        "kappa": filter_share(poses),
+        "stretch_deg": stretches_deg(poses),
+    }
+    own = {name for pose in poses for name in pose.covariates} - {*known, *OF_MOUNTS, HOST_TIME}
+    return Circumstances(**known, **{name: column([p.covariates.get(name) for p in poses]) for name in own})
 
 
 def angles_deg(poses: Sequence[Pose]) -> tuple[FloatArray, FloatArray]:

@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from calrig.export.formats.autopilot import parameters_of
-from calrig.export.formats.triads import comments, origin_of
+from calrig.export.autopilot import parameters_of
+from calrig.export.formats import CalibrationExporter
+from calrig.export.triads import comments, origin_of
 
 DRIVER_AXES = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 PER_C = 1e6
@@ -59,3 +60,13 @@ def ardupilot(document: Mapping[str, Any]) -> str:
         *held.gyro_test(),
     ]
     return "\n".join([*comments(said), *(f"{name},{value:.9g}" for name, value in rows), ""])
+
+
+EXPORTER = CalibrationExporter(
+    name="ardupilot",
+    title="ArduPilot",
+    file_name="ardupilot.param",
+    contents="`INS_ACCOFFS_*`, `INS_ACCSCAL_*`, `INS_GYROFFS_*`, `INS_TCAL1_*`; axes y, x, −z of the chip",
+    about_one_axis="y and z; x stays as on the vehicle",
+    write=ardupilot,
+)

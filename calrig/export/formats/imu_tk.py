@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from calrig.estimation.angles import STANDARD_GRAVITY_MPS2, FloatArray
-from calrig.export.formats.autopilot import RAW_G
-from calrig.export.formats.triads import (
+from calrig.export.autopilot import RAW_G
+from calrig.export.formats import CalibrationExporter
+from calrig.export.triads import (
     comments,
     origin_of,
     require_whole,
@@ -46,3 +47,13 @@ def imu_tk(document: Mapping[str, Any]) -> str:
 
 def _rows(matrix: FloatArray) -> str:
     return "".join(" ".join(f"{value:.12g}" for value in row) + "\n" for row in matrix)
+
+
+EXPORTER = CalibrationExporter(
+    name="imu-tk",
+    title="imu_tk",
+    file_name="imu-tk.txt",
+    contents="misalignment, scale and bias of the accelerometer, m/s²",
+    about_one_axis="refused",
+    write=imu_tk,
+)

@@ -15,8 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from calrig.estimation.angles import STANDARD_GRAVITY_MPS2, FloatArray
-from calrig.export.formats.autopilot import RAW_DPS, RAW_G
-from calrig.export.formats.triads import (
+from calrig.export.autopilot import RAW_DPS, RAW_G
+from calrig.export.formats import CalibrationExporter
+from calrig.export.triads import (
     NotHeldError,
     gyro_of,
     origin_of,
@@ -73,3 +74,14 @@ def _parts(response: npt.NDArray[np.floating[Any]]) -> tuple[FloatArray, FloatAr
     """A response K·R, raw of true: the length of each row, and the rows of length 1."""
     lengths = np.linalg.norm(response, axis=1)
     return np.diag(lengths), response / lengths[:, None]
+
+
+EXPORTER = CalibrationExporter(
+    name="imucal",
+    title="imucal",
+    file_name="imucal.json",
+    media_type="application/json",
+    contents="JSON of a `FerrarisCalibrationInfo`: accelerometer and gyro, from g to m/s²",
+    about_one_axis="refused",
+    write=imucal,
+)

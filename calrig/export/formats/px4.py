@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from calrig.export.formats.autopilot import parameters_of
-from calrig.export.formats.triads import comments, origin_of
+from calrig.export.autopilot import parameters_of
+from calrig.export.formats import CalibrationExporter
+from calrig.export.triads import comments, origin_of
 
 DRIVER_AXES = np.diag([1.0, -1.0, -1.0])
 INT32, REAL32 = 6, 9
@@ -62,3 +63,14 @@ def px4(document: Mapping[str, Any]) -> str:
         ["Onboard parameters for Vehicle 1", "", *said, "", "Vehicle-Id Component-Id Name Value Type"]
     )
     return "\n".join([*head, *(f"1\t1\t{name}\t{value:.9g}\t{kind}" for name, value, kind in rows), ""])
+
+
+EXPORTER = CalibrationExporter(
+    name="px4",
+    title="PX4",
+    file_name="px4.params",
+    contents="parameters for QGroundControl: `CAL_ACC0_*`, `CAL_GYRO0_*OFF`, `TC_A0_*`; axes x, −y, −z of "
+    "the chip",
+    about_one_axis="y and z; x stays as on the vehicle",
+    write=px4,
+)

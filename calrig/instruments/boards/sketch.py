@@ -46,6 +46,9 @@ class Sketch:
         wake: what it waits for before it starts.
         starts_in_s: from reset to its first record at the latest.
         heard_within_s: how soon a scan that listens has a line of it.
+
+    Raises:
+        ValueError: lines, bounds and channels do not fit together; names the driver.
     """
 
     driver: str
@@ -71,6 +74,28 @@ class Sketch:
     wake: bytes = b""
     starts_in_s: float = 6.0
     heard_within_s: float = 0.5
+
+    def __post_init__(self) -> None:
+        n_numbers = sum(form.groups for form in self.lines)
+        if not n_numbers:
+            raise self._refused("its lines have no number")
+        if len(self.bounds) != n_numbers:
+            raise self._refused(f"its lines have {n_numbers} numbers, and bounds has {len(self.bounds)}")
+        if self.accel is None and self.angle is None:
+            raise self._refused("neither accel nor angle is given: no elevation follows from its lines")
+        for channel, first, count in (
+            ("accel", self.accel and self.accel[0], 3),
+            ("gyro", self.gyro and self.gyro[0], 3),
+            ("temperature", self.temperature, 1),
+            ("angle", self.angle, 1),
+        ):
+            if first is not None and not 0 <= first <= n_numbers - count:
+                raise self._refused(
+                    f"{channel} takes {count} from number {first} on; its lines have 0 to {n_numbers - 1}"
+                )
+
+    def _refused(self, why: str) -> ValueError:
+        return ValueError(f"sketch {self.driver!r}: {why}")
 
     def prints(self, line: str) -> bool:
         """Whether a line is one of its record, or has words that its setup prints."""

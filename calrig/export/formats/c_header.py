@@ -26,12 +26,14 @@ from calrig.calibration.regression import (
 )
 from calrig.calibration.results import (
     Application,
+    columns_followed,
     effects_at_rest,
     effects_on_reading_deg,
     felt_elevation_deg,
 )
 from calrig.estimation.angles import FloatArray
-from calrig.export.formats.triads import is_curved
+from calrig.export.formats import CalibrationExporter
+from calrig.export.triads import is_curved
 
 N_ELEVATIONS = 7
 DIRECTIONS = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [-0.6, 0, -0.8], [0, -0.8, 0.6], [0.48, 0.64, -0.6]])
@@ -125,6 +127,11 @@ def c_header(document: Mapping[str, Any]) -> str:
         ValueError: a number of the document is not known, or not one that a `float` holds.
     """
     effects, left_out = effects_at_rest(document)
+    for name in columns_followed(effects):
+        if name != TEMPERATURE.name:
+            raise ApplyError(
+                f"effects follow {name}; the header's function takes reading and temperature only"
+            )
     rounds, temperatures_c = _rounds(document, effects)
     guard = _guard(str(document["unit"]))
     bias_deg, scale = _finite(document, "bias_deg"), _finite(document, "scale")
@@ -303,3 +310,14 @@ def _in_ascii(text: str) -> str:
 def _harmless(text: str) -> str:
     """Text that cannot end a comment, begin one, join lines or turn the writing round."""
     return re.sub(r"[^ -~]|[*\\?]", "_", text)[:LONGEST_LINE]
+
+
+EXPORTER = CalibrationExporter(
+    name="c-header",
+    title="C header",
+    file_name="calibration.h",
+    contents="C99 in `float`; `calrig_acceleration_g` if there is a matrix; test vectors with "
+    "`CALRIG_TEST_VECTORS`",
+    about_one_axis="all of it",
+    write=c_header,
+)

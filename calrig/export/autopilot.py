@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from calrig.estimation.angles import STANDARD_GRAVITY_MPS2, FloatArray
-from calrig.export.formats.triads import (
+from calrig.export.triads import (
     Accelerometer,
     NotHeldError,
     accelerometer_of,
