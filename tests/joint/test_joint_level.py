@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from calrig.calibration.poses import DiagnosisError
 from calrig.calibration.separation.report import solution_document
@@ -98,6 +99,29 @@ def test_reversals_that_are_repeated_tell_how_well_seats_repeat():
     assert level.value_deg == pytest.approx(bench.units[0].in_case_deg, abs=3.0 * level.std_deg)
     stated = solution_document(solve(measured(bench), seat_std_deg=0.002))
     assert any("scatter more widely than 0.002° as stated" in said for said in stated["warnings"])
+
+
+@pytest.mark.parametrize("reversals", [2, 4])
+def test_the_level_of_repeated_reversals_is_students_t(reversals):
+    """The closed form where the poses tell the angles exactly: clampings both ways round, of one variance.
+
+    Seat and level take two degrees of freedom from the clampings; two standard errors hold the probability
+    that two of a normal distribution hold.
+    """
+    seat_deg = 0.2  # the poses' own errors are far below it
+    solution = solve(measured(reversed_bench(11, reversals=reversals, seat_deg=seat_deg)))
+    angles_deg = [
+        (mount["mount_axis"], (mount["angle_deg"]["value"] + 180.0) % 360.0 - 180.0)
+        for mount in solution_document(solution)["mounts"]
+        if mount["mount_deg"] == 0.0
+    ]
+    ways = [np.array([angle for axis, angle in angles_deg if axis == way]) for way in ("x", "-x")]
+    assert [len(way) for way in ways] == [reversals, reversals]
+    squares = sum(float(((way - way.mean()) ** 2).sum()) for way in ways)
+    freedom = 2 * reversals - 2
+    std_deg = np.sqrt(squares / freedom / (2 * reversals))
+    expected_deg = stats.t.isf(0.5 * (1.0 - stats.chi2.cdf(4.0, 1)), freedom) * std_deg / 2.0
+    assert solution.levels[0].std_deg == pytest.approx(expected_deg, rel=0.03)
 
 
 def test_a_reversal_on_another_seat_tells_no_level():
