@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from blind.cells import CELLS, GRID
-from blind.layout import timeline
-from blind.physics import Cause, Noise, measure
+from studies.blind.cells import CELLS, GRID
+from studies.blind.layout import timeline
+from studies.blind.physics import Cause, Noise, measure
 
 from calrig.calibration.move_check import GYRO_WANDER_DPS, MoveWatch, gyro_move_std_deg
 from calrig.plan import Plan
