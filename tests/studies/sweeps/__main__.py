@@ -1,4 +1,4 @@
-"""Print the table of sweeps in docs/plans.md.
+"""Print the table of docs/validation/sweeps.md.
 
 `python -m tests.studies.sweeps --runs 40`; some 6 s of a core a run.
 """
