@@ -21,13 +21,14 @@ from typing import Any, TypeVar
 
 import httpx
 from postgresql_server import store_at
+from repository import SHARED
 from shared_processes import shared_processes
 
 from calrig.settings import BoardSettings, ClampSettings, ReferenceSettings, RigSettings, StageSettings
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.rig import SimulatedRig
 
-DATA = Path(os.environ.get("CALRIG_DATA", Path(__file__).parents[2] / "shared" / "data"))
+DATA = Path(os.environ.get("CALRIG_DATA", SHARED / "data"))
 """The measured logs; tests that need them skip, saying so, where they are not."""
 
 FAST: dict[str, Any] = {

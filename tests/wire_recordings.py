@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
 
 import pytest
+from repository import SHARED
 
-WIRE = Path(__file__).parents[2] / "shared" / "wire"
+WIRE = SHARED / "wire"
 BOOT_LOADER_S = 1.5
 SILENCE_S = 0.05
 """What ends a piece that has no line end."""

@@ -33,6 +33,8 @@ function plotly() {
 
 /** A chart with its caption, which says why where there is nothing in it. `draw(figure)` shows a figure, `load(path)` fetches one and shows it. */
 export class Chart {
+  #loads = 0;
+
   constructor(testid, title, { tall = false, low = false, empty = EMPTY, signal } = {}) {
     this.plot = h("div", {
       class: ["plot", tall && "tall", low && "low"].filter(Boolean).join(" "),
@@ -50,11 +52,12 @@ export class Chart {
   }
 
   async load(path) {
+    const number = ++this.#loads;
     try {
       const [figure] = await Promise.all([get(path, this.signal), plotly()]);
-      await this.draw(figure);
+      if (number === this.#loads) await this.draw(figure); // an answer to an earlier request may arrive later
     } catch (error) {
-      this.#say(error);
+      if (number === this.#loads) this.#say(error);
     }
   }
 

@@ -11,12 +11,13 @@ import httpx
 import pytest
 from a_bench import HandWritten, agent_at, rigs_of
 from prometheus_client.parser import text_string_to_metric_families as prometheus_text
+from repository import DOCS
 from support import QUICK, ended, serving, wait_for
 
 from calrig.centre.service import CentreService
 from calrig.store import Store
 
-FILE = Path(__file__).parents[2] / "calrig" / "docs" / "grafana-centre.json"
+FILE = DOCS / "grafana-centre.json"
 OF_THE_SCRAPER = {"instance", "job"}
 """Labels that Prometheus adds to whatever it scrapes."""
 GRID = 24

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint.rig import Bench, Design, Stage, drawn_stage, drawn_unit
+from studies.joint.rig import Bench, Design, Stage, drawn_stage, drawn_unit
 
 from calrig.analysis.error_map import MOST_RUNS, basis_of, error_map
 from calrig.calibration.results.result import build_result

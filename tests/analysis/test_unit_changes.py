@@ -7,8 +7,8 @@ import re
 
 import numpy as np
 import pytest
-from blind.physics import Cause, Noise, measure
 from dated_runs import gave, lay, ran
+from studies.blind.physics import Cause, Noise, measure
 
 from calrig.analysis.diagnoses import Diagnoses
 from calrig.analysis.errors import Unknown

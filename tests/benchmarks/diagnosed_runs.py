@@ -5,8 +5,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from blind.cells import GRID, backlash, bias_tempco, eccentricity, offset_anywhere, package_turn, periodic
-from blind.physics import Noise, measure, timeline
+from studies.blind.cells import (
+    GRID,
+    backlash,
+    bias_tempco,
+    eccentricity,
+    offset_anywhere,
+    package_turn,
+    periodic,
+)
+from studies.blind.physics import Noise, measure, timeline
 
 from calrig.calibration.poses import Pose
 from calrig.plan import Plan

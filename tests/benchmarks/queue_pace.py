@@ -20,7 +20,7 @@ from pathlib import Path
 from playwright.sync_api import sync_playwright
 from rich import print as told
 
-from tests.trials.served import Served
+from tests.studies.trials.served import Served
 
 AIM_S = 3.0
 PLAN = {"elevations_deg": [-20, 20], "sweeps": 1, "settle_s": 0.2, "dwell_s": 0.5}

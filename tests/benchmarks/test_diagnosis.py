@@ -15,8 +15,8 @@ import time
 from collections.abc import Callable
 
 import pytest
-from blind.peers import forward_bic, library
 from diagnosed_runs import demo_run, eleven_turns, three_effects
+from studies.blind.peers import forward_bic, library
 
 from calrig.calibration.diagnosis.tracing import diagnose
 from calrig.calibration.poses import Pose

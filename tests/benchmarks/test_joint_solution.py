@@ -14,7 +14,7 @@ from scipy.sparse import csr_array
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from joint.rig import Bench, Design, drawn_stage, drawn_unit
+from studies.joint.rig import Bench, Design, drawn_stage, drawn_unit
 
 from calrig.calibration.separation.least_squares import fitted
 from calrig.calibration.separation.mounts import table_of

@@ -154,3 +154,13 @@ def test_what_no_unit_can_pass_on_a_stage_is_said_before_it_moves(limit, referen
 )
 def test_what_some_unit_can_pass_is_not_said(limit, reference):
     assert cannot_pass(limit, reference, THETA_DEG) == []
+
+
+@pytest.mark.parametrize(("share", "can_pass"), [(0.99, False), (1.01, True)])
+def test_the_room_of_a_scale_is_half_its_interval(share, can_pass):
+    """The harmonic error's slope by numpy's polyfit: of a symmetric range that of the sine alone."""
+    symmetric_deg = np.linspace(-60.0, 60.0, 25)
+    slope = np.polyfit(symmetric_deg, np.sin(np.radians(symmetric_deg)), 1)[0]
+    expanded = 0.95 * np.sqrt(3.0) * 0.29 * slope
+    limit = guarded(scale=(1.0 - share * expanded, 1.0 + share * expanded))
+    assert (cannot_pass(limit, STAGE, symmetric_deg) == []) is can_pass

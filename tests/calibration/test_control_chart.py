@@ -16,7 +16,7 @@ from calrig.calibration.histories.charts import (
     normal_score,
     q_statistics,
 )
-from tests.charts.rates import (
+from tests.studies.charts.rates import (
     EARLIER,
     LATER,
     STDS,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from demo import judged, measured
+from studies.demo import judged, measured
 
 from calrig.simulator.virtual_clock import VirtualClock
 

@@ -50,7 +50,7 @@ def shown():
 SOLVED_FOR = {
     "axis_nonlinearity": {"y_mg_per_g2": 5.0, "y_mg_per_g3": -4.0, "z_mg_per_g2": 3.0, "skew_deg": 0.6}
 }
-"""What no diagnosis looks for, the joint solution alone (tests/joint), and values to apply."""
+"""What no diagnosis looks for, the joint solution alone (tests/studies/joint), and values to apply."""
 WITHIN_A_RUN = [
     effect for effect in CATALOGUE if effect.covariate is not RUN and effect.name not in SOLVED_FOR
 ]

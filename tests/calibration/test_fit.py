@@ -122,3 +122,10 @@ def test_readings_that_do_not_follow_the_stage_leave_no_residual_to_state():
 def test_poses_that_cannot_be_fitted_are_refused(theta_deg, reading_deg, complaint):
     with pytest.raises(ValueError, match=complaint):
         fit_line(np.array(theta_deg), np.array(reading_deg))
+
+
+def test_a_residual_is_in_degrees_of_elevation_not_of_the_reading():
+    """A unit that reads two degrees a degree, and 0.5° too much at one pose: its elevation errs by 0.25°."""
+    theta_deg = np.array([-30.0, 0.0, 30.0])
+    reading_deg = 1.0 + 2.0 * theta_deg + np.array([0.0, 0.5, 0.0])
+    np.testing.assert_allclose(residuals_deg(theta_deg, reading_deg, 1.0, 2.0), [0.0, 0.25, 0.0], atol=1e-12)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from blind.cells import CELLS
+from studies.blind.cells import CELLS
 
 from calrig.calibration.diagnosis.candidate_fits import fit_candidates
 from calrig.calibration.diagnosis.candidates import candidates_of, model_columns

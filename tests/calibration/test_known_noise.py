@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from blind.cells import CELLS
+from studies.blind.cells import CELLS
 
 from calrig.calibration.diagnosis.candidates import Candidate, candidates_of, model_columns
 from calrig.calibration.diagnosis.held_out import folds_of

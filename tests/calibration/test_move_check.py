@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from blind.cells import CELLS, GRID
-from blind.layout import timeline
-from blind.physics import Cause, Noise, measure
+from studies.blind.cells import CELLS, GRID
+from studies.blind.layout import timeline
+from studies.blind.physics import Cause, Noise, measure
 
 from calrig.calibration.move_check import GYRO_WANDER_DPS, MoveWatch, gyro_move_std_deg
 from calrig.plan import Plan
@@ -159,3 +159,11 @@ def test_the_standard_error_of_an_integrated_rate_is_its_scatter():
     said_deg = gyro_move_std_deg(time_s, noise[0], bias_std_dps, dwell_s)
     wander_deg = GYRO_WANDER_DPS * 4.0
     assert said_deg == pytest.approx(np.hypot(angle_deg.std(), wander_deg), rel=0.05)
+
+
+def test_a_step_of_the_rate_between_two_samples_is_unknown_by_a_rectangular_error():
+    """Simulated: the rate steps from 0 to 60 °/s at any moment between two samples, summed by trapezia."""
+    at_s = np.random.default_rng(26).uniform(0.0, 0.1, 100_000)
+    error_deg = 60.0 * (0.1 - at_s) - 60.0 * 0.1 / 2.0
+    stated_deg = gyro_move_std_deg(np.array([0.0, 0.1]), np.array([0.0, 60.0]), 0.0, 2.0)
+    assert stated_deg == pytest.approx(error_deg.std(), rel=0.01)

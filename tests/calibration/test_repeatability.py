@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import false_discovery_control
+from scipy.stats import false_discovery_control, t
 
 from calrig.calibration.histories.between_runs import changes, rejection_level
 from calrig.calibration.histories.repeatability import Runs, outlying, repeatability
@@ -152,3 +152,12 @@ def test_of_the_units_marked_at_most_one_in_twenty_is_chance(units, runs, share)
         found += [one in named for one in moved]
     assert np.mean(false) < 0.05 + 2 * 0.022
     assert not found or np.mean(found) > 0.5
+
+
+@pytest.mark.parametrize(("share", "is_out"), [(0.97, False), (1.03, True)])
+def test_one_difference_is_out_beyond_rosners_two_sided_bound(share, is_out):
+    """Of ten differences with mean 0, nine of them ±1: Student's t of nine degrees of freedom, 5 %/(2·10)."""
+    others = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0])
+    bound = t.ppf(1.0 - 0.05 / 20.0, 9)
+    found = outlying(np.append(others, share * bound), np.full(10, 1e-9))
+    assert found.tolist() == [False] * 9 + [is_out]

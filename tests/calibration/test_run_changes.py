@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from blind.physics import Cause, Noise, measure
+from studies.blind.physics import Cause, Noise, measure
 
 from calrig.calibration.diagnosis.report import partial_residuals
 from calrig.calibration.diagnosis.selection import Findings

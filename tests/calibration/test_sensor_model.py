@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 import pytest
-from blind.cells import Cell
-from blind.physics import Cause, Noise
+from studies.blind.cells import Cell
+from studies.blind.physics import Cause, Noise
 
 from calrig.calibration.diagnosis.candidates import documented_forms
 from calrig.calibration.diagnosis.report import covariance_of

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 import pytest
-from blind.causes import eccentricity
-from blind.cells import Cell
+from studies.blind.causes import eccentricity
+from studies.blind.cells import Cell
 
 from calrig.calibration.diagnosis.candidates import documented_forms
 from calrig.calibration.diagnosis.report import covariance_of

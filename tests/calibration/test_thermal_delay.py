@@ -6,9 +6,9 @@ import dataclasses
 
 import numpy as np
 import pytest
-from blind.causes import package_turn, slow_heat
-from blind.cells import CELLS, Cell
-from blind.physics import Cause
+from studies.blind.causes import package_turn, slow_heat
+from studies.blind.cells import CELLS, Cell
+from studies.blind.physics import Cause
 
 from calrig.calibration.diagnosis.tracing import diagnose, document
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import pytest
-from blind.causes import bias_tempco, package_turn
-from blind.cells import Cell
-from blind.physics import Cause
+from studies.blind.causes import bias_tempco, package_turn
+from studies.blind.cells import Cell
+from studies.blind.physics import Cause
 
 from calrig.calibration.diagnosis.report import partial_residuals
 from calrig.calibration.diagnosis.tracing import diagnose, trace

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.stats import t as student
 
 from calrig.calibration.line import fit_line
 from calrig.calibration.uncertainty.budget import Reference, reference_part, uncertainty
@@ -131,3 +132,15 @@ def test_at_one_angle_only_the_bias_has_a_share(kind, bias_deg):
 
     assert (part.bias_deg, part.scale) == (pytest.approx(bias_deg), None)
     assert part.elevation_deg == pytest.approx(bias_deg)
+
+
+@pytest.mark.parametrize("n_poses", [4, 6, 12])
+def test_few_poses_have_students_factor_of_two_degrees_of_freedom_less(n_poses):
+    """Welch and Satterthwaite (JCGM 100:2008, G.4.1) by scipy's quantiles, beside a normal reference."""
+    theta_deg = np.linspace(-60.0, 60.0, n_poses)
+    line = fit_line(theta_deg, theta_deg + np.random.default_rng(n_poses).normal(0.0, 0.1, n_poses))
+    worth = uncertainty(line, theta_deg, Reference(0.05, "common", "normal"))
+    combined_deg = math.hypot(worth.type_a_deg, 0.05)
+    freedom = (n_poses - 2) * (combined_deg / worth.type_a_deg) ** 4
+    assert worth.coverage_factor == pytest.approx(student.ppf(0.975, freedom), rel=1e-9)
+    assert worth.expanded_deg == pytest.approx(student.ppf(0.975, freedom) * combined_deg, rel=1e-9)

@@ -4,8 +4,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from repository import SHARED
 
-SCHEMAS = Path(__file__).parents[3] / "shared" / "dcc"
+SCHEMAS = SHARED / "dcc"
 
 
 @pytest.fixture(scope="session")

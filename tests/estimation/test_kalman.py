@@ -20,8 +20,12 @@ SAMPLES = st.lists(
 )
 
 
-def filterpy_angles(samples, noise):
-    """The same samples through filterpy's matrices, started the same way."""
+DIFFUSE_DEG2 = 1e9
+"""Variance of an angle of which a gap has left nothing known."""
+
+
+def filterpy_angles(samples, noise, gap_s=math.inf):
+    """Filter the samples by filterpy's matrices, started the same way; across a gap the angle is diffuse."""
     oracle = filterpy.kalman.KalmanFilter(dim_x=2, dim_z=1, dim_u=1)
     oracle.x = np.array([[samples[0][0]], [0.0]])
     oracle.P = np.diag([noise.r_deg2, INITIAL_BIAS_VARIANCE])
@@ -33,7 +37,7 @@ def filterpy_angles(samples, noise):
             u=np.array([[rate_dps]]),
             B=np.array([[dt_s], [0.0]]),
             F=np.array([[1.0, -dt_s], [0.0, 1.0]]),
-            Q=np.diag([noise.q_angle, noise.q_bias]) * dt_s,
+            Q=np.diag([noise.q_angle if dt_s <= gap_s else DIFFUSE_DEG2, noise.q_bias]) * dt_s,
         )
         # filterpy knows no turns: it is told the elevation on the turn nearest to its prediction
         turns = round((oracle.x[0, 0] - elevation_deg) / 360.0)
@@ -118,6 +122,21 @@ def test_after_a_gap_it_takes_the_angle_anew_and_keeps_the_bias():
     assert np.abs(filtered_deg - 60.0).max() < 0.01
     assert kalman.bias_dps == pytest.approx(1.4, abs=0.01)
     assert np.abs(plain.run(after_s, np.full(200, 60.0), np.full(200, 1.4)) - 60.0).max() > 10.0
+
+
+@settings(max_examples=50, deadline=None)
+@given(before=SAMPLES, after=SAMPLES, noise=NOISES, lost_s=st.floats(1.0, 60.0))
+def test_after_a_gap_the_covariance_is_that_of_filterpy(before, after, noise, lost_s):
+    """The bias drifts as long as the gap lasts: a filter that forgets this trusts its bias too much."""
+    samples = [*before, (*after[0][:2], lost_s), *after[1:]]
+    kalman = KalmanFilter(noise, gap_s=0.9)
+    for sample in samples:
+        kalman.update(*sample)
+
+    _, oracle = filterpy_angles(samples, noise, gap_s=0.9)
+
+    np.testing.assert_allclose(kalman.covariance, oracle.P, rtol=1e-5, atol=1e-6)
+    assert kalman.bias_dps == pytest.approx(oracle.x[1, 0], rel=1e-4, abs=1e-3)
 
 
 def test_after_a_gap_the_angle_stays_on_its_turn():

@@ -59,6 +59,13 @@ def test_the_compiled_header_gives_pythons_elevation_to_a_ten_thousandth_of_a_de
 
 
 @needs_a_compiler
+def test_half_a_turn_is_positive_in_c_as_in_python(tmp_path):
+    """Angles lie in (−180, 180]: both readings are the same direction, and so the same elevation."""
+    program = compiled(c_header(document([], bias_deg=0.0, scale=1.0)), tmp_path)
+    assert applied(program, np.array([180.0, -180.0]), np.array([20.0, 20.0])).tolist() == [180.0, 180.0]
+
+
+@needs_a_compiler
 @pytest.mark.parametrize(
     "unit",
     [

@@ -7,9 +7,11 @@ import subprocess
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-SKETCH = Path(__file__).parents[2] / "calrig" / "firmware" / "calrig_imu"
+from repository import ROOT, SHARED
+
+SKETCH = ROOT / "calrig" / "firmware" / "calrig_imu"
 HARNESS = Path(__file__).parent / "harness"
-TWIN = Path(__file__).parents[3] / "shared" / "twin" / "twin.c"
+TWIN = SHARED / "twin" / "twin.c"
 ARDUINO = Path("/usr/share/arduino/hardware/arduino/avr")
 CORE, VARIANT = ARDUINO / "cores" / "arduino", ARDUINO / "variants" / "standard"
 SIMAVR = Path("/usr/include/simavr/sim_avr.h")

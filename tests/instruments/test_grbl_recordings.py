@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from grbl_script import GO, Script
+from repository import SHARED
 from stage_ports import InProcessPort, homed, until_it_stands
 
 from calrig.instruments.errors import StageError
@@ -18,7 +19,7 @@ from calrig.instruments.stages.grbl.driver import Grbl
 from calrig.instruments.stages.grbl.link import GrblLink
 from calrig.instruments.stages.grbl.protocol import parse_report
 
-WIRE = Path(os.environ.get("CALRIG_WIRE", Path(__file__).parents[3] / "shared" / "wire"))
+WIRE = Path(os.environ.get("CALRIG_WIRE", SHARED / "wire"))
 MISSING = pytest.param("", marks=pytest.mark.skip(f"no recorded conversations here: {WIRE}"))
 GRBL = sorted(path.stem for path in WIRE.glob("grbl11h-*.jsonl")) or [MISSING]
 BEFORE_1_1 = sorted(path.stem for path in WIRE.glob("grbl09j-*.jsonl")) or [MISSING]

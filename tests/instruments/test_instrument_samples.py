@@ -178,3 +178,11 @@ def test_nothing_gives_nothing():
     block, faults = samples_of([])
     assert len(block) == 0
     assert not faults
+
+
+def test_seqs_are_counted_across_their_wrap_when_some_are_lost_there_and_one_is_late():
+    """65534 is late and 65535 is lost, on a board that has sent 65533 samples before."""
+    seqs = [*range(65534), 65536, 65534, 65537]
+    block, faults = samples_of([body(k, k * PERIOD_US, living(k)) for k in seqs])
+    assert faults == {"sequence_gap": 2, "repeated": 1}
+    np.testing.assert_allclose(block.time_s[-3:], [65533 * 0.005, 65536 * 0.005, 65537 * 0.005], atol=1e-9)

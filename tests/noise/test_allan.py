@@ -7,6 +7,7 @@ import math
 import allantools
 import numpy as np
 import pytest
+from scipy.stats import chi2
 from support import DATA
 
 from calrig.noise.allan import CONFIDENCE, MIN_CLUSTERS, allan_curve
@@ -147,6 +148,34 @@ def test_the_limits_are_those_of_allantools_degrees_of_freedom(kind, alpha):
         edf = allantools.edf_simple(len(values) + 1, int(curve.factors[at]), alpha)
         low, high = allantools.confidence_interval(curve.deviation[at], edf, ci=CONFIDENCE)
         assert (curve.low[at], curve.high[at]) == pytest.approx((low, high), rel=1e-9)
+
+
+def exact_freedom_of_flicker(count):
+    """Degrees of freedom of a mean square of `count` − 1 neighbouring differences of flicker noise.
+
+    tr(R)²/tr(R²) of their covariance R, by the structure τ²·ln τ of its phase (Percival & Walden, 8.3).
+    """
+    lag = np.abs(np.subtract.outer(np.arange(count - 1), np.arange(count - 1)))
+    structure = {k: k**2 * math.log(k) if k else 0.0 for k in map(abs, range(-2, count + 2))}
+    weights = {-2: 1.0, -1: -4.0, 0: 6.0, 1: -4.0, 2: 1.0}
+    by_lag = [sum(w * structure[abs(k + at)] for at, w in weights.items()) for k in range(count)]
+    covariance = np.array(by_lag)[lag]
+    return np.trace(covariance) ** 2 / (covariance**2).sum()
+
+
+@pytest.mark.parametrize("count", [8, 16, 24])
+def test_the_limits_of_a_short_flicker_log_rest_on_its_exact_freedom(count):
+    """allantools has no square in this formula of SP 1065, so it is no oracle at one sample."""
+    rng = np.random.default_rng(7)
+    tail = (1.0 - CONFIDENCE) / 2.0
+    freedom = exact_freedom_of_flicker(count)
+    expected = math.sqrt(freedom / chi2.ppf(tail, freedom))
+    ratios = [
+        curve.high[0] / curve.deviation[0] for curve in (curve_of(flicker(rng, count)) for _ in range(60))
+    ]
+    assert min(abs(ratio / expected - 1.0) for ratio in ratios) < 0.01, (
+        "of the logs that are seen to be flicker"
+    )
 
 
 def test_the_slope_of_the_log_is_the_least_squares_one():

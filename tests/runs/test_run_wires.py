@@ -1,6 +1,6 @@
 """Damaged wires: whatever happens, no reading is wrong, the stage stands, and the run says what happened.
 
-`python -m tests.trials faults` tries a thousand such runs; here is one of each kind.
+`python -m tests.studies.trials faults` tries a thousand such runs; here is one of each kind.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import pytest
 from run_rigs import CLOCK
-from trials.faults_run import Case, Outcome, try_case
-from trials.proxy_damage import TO_DEVICE, TO_HOST, Fault
+from studies.trials.faults_run import Case, Outcome, try_case
+from studies.trials.proxy_damage import TO_DEVICE, TO_HOST, Fault
 
 from calrig.store import Store
 

@@ -7,13 +7,14 @@ import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from repository import SHARED
 from simulated_devices import as_heard
 
 from calrig.simulator.bench import Bench
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.dialects import stage_of
 
-WIRES = Path(os.environ.get("CALRIG_WIRES", Path(__file__).parents[3] / "shared" / "wire"))
+WIRES = Path(os.environ.get("CALRIG_WIRES", SHARED / "wire"))
 BEGINNING_S = 10.0
 POLL_S = 0.001
 IN_A_ROW_S = 0.0005

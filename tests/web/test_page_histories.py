@@ -81,6 +81,29 @@ def test_beyond_eight_units_no_colour_is_given_twice(page, go, expect):
     assert drawn["MOVED"] == drawn["U00"]
 
 
+def test_an_answer_that_comes_late_does_not_undo_the_choice_after_it(page, go, expect):
+    """The figure for the first box is held back until the one for both boxes is drawn."""
+    held = []
+
+    def hold_the_first(route):
+        if "chosen=U03" in route.request.url and "chosen=U07" not in route.request.url:
+            held.append(route)
+        else:
+            route.continue_()
+
+    go("#/compare?all")
+    page.route("**/api/compare/figures/bias*", hold_the_first)
+    expect(page.get_by_test_id("compare-bias").locator(".plot-container")).to_be_visible()
+    page.get_by_label("U03 in colour").check()
+    page.get_by_label("U07 in colour").check()
+    drawn = "document.querySelector('[data-testid=compare-bias]').data.slice(-2).map(t => t.name).join()"
+    wait_for(lambda: held and page.evaluate(drawn) == "U03,U07", "chart with both in front")
+    with page.expect_event("requestfinished", lambda request: request == held[0].request):
+        held[0].continue_()
+    page.evaluate("new Promise(drawn => requestAnimationFrame(() => requestAnimationFrame(drawn)))")
+    assert page.evaluate(drawn) == "U03,U07"
+
+
 def test_a_units_page_says_what_changed_and_when_it_is_due(page, go, expect):
     go("#/units/MOVED")
     row = page.locator("#changes-table tbody tr")

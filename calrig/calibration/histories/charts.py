@@ -41,7 +41,7 @@ class Ewma:
 
 
 UNIT_CHART = Ewma(weight=0.3, limit=2.82, opens_narrow=True)
-"""Of a unit: few runs. Within any twelve of them at most 5 % false alarms (`python -m tests.charts`)."""
+"""Of a unit: few runs. Within any twelve at most 5 % false alarms (`python -m tests.studies.charts`)."""
 RIG_CHART = Ewma(weight=0.2, limit=2.86, opens_narrow=True)
 """Of a rig by its check unit. One false alarm in 370 runs; a shift of 1σ is seen after 9, of 2σ after 2.9."""
 

@@ -36,7 +36,7 @@ POWER_QUANTILE = 0.8416
 """Of the normal distribution: four times in five."""
 TAKEN = 22
 """Degrees of freedom that a search takes: its line, correlations and rivals, as diagnoses of 20 to 52 poses
-with effects of known size have shown (`python -m tests.plans suspects`)."""
+with effects of known size have shown (`python -m tests.studies.plans suspects`)."""
 SLOW = 1.6
 """Times as large an effect of time must be, measured the same way: noise that wanders looks like it."""
 SHARED = 0.87

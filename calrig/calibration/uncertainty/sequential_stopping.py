@@ -2,7 +2,7 @@
 
 Who looks after every pose stops at the one after which the poses happen to lie too near the line. Its scatter
 is therefore stated with care (`cautious`), by one rule for the decision and for all that is said of the run
-afterwards. `python -m tests.plans coverage` measures what the stated uncertainties then cover.
+afterwards. `python -m tests.studies.plans coverage` measures what the stated uncertainties then cover.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def turned_both_ways(poses: Sequence[Pose]) -> bool:
     """Whether stretches of a sweep were turned upward and downward; so they were where there are none.
 
     What a sweep's delay is wrong by lifts every stretch of one sense and lowers every one of the other: one
-    way alone has it in the bias, and no scatter tells (`python -m tests.plans coverage`).
+    way alone has it in the bias, and no scatter tells (`python -m tests.studies.plans coverage`).
     """
     return len({pose.approach for pose in poses if not pose.settled}) != 1
 

@@ -1,1 +1,0 @@
-"""The paper's tables and figures beside what calrig measures: `python -m tests.paper`."""

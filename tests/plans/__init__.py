@@ -1,1 +1,0 @@
-"""Designed plans against the fixed one, on the simulator's physics: `python -m tests.plans`."""

@@ -1,0 +1,22 @@
+"""Studies: tables and trials, each with a command of its own, `python -m tests.studies.NAME`.
+
+blind      one effect a run, named or not: the diagnosis against causes that it does not share
+charts     false alarms and delays of the control charts
+demo       the demo rig, diagnosed
+fleet      what a screen of many runs takes, and what it shows
+joint      the solution of stage and units together against its bound
+kernels    the calibration's tests under every kernel of the processor
+measured   measured logs, diagnosed
+million    a centre with a million runs
+paper      the paper's tables and figures beside calrig's
+plans      designed plans against the fixed one
+sweeps     continuous sweeps, run after run over simulated ports
+trials     what calrig must withstand, counted
+
+The tests among them are collected with all others.
+"""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # as pytest does for what tests share

@@ -1,0 +1,1 @@
+"""Continuous sweeps on simulated rigs, run after run over their ports: `python -m tests.studies.sweeps`."""

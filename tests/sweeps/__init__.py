@@ -1,1 +1,0 @@
-"""What sweeps are worth on simulated rigs, run after run over their ports: `python -m tests.sweeps`."""
