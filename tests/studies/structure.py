@@ -1,4 +1,4 @@
-"""Count how large and how deep the house is: `python -m tests.structure`; half a minute.
+"""Count how large and how deep the house is: `python -m tests.studies.structure`; half a minute.
 
 Static: lines and modules of `calrig/`, modules with a single importer (without routers, commands, exporters
 and `__init__`), untyped dictionaries. Dynamic: a run of six poses, started over HTTP, on a rig in virtual
@@ -22,7 +22,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-TREE = Path(__file__).parents[1] / "calrig"
+TREE = Path(__file__).parents[2] / "calrig"
 NOT_COUNTED = re.compile(r"calrig\.(api|cli|export)(\.|$)")
 """Each router, command and exporter has one importer by its nature: what gathers them."""
 
