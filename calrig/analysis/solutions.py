@@ -23,7 +23,6 @@ from calrig.store.records import Run
 from calrig.store.solved import Basis, Frame, Solved
 
 if TYPE_CHECKING:
-    from calrig.calibration.progress import Progress
     from calrig.store import Store
 
 
@@ -157,12 +156,10 @@ def answer(asked: SolutionInputs, progress: Callable[[float], None] = lambda _: 
     """
     # a tenth of a second that a service need not start with
     from calrig.calibration.progress import SOLVED, within
-    from calrig.calibration.separation import pose_residuals, solution_document, solve, whole_units
-    from calrig.export.solution_documents import stage_map_document, unit_document
+    from calrig.calibration.separation import pose_residuals, solution_document, solve
+    from calrig.export.solution_documents import stage_map_document, unit_documents
 
     solving, telling = within(progress, 0.0, SOLVED), within(progress, SOLVED, 1.0)
-    if whole_units(asked.lots):
-        return _answer_whole(asked, solving, telling)
     basis = asked.basis
     solution = solve(
         asked.lots,
@@ -172,32 +169,13 @@ def answer(asked: SolutionInputs, progress: Callable[[float], None] = lambda _: 
         progress=solving,
     )
     telling(0.0)
-    units = enumerate(solution.table.units)
     return Solved(
         rig=asked.rig,
         basis=basis,
-        document=solution_document(solution, asked.limits_deg, telling),
-        calibrations={serial: unit_document(solution, k, asked.rig) for k, serial in units},
+        document=solution_document(solution, asked.limits_deg, telling, frame=basis.frame),
+        calibrations=unit_documents(solution, basis.frame, asked.rig),
         stage_map=stage_map_document(solution, asked.rig),
         poses=pose_residuals(solution),
-    )
-
-
-def _answer_whole(asked: SolutionInputs, solving: Progress, telling: Progress) -> Solved:
-    """Of units clamped by several faces; no picture is drawn of their poses."""
-    from calrig.calibration.separation import solve_whole, three_axis_document
-    from calrig.export.solution_documents import three_axis_documents
-
-    basis = asked.basis
-    solution = solve_whole(asked.lots, linear=basis.linear, periods_deg=basis.periods_deg, progress=solving)
-    calibrations, stage_map = three_axis_documents(solution, basis.frame, asked.rig)
-    return Solved(
-        rig=asked.rig,
-        basis=basis,
-        document=three_axis_document(solution, basis.frame, telling),
-        calibrations=calibrations,
-        stage_map=stage_map,
-        poses={"mount": [], "dial_deg": [], "on_map_deg": [], "before_deg": [], "left_deg": []},
     )
 
 

@@ -155,10 +155,10 @@ def _check_options(frame: str, limits: tuple[float, float] | None) -> None:
 def _answer(asked: SolutionInputs, *, is_drawn: bool) -> Solved:
     from calrig.analysis.solutions import answer
     from calrig.calibration.poses import DiagnosisError
-    from calrig.calibration.separation import whole_units
+    from calrig.calibration.separation import are_whole
     from calrig.cli.progress import late_bar
 
-    if is_drawn and whole_units(asked.lots):
+    if is_drawn and are_whole(asked.lots):
         raise InputError(NOT_DRAWN)
     try:
         with late_bar("solving") as show:

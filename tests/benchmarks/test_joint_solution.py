@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from studies.joint.rig import Bench, Design, drawn_stage, drawn_unit
 
 from calrig.calibration.separation.least_squares import fitted
-from calrig.calibration.separation.mounts import table_of
+from calrig.calibration.separation.pose_table import table_of
 from calrig.calibration.separation.problem import Problem
 from calrig.calibration.separation.report import solution_document
 from calrig.calibration.separation.solution import solve
@@ -91,6 +91,6 @@ def by_scipy(problem: Problem):
         return -csr_array((derivatives.reshape(-1), (rows, columns)), shape=shape)[:, free]
 
     def residuals(some):
-        return (problem.table.vector_g - problem.expected(whole(some)).vector_g).ravel()
+        return (problem.table.vector_g - problem.expected(whole(some)).vector_g)[:, 1:].ravel()
 
     return whole(least_squares(residuals, start[free], jacobian, x_scale="jac", tr_solver="lsmr").x)

@@ -9,8 +9,8 @@ import pytest
 from run_rigs import TruthRig, begin, pass_time, plan
 
 from calrig.analysis.solutions import SolutionRequest, question
-from calrig.calibration.separation.three_axis_fit import solve_whole
-from calrig.calibration.separation.three_axis_report import three_axis_document
+from calrig.calibration.separation.report import solution_document
+from calrig.calibration.separation.solution import solve
 from calrig.runs.service import RunService
 from calrig.store import Store
 
@@ -51,7 +51,7 @@ def document(store: Store) -> dict[str, Any]:
             assert run.status == "completed", run.error
             ids.append(run.id)
         service.close()
-    return three_axis_document(solve_whole(question(store, SolutionRequest(ids)).lots, linear=True))
+    return solution_document(solve(question(store, SolutionRequest(ids)).lots, linear=True))
 
 
 def test_the_accelerometer_is_the_simulated_one(document):

@@ -15,7 +15,6 @@ from calrig.calibration.progress import Progress, unheard, within
 from calrig.calibration.separation.least_squares import Fit, fitted
 from calrig.calibration.separation.pose_table import BoolArray, Intp, Table
 from calrig.calibration.separation.problem import Problem
-from calrig.calibration.separation.three_axis_fit import ThreeAxisFit, fitted_whole
 from calrig.estimation.angles import FloatArray
 
 STRETCHES = 6
@@ -32,43 +31,17 @@ class HeldOut:
     n_poses: int
 
 
-Left = Callable[[FloatArray], FloatArray]
-"""(n,) angles measured less those expected, rad, of a fit by weights (n,) of the poses."""
-
-
 def held_out(fit: Fit, progress: Progress = unheard) -> HeldOut:
-    """Predicts every pose that was not left out as an outlier, once; tells the share that is done."""
-    problem, believing = fit.problem, _without_map(fit.problem)
-    return _predicted(
-        problem.table,
-        fit.kept,
-        lambda shown: fitted(believing, shown).left(),
-        lambda shown: fitted(problem, shown, fit.parameters).left(),
-        progress,
-    )
-
-
-def held_out_of_whole(fit: ThreeAxisFit, progress: Progress = unheard) -> HeldOut:
-    """The same of whole units."""
-    problem = fit.problem
-    believing = replace(problem, of=replace(problem.of, seen=_played_out(problem.table)), orders=())
-    return _predicted(
-        problem.table,
-        fit.kept,
-        lambda shown: fitted_whole(believing, shown).left(),
-        lambda shown: fitted_whole(problem, shown, fit.parameters).left(),
-        progress,
-    )
-
-
-def _predicted(table: Table, kept: BoolArray, believing: Left, solved: Left, progress: Progress) -> HeldOut:
-    """By any two fits of the poses kept: without the map, and with it."""
-    folds = stretches(table, kept)
+    """Predict every pose that was not left out as an outlier, once; report the share that is done."""
+    folds = stretches(fit.problem.table, fit.kept)
+    believing = _without_map(fit.problem)
     return HeldOut(
-        before_deg=_rms_deg(believing, folds, within(progress, 0.0, 0.5)),
-        final_deg=_rms_deg(solved, folds, within(progress, 0.5, 1.0)),
+        before_deg=_rms_deg(lambda shown: fitted(believing, shown).left(), folds, within(progress, 0.0, 0.5)),
+        final_deg=_rms_deg(
+            lambda shown: fitted(fit.problem, shown, fit.parameters).left(), folds, within(progress, 0.5, 1.0)
+        ),
         stretches=int(folds.max()) + 1,
-        n_poses=int(kept.sum()),
+        n_poses=int(fit.kept.sum()),
     )
 
 
@@ -78,12 +51,8 @@ def believing_the_stage(fit: Fit) -> Fit:
 
 
 def _without_map(problem: Problem) -> Problem:
-    return replace(problem, table=_played_out(problem.table), orders=())
-
-
-def _played_out(table: Table) -> Table:
-    """The poses as if the stage had no play."""
-    return replace(table, approach=np.zeros(len(table)))
+    """As if the stage had neither errors nor backlash."""
+    return replace(problem, table=replace(problem.table, approach=np.zeros(len(problem.table))), orders=())
 
 
 def stretches(table: Table, kept: BoolArray) -> Intp:
@@ -97,7 +66,8 @@ def stretches(table: Table, kept: BoolArray) -> Intp:
     return folds
 
 
-def _rms_deg(left: Left, folds: Intp, progress: Progress) -> float:
+def _rms_deg(left: Callable[[FloatArray], FloatArray], folds: Intp, progress: Progress) -> float:
+    """Of the angles (n,) that fits by weights (n,) leave, each of those held out."""
     errors = np.zeros(len(folds))
     count = int(folds.max()) + 1
     for fold in range(count):

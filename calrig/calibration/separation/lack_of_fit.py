@@ -5,27 +5,40 @@ there; time, as of a clamp that gives; a unit's gains, skew and offsets, as of a
 explain beyond the joint model is held against noise by an F test of added columns (Seber & Lee, Linear
 Regression Analysis, 2nd ed., section 3.7), of all mounts and all terms at once by Bonferroni. Terms that the
 model has already, as those of a unit that was clamped once, drop out by their rank.
+
+A gear whose period nobody stated: the poses' residuals, against every period that their angles resolve. A
+worm's error repeats many times in a turn, beyond the orders that a map has by itself; noise takes it up,
+which is honest and tells nobody. The best of all periods is reported if noise would make the best of them as
+good in one case of a hundred.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
+from calrig.calibration.separation.accelerometer import IN_PLANE, SKEW
 from calrig.calibration.separation.least_squares import Fit
-from calrig.calibration.separation.pose_table import Intp, whitened
-from calrig.calibration.separation.problem import OWN
-from calrig.calibration.separation.unit_model import NAMES
+from calrig.calibration.separation.normal_equations import whitened
+from calrig.calibration.separation.pose_table import Intp
+from calrig.calibration.separation.stage_map import (
+    HIGHEST_ORDER,
+    TURN_DEG,
+    highest_identifiable_order,
+    widest_gap_deg,
+)
 from calrig.estimation.angles import FloatArray
 
 Cause = Literal["map", "time", "unit"]
 LEVEL = 0.01
 """Chance that noise alone has any mount told of."""
 WAVES = (1.0, 2.0, 3.0)
-OF_THE_UNIT = [NAMES.index(name) for name in ("common_gain", "gain", "skew", "y", "z")]
+OF_THE_UNIT = np.flatnonzero(np.less(IN_PLANE, SKEW.stop))
+"""Offsets, gains and skew."""
 LEFT = 1e-3
 """Share of a term that the joint model must leave of it; of less it is the model's own."""
 FEWEST_POSES = 8
@@ -77,7 +90,7 @@ def misfits(tests: Sequence[MountTest]) -> list[MountTest]:
 def _of_mount(fit: Fit, k: int, rows: Intp) -> dict[Cause, tuple[float, float]]:
     """Decrease of χ² and p-value by each cause."""
     problem, derivatives = fit.problem, fit.normal.derivatives[rows]
-    by_angle, terms = derivatives[:, :, OWN - 1, None], {}
+    by_angle, terms = derivatives[:, :, problem.n_own - 1, None], {}
     turns = np.radians(problem.table.dial_deg[rows])[:, None] * np.array(WAVES)
     terms["map"] = by_angle * np.concatenate([np.cos(turns), np.sin(turns)], axis=1)[:, None, :]
     if problem.table.in_order:
@@ -121,3 +134,49 @@ def _explained(
         ratio = (gain / n_told) / (max(squares - gain, 1e-12 * squares) / freedom)
         found[cause] = gain / fit.noise**2, float(fdtrc(n_told, freedom, ratio))  # type: ignore[index]
     return found
+
+
+STEPS_A_WAVE = 2.0
+"""Orders tried for each that an arc resolves."""
+
+
+@dataclass(frozen=True, slots=True)
+class Gear:
+    """A period on the dial and its amplitude, degrees; `p_value` is of the best among all that were tried."""
+
+    period_deg: float
+    amplitude_deg: float
+    p_value: float
+
+
+def unstated_gear(fit: Fit) -> Gear | None:
+    """What repeats on the dial beyond the map; None where nothing does, or the angles are too sparse."""
+    from scipy.special import fdtrc
+
+    table, rows = fit.problem.table, np.flatnonzero(fit.kept)
+    dial_deg = table.dial_deg[rows]
+    step = TURN_DEG / (TURN_DEG - widest_gap_deg(dial_deg)) / STEPS_A_WAVE
+    orders = np.arange(HIGHEST_ORDER + 1.0, highest_identifiable_order(table.dial_deg), step)
+    if not len(orders):
+        return None
+    by_angle = fit.normal.derivatives[rows][:, :, fit.problem.n_own - 1]
+    chain = table.mount[rows] * len(table.sources) + table.source[rows]
+
+    def white(values: np.ndarray) -> np.ndarray:
+        return whitened(values, rows, chain, fit.problem.correlation)[0].reshape(2 * len(rows), -1)
+
+    left = white(fit.normal.residuals[rows][:, :, None])[:, 0]
+    gains, sizes = np.zeros(len(orders)), np.zeros(len(orders))
+    for k, order in enumerate(orders):
+        turn = np.radians(order * dial_deg)
+        wave = white(by_angle[:, :, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)[:, None, :])
+        across = wave.T @ left
+        found = np.linalg.lstsq(wave.T @ wave, across, rcond=1e-6)[0]
+        gains[k], sizes[k] = across @ found, np.hypot(*found)
+    best = int(np.argmax(gains))
+    freedom = fit.freedom - 2.0
+    ratio = 0.5 * gains[best] / max(fit.freedom * fit.noise**2 - gains[best], 1e-300) * freedom
+    p_value = min(len(orders) * float(fdtrc(2.0, freedom, ratio)), 1.0)
+    if p_value > LEVEL:
+        return None
+    return Gear(TURN_DEG / float(orders[best]), math.degrees(sizes[best]), p_value)

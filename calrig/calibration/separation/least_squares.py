@@ -10,36 +10,39 @@ At a correlation of 0.3 or 0.6 the mean of poses that follow one another is wort
 that do not, and two standard errors that deny it hold in 86 or 70 % of cases in place of 95. The correlation
 is found by restricted likelihood: that of residuals alone is too small where a model has many parameters
 (Patterson & Thompson, Biometrika 58, 1971).
-
-A gear whose period nobody stated: what the poses leave, against every period that their angles resolve.
-
-A worm's error repeats many times in a turn, beyond the orders that a map has by itself; noise takes it up,
-which is honest and tells nobody. The best of all periods is told of if noise would make the best of them as
-good in one case of a hundred.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calrig.calibration.separation.mounts import fitted_without_outliers
-from calrig.calibration.separation.pose_table import BoolArray, Intp, Inverse, whitened
-from calrig.calibration.separation.problem import OWN, Normal, Problem
-from calrig.calibration.separation.stage_map import HIGHEST_ORDER, TURN_DEG, told_order, widest_gap_deg
+from calrig.calibration.diagnosis.selection import most_outliers
+from calrig.calibration.separation.normal_equations import Inverse, Normal
+from calrig.calibration.separation.pose_table import GROSS_G, BoolArray, Intp
+from calrig.calibration.separation.problem import Problem
 from calrig.estimation.angles import FloatArray
 
 STEPS = 30
 CONVERGED = 1e-4
 """Of a standard error, a step that changes nothing any more."""
-HUBER = 2.5
-"""Standard deviations beyond which a pose counts less, while it is not known which have gone wrong."""
-MEDIAN_OF_TWO, MEDIAN_OF_ONE = 1.3863, 0.4549
-"""Medians of χ² with two degrees of freedom and with one."""
+HUBER = {2: 2.5, 3: 3.0}
+"""Standard deviations of a pose, by how many components are solved for, beyond which it counts less, while it
+is not known which have gone wrong.
+"""
+MEDIANS = np.array([np.nan, 0.4549, 1.3863, 2.366])
+"""Of χ² with one, two and three degrees of freedom."""
 LEAST_NOISE = 1e-6
 """Of poses without noise, as cells of six decimals have it, g."""
+OUTLIER_STD = 7.0
+"""Standard deviations from the model, beyond which noise takes no pose."""
+ROUNDS = 4
+IDENTIFIED = 0.33
+"""Of how large a parameter may be: one whose standard error is more is not identified."""
+SHAPES = 3
+"""Rounds in which the components' noise is found."""
+LEAST_SHAPE = 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +52,8 @@ class Fit:
     Attributes:
         parameters: (p,) radians and g.
         inverse: the covariance over the noise's square; 0 of what is not free.
-        noise: standard deviation of one component of a pose, g, which is its angle's in rad.
+        noise: standard deviation of one component of a pose, root mean square over components and units, g,
+            which is its angle's in rad.
         freedom: its degrees of freedom.
         normal: about the parameters, unweighted poses left out.
         weights: (n,) 0 of poses left out.
@@ -76,10 +80,38 @@ class Fit:
         """(n,) the poses it rests on."""
         return np.asarray(self.weights > 0.0)
 
+    @property
+    def stds(self) -> FloatArray:
+        """(p,) standard errors."""
+        return np.asarray(self.noise * np.sqrt(np.maximum(self.inverse.diagonal(), 0.0)))
+
     def left(self) -> FloatArray:
-        """(n,) angle measured less angle expected, rad."""
-        found = self.problem.table.angle() - self.problem.expected(self.parameters).angle()
+        """(n,) angle about the stage's axis, measured less expected, rad."""
+        table = self.problem.table
+        found = table.turn() - table.turn_of(self.problem.expected(self.parameters).vector_g)
         return np.asarray(np.angle(np.exp(1j * found)))
+
+    def leverage(self) -> FloatArray:
+        """(n, c) share of each response that its own measurement has in what is expected of it."""
+        problem, inverse = self.problem, self.inverse.whole()
+        found = np.zeros_like(self.normal.residuals)
+        of_map = np.arange(problem.first_order, problem.size)
+        for k in range(len(problem.table.mounts)):
+            rows = problem.table.mount == k
+            at = np.concatenate([problem.own_at(k), of_map])
+            derivatives = self.normal.derivatives[rows]
+            found[rows] = ((derivatives @ inverse[np.ix_(at, at)]) * derivatives).sum(axis=2)
+        return found
+
+    def identified(self) -> tuple[int, int]:
+        """How many directions of the free parameters the poses identify, and of how many.
+
+        A direction is identified where it is known better than to a third of how large it may be.
+        """
+        free = self.problem.free
+        scale = self.problem.widths()[free] / self.noise
+        size = np.linalg.eigvalsh(self.normal.matrix[np.ix_(free, free)] * np.outer(scale, scale))
+        return int((size > 1.0 / IDENTIFIED**2).sum()), int(free.sum())
 
 
 def fitted(
@@ -134,43 +166,70 @@ def _inverse(problem: Problem, normal: Normal, noise: float) -> Inverse:
 
 def _freedom(problem: Problem, normal: Normal, weights: FloatArray, inverse: Inverse) -> float:
     """Responses less the parameters that they tell: the trace of the matrix that predicts them."""
-    responses = float(((1 + problem.table.has_vector) * weights).sum())
+    responses = float((problem.table.responses * weights).sum())
     return max(responses - inverse.times_trace(normal.matrix), 1.0)
 
 
 def without_outliers(problem: Problem) -> tuple[Fit, FloatArray]:
-    """The least squares solution without poses that have gone wrong alone, and the weights (n,) of all."""
-    size_g = np.hypot(problem.table.vector_g[:, 0], problem.table.vector_g[:, 1])
-    return fitted_without_outliers(
-        lambda weights, start, robust: fitted(problem, weights, start, robust=robust), distances, size_g
-    )
+    """The least squares solution without poses that have gone wrong alone, and the weights (n,) of all.
+
+    They are found by fits in which poses far off count less, then left out. Where many are far off it is the
+    model that is wrong, and none is left out.
+    """
+    gross = np.abs(problem.table.size_g - 1.0) > GROSS_G
+    weights = np.where(gross, 0.0, 1.0)
+    fit = fitted(problem, weights, robust=True)
+    for _ in range(ROUNDS):
+        outlying = gross | (distances(fit) > OUTLIER_STD)
+        if outlying.sum() > most_outliers(len(outlying)):
+            weights = np.where(gross, 0.0, 1.0)
+            break
+        if (outlying == (weights == 0.0)).all():
+            break
+        weights = np.where(outlying, 0.0, 1.0)
+        fit = fitted(problem, weights, fit.parameters, robust=True)
+    return fitted(problem, weights, fit.parameters), weights
 
 
 def distances(fit: Fit) -> FloatArray:
     """(n,) how far each pose lies from what the others say of it, in standard deviations."""
-    problem, inverse = fit.problem, fit.inverse.whole()
+    share = fit.leverage().max(axis=1)
+    room = 1.0 - np.where(fit.kept, share, -share)
     far = np.linalg.norm(fit.normal.residuals, axis=1) / fit.noise
-    of_map = np.arange(problem.first_order, problem.size)
-    for k in range(len(problem.table.mounts)):
-        rows = np.flatnonzero(problem.table.mount == k)
-        at = np.concatenate([problem.own_at(k), of_map])
-        derivatives = fit.normal.derivatives[rows]
-        share = ((derivatives @ inverse[np.ix_(at, at)]) * derivatives).sum(axis=2).max(axis=1)
-        room = 1.0 - np.where(fit.kept[rows], share, -share)
-        far[rows] /= np.sqrt(np.clip(room, 0.05, None))
-    return np.asarray(far)
+    return np.asarray(far / np.sqrt(np.clip(room, 0.05, None)))
+
+
+def with_noise_of_components(fit: Fit) -> Fit:
+    """The same fit with the noise of each unit's components estimated by themselves."""
+    units = fit.problem.table.unit
+    for _ in range(SHAPES):
+        shape = fit.problem.shape
+        shape = (
+            np.ones((len(fit.problem.table.units), fit.normal.residuals.shape[1])) if shape is None else shape
+        )
+        share, squares, freedom = fit.leverage(), np.zeros_like(shape), np.zeros_like(shape)
+        for unit in range(len(shape)):
+            rows = fit.kept & (units == unit)
+            squares[unit] = (fit.normal.residuals[rows] ** 2).sum(axis=0)
+            freedom[unit] = rows.sum() - share[rows].sum(axis=0)
+        noise_g = shape * np.sqrt(squares / np.maximum(freedom, 1.0))
+        shape = np.maximum(noise_g / max(np.sqrt(np.mean(noise_g**2)), LEAST_NOISE), LEAST_SHAPE)
+        shape /= np.sqrt(np.mean(shape**2))
+        fit = fitted(replace(fit.problem, shape=shape), fit.weights, fit.parameters)
+    return fit
 
 
 def _huber(normal: Normal, noise: float) -> FloatArray:
     """(n,) 1 of poses near the model, less with distance."""
     far = np.linalg.norm(normal.residuals, axis=1) / noise
-    return np.asarray(HUBER / np.maximum(far, HUBER))
+    near = HUBER[normal.residuals.shape[1]]
+    return np.asarray(near / np.maximum(far, near))
 
 
 def _noise(problem: Problem, normal: Normal, weights: FloatArray) -> float:
     """Standard deviation of a component, by the median over the poses: a few of them may be anything."""
     squares = (normal.residuals**2).sum(axis=1)
-    scaled = squares / np.where(problem.table.has_vector, MEDIAN_OF_TWO, MEDIAN_OF_ONE)
+    scaled = squares / MEDIANS[problem.table.responses]
     return max(float(np.sqrt(np.median(scaled[weights > 0.0]))), LEAST_NOISE)
 
 
@@ -180,7 +239,7 @@ def _is_small(change: FloatArray, inverse: Inverse, noise: float) -> bool:
     return not bool(moved.any())
 
 
-LARGEST = 0.95
+LARGEST_CORRELATION = 0.95
 CLOSE = 5e-3
 LEAST_SQUARES = 1e-300
 """Whose logarithm is still a number."""
@@ -197,7 +256,7 @@ def correlation_of(fit: Fit) -> float:
     if not fit.problem.table.in_order:
         return 0.0
     found = minimize_scalar(
-        lambda rho: _criterion(fit, float(rho)), bounds=(0.0, LARGEST), options={"xatol": CLOSE}
+        lambda rho: _criterion(fit, float(rho)), bounds=(0.0, LARGEST_CORRELATION), options={"xatol": CLOSE}
     )
     return float(found.x)
 
@@ -209,50 +268,3 @@ def _criterion(fit: Fit, rho: float) -> float:
     inverse = problem.inverse(normal.matrix + np.diag(fit.noise**2 * problem.widths() ** -2.0))
     squares = max(normal.squares - float(normal.gradient @ inverse.solve(normal.gradient)), LEAST_SQUARES)
     return fit.freedom * float(np.log(squares)) + normal.log_variance + inverse.log_determinant
-
-
-LEVEL = 0.01
-STEPS_A_WAVE = 2.0
-"""Orders tried for each that an arc resolves."""
-
-
-@dataclass(frozen=True, slots=True)
-class Gear:
-    """A period on the dial and its amplitude, degrees; `p_value` is of the best among all that were tried."""
-
-    period_deg: float
-    amplitude_deg: float
-    p_value: float
-
-
-def unstated_gear(fit: Fit) -> Gear | None:
-    """What repeats on the dial beyond the map; None where nothing does, or the angles are too sparse."""
-    from scipy.special import fdtrc
-
-    table, rows = fit.problem.table, np.flatnonzero(fit.kept)
-    dial_deg = table.dial_deg[rows]
-    step = TURN_DEG / (TURN_DEG - widest_gap_deg(dial_deg)) / STEPS_A_WAVE
-    orders = np.arange(HIGHEST_ORDER + 1.0, told_order(table.dial_deg), step)
-    if not len(orders):
-        return None
-    by_angle = fit.normal.derivatives[rows][:, :, OWN - 1]
-    chain = table.mount[rows] * len(table.sources) + table.source[rows]
-
-    def white(values: np.ndarray) -> np.ndarray:
-        return whitened(values, rows, chain, fit.problem.correlation)[0].reshape(2 * len(rows), -1)
-
-    left = white(fit.normal.residuals[rows][:, :, None])[:, 0]
-    gains, sizes = np.zeros(len(orders)), np.zeros(len(orders))
-    for k, order in enumerate(orders):
-        turn = np.radians(order * dial_deg)
-        wave = white(by_angle[:, :, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)[:, None, :])
-        across = wave.T @ left
-        found = np.linalg.lstsq(wave.T @ wave, across, rcond=1e-6)[0]
-        gains[k], sizes[k] = across @ found, np.hypot(*found)
-    best = int(np.argmax(gains))
-    freedom = fit.freedom - 2.0
-    ratio = 0.5 * gains[best] / max(fit.freedom * fit.noise**2 - gains[best], 1e-300) * freedom
-    p_value = min(len(orders) * float(fdtrc(2.0, freedom, ratio)), 1.0)
-    if p_value > LEVEL:
-        return None
-    return Gear(TURN_DEG / float(orders[best]), math.degrees(sizes[best]), p_value)

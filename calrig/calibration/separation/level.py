@@ -22,29 +22,19 @@ The fit finds A₊ and A₋; half their sum is λ, and σ with all that is in it
 
 So the calibrated elevation is that of the sensor less λ: that of the case, against gravity.
 (Estler, J. Res. NIST 103, 1998, p. 141; Evans, Hocken & Estler, CIRP Annals 45, 1996, p. 617: reversal.)
-
-What a calibrated elevation is worth: less its mean over a range, or whole where its level is known.
-
-What poses can tell at best: the Cramér-Rao bound of the joint model, for poses taken or only thought of.
-
-The least squares solution reaches it where the noise is normal (Kay, Fundamentals of Statistical Signal
-Processing: Estimation Theory, 1993, section 3.9).
 """
 
 from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
-from calrig.calibration.separation.least_squares import Fit, at_parameters
-from calrig.calibration.separation.pose_table import Intp, Mount
-from calrig.calibration.separation.problem import Problem
-from calrig.calibration.separation.unit_model import CURVATURES, NAMES, sensed
+from calrig.calibration.separation.least_squares import Fit
+from calrig.calibration.separation.pose_table import Intp
 from calrig.estimation.angles import FloatArray, wrap_deg
 
 SAME_SEAT_DEG = 5.0
@@ -104,17 +94,17 @@ def level_of(fit: Fit, unit: int, seat_std_deg: float | None = None) -> Level | 
         return None
     places = fit.problem.first_mount + mounts
     sense = np.array([fit.problem.table.mounts[k].sense for k in mounts], dtype=np.float64)
-    # A = sense·σ + λ, both small: the seats are counted from where they stand about
-    apart_deg = wrap_deg(np.degrees(fit.parameters[places]) - sense * seats)
+    # the fit has sense·A; A = sense·σ + λ, both small: the seats are counted from where they stand about
+    apart_deg = sense * wrap_deg(np.degrees(fit.parameters[places]) - seats)
     on_seat = sense[:, None] * (seats[:, None] == np.unique(seats))
     clamped = _Clamped(
         np.radians(apart_deg),
         np.column_stack([on_seat, np.ones(len(mounts))]),
-        fit.covariance_at(places),
+        np.outer(sense, sense) * fit.covariance_at(places),
     )
     found = clamped.found(seat_std_deg)
     by_parameters = np.zeros(fit.problem.size)
-    by_parameters[places] = found.weights
+    by_parameters[places] = sense * found.weights
     of_fit = float(found.weights @ clamped.covariance @ found.weights)
     return Level(
         value_deg=math.degrees(found.level),
@@ -263,122 +253,4 @@ def _seat_deg(fit: Fit, k: int, known: list[float]) -> float:
 
 def _found_deg(fit: Fit, k: int) -> float:
     """Where gravity has the seat of a mount, but for the level."""
-    angle = np.degrees(fit.parameters[fit.problem.first_mount + k])
-    return float(wrap_deg(fit.problem.table.mounts[k].sense * angle))
-
-
-RANGE_DEG = (-60.0, 60.0)
-STEP_DEG = 5.0
-STEP = 1e-6
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ElevationUncertainty:
-    """Standard errors of a unit's calibrated elevation over a range.
-
-    Attributes:
-        elevation_deg, std_deg: (m,).
-        by_parameters: (m, p) of all the model's parameters, rad of elevation.
-        common_variance: of all elevations together, rad², beside what comes by the parameters.
-    """
-
-    elevation_deg: FloatArray
-    std_deg: FloatArray
-    by_parameters: FloatArray
-    common_variance: float = 0.0
-
-    @property
-    def rms_deg(self) -> float:
-        """Over the range."""
-        return float(np.sqrt(np.mean(self.std_deg**2)))
-
-
-def worth(fit: Fit, unit: int, level: Level | None = None) -> ElevationUncertainty:
-    """By the full covariance of the joint fit; without a level of the elevation less its mean."""
-    grid = grid_deg(fit, unit)
-    own = sensed(fit.parameters[fit.problem.unit_at(unit)], np.radians(grid))
-    turn = own.turned(own.by_elevation[:, :, None])
-    by_parameters = np.zeros((len(grid), fit.problem.size))
-    by_parameters[:, fit.problem.unit_at(unit)] = -own.turned(own.by_parameters) / turn
-    by_parameters -= by_parameters.mean(axis=0) if level is None else level.by_parameters
-    common = 0.0 if level is None else level.own_variance
-    variance = np.diag(fit.covariance_of(by_parameters)) + common
-    return ElevationUncertainty(grid, np.degrees(np.sqrt(np.maximum(variance, 0.0))), by_parameters, common)
-
-
-def range_deg(fit: Fit, unit: int) -> tuple[float, float]:
-    """±60°, or what of it the unit was taken to."""
-    taken = (fit.problem.table.unit == unit) & fit.kept
-    at = wrap_deg(np.degrees(fit.problem.elevations(fit.parameters)[taken]))
-    within = np.clip(at, *RANGE_DEG)
-    return float(np.floor(within.min())), float(np.ceil(within.max()))
-
-
-def grid_deg(fit: Fit, unit: int) -> FloatArray:
-    """(m,) elevations from one end of the range to the other."""
-    low, high = range_deg(fit, unit)
-    return np.linspace(low, high, max(round((high - low) / STEP_DEG) + 1, 3))
-
-
-def polynomial(fit: Fit, unit: int) -> tuple[FloatArray, FloatArray]:
-    """Coefficients of θ² and θ³ in the error of angle that the nonlinearity makes, bias and scale free.
-
-    Returns:
-        (2,) deg/deg² and deg/deg³, and (2, 2) their covariance.
-    """
-    at = fit.problem.unit_at(unit)
-    covariance = fit.covariance_at(np.arange(fit.problem.size)[at])
-    return polynomial_of(fit.parameters[at], covariance, grid_deg(fit, unit))
-
-
-def polynomial_of(
-    parameters: FloatArray, covariance: FloatArray, grid: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """The same of one unit's parameters (11,) and their covariance, over elevations (m,) in degrees."""
-    powers = np.linalg.pinv(np.vander(grid / 90.0, 4, increasing=True))[2:] / 90.0 ** np.array([[2.0], [3.0]])
-    straight = np.ones(len(NAMES))
-    straight[list(CURVATURES)] = 0.0
-
-    def coefficients(own: FloatArray) -> FloatArray:
-        elevation = np.radians(grid)
-        bent, plain = sensed(own, elevation).angle(), sensed(own * straight, elevation).angle()
-        return np.asarray(powers @ wrap_deg(np.degrees(bent - plain)))
-
-    slopes = np.stack(
-        [
-            (coefficients(parameters + step) - coefficients(parameters - step)) / (2.0 * STEP)
-            for step in STEP * np.eye(len(parameters))
-        ],
-        axis=1,
-    )
-    return coefficients(parameters), slopes @ covariance @ slopes.T
-
-
-def mounted_otherwise(
-    fit: Fit, unit: int, rows: Intp, mounts_deg: Sequence[float], dial_deg: FloatArray | None = None
-) -> ElevationUncertainty:
-    """What one unit's elevation would be worth, clamped at other angles.
-
-    Args:
-        fit: says how large noise, map and the unit's errors are.
-        unit: by index.
-        rows: poses whose dial angles each mount is taken to.
-        mounts_deg: angles of the clampings.
-        dial_deg: of these poses, in place of their own.
-    """
-    problem, n = fit.problem, len(mounts_deg)
-    poses = problem.table.rows(np.tile(rows, n))
-    table = replace(
-        poses,
-        dial_deg=poses.dial_deg if dial_deg is None else np.tile(dial_deg, n),
-        units=(problem.table.units[unit],),
-        mounts=tuple(Mount(f"{angle:g}°", 0, angle) for angle in mounts_deg),
-        mount=np.repeat(np.arange(n), len(rows)),
-        warmer_c=np.zeros(n * len(rows)),
-        reference_c=np.full(1, np.nan),
-    )
-    thought_of = Problem(table, problem.orders, problem.linear, problem.correlation)
-    parameters = np.concatenate(
-        [fit.parameters[problem.unit_at(unit)], np.radians(mounts_deg), fit.parameters[problem.map_at]]
-    )
-    return worth(at_parameters(thought_of, parameters, fit.noise), 0)
+    return float(wrap_deg(np.degrees(fit.parameters[fit.problem.first_mount + k])))

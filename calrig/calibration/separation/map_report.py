@@ -11,11 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
-from calrig.calibration.separation.stage_map import TURN_DEG, Linearised, basis, dial_grid_deg
+from calrig.calibration.separation.least_squares import Fit
+from calrig.calibration.separation.stage_map import TURN_DEG, basis, dial_grid_deg
 from calrig.estimation.angles import FloatArray, wrap_deg
 
 FEWEST_REPEATS = 12
@@ -25,14 +25,7 @@ SAME_DEG = 3
 """Decimals of a dial's angle that is visited again."""
 
 
-class Residuals(Linearised, Protocol):
-    """A fit, and what it leaves of each pose's angle."""
-
-    def left(self) -> FloatArray:
-        """(n,) rad."""
-
-
-def common_variance(fit: Residuals) -> float:
+def common_variance(fit: Fit) -> float:
     """Variance of that misfit at an angle of the dial, rad²; 0 where dwells are not repeated or show none."""
     from scipy.special import fdtrc
 
@@ -55,7 +48,7 @@ def common_variance(fit: Residuals) -> float:
     return max(float(np.mean(common**2 - pure / poses)), 0.0)
 
 
-def covariance_of_misfit(fit: Residuals) -> FloatArray:
+def covariance_of_misfit(fit: Fit) -> FloatArray:
     """(p, p) of the map's coefficients, rad²: as wide over the angles visited as what is common there."""
     variance = common_variance(fit)
     orders = fit.problem.orders
@@ -103,7 +96,7 @@ class Mapped:
     mounts_std_deg: FloatArray
 
 
-def mapped(fit: Residuals) -> Mapped:
+def mapped(fit: Fit) -> Mapped:
     """The map and the mounts of a joint fit."""
     problem, at = fit.problem, fit.problem.map_at
     dial = dial_grid_deg(problem.table.dial_deg[fit.kept])
@@ -115,7 +108,7 @@ def mapped(fit: Residuals) -> Mapped:
     variance = np.einsum("gi,ij,gj->g", columns - mean, covariance, columns - mean)
     mounts = np.zeros((len(problem.table.mounts), problem.size))
     mounts[:, problem.mounts_at] = np.eye(len(mounts))
-    mounts[:, at] = np.outer([mount.sense for mount in problem.table.mounts], mean)
+    mounts[:, at] = mean
     of_mounts = np.diag(fit.covariance_of(mounts))
     noise_deg = float(np.degrees(fit.noise))
     play = float(coefficients[-1]), float(np.sqrt(max(covariance[-1, -1], 0.0)))

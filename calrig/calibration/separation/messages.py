@@ -1,30 +1,29 @@
-"""What a person should know of a joint solution: what is not separable, and why.
+"""Messages of a joint solution: what is not separable or identified, and which mounts would help.
 
-Which mounts would help, and by how much: from the bound, never from a rule.
+By how much these would help comes from the bound, never from a rule.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calrig.calibration.separation.lack_of_fit import misfits
-from calrig.calibration.separation.least_squares import fitted, unstated_gear
-from calrig.calibration.separation.level import mounted_otherwise
+from calrig.calibration.separation.gyro import WholeGyro
+from calrig.calibration.separation.lack_of_fit import misfits, unstated_gear
+from calrig.calibration.separation.least_squares import Fit, fitted
 from calrig.calibration.separation.map_report import Mapped, common_variance
-from calrig.calibration.separation.order_choice import Choice
-from calrig.calibration.separation.problem import Problem
 from calrig.calibration.separation.solution import Solution
-from calrig.calibration.separation.stage_map import (
-    SAME_DIAL_DEG,
-    TURN_DEG,
-    Linearised,
-    goes_round,
-    widest_gap_deg,
+from calrig.calibration.separation.stage_map import SAME_DIAL_DEG, TURN_DEG, goes_round, widest_gap_deg
+from calrig.calibration.separation.unit_results import (
+    Frame,
+    axes_of,
+    mounted_otherwise,
+    seats_std_rad,
+    unidentified,
 )
-from calrig.calibration.separation.unit_model import NAMES
-from calrig.estimation.angles import FloatArray, robust_std, wrap_deg
+from calrig.estimation.angles import AXES, FloatArray, robust_std, wrap_deg
 
 SHARE = 0.3
 """Of the largest part of a direction: what has less is not named."""
@@ -36,7 +35,7 @@ HARDLY_NOISE = 0.85
 """Correlation from pose to pose, seconds apart, beyond which something moved."""
 CONTRADICTS = 1e-3
 """Chance of quadratic and cubic terms as large in units that have none."""
-LEAST_TOLD = 0.5
+LEAST_IDENTIFIED = 0.5
 """Of those terms, that the poses must tell for a test of them."""
 NEAR_DEG = 0.25
 """Poses nearer to one another than this stand at one angle of the dial."""
@@ -51,54 +50,112 @@ MOVED = 5.0
 """Standard errors of a mean."""
 MOST_BELIEVED = 0.6
 """Of a correlation between poses, beside a step: the step itself looks like more."""
-TITLES = {
-    "common_gain": "common gain",
-    "gain": "gain",
-    "skew": "skew",
-    "y": "y offset",
-    "z": "z offset",
-    "y2": "quadratic term of y",
-    "y3": "cubic term of y",
-    "z2": "quadratic term of z",
-    "z3": "cubic term of z",
-    "y_per_c": "y offset's temperature",
-    "z_per_c": "z offset's temperature",
-}
+CLOCK_ERRORS = 3.0
+"""Standard errors from which a clock is said to be off."""
 
 
-def sentences(solution: Solution, on_stage: Mapped) -> list[str]:
-    """All that is to be said, the weightiest first."""
+def messages_of(
+    solution: Solution, on_stage: Mapped, gyros: Sequence[WholeGyro | None], frame: Frame
+) -> list[str]:
+    """Return all that should be known of a solution, the weightiest first.
+
+    Args:
+        solution: with its units.
+        on_stage: its map and mounts.
+        gyros: of each unit.
+        frame: that the accelerometers' matrices were asked for in.
+    """
     units = range(len(solution.table.units))
-    said = [_not_separable(solution, unit) for unit in units if not solution.is_separable(unit)]
+    if solution.table.is_whole:
+        found = _of_linear(solution)
+        for unit, gyro in zip(units, gyros, strict=True):
+            found += [*_of_accelerometer(solution, unit, frame), *_of_gyro(solution.table.units[unit], gyro)]
+        return [*found, *_of_mounts(solution, on_stage), *_of_dial(solution), *_of_unidentifiable(solution)]
+    found = [_not_separable(solution, unit) for unit in units if not solution.is_separable(unit)]
     if solution.noise_deg > LOUD_DEG:
-        said.append(
+        found.append(
             f"the poses lie {solution.noise_deg:.2g}° from the model, as no unit at rest does: are they of "
             "one stage, each of the unit that is named, and were its mounts not touched?"
         )
     if solution.fit.problem.correlation > HARDLY_NOISE:
-        said.append(
+        found.append(
             f"what the poses leave is correlated by {solution.fit.problem.correlation:.2f} from one to "
             "the next: more as a lack of fit than as noise"
         )
-    said += [*_of_misfits(solution), *_of_gear(solution), *_of_levels(solution)]
-    said += [*_of_linear(solution), *_of_mounts(solution, on_stage), *_of_sources(solution)]
-    return [*said, *_of_dial(solution, on_stage), *_of_columns(solution), *_of_readings(solution)]
+    found += [*_of_misfits(solution), *_of_gear(solution), *_of_levels(solution)]
+    found += [*_of_linear(solution), *_of_mounts(solution, on_stage), *_of_sources(solution)]
+    found += [*_of_dial(solution), *_of_angles(solution, on_stage), *_of_unidentifiable(solution)]
+    return [*found, *_of_columns(solution), *_of_readings(solution)]
 
 
 def _not_separable(solution: Solution, unit: int) -> str:
-    worth, problem = solution.worths[unit], solution.fit.problem
-    at = np.concatenate([problem.blocks[unit], problem.border])
+    known, problem = solution.uncertainties[unit], solution.fit.problem
+    of_map = np.arange(problem.first_order, problem.size)
+    at = np.concatenate([problem.blocks[unit], of_map[problem.free[of_map]]])
     widths = problem.widths()[at]
-    scaled = worth.by_parameters[:, at] * widths
+    scaled = known.by_parameters[:, at] * widths
     size, turn = np.linalg.eigh(solution.fit.covariance_at(at) / np.outer(widths, widths))
     direction = turn[:, int(np.argmax(size * ((scaled @ turn) ** 2).sum(axis=0)))]
     weights = np.abs(direction)
-    named = [_title(problem, int(at[k])) for k in np.argsort(-weights) if weights[k] > SHARE * weights.max()]
+    named = [problem.title(int(at[k])) for k in np.argsort(-weights) if weights[k] > SHARE * weights.max()]
     return (
-        f"unit {solution.table.units[unit]}: its elevation is known to {worth.rms_deg:.2g}° only, where one "
+        f"unit {solution.table.units[unit]}: its elevation is known to {known.rms_deg:.2g}° only, where one "
         f"pose is measured to {solution.noise_deg:.2g}°: these poses do not separate "
         f"{', '.join(dict.fromkeys(named))}"
     )
+
+
+def _of_accelerometer(solution: Solution, unit: int, frame: Frame) -> list[str]:
+    """What of it the poses do not tell, and how well its seats repeat."""
+    fit, serial, axes = solution.fit, solution.table.units[unit], axes_of(solution.fit, unit)
+    missing = [axis for axis in AXES if axis not in axes]
+    if names := unidentified(fit, unit):
+        identified, asked = fit.identified()
+        remedy = (
+            f": clamp it with its {' and its '.join(missing)} along the stage's axis too" if missing else ""
+        )
+        return [
+            f"unit {serial}: these poses do not tell {', '.join(names)} ({identified} of {asked} parameters "
+            f"are told, by singular values), so there is no matrix of it{remedy}"
+        ]
+    if frame == "faces" and len(axes) == len(AXES):
+        seat_deg = float(np.degrees(seats_std_rad(fit, unit)))
+        return [
+            f"unit {serial}: the faces were off by {seat_deg:.2g}° from being square, root mean square: the "
+            "frame of the matrix is as good as that, its other six numbers are better"
+        ]
+    return []
+
+
+def _of_gyro(serial: str, gyro: WholeGyro | None) -> list[str]:
+    if gyro is None:
+        return []
+    found = []
+    if gyro.turns is None:
+        found.append(
+            f"unit {serial}: no gyro matrix: it needs gyro_move_x_deg, gyro_move_y_deg and gyro_move_z_deg "
+            "of moves in mounts with x, y and z along the stage's axis"
+        )
+    else:
+        if not gyro.turns.closed:
+            found.append(
+                f"unit {serial}: no full turns: the gyro's scale rests on the stage's map; turns of 360° "
+                "between dwells do not"
+            )
+        if gyro.turns.one_way:
+            found.append(
+                f"unit {serial}: turned one way only: Earth's rate and gravity's influence stay in the "
+                "gyro's matrix and its uncertainty; turn both ways"
+            )
+    if gyro.clock is not None and abs(gyro.clock.error) > CLOCK_ERRORS * gyro.clock.std:
+        way = "fast" if gyro.clock.error > 0.0 else "slow"
+        found.append(
+            f"unit {serial}: the board's clock is {way} by {1e6 * abs(gyro.clock.error):.0f} ppm ± "
+            f"{1e6 * gyro.clock.std:.0f} ppm of the host's; the gyro's matrix is for the board's seconds"
+        )
+    if gyro.dwells is not None and not gyro.dwells.is_identified:
+        found.append(f"unit {serial}: these attitudes do not tell what gravity does to the gyro")
+    return found
 
 
 def _of_misfits(solution: Solution) -> list[str]:
@@ -129,28 +186,20 @@ def _of_gear(solution: Solution) -> list[str]:
 
 def _of_levels(solution: Solution) -> list[str]:
     """What is missing of the level of a unit that was reversed, and what the clampings contradict."""
-    said = []
+    found = []
     for serial, level in zip(solution.table.units, solution.levels, strict=True):
         if level is not None and not level.is_known:
-            said.append(
+            found.append(
                 f"unit {serial} was reversed, which has its level at {level.value_deg:+.3f}°, but nothing "
                 "says how well face and seat repeat: state it (--seat-std), or clamp it anew both ways; "
                 "until then its level is not known"
             )
         elif level is not None and level.contradicted:
-            said.append(
+            found.append(
                 f"unit {serial}: its clampings scatter more widely than {level.seat_std_deg:g}° as stated of "
                 "face and seat: the level is known less well than is said"
             )
-    return said
-
-
-def _title(problem: Problem, place: int) -> str:
-    if place < problem.first_mount:
-        return TITLES[NAMES[place % len(NAMES)]]
-    if place < problem.first_order:
-        return f"mount {problem.table.mounts[place - problem.first_mount].name}"
-    return problem.title_on_map(place)
+    return found
 
 
 def _of_linear(solution: Solution) -> list[str]:
@@ -163,34 +212,37 @@ def _of_linear(solution: Solution) -> list[str]:
     return [f"the {who} stated to be linear, and these poses contradict that"] if is_better(bent, fit) else []
 
 
-def is_better(bent: Linearised, straight: Linearised) -> bool:
+def is_better(bent: Fit, straight: Fit) -> bool:
     """Whether quadratic and cubic terms explain more than noise would: an F test of all of them."""
     from scipy.special import chdtrc
 
-    told = straight.freedom - bent.freedom
+    identified = straight.freedom - bent.freedom
     gain = (straight.freedom * straight.noise**2 - bent.freedom * bent.noise**2) / bent.noise**2
-    return bool(told >= LEAST_TOLD and chdtrc(told, max(gain, 0.0)) <= CONTRADICTS)
+    return bool(identified >= LEAST_IDENTIFIED and chdtrc(identified, max(gain, 0.0)) <= CONTRADICTS)
 
 
 def _of_mounts(solution: Solution, on_stage: Mapped) -> list[str]:
-    """Mounts that stand elsewhere than somebody said."""
-    said = []
+    """Mounts that stand elsewhere than somebody stated; units in the plane without a statement at 0."""
+    found, is_whole = [], solution.table.is_whole
     for mount, found_deg in zip(solution.table.mounts, on_stage.mounts_deg, strict=True):
-        angle_deg = mount.on_its_turn(mount.sense * float(found_deg))
+        if is_whole and mount.nominal_deg is None:
+            continue
+        angle_deg = mount.on_its_turn(float(found_deg))
         if abs(wrap_deg(angle_deg - (mount.nominal_deg or 0.0))) > OFF_DEG:
             stated = (
                 "no mount_deg was given"
                 if mount.nominal_deg is None
                 else f"mount_deg is {mount.nominal_deg:g}"
             )
+            about = f" about {mount.axis}" if is_whole else ""
             unit = solution.table.units[mount.unit]
-            said.append(f"mount {mount.name} of unit {unit}: {stated}, gravity says {angle_deg:.1f}°")
-    return said
+            found.append(f"mount {mount.name} of unit {unit}: {stated}, gravity says {angle_deg:.1f}°{about}")
+    return found
 
 
 def _of_sources(solution: Solution) -> list[str]:
     """Files that share a mount by name, and not to within the noise by angle."""
-    fit, table, said = solution.fit, solution.table, []
+    fit, table, found = solution.fit, solution.table, []
     angles = fit.left()
     rho = min(fit.problem.correlation, MOST_BELIEVED)
     for k, mount in enumerate(table.mounts):
@@ -200,64 +252,71 @@ def _of_sources(solution: Solution) -> list[str]:
         for source, mean in means.items():
             error = fit.noise * np.sqrt((1.0 + rho) / (1.0 - rho) / (sources == source).sum())
             if len(means) > 1 and abs(mean) > MOVED * error:
-                said.append(
+                found.append(
                     f"mount {mount.name} of unit {table.units[mount.unit]}: in {table.sources[source]} it "
                     f"stands {np.degrees(mean):+.3f}° from where all its poses have it: was it clamped anew?"
                 )
-    return said
+    return found
 
 
-def _of_dial(solution: Solution, on_stage: Mapped) -> list[str]:
+def _of_dial(solution: Solution) -> list[str]:
     dial = solution.table.dial_deg[solution.fit.kept]
-    said = []
-    if not goes_round(dial):
-        arc = TURN_DEG - widest_gap_deg(dial)
-        said.append(
-            f"the poses stand on {arc:.0f}° of the dial: the map is known there and nowhere else, and its "
-            "orders are a way to write it down, not the axis' own"
-        )
+    if goes_round(dial):
+        return []
+    arc = TURN_DEG - widest_gap_deg(dial)
+    return [
+        f"the poses stand on {arc:.0f}° of the dial: the map is known there and nowhere else, and its "
+        "orders are a way to write it down, not the axis' own"
+    ]
+
+
+def _of_angles(solution: Solution, on_stage: Mapped) -> list[str]:
+    """Poses at too few angles of the dial, or with something in common there."""
+    dial, found = solution.table.dial_deg[solution.fit.kept], []
     n_angles = len(np.unique(np.round(dial / NEAR_DEG)))
     if n_angles <= 2 * len(on_stage.harmonics) + 1:
-        said.append(
+        found.append(
             f"the poses stand at {n_angles} angles of the dial, as few as the map has terms: what the stage "
             "has beyond these orders they do not show; take poses at more angles (jitter)"
         )
     common_deg = float(np.degrees(np.sqrt(common_variance(solution.fit))))
     if common_deg > 0.0:
-        said.append(
+        found.append(
             f"poses at one angle of the dial have {common_deg:.2g}° in common that the map's orders do not "
             "explain: the map's standard errors hold that much at each angle"
         )
-    return [*said, *of_untold_orders(solution.choice)]
+    return found
 
 
-def of_untold_orders(choice: Choice) -> list[str]:
+def _of_unidentifiable(solution: Solution) -> list[str]:
     """Orders of the map that the poses cannot tell from its others."""
-    if not choice.untold:
+    if not solution.choice.unidentifiable:
         return []
-    orders = ", ".join(f"{order:g}" for order in choice.untold)
+    orders = ", ".join(f"{order:g}" for order in solution.choice.unidentifiable)
     return [f"these angles do not tell orders {orders} of the map from its others: they were left out"]
 
 
 def _of_columns(solution: Solution) -> list[str]:
-    table, said = solution.table, []
+    table, found = solution.table, []
     for k, mount in enumerate(table.mounts):
         if not table.has_vector[table.mount == k].any():
-            said.append(
+            found.append(
                 f"mount {mount.name} lacks accel_y_g or accel_z_g: its readings alone count, |a| says nothing"
             )
     if not solution.fit.problem.free[-1]:
-        said.append(
+        found.append(
             "the poses were not approached from both sides, or no column tells: play is not solved for"
         )
-    return said
+    return found
 
 
 def _of_readings(solution: Solution) -> list[str]:
     table = solution.table
     if not table.has_vector.any():
         return []
-    apart = wrap_deg(np.degrees(table.reading - table.angle()))[table.has_vector & solution.fit.kept]
+    apart = wrap_deg(np.degrees(table.sense * (table.reading - table.turn())))[
+        table.has_vector & solution.fit.kept
+    ]
     spread_deg = robust_std(apart)
     if spread_deg < max(APART_DEG, APART_NOISES * solution.noise_deg):
         return []
@@ -295,14 +354,16 @@ class Advice:
 
 
 def advised(solution: Solution, limits_deg: tuple[float, float] | None = None) -> Advice | None:
-    """The plan of mounts to take the unit to that is known least; None where none would help.
+    """The plan of mounts for the unit that is known least; None where none would help, or of whole units.
 
     Args:
         solution: of what was taken so far.
         limits_deg: of the dial; without them no angle is advised beyond those of the poses.
     """
-    unit = int(np.argmax([worth.rms_deg for worth in solution.worths]))
-    now_deg = solution.worths[unit].rms_deg
+    if solution.table.is_whole:
+        return None
+    unit = int(np.argmax([known.rms_deg for known in solution.uncertainties]))
+    now_deg = solution.uncertainties[unit].rms_deg
     table = solution.table
     own = np.flatnonzero((table.unit == unit) & solution.fit.kept)
     rows = own[table.mount[own] == np.bincount(table.mount[own]).argmax()]

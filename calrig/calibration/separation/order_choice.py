@@ -17,9 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from calrig.calibration.poses import DiagnosisError
+from calrig.calibration.separation.accelerometer import OF_CUBIC, OF_LINEAR
+from calrig.calibration.separation.least_squares import Fit
 from calrig.calibration.separation.pose_table import BoolArray, Intp
-from calrig.calibration.separation.stage_map import Linearised, Parameters, resolved_orders
-from calrig.calibration.separation.unit_model import OF_CUBIC, OF_LINEAR
+from calrig.calibration.separation.problem import Problem
+from calrig.calibration.separation.stage_map import resolved_orders
 from calrig.estimation.angles import FloatArray
 
 LEVEL = 0.05
@@ -27,7 +29,9 @@ LEVEL = 0.05
 DRAWS = 4000
 SEED = 0
 SPARE_AN_ORDER = 8
-TOLD = 1e-4
+FEWEST_SPARE = 4
+"""Poses beside those that the parameters take up: the noise is found from them."""
+IDENTIFIABLE = 1e-4
 """Share of an order's columns that the model must leave of them; what is left of less is rounding."""
 
 
@@ -37,13 +41,13 @@ class Choice:
 
     Attributes:
         orders: of the map.
-        let_in: those of them that the gate let in.
-        untold: orders that these poses cannot tell from the lowest.
+        selected: those of them that the gate let in.
+        unidentifiable: orders that these poses cannot tell from the lowest.
     """
 
     orders: tuple[float, ...]
-    let_in: tuple[float, ...]
-    untold: tuple[float, ...]
+    selected: tuple[float, ...]
+    unidentifiable: tuple[float, ...]
 
 
 def of_the_unit(linear: bool) -> int:
@@ -56,20 +60,16 @@ def always(linear: bool, known: Sequence[float]) -> tuple[float, ...]:
     return tuple(sorted({float(order) for order in range(1, of_the_unit(linear) + 1)} | set(known)))
 
 
-def offered(problem: Parameters, responses: int, fewest_spare: int) -> tuple[float, ...]:
-    """Orders that the map may have: as many more as leave the noise to be seen.
-
-    Args:
-        problem: with those that it always has.
-        responses: how many the poses have.
-        fewest_spare: responses beside the parameters, which the noise is found from.
+def offered(problem: Problem) -> tuple[float, ...]:
+    """Orders that the map may have beside those it always has: as many as leave the noise to be seen.
 
     Raises:
         DiagnosisError: the poses are fewer than the parameters need.
     """
     needed = int(problem.free.sum())
-    spare = responses - needed
-    if spare < fewest_spare:
+    table = problem.table
+    spare = int(table.responses.sum()) - needed
+    if spare < FEWEST_SPARE * (table.components.stop - table.components.start):
         raise DiagnosisError(
             f"{len(problem.table)} poses are too few for {needed} parameters of stage, mounts and units: "
             "take more of each mount"
@@ -78,7 +78,7 @@ def offered(problem: Parameters, responses: int, fewest_spare: int) -> tuple[flo
     return tuple(sorted({*problem.orders, *more[: spare // SPARE_AN_ORDER]}))
 
 
-def chosen(rich: Linearised, known_orders: Collection[float] = ()) -> Choice:
+def chosen(rich: Fit, known_orders: Collection[float] = ()) -> Choice:
     """Forward selection on the normal equations of a fit that has every order in it.
 
     Args:
@@ -95,15 +95,19 @@ def chosen(rich: Linearised, known_orders: Collection[float] = ()) -> Choice:
     model = problem.free[problem.map_at].copy()
     for at in open_yet.values():
         model[at] = False
-    untold = [order for order, at in open_yet.items() if not beside.tells(at, beside.taken(model, at)[1])]
+    unidentifiable = [
+        order for order, at in open_yet.items() if not beside.identifies(at, beside.taken(model, at)[1])
+    ]
     rng = np.random.default_rng(SEED)
-    let_in: list[float] = []
+    selected: list[float] = []
     while open_yet and (best := _best(rich, beside, model, open_yet, rng)) is not None:
         model[open_yet.pop(best)] = True
-        let_in.append(best)
-    highest = max([own, *let_in])
+        selected.append(best)
+    highest = max([own, *selected])
     orders = tuple(order for order in problem.orders if order <= highest or order in known_orders)
-    return Choice(orders, tuple(sorted(let_in)), tuple(order for order in untold if order not in orders))
+    return Choice(
+        orders, tuple(sorted(selected)), tuple(order for order in unidentifiable if order not in orders)
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,12 +132,12 @@ class _OfMap:
         left = self.matrix[np.ix_(at, at)] - across.T @ taken[:, :-1]
         return self.gradient[at] - across.T @ taken[:, -1], 0.5 * (left + left.T)
 
-    def tells(self, at: Intp, left: FloatArray) -> bool:
+    def identifies(self, at: Intp, left: FloatArray) -> bool:
         """Whether the model leaves enough (k, k) of an order's columns."""
-        return bool(np.linalg.eigvalsh(left)[0] > TOLD * self.whole[at].mean())
+        return bool(np.linalg.eigvalsh(left)[0] > IDENTIFIABLE * self.whole[at].mean())
 
 
-def _beside_units(rich: Linearised) -> _OfMap:
+def _beside_units(rich: Fit) -> _OfMap:
     """The linear problem about the rich fit, whose solution with all parameters is the fit itself."""
     problem, normal = rich.problem, rich.normal
     centre = np.where(problem.free, problem.start(), 0.0)
@@ -152,7 +156,7 @@ def _beside_units(rich: Linearised) -> _OfMap:
 
 
 def _best(
-    rich: Linearised, beside: _OfMap, model: BoolArray, orders: dict[float, Intp], rng: np.random.Generator
+    rich: Fit, beside: _OfMap, model: BoolArray, orders: dict[float, Intp], rng: np.random.Generator
 ) -> float | None:
     """The order that explains most, if that is more than noise would explain by the best of them."""
     gradient, matrix = beside.taken(model, np.concatenate(list(orders.values())))
@@ -162,7 +166,7 @@ def _best(
     best, most, by_chance = None, 0.0, np.zeros(DRAWS)
     for place, (order, at) in enumerate(orders.items()):
         own = slice(2 * place, 2 * place + 2)
-        if not beside.tells(at, matrix[own, own]):
+        if not beside.identifies(at, matrix[own, own]):
             continue
         inverse = np.linalg.inv(matrix[own, own])
         by_chance = np.maximum(by_chance, ((drawn[:, own] @ inverse) * drawn[:, own]).sum(axis=1))

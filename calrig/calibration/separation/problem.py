@@ -1,190 +1,328 @@
-"""The joint model as one vector of parameters, and its normal equations, gathered mount by mount.
+"""Stage, mounts and units as one vector of parameters, and its normal equations, gathered mount by mount.
 
-Parameters in their order: 11 of each unit, an angle of each mount, a cosine and a sine of each order of the
-map, and the play; radians and g. A pose touches its own unit, its own mount and the map alone, so that many
-units cost no more than their poses.
+Parameters in their order: those of each unit, two tilts of each mount, the dip of the stage's axis, an angle
+of each mount, a cosine and a sine of each order of the map, and the backlash; radians and g. Of whole units
+all 18 parameters are there. Of units in the plane those that a rotation about x shows (`IN_PLANE`), and
+neither tilts nor dip: they are fixed at 0. A pose touches its own unit, its own mount and the stage alone, so
+that many units cost no more than their poses.
+
+With each unit's frame its own sensor's, and each mount free to turn, nothing is left that data could not tell
+in principle.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import ClassVar
 
 import numpy as np
 
-from calrig.calibration.separation.pose_table import BoolArray, Intp, Inverse, Table, inverse_of, whitened
-from calrig.calibration.separation.stage_map import Parameters, basis
-from calrig.calibration.separation.unit_model import CURVATURES, LARGEST, NAMES, PER_C, Sensed, sensed
+from calrig.calibration.separation.accelerometer import (
+    CUBIC,
+    GAIN,
+    IN_PLANE,
+    LARGEST,
+    NAMES,
+    PER_C,
+    QUADRATIC,
+    WIDTH,
+    SensedVector,
+    sensed_vector,
+    turned,
+)
+from calrig.calibration.separation.clamping import stage_direction, tilted
+from calrig.calibration.separation.normal_equations import Inverse, Normal, inverse_of, whitened
+from calrig.calibration.separation.pose_table import BoolArray, Intp, Table
+from calrig.calibration.separation.stage_map import LARGEST_BACKLASH_RAD, LARGEST_RAD, basis
 from calrig.estimation.angles import FloatArray
 
-WIDTH = len(NAMES)
-OWN = WIDTH + 1
-"""Parameters of a pose's unit and mount."""
+LARGEST_TILT_RAD = np.radians(10.0)
+"""A sensor in its case, and the case on its seat."""
+LARGEST_DIP_RAD = np.radians(5.0)
+TILTS = 2
+_QUADRATIC_TO_CUBIC = slice(QUADRATIC.start, CUBIC.stop)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Normal:
-    """Weighted normal equations about some parameters.
-
-    Attributes:
-        residuals: (n, 2) measured less expected, g (a reading: rad, and 0).
-        matrix: (p, p) JᵀWJ; `gradient` (p,) JᵀWr; `squares` rᵀWr. W whitens correlated poses.
-        log_variance: log of the determinant of the noise's correlation.
-        derivatives: (n, 2, 12 + map) of each pose by its unit, its mount (`Problem.own_at`) and the map.
-    """
-
-    residuals: FloatArray
-    matrix: FloatArray
-    gradient: FloatArray
-    squares: float
-    log_variance: float
-    derivatives: FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Problem(Parameters):
+class Problem:
     """Which parameters the joint model of some poses has, and what it expects of them.
 
     Attributes:
         orders: of the map; whole numbers, or 360° over a gear's period.
         linear: whether somebody states that the units are.
         correlation: of the noise from one pose of a mount to the next.
+        shape: (units, c) noise of each component over that of all, root mean square; None of equal ones.
         columns: (n, 2m + 1) of the map.
-        free: (p,) which parameters are to be found; the others are 0.
-        blocks: of each unit the places of what is free of its own and of its mounts.
+        free: (p,) which parameters are to be found; the others are fixed at 0.
+        own: of each mount, `own_at`.
+        blocks: places of what is free beside the map, in blocks that touch one another by the map alone.
     """
 
-    WIDTH: ClassVar[int] = WIDTH
     table: Table
     orders: tuple[float, ...]
     linear: bool = False
     correlation: float = 0.0
+    shape: FloatArray | None = None
     columns: FloatArray = field(init=False, repr=False)
     free: BoolArray = field(init=False, repr=False)
+    own: tuple[Intp, ...] = field(init=False, repr=False)
     blocks: tuple[Intp, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         columns = basis(self.table.dial_deg, self.table.approach, self.orders)
         object.__setattr__(self, "columns", columns)
+        own = (
+            np.r_[self.unit_at(mount.unit), self.tilts_at(k), self.dip_at, self.first_mount + k]
+            for k, mount in enumerate(self.table.mounts)
+        )
+        object.__setattr__(self, "own", tuple(own))
         object.__setattr__(self, "free", self._free())
         object.__setattr__(self, "blocks", self._blocks())
+
+    # --- Where the parameters are ---
+
+    @property
+    def of_unit(self) -> Intp:
+        """Which of an accelerometer's 18 parameters a unit has."""
+        return np.arange(WIDTH) if self.table.is_whole else IN_PLANE
+
+    def unit_at(self, unit: int) -> slice:
+        """Places of one unit."""
+        width = len(self.of_unit)
+        return slice(width * unit, width * (unit + 1))
+
+    @property
+    def dip_at(self) -> slice:
+        """Place of the dip of the stage's axis; empty of units in the plane."""
+        n_mounts, whole = len(self.table.mounts), self.table.is_whole
+        first = len(self.of_unit) * len(self.table.units) + TILTS * n_mounts * whole
+        return slice(first, first + whole)
+
+    def tilts_at(self, mount: int) -> slice:
+        """Places of one mount's tilts; empty of units in the plane."""
+        first = len(self.of_unit) * len(self.table.units) + TILTS * mount * self.table.is_whole
+        return slice(first, first + TILTS * self.table.is_whole)
 
     @property
     def first_mount(self) -> int:
         """Place of the first mount's angle."""
-        return WIDTH * len(self.table.units)
-
-    def own_at(self, mount: int) -> Intp:
-        """(12,) places of a mount's unit and its angle."""
-        own = self.unit_at(self.table.mounts[mount].unit)
-        return np.append(np.arange(own.start, own.stop), self.first_mount + mount)
+        return int(self.dip_at.stop)
 
     @property
-    def border(self) -> Intp:
-        """Places of what is free of the map."""
-        return self.first_order + np.flatnonzero(self.free[self.first_order :])
+    def first_order(self) -> int:
+        """Place of the first order's cosine."""
+        return self.first_mount + len(self.table.mounts)
+
+    @property
+    def size(self) -> int:
+        """How many parameters there are, free or not."""
+        return self.first_order + 2 * len(self.orders) + 1
+
+    @property
+    def mounts_at(self) -> slice:
+        """Places of the mounts' angles."""
+        return slice(self.first_mount, self.first_order)
+
+    @property
+    def map_at(self) -> slice:
+        """Places of the map, backlash and all."""
+        return slice(self.first_order, self.size)
+
+    def own_at(self, mount: int) -> Intp:
+        """(k,) places of what the poses of a mount touch beside the map: its angle is the last."""
+        return self.own[mount]
+
+    @property
+    def n_own(self) -> int:
+        """How many those are."""
+        return len(self.own[0])
+
+    def title(self, place: int) -> str:
+        """Name a parameter."""
+        table, width = self.table, len(self.of_unit)
+        if place < width * len(table.units):
+            whose = f" of unit {table.units[place // width]}" if len(table.units) > 1 else ""
+            return f"{NAMES[self.of_unit[place % width]]}{whose}"
+        if place < self.dip_at.start:
+            return f"tilt of mount {table.mounts[(place - width * len(table.units)) // TILTS].name}"
+        if place < self.first_mount:
+            return "level of the stage's axis"
+        if place < self.first_order:
+            return f"angle of mount {table.mounts[place - self.first_mount].name}"
+        if place == self.size - 1:
+            return "the play"
+        return f"order {self.orders[(place - self.first_order) // 2]:g} of the stage"
+
+    # --- What is known of them before the data ---
 
     def _free(self) -> BoolArray:
         table, free = self.table, np.ones(self.size, dtype=np.bool_)
-        with_vector = np.bincount(table.unit, table.has_vector, minlength=len(table.units)) > 0
-        own = free[: self.first_mount].reshape(-1, WIDTH)
-        own[:, 0] = with_vector
-        own[:, CURVATURES] = not self.linear
+        width, n_units = len(self.of_unit), len(table.units)
+        own = np.ones((n_units, WIDTH), dtype=np.bool_)
+        # a reading is an angle: the gain that all axes have in common is not in it
+        own[:, GAIN.stop - 1] = np.bincount(table.unit, table.has_vector, minlength=n_units) > 0
+        own[:, _QUADRATIC_TO_CUBIC] = not self.linear
         own[:, PER_C] = np.isfinite(table.reference_c)[:, None]
-        free[-1] = self.tells_play()
+        free[: width * n_units] = own[:, self.of_unit].ravel()
+        free[-1] = len(np.unique(table.approach[table.approach != 0.0])) > 1
         return free
 
     def _blocks(self) -> tuple[Intp, ...]:
+        if self.table.is_whole:  # the dip is common to all units
+            return (np.flatnonzero(self.free[: self.first_order]),)
         units = np.array([mount.unit for mount in self.table.mounts], dtype=np.intp)
         by_unit = np.split(np.argsort(units, kind="stable"), np.cumsum(np.bincount(units))[:-1])
-        places = (
-            np.concatenate([np.arange(WIDTH * unit, WIDTH * (unit + 1)), self.first_mount + mounts])
-            for unit, mounts in enumerate(by_unit)
-        )
+        places = (np.r_[self.unit_at(unit), self.first_mount + mounts] for unit, mounts in enumerate(by_unit))
         return tuple(at[self.free[at]] for at in places)
-
-    def inverse(self, matrix: FloatArray) -> Inverse:
-        """Of normal equations (p, p), 0 of parameters that are not free."""
-        return inverse_of(matrix, self.blocks, self.border)
 
     def widths(self) -> FloatArray:
         """(p,) how large each may be: what is known of it before the data, as a standard deviation."""
-        return np.concatenate([np.tile(LARGEST, len(self.table.units)), self.widths_of_stage()])
+        table = self.table
+        counts = (
+            (LARGEST_TILT_RAD, TILTS * len(table.mounts) * table.is_whole),
+            (LARGEST_DIP_RAD, int(table.is_whole)),
+            (np.pi, len(table.mounts)),
+            (LARGEST_RAD, 2 * len(self.orders)),
+            (LARGEST_BACKLASH_RAD, 1),
+        )
+        of_units = np.tile(LARGEST[self.of_unit], len(table.units))
+        return np.concatenate([of_units, *(np.full(count, width) for width, count in counts)])
 
     def start(self) -> FloatArray:
-        """(p,) where to begin: faultless units, mounts as the mean of their readings says."""
-        start = np.zeros(self.size)
-        table = self.table
-        apart, n = table.angle() - table.sense * np.radians(table.dial_deg), len(table.mounts)
+        """(p,) where to begin: faultless units, squarely clamped, sized and turned as their poses are."""
+        start, table = np.zeros(self.size), self.table
+        apart, n = table.turn() - np.radians(table.dial_deg), len(table.mounts)
         s, c = (np.bincount(table.mount, of(apart), minlength=n) for of in (np.sin, np.cos))
         start[self.mounts_at] = np.arctan2(s, c)
-        size = np.hypot(self.table.vector_g[:, 0], self.table.vector_g[:, 1])
-        for unit in range(len(self.table.units)):
-            own = size[(self.table.unit == unit) & self.table.has_vector]
-            start[WIDTH * unit] = np.median(own) - 1.0 if len(own) else 0.0
+        gains = np.flatnonzero(np.isin(self.of_unit, np.arange(WIDTH)[GAIN]))
+        size_g = table.size_g
+        for unit in range(len(table.units)):
+            own = size_g[(table.unit == unit) & table.has_vector]
+            start[self.unit_at(unit)][gains] = np.median(own) - 1.0 if len(own) else 0.0
         return start
 
-    def elevations(self, parameters: FloatArray) -> FloatArray:
-        """(n,) of the unit at each pose, rad."""
-        mounts = parameters[self.mounts_at]
-        on_map = self.columns @ parameters[self.map_at]
-        table_at = np.radians(self.table.dial_deg) + on_map
-        return np.asarray(self.table.sense * table_at + mounts[self.table.mount])
+    # --- What is expected of the poses ---
 
-    def expected(self, parameters: FloatArray) -> Sensed:
+    def accelerometers(self, parameters: FloatArray) -> FloatArray:
+        """(units, 18) of each unit, 0 of what is fixed."""
+        found = np.zeros((len(self.table.units), WIDTH))
+        found[:, self.of_unit] = parameters[: found.shape[0] * len(self.of_unit)].reshape(len(found), -1)
+        return found
+
+    def accelerometer(self, parameters: FloatArray, unit: int) -> FloatArray:
+        """(18,) of one unit."""
+        found = np.zeros(WIDTH)
+        found[self.of_unit] = parameters[self.unit_at(unit)]
+        return found
+
+    def turns(self, parameters: FloatArray) -> FloatArray:
+        """(n,) the table's turn at each pose, from where gravity is the mount's third axis, rad."""
+        on_map = self.columns @ parameters[self.map_at]
+        return np.asarray(
+            np.radians(self.table.dial_deg) + on_map + parameters[self.mounts_at][self.table.mount]
+        )
+
+    def clamped(self, parameters: FloatArray, mount: int) -> FloatArray:
+        """(3, 3) from the table's frame to the sensor's; its first column is the stage's axis."""
+        face = self.table.faces[mount]
+        if not self.table.is_whole:
+            return np.asarray(face)
+        return np.asarray(face @ tilted(parameters[self.tilts_at(mount)])[0])
+
+    def directions(self, parameters: FloatArray) -> FloatArray:
+        """(n, 3) upward in each unit's own frame."""
+        return _turned_by(self._frames(parameters), self._stage(parameters)[0])
+
+    def expected(self, parameters: FloatArray) -> SensedVector:
         """The vector of each pose."""
-        own = parameters[: self.first_mount].reshape(-1, WIDTH)[self.table.unit].T
-        return sensed(own, self.elevations(parameters), self.table.warmer_c)
+        own = self.accelerometers(parameters)[self.table.unit]
+        return sensed_vector(own, self.directions(parameters), self.table.warmer_c)
 
     def normal(self, parameters: FloatArray, weights: FloatArray) -> Normal:
-        """The normal equations about some parameters.
+        """Return the normal equations about some parameters.
 
         Args:
             parameters: (p,).
             weights: (n,) of the poses; 0 of one that is left out.
         """
         left, derivatives = self._responses(parameters)
-        kept = np.flatnonzero(weights > 0.0)
+        kept, own = np.flatnonzero(weights > 0.0), self.n_own
         white, log_variance = self._white(left, derivatives, weights, kept)
         matrix, gradient = np.zeros((self.size, self.size)), np.zeros(self.size)
-        of_map = white[:, OWN:].T @ white[:, OWN:]
+        of_map = white[:, own:].T @ white[:, own:]
         matrix[self.map_at, self.map_at] = of_map[:-1, :-1]
         gradient[self.map_at] = of_map[:-1, -1]
-        ends = 2 * np.searchsorted(self.table.mount[kept], np.arange(len(self.table.mounts) + 1))
+        ends = left.shape[1] * np.searchsorted(self.table.mount[kept], np.arange(len(self.table.mounts) + 1))
         for k in range(len(self.table.mounts)):
             rows, at = white[ends[k] : ends[k + 1]], self.own_at(k)
-            products = rows[:, :OWN].T @ rows
-            matrix[np.ix_(at, at)] += products[:, :OWN]
-            matrix[at, self.map_at] += products[:, OWN:-1]
+            products = rows[:, :own].T @ rows
+            matrix[np.ix_(at, at)] += products[:, :own]
+            matrix[at, self.map_at] += products[:, own:-1]
             gradient[at] += products[:, -1]
         matrix[self.map_at, : self.first_order] = matrix[: self.first_order, self.map_at].T
         return Normal(left, matrix, gradient, float(of_map[-1, -1]), log_variance, derivatives)
 
+    def inverse(self, matrix: FloatArray) -> Inverse:
+        """Of normal equations (p, p), 0 of parameters that are not free."""
+        border = self.first_order + np.flatnonzero(self.free[self.first_order :])
+        return inverse_of(matrix, self.blocks, border)
+
+    def _stage(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The vertical at each pose as the table has it, and its derivatives by the turn and by the dip."""
+        return stage_direction(self.turns(parameters), float(parameters[self.dip_at].sum()))
+
+    def _frames(self, parameters: FloatArray) -> FloatArray:
+        """(n, 3, 3) `clamped` of each pose."""
+        if not self.table.is_whole:
+            return self.table.faces[self.table.mount]
+        mounts = range(len(self.table.mounts))
+        return np.stack([self.clamped(parameters, mount) for mount in mounts])[self.table.mount]
+
+    def _responses(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Residuals (n, c), and derivatives (n, c, k) by unit, tilts, dip, mount and map of each pose."""
+        table, at = self.table, self.table.components
+        (up, by_turn, by_dip), frames = self._stage(parameters), self._frames(parameters)
+        own = self.accelerometers(parameters)[table.unit]
+        sensed = sensed_vector(own, _turned_by(frames, up), table.warmer_c)
+        by_direction = sensed.by_direction[:, at]
+
+        def through(change: FloatArray) -> FloatArray:
+            """(n, c, 1) what a change (n, 3) of the direction does to the vector."""
+            return _turned_by(by_direction, change)[:, :, None]
+
+        parts = [sensed.by_parameters[:, at, self.of_unit]]
+        if table.is_whole:
+            by_tilts = np.stack(
+                [face @ tilted(parameters[self.tilts_at(mount)])[1] for mount, face in enumerate(table.faces)]
+            )[table.mount]
+            parts += [through(_turned_by(by_tilts[:, k], up)) for k in range(TILTS)]
+            parts.append(through(_turned_by(frames, by_dip)))
+        by_angle = through(_turned_by(frames, by_turn))
+        derivatives = np.concatenate([*parts, by_angle, by_angle * self.columns[:, None, :]], axis=2)
+        left = table.vector_g[:, at] - sensed.vector_g[:, at]
+        bare = np.flatnonzero(~table.has_vector)
+        if len(bare):  # the reading alone, of a unit in the plane: one response, an angle
+            error = table.reading[bare] - table.turn_of(sensed.vector_g)[bare]
+            left[bare] = np.stack([np.angle(np.exp(1j * error)), np.zeros(len(bare))], axis=1)
+            turn = turned(sensed.vector_g[bare, at], derivatives[bare]) * table.sense[bare, None]
+            derivatives[bare] = np.stack([turn, np.zeros_like(turn)], axis=1)
+        if self.shape is not None:
+            shape = self.shape[table.unit]
+            left, derivatives = left / shape, derivatives / shape[:, :, None]
+        return left, derivatives
+
     def _white(
         self, left: FloatArray, derivatives: FloatArray, weights: FloatArray, kept: Intp
     ) -> tuple[FloatArray, float]:
-        """Derivatives and, last, residuals of the poses that count as independent rows (2m, 12 + map + 1)."""
+        """Derivatives and, last, residuals of the poses that count as independent rows (c·m, k + 1)."""
         both = np.concatenate([derivatives, left[:, :, None]], axis=2)
         taken = both if len(kept) == len(both) else both[kept]
         chain = self.table.mount[kept] * len(self.table.sources) + self.table.source[kept]
         white, own = whitened(taken, kept, chain, self.correlation)
         if (weights[kept] != 1.0).any():
             white = np.sqrt(weights[kept])[:, None, None] * white
-        return white.reshape(-1, both.shape[2]), float((own * (1 + self.table.has_vector[kept])).sum())
+        return white.reshape(-1, both.shape[2]), float((own * self.table.responses[kept]).sum())
 
-    def _responses(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Residuals (n, 2), and derivatives (n, 2, 11 + 1 + map) by unit, mount and map of each pose."""
-        table = self.table
-        expected = self.expected(parameters)
-        turned = expected.by_elevation[:, :, None] * (table.sense[:, None] * self.columns)[:, None, :]
-        derivatives = np.concatenate(
-            [expected.by_parameters, expected.by_elevation[:, :, None], turned], axis=2
-        )
-        left = table.vector_g - expected.vector_g
-        bare = np.flatnonzero(~table.has_vector)
-        if len(bare):  # the reading alone: one response, an angle
-            error = table.reading[bare] - expected.angle()[bare]
-            left[bare] = np.stack([np.angle(np.exp(1j * error)), np.zeros(len(bare))], axis=1)
-            by_angle = expected.turned(derivatives)[bare]
-            derivatives[bare] = np.stack([by_angle, np.zeros_like(by_angle)], axis=1)
-        return left, derivatives
+
+def _turned_by(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
+    """(n, c) each matrix (n, c, 3) times its vector (n, 3)."""
+    return np.asarray(np.einsum("nij,nj->ni", matrices, vectors))

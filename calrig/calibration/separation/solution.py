@@ -7,24 +7,34 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calrig.calibration.poses import DiagnosisError
 from calrig.calibration.progress import Progress, unheard
 from calrig.calibration.separation.lack_of_fit import MountTest, mount_tests
 from calrig.calibration.separation.least_squares import (
+    OUTLIER_STD,
     Fit,
     correlation_of,
     distances,
     fitted,
+    with_noise_of_components,
     without_outliers,
 )
-from calrig.calibration.separation.level import ElevationUncertainty, Level, level_of, worth
-from calrig.calibration.separation.mounts import outliers_said, table_of
+from calrig.calibration.separation.level import Level, level_of
 from calrig.calibration.separation.order_choice import Choice, always, chosen, offered
-from calrig.calibration.separation.pose_table import MountedPoses, Table
+from calrig.calibration.separation.pose_table import MountedPoses, Table, table_of
 from calrig.calibration.separation.problem import Problem
 from calrig.calibration.separation.stage_map import TURN_DEG
+from calrig.calibration.separation.unit_results import (
+    ElevationUncertainty,
+    InPlane,
+    elevation_uncertainty,
+    in_plane,
+)
 
-FEWEST_SPARE = 8
-"""Responses beside the parameters, which the noise is found from."""
+MOST_TILT_DEG = 25.0
+"""Of an axis that was stated to lie along the stage's."""
+MOST_NAMED = 5
+"""Of the poses that were left out, how many are named."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,15 +44,17 @@ class Solution:
     Attributes:
         fit: of the model that the data carry.
         choice: how that model was chosen.
-        worths: of each unit's calibrated elevation less its mean over the range.
+        planes: each unit about its x axis.
+        uncertainties: of each unit's calibrated elevation less its mean over the range.
         levels: of each unit that was reversed.
-        mount_tests: each mount against the others.
-        warnings: what a person should know of the poses.
+        mount_tests: each mount against the others, of units in the plane.
+        warnings: of how the poses were taken, and those that were left out.
     """
 
     fit: Fit
     choice: Choice
-    worths: tuple[ElevationUncertainty, ...]
+    planes: tuple[InPlane, ...]
+    uncertainties: tuple[ElevationUncertainty, ...]
     levels: tuple[Level | None, ...]
     mount_tests: tuple[MountTest, ...]
     warnings: tuple[str, ...]
@@ -57,6 +69,11 @@ class Solution:
         """Standard deviation of one pose's angle."""
         return float(np.degrees(self.fit.noise))
 
+    @property
+    def are_separable(self) -> bool:
+        """Whether the elevation of every unit is."""
+        return all(self.is_separable(unit) for unit in range(len(self.table.units)))
+
     def known_level(self, unit: int) -> Level | None:
         """The level of a unit, where it is known how well."""
         level = self.levels[unit]
@@ -65,14 +82,16 @@ class Solution:
     def measurand(self, unit: int) -> ElevationUncertainty:
         """What documents say of an elevation: of the whole where the level is known, else less its mean."""
         level = self.known_level(unit)
-        return self.worths[unit] if level is None else worth(self.fit, unit, level)
+        if level is None:
+            return self.uncertainties[unit]
+        return elevation_uncertainty(self.fit, unit, self.planes[unit], level)
 
     def is_separable(self, unit: int) -> bool:
         """Whether a unit's elevation is known better than a single pose is measured.
 
         Where it is not, some hundred poses together say less than one: they do not part unit and stage.
         """
-        return self.worths[unit].rms_deg < self.noise_deg
+        return self.uncertainties[unit].rms_deg < self.noise_deg
 
 
 def solve(
@@ -83,58 +102,70 @@ def solve(
     seat_std_deg: float | None = None,
     progress: Progress = unheard,
 ) -> Solution:
-    """Solves stage, mounts and units at once.
+    """Solve stage, mounts and units at once.
 
     Args:
         lots: poses of each clamping, of one stage.
         linear: whether the units are stated to have no quadratic and cubic terms.
         periods_deg: of gears, where somebody knows them.
-        seat_std_deg: how far one clamping scatters from the next on the same seat, where somebody knows it.
+        seat_std_deg: how far one clamping scatters from the next on the same seat, where known; of
+            units in the plane.
         progress: is told the share that is done.
 
     Raises:
         DiagnosisError: the poses are too few, or cannot be what they are said to be.
     """
     table, warnings = table_of(lots)
-    return solve_table(
-        table,
-        linear=linear,
-        periods_deg=periods_deg,
-        seat_std_deg=seat_std_deg,
-        warnings=warnings,
-        progress=progress,
-    )
-
-
-def solve_table(
-    table: Table,
-    *,
-    linear: bool = False,
-    periods_deg: Sequence[float] = (),
-    seat_std_deg: float | None = None,
-    warnings: Sequence[str] = (),
-    progress: Progress = unheard,
-) -> Solution:
-    """The same of poses in columns."""
     known = [TURN_DEG / period for period in periods_deg]
     problem = Problem(table, always(linear, known), linear)
-    orders = offered(problem, int((1 + table.has_vector).sum()), FEWEST_SPARE)
-    rich, weights = without_outliers(replace(problem, orders=orders))
+    rich, weights = without_outliers(replace(problem, orders=offered(problem)))
     progress(0.5)
+    if table.is_whole:
+        rich = with_noise_of_components(rich)
     correlated = replace(rich.problem, correlation=correlation_of(rich))
     progress(0.7)
     choice = chosen(fitted(correlated, weights, rich.parameters), known)
     fit = fitted(replace(correlated, orders=choice.orders), weights)
     progress(0.85)
-    units = range(len(table.units))
-    levels = tuple(level_of(fit, unit, seat_std_deg) for unit in units)
-    if seat_std_deg is not None and not any(levels):
+    _refuse_another_face(fit)
+    units, in_the_plane = range(len(table.units)), not table.is_whole
+    levels = tuple(level_of(fit, unit, seat_std_deg) if in_the_plane else None for unit in units)
+    if seat_std_deg is not None and in_the_plane and not any(levels):
         warnings = [*warnings, "a seat-std was stated, and no unit was clamped both ways round on one seat"]
+    planes = tuple(in_plane(fit, unit) for unit in units)
     return Solution(
         fit=fit,
         choice=choice,
-        worths=tuple(worth(fit, unit) for unit in units),
+        planes=planes,
+        uncertainties=tuple(elevation_uncertainty(fit, unit, planes[unit]) for unit in units),
         levels=levels,
-        mount_tests=tuple(mount_tests(fit)),
-        warnings=(*warnings, *outliers_said(table, fit.kept, distances(fit))),
+        mount_tests=tuple(mount_tests(fit)) if in_the_plane else (),
+        warnings=(*warnings, *_outlier_messages(fit)),
     )
+
+
+def _refuse_another_face(fit: Fit) -> None:
+    table = fit.problem.table
+    for mount, named in enumerate(table.mounts):
+        tilts = fit.parameters[fit.problem.tilts_at(mount)]
+        tilt_deg = float(np.degrees(np.abs(tilts).max(initial=0.0)))
+        if tilt_deg > MOST_TILT_DEG:
+            raise DiagnosisError(
+                f"mount {named.name} of unit {table.units[named.unit]}: mount_axis is {named.axis}, but that "
+                f"axis lies {tilt_deg:.0f}° from the stage's"
+            )
+
+
+def _outlier_messages(fit: Fit) -> list[str]:
+    """Poses that were left out, each by its place; and how many lie as far off and were not."""
+    table, messages = fit.problem.table, []
+    left_out = np.flatnonzero(~fit.kept)
+    if len(left_out):
+        listed = ", ".join(
+            f"{table.mounts[table.mount[k]].name} at {table.dial_deg[k]:g}°" for k in left_out[:MOST_NAMED]
+        )
+        messages.append(f"{len(left_out)} outliers were left out: {listed}")
+    far = int((distances(fit)[fit.kept] > OUTLIER_STD).sum())
+    if far:
+        messages.append(f"{far} poses lie far from the model, too many to be left out: something else moved")
+    return messages

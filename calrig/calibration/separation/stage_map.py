@@ -1,26 +1,16 @@
-"""The stage's error of angle: a harmonic series of the dial angle, and the play.
+"""The stage's error of angle: a harmonic series of the dial angle, and the backlash.
 
     map(ψ, approach) = Σ (a_k·cos kψ + b_k·sin kψ) + backlash/2·approach
 
 There is no k = 0: a constant is the mounts'. An order need be no whole number: a worm of period P has 360/P.
-
-Where the parameters of a joint model are, of units in their plane and of whole ones alike.
-
-The units' are the first; the mounts' angles, a cosine and a sine of each order of the map, and the play are
-the last. What a model has between is its own.
-
-What the choice of orders and the map's figures need of a fit, of planes or of whole units alike.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import ClassVar, Protocol
 
 import numpy as np
 
-from calrig.calibration.separation.pose_table import BoolArray, Intp, Table
 from calrig.estimation.angles import FloatArray
 
 TURN_DEG = 360.0
@@ -54,11 +44,11 @@ def widest_gap_deg(dial_deg: FloatArray) -> float:
 
 def resolved_orders(dial_deg: FloatArray) -> list[float]:
     """Whole orders of a map that such poses can tell, all together."""
-    highest = min(HIGHEST_ORDER, told_order(dial_deg), (len(_apart(dial_deg)) - 1) / 2.0)
+    highest = min(HIGHEST_ORDER, highest_identifiable_order(dial_deg), (len(_apart(dial_deg)) - 1) / 2.0)
     return [float(order) for order in range(1, int(highest) + 1)]
 
 
-def told_order(dial_deg: FloatArray) -> float:
+def highest_identifiable_order(dial_deg: FloatArray) -> float:
     """The highest order that such poses can tell by itself: half the density of the angles."""
     arc_deg = TURN_DEG - widest_gap_deg(dial_deg)
     spacing_deg = max(arc_deg, SAME_DIAL_DEG) / max(len(_apart(dial_deg)) - 1, 1)
@@ -81,112 +71,3 @@ def dial_grid_deg(dial_deg: FloatArray) -> FloatArray:
         low = at[first % len(at)]
         high = low + TURN_DEG - widest_gap_deg(dial_deg)
     return np.linspace(low, high, max(round((high - low) / GRID_DEG), 1) + 1)
-
-
-class Parameters(ABC):
-    """p parameters, some of which are to be found.
-
-    Attributes:
-        table: the poses.
-        orders: of the map; whole numbers, or 360° over a gear's period.
-        linear: whether somebody states that the units are.
-    """
-
-    __slots__ = ()
-    WIDTH: ClassVar[int]
-    """Of a unit."""
-    table: Table
-    orders: tuple[float, ...]
-    linear: bool
-
-    @property
-    @abstractmethod
-    def first_mount(self) -> int:
-        """Place of the first mount's angle."""
-
-    @property
-    @abstractmethod
-    def free(self) -> BoolArray:
-        """(p,) which parameters are to be found; the others are 0."""
-
-    @property
-    @abstractmethod
-    def blocks(self) -> tuple[Intp, ...]:
-        """Places of what is free beside the map, in blocks that touch one another by the map alone."""
-
-    @abstractmethod
-    def widths(self) -> FloatArray:
-        """(p,) how large each may be: what is known of it before the data, as a standard deviation."""
-
-    @abstractmethod
-    def start(self) -> FloatArray:
-        """(p,) where to begin."""
-
-    def unit_at(self, unit: int) -> slice:
-        """Places of one unit."""
-        return slice(self.WIDTH * unit, self.WIDTH * (unit + 1))
-
-    @property
-    def first_order(self) -> int:
-        """Place of the first order's cosine."""
-        return self.first_mount + len(self.table.mounts)
-
-    @property
-    def size(self) -> int:
-        """How many parameters there are, free or not."""
-        return self.first_order + 2 * len(self.orders) + 1
-
-    @property
-    def mounts_at(self) -> slice:
-        """Places of the mounts' angles."""
-        return slice(self.first_mount, self.first_order)
-
-    @property
-    def map_at(self) -> slice:
-        """Places of the map, play and all."""
-        return slice(self.first_order, self.size)
-
-    def tells_play(self) -> bool:
-        """Whether poses were approached from both sides."""
-        approach = self.table.approach
-        return len(np.unique(approach[approach != 0.0])) > 1
-
-    def widths_of_stage(self) -> FloatArray:
-        """As `widths`, of the mounts' angles and the map."""
-        of_mounts = np.full(len(self.table.mounts), np.pi)
-        of_map = np.full(2 * len(self.orders), LARGEST_RAD)
-        return np.concatenate([of_mounts, of_map, [LARGEST_BACKLASH_RAD]])
-
-    def title_on_map(self, place: int) -> str:
-        """What a parameter of the map is."""
-        if place == self.size - 1:
-            return "the play"
-        return f"order {self.orders[(place - self.first_order) // 2]:g} of the stage"
-
-
-class NormalEquations(Protocol):
-    """Weighted, about some parameters: JᵀWJ and JᵀWr."""
-
-    @property
-    def matrix(self) -> FloatArray: ...  # noqa: D102
-    @property
-    def gradient(self) -> FloatArray: ...  # noqa: D102
-
-
-class Linearised(Protocol):
-    """A fit with its normal equations; attributes as `least_squares.Fit` has them."""
-
-    @property
-    def problem(self) -> Parameters: ...  # noqa: D102
-    @property
-    def parameters(self) -> FloatArray: ...  # noqa: D102
-    def covariance_of(self, rows: FloatArray) -> FloatArray: ...  # noqa: D102
-    def covariance_at(self, places: Intp) -> FloatArray: ...  # noqa: D102
-    @property
-    def noise(self) -> float: ...  # noqa: D102
-    @property
-    def freedom(self) -> float: ...  # noqa: D102
-    @property
-    def normal(self) -> NormalEquations: ...  # noqa: D102
-    @property
-    def kept(self) -> BoolArray: ...  # noqa: D102

@@ -91,7 +91,7 @@ def judge(case: Case, seed: int, *, with_bound: bool) -> Judged:
     bench = case.bench(seed)
     solution = solved(bench, seed, linear=case.linear)
     error = error_deg(bench, solution)
-    worth = solution.worths[0]
+    worth = solution.uncertainties[0]
     bound = bound_deg(replace(bench, visits=_still(bench)), linear=case.linear) if with_bound else math.nan
     return Judged(
         square_deg2=float(np.mean(error**2)),

@@ -25,8 +25,8 @@ from scipy.spatial.transform import Rotation
 from calrig.calibration.poses import Pose
 from calrig.calibration.separation.gravity import EFFECTS, Problem, fit_gravity
 from calrig.calibration.separation.pose_table import MountedPoses
-from calrig.calibration.separation.three_axis_fit import solve_whole
-from calrig.calibration.separation.three_axis_frame import accelerometer
+from calrig.calibration.separation.solution import solve
+from calrig.calibration.separation.unit_results import accelerometer
 from calrig.calibration.static_detector import StaticPoses, static_poses
 from calrig.export.static_csv import accel_g_of, read_static
 
@@ -96,7 +96,7 @@ def _squares(bench: CubeBench, found: Found) -> np.ndarray:
 
 
 def _solved(lots: list[MountedPoses], *, linear: bool) -> Found:
-    fit = solve_whole(lots, linear=linear).fit
+    fit = solve(lots, linear=linear).fit
     whole = accelerometer(fit, 0)
     assert whole is not None
     return whole.bias_g, whole.matrix, felt_turns_found(fit)

@@ -34,7 +34,7 @@ def test_the_bound_is_the_issues(name):
 def test_what_a_solution_says_of_itself_is_the_bound(name):
     case = BOUNDS[name]
     bench = case.bench(3)
-    said = solved(bench, 3, linear=case.linear).worths[0].rms_deg
+    said = solved(bench, 3, linear=case.linear).uncertainties[0].rms_deg
     assert said == pytest.approx(bound_deg(bench, linear=case.linear), rel=0.12)
 
 
@@ -98,8 +98,8 @@ def test_one_remounted_unit_fixes_the_map_for_another_that_was_mounted_once():
     together = solved(both, 1, linear=False)
     assert not alone.is_separable(0)
     assert together.is_separable(1)
-    assert together.worths[1].rms_deg < 0.1 * alone.worths[0].rms_deg
-    assert np.abs(error_deg(both, together, unit=1)).max() < 5.0 * together.worths[1].std_deg.max()
+    assert together.uncertainties[1].rms_deg < 0.1 * alone.uncertainties[0].rms_deg
+    assert np.abs(error_deg(both, together, unit=1)).max() < 5.0 * together.uncertainties[1].std_deg.max()
 
 
 @pytest.mark.statistical
@@ -125,5 +125,5 @@ def test_noise_alone_brings_no_order_into_the_map():
     alarms = 0
     for seed in range(100):
         bench = replace(case.bench(seed), stage=drawn_stage(rng, highest=3))
-        alarms += bool(solved(bench, seed, linear=False).choice.let_in)
+        alarms += bool(solved(bench, seed, linear=False).choice.selected)
     assert alarms <= 12, "one in twenty by its level; 12 of 100 in less than one case in three hundred"

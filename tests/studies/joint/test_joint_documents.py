@@ -26,7 +26,7 @@ def solution():
 
 
 def test_a_calibration_takes_out_what_the_unit_does(solution):
-    worth = solution.worths[0]
+    worth = solution.uncertainties[0]
     error = error_deg(THREE.bench(6), solution)
     assert np.sqrt(np.mean(error**2)) < 2.5 * worth.rms_deg
     document = unit_document(solution, 0)
@@ -57,7 +57,7 @@ def test_a_polynomial_of_the_angle_alone_would_cost_more_than_a_tenth_of_the_unc
     elevation = np.linspace(-60.0, 60.0, 121)
     apart = left(projected) - left(exact)
     apart -= np.polyval(np.polyfit(elevation, apart, 1), elevation)
-    assert np.sqrt(np.mean(apart**2)) > 0.1 * solution.worths[0].rms_deg
+    assert np.sqrt(np.mean(apart**2)) > 0.1 * solution.uncertainties[0].rms_deg
 
 
 def test_the_files_are_hashed_and_make_a_header(solution):
@@ -77,7 +77,7 @@ def test_applied_its_elevations_are_worth_what_it_says(solution):
         THREE.bench(6), 0, 25.0, lambda angle_deg: application.elevation_deg(angle_deg, None)
     )
     np.testing.assert_allclose(left, error_deg(THREE.bench(6), solution), atol=1e-9)
-    worth = solution.worths[0]
+    worth = solution.uncertainties[0]
     std = application.std_deg(worth.elevation_deg)
     np.testing.assert_allclose(std, np.hypot(solution.noise_deg, worth.std_deg), rtol=1e-9)
 

@@ -78,7 +78,7 @@ def test_the_calibration_then_is_of_the_elevation_itself():
     assert document["bias_deg"] == solution.levels[0].value_deg
     assert (std_deg >= 0.9 * document["level_std_deg"]).all(), "the level is in it"
     assert np.sqrt(document["covariance"][0][0]) >= 0.9 * document["level_std_deg"]
-    assert document["uncertainty"]["type_b_deg"] > solution.worths[0].rms_deg
+    assert document["uncertainty"]["type_b_deg"] > solution.uncertainties[0].rms_deg
 
 
 def test_without_a_word_on_the_seat_the_level_is_not_known_and_that_is_said():

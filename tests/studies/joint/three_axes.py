@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calrig.calibration.separation.gyro import dwells_of, turns_of, whole_gyro
+from calrig.calibration.separation.least_squares import Fit
 from calrig.calibration.separation.map_report import mapped
-from calrig.calibration.separation.three_axis_fit import ThreeAxisFit, ThreeAxisSolution, solve_whole
-from calrig.calibration.separation.three_axis_frame import accelerometer
-from calrig.calibration.separation.three_axis_gyro import dwells_of, turns_of, whole_gyro
+from calrig.calibration.separation.solution import Solution, solve
+from calrig.calibration.separation.unit_results import accelerometer
 
 from .cube import CubeBench, drawn_cube_bench
 from .cube_oracle import DIAL_DEG, bound, figures_of, map_error_deg, sensor_figures
@@ -29,9 +30,9 @@ class Judged:
     within: np.ndarray
 
 
-def whole_solution(bench: CubeBench, seed: int, *, cubic: bool) -> ThreeAxisSolution:
+def whole_solution(bench: CubeBench, seed: int, *, cubic: bool) -> Solution:
     """The solution of one draw of noise."""
-    return solve_whole(bench.measured(np.random.default_rng([seed, 1550])), linear=not cubic)
+    return solve(bench.measured(np.random.default_rng([seed, 1550])), linear=not cubic)
 
 
 def judge(seed: int, *, cubic: bool) -> Judged:
@@ -69,7 +70,7 @@ def table(judged_by: Callable[[bool], Iterable[Judged]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _of_unit(bench: CubeBench, solution: ThreeAxisSolution) -> tuple[np.ndarray, np.ndarray]:
+def _of_unit(bench: CubeBench, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     """(9,) errors of offsets, scales and angles, and what is stated for them."""
     found = accelerometer(solution.fit, 0)
     assert found is not None
@@ -78,7 +79,7 @@ def _of_unit(bench: CubeBench, solution: ThreeAxisSolution) -> tuple[np.ndarray,
     return values - sensor_figures(bench.unit), stds
 
 
-def _of_map(bench: CubeBench, solution: ThreeAxisSolution) -> tuple[np.ndarray, np.ndarray]:
+def _of_map(bench: CubeBench, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     """(72,) errors of the map over the dial, and what is stated for them."""
     on_stage = mapped(solution.fit)
     turn = on_stage.stage_deg
@@ -97,11 +98,13 @@ def felt_turns(bench: CubeBench) -> np.ndarray:
     return np.linalg.norm(bench.unit.gyro_response @ np.transpose(axes), axis=0)
 
 
-def felt_turns_found(fit: ThreeAxisFit) -> np.ndarray:
+def felt_turns_found(fit: Fit) -> np.ndarray:
     """(3,) the same by a solution of one unit."""
     turns = turns_of(fit, 0, dwells_of(fit, 0))
     assert turns is not None
-    axes = [fit.problem.clamped(fit.parameters, mount)[:, 0] for mount in range(len(fit.problem.of.faces))]
+    axes = [
+        fit.problem.clamped(fit.parameters, mount)[:, 0] for mount in range(len(fit.problem.table.mounts))
+    ]
     return np.linalg.norm(turns.response @ np.transpose(axes), axis=0)
 
 

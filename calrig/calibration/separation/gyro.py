@@ -27,10 +27,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from calrig.calibration.poses import GYRO_MEANS, GYRO_MOVES, HOST_TIME, Pose
+from calrig.calibration.separation.least_squares import IDENTIFIED, Fit
 from calrig.calibration.separation.pose_table import Intp
 from calrig.calibration.separation.stage_map import basis
-from calrig.calibration.separation.three_axis_fit import UNTOLD, ThreeAxisFit
-from calrig.calibration.separation.three_axis_frame import Accelerometer, slopes_of
+from calrig.calibration.separation.unit_results import Accelerometer, slopes_of
 from calrig.estimation.angles import FloatArray
 from calrig.estimation.clock import ClockRate, clock_rate
 
@@ -51,7 +51,7 @@ class Dwells:
     Attributes:
         bias_dps, bias_std_dps: (3,) at no acceleration, and at the unit's reference temperature.
         dps_per_g, dps_per_g_std: (3, 3) of the gyro's axes (rows) by directions of acceleration.
-        told: whether the poses tell `dps_per_g` and so the bias.
+        is_identified: whether the poses identify `dps_per_g` and so the bias.
         left_dps: (poses, 3) what each dwell's mean differs by; 0 of those that have none.
     """
 
@@ -59,14 +59,14 @@ class Dwells:
     bias_std_dps: FloatArray
     dps_per_g: FloatArray
     dps_per_g_std: FloatArray
-    told: bool
+    is_identified: bool
     left_dps: FloatArray
 
 
-def dwells_of(fit: ThreeAxisFit, unit: int) -> Dwells | None:
+def dwells_of(fit: Fit, unit: int) -> Dwells | None:
     """What a unit's dwells say; None where too few of them have all three means."""
     problem = fit.problem
-    means = [[pose.covariates.get(name) for name in GYRO_MEANS] for pose in problem.of.poses]
+    means = [[pose.covariates.get(name) for name in GYRO_MEANS] for pose in problem.table.poses]
     known = np.array([None not in mean for mean in means]) & fit.kept & (problem.table.unit == unit)
     rows = np.flatnonzero(known)
     if len(rows) < FEWEST_DWELLS:
@@ -96,7 +96,7 @@ def dwells_of(fit: ThreeAxisFit, unit: int) -> Dwells | None:
         stds[BIAS],
         values[PER_G].reshape(3, 3),
         stds[PER_G].reshape(3, 3),
-        bool((stds[PER_G] < UNTOLD * LARGEST_DPS_PER_G).all()),
+        bool((stds[PER_G] < IDENTIFIED * LARGEST_DPS_PER_G).all()),
         left_dps,
     )
 
@@ -147,7 +147,7 @@ class _Moves:
     closed: bool
 
 
-def turns_of(fit: ThreeAxisFit, unit: int, dwells: Dwells | None) -> Turns | None:
+def turns_of(fit: Fit, unit: int, dwells: Dwells | None) -> Turns | None:
     """The response of one unit's gyro; None where its moves do not tell it about three axes."""
     moves = _moves(fit, unit, dwells)
     mounts = np.unique(fit.problem.table.mount[moves.rows])
@@ -161,13 +161,13 @@ def turns_of(fit: ThreeAxisFit, unit: int, dwells: Dwells | None) -> Turns | Non
     return Turns(response, covariance, len(moves.rows), moves.closed, min(senses) < 2, noise)
 
 
-def _moves(fit: ThreeAxisFit, unit: int, dwells: Dwells | None) -> _Moves:
+def _moves(fit: Fit, unit: int, dwells: Dwells | None) -> _Moves:
     """Those of one unit that the gyro felt as the stage made them: full turns, where there are any."""
-    table = fit.problem.of
+    table = fit.problem.table
     rows, dial, felt, lasts, columns, noise = [], [], [], [], [], []
     places = {id(pose): row for row, pose in enumerate(table.poses)}
     left_dps = np.zeros((len(table.poses), 3)) if dwells is None else dwells.left_dps
-    for row in np.flatnonzero((table.seen.unit == unit) & fit.kept):
+    for row in np.flatnonzero((table.unit == unit) & fit.kept):
         now, before = table.poses[row], table.before[row]
         turned = _felt(now)
         if before is None or turned is None:
@@ -199,7 +199,7 @@ def _moves(fit: ThreeAxisFit, unit: int, dwells: Dwells | None) -> _Moves:
 
 
 def _solved(
-    fit: ThreeAxisFit, moves: _Moves, mounts: Intp, unexplained_dps: float
+    fit: Fit, moves: _Moves, mounts: Intp, unexplained_dps: float
 ) -> tuple[FloatArray, FloatArray, float]:
     """G, its covariance, and the scatter of a full turn, with mounts and map as the fit has them."""
     problem, n_own = fit.problem, RESPONSE + 1 + 3 * len(mounts)
@@ -222,14 +222,14 @@ def _solved(
     precision = np.zeros((n_own + len(free), n_own + len(free)))
     precision[RESPONSE:n_own, RESPONSE:n_own] = np.eye(n_own - RESPONSE) / unexplained_dps**2
     precision[RESPONSE, RESPONSE] = SLOW_DPS**2
-    precision[n_own:, n_own:] = np.linalg.inv(fit.covariance[np.ix_(free, free)])
+    precision[n_own:, n_own:] = np.linalg.inv(fit.covariance_at(free))
     values = np.concatenate([np.eye(3).ravel(), np.zeros(len(precision) - RESPONSE)])
     measured = (weight * moves.felt_deg).ravel()
     for _ in range(ROUNDS):
         left = measured - expected(values)
         jacobian = slopes_of(expected, values, np.arange(len(values)))
-        told = max(len(left) - n_own, 1)
-        variance = max(float(left @ left) / told, LEAST_DEG**2)
+        spare = max(len(left) - n_own, 1)
+        variance = max(float(left @ left) / spare, LEAST_DEG**2)
         inverse = np.linalg.inv(jacobian.T @ jacobian / variance + precision)
         values = values + inverse @ (jacobian.T @ left / variance - precision @ values)
     covariance = np.asarray(inverse[:RESPONSE, :RESPONSE], dtype=np.float64)
@@ -269,7 +269,7 @@ class WholeGyro:
     clock: ClockRate | None
 
 
-def whole_gyro(fit: ThreeAxisFit, unit: int, accelerometer: Accelerometer | None) -> WholeGyro | None:
+def whole_gyro(fit: Fit, unit: int, accelerometer: Accelerometer | None) -> WholeGyro | None:
     """One unit's gyro; None where it has no columns of one."""
     dwells = dwells_of(fit, unit)
     turns = turns_of(fit, unit, dwells)
@@ -284,15 +284,15 @@ def whole_gyro(fit: ThreeAxisFit, unit: int, accelerometer: Accelerometer | None
         variance = np.diag(slopes @ turns.covariance @ slopes.T).reshape(3, 3)
         across = np.sqrt((matrix**2).sum(axis=0) - matrix**2) * accelerometer.turn_std_rad
         matrix_std = np.sqrt(variance + across**2)
-    if dwells is not None and dwells.told:
+    if dwells is not None and dwells.is_identified:
         per_g = dwells.dps_per_g @ turn.T
         per_g_std = np.sqrt(dwells.dps_per_g_std**2 @ (turn.T) ** 2)
     return WholeGyro(dwells, turns, matrix, matrix_std, per_g, per_g_std, _clock(fit, unit))
 
 
-def _clock(fit: ThreeAxisFit, unit: int) -> ClockRate | None:
+def _clock(fit: Fit, unit: int) -> ClockRate | None:
     """The board's clock by the host's, over all runs of a unit."""
-    table, poses = fit.problem.table, fit.problem.of.poses
+    table, poses = fit.problem.table, fit.problem.table.poses
     board, host = [], []
     for source in range(len(table.sources)):
         rows = np.flatnonzero((table.source == source) & (table.unit == unit))

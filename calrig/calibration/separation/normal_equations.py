@@ -1,0 +1,159 @@
+"""Normal equations in blocks, one a unit, that have nothing in common but a border, the stage's map.
+
+Each block is taken out of the border (Schur's complement), so that a unit more costs as much as the one
+before (Björck, Numerical Methods for Least Squares Problems, 1996, section 6.3; Helmert's blocking). Poses
+whose noise follows on that of the pose before are made independent first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calrig.calibration.separation.pose_table import Intp
+from calrig.estimation.angles import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Normal:
+    """Weighted normal equations about some parameters.
+
+    Attributes:
+        residuals: (n, c) measured less expected over the shape of the noise, g (a reading: rad, and 0).
+        matrix: (p, p) JᵀWJ; `gradient` (p,) JᵀWr; `squares` rᵀWr. W whitens correlated poses.
+        log_variance: log of the determinant of the noise's correlation.
+        derivatives: (n, c, k) of each pose by its unit and mount (`Problem.own_at`), then by the map.
+    """
+
+    residuals: FloatArray
+    matrix: FloatArray
+    gradient: FloatArray
+    squares: float
+    log_variance: float
+    derivatives: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Inverse:
+    """Of an arrow of p parameters; 0 of those in no block and not in the border.
+
+    Attributes:
+        size: p.
+        blocks: places (k,) of each block; `inside` (k, k) the inverse of each by itself, `across` (k, q) that
+            times what stands beside it in the border.
+        border: places (q,), and `middle` (q, q) the inverse there.
+        log_determinant: of the whole.
+    """
+
+    size: int
+    blocks: tuple[Intp, ...]
+    inside: tuple[FloatArray, ...]
+    across: tuple[FloatArray, ...]
+    border: Intp
+    middle: FloatArray
+    log_determinant: float
+
+    def solve(self, right: FloatArray) -> FloatArray:
+        """(p,) the inverse times (p,)."""
+        ahead = right[self.border].copy()
+        for at, across in zip(self.blocks, self.across, strict=True):
+            ahead -= across.T @ right[at]
+        found = np.zeros(self.size)
+        found[self.border] = self.middle @ ahead
+        for at, inside, across in zip(self.blocks, self.inside, self.across, strict=True):
+            found[at] = inside @ right[at] - across @ found[self.border]
+        return found
+
+    def diagonal(self) -> FloatArray:
+        """(p,)."""
+        found = np.zeros(self.size)
+        found[self.border] = np.diag(self.middle)
+        for at, inside, across in zip(self.blocks, self.inside, self.across, strict=True):
+            found[at] = np.diag(inside) + ((across @ self.middle) * across).sum(axis=1)
+        return found
+
+    def times_trace(self, matrix: FloatArray) -> float:
+        """The trace of the inverse times another arrow (p, p)."""
+        found = float((self.middle * matrix[np.ix_(self.border, self.border)]).sum())
+        for at, inside, across in zip(self.blocks, self.inside, self.across, strict=True):
+            beside = across @ self.middle
+            found += float(((inside + beside @ across.T) * matrix[np.ix_(at, at)]).sum())
+            found -= 2.0 * float((beside * matrix[np.ix_(at, self.border)]).sum())
+        return found
+
+    def between(self, rows: FloatArray) -> FloatArray:
+        """(m, m) the inverse between rows (m, p), which may be of few blocks."""
+        beside, found = rows[:, self.border].copy(), np.zeros((len(rows), len(rows)))
+        for at, inside, across in zip(self.blocks, self.inside, self.across, strict=True):
+            own = rows[:, at]
+            if own.any():
+                beside -= own @ across
+                found += own @ inside @ own.T
+        return np.asarray(found + beside @ self.middle @ beside.T)
+
+    def whole(self) -> FloatArray:
+        """(p, p)."""
+        wide = np.zeros((self.size, len(self.border)))
+        wide[self.border] = -np.eye(len(self.border))
+        for at, across in zip(self.blocks, self.across, strict=True):
+            wide[at] = across
+        found = np.asarray(wide @ self.middle @ wide.T)
+        for at, inside in zip(self.blocks, self.inside, strict=True):
+            found[np.ix_(at, at)] += inside
+        return found
+
+
+def inverse_of(matrix: FloatArray, blocks: Sequence[Intp], border: Intp) -> Inverse:
+    """The inverse of a positive definite arrow; scaled, so that units of measure do not matter.
+
+    Args:
+        matrix: (p, p), 0 between any two blocks.
+        blocks: places of each.
+        border: places that all of them touch.
+    """
+    middle = matrix[np.ix_(border, border)]
+    edge = np.diag(middle).copy()
+    inside, across, logarithm = [], [], 0.0
+    for at in blocks:
+        own, more = _inverted(matrix[np.ix_(at, at)])
+        beside = matrix[np.ix_(at, border)]
+        part = own @ beside
+        middle -= beside.T @ part
+        inside.append(own)
+        across.append(part)
+        logarithm += more
+    middle, more = _inverted(middle, edge)
+    return Inverse(len(matrix), tuple(blocks), tuple(inside), tuple(across), border, middle, logarithm + more)
+
+
+def _inverted(matrix: FloatArray, diagonal: FloatArray | None = None) -> tuple[FloatArray, float]:
+    """Inverse and log of the determinant, scaled by a diagonal: its own without one."""
+    scale = 1.0 / np.sqrt(np.diag(matrix) if diagonal is None else diagonal)
+    scaled = matrix * np.outer(scale, scale)
+    inverse = np.linalg.inv(scaled) * np.outer(scale, scale)
+    logarithm = float(np.linalg.slogdet(scaled)[1]) - 2.0 * float(np.log(scale).sum())
+    return 0.5 * (inverse + inverse.T), logarithm
+
+
+def whitened(values: FloatArray, place: Intp, chain: Intp, rho: float) -> tuple[FloatArray, FloatArray]:
+    """Values (m, …) less what the one before predicts, scaled to the same variance as they had.
+
+    Args:
+        values: of poses in the order measured.
+        place: (m,) of each pose among those that were taken.
+        chain: (m,) the run that each is of: its first pose follows on nothing.
+        rho: the correlation from one pose to the next.
+
+    Returns:
+        (m, …) whitened, and (m,) log of the share of the variance that is each one's own.
+    """
+    if rho <= 0.0:
+        return values, np.zeros(len(values))
+    share = np.zeros(len(values))
+    share[1:] = np.where(np.diff(chain) == 0, rho ** np.abs(np.diff(place)), 0.0)
+    own = 1.0 - share**2
+    across = (slice(None), *[None] * (values.ndim - 1))
+    before = np.concatenate([values[:1], values[:-1]])
+    return (values - share[across] * before) / np.sqrt(own)[across], np.log(own)
