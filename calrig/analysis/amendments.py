@@ -13,7 +13,7 @@ from calrig.analysis.results import refitted
 from calrig.analysis.revisions import Issuer
 from calrig.analysis.stored_runs import checked_reason, counted_poses, ended_run, stored_run
 from calrig.export.poses_csv import CsvError
-from calrig.plan import CALIBRATING
+from calrig.model.plan import CALIBRATING
 from calrig.store import Run, Store
 from calrig.store.records import Document
 

@@ -28,7 +28,7 @@ from calrig.calibration.results import (
 from calrig.calibration.uncertainty import ReferenceFigures
 from calrig.estimation.angles import FloatArray
 from calrig.export.calibration_document import line_of
-from calrig.plan import CALIBRATING
+from calrig.model.plan import CALIBRATING
 from calrig.store import AcceptedEffect, Run, Store
 from calrig.store.issued import Revision
 from calrig.store.records import Document, reference_of

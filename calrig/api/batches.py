@@ -19,7 +19,7 @@ from calrig.api.context import ApiContext, Context
 from calrig.api.errors import problems
 from calrig.api.jobs import Heavy
 from calrig.api.models import Answer, Body, MountAnswer, ProgressAnswer, Status
-from calrig.plan import Plan
+from calrig.model.plan import Plan
 from calrig.runs.batches import Standing, serials_in, word_of
 from calrig.runs.presence import BoardCheck
 from calrig.store import Run

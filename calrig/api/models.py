@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from calrig.calibration.uncertainty import Doubt, RangeErrors
 from calrig.calibration.verdict import Verdict
-from calrig.plan import Plan
+from calrig.model.plan import Plan
 
 Status = Literal["queued", "running", "paused", "completed", "failed", "aborted", "interrupted"]
 

@@ -39,7 +39,7 @@ from calrig.api.models import (
 from calrig.instruments import scan as ports
 from calrig.instruments.clock import WALL
 from calrig.instruments.scan import Kind, stanza
-from calrig.plan import ElevationDeg, MountAxis
+from calrig.model.plan import ElevationDeg, MountAxis
 from calrig.run_ids import FEWEST
 from calrig.store import Run
 from calrig.store.convert import iso_utc

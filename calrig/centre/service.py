@@ -24,7 +24,7 @@ from calrig.analysis.revisions import Fitted, Issuer
 from calrig.analysis.stored_runs import stored_run
 from calrig.centre.bench_rigs import BenchCounts, BenchRig, BenchRigs
 from calrig.instruments.clock import WALL, Clock
-from calrig.plan import MountAxis, Plan
+from calrig.model.plan import MountAxis, Plan
 from calrig.runs.assignment import NewRun, order_part, rig_followed_up_on
 from calrig.runs.follow_up import Designed, FollowUpQuestion
 from calrig.runs.plan_estimates import planned_poses

@@ -38,7 +38,7 @@ def run(
     Where `calrig serve` holds the store the run is its, on its rigs, and is followed here.
     """
     from calrig.cli.progress import carry_out
-    from calrig.plan import Plan
+    from calrig.model.plan import Plan
 
     the_plan = read_plan_file(plan) if plan else Plan()
     there = running_service(server, db)

@@ -13,7 +13,7 @@ from calrig.cli.progress import LOOK_S, Refusal
 from calrig.errors import WorkError
 
 if TYPE_CHECKING:
-    from calrig.plan import MountAxis
+    from calrig.model.plan import MountAxis
     from calrig.runs.service import RunService
     from calrig.store import Event, Run, Store
 

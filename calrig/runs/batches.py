@@ -22,7 +22,7 @@ from typing import Literal
 from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.analysis.imports import check_serial
 from calrig.analysis.stage_maps import kept_of
-from calrig.plan import Plan
+from calrig.model.plan import Plan
 from calrig.processes.pool import OffloadedCall
 from calrig.runs.mounting import Mount
 from calrig.runs.plan_estimates import planned_poses

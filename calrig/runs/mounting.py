@@ -10,7 +10,7 @@ import numpy as np
 from calrig.calibration.poses import Pose
 from calrig.estimation.angles import AXES, along_axis, elevation_deg, wrap_deg
 from calrig.instruments.types import FloatArray
-from calrig.plan import MountAxis
+from calrig.model.plan import MountAxis
 from calrig.store.records import WaitingFor
 
 MOST_OFF_DEG = 5.0

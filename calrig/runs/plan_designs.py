@@ -47,7 +47,7 @@ from calrig.calibration.plan_design import (
 from calrig.calibration.poses import Filtering
 from calrig.estimation.angles import AXES
 from calrig.estimation.kalman import KalmanNoise
-from calrig.plan import Plan, Until
+from calrig.model.plan import Plan, Until
 from calrig.run_ids import short_name
 from calrig.runs.plan_estimates import RigTiming, rig_pace
 from calrig.runs.stopping_rule import reference_uncertainty

@@ -25,7 +25,7 @@ from calrig.estimation.kalman import KalmanNoise
 from calrig.estimation.reading import Reading, dwell_reading
 from calrig.instruments.errors import BoardError, StageError
 from calrig.instruments.types import FloatArray, Samples
-from calrig.plan import Plan, PlannedPose
+from calrig.model.plan import Plan, PlannedPose
 from calrig.runs.acquisition import AcquisitionLoop, Phase, block_of
 from calrig.runs.assignment import Earlier
 from calrig.runs.resume import MOVE_OFF_DEG, Returned, way_back

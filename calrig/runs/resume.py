@@ -24,7 +24,7 @@ from calrig.calibration.poses import Pose
 from calrig.estimation.angles import wrap_deg
 from calrig.estimation.gyro import GyroBias, dwell_bias
 from calrig.estimation.reading import Reading
-from calrig.plan import Plan, PlanError
+from calrig.model.plan import Plan, PlanError
 from calrig.runs import assignment
 from calrig.runs.assignment import Earlier, RunAssignment
 from calrig.runs.follow_up import FollowUpRun

@@ -17,7 +17,7 @@ from calrig.calibration.poses import Pose
 from calrig.calibration.results import Result
 from calrig.calibration.separation import StageMap, map_reference, with_map
 from calrig.calibration.uncertainty import Ending, Reference, has_the_line, turned_both_ways
-from calrig.plan import Plan, PlannedPose, Until
+from calrig.model.plan import Plan, PlannedPose, Until
 from calrig.settings import RigSettings
 from calrig.store import AcceptedEffect, Store
 from calrig.store.records import Document, map_of

@@ -49,7 +49,7 @@ WRITTEN_AT_ONCE = 20
 """Runs in one transaction: others wait for their turn to write meanwhile."""
 _FOLLOWED = ("result", "diagnosis", "faults", "plan")
 """Columns that a verdict follows from; serial number, rig and limits are looked at when it is sought."""
-PROGRAM = sha256_of_program("calibration", "estimation", "store/records.py", "store/verdicts.py")
+PROGRAM = sha256_of_program("calibration", "estimation", "model", "store/records.py", "store/verdicts.py")
 """What decides what a verdict follows from and what is kept of it; read now, while it is what runs."""
 _KEPT = sqlalchemy.inspect(VerdictFiguresTable).local_table
 _FIGURES = tuple(one.name for one in fields(VerdictFigures))

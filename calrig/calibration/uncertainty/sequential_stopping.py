@@ -15,7 +15,7 @@ from typing import Literal
 from calrig.calibration.line import Line
 from calrig.calibration.poses import Pose
 from calrig.calibration.uncertainty.coverage import coverage_factor
-from calrig.plan import FEWEST_UNTIL
+from calrig.model.plan import FEWEST_UNTIL
 
 StoppedBy = Literal["plan", "until"]
 
