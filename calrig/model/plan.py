@@ -6,7 +6,7 @@ import math
 import random
 from dataclasses import dataclass
 from itertools import combinations, pairwise
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
@@ -59,6 +59,8 @@ class Until(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
+    TITLES: ClassVar = {"expanded_uncertainty_deg": "Stop at expanded uncertainty"}
+
     bias_std_deg: float | None = Field(default=None, gt=0, le=90)
     scale_std: float | None = Field(default=None, gt=0, le=10)
     expanded_uncertainty_deg: float | None = Field(default=None, gt=0, le=90)
@@ -74,6 +76,25 @@ class Plan(BaseModel):
     """A run's plan (CONTRACT section 2). Angles in degrees, times in seconds of the board's clock."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    TITLES: ClassVar = {
+        "start_deg": "From",
+        "stop_deg": "To",
+        "step_deg": "Step",
+        "elevations_deg": "Elevations",
+        "order": "Order",
+        "sweeps": "Sweeps",
+        "settle_s": "Settling time",
+        "dwell_s": "Dwell time",
+        "jitter_deg": "Jitter of each elevation",
+        "rate_hz": "Sample rate",
+        "target_std_deg": "Dwell until standard error",
+        "velocity_dps": "Stage velocity",
+        "wait_s": "Wait before each sweep",
+        "wait_temperature_c": "Wait for temperature",
+        "seed": "Seed",
+    }
+    """What the page calls its fields."""
 
     kind: Literal["calibration", "verification", "static", "sweep"] = "calibration"
     elevations_deg: list[ElevationDeg] | None = Field(default=None, min_length=1, max_length=MAX_POSES)
