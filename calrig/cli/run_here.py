@@ -23,7 +23,7 @@ class RunHere:
 
     def __init__(self, service: RunService, run: Run) -> None:
         self.id, self.is_over = run.id, False
-        self.status, self.progress = str(run.status), dict(run.progress)
+        self.status, self.progress = str(run.status), run.progress.model_dump()
         self.has_clamp = any(state.clamp for state in service.rigs() if state.name == run.rig)
         self._service, self._rig, self._seen = service, str(run.rig), 0
         self._heard = threading.Event()
@@ -32,14 +32,14 @@ class RunHere:
 
     def news(self) -> Sequence[Event]:
         """Events since the last look."""
-        from calrig.store import AT_REST
+        from calrig.model.run import AT_REST
 
         self._heard.wait(LOOK_S)
         self._heard.clear()
         run = self._service.run(self.id)  # before the events: where it has ended, these are all of them
         events = self._service.store.events_after(self.id, self._seen)
         self._seen = events[-1].seq if events else self._seen
-        self.status, self.progress = str(run.status), dict(run.progress)
+        self.status, self.progress = str(run.status), run.progress.model_dump()
         self.is_over = run.status in AT_REST
         return events
 
@@ -71,7 +71,7 @@ class RunElsewhere:
 
     def __init__(self, store: Store, run: Run, is_written: Callable[[], bool]) -> None:
         self.id, self.is_over = run.id, False
-        self.status, self.progress = str(run.status), dict(run.progress)
+        self.status, self.progress = str(run.status), run.progress.model_dump()
         self._store, self._seen, self._is_written = store, 0, is_written
 
     def news(self) -> Sequence[Event]:
@@ -81,7 +81,7 @@ class RunElsewhere:
             WorkError: nobody carries it out any more.
         """
         from calrig.analysis.stored_runs import stored_run
-        from calrig.store import AT_REST
+        from calrig.model.run import AT_REST
 
         is_written = self._is_written()  # before the run is read: who has ended it may be gone
         run = stored_run(self._store, self.id)
@@ -92,7 +92,7 @@ class RunElsewhere:
             )
         events = self._store.events_after(self.id, self._seen)
         self._seen = events[-1].seq if events else self._seen
-        self.status, self.progress = str(run.status), dict(run.progress)
+        self.status, self.progress = str(run.status), run.progress.model_dump()
         self.is_over = run.status in AT_REST
         if not events and not self.is_over:
             time.sleep(LOOK_S)
